@@ -76,7 +76,7 @@ def embed(content: JsonObject, folder: Path) -> None:
     image = base64.b64encode(ONE_PIXEL).decode()
     content["images"] = [
         {"name": "a", "uri": f"data:image/png;base64,{image}"},
-        {"uri": "data:image/png;base64,///"},
+        {"uri": "data:image/png;base64,*"},
         {"uri": "data:image/webp;base64,UklGRg=="},
     ]
 
@@ -91,7 +91,7 @@ class TestEmbedded:
         before, after = read(source), baked(source, tmp_path / "out.glb")
         assert len(before.content["buffers"]) == 2
         assert uris(after.content) == [None]
-        assert uris(after.content, "images") == [None, "data:image/png;base64,///", None]
+        assert uris(after.content, "images") == [None, "data:image/png;base64,*", None]
         first, _, last = after.content["images"]
         assert (first["name"], first["mimeType"], last["mimeType"]) == ("a", "image/png", "image/webp")
         view = after.content["bufferViews"][first["bufferView"]]

@@ -34,6 +34,18 @@ def test_data_uris_hold_bytes_in_base64_or_percent_encoded(uri: str) -> None:
     assert decode_data_uri(uri, HERE) == EVERY_BYTE
 
 
+@pytest.mark.parametrize("count", range(7))
+def test_padding_may_be_missing(count: int) -> None:
+    data = EVERY_BYTE[250 - count : 250]
+    digits = base64.b64encode(data).decode().rstrip("=")
+    assert decode_data_uri(f"data:;base64,{digits}", HERE) == data
+
+
+def test_bits_after_the_last_byte_are_dropped_as_in_browsers() -> None:
+    assert decode_data_uri("data:;base64,AB", HERE) == b"\0"
+    assert decode_data_uri("data:;base64,//9", HERE) == b"\xff\xff"
+
+
 def test_plain_text_and_commas_in_a_data_uri_stand_for_themselves() -> None:
     assert decode_data_uri("data:text/plain,a,b%2Cc;base64", HERE) == b"a,b,c;base64"
 
@@ -48,7 +60,10 @@ def test_bytes_become_a_data_uri_that_any_reader_decodes() -> None:
     "uri",
     [
         "data:application/octet-stream;base64",
-        "data:;base64,AAA",
+        "data:;base64,A",
+        "data:;base64,AAAAA",
+        "data:;base64,AA=",
+        "data:;base64,AAA==",
         "data:;base64,A*==",
         "data:;base64,AA==AA==",
         "data:;base64,AA\nAA",

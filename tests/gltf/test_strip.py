@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import base64
 import copy
 import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -307,3 +309,22 @@ def test_every_primitive_of_every_mesh_is_stripped(tmp_path: Path) -> None:
     assert result.primitives == 2
     content = read(tmp_path / "stripped.glb").content
     assert KEY not in json.dumps([primitive for _, _, primitive in primitives(content)])
+
+
+def test_data_uris_without_padding_come_back_as_they_were(tmp_path: Path) -> None:
+    source = copied(SHARED, tmp_path / "in")
+
+    def embed(content: JsonObject) -> None:
+        for buffer in content["buffers"]:
+            if buffer["uri"].startswith("data:"):
+                continue
+            data = (source.parent / unquote(buffer["uri"])).read_bytes() + b"\0"
+            buffer["uri"] = f"data:;base64,{base64.b64encode(data).decode().rstrip('=')}"
+
+    path = edited(SHARED, tmp_path / "embedded", embed)
+    assert any((len(buffer["uri"].partition(",")[2]) % 4) for buffer in read(path).content["buffers"])
+    for name in ("out.gltf", "out.glb"):
+        bake(path, tmp_path / name)
+        assert inspect_file(str(tmp_path / name)).primitives[0].bake is not None
+    strip_file(str(tmp_path / "out.gltf"), str(tmp_path / "again.gltf"))
+    assert (tmp_path / "again.gltf").read_bytes() == path.read_bytes()

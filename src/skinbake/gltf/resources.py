@@ -27,14 +27,20 @@ def is_data_uri(uri: str) -> bool:
 
 
 def decode_data_uri(uri: str, place: Place) -> bytes:
-    """Return the bytes of a ``data:`` URI, base64 or percent-encoded; InputError if it is malformed."""
+    """Return the bytes of a ``data:`` URI, base64 or percent-encoded; InputError if it is malformed.
+
+    As in browsers, the ``=`` at the end of base64 may be missing, but only all of them ("forgiving-base64
+    decode" of https://infra.spec.whatwg.org).
+    """
     header, comma, payload = uri.partition(",")
     if not comma:
         raise InputError("a data: URI has no comma before its data", place)
     try:
         if not header.lower().endswith(";base64"):
             return unquote_to_bytes(payload)
-        return base64.b64decode(unquote(payload) if "%" in payload else payload, validate=True)
+        digits = unquote(payload) if "%" in payload else payload
+        padding = "" if digits.endswith("=") else "=" * (-len(digits) % 4)
+        return base64.b64decode(digits + padding, validate=True)
     except ValueError as error:  # binascii.Error, or characters outside of one byte
         raise InputError(f"a data: URI cannot be decoded: {error}", place) from error
 
