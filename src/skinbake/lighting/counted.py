@@ -15,7 +15,10 @@ BIN_SHIFT = 17
 BINS = 1 << (31 - BIN_SHIFT)
 """The number of bins of errors: 64 to each power of two."""
 
-FINE_BINS = 1 << 10
+FINE_BITS = 10
+"""The bits after those of the bin that tell the parts of it."""
+
+FINE_BINS = 1 << FINE_BITS
 """The number of parts of one bin."""
 
 
@@ -47,7 +50,7 @@ def bin_of(values: FloatArray) -> Int32Array:
 
 def fine_bin_of(values: FloatArray) -> Int32Array:
     """Return the part of its bin for each value: the next bits of its float32."""
-    return (_bits_of(values) >> (BIN_SHIFT - 10)) % FINE_BINS
+    return (_bits_of(values) >> (BIN_SHIFT - FINE_BITS)) % FINE_BINS
 
 
 def _bits_of(values: FloatArray) -> Int32Array:
