@@ -26,7 +26,7 @@ from skinbake.gltf.primitives import read_primitive, skinned_sources
 from skinbake.lighting.influences import normalised_weights
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import gradient_operator
-from skinbake.lighting.reference import rest_frames
+from skinbake.lighting.rest_truth import rest_frames
 from skinbake.lighting.tally import ErrorSummary
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface

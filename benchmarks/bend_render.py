@@ -29,8 +29,8 @@ from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.baked_views import baked_views
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import gradient_operator
-from skinbake.lighting.reference import rest_frames
 from skinbake.lighting.rest_surfaces import rest_surface
+from skinbake.lighting.rest_truth import rest_frames
 from skinbake.lighting.tally import ErrorSummary
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.skinning.algorithms import Algorithm

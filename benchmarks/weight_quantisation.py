@@ -38,7 +38,7 @@ from skinbake.lighting.influences import normalised_weights
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.poses import PoseRequest, pose_set
-from skinbake.lighting.reference import rest_frames
+from skinbake.lighting.rest_truth import rest_frames
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface
 from tests.support.replay import replay

@@ -16,7 +16,7 @@ from skinbake.gradients.baker import BakeSettings, bake_mesh
 from skinbake.lighting.influences import normalised_weights
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import gradient_operator
-from skinbake.lighting.reference import rest_frames
+from skinbake.lighting.rest_truth import rest_frames
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface
 from tests.support.baked_arrays import BARBARIAN, CESIUM_MAN, MANNEQUINY, meshes_of, path_of

@@ -10,7 +10,7 @@ import pytest
 from skinbake.choices import Weighting
 from skinbake.errors import InputError
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
-from skinbake.lighting import operator as operators
+from skinbake.lighting import welded_mesh
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import GradientOperator, expected_alpha_beta, gradient_operator
 from tests.support.surfaces import (
@@ -287,7 +287,7 @@ def test_rows_do_not_depend_on_the_blocks_they_are_made_in(monkeypatch: pytest.M
     surface = analytic_surface(300, "irregular")
     split, _ = split_seam(surface.primitive, tilt_degrees=5.0)
     whole = gradient_operator([split]).x.toarray()
-    monkeypatch.setattr(operators, "CORNERS", 20)
+    monkeypatch.setattr(welded_mesh, "CORNERS", 20)
     operator = gradient_operator([split])
     assert len(operator.blocks()) > 50
     assert (operator.x.toarray() == whole).all()

@@ -12,9 +12,7 @@ import pytest
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import gradient_operator
-from skinbake.lighting.triangle_normals import (
-    vertex_normals,
-)
+from skinbake.lighting.rest_truth import vertex_normals
 from tests.support.surfaces import MILD, STRONG, analytic_surface, bends
 from tests.support.triangle_truth import true_normals
 from tests.support.whole_fields import angular_errors

@@ -17,10 +17,10 @@ from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, Flo
 from skinbake.lighting import _loops, by_numpy
 from skinbake.lighting.counted import BIN_SHIFT, CountedErrors
 from skinbake.lighting.forms import Forms
-from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.reference import FLAT_FRAME, RestFrames
 from skinbake.lighting.sparse_rows import SparseRows
 from skinbake.lighting.triangle_normals import FLAT_TRIANGLE, ClassBlock, ClassSums
+from skinbake.lighting.welded_mesh import WeldedMesh
 from skinbake.skinning.components import Vector
 from skinbake.skinning.run import Skinning
 from skinbake.skinning.surface import RestSurface
@@ -103,7 +103,7 @@ def _moved_by_dqs(skinning: Skinning, rest: RestSurface) -> _Moved:
     )
 
 
-def gradient_rows(operator: GradientOperator, part: slice, directions: Sequence[FloatArray]) -> SparseRows:
+def gradient_rows(operator: WeldedMesh, part: slice, directions: Sequence[FloatArray]) -> SparseRows:
     """Return the derivatives of a block's vertices along D directions (B, 3): sparse (D B, V), stacked."""
     classes = operator.classes[part]
     size, count = len(classes), len(directions)
@@ -129,7 +129,7 @@ def gradient_rows(operator: GradientOperator, part: slice, directions: Sequence[
 
 
 def class_sums(
-    operator: GradientOperator, positions: Float64Array, block: ClassBlock, dtype: DTypeLike = np.float32
+    operator: WeldedMesh, positions: Float64Array, block: ClassBlock, dtype: DTypeLike = np.float32
 ) -> FloatArray:
     """Return Σ angle × unit normal over the corners of some weld classes: (3, C, P), float32 or float64."""
     part = block.part

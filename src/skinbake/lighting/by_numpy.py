@@ -11,7 +11,6 @@ from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, Flo
 from skinbake.lighting.counted import CountedErrors, bin_of
 from skinbake.lighting.forms import Forms
 from skinbake.lighting.metrics import angles_of_units, unit_vectors
-from skinbake.lighting.operator import GradientOperator, weights_of_corners
 from skinbake.lighting.reference import RestFrames, posed_tangents, tangent_normals
 from skinbake.lighting.sparse_rows import SparseRows
 from skinbake.lighting.triangle_normals import (
@@ -21,6 +20,7 @@ from skinbake.lighting.triangle_normals import (
     sums_of_classes,
     triangle_normals,
 )
+from skinbake.lighting.welded_mesh import WeldedMesh, weights_of_corners
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Rows, Vector, cofactors, cross, dot, linear, quotient, scaled
 from skinbake.skinning.run import Skinning
@@ -135,7 +135,7 @@ def _dense(entries: Float64Array, columns: IntArray, table: Float64Array) -> Flo
     return np.swapaxes(found, 0, 1)
 
 
-def gradient_rows(operator: GradientOperator, part: slice, directions: Sequence[FloatArray]) -> SparseRows:
+def gradient_rows(operator: WeldedMesh, part: slice, directions: Sequence[FloatArray]) -> SparseRows:
     """Return the derivatives of a block's vertices along D directions (B, 3): sparse (D B, V), stacked.
 
     libigl gives the gradients of the hat functions in the triangle of each corner. A vertex takes their mean.
@@ -169,7 +169,7 @@ def gradient_rows(operator: GradientOperator, part: slice, directions: Sequence[
 
 
 def class_sums(
-    operator: GradientOperator, positions: Float64Array, block: ClassBlock, dtype: DTypeLike = np.float32
+    operator: WeldedMesh, positions: Float64Array, block: ClassBlock, dtype: DTypeLike = np.float32
 ) -> FloatArray:
     """Return Σ angle × unit normal over the corners of some weld classes: (3, C, P), float32 or float64.
 

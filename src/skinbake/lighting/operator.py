@@ -17,8 +17,10 @@ import numpy as np
 from skinbake.choices import Weighting
 from skinbake.errors import InputError
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray, SkinnedPrimitive
-from skinbake.lighting.influences import Int32Array, Int64Array, JointField, carrying_slots
+from skinbake.lighting import kernel
+from skinbake.lighting.influences import Int64Array, JointField, carrying_slots
 from skinbake.lighting.sparse_rows import SparseRows
+from skinbake.lighting.welded_mesh import WeldedMesh, weights_of_corners
 from skinbake.lighting.welds import weld_classes
 from skinbake.skinning.components import Vector, cross, dot, minus, scaled
 
@@ -30,12 +32,6 @@ Frame: TypeAlias = tuple[FloatArray, FloatArray]
 # A triangle is a line or a point if its doubled area is at most this share of its longest squared edge.
 _DEGENERATE = 1e-10
 
-
-ROWS = 1 << 13
-"""The number of rows that are made at a time."""
-
-CORNERS = 1 << 16
-"""The number of triangle corners that are looked at for these rows. A vertex may have thousands of copies."""
 
 TABLE_CELLS = 1 << 21
 """The rows × joints whose derivatives are summed up at a time: 16 MiB."""
@@ -49,30 +45,12 @@ Of all four weightings, Max's weights are the nearest to analytic surfaces (docs
 
 
 @dataclass(frozen=True, slots=True)
-class GradientOperator:
+class GradientOperator(WeldedMesh):
     """The linear map from a field on a mesh's vertices to the field's gradient at the same vertices.
 
-    V runs over the vertices of all primitives, concatenated in order. counts holds the number of each.
-    positions (V, 3) are float64. triangles (T, 3) have an area. classes (V,) are the weld classes. totals
-    (C,) are the weights of all corners of a class. corners (3 T,) lists them class by class, from ends[c] to
-    ends[c + 1]. Rows of the matrix are made when they are needed, because all of them take a gigabyte for a
-    million vertices. The row of a vertex without triangles is zero.
+    Rows of the matrix are made when they are needed, because all of them take a gigabyte for a million
+    vertices. The row of a vertex without triangles is zero.
     """
-
-    counts: tuple[int, ...]
-    positions: Float64Array
-    triangles: Int32Array
-    classes: Int32Array
-    weighting: Weighting
-    totals: Float64Array
-    corners: Int32Array
-    ends: Int64Array
-
-    @property
-    def slices(self) -> list[slice]:
-        """The slice of each primitive's vertices among the mesh's vertices."""
-        ends = np.cumsum(self.counts).tolist()
-        return [slice(end - count, end) for end, count in zip(ends, self.counts, strict=True)]
 
     @property
     def x(self) -> csr_array:
@@ -114,53 +92,9 @@ class GradientOperator:
             total[:, part] = rows.magnitudes().times(field).reshape(len(directions), -1)
         return total
 
-    def blocks(self, within: slice | None = None) -> list[slice]:
-        """Cut the vertices, or some of them, into blocks whose rows are made together."""
-        start, stop = (0, len(self.positions)) if within is None else (within.start, within.stop)
-        total = self._corners_before(start, stop)
-        found = []
-        first = 0
-        while first < stop - start:
-            end = int(np.searchsorted(total, total[first] + CORNERS, side="right")) - 1
-            end = min(max(end, first + 1), first + ROWS, stop - start)
-            found.append(slice(start + first, start + end))
-            first = end
-        return found
-
-    def together(self, parts: Sequence[slice]) -> list[list[slice]]:
-        """Group consecutive blocks whose rows are made together."""
-        if not parts:
-            return []
-        first = parts[0].start
-        before = self._corners_before(first, parts[-1].stop)
-        groups = [[parts[0]]]
-        for part in parts[1:]:
-            start = groups[-1][0].start
-            corners = before[part.stop - first] - before[start - first]
-            if part.stop - start <= ROWS and corners <= CORNERS:
-                groups[-1].append(part)
-            else:
-                groups.append([part])
-        return groups
-
-    def _corners_before(self, start: int, stop: int) -> Int64Array:
-        """Return the number of corners of the vertices from ``start`` up to each of the next ones."""
-        lengths = np.diff(self.ends)[self.classes[start:stop]]
-        return np.concatenate([[0], np.cumsum(lengths)])
-
     def rows(self, part: slice, directions: Sequence[FloatArray]) -> SparseRows:
         """Return the derivatives of a block's vertices along D directions (B, 3): sparse (D B, V)."""
-        from skinbake.lighting import kernel  # its modules import this one
-
         return kernel.gradient_rows(self, part, directions)
-
-    def corners_of(self, part: slice) -> tuple[IntArray, IntArray]:
-        """Return the corners of a block's vertices and of their copies, each with its vertex in the block."""
-        classes = self.classes[part]
-        lengths = self.ends[classes + 1] - self.ends[classes]
-        owners = np.repeat(np.arange(len(classes)), lengths)
-        offsets = np.arange(len(owners)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
-        return owners, self.corners[np.repeat(self.ends[classes], lengths) + offsets]
 
 
 def gradient_operator(
@@ -323,15 +257,3 @@ def _corner_weights(positions: Float64Array, triangles: Int64Array, weighting: W
         following, preceding = edges[corner], scaled(-1.0, edges[corner - 1])
         weights[:, corner] = weights_of_corners(following, preceding, weighting)
     return weights
-
-
-def weights_of_corners(first: Vector, second: Vector, weighting: Weighting) -> Float64Array:
-    """Return the weights of corners from their two edges, by components."""
-    normal = cross(first, second)
-    area: Float64Array = np.sqrt(dot(normal, normal))
-    if weighting == "max":
-        return np.asarray(area / (dot(first, first) * dot(second, second)))
-    if weighting == "area":
-        return area
-    angle = np.arctan2(area, dot(first, second))
-    return np.asarray(angle if weighting == "angle" else angle * area)

@@ -10,13 +10,11 @@ skinning. The morphed mesh takes the place of the rest pose, and its morphed nor
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
-from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.sparse_rows import SparseRows
 from skinbake.skinning.components import Vector, cross, dot, scaled
 
@@ -41,49 +39,6 @@ class RestFrames:
     valid: BoolArray
 
 
-def rest_frames(
-    operator: GradientOperator,
-    positions: FloatArray,
-    normals: FloatArray,
-    tangents: FloatArray | None = None,
-    bitangents: FloatArray | None = None,
-    *,
-    parts: tuple[slice, ...] | None = None,
-) -> RestFrames:
-    """Measure the rest pose, once for any number of poses.
-
-    All arrays are (V, 3) over the mesh's concatenated vertices, in mesh space: the rest positions, n0 of any
-    length, t0 and b0. If t0 and b0 are not given, the tangents are ones that no option of bake chooses
-    (``perpendicular``). A vertex is not valid if it has no triangles, a flat frame, or a zero or non-finite
-    n0. ``parts`` are the blocks of vertices that will be requested.
-    """
-    chosen = tuple(operator.blocks()) if parts is None else parts
-    along = []
-    for group in operator.together(chosen):
-        whole = slice(group[0].start, group[-1].stop)
-        axes = (
-            perpendicular(normals[whole])
-            if tangents is None or bitangents is None
-            else (tangents[whole], bitangents[whole])
-        )
-        along += _split(operator.rows(whole, axes), group)
-    return _measured(chosen, tuple(along), positions, normals)
-
-
-def _split(stacked: SparseRows, group: Sequence[slice]) -> list[tuple[SparseRows, SparseRows]]:
-    """Cut rows along t0, and then along b0, into those of the parts of one group."""
-    starts, columns = stacked.starts, stacked.columns
-    first, half = group[0].start, len(stacked) // 2
-    end = int(starts[half])
-    along_t = SparseRows(starts[: half + 1], columns[:end].copy(), stacked.values[:end])
-    along_b = SparseRows(starts[half:] - np.int32(end), columns[end:].copy(), stacked.values[end:])
-    if np.array_equal(along_t.starts, along_b.starts) and np.array_equal(along_t.columns, along_b.columns):
-        # Usual: both have the same neighbours, which are kept once.
-        along_b = SparseRows(along_t.starts, along_t.columns, along_b.values)
-    parts = [slice(part.start - first, part.stop - first + 1) for part in group]
-    return [(along_t.some(part), along_b.some(part)) for part in parts]
-
-
 def morphed_frames(rest: RestFrames, positions: FloatArray, normals: FloatArray) -> RestFrames:
     """Measure the mesh under morph targets, before skinning, like ``rest_frames`` without targets.
 
@@ -91,25 +46,10 @@ def morphed_frames(rest: RestFrames, positions: FloatArray, normals: FloatArray)
     the surface as t0 and b0 at rest. So it is their image under the differential of the morph. If skinning is
     the identity, the reference returns these normals exactly.
     """
-    return _measured(rest.parts, rest.derivatives, positions, normals)
+    return measured_frames(rest.parts, rest.derivatives, positions, normals)
 
 
-def perpendicular(normals: FloatArray) -> tuple[Float64Array, Float64Array]:
-    """Return two unit tangents (V, 3) at right angles to each other and to n0 (V, 3).
-
-    They are NaN if n0 is zero or not finite.
-    """
-    wide = np.asarray(normals, dtype=np.float64)
-    with np.errstate(invalid="ignore"):  # a normal that is zero or not finite
-        axis = np.eye(3)[np.abs(wide).argmin(axis=1)]
-        tangents = np.cross(axis, wide)
-        tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-        bitangents = np.cross(wide, tangents)
-        bitangents /= np.linalg.norm(bitangents, axis=1, keepdims=True)
-    return tangents, bitangents
-
-
-def _measured(
+def measured_frames(
     parts: tuple[slice, ...],
     along: tuple[tuple[SparseRows, SparseRows], ...],
     positions: FloatArray,

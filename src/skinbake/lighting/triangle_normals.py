@@ -9,25 +9,17 @@ the deformed mesh.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
 from skinbake.lighting.influences import Int32Array
-from skinbake.lighting.operator import GradientOperator
-from skinbake.lighting.reference import RestFrames, posed_tangent
+from skinbake.lighting.welded_mesh import WeldedMesh
 from skinbake.skinning.components import Vector, cross, dot, minus_scaled, scaled
 
 FLAT_TRIANGLE = 1e10
 """A deformed triangle with a corner of a larger cotangent is a line or a point, and has no normal."""
-
-CANCELLED = 1e-9
-"""Radians. Triangles that sum to less at a point cancel out. The direction of what is left is rounding.
-
-This happens where a mesh has each triangle twice, once for each side, on the same vertices.
-"""
 
 CORNER_SAMPLES = 1 << 15
 """The corners × poses in work at a time. The temporaries of a block stay in the processor's cache."""
@@ -44,45 +36,45 @@ class ClassBlock:
     triangles: Int32Array
 
     @classmethod
-    def of(cls, operator: GradientOperator, part: slice) -> ClassBlock:
+    def of(cls, mesh: WeldedMesh, part: slice) -> ClassBlock:
         """Find the triangles that some weld classes meet."""
-        met = np.sort(operator.corners[operator.ends[part.start] : operator.ends[part.stop]] // 3)
+        met = np.sort(mesh.corners[mesh.ends[part.start] : mesh.ends[part.stop]] // 3)
         return cls(part, met[np.diff(met, prepend=-1) != 0])
 
 
-def class_blocks(operator: GradientOperator) -> list[ClassBlock]:
+def class_blocks(mesh: WeldedMesh) -> list[ClassBlock]:
     """Cut a mesh's weld classes into blocks."""
-    ends, count = operator.ends, len(operator.ends) - 1
+    ends, count = mesh.ends, len(mesh.ends) - 1
     found, start = [], 0
     while start < count:
         stop = int(np.searchsorted(ends, ends[start] + CLASS_CORNERS, side="right")) - 1
         stop = min(max(stop, start + 1), start + CLASS_CORNERS, count)
-        found.append(ClassBlock.of(operator, slice(start, stop)))
+        found.append(ClassBlock.of(mesh, slice(start, stop)))
         start = stop
     return found
 
 
-def sums_of_classes(operator: GradientOperator, positions: Float64Array, part: slice) -> Float64Array:
+def sums_of_classes(mesh: WeldedMesh, positions: Float64Array, part: slice) -> Float64Array:
     """Return Σ angle × unit normal over the corners of some weld classes: (3, C, P).
 
     positions (3, V, P) belong to all vertices. Triangles without an area, or with a broken position, add
     nothing.
     """
-    starts = operator.ends[part.start : part.stop + 1]
+    starts = mesh.ends[part.start : part.stop + 1]
     total = np.zeros((3, part.stop - part.start, positions.shape[2]))
     step = max(1, CORNER_SAMPLES // max(positions.shape[2], 1))
     for first in range(int(starts[0]), int(starts[-1]), step):
-        corners = operator.corners[first : min(first + step, int(starts[-1]))]
+        corners = mesh.corners[first : min(first + step, int(starts[-1]))]
         bounds = np.clip(starts - first, 0, len(corners))
         rows = np.flatnonzero(np.diff(bounds))
-        for axis, weighted in enumerate(_corner_normals(operator, positions, corners)):
+        for axis, weighted in enumerate(_corner_normals(mesh, positions, corners)):
             total[axis, rows] += np.add.reduceat(weighted, bounds[rows], axis=0)
     return total
 
 
-def _corner_normals(operator: GradientOperator, positions: Float64Array, corners: IntArray) -> Vector:
+def _corner_normals(mesh: WeldedMesh, positions: Float64Array, corners: IntArray) -> Vector:
     """Return angle × unit normal of the triangles at some of their corners: components (N, P)."""
-    first, second, third = operator.triangles[corners // 3].T
+    first, second, third = mesh.triangles[corners // 3].T
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what is not finite is not sound
         e1 = tuple(component[second] - component[first] for component in positions)
         e2 = tuple(component[third] - component[first] for component in positions)
@@ -100,21 +92,6 @@ def _corner_normals(operator: GradientOperator, positions: Float64Array, corners
         return tuple(np.where(sound, angle / area * component, 0.0) for component in normal)
 
 
-def vertex_normals(
-    operator: GradientOperator, positions: Float64Array, classes: Sequence[ClassBlock] | None = None
-) -> Float64Array:
-    """Return the angle-weighted sums of the weld classes: (3, C, P), from positions (3, V, P).
-
-    classes are the ``class_blocks``, if they are there already.
-    """
-    from skinbake.lighting import kernel  # its modules import this one
-
-    total = np.empty((3, len(operator.ends) - 1, positions.shape[2]))
-    for block in class_blocks(operator) if classes is None else classes:
-        total[:, block.part] = kernel.class_sums(operator, positions, block, np.float64)
-    return total
-
-
 @dataclass(frozen=True, slots=True)
 class CarriedNormals:
     """The coordinates (3, V) of unit n0 in the frame t̂, n̂ × t̂, n̂ at rest, NaN if there is no frame.
@@ -123,31 +100,6 @@ class CarriedNormals:
     """
 
     coefficients: Float64Array
-
-
-def carried_normals(
-    operator: GradientOperator,
-    rest: RestFrames,
-    positions: FloatArray,
-    normals: FloatArray,
-    classes: Sequence[ClassBlock] | None = None,
-) -> CarriedNormals:
-    """Return the coordinates of the normals n0 (V, 3) on the mesh before skinning, with positions (V, 3).
-
-    A vertex whose triangles cancel out has none. classes are as in ``vertex_normals``.
-    """
-    components = np.ascontiguousarray(np.asarray(positions, dtype=np.float64).T)[:, :, None]
-    sums = vertex_normals(operator, components, classes)
-    sums[:, np.einsum("icp,icp->cp", sums, sums) < CANCELLED**2] = 0.0
-    coefficients = np.full((3, len(positions)), np.nan)
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no frame gets NaN
-        for part, derivatives in zip(rest.parts, rest.derivatives, strict=True):
-            tangent = posed_tangent(derivatives[0], components)
-            frame = _frame(tangent, block_sums(operator.classes, sums, part))
-            n0 = tuple(np.asarray(normals[part], dtype=np.float64).T[:, None])
-            found = np.concatenate([dot(axis, n0) for axis in frame])
-            coefficients[:, part] = found / np.sqrt((found * found).sum(axis=0))
-    return CarriedNormals(coefficients)
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +129,7 @@ def triangle_normals(
     """
     by_t, by_s, by_n = carried.coefficients[:, part]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # likewise
-        t, s, n = _frame(tangent, sums)
+        t, s, n = frame_of(tangent, sums)
         if sides is not None:
             by_n = by_n * sides
         # The coordinates are unit in an orthonormal frame, so the result is already unit.
@@ -185,7 +137,7 @@ def triangle_normals(
     return found, np.isfinite(found[0])
 
 
-def _frame(tangent: Vector, normal: Vector) -> tuple[Vector, Vector, Vector]:
+def frame_of(tangent: Vector, normal: Vector) -> tuple[Vector, Vector, Vector]:
     """Return the orthonormal frame t̂, n̂ × t̂, n̂; NaN if there is none."""
     n = scaled(1.0 / np.sqrt(dot(normal, normal)), normal)
     t = minus_scaled(tangent, dot(tangent, n), n)

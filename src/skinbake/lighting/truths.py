@@ -19,12 +19,12 @@ from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
 from skinbake.lighting import kernel
 from skinbake.lighting.blending import blocks
 from skinbake.lighting.operator import GradientOperator
-from skinbake.lighting.reference import RestFrames, morphed_frames, rest_frames
+from skinbake.lighting.reference import RestFrames, morphed_frames
+from skinbake.lighting.rest_truth import carried_normals, rest_frames
 from skinbake.lighting.triangle_normals import (
     CarriedNormals,
     ClassBlock,
     ClassSums,
-    carried_normals,
     class_blocks,
 )
 from skinbake.skinning.surface import RestSurface

@@ -1,0 +1,117 @@
+"""The mesh before skinning, as the two truths measure it: frames along tangents, normals on triangles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from skinbake.geometry.skinned import Float64Array, FloatArray
+from skinbake.lighting import kernel
+from skinbake.lighting.operator import GradientOperator
+from skinbake.lighting.reference import RestFrames, measured_frames, posed_tangent
+from skinbake.lighting.sparse_rows import SparseRows
+from skinbake.lighting.triangle_normals import CarriedNormals, ClassBlock, block_sums, class_blocks, frame_of
+from skinbake.skinning.components import dot
+
+CANCELLED = 1e-9
+"""Radians. Triangles that sum to less at a point cancel out. The direction of what is left is rounding.
+
+This happens where a mesh has each triangle twice, once for each side, on the same vertices.
+"""
+
+
+def rest_frames(
+    operator: GradientOperator,
+    positions: FloatArray,
+    normals: FloatArray,
+    tangents: FloatArray | None = None,
+    bitangents: FloatArray | None = None,
+    *,
+    parts: tuple[slice, ...] | None = None,
+) -> RestFrames:
+    """Measure the rest pose, once for any number of poses.
+
+    All arrays are (V, 3) over the mesh's concatenated vertices, in mesh space: the rest positions, n0 of any
+    length, t0 and b0. If t0 and b0 are not given, the tangents are ones that no option of bake chooses
+    (``perpendicular``). A vertex is not valid if it has no triangles, a flat frame, or a zero or non-finite
+    n0. ``parts`` are the blocks of vertices that will be requested.
+    """
+    chosen = tuple(operator.blocks()) if parts is None else parts
+    along = []
+    for group in operator.together(chosen):
+        whole = slice(group[0].start, group[-1].stop)
+        axes = (
+            perpendicular(normals[whole])
+            if tangents is None or bitangents is None
+            else (tangents[whole], bitangents[whole])
+        )
+        along += _split(operator.rows(whole, axes), group)
+    return measured_frames(chosen, tuple(along), positions, normals)
+
+
+def _split(stacked: SparseRows, group: Sequence[slice]) -> list[tuple[SparseRows, SparseRows]]:
+    """Cut rows along t0, and then along b0, into those of the parts of one group."""
+    starts, columns = stacked.starts, stacked.columns
+    first, half = group[0].start, len(stacked) // 2
+    end = int(starts[half])
+    along_t = SparseRows(starts[: half + 1], columns[:end].copy(), stacked.values[:end])
+    along_b = SparseRows(starts[half:] - np.int32(end), columns[end:].copy(), stacked.values[end:])
+    if np.array_equal(along_t.starts, along_b.starts) and np.array_equal(along_t.columns, along_b.columns):
+        # Usual: both have the same neighbours, which are kept once.
+        along_b = SparseRows(along_t.starts, along_t.columns, along_b.values)
+    parts = [slice(part.start - first, part.stop - first + 1) for part in group]
+    return [(along_t.some(part), along_b.some(part)) for part in parts]
+
+
+def perpendicular(normals: FloatArray) -> tuple[Float64Array, Float64Array]:
+    """Return two unit tangents (V, 3) at right angles to each other and to n0 (V, 3).
+
+    They are NaN if n0 is zero or not finite.
+    """
+    wide = np.asarray(normals, dtype=np.float64)
+    with np.errstate(invalid="ignore"):  # a normal that is zero or not finite
+        axis = np.eye(3)[np.abs(wide).argmin(axis=1)]
+        tangents = np.cross(axis, wide)
+        tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+        bitangents = np.cross(wide, tangents)
+        bitangents /= np.linalg.norm(bitangents, axis=1, keepdims=True)
+    return tangents, bitangents
+
+
+def vertex_normals(
+    operator: GradientOperator, positions: Float64Array, classes: Sequence[ClassBlock] | None = None
+) -> Float64Array:
+    """Return the angle-weighted sums of the weld classes: (3, C, P), from positions (3, V, P).
+
+    classes are the ``class_blocks``, if they are there already.
+    """
+    total = np.empty((3, len(operator.ends) - 1, positions.shape[2]))
+    for block in class_blocks(operator) if classes is None else classes:
+        total[:, block.part] = kernel.class_sums(operator, positions, block, np.float64)
+    return total
+
+
+def carried_normals(
+    operator: GradientOperator,
+    rest: RestFrames,
+    positions: FloatArray,
+    normals: FloatArray,
+    classes: Sequence[ClassBlock] | None = None,
+) -> CarriedNormals:
+    """Return the coordinates of the normals n0 (V, 3) on the mesh before skinning, with positions (V, 3).
+
+    A vertex whose triangles cancel out has none. classes are as in ``vertex_normals``.
+    """
+    components = np.ascontiguousarray(np.asarray(positions, dtype=np.float64).T)[:, :, None]
+    sums = vertex_normals(operator, components, classes)
+    sums[:, np.einsum("icp,icp->cp", sums, sums) < CANCELLED**2] = 0.0
+    coefficients = np.full((3, len(positions)), np.nan)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no frame gets NaN
+        for part, derivatives in zip(rest.parts, rest.derivatives, strict=True):
+            tangent = posed_tangent(derivatives[0], components)
+            frame = frame_of(tangent, block_sums(operator.classes, sums, part))
+            n0 = tuple(np.asarray(normals[part], dtype=np.float64).T[:, None])
+            found = np.concatenate([dot(axis, n0) for axis in frame])
+            coefficients[:, part] = found / np.sqrt((found * found).sum(axis=0))
+    return CarriedNormals(coefficients)
