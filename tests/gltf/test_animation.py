@@ -183,6 +183,65 @@ def test_every_path_is_animated_by_every_method(method: str | None, path: str, t
     check(builder, tmp_path)
 
 
+def point(builder: Builder, pointer: object) -> JsonObject:
+    """Have the last clip name its target by a pointer."""
+    target: JsonObject = {"path": "pointer", "extensions": {"KHR_animation_pointer": {"pointer": pointer}}}
+    builder.json["animations"][-1]["channels"][0]["target"] = target
+    return target
+
+
+@pytest.mark.parametrize("path", ["translation", "rotation", "scale"])
+def test_a_pointer_to_a_node_moves_it_as_a_channel_with_a_node_does(path: str) -> None:
+    values = np.random.default_rng(2).normal(size=(3, 4 if path == "rotation" else 3))
+    at = np.linspace(-1.0, 3.0, 9)
+    found = []
+    for is_pointer in (False, True):
+        builder = arm()
+        animate(builder, path=path, values=values)
+        if is_pointer:
+            point(builder, f"/nodes/3/{path}")
+        document = builder.document()
+        [clip] = read_clips(document)
+        found.append(clip_poses(read_skeleton(document, 0), clip, at))
+    assert np.array_equal(found[0], found[1])
+    assert np.abs(np.diff(found[1], axis=0)).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    "pointer",
+    [
+        "/materials/0/pbrMetallicRoughness/baseColorFactor",
+        "/nodes/3",
+        "/nodes/3/rotation/0",
+        "/nodes/03/rotation",
+        "/nodes/3/matrix",
+        "nodes/3/rotation",
+        "/nodes/-1/rotation",
+        f"/nodes/{'9' * 5000}/rotation",
+        "",
+        None,
+    ],
+)
+def test_a_pointer_to_something_else_moves_nothing(pointer: object) -> None:
+    builder = arm()
+    animate(builder)
+    point(builder, pointer)
+    assert read_clips(builder.document()) == []
+
+
+def test_a_broken_pointer_is_refused() -> None:
+    builder = arm()
+    animate(builder)
+    point(builder, "/nodes/4/rotation")
+    with pytest.raises(
+        InputError, match='the pointer "/nodes/4/rotation": "node" is 4, but the file has 4 nodes'
+    ):
+        read_clips(builder.document())
+    point(builder, 3)
+    with pytest.raises(InputError, match='"pointer" must be a string, found 3'):
+        read_clips(builder.document())
+
+
 @pytest.mark.parametrize("path", ["translation", "rotation", "scale"])
 def test_every_path_is_animated_by_cubic_splines(path: str, tmp_path: Path) -> None:
     builder = arm()

@@ -38,6 +38,7 @@ from tests.support.models import (
     rewritten,
     sheet,
     stripped,
+    with_pointers,
     write_model,
 )
 
@@ -328,3 +329,13 @@ def test_data_uris_without_padding_come_back_as_they_were(tmp_path: Path) -> Non
         assert inspect_file(str(tmp_path / name)).primitives[0].bake is not None
     strip_file(str(tmp_path / "out.gltf"), str(tmp_path / "again.gltf"))
     assert (tmp_path / "again.gltf").read_bytes() == path.read_bytes()
+
+
+def test_clips_of_pointers_are_kept_to_the_byte(tmp_path: Path) -> None:
+    path = edited("bent_tube.glb", tmp_path / "in", with_pointers)
+    after = baked(path, tmp_path / "out.glb")
+    before = read(path)
+    assert after.content["animations"] == before.content["animations"]
+    assert_buffers_kept(before, after)
+    strip_file(str(tmp_path / "out.glb"), str(tmp_path / "again.glb"))
+    assert (tmp_path / "again.glb").read_bytes() == path.read_bytes()

@@ -34,7 +34,7 @@ from skinbake.skinning.surface import RestSurface
 from tests.support import analytic, corpus, gltf_reading
 from tests.support.baked_files import CESIUM_MAN, Editable, baked, source, verify
 from tests.support.baking import bake_settings
-from tests.support.models import sheet, write_model
+from tests.support.models import edited, sheet, with_pointers, write_model
 from tests.support.replay import replay
 from tests.support.straightforward import Character, degrees
 
@@ -73,6 +73,15 @@ def test_the_figures_are_those_of_a_straightforward_computation(tmp_path: Path) 
 
 @pytest.mark.slow
 @corpus.needed
+@pytest.mark.parametrize("name", ["bent_tube.glb", "morphed_sheet.glb"])
+def test_clips_of_pointers_are_measured_as_those_of_nodes(name: str, tmp_path: Path) -> None:
+    pointed = edited(name, tmp_path / "pointed", with_pointers)
+    found = [verify(baked(path, tmp_path), "--samples", "3") for path in (pointed, source(name))]
+    assert found[0].file["poses"].startswith("3 poses of 1 clip")
+    assert found[0].file["normals"] == found[1].file["normals"]
+    assert found[0].file["morphs"] == found[1].file["morphs"]
+
+
 def test_the_worst_sample_is_where_it_says(tmp_path: Path) -> None:
     path = baked(source(CESIUM_MAN), tmp_path)
     found = figures(path, "--samples", "3", "--method", "lbs")["lbs"]

@@ -203,3 +203,13 @@ def assert_buffers_kept(before: GltfFile, after: GltfFile) -> None:
             continue  # a fallback buffer, which no bytes stand for
         length = buffer["byteLength"]
         assert after.buffer(number)[:length] == before.buffer(number)[:length]
+
+
+def with_pointers(content: JsonObject) -> None:
+    """Have all channels of a file name their nodes by the pointers of KHR_animation_pointer."""
+    for animation in content["animations"]:
+        for channel in animation["channels"]:
+            pointer = "/nodes/{node}/{path}".format(**channel["target"])
+            extensions = {"KHR_animation_pointer": {"pointer": pointer}}
+            channel["target"] = {"path": "pointer", "extensions": extensions}
+    content["extensionsUsed"] = [*content.get("extensionsUsed", []), "KHR_animation_pointer"]

@@ -14,7 +14,7 @@ import pytest
 from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Encoding, Layout
 from skinbake.format.layouts import GradientFormat
-from skinbake.gltf.animation import read_clips
+from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.baked_views import baked_views
@@ -26,7 +26,7 @@ from tests.support import browser
 from tests.support.baked_files import Editable
 from tests.support.baking import bake_file
 from tests.support.characters import AS_USUAL, Array, angles, baked, unit
-from tests.support.models import copied
+from tests.support.models import copied, edited, with_pointers
 from tests.support.morphed_files import morphed
 from tests.support.replay import replay
 from tests.view.pages import DEGREES, normals, numbers, shown, take
@@ -76,6 +76,17 @@ def test_every_frame_and_storage_is_shown(
         wanted = unit(replay(algorithm, rest_surface(view), matrices(browsing)).normals[0])
         assert angles(found, wanted).max() < DEGREES, lighting
     assert browsing.messages() == []
+
+
+def test_clips_of_pointers_move_the_model(browsing: browser.Page, tmp_path: Path) -> None:
+    source = edited("bent_tube.glb", tmp_path / "in", with_pointers)
+    path = baked(source, tmp_path)
+    document = read_document(str(FOLDER / "bent_tube.glb"))
+    [clip] = read_clips(document)
+    take(browsing, path)
+    normals(browsing, "standard", clip=0, time=0.6)
+    wanted = clip_poses(read_skeleton(document, 0), clip, np.array([0.6]))
+    assert np.abs(matrices(browsing) - wanted).max() < 1e-5
 
 
 @pytest.mark.parametrize("frame", ["normal", "tangent"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -27,6 +28,10 @@ from skinbake.wording import counted
 
 PATHS = {"translation": 3, "rotation": 4, "scale": 3}
 MORPH_WEIGHTS = "weights"
+
+POINTER_EXTENSION = "KHR_animation_pointer"
+POINTER = re.compile("/nodes/(0|[1-9][0-9]{0,8})/(translation|rotation|scale|weights)")
+"""The JSON pointers (RFC 6901) that name the same properties of a node as a channel without the extension."""
 
 
 BYTES_A_NODE = 1024
@@ -349,9 +354,7 @@ def _channel(
     known are the times that were read before, by accessor. outputs are the values, by accessor and use.
     """
     place = document.place
-    target = member(channel, "target", place)
-    node = index(target, "node", len(document.objects("nodes")), place)
-    path = text(target, "path", place)
+    node, path = _target(channel, len(document.objects("nodes")), place)
     sampler_index = index(channel, "sampler", len(samplers), place)
     if node is None or path is None or sampler_index is None:
         return None
@@ -384,6 +387,23 @@ def _channel(
         shape = (-1, 3, components) if each == 3 else (-1, components)
         outputs[use] = by_key.reshape(shape)
     return Channel(node, path, method, times, outputs[use])
+
+
+def _target(channel: JsonObject, count: int, place: Place) -> tuple[int | None, str | None]:
+    """Return the node and its property that a channel moves, also through a pointer; None for others.
+
+    ``count`` is the number of nodes.
+    """
+    target = member(channel, "target", place)
+    path = text(target, "path", place)
+    if path != "pointer":
+        return index(target, "node", count, place), path
+    extension = member(member(target, "extensions", place), POINTER_EXTENSION, place)
+    found = POINTER.fullmatch(text(extension, "pointer", place) or "")
+    if found is None:
+        return None, None
+    owner = f'the pointer "{found[0]}"'
+    return index({"node": int(found[1])}, "node", count, place, owner=owner, kind="node"), found[2]
 
 
 def _wide(document: Document, number: int, place: Place) -> Float64Array:

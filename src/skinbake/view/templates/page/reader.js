@@ -429,7 +429,7 @@ export function gradientsOf(primitive, value) {
 function readClip(source, animation, number, nodes) {
     const channels = [];
     for (const { sampler, target } of list(animation.channels)) {
-        const { node, path } = target ?? {};
+        const { node, path } = targetOf(target ?? {});
         const one = animation.samplers?.[sampler];
         if (nodes[node] === undefined || !one || !['translation', 'rotation', 'scale', 'weights'].includes(path)) continue;
         const times = source.floats(one.input).array;
@@ -445,6 +445,15 @@ function readClip(source, animation, number, nodes) {
         start: Math.min(...channels.map(({ times }) => times[0])),
         end: Math.max(...ends),
     };
+}
+
+const POINTER = /^\/nodes\/(0|[1-9]\d*)\/(\w+)$/;
+
+// The node and its property that a channel moves, also through the pointer of KHR_animation_pointer.
+function targetOf({ node, path, extensions }) {
+    if (path !== 'pointer') return { node, path };
+    const found = POINTER.exec(extensions?.KHR_animation_pointer?.pointer);
+    return found ? { node: Number(found[1]), path: found[2] } : {};
 }
 
 // The textures of a material that are drawn, by use.
