@@ -51,16 +51,17 @@ PATIENCE = 60
 """Seconds of a processor after which a child is given up."""
 
 EXPLAINED = (
-    "the time and memory of bake, verify, strip and inspect on hostile families at four sizes. "
-    "The seconds are those of the processors, or those of the clock if they are fewer. `refused` is exit 3, "
-    "before the memory is allocated. The last column is the largest factor by which a doubling of the bytes "
-    "multiplies the memory, or the time of a step that takes over 0.5 s. A command may take 2,048 bytes of "
-    "memory for each byte of its file, and always a gibibyte. Work that small files could ask for without "
-    "bytes has bounds of its own ([Bounds](reference/limits.md#bounds)). Primitives that share vertices "
-    "(`shared_accessors`, `draco_views`) count at each use, copies of a vertex (`fan`, `crowd`, "
-    "`own_triangles`) with the neighbours of all copies, and clips (`many_clips`) with all vertices. Up to "
-    "these bounds, such a file may grow faster than its bytes; beyond them it is refused at once. The images "
-    "of `named_images` all name one file of 64 KiB beside the model, which `bake --pack` brings in once."
+    "the time and memory of bake, verify, strip and inspect on hostile families at four sizes. The "
+    "seconds are those of the processors, or those of the clock if they are fewer. `refused` is exit 3, "
+    "before the memory is allocated. The last column is the largest factor by which a doubling of the "
+    "bytes multiplies the memory, or the time of a step that takes over 0.5 s. A command may take 2,048 "
+    "bytes of memory for each byte of its file, and always a gibibyte. Work that small files could ask "
+    "for without bytes has bounds of its own ([Bounds](reference/limits.md#bounds)). Primitives that "
+    "share vertices or metadata (`shared_accessors`, `draco_views`, `shared_note`, `former_influences`, "
+    "`former_streams`) count at each use, copies of a vertex (`fan`, `crowd`, `own_triangles`) with the "
+    "neighbours of all copies, and clips (`many_clips`) with all vertices. Up to these bounds, such a "
+    "file may grow faster than its bytes; beyond them it is refused at once. The images of `named_images`"
+    " all name one file of 64 KiB beside the model, which `bake --pack` brings in once."
 )
 
 Content = dict[str, Any]
@@ -319,6 +320,38 @@ def draco_views(size: int) -> Scene:
     return made.draw(primitives)
 
 
+def shared_note(size: int) -> Scene:
+    """Make primitives that share the metadata of a bake, in the extras of an accessor, with many entries."""
+    scene = Scene()
+    one = scene.surface(3)
+    note = {"version": 1, "alpha": ["A"] * (size // 2 // 5)}
+    scene.json["accessors"][0]["extras"] = {"skinbake": note}
+    return scene.draw([one] * (size // 2 // len(json.dumps(one))))
+
+
+def former_influences(size: int) -> Scene:
+    """Make primitives that share large influences, of which a bake is said to have kept the former ones."""
+    scene = Scene()
+    one = scene.surface(_side(size // 2))
+    note = {"version": 1, "adopted": {}, "digest": {}}
+    scene.json["accessors"][2]["extras"] = {"skinbake": note}
+    return scene.draw([one] * (size // 2 // len(json.dumps(one))))
+
+
+def former_streams(size: int) -> Scene:
+    """Make primitives that share a Draco stream, and another one that a bake is said to have replaced."""
+    scene = draco_views(size // 2)
+    views, primitives = scene.json["bufferViews"], scene.json["meshes"][0]["primitives"]
+    first = primitives[0]["extensions"]["KHR_draco_mesh_compression"]
+    start = views[first["bufferView"]]
+    stream = bytes(scene.data[start["byteOffset"] : start["byteOffset"] + start["byteLength"]])
+    before = {**first, "bufferView": scene.view(stream)}
+    extension = {**first, "extras": {"skinbake": {"before": before}}}
+    note = {"extras": {"skinbake": {"version": 1}}}
+    one = {**primitives[0], **note, "extensions": {"KHR_draco_mesh_compression": extension}}
+    return scene.draw([one] * (size // 2 // len(json.dumps(one))))
+
+
 def many_views(size: int) -> Scene:
     """Make a buffer with many views."""
     scene = Scene()
@@ -355,6 +388,9 @@ FAMILIES: dict[str, Callable[[int], Scene]] = {
         crowd,
         sparse_targets,
         draco_views,
+        shared_note,
+        former_influences,
+        former_streams,
         many_views,
         named_images,
     )
@@ -367,8 +403,15 @@ COMMANDS = {
     "inspect": ["inspect", "{source}"],
 }
 
-MORE_COMMANDS = {"named_images": {"bake --pack": ["bake", "--pack", "{source}", "-o", "{other}"]}}
-"""Commands for one family only."""
+STRIP_AS_IT_IS = {"strip as it is": ["strip", "{source}", "-o", "{other}"]}
+
+MORE_COMMANDS = {
+    "named_images": {"bake --pack": ["bake", "--pack", "{source}", "-o", "{other}"]},
+    "shared_note": STRIP_AS_IT_IS,
+    "former_influences": STRIP_AS_IT_IS,
+    "former_streams": STRIP_AS_IT_IS,
+}
+"""Commands for some families only. The others strip the new bake, which has none of the old metadata."""
 
 
 @dataclass(frozen=True)
