@@ -3,8 +3,9 @@
 Usage: python -m benchmarks.bend_picture [OUTPUT.png]
 
 The fixture is baked, its clip is sampled at every key, and the pose with the largest mean error of the
-standard normals is drawn. Errors are angles to the reference of ``skinbake.lighting.reference``; the means
-printed are weighted by rest area. One rasterisation serves all three panels: they differ in normals alone.
+standard normals is drawn. Errors are angles to the true normals of ``skinbake.lighting.tangent_normals``; the
+means printed are weighted by rest area. One rasterisation serves all three panels: they differ in normals
+alone.
 """
 
 from __future__ import annotations

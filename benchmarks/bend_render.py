@@ -3,9 +3,10 @@
 Usage: python -m benchmarks.bend_render [OUTPUT.png | --figures]
 
 The fixture is baked and posed where standard lighting is worst. The WGSL of approximated and of accurate
-lighting skins it, once in a compute pass, whose normals are held against ``skinbake.lighting.reference``, and
-once in the vertex stage of the picture. The errors printed are those of the compute pass: float32, on the
-GPU, weighted by rest area. ``--figures`` prints them and draws nothing.
+lighting skins it, once in a compute pass, whose normals are held against
+``skinbake.lighting.tangent_normals``, and once in the vertex stage of the picture. The errors printed are
+those of the compute pass: float32, on the GPU, weighted by rest area. ``--figures`` prints them and draws
+nothing.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from tests.support.baked_files import baked, source
 
 def test_verify_imports_without_its_heavy_libraries() -> None:
     program = (
-        "import sys, skinbake.lighting.operator, skinbake.lighting.reference, skinbake.lighting.metrics\n"
+        "import sys, skinbake.lighting.operator, skinbake.lighting.rest_truth, skinbake.lighting.metrics\n"
         "print(*{'igl', 'scipy', 'pygltflib'} & set(sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)

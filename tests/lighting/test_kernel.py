@@ -24,8 +24,8 @@ from skinbake.lighting.counted import BIN_SHIFT, BINS
 from skinbake.lighting.forms import Forms
 from skinbake.lighting.influences import Int32Array
 from skinbake.lighting.operator import GradientOperator, gradient_operator
-from skinbake.lighting.reference import RestFrames
 from skinbake.lighting.rest_truth import carried_normals, rest_frames
+from skinbake.lighting.tangent_normals import RestFrames
 from skinbake.lighting.triangle_normals import ClassBlock, ClassSums, class_blocks
 from skinbake.skinning.run import Skinning
 from skinbake.skinning.surface import Options, RestSurface

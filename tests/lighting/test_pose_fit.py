@@ -17,7 +17,7 @@ from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gradients.baker import bake_mesh
 from skinbake.gradients.fit_rules import EVEN, FAINT
 from skinbake.lighting.operator import GradientOperator, true_operator
-from skinbake.lighting.pose_fit import STIFFNESS, FitPoses, fitted_to_poses, tilts
+from skinbake.lighting.pose_fit import POSE_STIFFNESS, FitPoses, fitted_to_poses, tilts
 from skinbake.lighting.truths import Truths
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface
@@ -130,7 +130,7 @@ class WrittenOut:
         columns = self.motions[along, :, :, vertex].transpose(1, 2, 0)  # (P, 3, slots)
         slots = columns.shape[2]
         yield root[:, None] * np.einsum("pi,pis->ps", normals, columns), -root * tilts[along]
-        moving = (np.sqrt(STIFFNESS) * root[:, None, None] * columns).reshape(-1, slots)
+        moving = (np.sqrt(POSE_STIFFNESS) * root[:, None, None] * columns).reshape(-1, slots)
         yield moving, np.zeros(len(moving))
         pull = self.pull(vertex, root**2)
         yield np.diag(pull[1:]), np.zeros(slots)
@@ -147,7 +147,7 @@ class WrittenOut:
         means = np.average(ends, axis=1, weights=presence)
         reach = weight @ np.average(((ends - means[:, None]) ** 2).sum(axis=2), axis=1, weights=presence)
         faint = np.maximum((FAINT / presence) ** 2, 1.0) - 1.0
-        return np.asarray(np.sqrt(STIFFNESS * reach * (EVEN + faint)))
+        return np.asarray(np.sqrt(POSE_STIFFNESS * reach * (EVEN + faint)))
 
 
 def written_out(operator: GradientOperator, surface: RestSurface, group: FitPoses) -> WrittenOut:

@@ -8,8 +8,8 @@ import numpy as np
 
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.lighting.operator import gradient_operator
-from skinbake.lighting.reference import posed_tangents
 from skinbake.lighting.rest_truth import carried_normals, rest_frames, vertex_normals
+from skinbake.lighting.tangent_normals import posed_tangents
 from skinbake.lighting.triangle_normals import block_sums, triangle_normals
 
 

@@ -9,8 +9,8 @@ import numpy as np
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gradients.tangents import chosen_frame, frame_vectors
 from skinbake.lighting.metrics import angles_between, total_area
-from skinbake.lighting.reference import RestFrames, posed_tangents, tangent_normals
 from skinbake.lighting.tally import ErrorSummary, ErrorTally
+from skinbake.lighting.tangent_normals import RestFrames, posed_tangents, tangent_normals
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.shaders.text import shader_made
 

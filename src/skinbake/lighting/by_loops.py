@@ -17,8 +17,8 @@ from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, Flo
 from skinbake.lighting import _loops, by_numpy
 from skinbake.lighting.counted import BIN_SHIFT, CountedErrors
 from skinbake.lighting.forms import Forms
-from skinbake.lighting.reference import FLAT_FRAME, RestFrames
 from skinbake.lighting.sparse_rows import SparseRows
+from skinbake.lighting.tangent_normals import FLAT_FRAME, RestFrames
 from skinbake.lighting.triangle_normals import FLAT_TRIANGLE, ClassBlock, ClassSums
 from skinbake.lighting.welded_mesh import WeldedMesh
 from skinbake.skinning.components import Vector

@@ -11,8 +11,8 @@ from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, Flo
 from skinbake.lighting.counted import CountedErrors, bin_of
 from skinbake.lighting.forms import Forms
 from skinbake.lighting.metrics import angles_of_units, unit_vectors
-from skinbake.lighting.reference import RestFrames, posed_tangents, tangent_normals
 from skinbake.lighting.sparse_rows import SparseRows
+from skinbake.lighting.tangent_normals import RestFrames, posed_tangents, tangent_normals
 from skinbake.lighting.triangle_normals import (
     ClassBlock,
     ClassSums,

@@ -3,7 +3,7 @@
 docs/fitted.md has the derivation. Let δ be the changes of the gradients at a vertex, which sum to 0. In a
 pose they move a tangent t' of algorithm 3 by Σ δ[s] M[s] p̃. The fit minimises the sum over all poses of
 
-    v w ((n' · t')² + STIFFNESS |Σ δ[s] M[s] p̃|²)
+    v w ((n' · t')² + POSE_STIFFNESS |Σ δ[s] M[s] p̃|²)
 
 n' is the mean of both true normals by their parts in AIM, and w is 2 / (|t'|² + |b'|²) at the given
 gradients. v is a group's share of the fit over the error that its poses have at the given gradients: gentle
@@ -29,8 +29,8 @@ from skinbake.lighting.truths import Truths
 from skinbake.skinning.surface import Options, RestSurface, all_slots
 from skinbake.threads import Threads, thread_count
 
-STIFFNESS = 0.08
-"""The share of a tangent's whole motion that pulls the fitted gradients to the given ones."""
+POSE_STIFFNESS = 0.08
+"""λ': the share of a tangent's whole motion that pulls the fitted gradients to the given ones."""
 
 COLLAPSED = 0.1
 """The squared length of a tangent, relative to its length under single joints, from which w grows no more.
@@ -237,7 +237,7 @@ class _LeastSquares:
         flat = moved.levers.reshape(*moved.levers.shape[:2], -1)
         weighted = (moved.levers * weight[:, None, None]).reshape(flat.shape)
         self.matrix[rows] += np.matmul(tilt * weight[:, None], tilt.swapaxes(1, 2))
-        self.matrix[rows] += STIFFNESS * np.matmul(weighted, flat.swapaxes(1, 2))
+        self.matrix[rows] += POSE_STIFFNESS * np.matmul(weighted, flat.swapaxes(1, 2))
         self.right[rows] -= np.matmul(tilt * weight[:, None], aim)
         self.reach[rows] += np.einsum("bp,bp->b", weight, _spread(self.presence[rows], moved.levers))
         self.error[rows] += seen.tilt(moved)
@@ -257,7 +257,7 @@ class _LeastSquares:
         unknown = fitted.copy()
         unknown[vertices, self.last] = False
         more = np.maximum(np.square(FAINT / self.presence), 1.0) - 1.0
-        pull = STIFFNESS * self.reach[:, None] * (EVEN + np.where(fitted, more, 0.0))
+        pull = POSE_STIFFNESS * self.reach[:, None] * (EVEN + np.where(fitted, more, 0.0))
         matrix = self.matrix + pull[vertices, self.last][:, None, None]
         matrix[:, diagonal, diagonal] += pull
         solvable = np.isfinite(matrix).all(axis=(1, 2)) & (self.reach > 0.0)

@@ -9,8 +9,8 @@ import numpy as np
 from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.lighting import kernel
 from skinbake.lighting.operator import GradientOperator
-from skinbake.lighting.reference import RestFrames, measured_frames, posed_tangent
 from skinbake.lighting.sparse_rows import SparseRows
+from skinbake.lighting.tangent_normals import RestFrames, measured_frames, posed_tangent
 from skinbake.lighting.triangle_normals import CarriedNormals, ClassBlock, block_sums, class_blocks, frame_of
 from skinbake.skinning.components import dot
 

@@ -1,7 +1,7 @@
 """The true normals of one mesh in many poses, by both truths, block by block.
 
-``reference`` has the truth by tangents, ``triangle_normals`` the truth by triangles. This module measures the
-mesh at rest for both, and cuts its vertices into blocks.
+``tangent_normals`` has the truth by tangents, ``triangle_normals`` the truth by triangles, and ``rest_truth``
+what both measure at rest. This module cuts the vertices into blocks.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
 from skinbake.lighting import kernel
 from skinbake.lighting.blending import blocks
 from skinbake.lighting.operator import GradientOperator
-from skinbake.lighting.reference import RestFrames, morphed_frames
 from skinbake.lighting.rest_truth import carried_normals, rest_frames
+from skinbake.lighting.tangent_normals import RestFrames, morphed_frames
 from skinbake.lighting.triangle_normals import (
     CarriedNormals,
     ClassBlock,

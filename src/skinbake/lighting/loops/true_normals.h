@@ -56,7 +56,7 @@ static ALWAYS_INLINE int differentiate(const TrueNormals *w, const Rows *rows, P
     return combine_entries(&w->positions, rows->values + from, rows->columns + from, to - from, first, count, out);
 }
 
-/* Return cof(F) n0 of unit length, NaN if there is none (reference.tangent_normals). rest: the coordinates of
+/* Return cof(F) n0 of unit length, NaN if there is none (tangent_normals.tangent_normals). rest: the coordinates of
    n0 in the rest frame; area: of that frame, NaN if it is not usable. */
 static ALWAYS_INLINE Vector by_tangents(Vector a, Vector b, Vector rest, double area, double side, double flat)
 {

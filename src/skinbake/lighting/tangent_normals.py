@@ -1,11 +1,10 @@
-"""The true normals of skinned surfaces, measured on the deformed mesh without any use of α and β.
+"""The true normals of skinned surfaces by their tangents, measured without any use of α and β.
 
-There are two truths, found independently. *Tangents*: the discrete gradient of ``operator`` is applied to the
-deformed positions and to the rest positions. It gives two tangents before and two tangents after. F maps the
-first frame onto the second. The true normal is cof(F) n0, the image of the authored normal under the cofactor
-of F. *Triangles*: the angle-weighted mean of the triangles' normals (``triangle_normals``), before and after.
-The authored normal keeps its place in the frame of that normal and of a tangent. Morph targets act before
-skinning. The morphed mesh takes the place of the rest pose, and its morphed normal takes the place of n0.
+The discrete gradient of ``operator`` is applied to the deformed positions and to the rest positions. It gives
+two tangents before and two tangents after. F maps the first frame onto the second. The true normal is
+cof(F) n0, the image of the authored normal under the cofactor of F. ``triangle_normals`` has the other truth,
+which is found independently. Morph targets act before skinning. The morphed mesh takes the place of the rest
+pose, and its morphed normal takes the place of n0.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ def morphed_frames(rest: RestFrames, positions: FloatArray, normals: FloatArray)
 
     positions, normals (V, 3) are the results of the targets. The frame is measured along the same curves on
     the surface as t0 and b0 at rest. So it is their image under the differential of the morph. If skinning is
-    the identity, the reference returns these normals exactly.
+    the identity, this truth returns these normals exactly.
     """
     return measured_frames(rest.parts, rest.derivatives, positions, normals)
 

@@ -9,8 +9,8 @@ import pytest
 from skinbake.geometry.skinned import Float64Array
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import gradient_operator
-from skinbake.lighting.reference import RestFrames
 from skinbake.lighting.rest_truth import rest_frames
+from skinbake.lighting.tangent_normals import RestFrames
 from tests.support import whole_fields
 from tests.support.surfaces import MILD, STRONG, AnalyticSurface, Triangulation, analytic_surface, bends
 from tests.support.whole_fields import angular_errors, reference_normals
