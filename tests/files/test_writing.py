@@ -52,6 +52,19 @@ def _folders_are_new() -> Iterator[None]:
     yield
 
 
+@pytest.mark.parametrize("most", [1, 3, 4, 7])
+def test_a_system_that_takes_a_part_of_the_bytes_gets_the_rest_too(
+    most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Linux writes at most 2 GiB in one call, and less to a disk that is nearly full."""
+    pieces = [b"", b"abcd", memoryview(b"ef"), b"ghijklm"]
+    monkeypatch.setattr(
+        os, "writev", lambda descriptor, left: os.write(descriptor, b"".join(left)[:most]), raising=False
+    )
+    write_file(pieces, str(tmp_path / "a.txt"))
+    assert (tmp_path / "a.txt").read_bytes() == b"abcdefghijklm"
+
+
 @pytest.fixture(params=["descriptors", "paths"])
 def by(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """Both ways: relative to open folders, and by paths, as on Windows."""
