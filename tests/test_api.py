@@ -358,10 +358,23 @@ class TestModels:
         model = pygltflib.GLTF2().load(TUBE)
         with pytest.raises(TypeError, match="returns the new GLTF2"):
             skinbake.bake(model, tmp_path / "out.glb")
+        for option in ({"dry_run": True}, {"pack": True}, {"allow_outside": [tmp_path]}):
+            with pytest.raises(TypeError, match="takes no target, dry_run, pack or allow_outside"):
+                skinbake.bake(model, **option)
+        assert not list(tmp_path.iterdir())
 
     def test_what_is_no_model_is_refused(self) -> None:
         with pytest.raises(TypeError, match="takes a path or a GLTF2 of pygltflib, not dict"):
             skinbake.bake({})
+
+
+SQUARE: dict[str, Any] = {
+    "positions": [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]],
+    "normals": [[0, 0, 1]] * 4,
+    "triangles": [[0, 1, 2], [0, 2, 3]],
+    "joints": [[0, 1]] * 4,
+    "weights": [[1, 0], [0, 1], [0, 1], [1, 0]],
+}
 
 
 class TestArrays:
@@ -436,13 +449,11 @@ class TestArrays:
         ],
     )
     def test_arrays_that_do_not_fit_are_refused(self, change: dict[str, Any], message: str) -> None:
-        square: dict[str, Any] = {
-            "positions": [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]],
-            "normals": [[0, 0, 1]] * 4,
-            "triangles": [[0, 1, 2], [0, 2, 3]],
-            "joints": [[0, 1]] * 4,
-            "weights": [[1, 0], [0, 1], [0, 1], [1, 0]],
-        }
-        assert skinbake.weight_gradients(**square).alpha.shape == (4, 1)
+        assert skinbake.weight_gradients(**SQUARE).alpha.shape == (4, 1)
         with pytest.raises(ValueError, match=message):
-            skinbake.weight_gradients(**{**square, **change})
+            skinbake.weight_gradients(**{**SQUARE, **change})
+
+    def test_gradients_beyond_float32_are_refused(self) -> None:
+        tiny = 1e-39 * np.array(SQUARE["positions"], dtype=np.float64)
+        with pytest.raises(skinbake.InputError, match="α or β of 4 vertices are not finite numbers"):
+            skinbake.weight_gradients(**{**SQUARE, "positions": tiny})
