@@ -244,6 +244,11 @@ def test_an_adopted_joint_without_weight_counts_by_its_derivative() -> None:
     assert pivot.joints_in_use(4).tolist() == [True, True, True, False]
     flat = replace(weightless, alpha=np.zeros_like(rest.alpha), beta=np.zeros_like(rest.beta))
     assert flat.joints_in_use(4).tolist() == [True, False, False, False]
+    flat.alpha[0, 0] = 1.0
+    flat.joints[1, 0] = 3
+    flat.weights[1] = 0.0
+    # Vertex 1 has neither: its joints are not used, although vertex 0 has a derivative.
+    assert flat.joints_in_use(4).tolist() == [True, True, False, False]
 
 
 @pytest.mark.parametrize("algorithm", Algorithm)
