@@ -97,6 +97,7 @@ def test_json_is_pure_and_as_documented(tmp_path: Path, name: str, options: list
         ([sheet()], "run skinbake bake"),
         ([sheet(NORMAL=None)], "run skinbake bake --generate-normals"),
         ([sheet(), sheet(NORMAL=None)], "run skinbake bake"),
+        ([sheet(NORMAL=None), sheet(POSITION=None)], "run skinbake bake --generate-normals"),
         ([sheet(POSITION=None)], "nothing in it can be baked; --require-baked is for characters"),
     ],
 )
