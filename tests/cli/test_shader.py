@@ -70,7 +70,7 @@ def test_output_goes_to_a_file_and_says_what_it_is(tmp_path: Path) -> None:
     result = invoke("shader", "--lang", "wgsl", "--frame", "normal", "-o", target)
     assert result.exit_code == 0
     assert result.stdout == ""
-    assert f"{target}: plain WGSL, LBS accurate, 4 influences, normal frame" in result.stderr
+    assert result.stderr == f"{target}: plain WGSL, LBS accurate, 4 influences, normal frame\n"
     assert target.read_text(encoding="utf-8") == shader_text(ShaderChoices(Language.WGSL))
 
 
@@ -168,12 +168,12 @@ def test_a_target_that_is_text_is_replaced(tmp_path: Path, content: str) -> None
         ),
         (["--lang", "glsl", "--lighting", "direct", "--cap"], "--cap is for accurate and exact"),
         (["--lang", "glsl", "--method", "dqs", "--mirrored-joints"], "--mirrored-joints"),
-        (["--lang", "glsl", "--cap", "0"], "0"),
+        (["--lang", "glsl", "--cap", "0"], "'--cap': expected a number above 0, found 0"),
         (["--lang", "glsl", "--cap", "nan"], "expected a number above 0, found nan"),
         # WGSL compilers refuse a literal beyond float32. The square of 1e-30 is 0 in float32: no limit.
         (["--lang", "wgsl", "--cap", "1e39"], "--cap 1e+39 is not in the range 1e-06 to 1e+06 of a shader"),
         (["--lang", "glsl", "--cap", "1e-30"], "--cap 1e-30 is not in the range 1e-06 to 1e+06 of a shader"),
-        (["--lang", "glsl", "--influences", "0"], "0"),
+        (["--lang", "glsl", "--influences", "0"], "expected a whole number from 1 to 64, found 0"),
         (["--lang", "glsl", "-o", ""], "--output: the name is empty"),
         (["--lang", "glsl", "--layout", "custom", "--influences", "9"], "--layout custom holds 8 influences"),
         (["--lang", "glsl", "--for", "hero.fbx"], "hero.fbx"),
