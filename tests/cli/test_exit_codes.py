@@ -273,10 +273,6 @@ class TestUsage:
         assert result.exit_code == 2
         assert message in " ".join(result.stderr.split())
 
-    def test_a_usage_error_does_not_recommend_an_option_that_is_not_there(self) -> None:
-        result = invoke("strip", SEAM, "-o", SEAM)
-        assert "--in-place" not in result.stderr or "--in-place" in invoke("strip", "--help").stdout
-
 
 class TestStripAndInspect:
     def test_codes(self, tmp_path: Path) -> None:
