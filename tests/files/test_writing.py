@@ -57,12 +57,22 @@ def test_a_system_that_takes_a_part_of_the_bytes_gets_the_rest_too(
     most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Linux writes at most 2 GiB in one call, and less to a disk that is nearly full."""
-    pieces = [b"", b"abcd", memoryview(b"ef"), b"ghijklm"]
+    pieces: list[bytes | memoryview] = [b"", b"abcd", memoryview(b"ef"), b"ghijklm"]
     monkeypatch.setattr(
         os, "writev", lambda descriptor, left: os.write(descriptor, b"".join(left)[:most]), raising=False
     )
     write_file(pieces, str(tmp_path / "a.txt"))
     assert (tmp_path / "a.txt").read_bytes() == b"abcdefghijklm"
+
+
+def test_of_young_files_only_small_ones_are_digested(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A digest reads the whole file."""
+    path = tmp_path / "a.glb"
+    path.write_bytes(b"12345678")
+    monkeypatch.setattr(versions, "YOUNG", 10**18)
+    for cheap, is_digested in ((7, False), (8, True)):
+        monkeypatch.setattr(versions, "CHEAP", cheap)
+        assert (version_of(str(path)).digest is not None) is is_digested
 
 
 @pytest.fixture(params=["descriptors", "paths"])
