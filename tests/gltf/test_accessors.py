@@ -16,7 +16,7 @@ import pytest
 
 from fixtures.builder import JsonObject
 from skinbake.errors import InputError, Place
-from skinbake.gltf.accessors import StoredArray, element_count, read_accessor
+from skinbake.gltf.accessors import StoredArray, described, element_count, read_accessor
 from skinbake.gltf.document import Document, parse_gltf
 from tests.support.gltf_reading import GltfFile
 
@@ -86,6 +86,26 @@ def laid_out(layout: str, rows: Sequence[Sequence[float]], code: str, size: int)
     ]
     backed: JsonObject = {"bufferView": 2} if base else {}
     return content(data + b"\0", {**backed, **plain, "sparse": sparse}, views)
+
+
+@pytest.mark.parametrize(
+    ("kind", "component", "normalized", "expected"),
+    [
+        ("VEC3", 5126, False, ("VEC3 FLOAT", 12)),
+        ("VEC4", 5121, True, ("VEC4 UNSIGNED_BYTE normalised", 4)),
+        # Section 3.6.2.4 of glTF 2.0: each column begins at a multiple of 4 bytes.
+        ("MAT2", 5121, False, ("MAT2 UNSIGNED_BYTE", 8)),
+        ("MAT3", 5121, False, ("MAT3 UNSIGNED_BYTE", 12)),
+        ("MAT3", 5123, False, ("MAT3 UNSIGNED_SHORT", 24)),
+        ("MAT4", 5126, False, ("MAT4 FLOAT", 64)),
+    ],
+)
+def test_a_format_is_told_with_its_bytes(
+    kind: str, component: int, normalized: bool, expected: tuple[str, int]
+) -> None:
+    accessor = {"type": kind, "componentType": component, "normalized": normalized, "count": 5}
+    made = document(content(b"", accessor, []))
+    assert described(made, 0, HERE) == (expected[0], 5 * expected[1])
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
