@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from zipfile import ZipFile
@@ -202,6 +203,21 @@ class TestOneFileByTwoNames:
             result = invoke("bake", f"{tmp_path}/in", "--out-dir", f"file://{tmp_path}/in/out")
             assert result.exit_code == 0
         assert sorted(path.name for path in (tmp_path / "in").rglob("*.glb")) == ["seam.glb", "seam.glb"]
+
+
+def test_a_url_of_a_local_folder_follows_the_rules_of_paths(tmp_path: Path) -> None:
+    for folder in ("in", "in/.hidden", "in/deep"):
+        (tmp_path / folder).mkdir()
+        shutil.copyfile(FOLDER / "seam.glb", tmp_path / folder / "seam.glb")
+    for pattern in ("", "/*.glb", "/**/*.GLB"):
+        by_path, by_url = (
+            [file["input"] for file in document(invoke("bake", argument, "--dry-run", "--json"))["files"]]
+            for argument in (f"{tmp_path}/in{pattern}", f"file://{tmp_path}/in{pattern}")
+        )
+        assert by_url == [f"file://{path}" for path in by_path]
+    result = invoke("bake", f"file://{tmp_path}/gone", "--dry-run")
+    assert result.exit_code == 3
+    assert result.stderr == f"error: file://{tmp_path}/gone: there is no such folder\n"
 
 
 def test_a_link_that_leads_nowhere_is_a_file_that_somebody_misses(tmp_path: Path) -> None:
