@@ -172,10 +172,16 @@ def test_verify_refuses_values_that_do_not_exist(options: dict[str, Any], messag
 
 @pytest.mark.parametrize(
     "options",
-    [{"poses": "random:3"}, {"samples": np.int64(4)}, {"cap": np.float32(0.9)}, {"seed": 10**400}],
+    [
+        {"poses": "random:3"},
+        {"samples": np.int64(4)},
+        {"cap": np.float32(0.9)},
+        {"seed": 10**400},
+        {"angle": 180, "threads": 1},
+    ],
     ids=str,
 )
-def test_verify_takes_numbers_of_any_type(options: dict[str, Any], tmp_path: Path) -> None:
+def test_verify_takes_numbers_of_any_type_up_to_their_limits(options: dict[str, Any], tmp_path: Path) -> None:
     skinbake.bake(TUBE, tmp_path / "out.glb")
     assert skinbake.verify(tmp_path / "out.glb", methods=["lbs"], **options)["passed"]
 

@@ -558,7 +558,7 @@ def _indices(name: str, values: npt.ArrayLike, shape: tuple[int | None, int | No
     if array.dtype.kind not in "iu":
         raise ValueError(f"{name} are {array.dtype}: expected integers")
     _check_shape(name, array, shape)
-    if array.size and not 0 <= int(array.min()) <= int(array.max()) < end:
+    if not 0 <= int(array.min()) <= int(array.max()) < end:
         raise ValueError(f"{name} hold {array.min()} to {array.max()}: expected 0 to {end - 1}")
     return np.ascontiguousarray(array.astype(np.uint32))
 
