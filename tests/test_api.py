@@ -234,7 +234,7 @@ def test_one_text_in_the_place_of_a_list_is_refused(tmp_path: Path) -> None:
 
 
 ODD: list[Any] = [object(), [], {}, [3], 3, 1.5, b"x", math.nan, np.zeros((2, 2))]
-SQUARE: list[Any] = [
+SQUARE_ARRAYS: list[Any] = [
     [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]],
     [[0, 0, 1]] * 4,
     [[0, 1, 2]],
@@ -246,7 +246,7 @@ CALLS: dict[str, tuple[Callable[..., Any], list[Any]]] = {
     "verify": (skinbake.verify, [TUBE]),
     "inspect": (skinbake.inspect, [TUBE]),
     "strip": (skinbake.strip, [TUBE, "out.glb"]),
-    "weight_gradients": (skinbake.weight_gradients, SQUARE),
+    "weight_gradients": (skinbake.weight_gradients, SQUARE_ARRAYS),
 }
 
 
