@@ -89,7 +89,7 @@ def test_an_export_is_baked_and_gains(session: Session, name: str) -> None:
         gains.append(lbs["approximated"]["mean"] / lbs["accurate"]["mean"])
     assert outcome["gain"] == pytest.approx(min(gains), rel=1e-4)
     assert outcome["gain"] > 2
-    assert f"gain {min(gains):.1f}x" in text_of(outcome)
+    assert f"gain {min(gains):.2f}x" in text_of(outcome)
 
 
 @pytest.mark.parametrize(

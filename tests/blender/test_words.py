@@ -111,7 +111,7 @@ def test_a_measurement_says_the_smaller_gain_of_the_verdict(tmp_path: Path) -> N
     outcome = baked("bent_tube.glb", tmp_path, measure=True)
     verdict = skinbake.verify(tmp_path / "bent_tube.glb", methods=["lbs"])
     assert outcome.gain == min(verdict[kind]["lbs"]["gain"] for kind in ("normals", "normals_by_triangles"))
-    assert f", gain {outcome.gain:.1f}x, over 60 poses of 1 clip" in outcome.lines[-1].text
+    assert f", gain {outcome.gain:.2f}x, over 60 poses of 1 clip" in outcome.lines[-1].text
 
 
 def test_a_measurement_says_that_nothing_bends(tmp_path: Path) -> None:

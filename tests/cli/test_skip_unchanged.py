@@ -249,6 +249,13 @@ def test_an_output_of_another_name_is_another_output(models: Path, tmp_path: Pat
         assert document(result)["files"][0]["status"] == status
 
 
+def test_a_file_without_a_bake_is_verified_each_time(models: Path, tmp_path: Path) -> None:
+    options = ["--skip-unchanged", "--state", str(tmp_path / "state")]
+    said = [invoke("verify", models / "seam.glb", *options).output for _ in range(2)]
+    assert "nothing in it is baked" in said[0]
+    assert said[1] == said[0]
+
+
 class TestInPlace:
     def test_what_was_baked_in_place_is_its_own_input(self, baking_in_place: Baking) -> None:
         assert baking_in_place() == FIRST

@@ -168,6 +168,7 @@ FULL = pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /d
             for command in ("bake {} --dry-run", "bake {} --dry-run --json", "inspect {}")
         ),
         "inspect {} --json",
+        "--version",
     ],
 )
 def test_a_full_disk_behind_stdout_is_an_output_error(command: str) -> None:

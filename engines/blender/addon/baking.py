@@ -184,7 +184,7 @@ def _figures(verdict: Mapping[str, Any]) -> tuple[tuple[Line, ...], float | None
     if lbs["gain"] is None and max(found["approximated"]["mean"] for found in truths) < SHOWN:
         text = "nothing bends: standard normals are right already"
     else:
-        gain = "" if lbs["gain"] is None else f", gain {lbs['gain']:.1f}x"
+        gain = "" if lbs["gain"] is None else f", gain {lbs['gain']:.2f}x"
         text = f"error of normals {standard:.2f}° -> {accurate:.2f}°{gain}"
     return (Line("INFO", f"{text}, over {verdict['poses']}"),), lbs["gain"]
 

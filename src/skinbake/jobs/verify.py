@@ -55,5 +55,6 @@ class Verify:
     def evidence(
         self, job: Job, result: FileVerdict, before: state.Seen
     ) -> tuple[state.Digests, state.Digests] | None:
-        """Return the digests of the files read, if the file passed and no file changed meanwhile."""
-        return (before.digests, {}) if result.passed and before.still_there else None
+        """Return the digests of the files read, if a bake in it passed and no file changed meanwhile."""
+        was_checked = result.passed and not result.found_no_bake
+        return (before.digests, {}) if was_checked and before.still_there else None
