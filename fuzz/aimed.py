@@ -262,6 +262,7 @@ def _morphs() -> Iterator[Case]:
     yield _of("a circle of joints", _changed(_circle, _bake), *verify)
     yield _of("channels of nothing", _changed(_pointing, _bake), *verify)
     yield _of("a sampler of two channels", _changed(_moved_twice, _bake), "verify", "in/m.glb")
+    yield _of("channels by pointers", _changed(_moved_by_pointers, _bake), "verify", "in/m.glb")
     yield _of("weights of another count", _changed(_weighted_by_three, _bake), "verify", "in/m.glb")
 
 
@@ -287,6 +288,13 @@ def _moved_twice(model: Model) -> None:
     channels = [{"sampler": 0, "target": {"node": node, "path": "rotation"}} for node in (1, 2)]
     samplers = [{"input": times, "output": output}]
     model.json["animations"] = [{"channels": channels, "samplers": samplers}]
+
+
+def _moved_by_pointers(model: Model) -> None:
+    _moved_twice(model)
+    for channel in model.json["animations"][0]["channels"]:
+        extensions = {"KHR_animation_pointer": {"pointer": f"/nodes/{channel['target']['node']}/rotation"}}
+        channel["target"] = {"path": "pointer", "extensions": extensions}
 
 
 def _weighted_by_three(model: Model) -> None:
