@@ -607,7 +607,9 @@ class TestInPlace:
             call(folder, one, other)
 
         monkeypatch.setattr(replacing, "exchange_call", lambda: exchange)
-        assert invoke("bake", path, "--in-place").exit_code == 4
+        result = invoke("bake", path, "--in-place")
+        assert result.exit_code == 4
+        assert "it is not replaced: run this again" in result.stderr
         assert contents(tmp_path) == {}
 
     @LINUX

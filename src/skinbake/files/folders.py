@@ -257,9 +257,6 @@ def _walked(folder: int, name: str, flags: int) -> int:
 
 def _link(name: str, folder: int) -> str | None:
     """Return the target of a symbolic link, or None if the name is no link."""
-    try:
+    with suppress(OSError):  # whoever opens the name meets any other error there
         return os.readlink(name, dir_fd=folder)
-    except OSError as error:
-        if error.errno == errno.EINVAL:
-            return None
-        raise
+    return None
