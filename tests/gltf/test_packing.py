@@ -205,6 +205,20 @@ def test_a_view_that_is_compressed_under_both_names_moves_with_both(tmp_path: Pa
     assert list(view["extensions"].values()) == [{"buffer": 0, "byteOffset": 8, "byteLength": 8}] * 2
 
 
+def test_a_view_of_a_buffer_that_is_missing_is_an_error(tmp_path: Path) -> None:
+    """Only its move into the chunk looks at the view, because nothing names it."""
+    content = {
+        "asset": {"version": "2.0"},
+        "buffers": [{"byteLength": 3, "uri": "data:;base64,AAAA"}] * 2,
+        "bufferViews": [{"buffer": 2, "byteLength": 1}],
+    }
+    (tmp_path / "in.gltf").write_text(json.dumps(content))
+    result = invoke("strip", tmp_path / "in.gltf", "-o", tmp_path / "out.glb")
+    assert result.exit_code == 3
+    assert "a buffer view names buffer 2, and there is none" in result.stderr
+    assert not (tmp_path / "out.glb").exists()
+
+
 def test_a_glb_with_buffers_in_files_gets_a_chunk(tmp_path: Path) -> None:
     model = read(FOLDER / "seam.glb")
     model.content["buffers"][0]["uri"] = "all.bin"
