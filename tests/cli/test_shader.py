@@ -293,6 +293,22 @@ class TestForFile:
         asked = invoke("shader", "--target", target, "--for", file, "--lighting", "approximated")
         assert asked.exit_code == 2
 
+    @pytest.mark.parametrize("target", ["three", "babylon", "godot", "playcanvas"])
+    def test_influences_that_vertices_use_are_not_left_out_by_a_module(
+        self, target: str, tmp_path: Path
+    ) -> None:
+        file = baked(TWO_SETS, tmp_path)
+        result = invoke("shader", "--target", target, "--for", file, "--influences", "4")
+        assert result.exit_code == 3
+        assert "more than 4 of its 8 influences" in result.stderr
+
+    def test_a_module_leaves_an_empty_set_of_influences_out_on_request(self, tmp_path: Path) -> None:
+        part = sheet()
+        empty = {f"{name}_1": np.zeros_like(part.attributes[f"{name}_0"]) for name in ("JOINTS", "WEIGHTS")}
+        file = baked(write_model(tmp_path / "empty.glb", [sheet(**empty)]), tmp_path)
+        result = invoke("shader", "--target", "three", "--for", file, "--influences", "4")
+        assert (result.exit_code, result.stderr) == (0, "")
+
     def test_damaged_metadata_is_refused(self, tmp_path: Path) -> None:
         file = baked(SEAM, tmp_path)
         model = read(file)

@@ -146,10 +146,10 @@ def _choices_of_file(
     serving = [view for view in views if _serves(view, request)]
     if not serving:
         raise InputError(_why_none(views, request), document.place)
-    if request.target in AT_RUN_TIME:
-        return _choices_at_run_time(document, serving, request)
     if request.influences is not None:
         serving = _with_enough(serving, request.influences)
+    if request.target in AT_RUN_TIME:
+        return _choices_at_run_time(document, serving, request)
     frame = request.frame or Frame(str(_agreed(document, serving, "frame")))
     influences = request.influences or int(_agreed(document, serving, "influences"))
     choices = replace(
