@@ -63,6 +63,14 @@ def test_algorithm_6_costs_what_its_docstring_says(influences: int) -> None:
     assert sum(multiply_adds(Algorithm.DQS_EXACT, influences).values()) == 36 * influences + 118
 
 
+@pytest.mark.parametrize("influences", range(1, 9))
+def test_algorithm_6_charges_alpha_and_beta_to_lines_of_their_own(influences: int) -> None:
+    """Each rate is a sum of N − 1 dual quaternions, of 8 entries each."""
+    lines = multiply_adds(Algorithm.DQS_EXACT, influences)
+    assert lines[5] == lines[6] == 8 * (influences - 1)
+    assert lines[7] == lines[8]
+
+
 def test_algorithm_6_is_cheaper_than_5_from_six_influences_on() -> None:
     gains = [
         cost_table(n)[Algorithm.DQS_ACCURATE].multiply_adds - cost_table(n)[Algorithm.DQS_EXACT].multiply_adds
