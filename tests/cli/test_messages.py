@@ -180,7 +180,8 @@ def test_the_closing_line_tells_what_was_lost(tmp_path: Path) -> None:
     result = invoke("bake", path, "--dry-run", "--neighbours", "extend")
     assert "try --neighbours" not in result.stdout
     remedied = re.search(told, result.stdout)
-    assert remedied is None or float(remedied[1]) < float(found[1])
+    assert remedied is not None
+    assert float(remedied[1]) < float(found[1])
 
 
 @pytest.mark.parametrize(

@@ -251,6 +251,8 @@ MANGLED: list[tuple[str, Any]] = [
     ("adopted", {"JOINTS_0": "x", "WEIGHTS_0": 10**30}),
     ("adopted", {"JOINTS_0": -1}),
     ("adopted", {"JOINTS_0": 0}),
+    ("straightened", 5),
+    ("straightened", ["digest"]),
     ("frame", []),
     ("digest", [1, 2]),
     ("digest", {"POSITION": None}),

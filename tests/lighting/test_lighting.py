@@ -280,6 +280,17 @@ def test_without_true_normals_no_limit_can_be_met(tmp_path: Path) -> None:
     )
 
 
+def test_it_is_said_that_nothing_bends_where_a_gain_is_asked_for(tmp_path: Path) -> None:
+    path = baked(source("bent_tube.glb"), tmp_path)
+    for options, words in (
+        ({"min_gain": 1.5}, "no gain to hold to --min-gain: nothing bends in these poses"),
+        ({"max_mean_error": 90.0}, ""),
+    ):
+        verdict = measured(path, methods=("lbs",), poses=PoseRequest(PoseKind.REST), **options)
+        (check,) = [check for check in verdict.checks if check.name == "limits"]
+        assert (check.outcome, check.remark) == ("passed", words)
+
+
 @pytest.mark.slow
 def test_limits_that_are_kept_pass(tmp_path: Path) -> None:
     path = baked(source("bent_tube.glb"), tmp_path, gradients="surface")

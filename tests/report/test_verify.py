@@ -84,6 +84,9 @@ def test_json_is_as_the_schema_has_it() -> None:
     for entry in (document["files"][0], document["files"][0]["primitives"][0]):
         assert entry["normals_by_triangles"]["lbs"]["accurate"]["p95"] == 4.0
         assert (entry["normals"]["lbs"]["gain"], entry["normals_by_triangles"]["lbs"]["gain"]) == (4.0, 2.5)
+    assert [len(check["problems"]) for check in document["files"][1]["checks"]] == [0, 2, 0]
+    problem = document["files"][1]["checks"][1]["problems"][0]
+    assert (problem["code"], problem["mesh"], problem["primitive"], problem["count"]) == ("stale", 2, 1, 5)
     assert document["files"][2]["error"] == {"kind": "InputError", "message": "cannot be read"}
 
 
@@ -189,8 +192,15 @@ def test_little_to_win_is_not_said_of_an_unsound_bake_or_beside_other_advice() -
     advised = replace(little, notices=(Notice("lighting-worse", "With --x it is 1.50: bake so", PLACE),))
     worse = replace(little, notices=(Notice("lighting-worse", "No option that was tried helps", PLACE),))
     missed = replace(little, checks=(Check("limits", "failed"),))
-    texts = map(as_text, (little, stale, advised, worse, missed))
-    assert [text.count("Little to win") for text in texts] == [1, 0, 0, 1, 1]
+    other = replace(little, notices=(Notice("weight-sum", "With --x it is 1.50: bake so", PLACE),))
+    texts = map(as_text, (little, stale, advised, worse, missed, other))
+    assert [text.count("Little to win") for text in texts] == [1, 0, 0, 1, 1, 1]
+
+
+def test_remarks_on_checks_cannot_control_a_terminal() -> None:
+    text = as_text(replace(PASSED, checks=(Check("structure", "passed", (), "clip \x1b[2J"),)))
+    assert "\x1b" not in text
+    assert "  structure  passed  clip " in text
 
 
 def test_the_table_is_aligned_and_says_what_it_means() -> None:
