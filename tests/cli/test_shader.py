@@ -205,9 +205,9 @@ def test_the_command_in_the_header_writes_the_same_text_again() -> None:
 
 @pytest.mark.parametrize("cap", [1e-6, 1e6])
 def test_the_limits_of_cap_are_in_its_range(cap: float) -> None:
-    assert invoke("shader", "--lang", "glsl", "--frame", "normal", "--cap", cap).exit_code == 0
+    assert invoke("shader", "--lang", "glsl", "--frame", "normal", "--cap", str(cap)).exit_code == 0
     for further in (cap * 0.9, cap * 1.1):
-        result = invoke("shader", "--lang", "glsl", "--frame", "normal", "--cap", further)
+        result = invoke("shader", "--lang", "glsl", "--frame", "normal", "--cap", str(further))
         assert (result.exit_code == 0) == (1e-6 < further < 1e6)
 
 
