@@ -438,6 +438,16 @@ class TestProgress:
         assert events == [*(("done", name) for name in reversed(found)), *(("told", name) for name in found)]
 
     @pytest.mark.usefixtures("terminal")
+    def test_a_bar_in_the_first_tick_of_the_clock_has_no_rate(
+        self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        monkeypatch.setattr("skinbake.cli.progress.time", type("Time", (), {"monotonic": lambda: 5.0}))
+        with Progress(Console(0, color=False), 3, at_once=True):
+            picture = capsys.readouterr().err
+        assert "0/3" in picture
+        assert "/s" not in picture
+
+    @pytest.mark.usefixtures("terminal")
     def test_only_files_in_work_have_a_bar(self, capsys: pytest.CaptureFixture[str]) -> None:
         said: list[str] = []
         with Progress(Console(0, color=False), 3) as bar:

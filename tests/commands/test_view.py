@@ -11,6 +11,8 @@ from skinbake.choices import Gradients
 from skinbake.commands import view
 from skinbake.gltf.document import read_document
 from tests.support.baking import bake_file
+from tests.support.gltf_reading import read
+from tests.support.models import rewritten, sheet, write_model
 
 TUBE = FOLDER / "bent_tube.glb"
 
@@ -29,3 +31,13 @@ def test_a_page_has_the_gradients_of_another_kind(tmp_path: Path, kind: Gradient
     (found,) = view._other_gradients(document, view.sound_views(document))
     assert found.kind == other
     assert found.alpha.any()
+
+
+def test_only_sound_primitives_with_a_bake_have_views(tmp_path: Path) -> None:
+    """Of three primitives one loses its normals after the bake, and one its bake."""
+    path = tmp_path / "three.glb"
+    bake_file(str(write_model(tmp_path / "plain.glb", [sheet(), sheet(), sheet()])), str(path))
+    model = read(path)
+    del model.primitive(0, 0)["attributes"]["NORMAL"], model.primitive(0, 1)["extras"]
+    document = read_document(str(rewritten(model, path)))
+    assert [one.source.place.primitive for one in view.sound_views(document)] == [2]
