@@ -1,4 +1,4 @@
-import type { AssetContainer } from '@babylonjs/core/assetContainer.js';
+import type { AssetContainer, InstantiatedEntries } from '@babylonjs/core/assetContainer.js';
 import type { AbstractMesh } from '@babylonjs/core/Meshes/abstractMesh.js';
 import type { Mesh } from '@babylonjs/core/Meshes/mesh.js';
 import type { Node } from '@babylonjs/core/node.js';
@@ -7,8 +7,14 @@ import type { Scene } from '@babylonjs/core/scene.js';
 /** The lighting that a mesh was last drawn with. `unlit`: its materials read no normals. */
 export type DrawnLighting = 'accurate' | 'standard' | 'unlit' | 'not drawn';
 
-/** What holds meshes: a scene, a node with all below it, what a loader returns, or the meshes themselves. */
-export type MeshRoot = Scene | Node | AssetContainer | { readonly meshes: AbstractMesh[] } | readonly AbstractMesh[];
+/** What holds meshes: a scene, a node with all below it, what a loader or a container returns, or the meshes themselves. */
+export type MeshRoot =
+    | Scene
+    | Node
+    | AssetContainer
+    | InstantiatedEntries
+    | { readonly meshes: AbstractMesh[] }
+    | readonly AbstractMesh[];
 
 /** What one baked mesh was last drawn with, read from the program that drew it. */
 export interface MeshReport {
@@ -24,7 +30,7 @@ export function registerSkinbake(): void;
 /** Load files as before. What is loaded stays as it is. */
 export function unregisterSkinbake(): void;
 
-/** Tell what each baked mesh was last drawn with. Instances are as their source. */
+/** Tell what each baked mesh was last drawn with. Instances are as their source. A wrong root is a TypeError. */
 export function report(root: MeshRoot): MeshReport[];
 
 /** Switch meshes to Babylon.js's own lighting, or back. Instances follow their source. */

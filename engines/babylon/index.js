@@ -33,7 +33,7 @@ const kindsOf = (set) => [`skinbakeAlpha${set}`, `skinbakeBeta${set}`];
 
 // Copies of this module on one page share what they know.
 const state = (globalThis[Symbol.for('skinbake.babylon')] ??= {
-    geometries: new WeakMap(), // geometry -> { problem, frame, scale, sets }
+    geometries: new WeakMap(), // geometry -> { problem, changed, frame, scale, sets, loaded }
     scenes: new WeakMap(), // scene -> { geometries, meshes } that came from baked primitives
     standard: new WeakSet(), // meshes that lighting() has switched
     told: new WeakMap(), // mesh -> messages
@@ -71,7 +71,8 @@ class Loading {
         const scene = mesh.getScene();
         if (problem) {
             tell(mesh, problem);
-            return this.#with(scene, { problem }, this.loader._loadVertexDataAsync(context, primitive, mesh));
+            const loading = this.loader._loadVertexDataAsync(context, primitive, mesh);
+            return this.#with(scene, { problem, changed: '' }, loading);
         }
         const baked = bakedOf(metadata);
         const rest = this.loader._loadVertexDataAsync(context, withoutPairs(primitive, metadata), mesh);
@@ -84,6 +85,7 @@ class Loading {
             for (const buffer of interleaved(scene.getEngine(), ordered, count)) {
                 geometry.setVerticesBuffer(buffer, count);
             }
+            baked.loaded = loadedOf(geometry, baked);
             return geometry;
         });
     }
@@ -188,7 +190,29 @@ function namesOf({ alpha, beta }) {
 
 function bakedOf({ frame, encoding, scale, influences }) {
     const sets = Math.ceil(influences / 4);
-    return { problem: '', frame: FRAMES[frame], scale: encoding ? scale : 1, sets };
+    return { problem: '', changed: '', frame: FRAMES[frame], scale: encoding ? scale : 1, sets };
+}
+
+const ATTRIBUTES = { normal: 'NORMAL', tangent: 'TANGENT' };
+
+// The vertex buffers that alpha and beta belong together with, and their own, as they are now.
+function loadedOf(geometry, { frame, sets }) {
+    const kinds = Object.keys(ATTRIBUTES).slice(0, frame - 1);
+    for (let set = 0; set < sets; set++) kinds.push(...kindsOf(set));
+    return kinds.map((kind) => {
+        const buffer = geometry.getVertexBuffer(kind);
+        return [kind, { buffer, digest: digestOf(geometry, kind), isSame: true }];
+    });
+}
+
+function digestOf(geometry, kind) {
+    const floats = Float32Array.from(geometry.getVerticesData(kind) ?? []);
+    let digest = 0;
+    for (const bits of new Int32Array(floats.buffer)) {
+        digest = Math.imul(digest ^ bits, 0x5bd1e995);
+        digest ^= digest >>> 15; // else two signs that change would leave it as it was
+    }
+    return digest;
 }
 
 // Babylon.js need not hand on the texture coordinates that hold alpha and beta.
@@ -882,6 +906,7 @@ function obstacle(mesh, defines = {}) {
     if (mesh.numBoneInfluencers !== 4 * baked.sets) {
         return `its numBoneInfluencers is ${mesh.numBoneInfluencers}, and its bake is for ${4 * baked.sets}`;
     }
+    if (baked.changed) return baked.changed;
     if (defines.BAKED_VERTEX_ANIMATION_TEXTURE) return 'a baked vertex animation moves it';
     if (defines.USE_VERTEX_PULLING) return 'its material pulls vertices';
     return shortage(mesh, defines, baked.sets);
@@ -931,13 +956,38 @@ function watch(scene) {
 
 function prepare({ geometries, meshes }) {
     for (const geometry of geometries) {
-        if (geometry.isDisposed()) geometries.delete(geometry);
-        else geometry.meshes.forEach((mesh) => meshes.add(mesh));
+        if (geometry.isDisposed()) {
+            geometries.delete(geometry);
+            continue;
+        }
+        geometry.meshes.forEach((mesh) => meshes.add(mesh));
+        heedChanges(geometry);
     }
     for (const mesh of meshes) {
         if (mesh.isDisposed()) meshes.delete(mesh);
         else materialsOf(mesh).forEach(equip);
     }
+}
+
+// Babylon.js keeps the program of a mesh whose attributes a page replaces or removes.
+function heedChanges(geometry) {
+    const baked = state.geometries.get(geometry);
+    const [kind] = (baked.loaded ?? []).find((one) => !isAsLoaded(geometry, ...one)) ?? [];
+    const name = ATTRIBUTES[kind] ?? kind;
+    const changed = kind ? `a page has replaced or removed its ${name}` : '';
+    if (changed === baked.changed) return;
+    baked.changed = changed;
+    for (const mesh of geometry.meshes) mesh.subMeshes?.forEach(renew);
+}
+
+// Babylon.js puts the same normals into another buffer when the processor no longer skins a mesh.
+function isAsLoaded(geometry, kind, known) {
+    const buffer = geometry.getVertexBuffer(kind);
+    if (known.buffer !== buffer) {
+        known.buffer = buffer;
+        known.isSame = Boolean(buffer) && digestOf(geometry, kind) === known.digest;
+    }
+    return known.isSame;
 }
 
 function materialsOf(mesh) {
@@ -987,8 +1037,9 @@ const WORST_FIRST = ['standard', 'not drawn', 'unlit', 'accurate'];
 /**
  * Tell what each baked mesh was last drawn with. Instances are as their source.
  *
- * @param {Scene | Node | AssetContainer | AbstractMesh[]} root - What holds the meshes.
- * @returns {MeshReport[]} One entry for each mesh.
+ * @param {Scene | Node | AssetContainer | InstantiatedEntries | AbstractMesh[]} root - What holds the meshes.
+ * @returns {MeshReport[]} One entry for each mesh that is not disposed.
+ * @throws {TypeError} If the root is none of these.
  */
 export function report(root) {
     return sourcesOf(root).map((mesh) => {
@@ -1001,8 +1052,9 @@ export function report(root) {
 /**
  * Switch meshes to Babylon.js's own lighting, or back.
  *
- * @param {Scene | Node | AssetContainer | AbstractMesh[]} root - What holds the meshes.
+ * @param {Scene | Node | AssetContainer | InstantiatedEntries | AbstractMesh[]} root - What holds the meshes.
  * @param {'standard' | 'accurate'} which - The lighting.
+ * @throws {Error} If the root or the lighting is none of these.
  */
 export function lighting(root, which) {
     if (which !== 'standard' && which !== 'accurate') {
@@ -1025,9 +1077,19 @@ function renew(subMesh) {
 }
 
 function sourcesOf(root) {
-    const meshes = Array.isArray(root) ? root : (root.meshes ?? [root, ...root.getChildMeshes()]);
-    const sources = new Set(meshes.map((mesh) => mesh.sourceMesh ?? mesh));
-    return [...sources].filter((mesh) => state.geometries.has(mesh.geometry) || isWatched(mesh));
+    const sources = new Set(meshesOf(root).map((mesh) => mesh.sourceMesh ?? mesh));
+    const isBaked = (mesh) => state.geometries.has(mesh.geometry) || isWatched(mesh);
+    return [...sources].filter((mesh) => !mesh.isDisposed() && isBaked(mesh));
 }
 
+function meshesOf(root) {
+    const meshes = Array.isArray(root) ? root : root?.meshes;
+    const nodes = meshes ?? root?.rootNodes ?? [root];
+    if (!nodes.every((node) => typeof node?.getChildMeshes === 'function')) throw new TypeError(WRONG_ROOT);
+    return meshes ?? nodes.flatMap((node) => [node, ...node.getChildMeshes()]);
+}
+
+const WRONG_ROOT =
+    'skinbake: the root is not a scene, a node, an asset container, ' +
+    'what a loader or a container returns, or an array of meshes';
 const isWatched = (mesh) => Boolean(state.scenes.get(mesh.getScene())?.meshes.has(mesh));

@@ -178,6 +178,29 @@ const CHANGES = {
     },
 };
 
+// What a page does to the attributes of a mesh that has been drawn.
+const ALTERED = {
+    'normals flattened': ({ mesh }) => mesh.convertToFlatShadedMesh(),
+    'tangents replaced': ({ mesh }) => mesh.setVerticesData('tangent', mesh.getVerticesData('tangent').map((one) => -one)),
+    'tangents removed': ({ mesh }) => mesh.geometry.removeVerticesData('tangent'),
+    'beta removed': ({ mesh }) => mesh.geometry.removeVerticesData('skinbakeBeta0'),
+    'processor and back': ({ mesh, scene }) => {
+        mesh.computeBonesUsingShaders = false;
+        frame(scene);
+        mesh.computeBonesUsingShaders = true;
+    },
+};
+
+// What report() takes, or does not take, by its names below.
+const ROOTS = {
+    nothing: () => undefined,
+    text: () => 'hero',
+    'a skeleton': ({ mesh }) => mesh.skeleton,
+    'a list of nothing': () => [null],
+    'what a container returns': ({ entries }) => entries,
+    'a container': ({ container }) => container,
+};
+
 const BLOCKS = {
     frozen: ({ mesh }) => mesh.material.freeze(),
     'blocked in the scene': ({ scene }) => (scene.blockMaterialDirtyMechanism = true),
@@ -281,6 +304,40 @@ const api = {
             found[name] = { draws: await draw(stage.scene), report: told(stage.scene.meshes.filter((one) => one.isEnabled())) };
         }
         return found;
+    },
+
+    // What is drawn and told after each change of the attributes.
+    async altered(options) {
+        const found = {};
+        for (const [name, change] of Object.entries(ALTERED)) {
+            const stage = await load(options);
+            await ready(stage.scene);
+            frame(stage.scene);
+            change(stage);
+            const draws = name === 'normals flattened' ? [] : await draw(stage.scene);
+            frame(stage.scene);
+            found[name] = { draws, report: told(stage.scene) };
+        }
+        return found;
+    },
+
+    // What is told of each root, and of a mesh that has been disposed of.
+    async roots({ url }) {
+        const { scene, mesh } = await load({ url });
+        const container = await LoadAssetContainerAsync(url, scene, { pluginExtension: '.glb' });
+        const entries = container.instantiateModelsToScene();
+        await ready(scene);
+        frame(scene);
+        const found = {};
+        for (const [name, rootOf] of Object.entries(ROOTS)) {
+            try {
+                found[name] = told(rootOf({ mesh, container, entries }));
+            } catch (error) {
+                found[name] = String(error);
+            }
+        }
+        mesh.dispose();
+        return { ...found, disposed: told([mesh]) };
     },
 
     // The normals in a texture that has a material of its own for the mesh, and on the canvas.

@@ -253,6 +253,42 @@ def test_whatever_a_page_does_the_normals_stay_right(stage: Stage) -> None:
     assert {name: one["report"] for name, one in found.items()} == dict.fromkeys(found, RIGHT)
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_mesh_whose_attributes_a_page_alters_has_standard_normals(stage: Stage, backend: str) -> None:
+    """α and β are for the frame of the file, which needs its NORMAL and TANGENT."""
+    require_backend(stage, backend)
+    character = stage.character(MIRRORED, RANDOM, "tangent")
+    found = stage.page.call("altered", {**character.told(Placement()), "backend": backend})
+    altered = {
+        "normals flattened": "NORMAL",
+        "tangents replaced": "TANGENT",
+        "tangents removed": "TANGENT",
+        "beta removed": "skinbakeBeta0",
+    }
+    reasons = {name: f"a page has replaced or removed its {kind}" for name, kind in altered.items()}
+    wanted = {name: [["standard", reason]] for name, reason in reasons.items()}
+    assert {name: one["report"] for name, one in found.items()} == {**wanted, "processor and back": RIGHT}
+    said = "\n".join(stage.messages())
+    assert [reason for reason in reasons.values() if reason not in said] == []
+    standard = expected(character, Algorithm.LBS_APPROXIMATED)
+    right = {"processor and back": expected(character)}
+    for name, one in found.items():
+        for drawn in one["draws"]:
+            normals = vectors(drawn)  # under WebGPU as many as the smallest buffer has
+            assert angles(normals, right.get(name, standard)[: len(normals)]).max() < DEGREES, name
+
+
+def test_roots_that_hold_no_meshes_are_refused_by_name(stage: Stage) -> None:
+    character = stage.character(TUBE, BENT)
+    found = stage.call("roots", character.told(Placement()))
+    refused = ["nothing", "text", "a skeleton", "a list of nothing"]
+    words = "TypeError: skinbake: the root is not a scene, a node"
+    assert {name: found[name].startswith(words) for name in refused} == dict.fromkeys(refused, True)
+    assert found["what a container returns"] == RIGHT
+    assert found["a container"] == [["not drawn", "it has not been drawn yet"]]
+    assert found["disposed"] == []
+
+
 def test_a_render_target_may_have_its_own_material_for_a_mesh(stage: Stage) -> None:
     character = stage.character(TUBE, BENT)
     draws = stage.call("rendered", character.told(Placement()))

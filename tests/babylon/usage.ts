@@ -9,6 +9,7 @@ export async function show(scene: Scene): Promise<string[]> {
     const loaded = await ImportMeshAsync('hero.glb', scene);
     const container = await LoadAssetContainerAsync('hero.glb', scene);
     const found: MeshReport[] = [...report(scene), ...report(loaded), ...report(container), ...report(loaded.meshes)];
+    found.push(...report(container.instantiateModelsToScene()));
     lighting(loaded.meshes[0], 'standard');
     lighting(scene, 'accurate');
     unregisterSkinbake();

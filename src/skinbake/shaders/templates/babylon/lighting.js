@@ -63,6 +63,7 @@ function obstacle(mesh, defines = {}) {
     if (mesh.numBoneInfluencers !== 4 * baked.sets) {
         return `its numBoneInfluencers is ${mesh.numBoneInfluencers}, and its bake is for ${4 * baked.sets}`;
     }
+    if (baked.changed) return baked.changed;
     if (defines.BAKED_VERTEX_ANIMATION_TEXTURE) return 'a baked vertex animation moves it';
     if (defines.USE_VERTEX_PULLING) return 'its material pulls vertices';
     return shortage(mesh, defines, baked.sets);
@@ -112,13 +113,38 @@ function watch(scene) {
 
 function prepare({ geometries, meshes }) {
     for (const geometry of geometries) {
-        if (geometry.isDisposed()) geometries.delete(geometry);
-        else geometry.meshes.forEach((mesh) => meshes.add(mesh));
+        if (geometry.isDisposed()) {
+            geometries.delete(geometry);
+            continue;
+        }
+        geometry.meshes.forEach((mesh) => meshes.add(mesh));
+        heedChanges(geometry);
     }
     for (const mesh of meshes) {
         if (mesh.isDisposed()) meshes.delete(mesh);
         else materialsOf(mesh).forEach(equip);
     }
+}
+
+// Babylon.js keeps the program of a mesh whose attributes a page replaces or removes.
+function heedChanges(geometry) {
+    const baked = state.geometries.get(geometry);
+    const [kind] = (baked.loaded ?? []).find((one) => !isAsLoaded(geometry, ...one)) ?? [];
+    const name = ATTRIBUTES[kind] ?? kind;
+    const changed = kind ? `a page has replaced or removed its ${name}` : '';
+    if (changed === baked.changed) return;
+    baked.changed = changed;
+    for (const mesh of geometry.meshes) mesh.subMeshes?.forEach(renew);
+}
+
+// Babylon.js puts the same normals into another buffer when the processor no longer skins a mesh.
+function isAsLoaded(geometry, kind, known) {
+    const buffer = geometry.getVertexBuffer(kind);
+    if (known.buffer !== buffer) {
+        known.buffer = buffer;
+        known.isSame = Boolean(buffer) && digestOf(geometry, kind) === known.digest;
+    }
+    return known.isSame;
 }
 
 function materialsOf(mesh) {
@@ -168,8 +194,9 @@ const WORST_FIRST = ['standard', 'not drawn', 'unlit', 'accurate'];
 /**
  * Tell what each baked mesh was last drawn with. Instances are as their source.
  *
- * @param {Scene | Node | AssetContainer | AbstractMesh[]} root - What holds the meshes.
- * @returns {MeshReport[]} One entry for each mesh.
+ * @param {Scene | Node | AssetContainer | InstantiatedEntries | AbstractMesh[]} root - What holds the meshes.
+ * @returns {MeshReport[]} One entry for each mesh that is not disposed.
+ * @throws {TypeError} If the root is none of these.
  */
 export function report(root) {
     return sourcesOf(root).map((mesh) => {
@@ -182,8 +209,9 @@ export function report(root) {
 /**
  * Switch meshes to Babylon.js's own lighting, or back.
  *
- * @param {Scene | Node | AssetContainer | AbstractMesh[]} root - What holds the meshes.
+ * @param {Scene | Node | AssetContainer | InstantiatedEntries | AbstractMesh[]} root - What holds the meshes.
  * @param {'standard' | 'accurate'} which - The lighting.
+ * @throws {Error} If the root or the lighting is none of these.
  */
 export function lighting(root, which) {
     if (which !== 'standard' && which !== 'accurate') {
@@ -206,9 +234,19 @@ function renew(subMesh) {
 }
 
 function sourcesOf(root) {
-    const meshes = Array.isArray(root) ? root : (root.meshes ?? [root, ...root.getChildMeshes()]);
-    const sources = new Set(meshes.map((mesh) => mesh.sourceMesh ?? mesh));
-    return [...sources].filter((mesh) => state.geometries.has(mesh.geometry) || isWatched(mesh));
+    const sources = new Set(meshesOf(root).map((mesh) => mesh.sourceMesh ?? mesh));
+    const isBaked = (mesh) => state.geometries.has(mesh.geometry) || isWatched(mesh);
+    return [...sources].filter((mesh) => !mesh.isDisposed() && isBaked(mesh));
 }
 
+function meshesOf(root) {
+    const meshes = Array.isArray(root) ? root : root?.meshes;
+    const nodes = meshes ?? root?.rootNodes ?? [root];
+    if (!nodes.every((node) => typeof node?.getChildMeshes === 'function')) throw new TypeError(WRONG_ROOT);
+    return meshes ?? nodes.flatMap((node) => [node, ...node.getChildMeshes()]);
+}
+
+const WRONG_ROOT =
+    'skinbake: the root is not a scene, a node, an asset container, ' +
+    'what a loader or a container returns, or an array of meshes';
 const isWatched = (mesh) => Boolean(state.scenes.get(mesh.getScene())?.meshes.has(mesh));

@@ -7,7 +7,7 @@ const kindsOf = (set) => [`skinbakeAlpha${set}`, `skinbakeBeta${set}`];
 
 // Copies of this module on one page share what they know.
 const state = (globalThis[Symbol.for('skinbake.babylon')] ??= {
-    geometries: new WeakMap(), // geometry -> { problem, frame, scale, sets }
+    geometries: new WeakMap(), // geometry -> { problem, changed, frame, scale, sets, loaded }
     scenes: new WeakMap(), // scene -> { geometries, meshes } that came from baked primitives
     standard: new WeakSet(), // meshes that lighting() has switched
     told: new WeakMap(), // mesh -> messages
@@ -45,7 +45,8 @@ class Loading {
         const scene = mesh.getScene();
         if (problem) {
             tell(mesh, problem);
-            return this.#with(scene, { problem }, this.loader._loadVertexDataAsync(context, primitive, mesh));
+            const loading = this.loader._loadVertexDataAsync(context, primitive, mesh);
+            return this.#with(scene, { problem, changed: '' }, loading);
         }
         const baked = bakedOf(metadata);
         const rest = this.loader._loadVertexDataAsync(context, withoutPairs(primitive, metadata), mesh);
@@ -58,6 +59,7 @@ class Loading {
             for (const buffer of interleaved(scene.getEngine(), ordered, count)) {
                 geometry.setVerticesBuffer(buffer, count);
             }
+            baked.loaded = loadedOf(geometry, baked);
             return geometry;
         });
     }
@@ -162,7 +164,29 @@ function namesOf({ alpha, beta }) {
 
 function bakedOf({ frame, encoding, scale, influences }) {
     const sets = Math.ceil(influences / 4);
-    return { problem: '', frame: FRAMES[frame], scale: encoding ? scale : 1, sets };
+    return { problem: '', changed: '', frame: FRAMES[frame], scale: encoding ? scale : 1, sets };
+}
+
+const ATTRIBUTES = { normal: 'NORMAL', tangent: 'TANGENT' };
+
+// The vertex buffers that alpha and beta belong together with, and their own, as they are now.
+function loadedOf(geometry, { frame, sets }) {
+    const kinds = Object.keys(ATTRIBUTES).slice(0, frame - 1);
+    for (let set = 0; set < sets; set++) kinds.push(...kindsOf(set));
+    return kinds.map((kind) => {
+        const buffer = geometry.getVertexBuffer(kind);
+        return [kind, { buffer, digest: digestOf(geometry, kind), isSame: true }];
+    });
+}
+
+function digestOf(geometry, kind) {
+    const floats = Float32Array.from(geometry.getVerticesData(kind) ?? []);
+    let digest = 0;
+    for (const bits of new Int32Array(floats.buffer)) {
+        digest = Math.imul(digest ^ bits, 0x5bd1e995);
+        digest ^= digest >>> 15; // else two signs that change would leave it as it was
+    }
+    return digest;
 }
 
 // Babylon.js need not hand on the texture coordinates that hold alpha and beta.
