@@ -27,7 +27,7 @@ export interface SkinbakeReport {
  */
 export function skinbakeOptions(app: AppBase, options?: SkinbakeOptions, others?: object): object;
 
-/** Tell the lighting of the skinned meshes below an entity. */
+/** Tell the lighting of the skinned meshes below an entity. Another root is a TypeError. */
 export function skinbakeReport(root: Entity): SkinbakeReport;
 
 /** Switch the skinned meshes below an entity to PlayCanvas's own lighting, or back. */

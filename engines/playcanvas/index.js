@@ -33,7 +33,7 @@ const METHOD = 'lbs';
 // Which mesh instances are lit accurately. Before each frame the module looks at all skinned ones of the
 // application, so that clones, other materials and late entities need no further call.
 
-const bakes = new WeakMap(); // Mesh -> { problem, values, stride, method, texture }
+const bakes = new WeakMap(); // Mesh -> { problem, values, stride, method, texture, kept }
 const watched = new Map(); // Application -> { stop }
 const methods = new WeakMap(); // hooks of skinbakeOptions() -> method
 const standard = new WeakSet(); // mesh instances that lighting() has switched
@@ -53,6 +53,7 @@ const told = new WeakMap(); // mesh instance -> messages
  */
 export function skinbakeOptions(app, { method = METHOD } = {}, others = {}) {
     if (method !== 'lbs' && method !== 'dqs') throw new Error(`skinbake: method ${method} is neither lbs nor dqs`);
+    if (!app?.assets || !app.scene) throw new TypeError('skinbake: skinbakeOptions() takes the application first');
     watch(app);
     const views = new WeakMap(); // of files that are being loaded: buffer view -> bytes
     const options = {
@@ -96,8 +97,7 @@ export function lighting(root, which) {
     if (which !== 'standard' && which !== 'accurate') {
         throw new Error(`skinbake: lighting ${which} is neither standard nor accurate`);
     }
-    // Those of disabled entities have no skin.
-    for (const instance of drawnBy(root)) {
+    for (const instance of skinned(root)) {
         if (which === 'standard') standard.add(instance);
         else standard.delete(instance);
     }
@@ -131,6 +131,7 @@ const NOT_BAKED = 'it is not baked, or its asset was loaded without skinbakeOpti
 
 // Read from the programs that drew it.
 function found(instance) {
+    if (!instance.mesh) return ['not drawn', 'it has been destroyed'];
     const bake = bakes.get(instance.mesh);
     if (!bake) return ['standard', NOT_BAKED];
     if (bake.problem) return ['standard', bake.problem];
@@ -138,7 +139,8 @@ function found(instance) {
     const problem = problemOfMaterial(instance.material) || problems.get(instance.material);
     if (problem) return ['standard', problem];
     if (bake.method === 'dqs' && uneven.get(instance)) return ['standard', uneven.get(instance)];
-    const programs = [...instance._shaderCache.values()].map(({ shader }) => shader.definition.vshader ?? '');
+    const drawn = [...instance._shaderCache.values()].filter(({ shader }) => !shader.failed);
+    const programs = drawn.map(({ shader }) => shader.definition.vshader ?? '');
     const lit = programs.filter((text) => text.includes('vNormalW'));
     const isLit = instance.getParameter(CONSTANTS) !== undefined;
     if (!isLit || !programs.length) return ['not drawn', 'it has not been drawn yet'];
@@ -148,12 +150,14 @@ function found(instance) {
 }
 
 function drawnBy(root) {
+    if (typeof root?.findComponents !== 'function') throw new TypeError('skinbake: the root is not an entity');
     const components = [...root.findComponents('render'), ...root.findComponents('model')];
     return components.flatMap(({ meshInstances }) => meshInstances ?? []);
 }
 
+// The meshes of entities that are disabled, or not in the scene yet, have no skin.
 function skinned(root) {
-    return drawnBy(root).filter(({ skinInstance }) => skinInstance);
+    return drawnBy(root).filter(({ mesh, skinInstance }) => skinInstance || bakes.has(mesh));
 }
 
 // A set that keeps nothing alive.
@@ -258,7 +262,8 @@ function light(app, kept, instance) {
     if (!bake.texture) {
         bake.texture = dataTexture(app.graphicsDevice, bake.values, bake.stride);
         kept.bakes.add(bake);
-        freeWith(instance.mesh, bake, kept);
+        if (!bake.kept) freeWith(instance.mesh, bake);
+        bake.kept = kept;
     }
     instance.setParameter(CONSTANTS, [bake.stride, isDual ? 1 : 0, 0, 0]);
     instance.setParameter(DATA, bake.texture);
@@ -276,10 +281,11 @@ function withoutParameters(instance) {
     instance.deleteParameter(STRETCH);
 }
 
-function freeWith(mesh, bake, kept) {
+// bake.kept is what the application keeps. It is another one after dispose().
+function freeWith(mesh, bake) {
     const { destroy } = mesh;
     mesh.destroy = () => {
-        kept.bakes.delete(bake);
+        bake.kept.bakes.delete(bake);
         free(bake);
         destroy.call(mesh);
     };

@@ -391,6 +391,69 @@ export async function twice({ url, methods }) {
     for (const method of methods) await loaded(app, { url, method });
 }
 
+// What is told of a mesh whose entity is not in the scene, is disabled, draws by a program that fails, is destroyed.
+export async function watchedOver({ url }) {
+    const { app } = await application('webgl2');
+    const asset = await loaded(app, { url });
+    const entity = asset.resource.instantiateRenderEntity();
+    const reportOf = () => skinbake.skinbakeReport(entity).meshes.map(({ lighting, reason }) => [lighting, reason]);
+    const found = { outside: reportOf() };
+    app.root.addChild(entity);
+    app.render();
+    found.drawn = reportOf();
+    entity.enabled = false;
+    found.disabled = reportOf();
+    entity.enabled = true;
+    const [instance] = skinned(entity);
+    instance.material = new pc.LitMaterial(); // without the chunk that it needs
+    app.render();
+    found.failed = reportOf();
+    const { meshes } = skinbake.skinbakeReport(entity);
+    entity.destroy();
+    found.destroyed = meshes.map(({ lighting, reason }) => [lighting, reason]);
+    return found;
+}
+
+// What is said of roots and applications that are none.
+export async function refused() {
+    const { app } = await application('webgl2');
+    const attempts = [
+        () => skinbake.skinbakeReport(undefined),
+        () => skinbake.skinbakeReport(app),
+        () => skinbake.lighting({}, 'standard'),
+        () => skinbake.skinbakeOptions({ method: 'dqs' }),
+        () => skinbake.skinbakeOptions(app.scene),
+    ];
+    return attempts.map((attempt) => {
+        try {
+            return attempt();
+        } catch (error) {
+            return String(error);
+        }
+    });
+}
+
+// How often dispose() leaves a function around mesh.destroy(), when it is called again and again.
+export async function wrapped({ url }) {
+    const { app } = await application('webgl2');
+    const asset = await loaded(app, { url });
+    const entity = asset.resource.instantiateRenderEntity();
+    app.root.addChild(entity);
+    const [{ mesh }] = skinned(entity);
+    const found = new Set();
+    for (let round = 0; round < 3; round++) {
+        app.render();
+        found.add(mesh.destroy);
+        skinbake.dispose(app);
+        skinbake.skinbakeOptions(app);
+    }
+    entity.destroy();
+    return found.size;
+}
+
+window.watchedOver = watchedOver;
+window.refused = refused;
+window.wrapped = wrapped;
 window.animations = animations;
 window.told = told;
 window.twice = twice;

@@ -358,6 +358,33 @@ def test_dispose_leaves_the_chunks_of_the_application(stage: DrawingStage) -> No
     assert found == {"lit": [True, True], "kept": [True, True], "others": [False, False]}
 
 
+def test_dispose_again_and_again_wraps_no_function_again(stage: DrawingStage) -> None:
+    path = stage.models / "wrapped.glb"
+    path.write_bytes(baked(TUBE, stage.models).read_bytes())
+    assert stage.call("wrapped", {"url": f"/models/{path.name}"}) == 1
+
+
+def test_a_report_names_meshes_that_are_not_drawn(stage: DrawingStage) -> None:
+    path = stage.models / "watched.glb"
+    path.write_bytes(baked(TUBE, stage.models).read_bytes())
+    found = stage.page.call("watchedOver", {"url": f"/models/{path.name}"})
+    assert any("Failed to compile" in message for message in stage.messages())
+    not_drawn = [["not drawn", "it has not been drawn yet"]]
+    assert found == {
+        "outside": not_drawn,
+        "drawn": [["accurate", ""]],
+        "disabled": not_drawn,
+        "failed": not_drawn,
+        "destroyed": [["not drawn", "it has been destroyed"]],
+    }
+
+
+def test_wrong_roots_and_applications_are_named(stage: DrawingStage) -> None:
+    root = "TypeError: skinbake: the root is not an entity"
+    application = "TypeError: skinbake: skinbakeOptions() takes the application first"
+    assert stage.call("refused", {}) == [root] * 3 + [application] * 2
+
+
 def test_files_may_share_one_object_of_options(stage: DrawingStage) -> None:
     slow = textured(stage.models)
     (stage.models / "quick.glb").write_bytes(baked(TUBE, stage.models).read_bytes())
