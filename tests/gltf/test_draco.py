@@ -6,7 +6,6 @@ import os
 import struct
 import subprocess
 import sys
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -397,29 +396,39 @@ class TestEncoder:
             assert found[name].tobytes() == arrays[name].tobytes()
 
 
+LIMITED = """
+import resource, threading
+from skinbake.gltf.codecs import draco_stream
+
+before = resource.getrlimit(resource.RLIMIT_AS)
+with draco_stream._memory_limit(1 << 30):
+    assert resource.getrlimit(resource.RLIMIT_AS) != before
+found = []
+is_begun, is_over = threading.Event(), threading.Event()
+
+def decode():
+    with draco_stream._memory_limit(1 << 30):
+        found.append(resource.getrlimit(resource.RLIMIT_AS))
+        is_begun.set()
+        is_over.wait(10)
+
+thread = threading.Thread(target=decode)
+thread.start()
+is_begun.wait(10)
+with draco_stream._memory_limit(1 << 30):
+    is_over.set()
+    thread.join()
+    found.append(resource.getrlimit(resource.RLIMIT_AS))
+assert found == [before, before]
+assert resource.getrlimit(resource.RLIMIT_AS) == before
+"""
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has the limit")
 def test_threads_of_a_program_keep_the_memory_that_it_has() -> None:
-    """A limit of the process holds for all of them, and two decoders would restore each other's."""
-    import resource
+    """A limit of the process holds for all of them, and two decoders would restore each other's.
 
-    before = resource.getrlimit(resource.RLIMIT_AS)
-    with draco_stream._memory_limit(1 << 30):
-        assert resource.getrlimit(resource.RLIMIT_AS) != before
-    found = []
-    is_begun, is_over = threading.Event(), threading.Event()
-
-    def decode() -> None:
-        with draco_stream._memory_limit(1 << 30):
-            found.append(resource.getrlimit(resource.RLIMIT_AS))
-            is_begun.set()
-            is_over.wait(10)
-
-    thread = threading.Thread(target=decode)
-    thread.start()
-    is_begun.wait(10)
-    with draco_stream._memory_limit(1 << 30):
-        is_over.set()
-        thread.join()
-        found.append(resource.getrlimit(resource.RLIMIT_AS))
-    assert found == [before, before]
-    assert resource.getrlimit(resource.RLIMIT_AS) == before
+    It takes a program of its own: other tests may have left a thread in this one.
+    """
+    process = subprocess.run([sys.executable, "-c", LIMITED], capture_output=True, check=False, timeout=60)
+    assert process.returncode == 0, process.stderr.decode()

@@ -257,6 +257,9 @@ def _walked(folder: int, name: str, flags: int) -> int:
 
 def _link(name: str, folder: int) -> str | None:
     """Return the target of a symbolic link, or None if the name is no link."""
-    with suppress(OSError):  # whoever opens the name meets any other error there
+    try:
         return os.readlink(name, dir_fd=folder)
-    return None
+    except OSError as error:
+        if error.errno == errno.EINVAL:
+            return None
+        raise

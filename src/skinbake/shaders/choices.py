@@ -75,6 +75,16 @@ class ShaderChoices:
                 f"--method {self.method} has no {self.lighting} lighting; take {', '.join(legal[:-1])} or "
                 f"{legal[-1]}"
             )
+        if self.influences < 1:
+            raise ChoiceError(f"--influences {self.influences}: a vertex needs at least one")
+        if self.frame not in list(Frame):
+            raise ChoiceError(f"--frame {self.frame} is neither {' nor '.join(Frame)}")
+        for option, value, known in (
+            ("--encoding", self.encoding, list(Encoding)),
+            ("--layout", self.layout, list(Layout)),
+        ):
+            if value not in known:
+                raise ChoiceError(f"{option} {value} is not one of {', '.join(known)}")
         if self.layout == Layout.CUSTOM and self.influence_sets > CUSTOM_SETS:
             raise ChoiceError(
                 f"--layout custom holds {CUSTOM_SETS * SLOTS_PER_SET} influences, not {self.influences}"
