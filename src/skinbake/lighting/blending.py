@@ -24,7 +24,7 @@ from skinbake.lighting import kernel
 from skinbake.lighting.forms import Forms
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Vector, cofactors, corrected, cross
-from skinbake.skinning.surface import Options, RestSurface
+from skinbake.skinning.surface import Options, RestSurface, all_slots
 
 CHUNK_SAMPLES = 1 << 21
 """Vertices × poses that are deformed before they are measured: 50 MB of positions."""
@@ -131,8 +131,8 @@ class BlendedSurface:
         rest, table = self._rest, self._matrices.of(pose)
         sign = self._handedness[part, None]
         frame = np.stack([rest.tangents[part], sign * rest.bitangents[part]])
-        others = np.stack([rest.alpha[part], sign * rest.beta[part]], dtype=np.float64)
-        changes = np.concatenate([-others.sum(axis=2, keepdims=True), others], axis=2)
+        others = rest.alpha[part], sign * rest.beta[part]
+        changes = np.stack([all_slots(np.asarray(derivatives, dtype=np.float64)) for derivatives in others])
         cap = self._options.cap
         if cap is None or changes.shape[2] == 1:
             return kernel.blended_normals(self._forms(part, frame, changes), table)
