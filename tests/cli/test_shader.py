@@ -302,6 +302,22 @@ class TestForFile:
         assert result.exit_code == 3
         assert "more than 4 of its 8 influences" in result.stderr
 
+    def test_a_module_names_the_primitives_that_need_more_influences(self, tmp_path: Path) -> None:
+        file = baked(write_model(tmp_path / "mixed.glb", [sheet(), _in_two_sets(sheet())]), tmp_path)
+        result = invoke("shader", "--target", "three", "--for", file, "--influences", "4")
+        assert result.exit_code == 0
+        assert (
+            "primitive 1: this module does not fit it: its vertices use more than 4 of its 8" in result.stderr
+        )
+        assert result.stderr.endswith("Bake it with --limit-influences 4\n")
+        assert invoke("shader", "--target", "babylon", "--for", file).stderr == ""
+
+    def test_a_module_serves_texture_coordinates_of_several_counts(self, tmp_path: Path) -> None:
+        model = write_model(tmp_path / "mixed.glb", [sheet(), _in_two_sets(sheet())])
+        file = baked(model, tmp_path, "--layout", "texcoord")
+        result = invoke("shader", "--target", "babylon", "--for", file, "--influences", "8")
+        assert (result.exit_code, result.stderr) == (0, "")
+
     def test_a_module_leaves_an_empty_set_of_influences_out_on_request(self, tmp_path: Path) -> None:
         part = sheet()
         empty = {f"{name}_1": np.zeros_like(part.attributes[f"{name}_0"]) for name in ("JOINTS", "WEIGHTS")}

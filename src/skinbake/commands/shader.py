@@ -146,10 +146,10 @@ def _choices_of_file(
     serving = [view for view in views if _serves(view, request)]
     if not serving:
         raise InputError(_why_none(views, request), document.place)
-    if request.influences is not None:
-        serving = _with_enough(serving, request.influences)
     if request.target in AT_RUN_TIME:
         return _choices_at_run_time(document, serving, request)
+    if request.influences is not None:
+        serving = _in_one_place(_with_enough(serving, request.influences))
     frame = request.frame or Frame(str(_agreed(document, serving, "frame")))
     influences = request.influences or int(_agreed(document, serving, "influences"))
     choices = replace(
@@ -169,10 +169,24 @@ def _choices_of_file(
 def _choices_at_run_time(
     document: Document, views: Sequence[BakedView], request: ShaderRequest
 ) -> tuple[ShaderChoices, list[Notice]]:
-    """Return the choices for a module that reads everything else from the file when it runs."""
+    """Return the choices for a module that reads everything else from the file when it runs.
+
+    A primitive that needs more influences than were asked for gets a notice.
+    """
     influences = request.influences or max(int(view.metadata["influences"]) for view in views)
+    serving = _with_enough(views, influences)
     choices = _made(request, Frame(str(views[0].metadata["frame"])), influences)
-    return _with_joints(document, views, choices), []
+    served = {view.source.place for view in serving}
+    others = [_over_module(view, influences) for view in views if view.source.place not in served]
+    return _with_joints(document, serving, choices), others
+
+
+def _over_module(view: BakedView, influences: int) -> Notice:
+    message = (
+        f"this module does not fit it: its vertices use more than {influences} of its "
+        f"{view.metadata['influences']} influences. Bake it with --limit-influences {influences}"
+    )
+    return Notice("shader-not-for", message, view.source.place)
 
 
 def _with_names(
@@ -268,25 +282,30 @@ def _agreed(document: Document, views: Sequence[BakedView], member: str) -> Any:
 
 
 def _with_enough(views: Sequence[BakedView], influences: int) -> list[BakedView]:
-    """Return the primitives that use no further slots. Raises InputError, with a remedy, if there are none.
-
-    In the texcoord layout the number of stored slots decides where α and β are. There they all have the same.
-    """
+    """Return the primitives that use no further slots. Raises InputError, with a remedy, if none does."""
     over = [_vertices_over(view, influences) for view in views]
     enough = [view for view, count in zip(views, over, strict=True) if count == 0]
     if enough:
-        fewest = min(int(view.metadata["influences"]) for view in enough)
-        return [
-            view
-            for view in enough
-            if _noted(view, "layout") != Layout.TEXCOORD or view.metadata["influences"] == fewest
-        ]
+        return enough
     slots = int(views[0].metadata["influences"])
     raise InputError(
         f"{counted(over[0], 'vertex uses', 'vertices use')} more than {influences} of its {slots} "
         f"influences, adopted joints included: use --influences {slots}",
         views[0].source.place,
     )
+
+
+def _in_one_place(views: Sequence[BakedView]) -> list[BakedView]:
+    """Return the primitives that one text finds α and β of.
+
+    In the texcoord layout the number of stored slots decides where α and β are. There all have the fewest.
+    """
+    fewest = min(int(view.metadata["influences"]) for view in views)
+    return [
+        view
+        for view in views
+        if _noted(view, "layout") != Layout.TEXCOORD or view.metadata["influences"] == fewest
+    ]
 
 
 def _vertices_over(view: BakedView, influences: int) -> int:
