@@ -169,6 +169,7 @@ FULL = pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /d
         ),
         "inspect {} --json",
         "--version",
+        "bake --help",
     ],
 )
 def test_a_full_disk_behind_stdout_is_an_output_error(command: str) -> None:
@@ -179,7 +180,7 @@ def test_a_full_disk_behind_stdout_is_an_output_error(command: str) -> None:
     assert b"Traceback" not in process.stderr
 
 
-@pytest.mark.parametrize("command", ["bake {} -o -", "inspect {} --json"])
+@pytest.mark.parametrize("command", ["bake {} -o -", "inspect {} --json", "bake --help"])
 def test_a_reader_that_goes_away_gets_no_traceback(command: str) -> None:
     process = shell(f"set -o pipefail; skinbake {command.format(FOLDER / 'bent_tube.glb')} | true")
     assert process.returncode in {0, 4, 141}  # 0: all was written before; 4: the GLB was not

@@ -11,6 +11,7 @@ from click.core import ParameterSource
 from click.shell_completion import CompletionItem
 
 from skinbake.cli.chosen_config import config_options, configured_in
+from skinbake.cli.terminal import stdout_told
 from skinbake.errors import printable
 from skinbake.files.urls import SUFFIXES
 from skinbake.version import __version__
@@ -110,6 +111,11 @@ class Helpful(click.Command):
         for param in self.params:
             if param.type is click.STRING and (param.metavar or "").strip("[].") in PATHS:
                 param.type = PathName("dir" if param.metavar == "DIR" else "file")
+
+    def make_context(self, *arguments: Any, **options: Any) -> click.Context:
+        """Make the context. --help prints and ends in this method."""
+        with stdout_told():
+            return super().make_context(*arguments, **options)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the arguments. A name too many is answered with the option that it may be meant for."""

@@ -17,7 +17,8 @@ from typing import Any
 import click
 
 from skinbake.cli import exit_codes
-from skinbake.errors import OutputError, Place, SkinbakeError, printable_lines
+from skinbake.cli.terminal import stdout_told
+from skinbake.errors import SkinbakeError, printable_lines
 from skinbake.signals import ENDING
 from skinbake.version import FILE_FORMAT, __version__
 
@@ -70,11 +71,8 @@ class LazyGroup(click.Group):
 
     def make_context(self, *arguments: Any, **options: Any) -> click.Context:
         """Make the context. --help and --version print and end in this method."""
-        try:
-            with _readers_may_leave():
-                return super().make_context(*arguments, **options)
-        except OSError as error:
-            raise OutputError(f"cannot be written: {error.strerror}", Place("<stdout>")) from error
+        with stdout_told(), _readers_may_leave():
+            return super().make_context(*arguments, **options)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command."""

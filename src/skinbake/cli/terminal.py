@@ -1,12 +1,16 @@
-"""Text on a terminal: verdicts and gains in colour, and lines that fit its width."""
+"""Text on stdout: verdicts and gains in colour, lines that fit a terminal, and errors of writing it."""
 
 from __future__ import annotations
 
 import os
 import re
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import click
+
+from skinbake.errors import OutputError, Place
 
 COLOURS = {"passed": "green", "FAILED": "red", "failed": "red"}
 VERDICT = re.compile(r"(: |\n  \w+ +)(passed|FAILED|failed)\b")
@@ -17,6 +21,17 @@ FACTOR = re.compile(r"(\d+\.\d+)x")
 WORD = re.compile(r"[ \t]*[^ \t]+")
 CONTINUED = 4
 """The spaces by which the rest of a line stands further in."""
+
+
+@contextmanager
+def stdout_told() -> Iterator[None]:
+    """Raise OutputError if stdout cannot take the help that click prints. A reader may leave, though."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise OutputError(f"cannot be written: {error.strerror}", Place("<stdout>")) from error
 
 
 def with_colours(verdict: str) -> str:
