@@ -81,6 +81,27 @@ def test_the_headline_is_the_smaller_gain() -> None:
     assert f"{means}The gain by tangents is " in words
 
 
+def test_the_headline_of_dual_quaternions_has_its_degrees_in_the_table(tmp_path: Path) -> None:
+    report, scratch = tmp_path / "report.html", tmp_path / "profile"
+    bake(FOLDER / "seam.glb", tmp_path / "baked.glb")
+    invoke("verify", tmp_path / "baked.glb", "--method", "dqs", "--html", report)
+    scratch.mkdir()
+    with browser.opened_file(report, scratch) as page:
+        words, table = page.call(
+            """(() => [document.getElementById('gain-words').textContent,
+                [...document.querySelectorAll('#table tbody tr')].map((row) =>
+                    [...row.querySelectorAll('th, td')].map((cell) => cell.textContent))])"""
+        )
+    assert [name for name, *_ in table] == [
+        f"Dual quaternions, {how}" for how in ("standard", "accurate", "exact")
+    ]
+    sentence = r"([\d.]+)° instead of ([\d.]+)° in the mean, by (\w+), with dual quaternions\."
+    found = re.search(sentence, words)
+    assert found is not None, words
+    mean = {"tangents": 1, "triangles": 3}[found[3]]
+    assert (table[1][mean], table[0][mean]) == (found[1], found[2])
+
+
 @pytest.mark.parametrize(
     ("gain", "shown", "colour"), [(1.2, "1.20×", "rig"), (0.8, "0.80×", "bad"), (0.996, "0.996×", "bad")]
 )

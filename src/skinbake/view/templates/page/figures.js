@@ -4,6 +4,7 @@ const ROWS = [
     ['lbs', 'approximated', 'Standard'],
     ['lbs', 'accurate', 'Accurate'],
     ['dqs', 'approximated', 'Dual quaternions, standard'],
+    ['dqs', 'accurate', 'Dual quaternions, accurate'],
     ['dqs', 'exact', 'Dual quaternions, exact'],
 ];
 
@@ -21,7 +22,8 @@ export function showFigures(byId, given) {
             (least.gain < 1
                 ? 'Accurate lighting is not nearer to the true normals of this file than standard lighting: '
                 : 'Accurate lighting is that much nearer to the true normals than standard lighting: ') +
-            `${degrees(least.accurate.mean)} instead of ${degrees(least.approximated.mean)} in the mean, ${least.truth}.` +
+            `${degrees(least.accurate.mean)} instead of ${degrees(least.approximated.mean)} in the mean, ${least.truth}` +
+            (figures.lbs ? '.' : ', with dual quaternions.') +
             (other ? ` The gain ${other.truth} is ${times(other.gain)}.` : '');
     }
     byId.table.replaceChildren(tableOf(figures, triangles));
