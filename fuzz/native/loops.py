@@ -117,8 +117,9 @@ def _normals(loops: Any, random: np.random.Generator) -> list[Call]:
         "triangles": triangles,
         "met": np.flatnonzero(random.random(len(triangles)) < 0.8).astype("i4"),
         "classes": classes,
-        "sums": np.empty((3, count - first, poses), random.choice(["f4", "f8"])),
+        "sums": np.empty((3, count, poses), random.choice(["f4", "f8"])),
         "first_class": first,
+        "class_count": int(random.integers(0, count - first + 1)),
         "flat": float(random.choice([1e8, *SPECIAL])),
     }
     return [

@@ -31,7 +31,7 @@ static PyMethodDef functions[] = {
     {"dqs_normals", dqs_normals, METH_VARARGS, "dqs_normals(...): fill out; see _loops.pyi."},
     {"gradient_rows", gradient_rows, METH_VARARGS, "gradient_rows(...): fill starts, columns and values; see _loops.pyi."},
     {"class_sums", class_sums, METH_VARARGS,
-     "class_sums(positions, triangles, met, classes, sums, first_class, flat): fill sums."},
+     "class_sums(positions, triangles, met, classes, sums, first_class, class_count, flat): fill part of sums."},
     {"true_normals", true_normals, METH_VARARGS, "true_normals(...): fill normals and exist; see _loops.pyi."},
     {"angles", angles, METH_VARARGS, "angles(x, y, z, expected, angles): fill angles, in degrees."},
     {"count_errors", count_errors, METH_VARARGS,

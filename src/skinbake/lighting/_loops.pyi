@@ -108,14 +108,15 @@ def class_sums(
     classes: npt.NDArray[np.int32],
     sums: FloatArray,
     first_class: int,
+    class_count: int,
     flat: float,
     /,
 ) -> None:
-    """Fill sums (3, C, P) with Σ angle × unit normal over the corners of C classes from ``first_class`` on.
+    """Fill the sums (3, C, P) of ``class_count`` classes from ``first_class`` on: Σ angle × unit normal.
 
-    sums are float32 or float64. positions (3, V, P). triangles (T, 3). classes (V,). met (N,) are the
-    triangles with a corner in these classes, each once, in ascending order. A triangle with a larger
-    cotangent than ``flat`` adds nothing.
+    sums are float32 or float64. Angles are good to a few units of float32. positions (3, V, P). triangles
+    (T, 3). classes (V,). met (N,) are the triangles with a corner in these classes, each once, in ascending
+    order. A triangle with a larger cotangent than ``flat`` adds nothing.
     """
 
 def true_normals(

@@ -10,7 +10,6 @@ from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from numpy.typing import DTypeLike
 
 from skinbake.choices import Weighting
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray
@@ -128,22 +127,18 @@ def gradient_rows(operator: WeldedMesh, part: slice, directions: Sequence[FloatA
     return SparseRows(begins, np.tile(columns[:used], count), values[:, :used].ravel())
 
 
-def class_sums(
-    operator: WeldedMesh, positions: Float64Array, block: ClassBlock, dtype: DTypeLike = np.float32
-) -> FloatArray:
-    """Return Σ angle × unit normal over the corners of some weld classes: (3, C, P), float32 or float64."""
-    part = block.part
-    sums: FloatArray = np.empty((3, part.stop - part.start, positions.shape[2]), dtype=dtype)
+def class_sums(operator: WeldedMesh, positions: Float64Array, block: ClassBlock, sums: FloatArray) -> None:
+    """Fill the sums (3, C, P) of a block of weld classes: Σ angle × unit normal over their corners."""
     _loops.class_sums(
         np.ascontiguousarray(positions, dtype=np.float64),
         operator.triangles,
         block.triangles,
         operator.classes,
         sums,
-        part.start,
+        block.part.start,
+        block.part.stop - block.part.start,
         FLAT_TRIANGLE,
     )
-    return sums
 
 
 def true_normals(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import DTypeLike
 
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
 from skinbake.lighting.counted import CountedErrors, bin_of
@@ -168,14 +167,13 @@ def gradient_rows(operator: WeldedMesh, part: slice, directions: Sequence[FloatA
     return SparseRows(stacked.indptr.astype(np.int32, copy=False), columns, stacked.data)
 
 
-def class_sums(
-    operator: WeldedMesh, positions: Float64Array, block: ClassBlock, dtype: DTypeLike = np.float32
-) -> FloatArray:
-    """Return Σ angle × unit normal over the corners of some weld classes: (3, C, P), float32 or float64.
+def class_sums(operator: WeldedMesh, positions: Float64Array, block: ClassBlock, sums: FloatArray) -> None:
+    """Fill the sums (3, C, P) of a block of weld classes: Σ angle × unit normal over their corners.
 
-    float32 halves the memory. Sums of unit vectors lose a millionth of a degree.
+    sums are of all classes, float32 or float64. float32 halves the memory. Sums of unit vectors lose a
+    millionth of a degree.
     """
-    return sums_of_classes(operator, positions, block.part).astype(dtype)
+    sums[:, block.part] = sums_of_classes(operator, positions, block.part)
 
 
 def true_normals(

@@ -88,7 +88,7 @@ def vertex_normals(
     """
     total = np.empty((3, len(operator.ends) - 1, positions.shape[2]))
     for block in class_blocks(operator) if classes is None else classes:
-        total[:, block.part] = kernel.class_sums(operator, positions, block, np.float64)
+        kernel.class_sums(operator, positions, block, total)
     return total
 
 

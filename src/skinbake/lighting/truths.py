@@ -81,7 +81,7 @@ class Truths:
         total = (memory or ChunkMemory()).array("sums", shape, np.float32)
 
         def sum_up(block: ClassBlock) -> None:
-            total[:, block.part] = kernel.class_sums(self.operator, deformed, block)
+            kernel.class_sums(self.operator, deformed, block, total)
 
         threads.done(sum_up, self.class_blocks)
         return ClassSums(self.carried, self.operator.classes, total)

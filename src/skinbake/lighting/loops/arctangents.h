@@ -1,4 +1,4 @@
-/* Arctangents, so exact that no term left out changes a bit of the results. */
+/* Arctangents of doubles, so exact that no term left out changes a bit, and of floats. */
 
 #pragma once
 
@@ -29,11 +29,9 @@ static ALWAYS_INLINE double arctangent(double y, double x)
     return (beyond ? QUARTER : 0.0) + t * sum;
 }
 
-/* Return twice the arctangent of the root of a ratio, in degrees. */
-static ALWAYS_INLINE float degrees_of(float ratio)
+/* Return the same arctangent to a few units of the last place of a float. */
+static ALWAYS_INLINE float float_arctangent(float y, float x)
 {
-    const float tangent = sqrtf(fabsf(ratio));
-    const float y = tangent < 1.0f ? tangent : 1.0f, x = tangent < 1.0f ? 1.0f : tangent;
     const int beyond = y > (float)TAN_EIGHTH * x;
     const float t = (beyond ? y - x : y) / (beyond ? y + x : x), s = t * t;
     float sum = -0.0602630523f;
@@ -42,7 +40,15 @@ static ALWAYS_INLINE float degrees_of(float ratio)
     sum = sum * s + 0.19998183f;
     sum = sum * s - 0.333333069f;
     sum = sum * s + 0.999999999f;
-    const float acute = (beyond ? (float)QUARTER : 0.0f) + t * sum;
+    return (beyond ? (float)QUARTER : 0.0f) + t * sum;
+}
+
+/* Return twice the arctangent of the root of a ratio, in degrees. */
+static ALWAYS_INLINE float degrees_of(float ratio)
+{
+    const float tangent = sqrtf(fabsf(ratio));
+    const float y = tangent < 1.0f ? tangent : 1.0f, x = tangent < 1.0f ? 1.0f : tangent;
+    const float acute = float_arctangent(y, x);
     const float angle = tangent > 1.0f ? (float)HALF - acute : acute;
     return angle * (float)(180.0 / HALF);
 }

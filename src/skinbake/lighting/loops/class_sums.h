@@ -12,7 +12,7 @@ static const Requirement sum_arrays[SUM_ARRAYS] = {
     [TRIANGLES] = {"triangles", "i", "T3", READ},
     [MET] = {"met", "i", "N", READ},
     [MESH_CLASSES] = {"classes", "i", "V", READ},
-    [SUMS] = {"sums", "fd", "3CP", WRITTEN},
+    [SUMS] = {"sums", "fd", "3KP", WRITTEN},
 };
 
 /* The poses in work at a time here: the sums of a block of classes stay in the processor's second cache. */
@@ -23,17 +23,17 @@ typedef double FaceStrip[FACE_STRIP];
 typedef struct {
     const double *positions;
     const int32_t *triangles, *met, *classes;
-    double *totals; /* (3, C, width) */
-    void *sums;     /* float, or double if it is wide */
+    double *totals; /* (3, C, width) of the C classes in work */
+    void *sums;     /* (3, K, P) of all classes: float, or double if it is wide */
     int is_wide;
-    Py_ssize_t vertices, poses, width, triangle_count, met_count, class_count, first_class;
+    Py_ssize_t vertices, poses, width, triangle_count, met_count, first_class, class_count, all_classes;
     double flat; /* a triangle with a larger cotangent is a line or a point */
 } Sums;
 
 /* A triangle in up to FACE_STRIP poses: its unit normal, and its angles. One without an area has a normal of zero,
-   and any angles. */
+   and any angles. The cotangents are those of the first two angles. */
 typedef struct {
-    FaceStrip x, y, z, angles[3];
+    FaceStrip x, y, z, cotangents[2], angles[3];
 } Face;
 
 /* Return the angle of a cotangent. */
@@ -46,7 +46,17 @@ static ALWAYS_INLINE double angle_of(double signed_cotangent)
     return signed_cotangent < 0.0 ? 2.0 * HALF - upright : upright;
 }
 
-/* Measure a triangle. The third angle is what the other two leave of π, to the same absolute rounding. */
+/* Return the angle of a cotangent, to a few units of the last place of a float. */
+static ALWAYS_INLINE float angle_of_float(float signed_cotangent)
+{
+    const float cotangent = fabsf(signed_cotangent);
+    const int steep = cotangent < 1.0f;
+    const float acute = float_arctangent(steep ? cotangent : 1.0f, steep ? 1.0f : cotangent);
+    const float upright = steep ? (float)HALF - acute : acute;
+    return signed_cotangent < 0.0f ? (float)(2.0 * HALF) - upright : upright;
+}
+
+/* Find the normal and two cotangents of a triangle. */
 static ALWAYS_INLINE void measure_face(Components origin, Components second, Components third, double flat,
                                        Py_ssize_t count, Face *face)
 {
@@ -57,14 +67,34 @@ static ALWAYS_INLINE void measure_face(Components origin, Components second, Com
         const double aa = dot(e1, e1), ab = dot(e1, e2);
         const double reciprocal = 1.0 / sqrt(dot(normal, normal));
         const int sound = (fabs(ab * reciprocal) < flat) & (fabs((aa - ab) * reciprocal) < flat);
-        const double at_first = angle_of(sound ? ab * reciprocal : 0.0);
-        const double at_second = angle_of(sound ? (aa - ab) * reciprocal : 0.0);
+        face->cotangents[0][p] = sound ? ab * reciprocal : 0.0;
+        face->cotangents[1][p] = sound ? (aa - ab) * reciprocal : 0.0;
         face->x[p] = sound ? normal.x * reciprocal : 0.0;
         face->y[p] = sound ? normal.y * reciprocal : 0.0;
         face->z[p] = sound ? normal.z * reciprocal : 0.0;
+    }
+}
+
+/* Find the angles of a triangle. The third is what the other two leave of π, to the same absolute rounding. */
+static ALWAYS_INLINE void find_corners(Face *face, Py_ssize_t count)
+{
+    for (Py_ssize_t p = 0; p < count; p++) {
+        const double at_first = angle_of(face->cotangents[0][p]), at_second = angle_of(face->cotangents[1][p]);
         face->angles[0][p] = at_first;
         face->angles[1][p] = at_second;
         face->angles[2][p] = 2.0 * HALF - at_first - at_second;
+    }
+}
+
+/* Find the angles as floats, which is enough where sums are stored as floats. */
+static ALWAYS_INLINE void find_corners_of_floats(Face *face, Py_ssize_t count)
+{
+    for (Py_ssize_t p = 0; p < count; p++) {
+        const float at_first = angle_of_float((float)face->cotangents[0][p]);
+        const float at_second = angle_of_float((float)face->cotangents[1][p]);
+        face->angles[0][p] = at_first;
+        face->angles[1][p] = at_second;
+        face->angles[2][p] = (float)(2.0 * HALF) - at_first - at_second;
     }
 }
 
@@ -95,6 +125,10 @@ static ALWAYS_INLINE int add_face(const Sums *s, int32_t triangle, Py_ssize_t fi
         rows[corner] = s->classes[vertex] - s->first_class;
     }
     measure_face(at[0], at[1], at[2], s->flat, count, &face);
+    if (s->is_wide)
+        find_corners(&face, count);
+    else
+        find_corners_of_floats(&face, count);
     const Py_ssize_t apart = s->class_count * s->width;
     for (int corner = 0; corner < 3; corner++)
         if (rows[corner] >= 0 && rows[corner] < s->class_count) {
@@ -102,6 +136,19 @@ static ALWAYS_INLINE int add_face(const Sums *s, int32_t triangle, Py_ssize_t fi
             add_corner(&face, face.angles[corner], count, total, total + apart, total + 2 * apart);
         }
     return 0;
+}
+
+/* Store one component of the sum of one class in work, in some poses. */
+static ALWAYS_INLINE void store_totals(const Sums *s, Py_ssize_t row, Py_ssize_t first, Py_ssize_t count)
+{
+    const Py_ssize_t axis = row / s->class_count, class = s->first_class + row % s->class_count;
+    const Py_ssize_t at = (axis * s->all_classes + class) * s->poses + first;
+    const double *totals = s->totals + row * s->width;
+    for (Py_ssize_t p = 0; p < count; p++)
+        if (s->is_wide)
+            ((double *)s->sums)[at + p] = totals[p];
+        else
+            ((float *)s->sums)[at + p] = (float)totals[p];
 }
 
 /* Sum up the triangles that the classes in work meet, which are given in ascending order. So each class has its
@@ -117,14 +164,7 @@ static int sum_classes(const Sums *s)
             if (add_face(s, s->met[n], first, count))
                 return 1;
         for (Py_ssize_t row = 0; row < rows; row++)
-            for (Py_ssize_t p = 0; p < count; p++) {
-                const Py_ssize_t at = row * s->poses + first + p;
-                const double total = s->totals[row * s->width + p];
-                if (s->is_wide)
-                    ((double *)s->sums)[at] = total;
-                else
-                    ((float *)s->sums)[at] = (float)total;
-            }
+            store_totals(s, row, first, count);
     }
     return 0;
 }
@@ -133,20 +173,20 @@ static PyObject *class_sums(PyObject *Py_UNUSED(module), PyObject *args)
 {
     PyObject *o[SUM_ARRAYS], *result = NULL;
     Array a[SUM_ARRAYS];
-    Py_ssize_t sizes[26], first_class;
+    Py_ssize_t sizes[26], first_class, class_count;
     double flat, *totals = NULL;
     memset(a, 0, sizeof a);
-    if (!PyArg_ParseTuple(args, "OOOOOnd", &o[POSITIONS], &o[TRIANGLES], &o[MET], &o[MESH_CLASSES], &o[SUMS],
-                          &first_class, &flat))
+    if (!PyArg_ParseTuple(args, "OOOOOnnd", &o[POSITIONS], &o[TRIANGLES], &o[MET], &o[MESH_CLASSES], &o[SUMS],
+                          &first_class, &class_count, &flat))
         return NULL;
     if (read_arrays(o, sum_arrays, SUM_ARRAYS, a, sizes) < 0)
         goto done;
-    if (first_class < 0) {
-        PyErr_Format(PyExc_ValueError, "the first class is %zd", first_class);
+    if (first_class < 0 || class_count < 0 || class_count > SIZE('K') - first_class) {
+        PyErr_Format(PyExc_ValueError, "the sums have no %zd classes from %zd on", class_count, first_class);
         goto done;
     }
     const Py_ssize_t width = least(FACE_STRIP, SIZE('P'));
-    totals = malloc((size_t)(3 * SIZE('C') * width + 1) * sizeof *totals);
+    totals = malloc((size_t)(3 * class_count * width + 1) * sizeof *totals);
     if (totals == NULL) {
         PyErr_NoMemory();
         goto done;
@@ -164,8 +204,9 @@ static PyObject *class_sums(PyObject *Py_UNUSED(module), PyObject *args)
         .width = width,
         .triangle_count = SIZE('T'),
         .met_count = SIZE('N'),
-        .class_count = SIZE('C'),
         .first_class = first_class,
+        .class_count = class_count,
+        .all_classes = SIZE('K'),
         .flat = flat,
     };
     int stray;
