@@ -110,6 +110,16 @@ def test_the_same_file_gives_the_same_bytes_and_nothing_else_is_written(tmp_path
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("device")
+def test_it_says_whether_it_baked_the_file_itself(tmp_path: Path) -> None:
+    assert invoke("bake", TUBE, "-o", tmp_path / "baked.glb").exit_code == 0
+    for name, end in ((TUBE, " s, baked in memory\n"), (tmp_path / "baked.glb", " s\n")):
+        result = invoke("render", name, "-o", tmp_path / "tube.png", "--size", "64x48")
+        assert result.exit_code == 0
+        assert result.stdout.endswith(end)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("device")
 @pytest.mark.parametrize("suffix", [".gif", ".webp"])
 def test_a_clip_becomes_an_animation(tmp_path: Path, suffix: str) -> None:
     target = tmp_path / f"clip{suffix}"

@@ -123,4 +123,5 @@ def command(source: str, output: str, **given: Any) -> None:
         )
     say.notices(result.notices)
     count = f"{result.pictures} pictures, " if result.pictures > 1 else ""
-    say.written(f"{printable(source)} -> {printable(output)}: {count}{printable(result.pose)}")
+    how = "" if result.was_baked else ", baked in memory"
+    say.written(f"{printable(source)} -> {printable(output)}: {count}{printable(result.pose)}{how}")

@@ -86,11 +86,15 @@ class RenderOptions:
 
 @dataclass(frozen=True, slots=True)
 class RenderResult:
-    """The file, the number of pictures in it, the pose of the first one in words, and notices."""
+    """The file, the number of pictures in it, the pose of the first one in words, and notices.
+
+    was_baked: the file held a bake already. If not, it was baked in memory.
+    """
 
     data: bytes
     pictures: int
     pose: str
+    was_baked: bool
     notices: tuple[Notice, ...] = ()
 
 
@@ -132,7 +136,8 @@ def render_file(
     refuse_own_input(document, source, target)
     notices: tuple[Notice, ...] = ()
     views = sound_views(document)
-    if not views:
+    was_baked = bool(views)
+    if not was_baked:
         document, notices = baked_in_memory(document)
         views = sound_views(document)
     if not views:
@@ -144,7 +149,7 @@ def render_file(
         pictures, pose, missing = _pictures(document, views, options, moves=suffix in MOVING)
     data = encoded(pictures, suffix)
     write_file([data], target, sync=sync)
-    return RenderResult(data, len(pictures), pose, (*notices, *missing, *_not_skinned(document)))
+    return RenderResult(data, len(pictures), pose, was_baked, (*notices, *missing, *_not_skinned(document)))
 
 
 def _check_influences(views: Sequence[BakedView]) -> None:
