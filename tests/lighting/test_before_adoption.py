@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skinbake.format.adoption import UNIT, with_adopted
+from skinbake.format.adoption import TINY_WEIGHT, UNIT, with_adopted
 from skinbake.gltf.accessors import StoredArray
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import StoredInfluences, skinned_sources
@@ -54,6 +54,22 @@ def test_a_bake_of_weights_with_a_small_sum_is_fresh(tmp_path: Path) -> None:
     weights[:] = np.round(0.3 * weights)
     written = baked(model.write(tmp_path / "small.glb"), tmp_path / "baked", gradients="surface")
     assert "adopted" in Editable(written).metadata()
+    answer = verify(written, "--poses", "rest")
+    assert answer.exit_code == 0, answer.messages
+
+
+@pytest.mark.parametrize("gradients", ["surface", "rig"])
+@pytest.mark.parametrize("total", [1.0, 0.01, 0.002])
+def test_slots_of_tiny_weights_that_adopt_are_known_at_any_sum(
+    total: float, gradients: str, tmp_path: Path
+) -> None:
+    """Some exporters leave weights of 1e-11. 2⁻³⁰ in their place is a millionth and more of a small sum."""
+    model = Editable(source("foreign_joints.glb"))
+    weights = model.array("WEIGHTS_0")
+    left = weights == 0.0
+    weights[:] = total * np.where(left, 1e-11, weights)
+    written = baked(model.write(tmp_path / "tiny.glb"), tmp_path / "baked", gradients=gradients)
+    assert (Editable(written).array("WEIGHTS_0")[left] == TINY_WEIGHT).any()
     answer = verify(written, "--poses", "rest")
     assert answer.exit_code == 0, answer.messages
 
