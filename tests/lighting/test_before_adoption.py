@@ -74,14 +74,18 @@ def test_slots_of_tiny_weights_that_adopt_are_known_at_any_sum(
     assert answer.exit_code == 0, answer.messages
 
 
-def two_primitives(folder: Path, gradients: str) -> Editable:
-    """Bake two primitives, at whose border joint 4 takes the slot of joint 0. One has further empty slots."""
+def two_primitives(folder: Path, gradients: str, left: float = 0.0) -> Editable:
+    """Bake two primitives, at whose border joint 4 takes the slot of joint 0. One has further empty slots.
+
+    Empty slots hold the weight ``left``.
+    """
     place = sheet().attributes["POSITION"].astype(np.float64)
     border = place[:, 0] == place[:, 0].max()
     joints = np.where(border[:, None], [1, 2, 3, 0], [4, 0, 1, 0]).astype(np.uint8)
     weights = np.where(border[:, None], [0.5, 0.3, 0.2, 0.0], [0.6, 0.3, 0.1, 0.0]).astype(np.float32)
     mirrored = [2 * place[:, 0].max(), 0, 0] + place * [-1, 1, 1]
-    none = np.zeros((len(place), 4))
+    weights[weights == 0.0] = left
+    none = np.full((len(place), 4), left)
     parts = [
         sheet(JOINTS_0=joints, WEIGHTS_0=weights),
         sheet(
@@ -100,9 +104,12 @@ def two_primitives(folder: Path, gradients: str) -> Editable:
     return model
 
 
+@pytest.mark.parametrize("left", [0.0, 1e-11])
 @pytest.mark.parametrize("gradients", ["surface", "rig"])
-def test_a_border_of_primitives_with_one_and_two_sets_is_fresh(gradients: str, tmp_path: Path) -> None:
-    model = two_primitives(tmp_path, gradients)
+def test_a_border_of_primitives_with_one_and_two_sets_is_fresh(
+    gradients: str, left: float, tmp_path: Path
+) -> None:
+    model = two_primitives(tmp_path, gradients, left)
     answer = verify(model.write(tmp_path / "fresh.glb"), "--poses", "rest")
     assert answer.exit_code == 0, answer.messages
 

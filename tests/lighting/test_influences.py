@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from skinbake.geometry.skinned import SkinnedPrimitive
-from skinbake.lighting.influences import carrying_slots, influence_keys, joint_weights, normalised_weights
+from skinbake.lighting.influences import (
+    carrying_slots,
+    free_slots,
+    influence_keys,
+    joint_weights,
+    normalised_weights,
+)
 from tests.support.weight_field import weight_field
 
 
@@ -92,3 +98,26 @@ def test_a_vertex_without_weight_follows_its_first_joint() -> None:
 )
 def test_one_slot_carries_each_joint(joints: list[int], weights: list[float], carries: list[bool]) -> None:
     assert carrying_slots(bound([joints], [weights])).tolist() == [carries]
+
+
+def test_weights_that_move_nothing_do_not_turn_the_last_bit_of_others() -> None:
+    """Bake leaves them out of the sum, so copies that are one point to bake are one to verify."""
+    held = np.random.default_rng(4).uniform(0.1, 1.0, (20000, 2)).astype(np.float32).astype(np.float64)
+    tiny = 0.9 * 2.0**-30 * held.max(axis=1, keepdims=True)
+    joints = np.tile([0, 1, 2], (len(held), 1)).tolist()
+    found_joints, found = influence_keys([bound(joints, np.hstack([held, tiny]).tolist())])
+    wanted = (held / held.sum(axis=1, keepdims=True)).astype(np.float32)
+    assert np.array_equal(found_joints, np.tile([0, 1], (len(held), 1)))
+    assert np.array_equal(found, wanted)
+
+
+@pytest.mark.parametrize(
+    ("stored", "free"),
+    [
+        ([1.0, 0.0, 2.0**-30, 2.0**-31], [False, True, False, True]),
+        ([1e-3, 1e-13, 1e-11, -1e-3], [False, True, False, False]),
+        ([0.0, 0.0, -1.0, -0.0], [True, True, False, True]),
+    ],
+)
+def test_free_slots(stored: list[float], free: list[bool]) -> None:
+    assert free_slots(np.array([stored], dtype=np.float32)).tolist() == [free]

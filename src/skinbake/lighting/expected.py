@@ -12,13 +12,13 @@ from skinbake.choices import SLOTS_PER_SET, Gradients, Weighting
 from skinbake.format.adoption import TINY_WEIGHT, UNIT
 from skinbake.format.former import former_attributes
 from skinbake.format.metadata import FORMER_ATTRIBUTES, POSES
-from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, SkinnedPrimitive
+from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
 from skinbake.gltf.rigs import fitting_rig
 from skinbake.gradients.baker import slots_of_surface
-from skinbake.gradients.influences import LEAST_WEIGHT
 from skinbake.lighting.baked_views import BakedView
+from skinbake.lighting.influences import free_slots
 from skinbake.lighting.operator import GradientOperator, expected_alpha_beta, true_operator
 from skinbake.lighting.rest_surfaces import rest_surface
 from skinbake.skinning.surface import RestSurface
@@ -69,15 +69,8 @@ def given_weights(document: Document, view: BakedView) -> Float64Array:
     given = (weights == TINY_WEIGHT) | (np.abs(weights * UNIT - 1.0) < ROUNDING)
     before = former_weights(document, view)
     if before is not None and before.shape == given.shape:
-        given &= _free(before)
+        given &= free_slots(before)
     return np.where(given, weights, 0.0)
-
-
-def _free(weights: FloatArray) -> BoolArray:
-    """Tell which slots bake takes for empty, (V, K): those of weight 0, or of a weight that moves nothing."""
-    least = LEAST_WEIGHT * np.asarray(weights, dtype=np.float64).max(axis=1, keepdims=True, initial=0.0)
-    free: BoolArray = (weights == 0.0) | ((weights > 0.0) & (weights < least))
-    return free
 
 
 def former_weights(document: Document, view: BakedView) -> FloatArray | None:

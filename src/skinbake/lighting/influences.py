@@ -26,6 +26,9 @@ from skinbake.geometry.skinned import (
 PAIRS = 1 << 22
 """The pairs of slots that are compared at a time."""
 
+LEAST_SHARE = 2.0**-30
+"""The share of a vertex's largest weight below which a weight moves nothing (docs/reference/gradients.md)."""
+
 Int32Array: TypeAlias = npt.NDArray[np.int32]
 Int64Array: TypeAlias = npt.NDArray[np.int64]
 
@@ -46,11 +49,22 @@ def normalised_weights(weights: FloatArray, joints: IntArray) -> Float64Array:
     return positive
 
 
+def free_slots(weights: FloatArray) -> BoolArray:
+    """Tell which slots bake takes for empty, (V, K): those of weight 0, or of a weight that moves nothing.
+
+    weights (V, K) as stored.
+    """
+    least = LEAST_SHARE * np.asarray(weights, dtype=np.float64).max(axis=1, keepdims=True, initial=0.0)
+    free: BoolArray = (weights == 0.0) | ((weights > 0.0) & (weights < least))
+    return free
+
+
 def joint_weights(primitives: Sequence[SkinnedPrimitive]) -> tuple[Int64Array, Float64Array]:
     """Return each vertex's joints (V, N) int64, ascending and each once, and their weights (V, N) float64.
 
     If a joint is in several slots of a vertex, it has the sum of their weights. Slots that are left over have
-    −1 in place of a joint, and the weight 0.
+    −1 in place of a joint, and the weight 0. Weights that move nothing count as 0 (``free_slots``): in the
+    sum they could turn the last bit of the others.
     """
     count = sum(len(primitive.joints) for primitive in primitives)
     width = max((primitive.joints.shape[1] for primitive in primitives), default=0)
@@ -59,7 +73,8 @@ def joint_weights(primitives: Sequence[SkinnedPrimitive]) -> tuple[Int64Array, F
     for primitive in primitives:
         rows, slots = slice(start, start + len(primitive.joints)), slice(0, primitive.joints.shape[1])
         joints[rows, slots] = primitive.joints
-        weights[rows, slots] = normalised_weights(primitive.weights, primitive.joints)
+        held = np.where(free_slots(primitive.weights), 0.0, primitive.weights)
+        weights[rows, slots] = normalised_weights(held, primitive.joints)
         start = rows.stop
     order = np.argsort(joints, axis=1, kind="stable")
     joints, weights = np.take_along_axis(joints, order, axis=1), np.take_along_axis(weights, order, axis=1)

@@ -26,6 +26,7 @@ from skinbake.lighting.expected import (
     noted_kind,
     prepared_rig_fit,
 )
+from skinbake.lighting.influences import free_slots
 from skinbake.lighting.operator import GradientOperator, gradient_operator
 from skinbake.lighting.without_poses import (
     BAKE_AGAIN,
@@ -228,9 +229,11 @@ def _without_vacated_names(document: Document, view: BakedView) -> BakedView:
     the vertex has fewer empty slots. Or an empty slot adopted the joint, and another slot with a negative
     weight names it. These others name the joint of slot 0 here. Its gradient is not theirs, so 0 is right.
     """
-    adopts = (given_weights(document, view) > 0.0).any(axis=1, keepdims=True)
-    empty = np.zeros(view.now.joints.shape, dtype=np.bool_)
-    empty[:, 1:] = (view.alpha == 0.0) & (view.beta == 0.0) & (view.now.weights[:, 1:] <= 0.0)
+    given = given_weights(document, view) > 0.0
+    adopts = given.any(axis=1, keepdims=True)
+    empty = (free_slots(view.now.weights) & ~given) | (view.now.weights < 0.0)
+    empty[:, 0] = False
+    empty[:, 1:] &= (view.alpha == 0.0) & (view.beta == 0.0)
     joints = np.where(adopts & empty, view.now.joints[:, :1], view.now.joints)
     if (joints == view.now.joints).all():
         return view
