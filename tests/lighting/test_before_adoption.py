@@ -207,3 +207,18 @@ def test_float_weights_beside_integer_ones_come_back_as_they_were(tmp_path: Path
     found = [primitive.weights for primitive in before_adoption(document, views)]
     assert np.array_equal(found[0], kinds[0])
     assert np.array_equal(found[1], kinds[1] / 255.0)
+
+
+@pytest.mark.parametrize("total", [1.0, 0.01])
+def test_float_weights_of_a_small_sum_come_back_without_the_given_ones(total: float, tmp_path: Path) -> None:
+    """2⁻³⁰ is rounding of 1, and more than that of 0.01: copies in two meshes would no longer be one."""
+    model = Editable(source("foreign_joints.glb"))
+    weights = model.array("WEIGHTS_0")
+    weights *= np.float32(total)
+    before = weights.copy()
+    written = baked(model.write(tmp_path / "small.glb"), tmp_path / "baked")
+    assert (Editable(written).array("WEIGHTS_0") == TINY_WEIGHT).any()
+    document = read_document(str(written))
+    (found,) = before_adoption(document, baked_views(document, skinned_sources(document)[0])[0])
+    assert np.array_equal(found.weights == 0.0, before == 0.0) == (total < 1.0)
+    assert np.abs(found.weights - before).max() <= TINY_WEIGHT * (total == 1.0)

@@ -15,7 +15,7 @@ from skinbake.lighting.expected import given_weights
 from skinbake.lighting.operator import GradientOperator, true_operator
 
 NO_PAYMENT = 1e-7
-"""Below this weight, the share that adopted slots took is rounding: 2⁻³⁰ each, if weights are FLOAT."""
+"""Below this share, what adopted slots took is rounding: 2⁻³⁰ each, if FLOAT weights sum to 1."""
 
 
 def before_adoption(document: Document, views: Sequence[BakedView]) -> list[SkinnedPrimitive]:
@@ -25,12 +25,20 @@ def before_adoption(document: Document, views: Sequence[BakedView]) -> list[Skin
     They are one point of the surface all the same. Integer weights come back in whole units.
     """
     given = [given_weights(document, view) for view in views]
-    if max(own.sum(axis=1).max(initial=0.0) for own in given) < NO_PAYMENT:
+    paid = [paid_share(view, own).max(initial=0.0) for view, own in zip(views, given, strict=True)]
+    if max(paid) < NO_PAYMENT:
         return [view.now for view in views]
     return [
         replace(view.now, weights=weights_before(view.now, own))
         for view, own in zip(views, given, strict=True)
     ]
+
+
+def paid_share(view: BakedView, given: Float64Array) -> Float64Array:
+    """Return the share of each vertex's weights (V,) that adopted slots were given, (V, K)."""
+    whole = np.maximum(view.now.weights, 0.0).sum(axis=1, dtype=np.float64)
+    share: Float64Array = np.divide(given.sum(axis=1), whole, out=np.zeros(len(whole)), where=whole > 0.0)
+    return share
 
 
 def true_operator_of(document: Document, views: Sequence[BakedView]) -> GradientOperator:

@@ -16,7 +16,7 @@ from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
 from skinbake.lighting import freshness
 from skinbake.lighting.baked_views import BakedView, gathered_together
-from skinbake.lighting.before_adoption import NO_PAYMENT, weights_before
+from skinbake.lighting.before_adoption import NO_PAYMENT, paid_share, weights_before
 from skinbake.lighting.expected import (
     Expected,
     Fit,
@@ -272,7 +272,7 @@ def _roundings(
     integer weights each from the vertex's largest weight. α/β come from the weights before adoption, divided
     by their sum, so the less they sum to, the more a unit is.
     """
-    paid = np.concatenate([_paid_share(document, view) for view in views])
+    paid = np.concatenate([paid_share(view, given_weights(document, view)) for view in views])
     if paid.max(initial=0.0) < NO_PAYMENT:
         return [view.rounding for view in views]
     frames = [
@@ -282,14 +282,6 @@ def _roundings(
     forgiven = operator.reach_along(frames, paid).T.copy()
     forgiven *= 1.0 if noted_kind(views[0]) is Gradients.SURFACE else FITTED_PAYMENT
     return [view.rounding + forgiven[rows] for view, rows in zip(views, operator.slices, strict=True)]
-
-
-def _paid_share(document: Document, view: BakedView) -> Float64Array:
-    """Return the share of each vertex's weights (V,) that bake gave to adopted slots."""
-    given = given_weights(document, view).sum(axis=1)
-    whole = np.maximum(view.now.weights, 0.0).sum(axis=1, dtype=np.float64)
-    share: Float64Array = np.divide(given, whole, out=given, where=whole > 0.0)
-    return share
 
 
 def _staleness_notice(surface: _Surface, number: int) -> Notice:
