@@ -21,7 +21,8 @@ from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.codecs import draco_stream
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.primitives import read_primitive, reason_to_skip, skinned_sources
-from tests.support import corpus
+from tests.support import corpus, gltf_transform
+from tests.support.baking import bake_file
 from tests.support.compressed import draco_stream as encoded
 from tests.support.compressed import draco_twin
 from tests.support.decoders import read_plain
@@ -214,6 +215,39 @@ def test_json_that_contradicts_the_stream_is_refused(
     with pytest.raises(InputError, match=message) as caught:
         read_first(path)
     assert str(caught.value).startswith(f'{path}: mesh 0 "limb", primitive 0')
+
+
+COUNTS = [
+    ({"indices": 630}, "declares 112 vertices and 624 indices, but its accessors declare 112 and 630"),
+    ({"NORMAL": 111}, "it has 112 elements, but other attributes of its Draco stream have 111"),
+    (dict.fromkeys(("POSITION", "NORMAL", "JOINTS_0", "WEIGHTS_0"), 113), "declare 113 and 624"),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("counts", "message"), COUNTS)
+def test_what_to_do_about_other_counts_works(counts: dict[str, int], message: str, tmp_path: Path) -> None:
+    """gltf-transform copy decodes the stream, and its accessors are those of the original again."""
+    gltf_transform.require_node()
+
+    def change(content: JsonObject) -> None:
+        for name, count in counts.items():
+            accessor(name, count=count)(content)
+
+    path, copy = draco_twin(FOLDER / TWIN, tmp_path / "twin.glb", change=change), tmp_path / "copy.glb"
+    with pytest.raises(InputError, match=message) as caught:
+        read_first(path)
+    assert "gltf-transform copy" in caught.value.message
+    assert "without Draco" in caught.value.message
+    process = gltf_transform.run(["copy", path, copy])
+    assert process.returncode == 0, process.stderr
+    original, found = read(FOLDER / TWIN), read(copy)
+    wanted, decoded = (next(iter(primitives(file.content)))[2] for file in (original, found))
+    assert wanted["attributes"].keys() == decoded["attributes"].keys()
+    for name, number in wanted["attributes"].items():
+        assert np.array_equal(found.stored(decoded["attributes"][name]), original.stored(number)), name
+    result = bake_file(copy, tmp_path / "baked.glb")
+    assert result.status == "baked", result.notices
 
 
 def test_a_strip_in_draco_is_refused(tmp_path: Path) -> None:

@@ -264,9 +264,11 @@ def declared(
             raise InputError(f"its {EXTENSION} has {name}, but the primitive does not", place)
         count = integer(accessors[number], "count", place.at(name), minimum=1)
         if vertices not in {0, count}:
+            from skinbake.gltf.codecs.draco_stream import REMEDY
+
             raise InputError(
                 f"it has {counted(count, 'element')}, but other attributes of its Draco stream have "
-                f"{vertices:,}",
+                f"{vertices:,}{REMEDY}",
                 place,
             )
         vertices, size = count, size + count * _element_size(accessors[number])

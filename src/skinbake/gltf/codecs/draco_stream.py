@@ -41,6 +41,12 @@ MEMORY_BASE, MEMORY_FACTOR = 1 << 28, 16
 Measured on a million vertices: twice the decoded bytes, by either method.
 """
 
+REMEDY = (
+    "; decode the file first with a tool that writes the true counts, such as gltf-transform copy, or export "
+    "it without Draco"
+)
+"""What to do about counts that differ. Encoders drop degenerate triangles, some exporters do not recount."""
+
 INT_MAXIMA = {1: 127, 3: 32767, 5: 2147483647}
 """The largest value of each signed integer type, by Draco's number; DracoPy returns it as floats."""
 
@@ -100,7 +106,8 @@ def decode(
         raise InputError(f"its Draco stream cannot be decoded: {error}", place) from error
     if 3 * len(faces) != corners:
         raise InputError(
-            f"its Draco stream holds {3 * len(faces)} indices, but its accessor declares {corners}", place
+            f"its Draco stream holds {3 * len(faces)} indices, but its accessor declares {corners}{REMEDY}",
+            place,
         )
     return DracoMesh(
         {number: _values(entry, number, vertices, place) for number, entry in attributes.items()},
@@ -120,7 +127,7 @@ def _values(entry: Mapping[str, Any], number: int, vertices: int, place: Place) 
     if found != vertices:
         raise InputError(
             f"its Draco stream holds {counted(found, 'element')} of attribute {number}, but its accessors "
-            f"declare {vertices:,}",
+            f"declare {vertices:,}{REMEDY}",
             place,
         )
     return np.asarray(values)
@@ -133,7 +140,8 @@ def _check_counts(counts: Counts, length: int, declared: tuple[int, int, int], p
     if 3 * counts.faces != corners or too_many:
         raise InputError(
             f"its Draco stream declares {counted(counts.vertices, 'vertex', 'vertices')} and "
-            f"{3 * counts.faces:,} indices, but its accessors declare {vertices:,} and {corners:,}",
+            f"{3 * counts.faces:,} indices, but its accessors declare {vertices:,} and {corners:,}"
+            f"{REMEDY}",
             place,
         )
     if size > max(EXPANSION * length, SMALL):
