@@ -11,6 +11,7 @@ import numpy.typing as npt
 import pytest
 
 from skinbake.choices import FrameChoice, PoseKind
+from skinbake.errors import InputError
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
 from skinbake.lighting import measured
@@ -202,6 +203,50 @@ def test_nodes_of_one_skin_and_equal_weights_are_one_draw(tmp_path: Path) -> Non
     animate_weights(path, [[0.0, 0.0], [1.0, 0.0]], node=first)
     document = read_document(str(path))
     assert draws_of(document, 0, read_clips(document)) == [(0, 0), (0, first), (0, first + 1)]
+
+
+def point(path: Path, pointer: str) -> Path:
+    """Let the last channel of the last clip name its target by a pointer of KHR_animation_pointer."""
+    file = Editable(path)
+    extensions = {"KHR_animation_pointer": {"pointer": pointer}}
+    target = {"path": "pointer", "extensions": extensions}
+    file.content["animations"][-1]["channels"][-1]["target"] = target
+    return file.write(path)
+
+
+@pytest.mark.parametrize("pointer", ["/meshes/0/weights", "/nodes/0/weights"])
+def test_a_pointer_to_weights_moves_them_as_a_channel_with_a_node_does(pointer: str, tmp_path: Path) -> None:
+    path = animate_weights(tube(tmp_path), [[0.0, 1.0], [1.0, 0.2]])
+    wanted = sampled(path).morph_weights
+    assert np.ptp(wanted, axis=0).min() > 0.5
+    assert np.array_equal(sampled(point(path, pointer)).morph_weights, wanted)
+
+
+def test_weights_of_a_mesh_move_its_nodes_that_have_none_of_their_own(tmp_path: Path) -> None:
+    file = Editable(tube(tmp_path))
+    nodes = file.content["nodes"]
+    first = len(nodes)
+    nodes += [dict(nodes[0]), dict(nodes[0], weights=[0.5, 0.0]), {"mesh": 0}]
+    path = animate_weights(file.write(tmp_path / "three.glb"), [[0.0, 0.0], [1.0, 0.25]])
+    document = read_document(str(point(path, "/meshes/0/weights")))
+    clips = read_clips(document)
+    draws = draws_of(document, 0, clips)
+    assert draws == [(0, 0), (0, first), (0, first + 1)]
+    found = [pose_set(document, skin, clips, PoseRequest(), node).morph_weights for skin, node in draws]
+    highest = [weights.max(axis=0).tolist() for weights in found if weights is not None]
+    assert highest == [[1.0, 0.25], [1.0, 0.25], [0.5, 0.0]]
+
+
+@pytest.mark.parametrize("pointer", ["/meshes/0/weights/0", "/meshes/00/weights", "/meshes/0/primitives/0"])
+def test_a_pointer_to_something_else_of_a_mesh_moves_nothing(pointer: str, tmp_path: Path) -> None:
+    path = animate_weights(tube(tmp_path), [[0.0, 1.0], [1.0, 0.2]])
+    assert not np.asarray(sampled(point(path, pointer)).morph_weights).any()
+
+
+def test_a_pointer_to_a_mesh_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    path = point(animate_weights(tube(tmp_path), [[0.0, 1.0], [1.0, 0.2]]), "/meshes/1/weights")
+    with pytest.raises(InputError, match='the pointer "/meshes/1/weights": "mesh" is 1, but the file has 1'):
+        sampled(path)
 
 
 def sampled(path: Path, **request: Any) -> Any:

@@ -33,6 +33,9 @@ POINTER_EXTENSION = "KHR_animation_pointer"
 POINTER = re.compile("/nodes/(0|[1-9][0-9]{0,8})/(translation|rotation|scale|weights)")
 """The JSON pointers (RFC 6901) that name the same properties of a node as a channel without the extension."""
 
+MESH_POINTER = re.compile("/meshes/(0|[1-9][0-9]{0,8})/weights")
+"""The JSON pointer that names the morph weights of a mesh: those of all its nodes without their own."""
+
 
 BYTES_A_NODE = 1024
 """About the most bytes that reading one node of a skeleton takes."""
@@ -43,7 +46,8 @@ class Channel:
     """One animated property of one node.
 
     times (N,) are in seconds. values are (N, C), or (N, 3, C) for CUBICSPLINE. Rotations have w first. For
-    the path ``weights``, C is the number of morph targets.
+    the path ``weights``, C is the number of morph targets. A channel that moves the weights of a mesh has all
+    skinned nodes that take them from there in ``nodes``, and one of them in ``node``.
     """
 
     node: int
@@ -51,6 +55,11 @@ class Channel:
     method: str
     times: Float64Array
     values: Float64Array
+    nodes: frozenset[int] = frozenset()
+
+    def morphs(self, node: int | None) -> bool:
+        """Tell whether the channel moves the morph weights of a node."""
+        return self.path == MORPH_WEIGHTS and (node == self.node or node in self.nodes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +167,7 @@ def clip_weights(node: int, clip: Clip, at: Float64Array, resting: Float64Array)
     """Return the morph weights (P, N) of a node; ``resting`` (N,) if the clip does not animate them."""
     weights = np.broadcast_to(resting, (len(at), len(resting)))
     for channel in clip.channels:
-        if (channel.node, channel.path) == (node, MORPH_WEIGHTS):
+        if channel.morphs(node):
             weights = _at(channel, at)
     return weights
 
@@ -354,7 +363,7 @@ def _channel(
     known are the times that were read before, by accessor. outputs are the values, by accessor and use.
     """
     place = document.place
-    node, path = _target(channel, len(document.objects("nodes")), place)
+    node, path, nodes = _target(document, channel)
     sampler_index = index(channel, "sampler", len(samplers), place)
     if node is None or path is None or sampler_index is None:
         return None
@@ -386,24 +395,44 @@ def _channel(
         by_key = values[:, [3, 0, 1, 2]] if path == "rotation" else values
         shape = (-1, 3, components) if each == 3 else (-1, components)
         outputs[use] = by_key.reshape(shape)
-    return Channel(node, path, method, times, outputs[use])
+    return Channel(node, path, method, times, outputs[use], nodes)
 
 
-def _target(channel: JsonObject, count: int, place: Place) -> tuple[int | None, str | None]:
+def _target(document: Document, channel: JsonObject) -> tuple[int | None, str | None, frozenset[int]]:
     """Return the node and its property that a channel moves, also through a pointer; None for others.
 
-    ``count`` is the number of nodes.
+    The nodes of ``Channel.nodes`` come last.
     """
+    place, count = document.place, len(document.objects("nodes"))
     target = member(channel, "target", place)
     path = text(target, "path", place)
     if path != "pointer":
-        return index(target, "node", count, place), path
+        return index(target, "node", count, place), path, frozenset()
     extension = member(member(target, "extensions", place), POINTER_EXTENSION, place)
-    found = POINTER.fullmatch(text(extension, "pointer", place) or "")
-    if found is None:
-        return None, None
-    owner = f'the pointer "{found[0]}"'
-    return index({"node": int(found[1])}, "node", count, place, owner=owner, kind="node"), found[2]
+    pointer = text(extension, "pointer", place) or ""
+    owner = f'the pointer "{pointer}"'
+    if (found := POINTER.fullmatch(pointer)) is not None:
+        node = index({"node": int(found[1])}, "node", count, place, owner=owner, kind="node")
+        return node, found[2], frozenset()
+    if (found := MESH_POINTER.fullmatch(pointer)) is None:
+        return None, None, frozenset()
+    meshes = len(document.objects("meshes"))
+    mesh = index({"mesh": int(found[1])}, "mesh", meshes, place, owner=owner, kind="mesh")
+    nodes = _nodes_without_weights(document).get(mesh, frozenset())
+    return min(nodes, default=None), MORPH_WEIGHTS, nodes
+
+
+def _nodes_without_weights(document: Document) -> dict[int | None, frozenset[int]]:
+    """Return by mesh the nodes that draw it with a skin and have no morph weights of their own."""
+    known: dict[int | None, frozenset[int]] | None = document.derived.get("nodes without weights")
+    if known is None:
+        found: dict[int | None, list[int]] = {}
+        for number, node in enumerate(document.objects("nodes")):
+            if "skin" in node and node.get("weights") is None:
+                found.setdefault(reference(node.get("mesh")), []).append(number)
+        known = {mesh: frozenset(nodes) for mesh, nodes in found.items()}
+        document.derived["nodes without weights"] = known
+    return known
 
 
 def _wide(document: Document, number: int, place: Place) -> Float64Array:

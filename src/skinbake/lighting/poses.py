@@ -92,7 +92,8 @@ def draws_of(document: Document, mesh: int, clips: Sequence[Clip]) -> list[tuple
     """
     if not target_count(document, mesh):
         return [(skin, None) for skin in skins_of(document, mesh)]
-    animated = {channel.node for clip in clips for channel in clip.channels if channel.path == MORPH_WEIGHTS}
+    morphing = [channel for clip in clips for channel in clip.channels if channel.path == MORPH_WEIGHTS]
+    animated = {channel.node for channel in morphing}.union(*{channel.nodes for channel in morphing})
     draws: dict[object, tuple[int, int | None]] = {}
     for number, node in enumerate(document.objects("nodes")):
         if node.get("mesh") == mesh and "skin" in node:
@@ -183,7 +184,7 @@ def _only(nodes: set[int], morphs: _Morphs | None, clip: Clip) -> Clip:
     channels = tuple(
         channel
         for channel in clip.channels
-        if (channel.node == morphed if channel.path == MORPH_WEIGHTS else channel.node in nodes)
+        if (channel.morphs(morphed) if channel.path == MORPH_WEIGHTS else channel.node in nodes)
     )
     return replace(clip, channels=channels)
 
