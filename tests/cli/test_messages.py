@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from fixtures.builder import JsonObject
+from skinbake.cli.console import without_repeats
 from skinbake.cli.terminal import with_colours
-from skinbake.errors import Place
+from skinbake.errors import Notice, Place
 from skinbake.report.bake import (
     BakedCounts,
     FileResult,
@@ -47,6 +48,50 @@ def test_warnings_name_file_mesh_and_primitive_and_are_aggregated(warned: Path) 
         "in a shader the correction of the normals is 100 % too strong there; normalise the weights "
         "before the bake",
     ]
+
+
+def crowd(folder: Path, count: int) -> Path:
+    """Write a file of so many primitives. Their weights do not sum to 1, at other numbers of vertices."""
+    parts = []
+    for number in range(count):
+        weights = np.tile(np.array([0.5, 0.5, 0, 0], np.float32), (20, 1))
+        weights[: number + 2] = [0.25, 0.25, 0, 0]
+        parts.append(sheet(WEIGHTS_0=weights))
+    return write_model(folder / "crowd.glb", [*parts, sheet(NORMAL=None)])
+
+
+def test_many_warnings_that_are_alike_are_one_line(tmp_path: Path) -> None:
+    path = crowd(tmp_path, 12)
+    result = invoke("bake", path, "--dry-run")
+    normals, sums = result.stderr.splitlines()
+    assert sums.startswith(f'warning: {path}: mesh 0 "sheet", primitive 0: the weights of 2 vertices do not')
+    assert sums.endswith(
+        '(11 more are alike: mesh 0 "sheet", primitive 1; mesh 0 "sheet", primitive 2; -v shows all)'
+    )
+    assert normals.startswith(f'warning: {path}: mesh 0 "sheet", primitive 12: skipped: it has no NORMAL')
+    verbose = invoke("bake", path, "--dry-run", "-v").stderr.splitlines()
+    shown = [line for line in verbose if line.startswith("warning: ")]
+    told = [re.findall(r"primitive (\d+): the weights of (\d+) vertices", line) for line in shown]
+    assert told == [[]] + [[(str(number), str(number + 2))] for number in range(12)]
+    (file,) = document(invoke("bake", path, "--dry-run", "--json"))["files"]
+    assert [warning["count"] for warning in file["warnings"]] == [1, *range(2, 14)]
+
+
+def test_three_warnings_that_are_alike_are_three_lines_in_their_order(tmp_path: Path) -> None:
+    lines = invoke("bake", crowd(tmp_path, 3), "--dry-run").stderr.splitlines()
+    assert [re.findall(r"primitive \d: .{11}", line) for line in lines] == [
+        ["primitive 3: skipped: it"],
+        *([f"primitive {number}: the weights"] for number in range(3)),
+    ]
+
+
+def test_warnings_of_one_code_on_other_things_are_not_alike() -> None:
+    place = Place("a.glb", 0, None, 0)
+    named = [Notice("image", f'image 1 "{name}" is missing', place) for name in "abcde"]
+    other_files = [Notice("sum", "20 vertices", Place(f"{name}.glb", 0, None, 0)) for name in "abcde"]
+    of_files = [Notice("accessor", f"accessor {number} is unused", Place("a.glb")) for number in range(5)]
+    mixed = [notice for three in zip(named, other_files, of_files, strict=True) for notice in three]
+    assert list(without_repeats(mixed)) == list(map(str, mixed))
 
 
 def test_errors_name_file_mesh_primitive_and_attribute(tmp_path: Path) -> None:

@@ -28,6 +28,11 @@ from skinbake.errors import (
     printable_lines,
 )
 
+ALIKE = 3
+"""The number of warnings of a file that are printed in full if they differ by numbers alone."""
+
+NUMBER = re.compile(r"\d[\d.,]*(?:e[+-]?\d+)?")
+
 NOT_ASCII = re.compile("[^\\x00-\\x7e]")
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -64,10 +69,10 @@ class Console:
         _echo(text, err=False, color=self.color)
 
     def notices(self, notices: Iterable[Notice]) -> None:
-        """Print warnings."""
+        """Print warnings: many that are alike in one line, but with -v each by itself."""
         if self.verbosity >= 0:
-            for notice in notices:
-                self._message("warning", "yellow", str(notice))
+            for text in map(str, notices) if self.verbosity else without_repeats(notices):
+                self._message("warning", "yellow", text)
 
     def details(self, lines: Iterable[str]) -> None:
         """Print the details that only -v shows."""
@@ -102,6 +107,30 @@ class Console:
 
     def _fitted(self, text: str, *, err: bool) -> None:
         _echo(fitted(text, width_of(err=err)), err=err, color=self.color)
+
+
+def without_repeats(notices: Iterable[Notice]) -> Iterator[str]:
+    """Yield the text of each notice, but one text for many that are alike: a file may have 84 meshes.
+
+    Notices on data of a file are alike if they differ in places and numbers alone. The text stands for them
+    where the first of them is.
+    """
+    groups: dict[object, list[Notice]] = {}
+    keyed: list[tuple[object, Notice]] = []
+    for notice in notices:
+        alike = notice.place.file, notice.code, NUMBER.sub("#", notice.message)
+        key: object = len(keyed) if notice.place.mesh is None else alike
+        groups.setdefault(key, []).append(notice)
+        keyed.append((key, notice))
+    told: set[object] = set()
+    for key, notice in keyed:
+        group = groups[key]
+        if len(group) <= ALIKE:
+            yield str(notice)
+        elif key not in told:
+            told.add(key)
+            named = "; ".join(other.place.within_file for other in group[1:ALIKE])
+            yield f"{notice} ({len(group) - 1:,} more are alike: {named}; -v shows all)"
 
 
 def json_text(content: Any, *, indent: int | None = None) -> str:
