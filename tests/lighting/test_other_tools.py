@@ -12,6 +12,7 @@ from pathlib import Path
 import pygltflib
 import pytest
 
+from tests.lighting.replay import accurate_normals, largest_angle
 from tests.support.baked_files import Editable, baked, source, verify
 from tests.support.node import SUPPORT, require_node, run_program
 
@@ -92,3 +93,24 @@ def test_three_divides_float_weights_by_their_sum(tmp_path: Path) -> None:
     (problem,) = answer.problems("freshness")
     assert (answer.exit_code, problem["code"]) == (1, "stale")
     assert problem["message"].startswith("WEIGHTS changed since its bake, and α/β still fit")
+    assert "divided by their sum, which the loader of three.js does" in problem["message"]
+
+
+@pytest.mark.parametrize(("given", "divided"), [([0.0, 1.0], True), ([0.5, 0.0], False)])
+def test_fitting_alpha_and_beta_do_not_prove_the_weights(
+    given: list[float], divided: bool, tmp_path: Path
+) -> None:
+    """A rigid part that follows another joint has the same α and β, 0, and is lit 53° from what it was."""
+    model = Editable(source("bent_tube.glb"))
+    model.array("JOINTS_0")[:] = [0, 2, 0, 0]
+    model.array("WEIGHTS_0")[:] = [1.0, 0.0, 0.0, 0.0]
+    original = baked(model.write(tmp_path / "rigid.glb"), tmp_path / "baked")
+    edited = Editable(original)
+    edited.array("WEIGHTS_0")[:, :2] = given
+    changed = edited.write(tmp_path / "edited.glb")
+    answer = verify(changed, *REST)
+    (problem,) = answer.problems("freshness")
+    assert problem["message"].startswith("WEIGHTS changed since its bake, and α/β still fit")
+    assert ("its weights edited, or divided" in problem["message"]) == divided
+    moved = largest_angle(accurate_normals(changed), accurate_normals(original))
+    assert (moved > 1.0) == divided

@@ -57,6 +57,14 @@ EDITED_ALONE = {
 }
 """The likely cause if one array changed, or one array and the arrays that depend on it."""
 
+DIVIDED = "its weights edited, or divided by their sum, which the loader of three.js does"
+"""The likely cause if only weights changed, α/β still fit, and the weights now sum to 1.
+
+It is no proof, so the check fails: a rigid part that now follows another joint has the same α and β, 0.
+"""
+
+ROUNDED_SUM = 1e-6
+"""The distance from 1 of a sum of FLOAT weights that were divided by it, at most."""
 
 NAMED = 16
 """The number of primitives that a message names. Each of a thousand stale ones would name all others."""
@@ -372,7 +380,14 @@ def _doings(document: Document, view: BakedView, comparison: freshness.Compariso
             doings.append("its triangles re-ordered")
         elif {"POSITION", "NORMAL"} <= set(view.changed):
             doings.append("its vertices re-ordered, merged or split")
+    if not doings and view.changed == ("WEIGHTS",) and comparison.agrees and _sum_to_one(view):
+        doings.append(DIVIDED)
     return _listed(doings or [_edit(view.changed)])
+
+
+def _sum_to_one(view: BakedView) -> bool:
+    sums = np.asarray(view.now.weights, dtype=np.float64).sum(axis=1)
+    return bool((np.abs(sums - 1.0) <= ROUNDED_SUM).all())
 
 
 def _is_quantised(document: Document, view: BakedView) -> bool:
