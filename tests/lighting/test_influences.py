@@ -120,4 +120,7 @@ def test_weights_that_move_nothing_do_not_turn_the_last_bit_of_others() -> None:
     ],
 )
 def test_free_slots(stored: list[float], free: list[bool]) -> None:
-    assert free_slots(np.array([stored], dtype=np.float32)).tolist() == [free]
+    rows = np.array([stored, [7.0, 0.0, 7.0, 1e-12]], dtype=np.float32)
+    assert free_slots(rows).tolist() == [free, [False, True, False, True]]
+    assert free_slots(rows[:1]).tolist() == [free]
+    assert free_slots(rows[:0]).shape == (0, 4)

@@ -54,9 +54,12 @@ def free_slots(weights: FloatArray) -> BoolArray:
 
     weights (V, K) as stored.
     """
-    least = LEAST_SHARE * np.asarray(weights, dtype=np.float64).max(axis=1, keepdims=True, initial=0.0)
-    free: BoolArray = (weights == 0.0) | ((weights > 0.0) & (weights < least))
-    return free
+    # Few files have a weight that is so small even beside the largest of all vertices.
+    least = LEAST_SHARE * float(weights.max(initial=0.0))
+    free: BoolArray = (weights > 0.0) & (weights < least)
+    if free.any():
+        free &= weights < LEAST_SHARE * weights.max(axis=1, keepdims=True, initial=0.0).astype(np.float64)
+    return np.asarray(free | (weights == 0.0))
 
 
 def joint_weights(primitives: Sequence[SkinnedPrimitive]) -> tuple[Int64Array, Float64Array]:
