@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import tomllib
 import zipfile
@@ -17,6 +18,7 @@ from engines.blender import build
 from fixtures.make_fixtures import FOLDER
 from skinbake import choices
 from skinbake.commands.bake import Baker
+from skinbake.wording import gain_in_words
 from tests.blender.running import addon_module
 from tests.support.baked_files import Editable
 
@@ -130,6 +132,26 @@ def test_an_exact_correction_has_errors_and_no_gain() -> None:
     lines, gain = baking._figures({"normals": {"lbs": lbs}, "normals_by_triangles": {}, "poses": "2 poses"})
     assert gain is None
     assert [line.text for line in lines] == ["error of normals 3.25° -> 0.00°, over 2 poses"]
+
+
+@pytest.mark.parametrize(
+    ("gain", "shown"),
+    [
+        (2.204, "2.20"),
+        (1.004, "1.00"),
+        (1.0, "1.00"),
+        (0.9999, "0.9999"),
+        (0.997, "0.997"),
+        (0.991, "0.99"),
+        (0.5, "0.50"),
+    ],
+)
+def test_a_loss_is_never_shown_as_no_change(gain: float, shown: str) -> None:
+    lbs = {"approximated": {"mean": 3.25 * gain}, "accurate": {"mean": 3.25}, "gain": gain}
+    lines, _ = baking._figures({"normals": {"lbs": lbs}, "normals_by_triangles": {}, "poses": "2 poses"})
+    (line,) = lines
+    assert re.findall(r"gain (.*)x, over 2 poses", line.text) == [shown]
+    assert gain_in_words(gain) == shown  # as skinbake verify shows it
 
 
 def test_a_refused_option_keeps_the_export(tmp_path: Path) -> None:

@@ -184,9 +184,17 @@ def _figures(verdict: Mapping[str, Any]) -> tuple[tuple[Line, ...], float | None
     if lbs["gain"] is None and max(found["approximated"]["mean"] for found in truths) < SHOWN:
         text = "nothing bends: standard normals are right already"
     else:
-        gain = "" if lbs["gain"] is None else f", gain {lbs['gain']:.2f}x"
+        gain = "" if lbs["gain"] is None else f", gain {_gain_in_words(lbs['gain'])}x"
         text = f"error of normals {standard:.2f}° -> {accurate:.2f}°{gain}"
     return (Line("INFO", f"{text}, over {verdict['poses']}"),), lbs["gain"]
+
+
+def _gain_in_words(gain: float) -> str:
+    """Return a gain as ``skinbake verify`` shows it. A loss has the decimals that keep it under ``1.00``."""
+    decimals = 2
+    while gain < 1.0 and float(f"{gain:.{decimals}f}") >= 1.0:
+        decimals += 1
+    return f"{gain:.{decimals}f}"
 
 
 def _warnings(notices: Iterable[Mapping[str, Any]]) -> tuple[Line, ...]:
