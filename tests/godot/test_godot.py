@@ -53,6 +53,8 @@ CAPTURE.namesFor = (text) => {
 <script type="module">window.ready = import('/tests/page.mjs');</script>
 """
 
+EDITOR = 8
+"""The flag by which the editor asks for tangents where a file has none, by default."""
 DEGREES = 0.01
 """Between Godot and the replay of what Godot stores: it has bone matrices and joint textures in float32."""
 TUBE = FIXTURES / "bent_tube.glb"
@@ -239,6 +241,37 @@ def test_vertices_that_godot_drops_shift_nothing(stage: Stage) -> None:
     assert largest(normals(found), expected(as_stored(character), found)[used]) < DEGREES
 
 
+def test_equal_vertices_that_godot_merges_shift_nothing(stage: Stage) -> None:
+    """It does so in triangle strips without indices."""
+    file = Editable(TUBE)
+    corners = strip_of(file.array("indices").reshape(-1, 3))
+    attributes = file.primitive()["attributes"]
+    for name in attributes:
+        values = file.array(name)[corners]
+        kind = file.content["accessors"][attributes[name]]["componentType"]
+        attributes[name] = file.add(values)
+        file.content["accessors"][attributes[name]]["componentType"] = kind
+    positions = file.array("POSITION")
+    limits = {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
+    file.content["accessors"][attributes["POSITION"]] |= limits
+    del file.primitive()["indices"]
+    file.primitive()["mode"] = 5
+    character = stage.character(file.write(stage.models / "strip.glb"), BENT)
+    found = stage.show(character)
+    assert found["said"] == []
+    assert found["report"][0]["lighting"] == "accurate"
+    first = np.sort(np.unique(corners, return_index=True)[1])
+    assert len(first) < 0.1 * len(corners)
+    assert largest(normals(found), expected(as_stored(character), found)[first]) < DEGREES
+
+
+def strip_of(triangles: Array) -> Array:
+    """Return the vertices of one strip with all the triangles (T, 3), joined by flat ones."""
+    first, second, third = triangles.T
+    # Six vertices each, so that every triangle keeps its side.
+    return np.stack([first, first, first, second, third, third], axis=1).ravel().astype(np.int64)
+
+
 @pytest.mark.parametrize("frame", ["normal", "tangent"])
 def test_the_frame_follows_blend_shapes(stage: Stage, frame: str) -> None:
     source = morphed(MIRRORED, stage.models / "morphed.glb")
@@ -391,6 +424,38 @@ def test_a_file_that_does_not_fit_is_named_with_the_reason(
     assert found["skinned"] == [True]
     assert found["report"][0]["reason"].startswith(reason)
     assert [line for line in found["said"] if reason in line]
+
+
+def test_tangents_that_godot_makes_are_not_those_of_the_bake(stage: Stage) -> None:
+    """The editor asks for them, and they lie in other directions than those that were baked."""
+    file = Editable(baked(MIRRORED, stage.models))
+    without("TANGENT")(file)
+    path = file.write(stage.models / "made.glb")
+    found = stage.shown({"url": f"/models/{path.name}", "pose": {}, "isDrawn": False, "flags": EDITOR})
+    assert found["tangents"] == found["skinned"] == [True]
+    (entry,) = found["report"]
+    assert entry["lighting"] == "standard"
+    assert entry["reason"].startswith("its α and β are along TANGENT, which it has not")
+
+
+@pytest.mark.parametrize(("source", "frame"), [(TUBE, "normal"), (MIRRORED, "tangent")])
+def test_an_import_as_by_the_editor_is_lit(stage: Stage, source: Path, frame: str) -> None:
+    character = stage.character(source, BENT if source == TUBE else RANDOM, frame)
+    found = stage.show(character, flags=EDITOR)
+    assert found["tangents"] == [True]
+    assert_accurate(character, found)
+
+
+def test_a_file_with_quantized_attributes_is_refused_by_godot(stage: Stage) -> None:
+    """docs/engines.md says so."""
+    path = baked(TUBE, stage.models)
+    file = Editable(path)
+    for key in ("extensionsUsed", "extensionsRequired"):
+        file.content[key] = ["KHR_mesh_quantization"]
+    quantized = file.write(stage.models / "quantized.glb")
+    found = stage.page.call("shown", {"url": f"/models/{quantized.name}", "pose": {}, "isDrawn": False})
+    assert found["error"] == "Parse error"
+    assert any("'KHR_mesh_quantization' is not supported" in line for line in found["said"])
 
 
 def test_a_surface_without_a_bake_is_skinned_beside_one_that_is_lit(stage: Stage) -> None:

@@ -90,7 +90,12 @@ func _show(asked: Dictionary) -> Dictionary:
 		_scene.queue_free()
 	var document := GLTFDocument.new()
 	var state := GLTFState.new()
-	document.append_from_buffer(FileAccess.get_file_as_bytes(asked.path), "/", state)
+	var error := document.append_from_buffer(
+		FileAccess.get_file_as_bytes(asked.path), "/", state, asked.get("flags", 0)
+	)
+	if error != OK:
+		_scene = null
+		return {"error": error_string(error)}
 	_scene = document.generate_scene(state)
 	_joints = _names_of_joints(state)
 	var meshes := _meshes()
@@ -127,7 +132,12 @@ func _show(asked: Dictionary) -> Dictionary:
 		"report": _scene.get_node("Skinbake").report,
 		"world": _matrix(meshes[0].global_transform),
 		"skinned": _meshes().map(func(mesh: MeshInstance3D) -> bool: return mesh.skin != null),
+		"tangents": _meshes().map(_has_tangents),
 	}
+
+
+static func _has_tangents(mesh: MeshInstance3D) -> bool:
+	return mesh.mesh.get_surface_count() > 0 and mesh.mesh.surface_get_format(0) & Mesh.ARRAY_FORMAT_TANGENT
 
 
 ## What the modes of materials act on: walls before and behind the mesh, ambient light and fog.

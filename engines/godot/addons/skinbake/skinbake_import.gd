@@ -83,9 +83,11 @@ func _record(state: GLTFState, surface: Surface, primitive: Dictionary, note: Di
 	if int(note["influences"]) > 4:
 		return {"why": "it has %d influences per vertex, and a shader of Godot reads four: bake with "
 			% int(note["influences"]) + "--limit-influences 4"}
-	if note["frame"] == "tangent" and surface.array(Mesh.ARRAY_TANGENT) == null:
+	# Not those of the surface alone: Godot makes tangents where a file has none, and they lie otherwise.
+	var has_tangents: bool = primitive["attributes"].has("TANGENT") and surface.array(Mesh.ARRAY_TANGENT) != null
+	if note["frame"] == "tangent" and not has_tangents:
 		return {"why": "its α and β are along TANGENT, which it has not" + REPAIR}
-	if surface.array(Mesh.ARRAY_NORMAL) == null:
+	if not primitive["attributes"].has("NORMAL") or surface.array(Mesh.ARRAY_NORMAL) == null:
 		return {"why": "it has no NORMAL" + REPAIR}
 	var stored := Stored.read(state, surface, primitive, note)
 	if stored.why != "":
@@ -197,6 +199,10 @@ class Stored:
 		else:
 			found.alpha = pieces[0].to_float32_array()
 			found.beta = pieces[1].to_float32_array()
+		# Godot would refuse the surface, and the mesh would be empty.
+		var size := surface.count() * (3 if found.format == Mesh.ARRAY_CUSTOM_RGB_FLOAT else 4)
+		if found.alpha.size() != size or found.beta.size() != size:
+			found.why = "Godot has changed the number of its vertices in a way that this add-on does not know"
 		return found
 
 	## The elements of an attribute for the vertices that Godot has kept, tightly packed.
@@ -238,7 +244,11 @@ class Stored:
 		var found := PackedInt32Array()
 		if surface.count() == count:
 			return found
+		if not primitive.has("indices"):
+			return _merged(surface, count)
 		var accessor: GLTFAccessor = state.accessors[int(primitive["indices"])]
+		if accessor.sparse_count > 0 or accessor.buffer_view < 0:
+			return found
 		var view: GLTFBufferView = state.buffer_views[accessor.buffer_view]
 		var data := view.load_buffer_view_data(state)
 		var used := {}
@@ -252,6 +262,18 @@ class Stored:
 					used[data.decode_u32(accessor.byte_offset + 4 * corner)] = true
 		found.append_array(PackedInt32Array(used.keys()))
 		found.sort()
+		return found
+
+	## In a strip without indices Godot makes equal vertices one. Its indices say which ones: an index for each vertex
+	## of the file.
+	static func _merged(surface: Surface, count: int) -> PackedInt32Array:
+		var found := PackedInt32Array()
+		var indices: Variant = surface.array(Mesh.ARRAY_INDEX)
+		if indices == null or indices.size() != count:
+			return found
+		found.resize(surface.count())
+		for vertex in range(count - 1, -1, -1):
+			found[indices[vertex]] = vertex
 		return found
 
 	func _assemble(pieces: Array[PackedByteArray]) -> void:
