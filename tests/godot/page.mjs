@@ -17,7 +17,8 @@ for (const start = performance.now(); !window.isStarted; await frame()) {
 }
 
 // Show a file, and return the answer of main.gd, the draws of one frame, and what Godot has said. Options: url, and
-// those of main.gd; isDrawn: false skips the draws, isPictured adds the picture.
+// those of main.gd; isDrawn: false skips the draws, isPictured adds the picture. later: changes of the running scene,
+// each after two frames. The draws are those of the very frame after the last one.
 window.shown = async (options) => {
     said.length = 0;
     engine.copyToFS('/model.glb', await (await fetch(options.url)).arrayBuffer());
@@ -25,14 +26,18 @@ window.shown = async (options) => {
     if (options.isDrawn === false) return { ...JSON.parse(window.answer), said: [...said] };
     // Godot fills the joint texture at the end of a frame, and uses its copy in the next.
     for (let i = 0; i < 2; i++) await frame();
+    for (const change of options.later ?? []) {
+        for (let i = 0; i < 2; i++) await frame();
+        window.change(change);
+    }
     CAPTURE.draws = [];
     CAPTURE.on = true;
     await frame();
     CAPTURE.on = false;
     const draws = CAPTURE.draws.map(({ name, values }) => ({ name, values: encoded(values) }));
     const picture = options.isPictured ? await pictured() : '';
-    window.bound();
-    return { ...JSON.parse(window.answer), bounds: JSON.parse(window.bounds), draws, picture, said: [...said] };
+    window.look();
+    return { ...JSON.parse(window.answer), ...JSON.parse(window.seen), draws, picture, said: [...said] };
 };
 
 // The pixels of the canvas must be read in the frame that draws them.

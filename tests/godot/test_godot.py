@@ -98,6 +98,14 @@ UNSEEN: list[dict[str, object]] = [
 """The last changes nothing in the Compatibility renderer."""
 
 
+WHITE, RED, GREEN, BLUE = (
+    f"({rgb}, 1.0)" for rgb in ("1.0, 1.0, 1.0", "1.0, 0.0, 0.0", "0.0, 1.0, 0.0", "0.0, 0.0, 1.0")
+)
+OWN = "(0.9063, 0.68, 0.5657, 1.0)"
+"""The colour of the fixture's material, in sRGB."""
+NONE = "<null>"
+
+
 def worded(properties: dict[str, object]) -> str:
     return ", ".join(f"{name} {value}" for name, value in properties.items())
 
@@ -333,6 +341,132 @@ def test_undone_the_mesh_is_skinned_and_lit_by_godot(stage: Stage) -> None:
 def test_a_shader_of_one_s_own_skins_by_the_include(stage: Stage) -> None:
     character = stage.character(TUBE, BENT)
     assert_accurate(character, stage.show(character, material="own"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "colours"),
+    [
+        ("paint", [RED]),
+        ("paint_late", [RED]),
+        ("paint unpaint", [OWN]),
+        ("unpaint repaint", [RED]),
+        ("scatter paint", [RED]),
+        ("override lay_bare", [WHITE]),
+        ("overlay lay_bare", [WHITE]),
+        ("paint apply", [RED]),
+        ("reskin", [WHITE]),
+        ("stow", [RED]),
+        # What a game has given to a copy stays.
+        ("tint flash unflash", [BLUE]),
+        ("unpaint tint paint unpaint", [BLUE]),
+        ("tint override lay_bare", [BLUE]),
+        ("tint outline", [BLUE, GREEN]),
+        ("tint outline overlay lay_bare", [BLUE, GREEN]),
+        ("outline apply", [WHITE, GREEN]),
+    ],
+)
+def test_materials_that_a_game_sets_are_lit_in_the_next_frame(
+    stage: Stage, changes: str, colours: list[str]
+) -> None:
+    character = stage.character(TUBE, BENT)
+    found = stage.show(character, later=changes.split())
+    assert found["passes"] == colours
+    assert {entry["lighting"] for entry in found["report"]} == {"accurate"}
+    assert found["skinned"] == [False]
+    drawn = drawn_vectors(found)
+    assert len(drawn) == len(colours)
+    for one in drawn:
+        assert largest(one, expected(as_stored(character), found)) < DEGREES
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ("scatter", 'its material "skin" has subsurface scattering'),
+        ("override", "material_override is set"),
+        ("overlay", "material_overlay is set"),
+        ("reshade", 'its shader "" does not include'),
+        ("swap_mesh", "its mesh was replaced by one that is not baked"),
+        ("lose_gradients", "surface 0 has lost α and β"),
+    ],
+)
+def test_what_a_game_does_to_a_lit_mesh_is_standard_in_the_next_frame_and_named(
+    stage: Stage, change: str, reason: str
+) -> None:
+    character = stage.character(TUBE, BENT)
+    found = stage.show(character, later=[change])
+    (entry,) = found["report"]
+    assert (entry["mesh"], entry["lighting"]) == ("Skeleton3D/tube", "standard")
+    assert entry["reason"].startswith(reason)
+    assert len([line for line in found["said"] if f"stays standard: {reason}" in line]) == 1
+    assert_standard(character, found)
+
+
+@pytest.mark.parametrize(
+    ("changes", "keeps", "colours"),
+    [
+        ("paint dispose", True, [RED]),
+        ("paint apply dispose", True, [RED]),
+        ("paint_own dispose", True, [NONE]),
+        ("paint unpaint dispose", True, [OWN]),
+        ("tint outline dispose", False, [WHITE, GREEN]),
+        ("free_node", False, [WHITE]),
+        ("paint free_node", True, [RED]),
+        ("free_dropped_node", False, [WHITE]),
+    ],
+)
+def test_undone_a_mesh_keeps_the_materials_that_a_game_has_set(
+    stage: Stage, changes: str, keeps: bool, colours: list[str]
+) -> None:
+    """Also when the node is freed alone. A next pass that was set on a copy is on a duplicate then."""
+    character = stage.character(TUBE, BENT)
+    found = stage.show(character, later=changes.split())
+    assert (found["report"], found["said"]) == ([], [])
+    assert (found["keeps"], found["passes"]) == (keeps, colours)
+    assert len(drawn_vectors(found)) == len(colours)
+    assert_standard(character, found)
+
+
+def assert_standard(character: Character, found: dict[str, Any]) -> None:
+    """Every draw is what Godot's own skinning gives, which rounds normals before and after."""
+    assert found["skinned"] == [True]
+    drawn = drawn_vectors(found)
+    assert drawn
+    for one in drawn:
+        assert largest(one, expected(character, found, Algorithm.LBS_APPROXIMATED)) < 5 * DEGREES
+
+
+def test_a_shader_of_one_s_own_leaves_what_godot_has_skinned(stage: Stage) -> None:
+    character = stage.character(TUBE, BENT)
+    found = stage.show(character, material="own", isStandard=True, isLit=True, isShadowed=True)
+    points = character.positions(placement_of(found))
+    depths = [draw["values"] for draw in found["draws"] if draw["name"] == "gl_Position"]
+    assert depths
+    for values in depths:
+        drawn = floats(values, 4)
+        assert np.ptp(drawn[:, :2], axis=0).min() > 0.01
+        assert misfit(points, drawn) < 1e-4 * misfit(np.asarray(character.rest.positions, np.float64), drawn)
+
+
+def test_a_mesh_that_was_moved_away_is_skinned_by_godot(stage: Stage) -> None:
+    """Its place in the scene is taken by a copy, which the node does not know."""
+    character = stage.character(TUBE, BENT)
+    found = stage.show(character, later=["leave"])
+    assert (found["report"], found["said"]) == ([], [])
+    assert found["isLeftSkinned"]
+    there, moved = sorted(
+        drawn_vectors(found), key=lambda one: largest(one, expected(as_stored(character), found))
+    )
+    assert largest(there, expected(as_stored(character), found)) < DEGREES
+    assert largest(moved, expected(character, found, Algorithm.LBS_APPROXIMATED)) < 5 * DEGREES
+
+
+def test_a_mesh_that_was_freed_leaves_the_report(stage: Stage) -> None:
+    character = stage.character(TUBE, BENT)
+    assert len(stage.show(character, later=["twin"])["report"]) == 2
+    found = stage.show(character, later=["twin", "free_twin"])
+    assert_accurate(character, found)
+    assert len(found["report"]) == 1
 
 
 @pytest.mark.parametrize(

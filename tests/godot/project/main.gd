@@ -1,6 +1,6 @@
 extends Node3D
 ## Shows baked files as the page asks: window.show(words) loads one, poses it, and answers in window.answer.
-## window.bound() answers in window.bounds.
+## window.change(name) changes the running scene as a game may. window.look() answers in window.seen.
 
 const Importer := preload("res://addons/skinbake/skinbake_import.gd")
 const Materials := preload("res://addons/skinbake/skinbake_material.gd")
@@ -58,6 +58,11 @@ var _joints := PackedStringArray()
 var _camera := Camera3D.new()
 var _light := DirectionalLight3D.new()
 var _furniture: Array[Node] = []
+## The last material that a change has set.
+var _given: Material
+var _before: Material
+## A mesh that has left the scene.
+var _left: MeshInstance3D
 var _window := JavaScriptBridge.get_interface("window")
 
 
@@ -69,7 +74,7 @@ func _ready() -> void:
 	_light.rotation = Vector3(-0.4, 0.6, 0.0)
 	_light.directional_shadow_mode = DirectionalLight3D.SHADOW_ORTHOGONAL
 	add_child(_light)
-	for name: String in ["show", "bound"]:
+	for name: String in ["show", "change", "look"]:
 		_callbacks.append(JavaScriptBridge.create_callback(Callable(self, "_on_" + name)))
 		_window[name] = _callbacks[-1]
 	_window.isStarted = true
@@ -79,9 +84,42 @@ func _on_show(arguments: Array) -> void:
 	_window.answer = JSON.stringify(_show(JSON.parse_string(arguments[0])))
 
 
-func _on_bound(_arguments: Array) -> void:
+func _on_change(arguments: Array) -> void:
+	call("_" + arguments[0], _meshes()[0])
+
+
+func _on_look(_arguments: Array) -> void:
 	var box: AABB = _meshes()[0].custom_aabb
-	_window.bounds = JSON.stringify([_numbers(box.position), _numbers(box.end)])
+	var seen := _told()
+	seen.bounds = [_numbers(box.position), _numbers(box.end)]
+	seen.keeps = _meshes()[0].get_surface_override_material(0) == _given
+	seen.isLeftSkinned = is_instance_valid(_left) and _left.skin != null
+	seen.passes = _colours(_meshes()[0].get_active_material(0))
+	_window.seen = JSON.stringify(seen)
+
+
+func _told() -> Dictionary:
+	return {
+		"report": _scene.get_node("Skinbake").report if _scene.has_node("Skinbake") else [],
+		"skinned": _meshes().map(func(mesh: MeshInstance3D) -> bool: return mesh.skin != null),
+		"tangents": _meshes().map(_has_tangents),
+	}
+
+
+static func _has_tangents(mesh: MeshInstance3D) -> bool:
+	return mesh.mesh.get_surface_count() > 0 and mesh.mesh.surface_get_format(0) & Mesh.ARRAY_FORMAT_TANGENT
+
+
+## The colour of a material and of its next passes.
+static func _colours(material: Material) -> Array[String]:
+	var found: Array[String] = []
+	while material != null:
+		if material is ShaderMaterial:
+			found.append(str(material.get_shader_parameter(&"albedo")))
+		else:
+			found.append(str(material.albedo_color))
+		material = material.next_pass
+	return found
 
 
 func _show(asked: Dictionary) -> Dictionary:
@@ -128,16 +166,9 @@ func _show(asked: Dictionary) -> Dictionary:
 	_light.visible = asked.get("isLit", false)
 	_light.shadow_enabled = asked.get("isShadowed", false)
 	_furnish(asked.get("isFurnished", false))
-	return {
-		"report": _scene.get_node("Skinbake").report,
-		"world": _matrix(meshes[0].global_transform),
-		"skinned": _meshes().map(func(mesh: MeshInstance3D) -> bool: return mesh.skin != null),
-		"tangents": _meshes().map(_has_tangents),
-	}
-
-
-static func _has_tangents(mesh: MeshInstance3D) -> bool:
-	return mesh.mesh.get_surface_count() > 0 and mesh.mesh.surface_get_format(0) & Mesh.ARRAY_FORMAT_TANGENT
+	var told := _told()
+	told.world = _matrix(meshes[0].global_transform)
+	return told
 
 
 ## What the modes of materials act on: walls before and behind the mesh, ambient light and fog.
@@ -251,6 +282,145 @@ func _overlay(mesh: MeshInstance3D) -> void:
 	mesh.material_overlay = _plain()
 
 
+## What a game may do to a mesh that is lit.
+func _paint(mesh: MeshInstance3D) -> void:
+	_given = _coloured(Color.RED)
+	mesh.set_surface_override_material(0, _given)
+
+
+## Paint it in the last moment of a frame in which scripts run.
+func _paint_late(mesh: MeshInstance3D) -> void:
+	create_tween().tween_callback(_paint.bind(mesh))
+
+
+func _unpaint(mesh: MeshInstance3D) -> void:
+	_given = null
+	mesh.set_surface_override_material(0, null)
+
+
+func _repaint(mesh: MeshInstance3D) -> void:
+	mesh.mesh.surface_set_material(0, _coloured(Color.RED))
+
+
+func _scatter(mesh: MeshInstance3D) -> void:
+	_given = _scattering()
+	mesh.set_surface_override_material(0, _given)
+
+
+func _paint_own(mesh: MeshInstance3D) -> void:
+	_given = _own()
+	mesh.set_surface_override_material(0, _given)
+
+
+## Paint it, and later give it the copy back that it had before.
+func _flash(mesh: MeshInstance3D) -> void:
+	_before = mesh.get_surface_override_material(0)
+	_paint(mesh)
+
+
+func _unflash(mesh: MeshInstance3D) -> void:
+	mesh.set_surface_override_material(0, _before)
+
+
+## Paint it while it is out of the tree, and a frame is drawn.
+func _stow(mesh: MeshInstance3D) -> void:
+	var skeleton := mesh.get_parent()
+	skeleton.remove_child(mesh)
+	_paint(mesh)
+	RenderingServer.frame_pre_draw.emit()
+	skeleton.add_child(mesh)
+
+
+## Take it out of the scene, and paint it: nothing lights it there.
+func _leave(mesh: MeshInstance3D) -> void:
+	var skeleton := mesh.get_parent()
+	mesh.add_sibling(mesh.duplicate())
+	mesh.reparent(self)
+	_paint(mesh)
+	mesh.skeleton = mesh.get_path_to(skeleton)
+	_scene.tree_exited.connect(mesh.queue_free)
+	_left = mesh
+
+
+## Give it its skin and its skeleton again, and so have Godot skin it too.
+func _reskin(mesh: MeshInstance3D) -> void:
+	var skeleton: Skeleton3D = _scene.find_children("*", "Skeleton3D", true, false)[0]
+	mesh.skin = mesh.get_meta(&"skinbake_before").skin
+	mesh.skeleton = mesh.get_path_to(skeleton)
+
+
+func _tint(mesh: MeshInstance3D) -> void:
+	mesh.get_active_material(0).set_shader_parameter(&"albedo", Color.BLUE)
+
+
+func _outline(mesh: MeshInstance3D) -> void:
+	mesh.get_active_material(0).next_pass = _coloured(Color.GREEN)
+
+
+func _reshade(mesh: MeshInstance3D) -> void:
+	mesh.get_active_material(0).shader = _foreign().shader
+
+
+func _lay_bare(mesh: MeshInstance3D) -> void:
+	mesh.material_override = null
+	mesh.material_overlay = null
+
+
+func _lose_gradients(mesh: MeshInstance3D) -> void:
+	var made := ArrayMesh.new()
+	made.resource_name = mesh.mesh.resource_name
+	var arrays := mesh.mesh.surface_get_arrays(0)
+	for kind: int in [Mesh.ARRAY_CUSTOM0, Mesh.ARRAY_CUSTOM1, Mesh.ARRAY_CUSTOM2]:
+		arrays[kind] = null
+	made.add_surface_from_arrays(Mesh.PRIMITIVE_TRIANGLES, arrays)
+	mesh.mesh = made
+
+
+func _swap_mesh(mesh: MeshInstance3D) -> void:
+	var made := mesh.mesh.duplicate()
+	made.resource_name = "another"
+	mesh.mesh = made
+
+
+func _apply(_mesh: MeshInstance3D) -> void:
+	_scene.get_node("Skinbake").apply()
+
+
+func _dispose(_mesh: MeshInstance3D) -> void:
+	_scene.get_node("Skinbake").dispose()
+
+
+func _free_node(_mesh: MeshInstance3D) -> void:
+	_scene.get_node("Skinbake").free()
+
+
+func _drop_node(_mesh: MeshInstance3D) -> void:
+	_scene.remove_child(_scene.get_node("Skinbake"))
+
+
+func _free_dropped_node(mesh: MeshInstance3D) -> void:
+	var node := _scene.get_node("Skinbake")
+	_scene.remove_child(node)
+	node.free()
+
+
+func _free_twin(mesh: MeshInstance3D) -> void:
+	mesh.get_node("../twin").free()
+
+
+func _twin(mesh: MeshInstance3D) -> void:
+	var twin: MeshInstance3D = mesh.duplicate()
+	twin.name = "twin"
+	mesh.add_sibling(twin)
+	_apply(mesh)
+
+
+static func _coloured(colour: Color) -> StandardMaterial3D:
+	var material := StandardMaterial3D.new()
+	material.albedo_color = colour
+	return material
+
+
 ## Put another character below this one, with a mesh of the same name. It is lit by its own node.
 func _nest(mesh: MeshInstance3D) -> void:
 	var rider := _scene.duplicate()
@@ -288,7 +458,7 @@ func _vary(mesh: MeshInstance3D) -> void:
 
 func _copy(mesh: MeshInstance3D, material: Material) -> void:
 	mesh.set_surface_override_material(0, material)
-	var uniforms: Array = Materials.skinning(mesh, 0).material.shader.get_shader_uniform_list()
+	var uniforms: Array = Materials.skinning(mesh, 0, []).links[0].copy.shader.get_shader_uniform_list()
 	assert_equal(uniforms.any(func(uniform: Dictionary) -> bool: return uniform.name == "albedo"), true)
 
 

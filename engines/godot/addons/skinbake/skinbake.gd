@@ -7,6 +7,8 @@ extends Node
 ## [member report] says for each surface whether it is lit, and if not, why.
 
 const BEFORE := &"skinbake_before"
+## How many former copies serve again if a game comes back to their materials: they may have parameters of the game.
+const KEPT_COPIES := 8
 const Materials := preload("skinbake_material.gd")
 
 ## What the import knows of the baked meshes, by their resource names: a dictionary for each surface.
@@ -16,43 +18,173 @@ const Materials := preload("skinbake_material.gd")
 var report: Array[Dictionary] = []
 
 var _poses: Array[Pose] = []
+## By mesh, of those that are baked: what decides how it is drawn, as the last look at it has found it.
+var _seen: Dictionary = {}
+## By mesh: its entries of the report.
+var _entries: Dictionary = {}
+## By mesh: links of the copies that it had last, by surface.
+var _links: Dictionary = {}
+var _measured: Dictionary = {}
+var _warned: Dictionary = {}
 
 
 func _ready() -> void:
 	apply()
 
 
-## Light the scene, anew if it was lit before: after materials have changed, or skeletons.
+func _enter_tree() -> void:
+	# The last moment before a frame is drawn: a game changes materials also in callbacks of tweens and timers.
+	RenderingServer.frame_pre_draw.connect(_look)
+
+
+func _exit_tree() -> void:
+	RenderingServer.frame_pre_draw.disconnect(_look)
+
+
+func _notification(what: int) -> void:
+	# Freed alone, and not with its scene.
+	if what == NOTIFICATION_PREDELETE and (is_inside_tree() or get_parent() == null):
+		_stop()
+
+
+## Light the scene, anew if it was lit before: after properties of materials have changed, or skeletons.
 func apply() -> void:
 	dispose()
 	for mesh: MeshInstance3D in _baked_meshes():
-		_light(mesh)
-	for entry in report:
-		if entry.reason != "":
-			push_warning("skinbake: %s, surface %d, stays standard: %s" % [entry.mesh, entry.surface, entry.reason])
+		_light(mesh, [])
+	_tell()
 
 
-## Undo: Godot skins and lights the meshes again.
+## Undo: Godot skins and lights the meshes again. Materials that were set since then stay.
 func dispose() -> void:
+	_stop()
+	# Those of a copy of the scene, which has the materials of the original.
+	for mesh: MeshInstance3D in _baked_meshes():
+		_undo(mesh)
+
+
+func _stop() -> void:
 	for pose in _poses:
 		pose.stop()
 	_poses.clear()
+	for mesh in _seen:
+		if is_instance_valid(mesh) and _is_lit_here(mesh):
+			_undo(mesh)
+	_seen.clear()
+	_entries.clear()
+	_links.clear()
+	_measured.clear()
+	_warned.clear()
 	report.clear()
-	for mesh: MeshInstance3D in _baked_meshes():
-		# In the metadata of the mesh, so that a copy of the scene has it too.
-		if not mesh.has_meta(BEFORE):
+
+
+## Light those meshes anew that were given other materials, another mesh or another skeleton.
+func _look() -> void:
+	var is_changed := false
+	for mesh in _seen.keys():
+		if not is_instance_valid(mesh):
+			_forget(mesh)
+			is_changed = true
+		elif not mesh.is_inside_tree():
 			continue
-		var before: Dictionary = mesh.get_meta(BEFORE)
+		elif _state_of(mesh) != _seen[mesh]:
+			_renew(mesh)
+			is_changed = true
+	if is_changed:
+		_tell()
+
+
+func _renew(mesh: MeshInstance3D) -> void:
+	for pose in _poses:
+		pose.remove(mesh)
+	if (mesh != get_parent() and not get_parent().is_ancestor_of(mesh)) or not _is_own(mesh):
+		# It was moved away, perhaps below another character, whose node may light it.
+		if _is_lit_here(mesh):
+			_undo(mesh)
+		_forget(mesh)
+		return
+	var former: Array = _links.get(mesh, [])
+	var links := _undo(mesh)
+	for surface in links.size():
+		if surface < former.size():
+			links[surface].append_array(former[surface].slice(0, KEPT_COPIES))
+	_links[mesh] = former if links.is_empty() else links
+	_light(mesh, _links[mesh])
+
+
+func _is_lit_here(mesh: MeshInstance3D) -> bool:
+	return mesh.get_meta(BEFORE, {}).get("node") == get_instance_id()
+
+
+func _forget(mesh: Variant) -> void:
+	_seen.erase(mesh)
+	_entries.erase(mesh)
+	_links.erase(mesh)
+
+
+## Write the report, and a warning for each surface that stays standard, unless it was warned of.
+func _tell() -> void:
+	report.clear()
+	for entries: Array in _entries.values():
+		report.append_array(entries)
+	for entry in report:
+		if entry.reason == "":
+			continue
+		var text := "skinbake: %s, surface %d, stays standard: %s" % [entry.mesh, entry.surface, entry.reason]
+		if not _warned.has(text):
+			_warned[text] = true
+			push_warning(text)
+
+
+## Give a mesh back what it would have without this node, and return the links of its copies, by surface.
+static func _undo(mesh: MeshInstance3D) -> Array:
+	# In the metadata of the mesh, so that a copy of the scene has it too.
+	if not mesh.has_meta(BEFORE):
+		return []
+	var before: Dictionary = mesh.get_meta(BEFORE)
+	mesh.remove_meta(BEFORE)
+	# What is not as it was left was set since then, and stays.
+	if mesh.skin == null:
 		mesh.skin = before.skin
+	if mesh.skeleton.is_empty():
 		mesh.skeleton = before.skeleton
-		mesh.custom_aabb = before.custom_aabb
-		for surface in before.materials.size():
-			mesh.set_surface_override_material(surface, before.materials[surface])
-		mesh.remove_meta(BEFORE)
+	mesh.custom_aabb = before.custom_aabb
+	for surface in mesh.get_surface_override_material_count():
+		var material := mesh.get_surface_override_material(surface)
+		if surface < before.links.size() and material == before.links[surface][0].copy:
+			var original: Material = before.links[surface][0].source
+			material = Materials.as_set(before.links[surface])
+			if material == original:
+				material = before.materials[surface]
+		mesh.set_surface_override_material(surface, Materials.unlit(material))
+	return before.links
+
+
+## All that decides how a mesh is drawn and that a game may set: materials with their shaders and next passes, the
+## mesh itself, its skin and its skeleton.
+static func _state_of(mesh: MeshInstance3D) -> Array:
+	var found := [mesh.mesh, mesh.skin, mesh.skeleton, mesh.material_override, mesh.material_overlay]
+	for surface in mesh.get_surface_override_material_count():
+		_add_passes(found, mesh.mesh.surface_get_material(surface))
+		_add_passes(found, mesh.get_surface_override_material(surface))
+	for links: Array in mesh.get_meta(BEFORE, {}).get("links", []):
+		_add_passes(found, links[0].source)
+	return found
+
+
+static func _add_passes(found: Array, material: Material) -> void:
+	found.append(material)
+	while material != null:
+		if material is ShaderMaterial:
+			found.append(material.shader)
+		material = material.next_pass
+		found.append(material)
 
 
 func _baked_meshes() -> Array[Node]:
 	var scene := get_parent()
+	if scene == null:
+		return []
 	var found := scene.find_children("*", "MeshInstance3D", true, false)
 	if scene is MeshInstance3D:
 		found.push_front(scene)
@@ -71,36 +203,57 @@ func _is_own(node: Node) -> bool:
 	return true
 
 
-func _light(mesh: MeshInstance3D) -> void:
-	var surfaces: Array = records[mesh.mesh.resource_name]
+## Light a mesh, or note why it stays standard. former: links of copies that may serve again, by surface.
+func _light(mesh: MeshInstance3D, former: Array) -> void:
+	var surfaces: Array = [] if mesh.mesh == null else records.get(mesh.mesh.resource_name, [])
 	var skeleton := mesh.get_node_or_null(mesh.skeleton) as Skeleton3D
-	var materials: Array[ShaderMaterial] = []
+	var links: Array[Array] = []
 	var reasons := PackedStringArray()
 	var boxes: Array[AABB] = []
+	var hindrance := _hindrance(mesh, skeleton, surfaces)
 	for surface in surfaces.size():
-		var found := Materials.skinning(mesh, surface)
-		materials.append(found.material)
-		reasons.append(surfaces[surface].why if found.reason == "" else found.reason)
-	var hindrance := _hindrance(mesh, skeleton, surfaces, materials)
+		var why: String = surfaces[surface].why
+		if surface < mesh.get_surface_override_material_count():
+			var found := Materials.skinning(mesh, surface, former[surface] if surface < former.size() else [])
+			links.append(found.links)
+			why = why if found.reason == "" else found.reason
+			if hindrance == "" and found.reason != "":
+				hindrance = "the material of surface %d cannot skin" % surface
+		reasons.append(why)
 	if hindrance == "":
-		boxes = _boxes(mesh.mesh)
-		hindrance = _rescaled(mesh.mesh, surfaces)
-	for surface in surfaces.size():
-		var reason := hindrance if reasons[surface] == "" else reasons[surface]
+		# Once for each mesh: it reads the vertices back.
+		if not _measured.has(mesh.mesh):
+			_measured[mesh.mesh] = {"boxes": _boxes(mesh.mesh), "hindrance": _rescaled(mesh.mesh, surfaces)}
+		boxes = _measured[mesh.mesh].boxes
+		hindrance = _measured[mesh.mesh].hindrance
+	var entries: Array[Dictionary] = []
+	for surface in maxi(surfaces.size(), 1):
+		var reason := hindrance
+		if surface < reasons.size() and reasons[surface] != "":
+			reason = reasons[surface]
 		var lighting := "accurate" if reason == "" else "standard"
-		report.append({"mesh": _name(mesh), "surface": surface, "lighting": lighting, "reason": reason})
-	if hindrance != "":
-		return
+		entries.append({"mesh": _name(mesh), "surface": surface, "lighting": lighting, "reason": reason})
+	_entries[mesh] = entries
+	if hindrance == "":
+		_skin(mesh, skeleton, surfaces, links, boxes)
+	_seen[mesh] = _state_of(mesh)
+
+
+func _skin(
+	mesh: MeshInstance3D, skeleton: Skeleton3D, surfaces: Array, links: Array[Array], boxes: Array[AABB]
+) -> void:
 	var own: Array[Material] = []
-	for surface in materials.size():
+	for surface in surfaces.size():
 		own.append(mesh.get_surface_override_material(surface))
 	mesh.set_meta(BEFORE, {
-		"skin": mesh.skin, "skeleton": mesh.skeleton, "custom_aabb": mesh.custom_aabb, "materials": own
+		"skin": mesh.skin, "skeleton": mesh.skeleton, "custom_aabb": mesh.custom_aabb, "materials": own,
+		"links": links, "node": get_instance_id()
 	})
 	var pose := _pose_of(skeleton, mesh.skin)
-	for surface in materials.size():
-		_set_parameters(materials[surface], surfaces[surface], pose.texture)
-		mesh.set_surface_override_material(surface, materials[surface])
+	for surface in surfaces.size():
+		for link: Dictionary in links[surface]:
+			_set_parameters(link.copy, surfaces[surface], pose.texture)
+		mesh.set_surface_override_material(surface, links[surface][0].copy)
 	# Without a skin: Godot's own skinning would come first, and take the joints and weights away.
 	mesh.skin = null
 	mesh.skeleton = NodePath()
@@ -108,21 +261,26 @@ func _light(mesh: MeshInstance3D) -> void:
 
 
 ## Why none of the surfaces of a mesh can be skinned by a shader, "" if they can. Godot skins a mesh as a whole.
-func _hindrance(
-	mesh: MeshInstance3D, skeleton: Skeleton3D, surfaces: Array, materials: Array[ShaderMaterial]
-) -> String:
+func _hindrance(mesh: MeshInstance3D, skeleton: Skeleton3D, surfaces: Array) -> String:
+	if surfaces.is_empty():
+		return "its mesh was replaced by one that is not baked"
+	if mesh.mesh.get_surface_count() != surfaces.size():
+		return "its mesh has %d surfaces, and %d in the file" % [mesh.mesh.get_surface_count(), surfaces.size()]
 	if skeleton == null or mesh.skin == null:
 		return "the mesh has no skeleton"
 	if mesh.material_override != null:
 		return "material_override is set: take surface_material_override"
 	if mesh.material_overlay != null:
 		return "material_overlay is set, and would not be skinned: take next_pass of the materials"
-	for surface in materials.size():
-		if materials[surface] == null:
-			return "the material of surface %d cannot skin" % surface
+	for surface in surfaces.size():
 		var format: int = mesh.mesh.surface_get_format(surface)
 		if format & Mesh.ARRAY_FLAG_USE_8_BONE_WEIGHTS or not format & Mesh.ARRAY_FORMAT_BONES:
 			return "surface %d has not four influences per vertex" % surface
+		var baked := Mesh.ARRAY_FORMAT_CUSTOM0 | Mesh.ARRAY_FORMAT_CUSTOM1
+		if surfaces[surface].get("skinbake_keeps_frame", false):
+			baked |= Mesh.ARRAY_FORMAT_CUSTOM2
+		if surfaces[surface].why == "" and format & baked != baked:
+			return "surface %d has lost α and β, which were CUSTOM0 to CUSTOM2: its mesh was made anew" % surface
 	if surfaces.all(func(record: Dictionary) -> bool: return record.why != ""):
 		return "nothing of it can be lit"
 	return ""
@@ -155,13 +313,12 @@ static func _boxes(mesh: Mesh) -> Array[AABB]:
 
 
 func _set_parameters(material: ShaderMaterial, record: Dictionary, joints: Texture2D) -> void:
-	while material != null:
-		material.set_shader_parameter(&"skinbake_joints", joints)
-		# Without α and β the sums that they scale are 0, and the surface is skinned as Godot would.
-		material.set_shader_parameter(&"skinbake_scale", record.get("skinbake_scale", 0.0))
-		for name: StringName in [&"skinbake_has_tangent_frame", &"skinbake_keeps_frame", &"skinbake_is_morphed"]:
-			material.set_shader_parameter(name, record.get(name, false))
-		material = material.next_pass as ShaderMaterial
+	material.set_shader_parameter(Materials.IS_LIT, true)
+	material.set_shader_parameter(Materials.JOINTS, joints)
+	# Without α and β the sums that they scale are 0, and the surface is skinned as Godot would.
+	material.set_shader_parameter(&"skinbake_scale", record.get("skinbake_scale", 0.0))
+	for name: StringName in [&"skinbake_has_tangent_frame", &"skinbake_keeps_frame", &"skinbake_is_morphed"]:
+		material.set_shader_parameter(name, record.get(name, false))
 
 
 func _pose_of(skeleton: Skeleton3D, skin: Skin) -> Pose:
@@ -183,9 +340,12 @@ class Pose:
 	var skin: Skin
 	var texture: ImageTexture
 
+	# Keeps Godot's own joint matrices up to date, for the frame in which a mesh is given its skin back.
+	var _reference: SkinReference
 	var _bones := PackedInt32Array()
 	var _values := PackedFloat32Array()
-	var _meshes: Dictionary[MeshInstance3D, Array] = {}
+	var _matrices: Array[Transform3D] = []
+	var _meshes: Dictionary = {}
 
 	func _init(of: Skeleton3D, by: Skin) -> void:
 		skeleton = of
@@ -195,11 +355,17 @@ class Pose:
 			_bones.append(skin.get_bind_bone(bind) if name.is_empty() else skeleton.find_bone(name))
 		_values.resize(12 * _bones.size())
 		texture = ImageTexture.create_from_image(_image())
+		_reference = skeleton.register_skin(skin)
 		skeleton.skeleton_updated.connect(update)
+		update()
 
 	func add(mesh: MeshInstance3D, boxes: Array[AABB]) -> void:
 		_meshes[mesh] = boxes
-		update()
+		# Not by the bones, which have no modifiers now: they have them while skeleton_updated is emitted.
+		mesh.custom_aabb = _bounds(_matrices, boxes)
+
+	func remove(mesh: MeshInstance3D) -> void:
+		_meshes.erase(mesh)
 
 	func stop() -> void:
 		if is_instance_valid(skeleton):
@@ -207,12 +373,12 @@ class Pose:
 
 	## Fill the texture, three rows of a matrix for each joint, and move the bounding boxes.
 	func update() -> void:
-		var matrices: Array[Transform3D] = []
+		_matrices.clear()
 		for bind in _bones.size():
 			var pose := Transform3D.IDENTITY
 			if _bones[bind] >= 0:
 				pose = skeleton.get_bone_global_pose(_bones[bind]) * skin.get_bind_pose(bind)
-			matrices.append(pose)
+			_matrices.append(pose)
 			for row in 3:
 				var at := 12 * bind + 4 * row
 				_values[at] = pose.basis.x[row]
@@ -220,9 +386,9 @@ class Pose:
 				_values[at + 2] = pose.basis.z[row]
 				_values[at + 3] = pose.origin[row]
 		texture.update(_image())
-		for mesh: MeshInstance3D in _meshes:
+		for mesh in _meshes:
 			if is_instance_valid(mesh):
-				mesh.custom_aabb = _bounds(matrices, _meshes[mesh])
+				mesh.custom_aabb = _bounds(_matrices, _meshes[mesh])
 
 	func _image() -> Image:
 		return Image.create_from_data(3, _bones.size(), false, Image.FORMAT_RGBAF, _values.to_byte_array())

@@ -2,7 +2,8 @@ extends RefCounted
 ## Copies of materials that skin: standard materials as variants of one shader, others if they include it.
 
 const PATH := "res://addons/skinbake/"
-const JOINTS := "skinbake_joints"
+const JOINTS := &"skinbake_joints"
+const IS_LIT := &"skinbake_is_lit"
 
 ## Features of standard materials that the shader has not.
 const FEATURES := {
@@ -51,44 +52,95 @@ const CHANNELS := [
 static var _shaders: Dictionary[String, Shader] = {}
 
 
-## The result for one material: a ShaderMaterial, or the reason why there is none.
+static var _default := StandardMaterial3D.new()
+
+
+## The result for one material: links for it and its next passes, or the reason why there are none. A link has the
+## source, the copy that skins, and the shader of the copy.
 class Result:
-	var material: ShaderMaterial
+	var links: Array[Dictionary] = []
 	var reason := ""
 
 
-## Make a copy of the material of a surface that skins.
-static func skinning(mesh: MeshInstance3D, surface: int) -> Result:
+## Make a copy of the material of a surface that skins. Copies of the same sources in former links serve again.
+static func skinning(mesh: MeshInstance3D, surface: int, former: Array) -> Result:
 	var material := mesh.get_surface_override_material(surface)
 	if material == null:
 		material = mesh.mesh.surface_get_material(surface)
-	if material == null:
-		material = StandardMaterial3D.new()
-	return _copy(material)
-
-
-static func _copy(material: Material) -> Result:
 	var found := Result.new()
+	_add_link(found, _default if material == null else material, former)
+	return found
+
+
+## What a game has made of copies: the source of the first, if it has left them all alone. Next passes that it has
+## set on a copy are put on a duplicate of the source, which is the new source then.
+static func as_set(links: Array, at := 0) -> Material:
+	var link: Dictionary = links[at]
+	if link.copy.shader != link.shader:
+		return link.copy
+	var next: Material = link.copy.next_pass
+	var following: Dictionary = links[at + 1] if at + 1 < links.size() else {}
+	if next == following.get("copy"):
+		if next == null:
+			return link.source
+		var source: Material = following.source
+		next = as_set(links, at + 1)
+		if next == source:
+			return link.source
+	link.source = link.source.duplicate()
+	link.source.next_pass = next
+	return link.source
+
+
+## A material for Godot's own skinning. What a game has set may be a copy that skins, of this mesh or another one.
+static func unlit(material: Material) -> Material:
+	if material == null:
+		return null
+	var next := unlit(material.next_pass)
+	var is_lit: bool = material is ShaderMaterial and material.get_shader_parameter(IS_LIT) == true
+	if next == material.next_pass and not is_lit:
+		return material
+	var found: Material = material.duplicate()
+	found.next_pass = next
+	if is_lit:
+		found.set_shader_parameter(IS_LIT, false)
+	return found
+
+
+static func _add_link(found: Result, material: Material, former: Array) -> void:
+	var copy: ShaderMaterial
 	if material is ShaderMaterial:
 		if not _skins(material):
 			found.reason = ("its shader %s does not include %sskinbake.gdshaderinc, or does not call skinbake_vertex()"
 				% [_called(material), PATH])
-			return found
-		found.material = material.duplicate()
+			return
+		copy = _former(former, material, material.shader)
+		if copy == null:
+			copy = material.duplicate()
 	elif material is BaseMaterial3D:
 		found.reason = _missing(material)
 		if found.reason != "":
-			return found
-		found.material = _variant(material)
+			return
+		var shader := _variant(material)
+		copy = _former(former, material, shader)
+		if copy == null:
+			copy = _copied(material, shader)
 	else:
 		found.reason = "its material %s is a %s" % [_called(material), material.get_class()]
-		return found
+		return
+	found.links.append({"source": material, "copy": copy, "shader": copy.shader})
+	var count := found.links.size()
 	if material.next_pass != null:
-		var next := _copy(material.next_pass)
-		if next.material == null:
-			return next
-		found.material.next_pass = next.material
-	return found
+		_add_link(found, material.next_pass, former)
+	copy.next_pass = found.links[count].copy if count < found.links.size() else null
+
+
+## The copy of a material in former links. A game may have given it parameters.
+static func _former(former: Array, material: Material, shader: Shader) -> ShaderMaterial:
+	for link: Dictionary in former:
+		if link.source == material and link.copy.shader == shader:
+			return link.copy
+	return null
 
 
 static func _skins(material: ShaderMaterial) -> bool:
@@ -126,7 +178,7 @@ static func _missing(material: BaseMaterial3D) -> String:
 		% [_called(material), ", ".join(names)] + PATH + "skinbake.gdshaderinc")
 
 
-static func _variant(material: BaseMaterial3D) -> ShaderMaterial:
+static func _variant(material: BaseMaterial3D) -> Shader:
 	var code := "shader_type spatial;\nrender_mode %s;\n" % ", ".join(_modes(material))
 	for define: String in _defines(material):
 		code += "#define %s\n" % define
@@ -135,10 +187,14 @@ static func _variant(material: BaseMaterial3D) -> ShaderMaterial:
 	if not _shaders.has(code):
 		_shaders[code] = Shader.new()
 		_shaders[code].code = code
+	return _shaders[code]
+
+
+static func _copied(material: BaseMaterial3D, shader: Shader) -> ShaderMaterial:
 	var made := ShaderMaterial.new()
 	made.resource_name = material.resource_name
 	made.render_priority = material.render_priority
-	made.shader = _shaders[code]
+	made.shader = shader
 	_set_parameters(made, material)
 	return made
 
