@@ -62,6 +62,10 @@ def test_the_rust_lines_compile_and_add_the_attributes(
     is_next = choices.target == WESL
     exact = is_next and choices.frame == Frame.NORMAL
     first = 14 if is_next else 8
+    # The mesh with neither of the two is not baked: nothing is said of it.
+    reasons = ["it has no SkinbakeBeta", "it has no SkinbakeAlpha", *["its own are compressed"] * exact]
+    warning = "WARN skinbake: a baked mesh keeps Bevy's normals: "
+    assert process.stderr.splitlines() == [warning + reason for reason in reasons]
     assert process.stdout.splitlines() == [
         "with compressed normals: " + ("Bevy's own" if exact else "baked"),
         f"shaders/skinbake.{'wesl' if is_next else 'wgsl'}",

@@ -1,6 +1,14 @@
 //! What the Rust lines of the Bevy target name of Bevy 0.19: the same paths, names and signatures, and bodies
 //! that do just enough for `check.rs` to see what `specialize` does to a pipeline.
 
+pub mod log {
+    #[macro_export]
+    macro_rules! warn_ {
+        ($($words:tt)*) => { eprintln!("WARN {}", format_args!($($words)*)) };
+    }
+    pub use crate::warn_ as warn;
+}
+
 pub mod app {
     pub struct App;
     pub struct Update;
@@ -426,6 +434,7 @@ pub mod prelude {
     pub use crate::app::{App, DefaultPlugins, Plugin, PluginGroup, Update};
     pub use crate::asset::{Asset, Assets, Handle};
     pub use crate::ecs::{Commands, Component, Entity, Query, Res, ResMut, With};
+    pub use crate::log::warn;
     pub use crate::mesh::Mesh;
     pub use crate::pbr::{Material, MaterialPlugin, MeshMaterial3d, StandardMaterial};
     pub use crate::reflect::TypePath;
