@@ -39,7 +39,7 @@ from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray, Skinne
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
-from skinbake.gradients.baker import bake_mesh
+from skinbake.gradients.baker import bake_primitives
 from skinbake.lighting.baked_views import baked_views
 from skinbake.lighting.influences import normalised_weights
 from skinbake.lighting.metrics import vertex_areas
@@ -183,7 +183,7 @@ def grown(weights: Weights, columns: int, rows: int, *, gradients: Gradients = G
     """Bake a tube and measure it."""
     primitive, theta, height = tube(weights, columns, rows)
     settings = Baker().settings
-    ((baked, _),) = bake_mesh([primitive], settings, RIG if gradients is Gradients.RIG else None)
+    ((baked, _),) = bake_primitives([primitive], settings, RIG if gradients is Gradients.RIG else None)
     frame, matrices = rest_frame(primitive, settings.frame), bends()
     rest = RestSurface(
         positions=primitive.positions,

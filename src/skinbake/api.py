@@ -487,7 +487,7 @@ def weight_gradients(
 
     """
     from skinbake.gradients.assumptions import check_finite
-    from skinbake.gradients.baker import BakeSettings, bake_mesh
+    from skinbake.gradients.baker import BakeSettings, bake_primitives
     from skinbake.gradients.tangents import frame_vectors
 
     check_types(weight_gradients, {"crease_angle": crease_angle})
@@ -503,7 +503,7 @@ def weight_gradients(
     if settings.frame is FrameChoice.TANGENT and tangents is None:
         raise ValueError('frame is "tangent", and there are no tangents')
     primitive = _surface(positions, normals, triangles, joints, weights, tangents)
-    [(baked, findings)] = bake_mesh([primitive], settings)
+    [(baked, findings)] = bake_primitives([primitive], settings)
     check_finite(primitive, baked, Place("weight_gradients"))
     t0, b0 = frame_vectors(primitive, baked.frame)
     adopted = baked.adopted_joints

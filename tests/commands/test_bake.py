@@ -32,13 +32,13 @@ def test_a_surface_is_baked_once_and_once_more_for_the_cost_of_a_limit(
     options: dict[str, Any], bakes: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls: list[int] = []
-    original = baker.bake_mesh
+    original = baker.bake_primitives
 
     def counted(primitives: Sequence[Any], *how: Any) -> Any:
         calls.append(len(primitives))
         return original(primitives, *how)
 
-    monkeypatch.setattr(surface_bake, "bake_mesh", counted)
+    monkeypatch.setattr(surface_bake, "bake_primitives", counted)
     result = bake_file(str(FOLDER / "two_sets.glb"), str(tmp_path / "out.glb"), **options)
     assert result.status == "baked"
     assert len(calls) == bakes

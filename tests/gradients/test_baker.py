@@ -9,7 +9,7 @@ import pytest
 
 from skinbake.choices import FrameChoice
 from skinbake.geometry.skinned import SkinnedPrimitive
-from skinbake.gradients.baker import bake_mesh
+from skinbake.gradients.baker import bake_primitives
 from tests.support.baked_arrays import bake_one, meshes_of, path_of
 from tests.support.baking import bake_settings
 from tests.support.whole_fields import rest_frame
@@ -110,7 +110,7 @@ def test_findings_count_zero_normals_and_triangles_without_area_by_primitive() -
     second = replace(
         square(), tangents=None, normals=np.array([[0, 0, 1], [0, 0, 0], [0, 0, 0], [0, 0, 1.0]])
     )
-    [(_, one), (_, other)] = bake_mesh([first, second], bake_settings())
+    [(_, one), (_, other)] = bake_primitives([first, second], bake_settings())
     assert (one.degenerate_triangles, one.zero_normals) == (2, 0)
     assert (other.degenerate_triangles, other.zero_normals) == (0, 2)
 
@@ -130,7 +130,7 @@ def test_bake_leaves_its_input_alone() -> None:
     primitives = meshes_of(path_of("foreign_joints.glb"))[0]
     fields = ("positions", "normals", "joints", "weights", "triangles")
     copies = [[getattr(part, name).copy() for name in fields] for part in primitives]
-    bake_mesh(primitives, bake_settings())
+    bake_primitives(primitives, bake_settings())
     for part, before in zip(primitives, copies, strict=True):
         for name, values in zip(fields, before, strict=True):
             assert np.array_equal(getattr(part, name), values)

@@ -12,7 +12,7 @@ from skinbake.geometry.frames import unit_normals
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.gltf.animation import clip_poses, random_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
-from skinbake.gradients.baker import BakeSettings, bake_mesh
+from skinbake.gradients.baker import BakeSettings, bake_primitives
 from skinbake.lighting.influences import normalised_weights
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import gradient_operator
@@ -57,7 +57,7 @@ def skin_of(name: str) -> dict[int, int]:
 
 def rest_surfaces(primitives: Sequence[SkinnedPrimitive], settings: BakeSettings) -> list[RestSurface]:
     surfaces = []
-    for primitive, (baked, _) in zip(primitives, bake_mesh(primitives, settings), strict=True):
+    for primitive, (baked, _) in zip(primitives, bake_primitives(primitives, settings), strict=True):
         frame = rest_frame(primitive, baked.frame)
         adopted = baked.adopted_joints
         weights = normalised_weights(primitive.weights, primitive.joints)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pytest
 
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, SkinnedPrimitive
-from skinbake.gradients.baker import BakeFindings, bake_mesh
+from skinbake.gradients.baker import BakeFindings, bake_primitives
 from tests.support.baked_arrays import (
     AFRAME_HAND,
     BARBARIAN,
@@ -78,7 +78,7 @@ def _with_tangents(name: str) -> SkinnedPrimitive:
 
 @cache
 def baked(name: str) -> Outcomes:
-    return bake_mesh(mesh(name), bake_settings())
+    return bake_primitives(mesh(name), bake_settings())
 
 
 def tables(primitives: Sequence[SkinnedPrimitive], outcomes: Outcomes) -> list[npt.NDArray[np.float64]]:
@@ -127,7 +127,7 @@ def test_scaling_by_a_power_of_two_scales_every_bit_of_alpha_inversely(name: str
         scale = 2.0**exponent
         larger = [replace(part, positions=part.positions * scale) for part in mesh(name)]
         for (found, found_numbers), (expected, numbers) in zip(
-            bake_mesh(larger, bake_settings()), baked(name), strict=True
+            bake_primitives(larger, bake_settings()), baked(name), strict=True
         ):
             assert np.array_equal(found.alpha * np.float32(scale), expected.alpha)
             assert np.array_equal(found.beta * np.float32(scale), expected.beta)
@@ -141,7 +141,7 @@ def test_scaling_by_any_factor_scales_alpha_inversely(name: str, seed: int) -> N
     scale = float(10.0 ** np.random.default_rng(seed).uniform(-4.0, 4.0))
     primitives = mesh(name)
     larger = [replace(part, positions=part.positions * scale) for part in primitives]
-    outcomes = bake_mesh(larger, bake_settings())
+    outcomes = bake_primitives(larger, bake_settings())
     found = [table * scale for table in tables(larger, outcomes)]
     assert deviation(found, tables(primitives, baked(name))) < TOLERANCE
 
@@ -164,7 +164,7 @@ def test_a_rigid_motion_turns_the_gradients_with_the_mesh(name: str, seed: int) 
         )
         for part in primitives
     ]
-    outcomes = bake_mesh(moved, bake_settings())
+    outcomes = bake_primitives(moved, bake_settings())
     found = tangential_gradients(moved, outcomes)
     expected = [
         np.stack([rotated(joint, turn) for joint in np.moveaxis(values, 1, 0)], axis=1)
@@ -181,7 +181,7 @@ def test_a_rigid_motion_turns_the_gradients_with_the_mesh(name: str, seed: int) 
 def test_the_order_of_vertices_and_triangles_changes_nothing(name: str, seed: int) -> None:
     primitives = mesh(name)
     moved, orders, _ = zip(*(shuffled(part, seed) for part in primitives), strict=True)
-    outcomes = bake_mesh(moved, bake_settings())
+    outcomes = bake_primitives(moved, bake_settings())
     expected = [table[order] for table, order in zip(tables(primitives, baked(name)), orders, strict=True)]
     assert deviation(tables(moved, outcomes), expected) < TOLERANCE
     for (_, found), (_, numbers) in zip(outcomes, baked(name), strict=True):
@@ -191,7 +191,7 @@ def test_the_order_of_vertices_and_triangles_changes_nothing(name: str, seed: in
 
 @pytest.mark.parametrize("name", ["two_primitives.glb", BARBARIAN])
 def test_the_order_of_primitives_changes_nothing(name: str) -> None:
-    reverse = bake_mesh(mesh(name)[::-1], bake_settings())[::-1]
+    reverse = bake_primitives(mesh(name)[::-1], bake_settings())[::-1]
     for (found, _), (expected, _) in zip(reverse, baked(name), strict=True):
         largest = np.abs(expected.alpha).max()
         assert np.abs(found.alpha - expected.alpha).max() <= TOLERANCE * largest
@@ -202,7 +202,7 @@ def test_the_order_of_primitives_changes_nothing(name: str) -> None:
 def test_the_order_of_slots_changes_no_joints_gradient(name: str) -> None:
     primitives = mesh(name)
     moved = [reslotted(part, 7) for part in primitives]
-    outcomes = bake_mesh(moved, bake_settings())
+    outcomes = bake_primitives(moved, bake_settings())
     pairs = zip(primitives, moved, outcomes, baked(name), strict=True)
     for table, other, (part, turned, (found, numbers), (expected, own)) in zip(
         tables(primitives, baked(name)), tables(moved, outcomes), pairs, strict=True
@@ -234,7 +234,7 @@ def test_the_layout_of_arrays_in_memory_changes_nothing(
     fields = ("positions", "normals", "tangents", "joints", "weights", "triangles")
     changed: dict[str, Any] = {field: layout(getattr(part, field)) for field in fields}
     other = replace(part, **changed)
-    [(found, _)] = bake_mesh([other], bake_settings())
+    [(found, _)] = bake_primitives([other], bake_settings())
     [(expected, _)] = baked("random")
     assert np.array_equal(found.alpha, expected.alpha)
     assert np.array_equal(found.beta, expected.beta)

@@ -25,7 +25,7 @@ from skinbake.geometry.skinned import BakedPrimitive, Float64Array, FloatArray, 
 from skinbake.gltf.document import read_document
 from skinbake.gltf.rigs import rig_of_mesh
 from skinbake.gradients import by_numpy, kernel
-from skinbake.gradients.baker import BakeFindings, bake_mesh
+from skinbake.gradients.baker import BakeFindings, bake_primitives
 from skinbake.gradients.corner import WEIGHTINGS
 from skinbake.gradients.field import WeightDefects, concatenate_fields
 from skinbake.gradients.influences import weight_field
@@ -124,9 +124,9 @@ def assert_paths_agree(
         assert_zeros_have_no_sign(found, expected)
         off = np.abs(found - expected)[placed]
         assert off.max(initial=0.0) <= 2e-7 * np.abs(expected).max(initial=0.0)
-        assert np.array_equal(compiled.counts[:, :2], plain.counts[:, :2])
-        assert compiled.counts[:, 2] == pytest.approx(plain.counts[:, 2], rel=1e-9)
-        assert compiled.counts[:, 3] == pytest.approx(plain.counts[:, 3], rel=1e-6, abs=1e-9)
+        assert np.array_equal(compiled.sums[:, :2], plain.sums[:, :2])
+        assert compiled.sums[:, 2] == pytest.approx(plain.sums[:, 2], rel=1e-9)
+        assert compiled.sums[:, 3] == pytest.approx(plain.sums[:, 3], rel=1e-6, abs=1e-9)
     return np.asarray(expected, dtype=np.float64)
 
 
@@ -173,7 +173,7 @@ def assert_fits_agree(
         assert np.count_nonzero(~placed) <= len(placed) // 100
         off = np.abs(found - expected)[placed]
         assert off.max(initial=0.0) <= 1e-5 * np.abs(expected).max(initial=0.0)
-        assert np.array_equal(compiled.counts[:, :2], whole.counts[:, :2])
+        assert np.array_equal(compiled.sums[:, :2], whole.sums[:, :2])
         bent = bake(plain, weighting, adopt)
         if bent.alpha.any() and len(rig.parents) > 1:
             assert not np.array_equal(compiled.alpha, bent.alpha)
@@ -202,7 +202,7 @@ def test_positions_in_float64_give_the_same(name: str, monkeypatch: pytest.Monke
         wide = [replace(part, positions=part.positions.astype(np.float64)) for part in primitives]
         narrow = bake(surface_of(primitives))
         found = bake(surface_of(wide))
-        for member in ("alpha", "beta", "adopting", "adopted", "counts"):
+        for member in ("alpha", "beta", "adopting", "adopted", "sums"):
             assert np.array_equal(getattr(found, member), getattr(narrow, member))
         assert_paths_agree(wide, "max", monkeypatch)
 
@@ -221,8 +221,8 @@ def test_any_number_of_threads_bakes_the_same_bytes(name: str, monkeypatch: pyte
     for slots in found:
         for array in ("alpha", "beta", "adopting", "adopted"):
             assert getattr(slots, array).tobytes() == getattr(whole, array).tobytes(), array
-        assert slots.counts.tobytes() == found[0].counts.tobytes()
-        assert slots.counts == pytest.approx(whole.counts, rel=1e-12)
+        assert slots.sums.tobytes() == found[0].sums.tobytes()
+        assert slots.sums == pytest.approx(whole.sums, rel=1e-12)
     assert found[0].adopted.size or name != "foreign_joints.glb"
 
 
@@ -297,7 +297,7 @@ def test_without_any_optimisation_the_bits_are_the_same(
         with monkeypatch.context() as patch:
             patch.setattr(by_loops, "_kernel", other)
             found = bake(surface_of(primitives), weighting)
-        for member in ("alpha", "beta", "adopting", "adopted", "counts"):
+        for member in ("alpha", "beta", "adopting", "adopted", "sums"):
             assert np.array_equal(getattr(found, member), getattr(expected, member)), member
 
 
@@ -735,7 +735,7 @@ def test_a_mesh_without_any_area_has_alpha_zero(
     faces: list[list[int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flat = replace(empty(3), triangles=np.array(faces, dtype=np.int64).reshape(-1, 3))
-    for [(found, numbers)] in both(monkeypatch, lambda: bake_mesh([flat], bake_settings())):
+    for [(found, numbers)] in both(monkeypatch, lambda: bake_primitives([flat], bake_settings())):
         assert found.alpha.tolist() == np.zeros((3, 3)).tolist()
         assert numbers.degenerate_triangles == len(faces)
         assert numbers.lost == 0.0
@@ -748,7 +748,7 @@ def test_both_paths_bake_the_same_file(name: str, monkeypatch: pytest.MonkeyPatc
         return [
             outcome
             for primitives in meshes_of(path_of(name)).values()
-            for outcome in bake_mesh(primitives, bake_settings())
+            for outcome in bake_primitives(primitives, bake_settings())
         ]
 
     def joints(outcome: BakedPrimitive) -> list[list[int]]:
@@ -787,7 +787,7 @@ def test_many_joints_at_one_vertex_outgrow_the_kernels_first_guess(monkeypatch: 
         assert len(set(slots.adopted[0, 1:].tolist())) == 3
         assert np.hypot(slots.alpha[0], slots.beta[0]) == pytest.approx(np.full(3, 2.0 / spokes), rel=1e-6)
         # Of the hub's spokes + 1 gradients three have a slot; slot 0 holds joint 0's, which is 0.
-        assert slots.counts[0, 3] >= (spokes - 3) * 2.0 / spokes * (1 - 1e-9)
+        assert slots.sums[0, 3] >= (spokes - 3) * 2.0 / spokes * (1 - 1e-9)
 
 
 def test_the_definition_in_numpy_keeps_its_promise() -> None:

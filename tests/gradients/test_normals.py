@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from skinbake.geometry.skinned import SkinnedPrimitive
-from skinbake.gradients.baker import bake_mesh
+from skinbake.gradients.baker import bake_primitives
 from skinbake.gradients.normals import with_smooth_normals
 from tests.support.baked_arrays import meshes_of, path_of
 from tests.support.baking import bake_settings
@@ -53,6 +53,6 @@ def test_primitives_with_normals_keep_them_and_lend_them_to_nobody() -> None:
 def test_a_mesh_with_made_normals_bakes() -> None:
     parts = meshes_of(path_of("bent_tube.glb"))[0]
     [made] = with_smooth_normals([without_normals(part) for part in parts])
-    [(baked, _)] = bake_mesh([made], bake_settings())
+    [(baked, _)] = bake_primitives([made], bake_settings())
     assert baked.frame == "normal"
     assert baked.alpha.any()

@@ -11,7 +11,7 @@ import pytest
 from skinbake.geometry.frames import frame_from_normal, unit_normals
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, SkinnedPrimitive
-from skinbake.gradients.baker import BakeSettings, bake_mesh
+from skinbake.gradients.baker import BakeSettings, bake_primitives
 from skinbake.gradients.fit_rules import (
     DOUBT,
     EVEN,
@@ -33,7 +33,7 @@ Normals = Callable[[Float64Array], Float64Array]
 
 
 def fitted(primitive: SkinnedPrimitive, rig: Rig | None, settings: BakeSettings = SETTINGS) -> BakedPrimitive:
-    ((baked, _),) = bake_mesh([primitive], settings, rig)
+    ((baked, _),) = bake_primitives([primitive], settings, rig)
     return baked
 
 

@@ -13,7 +13,7 @@ import pytest
 from skinbake.choices import Neighbours
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, SkinnedPrimitive
 from skinbake.gradients import slots
-from skinbake.gradients.baker import BakeFindings, bake_mesh
+from skinbake.gradients.baker import BakeFindings, bake_primitives
 from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.welds import weld_classes
 from tests.support.baked_arrays import (
@@ -171,7 +171,7 @@ def assert_slots_hold_their_joints(
 def test_slots_are_filled_as_a_loop_over_vertices_fills_them(name: str, neighbours: Neighbours) -> None:
     adopts = False
     for primitives in meshes_of(path_of(name)).values():
-        outcomes = bake_mesh(primitives, bake_settings(neighbours=neighbours))
+        outcomes = bake_primitives(primitives, bake_settings(neighbours=neighbours))
         for vertices, primitive, (baked, findings) in zip(
             brute_force(primitives), primitives, outcomes, strict=True
         ):
@@ -326,9 +326,9 @@ def motley() -> SkinnedPrimitive:
 @pytest.mark.parametrize("block", [1, 7, 1000])
 def test_the_size_of_a_block_changes_nothing(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
     primitives = [motley()]
-    [(expected, numbers)] = bake_mesh(primitives, bake_settings())
+    [(expected, numbers)] = bake_primitives(primitives, bake_settings())
     monkeypatch.setattr(slots, "BLOCK", block)
-    [(found, own)] = bake_mesh(primitives, bake_settings())
+    [(found, own)] = bake_primitives(primitives, bake_settings())
     assert np.array_equal(found.alpha, expected.alpha)
     assert np.array_equal(found.beta, expected.beta)
     assert np.array_equal(found.adopted_joints, expected.adopted_joints)

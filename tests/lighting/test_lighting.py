@@ -18,14 +18,14 @@ from skinbake.commands.verify import verify_file
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
-from skinbake.gradients.baker import BakeSettings, bake_mesh
+from skinbake.gradients.baker import BakeSettings, bake_primitives
 from skinbake.lighting import angles as lighting
 from skinbake.lighting import blending, identity, tally, triangle_normals
 from skinbake.lighting.baked_views import baked_views
 from skinbake.lighting.blending import BlendedSurface
 from skinbake.lighting.influences import normalised_weights
 from skinbake.lighting.poses import PoseRequest
-from skinbake.lighting.staleness import mesh_operator
+from skinbake.lighting.staleness import surface_operator
 from skinbake.lighting.verify_options import VerifyOptions
 from skinbake.report.verify import FileVerdict, Normals
 from skinbake.skinning.algorithms import Algorithm
@@ -145,7 +145,7 @@ def test_at_rest_every_lighting_gives_the_stored_normals(path: Path, tmp_path: P
         identity = np.tile(np.eye(4), (1, joints, 1, 1))
         for method in ("lbs", "dqs"):
             found: list[lighting.MeasuredBlock] = []
-            lighting.lighting_errors(mesh_operator(document, here), rest, identity, method, found.append)
+            lighting.lighting_errors(surface_operator(document, here), rest, identity, method, found.append)
             for name in lighting.METHODS[method]:
                 own = [block for block in found if block.lighting == name]
                 truths = 1 if name == "direct" else len(Truth)
@@ -574,7 +574,7 @@ def mesh_gradient_errors(bend: str, *algorithms: Algorithm) -> list[float]:
     weights = np.column_stack([surface.weights, np.zeros(len(surface.u))])
     triangles = analytic.triangles(columns, rows)
     primitive = SkinnedPrimitive(surface.positions, surface.normals, None, joints, weights, triangles)
-    ((made, _),) = bake_mesh([primitive], bake_settings())
+    ((made, _),) = bake_primitives([primitive], bake_settings())
     tangents, bitangents = duff_frame(surface.normals)
     rest = RestSurface(
         surface.positions, surface.normals, tangents, bitangents, joints, weights, made.alpha, made.beta

@@ -14,7 +14,7 @@ from skinbake.geometry.frames import frame_from_normal, unit_normals
 from skinbake.geometry.poses import random_rotations, rotation_matrices
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
-from skinbake.gradients.baker import bake_mesh
+from skinbake.gradients.baker import bake_primitives
 from skinbake.gradients.fit_rules import EVEN, FAINT
 from skinbake.lighting.operator import GradientOperator, true_operator
 from skinbake.lighting.pose_fit import POSE_STIFFNESS, FitPoses, fitted_to_poses, tilts
@@ -27,7 +27,7 @@ from tests.support.replay import replay
 
 def surface_of(primitive: SkinnedPrimitive, rig: Rig | None = None) -> RestSurface:
     """Return a primitive as it was baked, in float64."""
-    ((result, _),) = bake_mesh([primitive], SETTINGS, rig)
+    ((result, _),) = bake_primitives([primitive], SETTINGS, rig)
     normals = unit_normals(primitive.normals)
     tangents, bitangents = (axis.astype(np.float64) for axis in frame_from_normal(normals))
     named = np.where(result.adopted_joints >= 0, result.adopted_joints, primitive.joints)

@@ -13,7 +13,7 @@ from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Frame, Gradients
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, FloatArray, SkinnedPrimitive
-from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh
+from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_primitives
 from tests.support import corpus
 from tests.support.baking import bake_file, bake_settings
 from tests.support.gltf_reading import GltfFile, read
@@ -130,7 +130,7 @@ def bake_one(
     primitive: SkinnedPrimitive, settings: BakeSettings | None = None
 ) -> tuple[BakedPrimitive, BakeFindings]:
     """Bake a mesh of one primitive."""
-    [result] = bake_mesh([primitive], settings or bake_settings())
+    [result] = bake_primitives([primitive], settings or bake_settings())
     return result
 
 

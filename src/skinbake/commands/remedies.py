@@ -14,7 +14,7 @@ from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.baked_views import BakedView, baked_views, gathered_together, is_baked
 from skinbake.lighting.expected import noted_kind, noted_sources
 from skinbake.lighting.measured import lighting_verdict
-from skinbake.lighting.staleness import mesh_operator
+from skinbake.lighting.staleness import surface_operator
 from skinbake.lighting.verify_options import VerifyOptions
 from skinbake.report.verify import BAKE_SO, LITTLE, FileVerdict, Normals, gain
 from skinbake.wording import gain_in_words
@@ -207,7 +207,7 @@ def _measured(document: Document, options: VerifyOptions, meshes: Container[int 
         for surface in gathered_together(document, views)
         if any(view.source.mesh in meshes for view in surface)
     ]
-    operators = [mesh_operator(document, surface) for surface in surfaces]
+    operators = [surface_operator(document, surface) for surface in surfaces]
     return lighting_verdict(document, replace(options, min_gain=None), surfaces, operators)
 
 

@@ -17,7 +17,7 @@ from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.primitives import PrimitiveSource, has_float_tangents, read_influences, read_primitive
 from skinbake.gltf.rigs import fitting_rig
 from skinbake.gradients.assumptions import assumptions, check_finite
-from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_mesh
+from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_primitives
 from skinbake.gradients.normal_lean import lean_notices
 from skinbake.gradients.tangents import with_straight_tangents
 from skinbake.report.bake import BakedCounts, ExtensionCost, LimitCost
@@ -133,7 +133,7 @@ class SurfaceBake:
         """Bake with a further influence set where free slots are too few."""
         from skinbake.format.extension import extended  # few bakes ask for it
 
-        tried = bake_mesh(self.primitives, self.settings)
+        tried = bake_primitives(self.primitives, self.settings)
         parts = [
             extended(
                 one, read_influences(self.document, source, len(one.positions)), found.overflowing_vertices
@@ -150,7 +150,7 @@ class SurfaceBake:
         return [part.primitive if part else one for part, one in zip(parts, self.primitives, strict=True)]
 
     def _bakes(self, primitives: Sequence[SkinnedPrimitive]) -> list[PrimitiveBake]:
-        outcomes = bake_mesh(primitives, self.settings, self.target.rig)
+        outcomes = bake_primitives(primitives, self.settings, self.target.rig)
         noted = self.target.noted
         bakes = [
             PrimitiveBake(source, primitive, *outcome, fitted=noted)

@@ -16,7 +16,7 @@ from skinbake.gradients.weight_sums import weight_sum_notices
 from skinbake.lighting.baked_views import BakedView, baked_views, gathered_together, is_baked
 from skinbake.lighting.measured import lighting_verdict
 from skinbake.lighting.operator import GradientOperator
-from skinbake.lighting.staleness import fits_begun, freshness_check, mesh_operator
+from skinbake.lighting.staleness import fits_begun, freshness_check, surface_operator
 from skinbake.lighting.verify_options import VerifyOptions
 from skinbake.report.verify import Check, FileVerdict
 from skinbake.threads import Threads, thread_count
@@ -69,7 +69,7 @@ def _operators_and_freshness(
         with stage("freshness"):
             fits = fits_begun(document, surfaces, threads)
         with stage("gradient operator"):
-            operators = [mesh_operator(document, surface) for surface in surfaces]
+            operators = [surface_operator(document, surface) for surface in surfaces]
         with stage("freshness"):
             return operators, freshness_check(document, surfaces, operators, fits)
 

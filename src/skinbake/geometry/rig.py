@@ -124,15 +124,15 @@ class Lineage:
         found: IntArray = np.where(self.carries(lowest, other), lowest, self._steps[0][lowest])
         return found
 
-    def upwards(self, joints: IntArray, counts: IntArray) -> tuple[IntArray, IntArray]:
+    def upwards(self, joints: IntArray, lengths: IntArray) -> tuple[IntArray, IntArray]:
         """Return the first so many joints of each way up, as rows and joints (M,), ordered by rows.
 
-        The way of row i begins with joints[i]. counts (N,) are the lengths.
+        The way of row i begins with joints[i]. lengths (N,) are their numbers of joints.
         """
-        rows = np.flatnonzero(counts > 0)
+        rows = np.flatnonzero(lengths > 0)
         found = [(rows, joints[rows])]
         while len(rows):
-            more = counts[rows] > len(found)
+            more = lengths[rows] > len(found)
             rows, above = rows[more], self._steps[0][found[-1][1][more]]
             found.append((rows, above))
         every, passed = (np.concatenate(pieces) for pieces in zip(*found, strict=True))

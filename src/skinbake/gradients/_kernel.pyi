@@ -107,7 +107,7 @@ def bake_surface(
     """Fill alpha, beta (V, K − 1) of a surface of P primitives, whose rows end at ``ends`` (P,).
 
     adopted (V, K) comes as zeros. If a slot adopts a joint, 1 + joint is written. tangents and bitangents are
-    (V, 3), or (0, 3) if the frame comes from normals. Fill sums (P, 4): vertices that adopt, vertices that
+    (V, 3), or (0, 3) if the frame comes from normals. Add to sums (P, 4): vertices that adopt, vertices that
     overflow, summed gradient magnitude, its part that no slot holds. weighting is one of BY_MAX, BY_ANGLE,
     BY_AREA and BY_ANGLE_AREA. With groups of the surface, only the classes from first up to last are
     baked, and several threads may bake different classes at a time. Without, all are.

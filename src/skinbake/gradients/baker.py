@@ -55,7 +55,7 @@ class BakeFindings:
     lost: float
 
 
-def bake_mesh(
+def bake_primitives(
     primitives: Sequence[SkinnedPrimitive], settings: BakeSettings, rig: Rig | None = None
 ) -> list[tuple[BakedPrimitive, BakeFindings]]:
     """Return α and β of every primitive of one surface, gathered across their borders.
@@ -90,7 +90,7 @@ def _of_primitive(
     """Take the part of one primitive out of the result of its surface."""
     end, influences = gathered.ends[number], primitive.joints.shape[1]
     rows = slice(end - len(primitive.positions), end)
-    adopting, overflowing, magnitude, unheld = slots.counts[number].tolist()
+    adopting, overflowing, magnitude, unheld = slots.sums[number].tolist()
     findings = BakeFindings(
         weights=gathered.defects[number],
         degenerate_triangles=gathered.degenerate[number],
@@ -124,7 +124,7 @@ def slots_of_surface(
 ) -> SurfaceSlots:
     """Return α and β of all primitives of one surface, for given t0 and b0, each (V, 3). No slot adopts.
 
-    The arguments are as for ``bake_mesh``; crease_angle is in radians.
+    The arguments are as for ``bake_primitives``; crease_angle is in radians.
     """
     gathered = _gathered(primitives, crease_angle)
     with stage("gradients"):

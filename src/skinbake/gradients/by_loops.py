@@ -147,17 +147,17 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
         flat=FLAT,
     )
     if count <= PART:
-        counts = np.zeros((len(surface.ends), 4))
-        bake(sums=counts, grouped=None, first=0, last=0)
+        sums = np.zeros((len(surface.ends), 4))
+        bake(sums=sums, grouped=None, first=0, last=0)
     else:
         grouped = _kernel.group_surface(
             triangles, surface.field.joints, surface.field.weights, classes, count
         )
-        counts = _baked_in_parts(partial(bake, grouped=grouped), count, len(surface.ends))
+        sums = _baked_in_parts(partial(bake, grouped=grouped), count, len(surface.ends))
     adopts = np.zeros(vertices, dtype=np.bool_)
     adopts[np.flatnonzero(adopted) // slots] = True
     rows = np.flatnonzero(adopts)
-    return SurfaceSlots(alpha, beta, rows, adopted[rows] - 1, counts)
+    return SurfaceSlots(alpha, beta, rows, adopted[rows] - 1, sums)
 
 
 def _by_rows(work: Callable[[slice], Found], rows: int) -> list[Found]:

@@ -120,7 +120,7 @@ def _bake_parts(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlot
     capacity = shared_capacity(field, classes) if adopt else None
     tangents, bitangents = surface.frame or frame_from_normal(unit_normals(surface.normals))
     turns = None if surface.rig is None else ring_turns(surface)
-    parts, counts, start = [], [], 0
+    parts, sums, start = [], [], 0
     for end in surface.ends:
         rows = slice(start, end)
         frame = (tangents[rows], bitangents[rows])
@@ -139,7 +139,7 @@ def _bake_parts(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlot
             alpha, beta = fitted(vertices, gradients, turns, surface.rig)
             part = replace(part, alpha=alpha, beta=beta)
         takers = np.count_nonzero((part.adopted != NO_JOINT).any(axis=1))
-        counts.append([takers, part.overflowing, part.magnitude, part.unheld])
+        sums.append([takers, part.overflowing, part.magnitude, part.unheld])
         parts.append(part)
         start = end
     adopted = np.concatenate([part.adopted for part in parts])
@@ -149,7 +149,7 @@ def _bake_parts(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlot
         beta=_stored([part.beta for part in parts]),
         adopting=adopting,
         adopted=adopted[adopting],
-        counts=np.array(counts),
+        sums=np.array(sums),
     )
 
 

@@ -43,14 +43,14 @@ class SurfaceSlots:
     """α and β of every slot but the first, and the gradients that the slots could not hold.
 
     alpha, beta (V, K − 1) are float32, 1 / length unit. adopting (A,) lists the vertices that adopt,
-    ascending. adopted (A, K) integer is the joint that each of their slots adopts, −1 if it stays. counts (P,
-    4) float64 has, by primitive: the vertices that adopt; the vertices with more foreign joints than free
-    slots (without adoption: all with any foreign joint); the lengths of all joints' gradients summed over the
-    vertices, in 1 / length unit; and the part of that sum that no slot holds, which goes to s0.
+    ascending. adopted (A, K) integer is the joint that each of their slots adopts, −1 if it stays. sums (P,
+    4) float64 are over the vertices of each primitive: the number of vertices that adopt; the number of those
+    with more foreign joints than free slots (without adoption: with any foreign joint); the lengths of all
+    joints' gradients, in 1 / length unit; and the part of these lengths that no slot holds, which goes to s0.
     """
 
     alpha: Float32Array
     beta: Float32Array
     adopting: IntArray
     adopted: IntArray
-    counts: Float64Array
+    sums: Float64Array

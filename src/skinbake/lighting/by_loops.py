@@ -102,38 +102,38 @@ def _moved_by_dqs(skinning: Skinning, rest: RestSurface) -> _Moved:
     )
 
 
-def gradient_rows(operator: WeldedMesh, part: slice, directions: Sequence[FloatArray]) -> SparseRows:
+def gradient_rows(mesh: WeldedMesh, part: slice, directions: Sequence[FloatArray]) -> SparseRows:
     """Return the derivatives of a block's vertices along D directions (B, 3): sparse (D B, V), stacked."""
-    classes = operator.classes[part]
+    classes = mesh.classes[part]
     size, count = len(classes), len(directions)
-    room = 3 * int((operator.ends[classes + 1] - operator.ends[classes]).sum())
+    room = 3 * int((mesh.ends[classes + 1] - mesh.ends[classes]).sum())
     starts, columns = np.empty(size + 1, dtype=np.int32), np.empty(room, dtype=np.int32)
     values = np.empty((count, room))
     _loops.gradient_rows(
-        operator.positions,
-        operator.triangles,
-        operator.corners,
-        operator.ends,
+        mesh.positions,
+        mesh.triangles,
+        mesh.corners,
+        mesh.ends,
         classes,
-        operator.totals,
+        mesh.totals,
         np.ascontiguousarray(directions, dtype=np.float64),
         starts,
         columns,
         values,
-        list(Weighting).index(operator.weighting),
+        list(Weighting).index(mesh.weighting),
     )
     used = int(starts[-1])
     begins = np.concatenate([starts[:1], *(starts[1:] + number * used for number in range(count))])
     return SparseRows(begins, np.tile(columns[:used], count), values[:, :used].ravel())
 
 
-def class_sums(operator: WeldedMesh, positions: Float64Array, block: ClassBlock, sums: FloatArray) -> None:
+def class_sums(mesh: WeldedMesh, positions: Float64Array, block: ClassBlock, sums: FloatArray) -> None:
     """Fill the sums (3, C, P) of a block of weld classes: Σ angle × unit normal over their corners."""
     _loops.class_sums(
         np.ascontiguousarray(positions, dtype=np.float64),
-        operator.triangles,
+        mesh.triangles,
         block.triangles,
-        operator.classes,
+        mesh.classes,
         sums,
         block.part.start,
         block.part.stop - block.part.start,

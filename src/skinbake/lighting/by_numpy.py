@@ -134,7 +134,7 @@ def _dense(entries: Float64Array, columns: IntArray, table: Float64Array) -> Flo
     return np.swapaxes(found, 0, 1)
 
 
-def gradient_rows(operator: WeldedMesh, part: slice, directions: Sequence[FloatArray]) -> SparseRows:
+def gradient_rows(mesh: WeldedMesh, part: slice, directions: Sequence[FloatArray]) -> SparseRows:
     """Return the derivatives of a block's vertices along D directions (B, 3): sparse (D B, V), stacked.
 
     libigl gives the gradients of the hat functions in the triangle of each corner. A vertex takes their mean.
@@ -142,19 +142,19 @@ def gradient_rows(operator: WeldedMesh, part: slice, directions: Sequence[FloatA
     import igl
     from scipy.sparse import csr_array, vstack
 
-    owners, corners = operator.corners_of(part)
-    flat, first = operator.triangles.ravel(), corners - corners % 3
+    owners, corners = mesh.corners_of(part)
+    flat, first = mesh.triangles.ravel(), corners - corners % 3
     faces = np.stack([flat[first + (corners + turn) % 3] for turn in range(3)], axis=1)
     size = part.stop - part.start
     if len(corners) == 0:
         empty = np.zeros(0, dtype=np.int32)
         return SparseRows(np.zeros(len(directions) * size + 1, dtype=np.int32), empty, np.zeros(0))
-    here, one, other = operator.positions[faces].transpose(1, 2, 0)
-    share = weights_of_corners(tuple(one - here), tuple(other - here), operator.weighting)
-    share /= operator.totals[operator.classes[part]][owners]
+    here, one, other = mesh.positions[faces].transpose(1, 2, 0)
+    share = weights_of_corners(tuple(one - here), tuple(other - here), mesh.weighting)
+    share /= mesh.totals[mesh.classes[part]][owners]
     met, triangle = np.unique(corners // 3, return_inverse=True)
-    local, numbers = np.unique(operator.triangles[met], return_inverse=True)
-    gradients = csr_array(igl.grad(operator.positions[local], numbers.reshape(-1, 3).astype(np.int64)))
+    local, numbers = np.unique(mesh.triangles[met], return_inverse=True)
+    gradients = csr_array(igl.grad(mesh.positions[local], numbers.reshape(-1, 3).astype(np.int64)))
     ends = np.searchsorted(owners, np.arange(size + 1))
     places = (triangle[:, None] + len(met) * np.arange(3)).ravel()
     found = []
@@ -167,13 +167,13 @@ def gradient_rows(operator: WeldedMesh, part: slice, directions: Sequence[FloatA
     return SparseRows(stacked.indptr.astype(np.int32, copy=False), columns, stacked.data)
 
 
-def class_sums(operator: WeldedMesh, positions: Float64Array, block: ClassBlock, sums: FloatArray) -> None:
+def class_sums(mesh: WeldedMesh, positions: Float64Array, block: ClassBlock, sums: FloatArray) -> None:
     """Fill the sums (3, C, P) of a block of weld classes: Σ angle × unit normal over their corners.
 
     sums are of all classes, float32 or float64. float32 halves the memory. Sums of unit vectors lose a
     millionth of a degree.
     """
-    sums[:, block.part] = sums_of_classes(operator, positions, block.part)
+    sums[:, block.part] = sums_of_classes(mesh, positions, block.part)
 
 
 def true_normals(

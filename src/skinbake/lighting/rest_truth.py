@@ -12,6 +12,7 @@ from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.sparse_rows import SparseRows
 from skinbake.lighting.tangent_normals import RestFrames, measured_frames, posed_tangent
 from skinbake.lighting.triangle_normals import CarriedNormals, ClassBlock, block_sums, class_blocks, frame_of
+from skinbake.lighting.welded_mesh import WeldedMesh
 from skinbake.skinning.components import dot
 
 CANCELLED = 1e-9
@@ -80,20 +81,20 @@ def perpendicular(normals: FloatArray) -> tuple[Float64Array, Float64Array]:
 
 
 def vertex_normals(
-    operator: GradientOperator, positions: Float64Array, classes: Sequence[ClassBlock] | None = None
+    mesh: WeldedMesh, positions: Float64Array, classes: Sequence[ClassBlock] | None = None
 ) -> Float64Array:
     """Return the angle-weighted sums of the weld classes: (3, C, P), from positions (3, V, P).
 
     classes are the ``class_blocks``, if they are there already.
     """
-    total = np.empty((3, len(operator.ends) - 1, positions.shape[2]))
-    for block in class_blocks(operator) if classes is None else classes:
-        kernel.class_sums(operator, positions, block, total)
+    total = np.empty((3, len(mesh.ends) - 1, positions.shape[2]))
+    for block in class_blocks(mesh) if classes is None else classes:
+        kernel.class_sums(mesh, positions, block, total)
     return total
 
 
 def carried_normals(
-    operator: GradientOperator,
+    mesh: WeldedMesh,
     rest: RestFrames,
     positions: FloatArray,
     normals: FloatArray,
@@ -104,13 +105,13 @@ def carried_normals(
     A vertex whose triangles cancel out has none. classes are as in ``vertex_normals``.
     """
     components = np.ascontiguousarray(np.asarray(positions, dtype=np.float64).T)[:, :, None]
-    sums = vertex_normals(operator, components, classes)
+    sums = vertex_normals(mesh, components, classes)
     sums[:, np.einsum("icp,icp->cp", sums, sums) < CANCELLED**2] = 0.0
     coefficients = np.full((3, len(positions)), np.nan)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no frame gets NaN
         for part, derivatives in zip(rest.parts, rest.derivatives, strict=True):
             tangent = posed_tangent(derivatives[0], components)
-            frame = frame_of(tangent, block_sums(operator.classes, sums, part))
+            frame = frame_of(tangent, block_sums(mesh.classes, sums, part))
             n0 = tuple(np.asarray(normals[part], dtype=np.float64).T[:, None])
             found = np.concatenate([dot(axis, n0) for axis in frame])
             coefficients[:, part] = found / np.sqrt((found * found).sum(axis=0))

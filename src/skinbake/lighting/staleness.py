@@ -70,7 +70,7 @@ NAMED = 16
 """The number of primitives that a message names. Each of a thousand stale ones would name all others."""
 
 
-def mesh_operator(
+def surface_operator(
     document: Document, views: Sequence[BakedView], weighting: str | None = None
 ) -> GradientOperator:
     """Return the gradient operator of one surface, weighted as its metadata says or by ``weighting``."""
@@ -132,7 +132,7 @@ def freshness_check(
 def refuse_stale(document: Document, views: Sequence[BakedView]) -> None:
     """Raise InputError if α/β of a primitive do not fit its arrays, because its lighting would be wrong."""
     surfaces = gathered_together(document, views)
-    operators = [mesh_operator(document, surface) for surface in surfaces]
+    operators = [surface_operator(document, surface) for surface in surfaces]
     problems = freshness_check(document, surfaces, operators).problems
     if problems:
         first, more = problems[0], len(problems) - 1
@@ -177,7 +177,7 @@ class _Surface:
         """Return the comparison with gradients of another kind than the noted one."""
         if kind not in self._by_kind:
             with self.document.budget.passing():
-                operator = mesh_operator(self.document, self.views)
+                operator = surface_operator(self.document, self.views)
                 expected = expected_slots(self.document, self.views, operator, kind)
                 self._by_kind[kind] = _compared(self.document, self.views, operator, expected)
         return self._by_kind[kind]
@@ -189,7 +189,7 @@ class _Surface:
     def weighted(self, weighting: str) -> list[freshness.Comparison]:
         if weighting not in self._otherwise:
             with self.document.budget.passing():
-                operator = mesh_operator(self.document, self.views, weighting)
+                operator = surface_operator(self.document, self.views, weighting)
                 expected = expected_slots(self.document, self.views, operator)
                 self._otherwise[weighting] = _compared(self.document, self.views, operator, expected)
         return self._otherwise[weighting]
@@ -209,7 +209,7 @@ def _comparisons(
     if all(other is view for other, view in zip(before, views, strict=True)):
         return found
     with document.budget.passing():
-        welded = mesh_operator(document, before)
+        welded = surface_operator(document, before)
         expected = expected_slots(document, before, welded)
         again = _compared(document, before, welded, expected, _roundings(document, views, operator))
     return [other if other.agrees else one for one, other in zip(found, again, strict=True)]

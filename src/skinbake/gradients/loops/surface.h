@@ -35,9 +35,9 @@ typedef struct {
     FitSettings fit;
 } Surface;
 
-/* The counts of one primitive: a row of float64. */
+/* The sums over the vertices of one primitive: a row of float64. */
 typedef struct {
-    double adopting, overflowing; /* vertices */
+    double adopting, overflowing; /* numbers of vertices */
     double magnitude, unheld;     /* of all gradients; of the gradients that no slot holds */
 } Sums;
 
