@@ -8,10 +8,10 @@ static size_t shared_capacity(const Surface *s, Members vertices)
 {
     size_t least = (size_t)s->slots;
     for (size_t n = 0; n < vertices.count; n++) {
-        size_t unused = 0;
+        size_t free_count = 0;
         for (Py_ssize_t k = 0; k < s->slots; k++)
-            unused += s->unused[vertices.first[n] * (size_t)s->slots + (size_t)k] != 0;
-        least = unused < least ? unused : least;
+            free_count += s->free_slots[vertices.first[n] * (size_t)s->slots + (size_t)k] != 0;
+        least = free_count < least ? free_count : least;
     }
     return least;
 }
@@ -168,7 +168,7 @@ static int check_rig(Surface *s)
     return 0;
 }
 
-enum { POSITIONS, TRIANGLES, JOINTS, WEIGHTS, UNUSED, CLASSES, NORMALS, TANGENTS, BITANGENTS, ALPHA, BETA, ADOPTED,
+enum { POSITIONS, TRIANGLES, JOINTS, WEIGHTS, FREE_SLOTS, CLASSES, NORMALS, TANGENTS, BITANGENTS, ALPHA, BETA, ADOPTED,
        ENDS, SUMS, PARENTS, RANKS, PIVOTS, CHAINS, ARRAYS };
 
 static const Requirement surface_arrays[ARRAYS] = {
@@ -176,7 +176,7 @@ static const Requirement surface_arrays[ARRAYS] = {
     [TRIANGLES] = {"triangles", "iI", AXIS_T, AXIS_3, READ},
     [JOINTS] = {"joints", "i", AXIS_V, AXIS_K, READ},
     [WEIGHTS] = {"weights", "d", AXIS_V, AXIS_K, READ},
-    [UNUSED] = {"free", "?", AXIS_V, AXIS_K, READ},
+    [FREE_SLOTS] = {"free", "?", AXIS_V, AXIS_K, READ},
     [CLASSES] = {"classes", "i", AXIS_V, AXIS_1, READ},
     [NORMALS] = {"normals", "fd", AXIS_V, AXIS_3, READ},
     [TANGENTS] = {"tangents", "fd", AXIS_FRAMES, AXIS_3, READ},
@@ -212,8 +212,9 @@ static int read_surface(PyObject *args, PyObject *keywords, Array *a, Surface *s
     double negligible;
     FitSettings fit;
     if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOOOOOnipdddddddddddOnn", names,
-                                     &o[POSITIONS], &o[TRIANGLES], &o[JOINTS], &o[WEIGHTS], &o[UNUSED], &o[CLASSES], &o[NORMALS], &o[TANGENTS],
-                                     &o[BITANGENTS], &o[ALPHA], &o[BETA], &o[ADOPTED], &o[ENDS], &o[SUMS],
+                                     &o[POSITIONS], &o[TRIANGLES], &o[JOINTS], &o[WEIGHTS], &o[FREE_SLOTS],
+                                     &o[CLASSES], &o[NORMALS], &o[TANGENTS], &o[BITANGENTS], &o[ALPHA], &o[BETA],
+                                     &o[ADOPTED], &o[ENDS], &o[SUMS],
                                      &o[PARENTS], &o[RANKS], &o[PIVOTS], &o[CHAINS], &class_count, &weighting, &adopts,
                                      &negligible, &fit.missing, &fit.stiffness, &fit.together, &fit.doubt,
                                      &fit.smooth, &fit.most_doubt, &fit.even, &fit.faint, &fit.unfelt, &fit.flat,
@@ -242,7 +243,7 @@ static int read_surface(PyObject *args, PyObject *keywords, Array *a, Surface *s
         .triangles = a[TRIANGLES].buffer.buf,
         .joints = a[JOINTS].buffer.buf,
         .weights = a[WEIGHTS].buffer.buf,
-        .unused = a[UNUSED].buffer.buf,
+        .free_slots = a[FREE_SLOTS].buffer.buf,
         .classes = a[CLASSES].buffer.buf,
         .vertices = a[POSITIONS].rows,
         .slots = a[JOINTS].columns,

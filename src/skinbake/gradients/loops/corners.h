@@ -42,7 +42,7 @@ static ALWAYS_INLINE Four four_dot(const Four *a, const Four *b)
     return add(add(multiply(a[0], b[0]), multiply(a[1], b[1])), multiply(a[2], b[2]));
 }
 
-/* Work out share and coefficients from the edges. With n = e1 x e2, corner.py's e2 x n is
+/* Work out weights and coefficients from the edges. With n = e1 x e2, corner.py's e2 x n is
    e1 |e2|^2 - e2 (e1 . e2), and n x e1 likewise. */
 static ALWAYS_INLINE void weigh_corners(Corners *c, Weighting weighting, Facets *facets)
 {
@@ -58,16 +58,16 @@ static ALWAYS_INLINE void weigh_corners(Corners *c, Weighting weighting, Facets 
         *facets = (Facets){{normal[0], normal[1], normal[2]}, area2, multiply(squared1, squared2)};
     if (weighting == BY_MAX) { /* 1 / (|e1|^2 |e2|^2) times |e1 x e2| */
         scale = divide(four(1.0, 1.0, 1.0, 1.0), multiply(multiply(area2, squared1), squared2));
-        store(c->share, multiply(squared_area2, scale));
+        store(c->weight, multiply(squared_area2, scale));
     } else {
         double areas[AT_ONCE], cosines[AT_ONCE];
         store(areas, area2);
         store(cosines, dots);
         for (int n = 0; n < AT_ONCE; n++) {
-            c->share[n] = weighting == BY_AREA ? areas[n] : atan2(areas[n], cosines[n]);
-            c->share[n] *= weighting == BY_ANGLE_AREA ? areas[n] : 1.0;
+            c->weight[n] = weighting == BY_AREA ? areas[n] : atan2(areas[n], cosines[n]);
+            c->weight[n] *= weighting == BY_ANGLE_AREA ? areas[n] : 1.0;
         }
-        scale = divide(load(c->share), squared_area2);
+        scale = divide(load(c->weight), squared_area2);
     }
     Four mixed = multiply(dots, scale), own1 = multiply(squared2, scale), own2 = multiply(squared1, scale);
     for (int axis = 0; axis < 3; axis++) {

@@ -8,7 +8,7 @@
 typedef struct {
     int32_t *joints; /* (V, K) */
     double *weights;
-    uint8_t *unused;
+    uint8_t *free_slots;
     Py_ssize_t slots;
     double adopting_sum, tolerance, least;
 } Influences;
@@ -23,7 +23,7 @@ static void normalise_vertex(const Influences *field, Py_ssize_t vertex, Defects
     const Py_ssize_t slots = field->slots;
     int32_t *joints = field->joints + vertex * slots;
     double *weights = field->weights + vertex * slots;
-    uint8_t *unused = field->unused + vertex * slots;
+    uint8_t *free_slots = field->free_slots + vertex * slots;
     int negative = 0, merged = 0;
     double total = 0.0, largest = 0.0;
     for (Py_ssize_t k = 0; k < slots; k++)
@@ -31,7 +31,7 @@ static void normalise_vertex(const Influences *field, Py_ssize_t vertex, Defects
     for (Py_ssize_t k = 0; k < slots; k++) {
         if (weights[k] > 0.0 && weights[k] < field->least * largest)
             weights[k] = 0.0;
-        unused[k] = weights[k] == 0.0;
+        free_slots[k] = weights[k] == 0.0;
         if (weights[k] < 0.0) {
             negative = 1;
             weights[k] = 0.0;
@@ -39,7 +39,7 @@ static void normalise_vertex(const Influences *field, Py_ssize_t vertex, Defects
         total += weights[k];
     }
     if (!(total > field->adopting_sum))
-        memset(unused, 0, (size_t)slots);
+        memset(free_slots, 0, (size_t)slots);
     if (total == 0.0) {
         defects->all_zero++;
         weights[0] = total = 1.0;
@@ -66,23 +66,23 @@ static void normalise_vertex(const Influences *field, Py_ssize_t vertex, Defects
 
 static PyObject *normalise_influences(PyObject *Py_UNUSED(module), PyObject *args)
 {
-    enum { JOINTS, WEIGHTS, UNUSED, ARRAYS };
+    enum { JOINTS, WEIGHTS, FREE_SLOTS, ARRAYS };
     static const Requirement required[ARRAYS] = {
         [JOINTS] = {"joints", "i", AXIS_V, AXIS_K, WRITTEN},
         [WEIGHTS] = {"weights", "d", AXIS_V, AXIS_K, WRITTEN},
-        [UNUSED] = {"free", "?", AXIS_V, AXIS_K, WRITTEN},
+        [FREE_SLOTS] = {"free", "?", AXIS_V, AXIS_K, WRITTEN},
     };
     PyObject *objects[ARRAYS], *result = NULL;
     Array a[ARRAYS] = {{.held = 0}};
     Influences field;
-    if (!PyArg_ParseTuple(args, "OOOddd", &objects[JOINTS], &objects[WEIGHTS], &objects[UNUSED],
+    if (!PyArg_ParseTuple(args, "OOOddd", &objects[JOINTS], &objects[WEIGHTS], &objects[FREE_SLOTS],
                           &field.adopting_sum, &field.tolerance, &field.least))
         return NULL;
     if (read_arrays(objects, required, ARRAYS, 1, a) < 0)
         goto done;
     field.joints = a[JOINTS].buffer.buf;
     field.weights = a[WEIGHTS].buffer.buf;
-    field.unused = a[UNUSED].buffer.buf;
+    field.free_slots = a[FREE_SLOTS].buffer.buf;
     field.slots = a[JOINTS].columns;
     Defects defects = {0, 0, 0, 0};
     Py_BEGIN_ALLOW_THREADS

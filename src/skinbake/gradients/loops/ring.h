@@ -17,11 +17,11 @@ static ALWAYS_INLINE void find_leverage(RingFrame *f, const Vector derivatives[2
     const Vector unit = times(c, 1.0 / area), lean = minus(f->normal, times(unit, 0.5 * dot(unit, f->normal)));
     const Vectors t = f->along, normal = twice(f->normal);
     const Vectors q = times_each(twice(lean), divide_pairs(dots(t, twice(unit)), both(area)));
-    const Pair squared = both(area * area);
-    const Pair by_a = divide_pairs(dots(crosses(t, twice(b)), twice(c)), squared);
-    const Pair by_b = divide_pairs(dots(crosses(twice(a), t), twice(c)), squared);
-    f->leverage[0] = plus_each(times_each(normal, by_a), crosses(twice(b), q));
-    f->leverage[1] = plus_each(times_each(normal, by_b), crosses(q, twice(a)));
+    const Pair squared_area = both(area * area);
+    const Pair t_a = divide_pairs(dots(crosses(t, twice(b)), twice(c)), squared_area);
+    const Pair t_b = divide_pairs(dots(crosses(twice(a), t), twice(c)), squared_area);
+    f->leverage[0] = plus_each(times_each(normal, t_a), crosses(twice(b), q));
+    f->leverage[1] = plus_each(times_each(normal, t_b), crosses(q, twice(a)));
 }
 
 /* The sum of the unit normals at the corners of a class, of any length. It depends neither on the order of the
@@ -152,16 +152,16 @@ static ALWAYS_INLINE void add_corners(const Surface *s, Corners *c, size_t some,
     Facets facets;
     weigh_corners(c, s->weighting, &facets);
     const Four there = load(present[some < AT_ONCE ? some - 1 : AT_ONCE - 1]);
-    const Four length = root(facets.lengths), half_root = root(length);
-    /* The weight of the root over that of the bake: with Max's weights, the root of |e1| |e2|. */
-    const Four share = load(c->share), rooted = divide(facets.area, multiply(length, half_root));
-    const Four factor = s->weighting == BY_MAX ? half_root : divide(rooted, share);
-    sums->root_weight = add(sums->root_weight, multiply(there, multiply(factor, share)));
+    const Four lengths = root(facets.squared_lengths), root_lengths = root(lengths);
+    const Four weight = load(c->weight), root_weight = divide(facets.area, multiply(lengths, root_lengths));
+    /* The weight ROOT over that of the bake. With Max's weights it is the root of |e1| |e2|. */
+    const Four factor = s->weighting == BY_MAX ? root_lengths : divide(root_weight, weight);
+    sums->root_weight = add(sums->root_weight, multiply(there, multiply(factor, weight)));
     sums->area = add(sums->area, multiply(there, facets.area));
     for (int axis = 0; axis < 3; axis++)
         sums->normal[axis] = add(sums->normal[axis], multiply(there, facets.normal[axis]));
     for (size_t n = 0; n < some; n++)
-        sums->weight += c->share[n];
+        sums->weight += c->weight[n];
     for (int end = 0; end < 2; end++) {
         const double(*component)[AT_ONCE] = c->coefficients + 3 * end;
         Four numbers[ADDED] = {load(component[X1]), load(component[Y1]), load(component[Z1])};
@@ -347,7 +347,7 @@ static ALWAYS_INLINE int32_t sum_gradients(const Surface *s, Shape shape, Member
                     used = add_differences(s, there, by, used, w);
             }
         for (size_t n = 0; n < some.count; n++)
-            *total += c.share[n];
+            *total += c.weight[n];
     }
     if (slots == 4) {
         store(w->x, add(load(w->x), x));

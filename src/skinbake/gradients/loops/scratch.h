@@ -37,18 +37,18 @@ typedef struct {
 } Neighbour;
 
 /* Some corners of a class at once, component by component. Edges lead to the two other corners of the triangle,
-   the vertices `ends`. The sum multiplies the differences of weights along the edges by coefficients. share is the
-   corner's weight in the mean (see corner.py). */
+   the vertices `ends`. The sum multiplies the differences of skin weights along the edges by coefficients. weight is
+   that of the corner in the mean (see corner.py). */
 typedef struct {
     uint32_t ends[AT_ONCE][2];
     Neighbour *neighbours[2][AT_ONCE]; /* by end: the ends in the ring, if there is one */
     Four edges[COMPONENTS];
-    double coefficients[COMPONENTS][AT_ONCE], share[AT_ONCE];
+    double coefficients[COMPONENTS][AT_ONCE], weight[AT_ONCE];
 } Corners;
 
 /* The triangles of some corners: e1 x e2, its length, and |e1|^2 |e2|^2. */
 typedef struct {
-    Four normal[3], area, lengths;
+    Four normal[3], area, squared_lengths;
 } Facets;
 
 /* Neighbours among which the next one is looked for; one that is met again later stands twice. */
@@ -80,17 +80,17 @@ typedef struct {
 typedef struct {
     int32_t joint; /* NO_JOINT: above all roots */
     int32_t rank;
-    uint64_t members;
-    size_t row; /* of the turns */
+    uint64_t carries; /* these slots, each as a bit */
+    size_t row;       /* of the turns */
     int done;
 } Node;
 
-/* The turn of one node, and the node above it, which is given what it carries. Both are rows of the turns. */
+/* The turn of one node, and that of the node above it, which is given what it carries: their rows of the turns. */
 typedef struct {
-    size_t node, above;
+    size_t row, row_above;
     int parts; /* whether it parts the slots: if it does not, nothing else happens */
     double sign, pivot[3];
-    uint64_t members, moved; /* the slots that it carries, and those that it moves, each as a bit */
+    uint64_t carries, moves; /* the slots that it carries, and those that it moves, each as a bit */
     int32_t chain;
     size_t curl; /* the number of its curl from 1 on, 0 for none */
 } Climb;
@@ -105,9 +105,9 @@ typedef struct {
 /* The way of the turns around a vertex up the rig. It depends on joints only, and the next vertex often has the
    same ones. */
 typedef struct {
-    int32_t *turning, *numbers;  /* the joints around the class that turn, and their local numbers */
+    int32_t *turning_joints, *turning_numbers; /* joints around the class that turn, and their local numbers */
     size_t turnings;
-    int32_t fitted[MOST_FITTED]; /* the joints of the slots that are fitted */
+    int32_t fitted_joints[MOST_FITTED]; /* the joints of the slots that are fitted */
     size_t fittings;
     int ends;                    /* 0: there are too many turns, and no fit */
     size_t spares, climbs;       /* spares: rows of nodes that have no turn of their own */
@@ -150,11 +150,11 @@ typedef struct {
     int varies;        /* whether the weights of the ring do */
     uint16_t places[PLACES]; /* by the last digits of a vertex: where it may stand in the ring */
     double *turns;     /* by local number, then spare rows: TURN each */
-    size_t room;       /* the first spare row */
+    size_t first_spare; /* the first spare row */
     RingFrame frame;
     Vector *gradients; /* by slot */
     double *shares;    /* by slot: of the gradients' lengths */
-    int32_t *turning;  /* the local numbers of the joints that turn */
+    int32_t *turning_numbers; /* the local numbers of the joints that turn */
     int known_turnings; /* whether the way is that of these joints */
     Node *nodes;
     int32_t *node_of;  /* by joint: its node, -1 elsewhere */
@@ -170,8 +170,8 @@ static void free_scratch(Scratch *w)
     free(w->local), free(w->met), free(w->seen), free(w->own), free(w->x), free(w->y), free(w->z);
     free(w->entries), free(w->foreign), free(w->named);
     free(w->corner_room), free(w->ring), free(w->turns), free(w->gradients), free(w->shares), free(w->nodes);
-    free(w->node_of), free(w->turning), free(w->kept), free(w->way.turning), free(w->way.numbers), free(w->way.climb);
-    free(w->matrix), free(w->curls);
+    free(w->node_of), free(w->turning_numbers), free(w->kept), free(w->matrix), free(w->curls);
+    free(w->way.turning_joints), free(w->way.turning_numbers), free(w->way.climb);
 }
 
 static Status allocate_fit(Scratch *w, const Surface *s)
@@ -180,7 +180,7 @@ static Status allocate_fit(Scratch *w, const Surface *s)
     w->corner_room = malloc((MOST_CORNERS / AT_ONCE + 1) * sizeof *w->corners);
     w->corners = (Corners *)(((uintptr_t)w->corner_room + sizeof(Four) - 1) / sizeof(Four) * sizeof(Four));
     w->ring = malloc(2 * MOST_CORNERS * sizeof *w->ring);
-    w->room = room;
+    w->first_spare = room;
     w->turns = malloc((room + MOST_SPARES) * TURN * sizeof *w->turns);
     w->gradients = malloc((size_t)s->slots * sizeof *w->gradients);
     w->shares = malloc((size_t)s->slots * sizeof *w->shares);
@@ -188,13 +188,14 @@ static Status allocate_fit(Scratch *w, const Surface *s)
     w->node_of = malloc((joints + 1) * sizeof *w->node_of);
     w->matrix = malloc(MOST_FITTED * MOST_FITTED * sizeof *w->matrix);
     w->curls = malloc(MOST_CURLS * sizeof *w->curls);
-    w->turning = malloc(room * sizeof *w->turning);
+    w->turning_numbers = malloc(room * sizeof *w->turning_numbers);
     w->kept = malloc(room * TURN * sizeof *w->kept);
-    w->way.turning = malloc(room * sizeof *w->way.turning);
-    w->way.numbers = malloc(room * sizeof *w->way.numbers);
+    w->way.turning_joints = malloc(room * sizeof *w->way.turning_joints);
+    w->way.turning_numbers = malloc(room * sizeof *w->way.turning_numbers);
     w->way.climb = malloc((MOST_TURNS + (size_t)s->slots) * sizeof *w->way.climb);
     if (!w->corner_room || !w->ring || !w->turns || !w->gradients || !w->shares || !w->nodes || !w->node_of ||
-        !w->turning || !w->kept || !w->way.turning || !w->way.numbers || !w->way.climb || !w->matrix || !w->curls)
+        !w->turning_numbers || !w->kept || !w->way.turning_joints || !w->way.turning_numbers || !w->way.climb ||
+        !w->matrix || !w->curls)
         return NO_MEMORY;
     memset(w->node_of, 0xFF, (joints + 1) * sizeof *w->node_of);
     return DONE;

@@ -73,11 +73,11 @@ static inline int name_slots(const Surface *s, size_t vertex, const ClassGradien
 {
     const size_t slots = (size_t)s->slots;
     const int32_t *joints = s->joints + vertex * slots;
-    const uint8_t *unused = s->unused + vertex * slots;
+    const uint8_t *free_slots = s->free_slots + vertex * slots;
     size_t moved = 0, wanted = found->foreign < found->capacity ? found->foreign : found->capacity;
     memcpy(w->named, joints, slots * sizeof *joints);
     for (size_t k = 0; k < slots && moved < wanted; k++)
-        if (unused[k]) {
+        if (free_slots[k]) {
             w->named[k] = w->foreign[moved++]->joint;
             adopted[k] = w->named[k] + 1;
         }

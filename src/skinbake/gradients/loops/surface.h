@@ -22,7 +22,7 @@ typedef struct {
     const uint32_t *triangles; /* (T, 3) */
     const int32_t *joints;     /* (V, K), NO_JOINT where a slot has none */
     const double *weights;     /* (V, K) */
-    const uint8_t *unused;     /* (V, K): may adopt */
+    const uint8_t *free_slots; /* (V, K): whether a slot may adopt a joint */
     const int32_t *classes;    /* (V,) */
     Py_ssize_t vertices, slots, triangle_count, class_count, joint_count;
     Weighting weighting;

@@ -20,7 +20,7 @@ static Node *node_of(const Surface *s, int32_t joint, size_t row, Scratch *w)
 static Node *spare_node_of(const Surface *s, int32_t joint, Scratch *w)
 {
     size_t before = w->node_count;
-    Node *node = node_of(s, joint, w->room + w->way.spares, w);
+    Node *node = node_of(s, joint, w->first_spare + w->way.spares, w);
     w->way.spares += w->node_count - before;
     return node;
 }
@@ -54,8 +54,9 @@ static ALWAYS_INLINE size_t find_turning(int32_t used, Scratch *w)
     int known = 1;
     for (int32_t n = 0; n < used; n++)
         if (w->met[n] >= 0 && turns_at_all(w->turns + n * TURN)) {
-            known = known && count < way->turnings && way->numbers[count] == n && way->turning[count] == w->met[n];
-            w->turning[count++] = n;
+            known = known && count < way->turnings && way->turning_numbers[count] == n &&
+                    way->turning_joints[count] == w->met[n];
+            w->turning_numbers[count++] = n;
         }
     w->known_turnings = known && count == way->turnings;
     return count;
@@ -102,13 +103,13 @@ static ALWAYS_INLINE int choose_slots(const Surface *s, size_t slots, size_t ver
 static Climb climb_from(const Surface *s, const Node *node, size_t unknowns)
 {
     const double *pivot = s->pivots + 3 * (size_t)node->joint;
-    Climb climb = {.pivot = {pivot[0], pivot[1], pivot[2]}, .members = node->members};
+    Climb climb = {.pivot = {pivot[0], pivot[1], pivot[2]}, .carries = node->carries};
     climb.chain = s->chains[node->joint];
     /* Where it carries the last slot it moves the others the other way. */
-    int carries = node->members >> unknowns & 1;
-    climb.sign = carries ? -1.0 : 1.0;
-    climb.moved = (carries ? ~node->members : node->members) & ((UINT64_C(1) << unknowns) - 1);
-    climb.parts = climb.moved && isfinite(climb.pivot[0]) && isfinite(climb.pivot[1]) && isfinite(climb.pivot[2]);
+    int carries_last = node->carries >> unknowns & 1;
+    climb.sign = carries_last ? -1.0 : 1.0;
+    climb.moves = (carries_last ? ~node->carries : node->carries) & ((UINT64_C(1) << unknowns) - 1);
+    climb.parts = climb.moves && isfinite(climb.pivot[0]) && isfinite(climb.pivot[1]) && isfinite(climb.pivot[2]);
     return climb;
 }
 
@@ -135,8 +136,8 @@ static int climb_up(const Surface *s, Scratch *w)
         size_t before = w->node_count;
         Node *above = spare_node_of(s, parent, w);
         left -= w->node_count == before;
-        above->members |= lowest->members;
-        climb->node = lowest->row, climb->above = above->row;
+        above->carries |= lowest->carries;
+        climb->row = lowest->row, climb->row_above = above->row;
     }
     return 1;
 }
@@ -168,15 +169,15 @@ static void plan_way(const Surface *s, size_t turnings, const Fitted *fitted, Sc
     way->spares = way->climbs = 0;
     w->node_count = 0;
     for (size_t n = 0; n < turnings; n++) {
-        size_t row = (size_t)(way->numbers[n] = w->turning[n]);
-        way->turning[n] = w->met[row];
-        Node *node = node_of(s, way->turning[n], row, w);
+        size_t row = (size_t)(way->turning_numbers[n] = w->turning_numbers[n]);
+        way->turning_joints[n] = w->met[row];
+        Node *node = node_of(s, way->turning_joints[n], row, w);
         if (node->row != row) /* two slots have the same joint */
-            way->climb[way->climbs++] = (Climb){.node = row, .above = node->row};
+            way->climb[way->climbs++] = (Climb){.row = row, .row_above = node->row};
     }
     for (size_t i = 0; i < way->fittings; i++) {
-        way->fitted[i] = fitted->joints[i];
-        spare_node_of(s, fitted->joints[i], w)->members |= UINT64_C(1) << i;
+        way->fitted_joints[i] = fitted->joints[i];
+        spare_node_of(s, fitted->joints[i], w)->carries |= UINT64_C(1) << i;
     }
     w->known_turnings = 1;
     way->ends = climb_up(s, w);
@@ -191,7 +192,7 @@ static ALWAYS_INLINE const Way *find_way(const Surface *s, size_t turnings, cons
     const size_t fittings = fitted->unknowns + 1;
     int same = w->known_turnings && way->fittings == fittings;
     for (size_t i = 0; same && i < fittings; i++)
-        same = way->fitted[i] == fitted->joints[i];
+        same = way->fitted_joints[i] == fitted->joints[i];
     if (!same)
         plan_way(s, turnings, fitted, w);
     return way;
@@ -231,22 +232,22 @@ static ALWAYS_INLINE void add_turn(Vector position, const Climb *climb, const do
     const Pair aims = dots(twice(tilt), wanted);
     Pair carried = both(0.0);
     for (size_t i = 0; i <= e.unknowns; i++)
-        carried = add_pairs(carried, scaled(bit_of(climb->members, i, e.unknowns), fitted->given[i]));
+        carried = add_pairs(carried, scaled(bit_of(climb->carries, i, e.unknowns), fitted->given[i]));
     const Pair off = subtract_pairs(scaled(square, carried), aims), squared_off = multiply_pairs(off, off);
     fitted->tilts += square > 0.0 ? (part(squared_off, 0) + part(squared_off, 1)) / square : 0.0;
     fitted->reach += squared_lever;
     const Pair right = scaled(climb->sign, add_pairs(aims, scaled(pull, carried)));
     for (size_t i = 0; i < e.unknowns; i++) {
-        const double mask = bit_of(climb->moved, i, e.unknowns);
+        const double mask = bit_of(climb->moves, i, e.unknowns);
         e.right[i] = add_pairs(e.right[i], scaled(mask, right));
         for (size_t k = 0; k <= i; k++)
-            e.matrix[i * e.stride + k] += mask * bit_of(climb->moved, k, e.unknowns) * (square + pull);
+            e.matrix[i * e.stride + k] += mask * bit_of(climb->moves, k, e.unknowns) * (square + pull);
     }
     if (climb->curl) {
         Curl *curl = &curls[climb->curl - 1];
         curl->wanted = plus_each(curl->wanted, wanted);
         for (size_t i = 0; i < e.unknowns; i++)
-            curl->moved[i] = plus(curl->moved[i], times(tilt, climb->sign * bit_of(climb->moved, i, e.unknowns)));
+            curl->moved[i] = plus(curl->moved[i], times(tilt, climb->sign * bit_of(climb->moves, i, e.unknowns)));
     }
 }
 
@@ -271,12 +272,12 @@ static ALWAYS_INLINE void gather_turns(const Surface *s, Vector position, const 
         for (size_t k = 0; k <= i; k++)
             e.matrix[i * e.stride + k] = 0.0;
     }
-    memset(w->turns + w->room * TURN, 0, way->spares * TURN * sizeof *w->turns);
+    memset(w->turns + w->first_spare * TURN, 0, way->spares * TURN * sizeof *w->turns);
     memset(w->curls, 0, way->curls * sizeof *w->curls);
     for (size_t n = 0; n < way->climbs; n++) {
         const Climb *climb = &way->climb[n];
-        const double *turn = w->turns + climb->node * TURN;
-        double *above = w->turns + climb->above * TURN;
+        const double *turn = w->turns + climb->row * TURN;
+        double *above = w->turns + climb->row_above * TURN;
         if (climb->parts)
             add_turn(position, climb, turn, &w->frame, fitted, e, w->curls);
         for (int m = 0; m < TURN; m += AT_ONCE)
