@@ -75,9 +75,9 @@ def test_slots_of_tiny_weights_that_adopt_are_known_at_any_sum(
 
 
 def two_primitives(folder: Path, gradients: str, left: float = 0.0) -> Editable:
-    """Bake two primitives, at whose border joint 4 takes the slot of joint 0. One has further empty slots.
+    """Bake two primitives, at whose border joint 4 takes the slot of joint 0. One has further free slots.
 
-    Empty slots hold the weight ``left``.
+    Free slots hold the weight ``left``.
     """
     place = sheet().attributes["POSITION"].astype(np.float64)
     border = place[:, 0] == place[:, 0].max()
