@@ -685,6 +685,42 @@ def test_both_paths_leave_points_with_very_many_corners(
     assert (compiled.alpha[0] != pytest.approx(bake(plain).alpha[0], rel=1e-3)) == fits
 
 
+def fan_of_joints(joints: Sequence[int], parents: Sequence[int]) -> tuple[SkinnedPrimitive, Rig]:
+    """Return a fan whose vertices all have these joints, random weights, and a rig of their parents."""
+    random = np.random.default_rng(7)
+    weights = random.random((9, len(joints))) + 0.1
+    weights /= weights.sum(axis=1, keepdims=True)
+    primitive, _ = fan(weights[1:], weights[0])
+    rig = Rig(np.array(parents, dtype=np.int32), random.normal(size=(len(parents), 3)))
+    return replace(primitive, joints=np.tile(np.array(joints), (9, 1))), rig
+
+
+def assert_both_paths_fit(
+    primitive: SkinnedPrimitive, rig: Rig, fits: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = surface_of([primitive])
+    gradients = bake(plain).alpha
+    for slots in both(monkeypatch, partial(bake, with_rig(plain, rig))):
+        assert (slots.alpha != pytest.approx(gradients, rel=1e-3)) == fits
+
+
+@pytest.mark.parametrize(("turns", "fits"), [(128, True), (129, False)])
+def test_both_paths_leave_vertices_with_very_many_turns(
+    turns: int, fits: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On one chain, the turn of each joint but joint 0 parts the first one from the last."""
+    primitive, rig = fan_of_joints([0, turns], range(-1, turns))
+    assert_both_paths_fit(primitive, rig, fits, monkeypatch)
+
+
+@pytest.mark.parametrize(("joints", "fits"), [(64, True), (65, False)])
+def test_both_paths_leave_vertices_with_very_many_fitted_joints(
+    joints: int, fits: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    primitive, rig = fan_of_joints(range(1, joints + 1), [-1, *[0] * joints])
+    assert_both_paths_fit(primitive, rig, fits, monkeypatch)
+
+
 @pytest.mark.parametrize("far", [1e100, 1e200])
 def test_both_paths_leave_gradients_where_levers_overflow(
     far: float, monkeypatch: pytest.MonkeyPatch
