@@ -41,6 +41,7 @@ from skinbake.lighting.poses import PoseRequest, pose_set
 from skinbake.lighting.rest_truth import rest_frames
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.surface import RestSurface
+from tests.support.derivatives import derivatives
 from tests.support.replay import replay
 from tests.support.whole_fields import angular_errors, reference_normals, rest_frame, summarise
 
@@ -96,7 +97,7 @@ class Surface:
         self.normals = frames.unit_normals(normals[self.first_of_class]).astype(np.float64)
         ones, rows = np.ones(len(positions)), np.arange(len(positions))
         to_points = sparse.csr_array((ones, (rows, self.points)))
-        axes = (self.operator.x, self.operator.y, self.operator.z)
+        axes = derivatives(self.operator)
         self.gradient = [sparse.csr_array(axis[self.first_of_class] @ to_points) for axis in axes]
         self.weights = self._weights()[first_of_point]
 

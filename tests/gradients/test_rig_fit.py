@@ -24,6 +24,7 @@ from skinbake.gradients.fit_rules import (
 )
 from skinbake.lighting.operator import GradientOperator, gradient_operator
 from tests.gradients.tubes import BRANCHES, CHAIN, SETTINGS, tube
+from tests.support.derivatives import derivatives
 from tests.support.kernels import use_numpy
 
 TURN = 1e-5
@@ -182,8 +183,7 @@ def gradients_of_joints(primitive: SkinnedPrimitive, operator: GradientOperator)
     joints, count = primitive.joints.astype(np.int64), len(primitive.joints)
     whole = np.zeros((count, joints.max() + 1))
     np.put_along_axis(whole, joints, primitive.weights, axis=1)
-    axes = [operator.along(np.tile(axis, (count, 1))) @ whole for axis in np.eye(3)]
-    return np.stack(axes, axis=2)
+    return np.stack([axis @ whole for axis in derivatives(operator)], axis=2)
 
 
 def solved(

@@ -31,6 +31,7 @@ from tests.support.baked_arrays import (
     path_of,
 )
 from tests.support.baking import bake_settings
+from tests.support.derivatives import derivatives
 from tests.support.surfaces import analytic_surface
 from tests.support.weight_field import weight_field
 from tests.support.whole_fields import rest_frame
@@ -75,10 +76,10 @@ class Vertex:
 def brute_force(primitives: Sequence[SkinnedPrimitive]) -> list[list[Vertex]]:
     """Return every vertex of a mesh, with libigl's gradients."""
     operator, field = gradient_operator(primitives), weight_field(primitives)
-    by_axis = [(axis @ field).toarray() for axis in (operator.x, operator.y, operator.z)]
+    by_axis = [(axis @ field).toarray() for axis in derivatives(operator)]
     dense = np.stack(by_axis, axis=-1)
     # What libigl's rounding makes of a constant weight is no gradient: 1e-16 of the operator's row.
-    reach = sum(abs(axis).sum(axis=1) for axis in (operator.x, operator.y, operator.z))
+    reach = sum(abs(axis).sum(axis=1) for axis in derivatives(operator))
     dense[np.linalg.norm(dense, axis=2) < 1e-13 * reach[:, None]] = 0.0
     classes = weld_classes(primitives).tolist()
     stored = [

@@ -12,6 +12,7 @@ from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.rest_truth import rest_frames
 from skinbake.lighting.tangent_normals import RestFrames
 from tests.support import whole_fields
+from tests.support.derivatives import derivative_along
 from tests.support.surfaces import MILD, STRONG, AnalyticSurface, Triangulation, analytic_surface, bends
 from tests.support.whole_fields import angular_errors, reference_normals
 
@@ -74,7 +75,8 @@ def test_an_affine_map_acts_by_its_cofactors() -> None:
     # The operator's own surface normals: for others F only extends the map by convention, off the surface.
     operator = gradient_operator([surface.primitive])
     tangents = [
-        operator.along(axis) @ surface.primitive.positions for axis in (surface.tangents, surface.bitangents)
+        derivative_along(operator, axis) @ surface.primitive.positions
+        for axis in (surface.tangents, surface.bitangents)
     ]
     n0 = np.cross(*tangents)
     normals, _ = reference_normals(at_rest(surface, n0), (surface.primitive.positions @ matrix.T)[None])

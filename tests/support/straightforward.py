@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.lighting.operator import gradient_operator
 from tests.support import gltf_reading
+from tests.support.derivatives import derivative_along
 from tests.support.gltf_reading import GltfFile
 
 Array = npt.NDArray[np.float64]
@@ -121,8 +122,8 @@ class Character:
         primitive = SkinnedPrimitive(rest, rest_normals, None, joints, weights, self.file.triangles(0))
         operator = gradient_operator([primitive])
         tangents, bitangents = duff(rest_normals)
-        before = [operator.along(axis) @ positions for axis in (tangents, bitangents)]
-        after = [operator.along(axis) @ moved for axis in (tangents, bitangents)]
+        before = [derivative_along(operator, axis) @ positions for axis in (tangents, bitangents)]
+        after = [derivative_along(operator, axis) @ moved for axis in (tangents, bitangents)]
         result = np.full((len(positions), 3), np.nan)
         for vertex in range(len(positions)):
             c0, c1 = (np.cross(pair[0][vertex], pair[1][vertex]) for pair in (before, after))

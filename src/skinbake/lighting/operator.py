@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -23,9 +23,6 @@ from skinbake.lighting.sparse_rows import SparseRows
 from skinbake.lighting.welded_mesh import WeldedMesh, weights_of_corners
 from skinbake.lighting.welds import weld_classes
 from skinbake.skinning.components import Vector, cross, dot, minus, scaled
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
 
 Frame: TypeAlias = tuple[FloatArray, FloatArray]
 
@@ -52,34 +49,11 @@ class GradientOperator(WeldedMesh):
     vertices. The row of a vertex without triangles is zero.
     """
 
-    @property
-    def x(self) -> csr_array:
-        """Return the sparse (V, V) derivative along x, 1 / length unit of POSITION."""
-        return self.along(np.broadcast_to(np.array([1.0, 0.0, 0.0]), self.positions.shape))
-
-    @property
-    def y(self) -> csr_array:
-        """Return the sparse (V, V) derivative along y."""
-        return self.along(np.broadcast_to(np.array([0.0, 1.0, 0.0]), self.positions.shape))
-
-    @property
-    def z(self) -> csr_array:
-        """Return the sparse (V, V) derivative along z."""
-        return self.along(np.broadcast_to(np.array([0.0, 0.0, 1.0]), self.positions.shape))
-
-    def along(self, directions: FloatArray) -> csr_array:
-        """Return the sparse (V, V) float64 derivative along one direction per vertex.
-
-        directions (V, 3), mesh space; a direction's length scales its derivative.
-        """
-        from scipy.sparse import csr_array, vstack
-
-        count = len(self.positions)
-        blocks = [self.rows(part, [directions[part]]).matrix(count) for part in self.blocks()]
-        return vstack(blocks, format="csr") if blocks else csr_array((count, count), dtype=np.float64)
-
     def reach(self) -> Float64Array:
-        """Return the sum of all magnitudes in the rows of x, y and z, (V,). No derivative is larger."""
+        """Return the sum of all magnitudes in the rows along x, y and z, (V,).
+
+        Of a field of values from −1 to 1, no derivative in a unit direction is larger.
+        """
         ones = np.ones(len(self.positions))
         axes = [np.broadcast_to(axis, self.positions.shape) for axis in np.eye(3)]
         return np.asarray(self.reach_along(axes, ones).sum(axis=0))
