@@ -34,9 +34,10 @@ def rest_frames(
     """Measure the rest pose, once for any number of poses.
 
     All arrays are (V, 3) over the mesh's concatenated vertices, in mesh space: the rest positions, n0 of any
-    length, t0 and b0. If t0 and b0 are not given, the tangents are ones that no option of bake chooses
-    (``perpendicular``). A vertex is not valid if it has no triangles, a flat frame, or a zero or non-finite
-    n0. ``parts`` are the blocks of vertices that will be requested.
+    length, t0 and b0. verify gives neither t0 nor b0: the tangents are then ones that no option of bake
+    chooses (``perpendicular``). Tests and benchmarks give the tangents of the surface that they know, to
+    which n0 need not be at right angles. A vertex is not valid if it has no triangles, a flat frame, or a
+    zero or non-finite n0. ``parts`` are the blocks of vertices that will be requested.
     """
     chosen = tuple(operator.blocks()) if parts is None else parts
     along = []

@@ -64,32 +64,28 @@ class ErrorTally:
         self._tail = _Tail(self._needed)
         self._summary: ErrorSummary | None = None
 
-    def add(
-        self,
-        errors: FloatArray,
-        areas: FloatArray,
-        *,
-        valid: BoolArray | None = None,
-        start: tuple[int, int, int] = (0, 0, 0),
-    ) -> None:
-        """Count a block of errors (P, V) in degrees, with the areas (V,) of the vertices.
-
-        valid (P, V), all true by default, tells where the *expected* normal exists. Samples outside it, and
-        vertices without area, are left out. A NaN inside it means that the measured normal does not exist. It
-        counts as 180°: a method that yields no normal must not look better for it.
-        start is the part that the block belongs to, and its first pose and vertex there: where the largest
-        error is found more than once, the first in this order is the worst.
-        """
-        self.take(self.counted(errors, areas, valid=valid), start)
+    def add(self, errors: FloatArray, areas: FloatArray, *, valid: BoolArray | None = None) -> None:
+        """Count a block of errors (P, V) that begins with the first pose and vertex, as ``counted`` does."""
+        self.take(self.counted(errors, areas, valid=valid), (0, 0, 0))
 
     def counted(
         self, errors: FloatArray, areas: FloatArray, *, valid: BoolArray | None = None
     ) -> CountedErrors:
-        """Count a block, for ``take``. Several threads may do this at a time, while another one takes."""
+        """Count a block of errors (P, V) in degrees, with the areas (V,) of the vertices, for ``take``.
+
+        valid (P, V), all true by default, tells where the *expected* normal exists. Samples outside it, and
+        vertices without area, are left out. A NaN inside it means that the measured normal does not exist. It
+        counts as 180°: a method that yields no normal must not look better for it. Several threads may count
+        at a time, while another one takes.
+        """
         return kernel.count_errors(errors, np.asarray(areas, dtype=np.float64), valid, self._tail.least)
 
-    def take(self, found: CountedErrors, start: tuple[int, int, int] = (0, 0, 0)) -> None:
-        """Add a counted block. The order of the blocks matters for the last bits of the summary."""
+    def take(self, found: CountedErrors, start: tuple[int, int, int]) -> None:
+        """Add a counted block. The order of the blocks matters for the last bits of the summary.
+
+        start is the part that the block belongs to, and its first pose and vertex there. Where the largest
+        error is found more than once, the first in this order is the worst.
+        """
         if self._summary is not None:
             raise ValueError("its errors are summarised already")
         self._samples += found.samples

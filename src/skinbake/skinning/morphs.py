@@ -25,8 +25,9 @@ def morphed(
 
     α, β, joints and weights of influences stay. The normal is n0 + Σ w ΔN at length 1. t and b are those of
     ``carried_by_tangent`` if ``targets.with_tangents``, otherwise of ``carried_by_normal``. Positions and
-    frame are computed in ``dtype``, the sums over targets in float64. If all weights are 0, the surface
-    itself is returned.
+    frame are computed in ``dtype``, the sums over targets in float64. verify uses float64. float32 gives the
+    numbers of a shader, with which the tests of the shaders compare. If all weights are 0, the surface itself
+    is returned.
     """
     if not weights.any():
         return rest
