@@ -15,7 +15,7 @@ def derivative_along(operator: GradientOperator, directions: FloatArray) -> csr_
     directions (V, 3) are in mesh space. A direction's length scales its derivative.
     """
     count = len(operator.positions)
-    blocks = [operator.rows(part, [directions[part]]).matrix(count) for part in operator.blocks()]
+    blocks = [operator.rows(part, [directions[part]]).matrix(count) for part in operator.row_blocks()]
     return vstack(blocks, format="csr") if blocks else csr_array((count, count), dtype=np.float64)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from skinbake.geometry.blocks import blocks
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 
 TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6
@@ -41,8 +42,8 @@ def unrolled(indices: IntArray, mode: int) -> npt.NDArray[np.uint32]:
 def mark_proper(positions: FloatArray, triangles: IntArray) -> BoolArray:
     """Tell for each triangle (T, 3) whether it has an area: a mask (T,), see DEGENERATE_AREA."""
     components = np.ascontiguousarray(positions.T, dtype=np.float64)
-    blocks = [triangles[start : start + BLOCK] for start in range(0, len(triangles), BLOCK)]
-    return np.concatenate([np.zeros(0, dtype=np.bool_), *(_proper(components, block) for block in blocks)])
+    masks = [_proper(components, triangles[rows]) for rows in blocks(len(triangles), BLOCK)]
+    return np.concatenate([np.zeros(0, dtype=np.bool_), *masks])
 
 
 def _proper(components: Float64Array, triangles: IntArray) -> BoolArray:
@@ -79,10 +80,14 @@ def _edges(positions: FloatArray, corners: IntArray) -> tuple[Float64Array, Floa
     points = positions.astype(np.float64, copy=False)
     origin, one, other = (points[column] for column in corners.T)
     first, second = one - origin, other - origin
+    return first, second, cross_products(first, second)
+
+
+def cross_products(first: Float64Array, second: Float64Array) -> Float64Array:
+    """Return first × second (N, 3). np.cross takes twice as long."""
     ax, ay, az = first.T
     bx, by, bz = second.T
-    cross = np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
-    return first, second, cross
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
 
 
 def _squared(vectors: Float64Array) -> Float64Array:

@@ -12,6 +12,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from skinbake.geometry.blocks import blocks
 from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.geometry.triangles import DEGENERATE_AREA
@@ -167,7 +168,7 @@ def _by_rows(work: Callable[[slice], Found], rows: int) -> list[Found]:
     from skinbake.threads import Threads, thread_count
 
     with Threads(thread_count()) as threads:
-        return list(threads.each(work, map(slice, range(0, rows, ROWS), range(ROWS, rows + ROWS, ROWS))))
+        return list(threads.each(work, blocks(rows, ROWS)))
 
 
 def _baked_in_parts(bake: Callable[..., None], classes: int, primitives: int) -> Float64Array:

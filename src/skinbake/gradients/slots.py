@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skinbake.geometry.blocks import blocks
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
 from skinbake.gradients.field import NO_JOINT, WeightField
 from skinbake.gradients.surface import NEGLIGIBLE
@@ -54,8 +55,7 @@ def assign(
     adopted = np.full(field.joints.shape, NO_JOINT, dtype=np.int64)
     named = np.full(field.joints.shape, NO_JOINT, dtype=np.int64)
     overflowing, magnitude, unheld = 0, 0.0, 0.0
-    for start in range(0, len(classes), BLOCK):
-        rows = slice(start, start + BLOCK)
+    for rows in blocks(len(classes), BLOCK):
         entries = _Entries(gradients, classes[rows])
         part = field.rows(rows)
         foreign = _foreign(entries, part)

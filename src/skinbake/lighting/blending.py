@@ -47,7 +47,7 @@ def chunks(vertices: int, poses: int) -> list[slice]:
     return [slice(start, min(start + size, poses)) for start in range(0, poses, size)]
 
 
-def blocks(vertices: slice, poses: int) -> list[slice]:
+def sample_blocks(vertices: slice, poses: int) -> list[slice]:
     """Cut vertices into blocks, for chunks of so many poses."""
     size = max(1, min(BLOCK_SAMPLES // max(poses, 1), BLOCK_VERTICES))
     return [
@@ -173,5 +173,5 @@ def blended_blocks(
     count = len(surfaces[0].positions)
     blended = [BlendedSurface(surface, joint_matrices, Options()) for surface in surfaces]
     for pose in chunks(count, len(joint_matrices)):
-        for part in blocks(slice(0, count), pose.stop - pose.start):
+        for part in sample_blocks(slice(0, count), pose.stop - pose.start):
             yield pose, part, blended

@@ -9,7 +9,7 @@ import numpy as np
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
 from skinbake.lighting.counted import CountedErrors, bin_of
 from skinbake.lighting.forms import Forms
-from skinbake.lighting.metrics import angles_of_units, unit_vectors
+from skinbake.lighting.metrics import angles_of_units, units_or_nan
 from skinbake.lighting.sparse_rows import SparseRows
 from skinbake.lighting.tangent_normals import RestFrames, posed_tangents, tangent_normals
 from skinbake.lighting.triangle_normals import (
@@ -203,7 +203,7 @@ def angles(measured: Vector, expected: Float64Array) -> Float32Array:
 
     The vectors are components (P, B), and expected is (U, 3, B, P).
     """
-    units = [component.T for component in unit_vectors(measured)]
+    units = [component.T for component in units_or_nan(measured)]
     return np.stack([angles_of_units(units, list(one)) for one in expected])
 
 

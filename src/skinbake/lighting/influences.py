@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.format.adoption import TINY_WEIGHT
+from skinbake.geometry.blocks import blocks
 from skinbake.geometry.skinned import (
     BoolArray,
     Float32Array,
@@ -143,8 +144,7 @@ def carrying_slots(primitive: SkinnedPrimitive) -> BoolArray:
     carries = np.ones((count, width), dtype=np.bool_)
     earlier = np.tril(np.ones((width, width), dtype=bool), -1)
     step = max(1, PAIRS // max(width * width, 1))
-    for start in range(0, count, step):
-        rows = slice(start, start + step)
+    for rows in blocks(count, step):
         joints = primitive.joints[rows]
         positive = normalised_weights(primitive.weights[rows], joints) > 0.0
         mine, other = positive[:, :, None], positive[:, None, :]

@@ -40,7 +40,7 @@ def angles_between(measured: Vector, expected: Vector) -> Float64Array:
     return angles
 
 
-def unit_vectors(vector: Vector) -> list[FloatArray]:
+def units_or_nan(vector: Vector) -> list[FloatArray]:
     """Return unit vectors by components; NaN for a vector that is zero, not finite or too long to square."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # likewise
         square = dot(vector, vector)

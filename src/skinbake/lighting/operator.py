@@ -16,6 +16,7 @@ import numpy as np
 
 from skinbake.choices import Weighting
 from skinbake.errors import InputError
+from skinbake.geometry.blocks import blocks
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray, SkinnedPrimitive
 from skinbake.lighting import kernel
 from skinbake.lighting.influences import Int64Array, JointField, carrying_slots
@@ -61,7 +62,7 @@ class GradientOperator(WeldedMesh):
     def reach_along(self, directions: Sequence[FloatArray], field: FloatArray) -> Float64Array:
         """Return Σ |entry| × field (V,) over the rows of D directions (V, 3): (D, V)."""
         total = np.zeros((len(directions), len(self.positions)))
-        for part in self.blocks():
+        for part in self.row_blocks():
             rows = self.rows(part, [direction[part] for direction in directions])
             total[:, part] = rows.magnitudes().times(field).reshape(len(directions), -1)
         return total
@@ -157,7 +158,7 @@ def expected_alpha_beta(
     for primitive, rows, frame in zip(named or primitives, operator.slices, frames, strict=True):
         carries = carrying_slots(primitive)
         found = np.zeros((2, *primitive.joints.shape))
-        for part in operator.blocks(rows):
+        for part in operator.row_blocks(rows):
             here = slice(part.start - rows.start, part.stop - rows.start)
             derivatives = operator.rows(part, [directions[here] for directions in frame])
             own = np.tile(primitive.joints[here], (2, 1))
@@ -180,12 +181,11 @@ def _derivatives_of_joints(derivatives: SparseRows, field: JointField, named: In
     count, width = len(named), field.joint_count
     found = np.zeros(named.shape)
     step = max(1, TABLE_CELLS // max(width, 1))
-    for start in range(0, count, step):
-        rows = slice(start, min(start + step, count))
+    for rows in blocks(count, step):
         first, last = np.searchsorted(owners, (rows.start, rows.stop))
         entries, joints, weights = field.of(columns[first:last])
-        cells = (owners[first:last][entries] - start) * width + joints
-        table = np.bincount(cells, values[first:last][entries] * weights, (rows.stop - start) * width)
+        cells = (owners[first:last][entries] - rows.start) * width + joints
+        table = np.bincount(cells, values[first:last][entries] * weights, (rows.stop - rows.start) * width)
         found[rows] = np.take_along_axis(table.reshape(-1, width), named[rows].astype(np.int64), axis=1)
     return found
 

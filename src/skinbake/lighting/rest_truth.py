@@ -39,7 +39,7 @@ def rest_frames(
     which n0 need not be at right angles. A vertex is not valid if it has no triangles, a flat frame, or a
     zero or non-finite n0. ``parts`` are the blocks of vertices that will be requested.
     """
-    chosen = tuple(operator.blocks()) if parts is None else parts
+    chosen = tuple(operator.row_blocks()) if parts is None else parts
     along = []
     for group in operator.together(chosen):
         whole = slice(group[0].start, group[-1].stop)

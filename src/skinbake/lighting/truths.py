@@ -17,7 +17,7 @@ from numpy.typing import DTypeLike
 from skinbake.choices import Truth
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
 from skinbake.lighting import kernel
-from skinbake.lighting.blending import blocks
+from skinbake.lighting.blending import sample_blocks
 from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.rest_truth import carried_normals, rest_frames
 from skinbake.lighting.tangent_normals import RestFrames, morphed_frames
@@ -125,7 +125,9 @@ class VertexBlock:
 def _vertex_blocks(slices: Sequence[slice], poses: int) -> list[VertexBlock]:
     """Cut the vertices of all primitives, each at its slice of the mesh, for chunks of so many poses."""
     pieces = [
-        (surface, here.start, part) for surface, here in enumerate(slices) for part in blocks(here, poses)
+        (surface, here.start, part)
+        for surface, here in enumerate(slices)
+        for part in sample_blocks(here, poses)
     ]
     return [
         VertexBlock(number, surface, slice(part.start - start, part.stop - start), part)

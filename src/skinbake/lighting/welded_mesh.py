@@ -44,7 +44,7 @@ class WeldedMesh:
         ends = np.cumsum(self.counts).tolist()
         return [slice(end - count, end) for end, count in zip(ends, self.counts, strict=True)]
 
-    def blocks(self, within: slice | None = None) -> list[slice]:
+    def row_blocks(self, within: slice | None = None) -> list[slice]:
         """Cut the vertices, or some of them, into blocks whose rows are made together."""
         start, stop = (0, len(self.positions)) if within is None else (within.start, within.stop)
         total = self._corners_before(start, stop)
