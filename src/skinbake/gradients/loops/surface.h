@@ -65,62 +65,48 @@ static ALWAYS_INLINE size_t class_of(const Surface *s, size_t vertex)
     return found < (size_t)s->class_count ? found : (size_t)s->class_count;
 }
 
-/* Group the corners 4 t + i by weld class, by counting. */
-static Status group_corners(const Surface *s, Groups *groups)
+/* Group so many vertices or corners by weld class, by counting. vertices[n] is the vertex of corner n, whose member is
+   4 t + i for corner i of triangle t. If it is NULL, the members are the vertices themselves. */
+static ALWAYS_INLINE Status group(const Surface *s, size_t count, const uint32_t *vertices, Groups *groups)
 {
-    size_t corners = 3 * (size_t)s->triangle_count, classes = (size_t)s->class_count;
+    const size_t classes = (size_t)s->class_count;
     groups->start = calloc(classes + 2, sizeof *groups->start);
-    groups->members = calloc(corners + 1, sizeof *groups->members);
+    groups->members = calloc(count + 1, sizeof *groups->members);
     if (!groups->start || !groups->members)
         return NO_MEMORY;
     uint32_t *next = groups->start + 1; /* one ahead: filling moves every start to its place */
-    for (size_t corner = 0; corner < corners; corner++) {
-        size_t c = class_of(s, s->triangles[corner]);
+    for (size_t n = 0; n < count; n++) {
+        const size_t c = class_of(s, vertices ? vertices[n] : n);
         if (c == classes)
             return STRAY_INDEX;
         next[c + 1]++;
     }
     for (size_t c = 0; c < classes; c++)
         next[c + 1] += next[c];
-    for (size_t t = 0; t < (size_t)s->triangle_count; t++)
-        for (size_t i = 0; i < 3; i++) {
-            size_t c = class_of(s, s->triangles[3 * t + i]);
-            if (c == classes || next[c] >= corners)
-                return STRAY_INDEX;
-            groups->members[next[c]++] = (uint32_t)(4 * t + i);
-        }
+    for (size_t n = 0; n < count; n++) {
+        const size_t c = class_of(s, vertices ? vertices[n] : n);
+        if (c == classes || next[c] >= count)
+            return STRAY_INDEX;
+        groups->members[next[c]++] = (uint32_t)(vertices ? n / 3 * 4 + n % 3 : n);
+    }
     return DONE;
 }
 
-/* Group the vertices by weld class. If every class is one vertex of the same number, members stay NULL. */
+static Status group_corners(const Surface *s, Groups *groups)
+{
+    return group(s, 3 * (size_t)s->triangle_count, s->triangles, groups);
+}
+
+/* If every class is one vertex of the same number, members stay NULL. */
 static Status group_vertices(const Surface *s, Groups *groups)
 {
-    size_t vertices = (size_t)s->vertices, classes = (size_t)s->class_count;
+    const size_t vertices = (size_t)s->vertices;
     size_t v = 0;
     while (v < vertices && s->classes[v] == (int32_t)v)
         v++;
-    if (v == vertices && classes == vertices)
+    if (v == vertices && (size_t)s->class_count == vertices)
         return DONE;
-    groups->start = calloc(classes + 2, sizeof *groups->start);
-    groups->members = calloc(vertices + 1, sizeof *groups->members);
-    if (!groups->start || !groups->members)
-        return NO_MEMORY;
-    uint32_t *next = groups->start + 1;
-    for (v = 0; v < vertices; v++) {
-        size_t c = class_of(s, v);
-        if (c == classes)
-            return STRAY_INDEX;
-        next[c + 1]++;
-    }
-    for (size_t c = 0; c < classes; c++)
-        next[c + 1] += next[c];
-    for (v = 0; v < vertices; v++) {
-        size_t c = class_of(s, v);
-        if (c == classes || next[c] >= vertices)
-            return STRAY_INDEX;
-        groups->members[next[c]++] = (uint32_t)v;
-    }
-    return DONE;
+    return group(s, vertices, NULL, groups);
 }
 
 /* The corners and the vertices of a surface by weld class, and the numbers that it was made for. */
