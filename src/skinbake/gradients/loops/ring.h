@@ -137,7 +137,8 @@ static ALWAYS_INLINE void find_neighbours(const Surface *s, Shape shape, size_t 
     w->neighbours = count;
 }
 
-/* Sums over some corners of a class: the weights of both means, and the normals and sizes of the triangles. */
+/* Sums over the corners of a class: the weights of both means, that of the bake and ROOT of corner.py, and the normals
+   and doubled areas of the triangles. sum_turns holds them, add_corners adds to them, end_frame reads them. */
 typedef struct {
     double weight;
     Four root_weight, normal[3], area;

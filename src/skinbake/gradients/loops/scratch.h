@@ -27,18 +27,21 @@ enum { ARMS = 0, SPINS = 6, TURN = 12 };
    tangents that the fit follows. A zero fills the last place. */
 enum { GRADIENT = 0, ALONG = 3, ADDED = 6 };
 
-/* A neighbour of a class: the edge to it, and what it adds. If it has the joints of the class it is alike, and has
-   the differences of the weights of four slots. */
+/* A neighbour of a class: the edge to it, and what it adds. It is alike if vertices have four slots, and if its own
+   name the joints of the class in the same order. find_neighbours writes all of it, with zeros in `added`. Then
+   add_corners adds to `added`, and sum_ring reads it. */
 typedef struct {
     double edge[4]; /* x, y, z, 0 */
-    double differences[AT_ONCE], added[ADDED];
+    double differences[AT_ONCE]; /* of the weights in the four slots; only of one that is alike */
+    double added[ADDED];
     uint32_t vertex;
     int alike;
 } Neighbour;
 
 /* Some corners of a class at once, component by component. Edges lead to the two other corners of the triangle,
    the vertices `ends`. The sum multiplies the differences of skin weights along the edges by coefficients. weight is
-   that of the corner in the mean (see corner.py). */
+   that of the corner in the mean (see corner.py). find_ends writes `ends`, find_neighbours or find_edges the edges, and
+   weigh_corners the rest. */
 typedef struct {
     uint32_t ends[AT_ONCE][2];
     Neighbour *neighbours[2][AT_ONCE]; /* by end: the ends in the ring, if there is one */
@@ -57,7 +60,8 @@ enum { LOOKED_BACK = 16 };
 /* Entries of the table that says where in the ring a vertex stands. */
 enum { PLACES = 64 };
 
-/* Corners of which a class is fitted at most, and joints that turn around one vertex or are fitted there. */
+/* Corners of which a class is fitted at most, and joints that turn around one vertex or are fitted there (twins of the
+   same names: ring_turns.py and rig_fit.py). */
 enum { MOST_CORNERS = 4096, MOST_TURNS = 128, MOST_FITTED = 64 };
 
 /* The vertex whose normal was normalised last, and whether the normal had a direction. */
@@ -67,13 +71,13 @@ typedef struct {
     int known, directed;
 } Latest;
 
-/* The frame of a class, in which its turns are measured. */
+/* The frame of a class, in which its turns are measured. begin_frame writes the first three, end_frame the others. */
 typedef struct {
     Vector normal, tangents[2];
-    Vectors along;       /* the tangents */
-    Vectors leverage[2]; /* see ring_turns._leverage: by derivative */
+    Vectors along;       /* both tangents, component by component */
+    Vectors leverage[2]; /* see ring_turns._leverage: by derivative; only of a sound class */
     double doubt;        /* the tilt for each radian of a turn of which the fit takes half */
-    int sound;
+    int sound;           /* find_gradients writes 0, begin_frame whether there is a normal; end_frame may clear it */
 } RingFrame;
 
 /* A joint that may turn: which of the fitted slots it carries. */
@@ -102,8 +106,8 @@ typedef struct {
     Vectors wanted;
 } Curl;
 
-/* The way of the turns around a vertex up the rig. It depends on joints only, and the next vertex often has the
-   same ones. */
+/* The way of the turns around a vertex up the rig, as plan_way finds it (there is a sketch of one). It depends on
+   joints only, and the next vertex often has the same ones. */
 typedef struct {
     int32_t *turning_joints, *turning_numbers; /* joints around the class that turn, and their local numbers */
     size_t turnings;
@@ -129,40 +133,54 @@ typedef struct {
     double magnitude;
 } Entry;
 
-/* Room to work in, enough for any class. Local numbers: slot k of the class has k, further joints follow. */
+/* Room to work in, enough for any class. Local numbers: slot k of the class has k, further joints follow.
+
+   bake_classes takes one class after the other: find_gradients, with sum_corners in it, then write_vertex for each
+   vertex of the class. Fields are ordered by how long they hold. What says *with a rig* is there only if gradients are
+   fitted to one. */
 typedef struct {
-    int32_t *local; /* by joint: its local number, -1 elsewhere */
-    int32_t *met;   /* by local number: the joint */
-    uint64_t *seen; /* by local number: the last neighbour that has the joint */
-    uint64_t visit;
-    double *own;        /* by slot: the class's weight */
-    double *x, *y, *z;  /* by local number: the components of the sum */
-    Entry *entries;
-    Entry **foreign;
-    int32_t *named; /* by slot: the joint whose gradient it carries */
-    Latest latest;
-    int stray;      /* an index was out of range at its use */
-    /* Only with a rig: */
-    void *corner_room; /* what corners was cut out of, aligned as vectors must be */
-    Corners *corners;  /* all corners of a class */
+    /* As long as the scratch: */
+    uint64_t visit; /* add_differences: the number of its calls so far, over all classes */
+    uint64_t *seen; /* add_differences, by local number: the visit of the last neighbour with the joint */
+    int stray;      /* an index was out of range at its use; set by whoever meets it, never cleared */
+    Latest latest;  /* unit_of: until it is asked for another vertex */
+    Way way;        /* plan_way: until a vertex has other joints. With a rig */
+
+    /* Within one function. Before and after it they are as described: */
+    int32_t *local;    /* sum_corners, by joint: its local number. -1 everywhere */
+    int32_t *node_of;  /* plan_way, by joint: its node. -1 everywhere. With a rig */
+    Node *nodes;       /* plan_way. With a rig */
+    size_t node_count; /* plan_way: 0. With a rig */
+
+    /* Until sum_corners has summed up the class. find_ring writes them. All with a rig: */
+    void *corner_room; /* what corners was cut out of, aligned as vectors must be; as long as the scratch */
+    Corners *corners;  /* all corners of the class */
     Neighbour *ring;   /* the ends of these corners */
-    size_t neighbours;
+    size_t neighbours; /* in the ring */
     int varies;        /* whether the weights of the ring do */
-    uint16_t places[PLACES]; /* by the last digits of a vertex: where it may stand in the ring */
-    double *turns;     /* by local number, then spare rows: TURN each */
-    size_t first_spare; /* the first spare row */
-    RingFrame frame;
-    Vector *gradients; /* by slot */
-    double *shares;    /* by slot: of the gradients' lengths */
-    int32_t *turning_numbers; /* the local numbers of the joints that turn */
-    int known_turnings; /* whether the way is that of these joints */
-    Node *nodes;
-    int32_t *node_of;  /* by joint: its node, -1 elsewhere */
-    size_t node_count;
-    double *kept;      /* the turns of a class while those of one of its vertices are carried up */
-    Way way;
-    double *matrix;    /* MOST_FITTED squared */
-    Curl *curls;
+    uint16_t places[PLACES]; /* by the last digits of a vertex: where it may stand in the ring. Never cleared, because
+                                place_of looks into the ring */
+
+    /* Until the next class: */
+    int32_t *met;      /* by local number: the joint. sum_corners writes those of slots, add_differences the others */
+    double *own;       /* sum_corners, by slot: the class's weight */
+    double *x, *y, *z; /* sum_corners, by local number: the components of the sum */
+    Entry *entries;    /* make_entries; `held` is of the vertex that was projected last */
+    Entry **foreign;   /* find_foreign: into the entries */
+    RingFrame frame;   /* see there. With a rig */
+    double *turns;     /* sum_turns, by local number: TURN each. A fit adds to them, and project_fitted puts them back
+                          unless no vertex follows. From first_spare on they are of one vertex. With a rig */
+    size_t first_spare; /* the first spare row of the turns, of nodes without a turn of their own; always the same */
+    int32_t *turning_numbers; /* find_turning: the local numbers of the joints that turn. With a rig */
+    int known_turnings;       /* whether the way is of these joints: find_turning tells, plan_way makes it so */
+
+    /* Until the next vertex: */
+    int32_t *named;    /* name_slots, by slot: the joint whose gradient it has */
+    Vector *gradients; /* project_fitted, by slot; move_gradients changes them. With a rig */
+    double *shares;    /* project_fitted, by slot: of the lengths of all gradients. With a rig */
+    double *kept;      /* project_fitted: the turns of the class, while a fit adds to them. With a rig */
+    double *matrix;    /* gather_turns, then solve: MOST_FITTED squared, for vertices of many slots. With a rig */
+    Curl *curls;       /* gather_turns: as many as the way has. With a rig */
 } Scratch;
 
 static void free_scratch(Scratch *w)
