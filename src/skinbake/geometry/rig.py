@@ -90,14 +90,24 @@ class Rig:
 class Lineage:
     """The lines of descent of a rig. They take J log J: a mask of all pairs would take J².
 
-    A root is added above all joints: number J, of depth −1.
+    A root is added above all joints: number J, of depth −1. Each joint has a *span*: places in an order in
+    which all that it carries follow it at once. It carries another joint if its span holds the other's start.
+
+        joint 5, added    span 0 … 5
+        └ 0               1 … 5
+          └ 1             2 … 5
+            ├ 2           3 … 4    holds 4, so 2 carries 3
+            │ └ 3         4 … 4
+            └ 4           5 … 5    2 does not carry 4: 3 … 4 does not hold 5
     """
 
     def __init__(self, rig: Rig) -> None:
         self.root = len(rig.parents)
         self.depths = np.append(rig.depths, -1)
         parents = np.append(np.where(rig.parents == NO_PARENT, self.root, rig.parents), self.root)
+        # The ends are one past the last place.
         self._starts, self._ends = _spans(parents, np.argsort(self.depths, kind="stable"))
+        # The joint 1, 2, 4, … steps up.
         self._steps = [parents]
         while (self._steps[-1] != self.root).any():
             self._steps.append(self._steps[-1][self._steps[-1]])
@@ -119,6 +129,8 @@ class Lineage:
         # A joint that carries the first and the last of a group carries all between them.
         at_start = np.argsort(self._starts)
         lowest, other = at_start[np.minimum(first, last)], at_start[last]
+        # So go up from the first by ever shorter steps, as long as no joint there carries the last. The next
+        # one does.
         for step in reversed(self._steps):
             lowest = np.where(self.carries(step[lowest], other), lowest, step[lowest])
         found: IntArray = np.where(self.carries(lowest, other), lowest, self._steps[0][lowest])
@@ -141,7 +153,7 @@ class Lineage:
 
 
 def _spans(parents: IntArray, order: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the numbers of joints, start and end: a joint and all that it carries are start … end − 1.
+    """Return start and end of the span of each joint: it and all that it carries have start … end − 1.
 
     order begins with the root, and has each joint after its parent.
     """

@@ -127,15 +127,32 @@ class _Pairs:
 
 
 def _turning_pairs(vertices: FittedVertices, named: IntArray, turns: RingTurns, rig: Rig) -> _Pairs:
-    """Return the pairs of V vertices. Joints that the rig does not have stand apart and never turn."""
+    """Return the pairs of V vertices. Joints that the rig does not have stand apart and never turn.
+
+    The turn of a joint takes along all joints that it carries, and so do its arms and spins: each entry of
+    ``turns`` goes up the rig, and is added to those of every joint on its way. The way ends below the lowest
+    joint that carries all joints around the vertex. From there on a turn is rigid. An example:
+
+        joint 0     The weights of 2, 3 and 4 vary around a vertex. The slots of 3 and 4 are fitted.
+        └ 1         It carries 2, 3 and 4, so the ways end below it: 2; 3, 2; 4.
+          ├ 2       The entries of 2 and 3 are summed up. Of the slots it carries the first.
+          │ └ 3     The entry of 3. It carries the first slot.
+          └ 4       The entry of 4. It carries the second slot.
+
+    All three carry one slot and not the other: they part the slots, and make three pairs. The second slot is
+    the last. Its α is minus α of the first, so ᾱ is α of the first for 2 and 3, and minus that for 4. These
+    factors 1, 1 and −1 are ``_TurnEffects.signs``. If the slots were those of 3 and 2, only 3 would make a
+    pair: 2 carries both slots, and 4 carries none.
+    """
     owner, entry = _entries(turns.offsets, vertices.classes)
     row, slot = np.nonzero(named >= 0)
     vertex = np.concatenate([owner, row])
     joint = np.concatenate([turns.joints[entry], named[row, slot]])
     values = np.concatenate([turns.arms[entry], turns.spins[entry]], axis=1).reshape(-1, 12)
+    # The turns of a fitted joint count even if its weight does not vary around the vertex.
     values = np.concatenate([values, np.zeros((len(row), 12))])
     lineage, count = Lineage(rig), len(named)
-    # Up to the lowest joint that carries all joints around a vertex, each turn parts them.
+    # How many joints each way passes.
     climbs = lineage.depths[joint] - lineage.depths[lineage.lowest_above(vertex, joint, count)[vertex]]
     too_many = np.zeros(count, dtype=np.bool_)
     too_many[vertex[climbs > MOST_TURNS]] = True

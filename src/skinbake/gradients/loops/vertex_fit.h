@@ -114,7 +114,15 @@ static Climb climb_from(const Surface *s, const Node *node, size_t unknowns)
 }
 
 /* Go through all joints whose turns part the joints around a vertex, from the lowest up. Returns 0 where there are
-   too many. */
+   too many.
+
+   Each joint hands up what it carries. It ends when one node is left, which carries all. In the example of
+   rig_fit._turning_pairs, nodes are made for 2, 3 and 4 beforehand, as they turn, and the climbs are
+
+       node   its slots, as bits   its turn                its node above
+       3      01                   of 3                    2
+       4      10                   of 4                    1, made with a spare row
+       2      01                   of 2, with that of 3    1 */
 static int climb_up(const Surface *s, Scratch *w)
 {
     Way *way = &w->way;
@@ -135,7 +143,7 @@ static int climb_up(const Surface *s, Scratch *w)
         lowest->done = 1;
         size_t before = w->node_count;
         Node *above = spare_node_of(s, parent, w);
-        left -= w->node_count == before;
+        left -= w->node_count == before; /* else the new node is left instead of this one */
         above->carries |= lowest->carries;
         climb->row = lowest->row, climb->row_above = above->row;
     }
