@@ -1,17 +1,18 @@
-"""The only definition of the contribution of a triangle's corner to the gradient at its vertex.
+"""What a triangle's corner adds to the gradient at its vertex (twin: ``loops/corners.h``, in another form).
 
-A corner has edges e1, e2 to the two other corners, A2 = |e1 × e2| and n = e1 × e2. The gradient of a function
-that is linear on the triangle is
+A corner has the edges e1, e2 to the two other corners. Let n = e1 × e2 and A2 = |n|, twice the area. A
+function that is linear on the triangle, with the values w0 at the corner and w1, w2 at the ends of e1, e2,
+has the gradient
 
     ∇w = (w1 − w0) (e2 × n) / A2² + (w2 − w0) (n × e1) / A2²
 
 The two vectors are the gradients of hats. A hat is the linear function that is 1 at one corner and 0 at both
-others; here it is 1 at the end of e1, and of e2.
+others. The first hat is 1 at the end of e1, the second at the end of e2.
 
-The vertex takes the mean of its corners' ∇w under one of four weightings. The default is Max's, 1 / (|e1|²
-|e2|²) times A2: N. Max, *Weights for Computing Vertex Normals from Facet Normals*, Journal of Graphics Tools
-4(2), 1999. The fit to a rig (rig_fit.py) takes its own weights, ROOT: 1 / (|e1| |e2|)^1.5 times A2. They lie
-between Max's weights and the angles.
+The vertex takes the mean of its corners' ∇w. Four weightings are options of bake. The default is Max's, A2 /
+(|e1|² |e2|²): N. Max, *Weights for Computing Vertex Normals from Facet Normals*, Journal of Graphics Tools
+4(2), 1999. Only the fit to a rig (ring_turns.py) takes a fifth one, ROOT: A2 / (|e1| |e2|)^1.5. It lies
+between Max's weights, which are sin θ / (|e1| |e2|), and the angles θ.
 """
 
 from __future__ import annotations
@@ -27,10 +28,9 @@ WEIGHTINGS = {"max": MAX, "angle": ANGLE, "area": AREA, "angle-area": ANGLE_AREA
 def corner_coefficients(e1: Any, e2: Any, weighting: int) -> Any:
     """Return (weight, c1, c2) of a corner: its weight, and the weight times the gradients of both hats.
 
-    e1, e2 are triples of components (numbers or equal arrays) of the edges at the corner. c1 and c2 are such
-    triples too. The corner adds c1 (w1 − w0) + c2 (w2 − w0) to the vertex's sum. The triangle must have an
-    area. The arithmetic holds for numbers and for arrays: weight_gradients.py calls it with arrays. The
-    compiled loops compute the same in another form.
+    e1, e2 are the edges at the corner, each a triple of components: numbers, or arrays (N,) of N corners. c1
+    and c2 are such triples too. The corner adds c1 (w1 − w0) + c2 (w2 − w0) to the vertex's sum. The triangle
+    must have an area. weighting is MAX, ANGLE, AREA, ANGLE_AREA or ROOT.
     """
     e1x, e1y, e1z = e1
     e2x, e2y, e2z = e2

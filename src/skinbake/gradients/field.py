@@ -19,9 +19,9 @@ class WeightField(NamedTuple):
 
     Every joint has only one slot of a vertex. A repeat gets joint −1 and weight 0, and the slot that keeps
     the joint gets its weight. Slots keep the places that they have in the file. free (V, K) tells which slots
-    may adopt a joint. These are slots stored with weight 0, unless the vertex has almost no weight (a sum of
-    at most ``influences.ADOPTING_SUM``). There the smallest weight would be a share of that sum, or all of
-    it.
+    may adopt a joint: those stored with weight 0, or with so little that it counts as 0
+    (``influences.LEAST_WEIGHT``). A vertex whose stored weights sum to at most ``influences.ADOPTING_SUM``
+    has none. The weight that an adopted slot gets would be a visible part of so small a sum.
     """
 
     joints: npt.NDArray[np.int32]

@@ -42,4 +42,9 @@ UNFELT = 1e-4
 """The presence up to which a joint is not fitted."""
 
 FLAT = 1e-6
-"""The sine between the two derivatives of the positions below which a class has no normal of its own."""
+"""A share that counts as 0.
+
+A class has no normal of its own if the sine between its two derivatives of the positions is at most FLAT, or
+if its triangles' normals or its vertices' normals cancel out but for this share. The spread counts as FLAT at
+least.
+"""

@@ -27,7 +27,8 @@ from skinbake.skinning.components import Vector, cross, dot, minus, scaled
 
 Frame: TypeAlias = tuple[FloatArray, FloatArray]
 
-# A triangle is a line or a point if its doubled area is at most this share of its longest squared edge.
+# A triangle is a line or a point if its doubled area is at most this share of its longest squared edge. The
+# bake's own is DEGENERATE_AREA in geometry/triangles.py, of which verify takes no code.
 _DEGENERATE = 1e-10
 
 

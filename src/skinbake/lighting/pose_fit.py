@@ -1,14 +1,21 @@
 """Weight gradients fitted to poses: the tangents of algorithm 3 follow the true normals of each pose.
 
 docs/fitted.md has the derivation. Let δ be the changes of the gradients at a vertex, which sum to 0. In a
-pose they move a tangent t' of algorithm 3 by Σ δ[s] M[s] p̃. The fit minimises the sum over all poses of
+pose they move a tangent t' of algorithm 3 by d = Σ δ[s] M[s] p̃. The fit minimises the sum over both groups
+of poses, and in each group the mean over its poses, of
 
-    v w ((n' · t')² + POSE_STIFFNESS |Σ δ[s] M[s] p̃|²)
+    v w ((n' · (t' + d))² + POSE_STIFFNESS |d|²)
 
-n' is the mean of both true normals by their parts in AIM, and w is 2 / (|t'|² + |b'|²) at the given
-gradients. v is a group's share of the fit over the error that its poses have at the given gradients: gentle
-clips and wide random poses count by their shares then. All terms are quadratic in δ with the same matrix for
-both tangents, so the direction of TANGENT does not matter.
+plus POSE_STIFFNESS X Σ f[s] δ[s]², the pull of each slot to its given gradient.
+
+- n' is the mean of both true normals, by their parts in AIM.
+- w is 2 / (|t'|² + |b'|²) at the given gradients, with a bound where tangents collapse.
+- v is the group's share of the fit, divided by the mean squared tilt of its poses at the given gradients. So
+  gentle clips and wide random poses count by their shares.
+- f is that of ``rig_fit``, and X is the sum of v w times the ``_spread`` of the joints.
+
+All terms are quadratic in δ with the same matrix for both tangents, so the direction of TANGENT does not
+matter.
 """
 
 from __future__ import annotations
@@ -49,7 +56,7 @@ With halves, the sum of both truths' errors is larger, in clips and in other pos
 """
 
 NEGLIGIBLE = float(np.radians(0.3)) ** 2
-"""The mean squared tilt below which the error of a group counts no more. Else rounding would be fitted."""
+"""The squared sine that is added to the mean squared tilt of a group. Otherwise rounding would be fitted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,12 +200,13 @@ class _Moved:
 
 @dataclass(frozen=True, slots=True)
 class _LeastSquares:
-    """The normal equations of all vertices of a primitive, summed over poses.
+    """The normal equations of all vertices of a primitive.
 
-    given (V, K, 2) are α and β of all slots. presence (V, K) is the weight of each slot's joint and its share
-    of the gradients. last (V,) is the last fitted slot, which takes minus the sum of the others. matrix (V,
-    K, K), right (V, K, 2), reach (V,), the sum of w times the ``_spread``, and error (V,), the mean squared
-    tilt at the given gradients, are sums over poses.
+    given (V, K, 2) are α and β of all slots. presence (V, K) is the weight of each slot's joint, plus its
+    share of the gradients. last (V,) is the last fitted slot, which takes minus the sum of the others. The
+    other fields are means over the poses of a group, or sums of these over the groups. matrix (V, K, K) and
+    right (V, K, 2) are the equations for δ. reach (V,) is w times the ``_spread``. error (V,) is the mean
+    squared tilt at the given gradients.
     """
 
     given: Float64Array
@@ -250,7 +258,7 @@ class _LeastSquares:
         self.reach[:] += scale * group.reach
 
     def solved(self) -> Slots:
-        """Return α and β (V, K − 1). A joint that is hardly there is pulled harder, as in ``surface``."""
+        """Return α and β (V, K − 1). A joint that is hardly there is pulled harder, as in ``rig_fit``."""
         count, slots = self.presence.shape
         vertices, diagonal = np.arange(count), np.arange(slots)
         fitted = self.presence > UNFELT

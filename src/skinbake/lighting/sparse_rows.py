@@ -17,9 +17,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class SparseRows:
-    """Some rows of a sparse matrix with V columns. Row r has its entries from starts[r] to starts[r + 1].
+    """B rows of a sparse matrix with V columns.
 
-    starts (B + 1,) and columns are int32, values are float64. Several blocks share their entries.
+    starts (B + 1,) int32. Row r has the entries starts[r] … starts[r + 1] − 1 of columns (E,) int32 and
+    values (E,) float64. These arrays may hold the entries of further rows too, before and after those of the
+    B rows: blocks of rows that were made together share them.
     """
 
     starts: Int32Array
@@ -32,15 +34,15 @@ class SparseRows:
 
     @property
     def entries(self) -> slice:
-        """The entries of these rows among those of all blocks."""
+        """Where the entries of these rows stand in columns and values."""
         return slice(int(self.starts[0]), int(self.starts[-1]))
 
     def some(self, part: slice) -> SparseRows:
-        """Return the rows that some of the starts belong to."""
+        """Return some of the rows. part is a slice of starts: one longer than that of the rows."""
         return SparseRows(self.starts[part], self.columns, self.values)
 
     def owners(self) -> Int64Array:
-        """Return the row of each entry."""
+        """Return the row of each of ``entries``, from 0."""
         return np.repeat(np.arange(len(self)), np.diff(self.starts))
 
     def magnitudes(self) -> SparseRows:
@@ -48,11 +50,11 @@ class SparseRows:
         return SparseRows(self.starts, self.columns, np.abs(self.values))
 
     def times(self, field: FloatArray) -> Float64Array:
-        """Return the product with a field (V,). Entries are added in their order, as SciPy adds them."""
+        """Return the product (B,) with a field (V,). Entries are added in their order, as SciPy adds them."""
         return self.times_each([field])[0]
 
     def times_each(self, fields: Iterable[FloatArray]) -> list[Float64Array]:
-        """Return the products with several fields (V,)."""
+        """Return the products (B,) with several fields (V,)."""
         columns, values, owners = self.columns[self.entries], self.values[self.entries], self.owners()
         return [
             np.bincount(owners, values * field[columns], minlength=len(self)).astype(np.float64, copy=False)
