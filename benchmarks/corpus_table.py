@@ -56,7 +56,8 @@ between both, for small turns, and at no pose of the tables.) At rest both give 
   tangents at rest to the tangents in the pose moves the authored normal.
 - **By triangles.** The normal at a vertex is the mean of its triangles' normals, each weighted by the
   triangle's angle there (Thürmer and Wüthrich 1998). Modelling tools shade with it. It is computed at rest
-  and in the pose, and the authored normal keeps its place beside it.
+  and in the pose. In the pose, the authored normal leans from it as at rest: by as much, and to the same side
+  of the mesh. A vertex has none if each of its triangles is there twice, once for each side.
 
 No option of bake changes these ways: the weighting of triangles, the crease angle (15°) and the tangents are
 verify's own. All meshes that the same skins draw are one surface, with or without `--weld`, unless they have
