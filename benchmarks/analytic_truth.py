@@ -45,10 +45,10 @@ from skinbake.lighting.influences import normalised_weights
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.poses import PoseRequest, pose_set
-from skinbake.lighting.rest_surfaces import rest_surface
+from skinbake.lighting.rest_primitives import rest_primitive
 from skinbake.lighting.truths import Truths
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 from skinbake.threads import Threads
 from tests.support.replay import replay
 from tests.support.whole_fields import angular_errors, rest_frame
@@ -139,7 +139,7 @@ def bends(count: int = 8) -> Float64Array:
 
 
 def measured(
-    primitive: SkinnedPrimitive, rest: RestSurface, matrices: Float64Array, exact: Float64Array
+    primitive: SkinnedPrimitive, rest: RestPrimitive, matrices: Float64Array, exact: Float64Array
 ) -> Errors:
     """Measure algorithms 1 and 3, and both truths, on a tube whose exact normals (P, V, 3) are known."""
     operator = gradient_operator([primitive])
@@ -185,7 +185,7 @@ def grown(weights: Weights, columns: int, rows: int, *, gradients: Gradients = G
     settings = Baker().settings
     ((baked, _),) = bake_primitives([primitive], settings, RIG if gradients is Gradients.RIG else None)
     frame, matrices = rest_frame(primitive, settings.frame), bends()
-    rest = RestSurface(
+    rest = RestPrimitive(
         positions=primitive.positions,
         normals=primitive.normals,
         tangents=frame.tangents.astype(np.float64),
@@ -208,7 +208,7 @@ def bent_tube(gradients: Gradients) -> Errors:
     matrices = pose_set(document, 0, read_clips(document), PoseRequest()).joint_matrices
     _, theta, height = tube(tube_weights, 33, 46)
     exact = exact_normals(tube_weights, matrices, theta, height)
-    return measured(view.now, rest_surface(view), matrices, exact)
+    return measured(view.now, rest_primitive(view), matrices, exact)
 
 
 def lines(gradients: Gradients) -> Iterator[str]:

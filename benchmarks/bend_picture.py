@@ -30,7 +30,7 @@ from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.rest_truth import rest_frames
 from skinbake.lighting.tally import ErrorSummary
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 from tests.support.replay import replay
 from tests.support.whole_fields import angular_errors, reference_normals, rest_frame, summarise
 
@@ -81,7 +81,7 @@ def strongest_bend() -> Bend:
         read_accessor(document, source.attributes[f"_SKINBAKE_{name}_0"], source.place).decoded()
         for name in ("ALPHA", "BETA")
     )
-    rest = RestSurface(
+    rest = RestPrimitive(
         positions=primitive.positions,
         normals=primitive.normals,
         tangents=frame.tangents,

@@ -30,7 +30,7 @@ from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.baked_views import baked_views
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import gradient_operator
-from skinbake.lighting.rest_surfaces import rest_surface
+from skinbake.lighting.rest_primitives import rest_primitive
 from skinbake.lighting.rest_truth import rest_frames
 from skinbake.lighting.tally import ErrorSummary
 from skinbake.shaders.choices import ShaderChoices
@@ -153,7 +153,7 @@ def strongest_bend() -> Bend:
     """Bake the fixture and pose it where standard lighting is worst."""
     document = Baker().bake_document(read_document(str(MODEL))).document
     (view,), _ = baked_views(document, skinned_sources(document)[0])
-    rest, now = rest_surface(view), view.now
+    rest, now = rest_primitive(view), view.now
     (clip,) = read_clips(document)
     poses = clip_poses(read_skeleton(document, 0), clip, np.unique(clip.channels[0].times))
     standard = replay(Algorithm.LBS_APPROXIMATED, rest, poses)

@@ -16,7 +16,7 @@ from skinbake.lighting.morphing import morphing_of
 from skinbake.lighting.operator import true_operator
 from skinbake.lighting.poses import PoseRequest, PoseSet, draws_of, pose_set
 from skinbake.lighting.rest_areas import RestAreas
-from skinbake.lighting.rest_surfaces import rest_surface
+from skinbake.lighting.rest_primitives import rest_primitive
 
 Field = tuple[Float64Array, BoolArray]
 """Errors in degrees (P, V), and whether the true normal exists there (P, V)."""
@@ -104,7 +104,7 @@ def _measure(
     with_dqs: bool,
 ) -> None:
     """Add the errors of one skin on one surface."""
-    rigid = with_dqs and not not_rigid_joints([rest_surface(view) for view in views], poses.joint_matrices)
+    rigid = with_dqs and not not_rigid_joints([rest_primitive(view) for view in views], poses.joint_matrices)
     for method in ("lbs", "dqs") if rigid else ("lbs",):
         for (truth, lighting, surface), (errors, valid) in error_fields(
             document, views, poses, method
@@ -122,14 +122,14 @@ def error_fields(
     operator = true_operator([view.now for view in views])
 
     def record(block: MeasuredBlock) -> None:
-        shape = len(poses.clips), len(views[block.surface].now.positions)
-        key = block.truth, block.lighting, block.surface
+        shape = len(poses.clips), len(views[block.primitive].now.positions)
+        key = block.truth, block.lighting, block.primitive
         errors, valid = fields.setdefault(key, (np.zeros(shape), np.zeros(shape, dtype=np.bool_)))
         rows, columns = block.errors.shape
         at = slice(block.pose, block.pose + rows), slice(block.vertex, block.vertex + columns)
         errors[at], valid[at] = block.errors, block.valid
 
-    rest = [rest_surface(view) for view in views]
+    rest = [rest_primitive(view) for view in views]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # as verify measures
         morphing = morphing_of(document, views, poses)
         lighting_errors(operator, rest, poses.joint_matrices, method, record, morphing=morphing)

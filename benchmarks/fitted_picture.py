@@ -29,7 +29,7 @@ from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.baked_views import baked_views
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.poses import PoseRequest, pose_set
-from skinbake.lighting.rest_surfaces import rest_surface
+from skinbake.lighting.rest_primitives import rest_primitive
 from skinbake.skinning.algorithms import Algorithm
 from tests.support.replay import replay
 
@@ -65,7 +65,7 @@ def lit_both_ways(path: Path) -> Lit:
             by_truth = [np.nan_to_num(fields[truth, lighting, 0][0]).mean(axis=0) for truth in Truth]
             found.setdefault(kind, np.mean(by_truth, axis=0))
     rest = pose_set(document, 0, [], PoseRequest(PoseKind.REST)).joint_matrices
-    positions = replay(Algorithm.LBS_APPROXIMATED, rest_surface(view), rest).positions[0]
+    positions = replay(Algorithm.LBS_APPROXIMATED, rest_primitive(view), rest).positions[0]
     return Lit(positions, view.now.triangles, vertex_areas(view.now.positions, view.now.triangles), found)
 
 

@@ -30,7 +30,7 @@ from skinbake.lighting.verify_options import VerifyOptions
 from skinbake.report.verify import FileVerdict
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 from tests.support import analytic, morphing
 from tests.support.replay import replay
 
@@ -176,12 +176,12 @@ def figures(points: analytic.Sample, displacement: morphing.Displacement, weight
     return [*shown, *np.mean(rows, axis=0).tolist()]
 
 
-def surface(points: analytic.Sample, *, tangents: bool = False) -> RestSurface:
+def surface(points: analytic.Sample, *, tangents: bool = False) -> RestPrimitive:
     """Return the tube at rest, in the normal frame or in that of its own tangents."""
     t0, b0 = points.tangents, points.bitangents
     if not tangents:
         t0, b0 = (v.astype(np.float64) for v in frame_from_normal(points.normals.astype(np.float32)))
-    return RestSurface(
+    return RestPrimitive(
         positions=points.positions,
         normals=points.normals,
         tangents=t0,
@@ -193,13 +193,13 @@ def surface(points: analytic.Sample, *, tangents: bool = False) -> RestSurface:
     )
 
 
-def posed(rest: RestSurface, algorithm: Algorithm, bend: str) -> Float64Array:
+def posed(rest: RestPrimitive, algorithm: Algorithm, bend: str) -> Float64Array:
     """Return the skinned normals (V, 3)."""
     matrices = analytic.joint_matrices(bend)[None]
     return np.asarray(replay(algorithm, rest, matrices).normals[0], dtype=np.float64)
 
 
-def exact(points: analytic.Sample, shape: analytic.Surface, moved: RestSurface) -> RestSurface:
+def exact(points: analytic.Sample, shape: analytic.Surface, moved: RestPrimitive) -> RestPrimitive:
     """Return the morphed surface with the images of t0 and b0."""
     rest = surface(points)
     frame = [np.asarray(vectors, dtype=np.float64) for vectors in (rest.tangents, rest.bitangents)]
@@ -207,7 +207,7 @@ def exact(points: analytic.Sample, shape: analytic.Surface, moved: RestSurface) 
     return replace(moved, tangents=t, bitangents=b)
 
 
-def true_image(image: RestSurface, normals: Any, bend: str) -> Float64Array:
+def true_image(image: RestPrimitive, normals: Any, bend: str) -> Float64Array:
     """Return cof(F) n, F from the exact frames before and after: what skinbake verify measures on a mesh."""
     skinned = replay(Algorithm.LBS_ACCURATE, image, analytic.joint_matrices(bend)[None])
     before = columns(image.tangents, image.bitangents, None)
@@ -226,7 +226,7 @@ def columns(a: Any, b: Any, before: tuple[Any, Any] | None) -> Float64Array:
 
 
 def rejected(
-    points: analytic.Sample, displacement: morphing.Displacement, weight: float, moved: RestSurface
+    points: analytic.Sample, displacement: morphing.Displacement, weight: float, moved: RestPrimitive
 ) -> Iterator[tuple[Any, Any]]:
     """Yield t and b of the ways that are not taken."""
     rest = surface(points)

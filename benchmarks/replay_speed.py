@@ -18,18 +18,18 @@ import igl
 import numpy as np
 
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 from tests.support.replay import replay
 
 VERTICES, POSES, JOINTS, INFLUENCES = 10_000, 100, 40, 4
 
 
-def rest_surface() -> RestSurface:
+def rest_primitive() -> RestPrimitive:
     """Return vertices with random frames, weights and derivatives: the cost does not depend on them."""
     generator = np.random.default_rng(0)
     frames = np.linalg.qr(generator.normal(size=(VERTICES, 3, 3))).Q
     weights = generator.random((VERTICES, INFLUENCES))
-    return RestSurface(
+    return RestPrimitive(
         positions=generator.normal(size=(VERTICES, 3)),
         normals=frames[:, 0],
         tangents=frames[:, 1],
@@ -51,7 +51,7 @@ def joint_matrices() -> np.ndarray:
     return matrices
 
 
-def plain_skinning(rest: RestSurface, matrices: np.ndarray) -> None:
+def plain_skinning(rest: RestPrimitive, matrices: np.ndarray) -> None:
     """Move the positions of all poses with libigl's matrix."""
     dense = np.zeros((VERTICES, JOINTS))
     np.add.at(dense, (np.arange(VERTICES)[:, None], rest.joints), rest.weights)
@@ -76,7 +76,7 @@ def main() -> None:
     )
     parser.add_argument("--runs", type=int, default=5)
     runs = parser.parse_args().runs
-    rest, matrices = rest_surface(), joint_matrices()
+    rest, matrices = rest_primitive(), joint_matrices()
     peer = median_seconds(lambda: plain_skinning(rest, matrices), runs)
     print(f"{VERTICES:,} vertices × {POSES} poses, {INFLUENCES} influences, median of {runs} runs")
     print(f"{'':<22}{'float64':>9}{'ratio':>8}{'float32':>9}{'ratio':>8}")

@@ -40,7 +40,7 @@ from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.poses import PoseRequest, pose_set
 from skinbake.lighting.rest_truth import rest_frames
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 from tests.support.derivatives import derivatives
 from tests.support.replay import replay
 from tests.support.whole_fields import angular_errors, reference_normals, rest_frame, summarise
@@ -287,7 +287,7 @@ def rounded(primitive: SkinnedPrimitive, top: int) -> SkinnedPrimitive:
     return primitive.with_influences(primitive.joints, (floors + (rank < missing)) / top)
 
 
-def rest_surfaces(surface: Surface, gradients: Float64Array) -> list[RestSurface]:
+def rest_primitives(surface: Surface, gradients: Float64Array) -> list[RestPrimitive]:
     """Return what a shader gets of gradients (C, J, 3): slots assigned and joints adopted as bake does."""
     lengths = np.linalg.norm(gradients, axis=2)
     owner, joint = np.nonzero(lengths > 1e-9 * lengths.max(initial=0.0))
@@ -302,7 +302,7 @@ def rest_surfaces(surface: Surface, gradients: Float64Array) -> list[RestSurface
         slots = assign(sparse_ones, surface.classes[rows], surface.fields[number], pair, capacity[rows])
         named = np.where(slots.adopted >= 0, slots.adopted, primitive.joints)
         result.append(
-            RestSurface(
+            RestPrimitive(
                 primitive.positions.astype(np.float64),
                 frames.unit_normals(primitive.normals).astype(np.float64),
                 frame.tangents.astype(np.float64),
@@ -316,7 +316,7 @@ def rest_surfaces(surface: Surface, gradients: Float64Array) -> list[RestSurface
     return result
 
 
-def posed(rest: Sequence[RestSurface], matrices: Float64Array) -> tuple[Float64Array, Float64Array]:
+def posed(rest: Sequence[RestPrimitive], matrices: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Return accurate normals and positions, (P, V, 3) each."""
     skinned = [replay(Algorithm.LBS_ACCURATE, part, matrices) for part in rest]
     return (
@@ -343,7 +343,7 @@ def measure(
     """Return angles to the accurate normals of the FLOAT bake, by denoiser; and to true ones (``true …``)."""
     exact, coarse = Surface(primitives), Surface([rounded(primitive, top) for primitive in primitives])
     gradients = as_stored(exact, 0.0)
-    rest = rest_surfaces(exact, gradients)
+    rest = rest_primitives(exact, gradients)
     wanted, positions = posed(rest, matrices)
     areas = np.tile(exact.areas, len(matrices))
     stacked = [
@@ -360,16 +360,16 @@ def measure(
     result = {f"{TRUE} FLOAT": sample(wanted * sides[..., None], expected, valid)}
     # Copies of a point stay together when rounded, so each class of the rounded mesh has one exact gradient.
     kept = gradients[exact.classes[coarse.first_of_class]]
-    result[FLOOR] = sample(posed(rest_surfaces(coarse, kept), matrices)[0], wanted)
+    result[FLOOR] = sample(posed(rest_primitives(coarse, kept), matrices)[0], wanted)
     for name, denoiser in denoisers.items():
-        found = posed(rest_surfaces(coarse, denoiser(coarse, 1.0 / top)), matrices)[0]
+        found = posed(rest_primitives(coarse, denoiser(coarse, 1.0 / top)), matrices)[0]
         result[name] = sample(found, wanted)
         if denoiser is as_stored:
             result[f"{TRUE} rounded"] = sample(found * sides[..., None], expected, valid)
     return result
 
 
-def mirrored_sides(rest: Sequence[RestSurface], matrices: Float64Array) -> Float64Array:
+def mirrored_sides(rest: Sequence[RestPrimitive], matrices: Float64Array) -> Float64Array:
     """Return −1 (P, V) where the joint of the largest weight mirrors, and turns t' × b' inside; else 1."""
     mirrors = np.linalg.det(matrices[..., :3, :3]) < 0
     largest = [part.joints[np.arange(len(part.joints)), part.weights.argmax(axis=1)] for part in rest]

@@ -28,10 +28,10 @@ from skinbake.lighting.before_adoption import true_operator_of
 from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.poses import PoseRequest, draws_of, pose_set
 from skinbake.lighting.rest_areas import RestAreas
-from skinbake.lighting.rest_surfaces import rest_surface
+from skinbake.lighting.rest_primitives import rest_primitive
 from skinbake.lighting.truths import Truths
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 from skinbake.threads import Threads
 from tests.support.replay import SkinnedSurface, replay
 from tests.support.whole_fields import angular_errors, summarise
@@ -45,7 +45,7 @@ class Character:
     """A baked character in P poses: its surface, joint matrices (P, J, 4, 4), and areas (V,) as weights."""
 
     name: str
-    rest: RestSurface
+    rest: RestPrimitive
     operator: GradientOperator
     matrices: Wide
     areas: Wide
@@ -68,7 +68,7 @@ class Character:
             assert not problems
             return cls(
                 path.parent.name,
-                rest_surface(view),
+                rest_primitive(view),
                 true_operator_of(document, [view]),
                 poses.joint_matrices,
                 RestAreas(document, skin).of(view.now),

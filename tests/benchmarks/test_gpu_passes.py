@@ -29,7 +29,7 @@ from skinbake.geometry import frames
 from skinbake.lighting.poses import PoseRequest
 from skinbake.lighting.verify_options import VerifyOptions
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 from tests.benchmarks.gpu_outputs import Outputs, matrices, smooth_sheet, split_sheet
 from tests.support import corpus
 from tests.support.replay import SkinnedSurface, replay
@@ -76,11 +76,11 @@ def outputs(tmp_path_factory: pytest.TempPathFactory) -> Outputs:
     return found
 
 
-def rest(mesh: Mesh, encoding: Encoding) -> RestSurface:
+def rest(mesh: Mesh, encoding: Encoding) -> RestPrimitive:
     """Return the mesh as the replay takes it, α and β as an encoding leaves them."""
     tangents, bitangents = frames.frame_from_normal(mesh.normals)
     alpha, beta = (rounded(values, encoding, gradient_scale(mesh)) for values in (mesh.alpha, mesh.beta))
-    return RestSurface(
+    return RestPrimitive(
         mesh.positions, mesh.normals, tangents, bitangents, mesh.joints, mesh.weights, alpha, beta
     )
 

@@ -15,7 +15,7 @@ from skinbake.choices import Frame, Language, Lighting
 from skinbake.geometry.frames import frame_from_normal, frame_from_tangent
 from skinbake.geometry.morphs import Differences, MorphTarget, MorphTargets
 from skinbake.shaders.choices import ShaderChoices
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 from tests.bevy.compose import compose
 from tests.bevy.link import link
 from tests.support import gltf_reading
@@ -53,14 +53,14 @@ class Scene:
     matrices: Single
     stored: Single | None = None
 
-    def rest(self, frame: str) -> RestSurface:
+    def rest(self, frame: str) -> RestPrimitive:
         """The same as a replay takes it, in the frame of TANGENT or of NORMAL."""
         tangents, bitangents = (
             frame_from_tangent(self.normals, self.tangents)
             if frame == Frame.TANGENT
             else frame_from_normal(self.normals)
         )
-        return RestSurface(
+        return RestPrimitive(
             self.positions,
             self.normals,
             tangents,
@@ -224,7 +224,7 @@ def _job(case: Case, text: str) -> Job:
     return Job(code, tuple(buffers), VERTICES * 12 * 4, VERTICES // 64)
 
 
-def jacobians(rest: RestSurface, matrices: Single) -> Wide:
+def jacobians(rest: RestPrimitive, matrices: Single) -> Wide:
     """Return the Jacobian Σ w M + Σ (M p) ∇wᵀ of every vertex's skinned position, (V, 3, 3)."""
     chosen = matrices.astype(np.float64)[rest.joints]
     moved = np.einsum("vsij,vj->vsi", chosen[..., :3, :3], rest.positions) + chosen[..., :3, 3]

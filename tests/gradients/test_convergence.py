@@ -11,7 +11,7 @@ from skinbake.choices import Weighting
 from skinbake.geometry.skinned import Float64Array
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 from tests.support.baked_arrays import bake_one
 from tests.support.baking import bake_settings
 from tests.support.replay import replay
@@ -28,7 +28,7 @@ def normals_of(
     settings = bake_settings(weighting=weighting)
     baked, _ = bake_one(primitive, settings)
     frame = rest_frame(primitive, settings.frame)
-    rest = RestSurface(
+    rest = RestPrimitive(
         primitive.positions,
         primitive.normals,
         frame.tangents,

@@ -18,7 +18,7 @@ from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.rest_truth import rest_frames
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 from tests.support.baked_arrays import BARBARIAN, CESIUM_MAN, MANNEQUINY, meshes_of, path_of
 from tests.support.baking import bake_settings
 from tests.support.replay import replay
@@ -55,14 +55,14 @@ def skin_of(name: str) -> dict[int, int]:
     return {node["mesh"]: node["skin"] for node in nodes if "skin" in node}
 
 
-def rest_surfaces(primitives: Sequence[SkinnedPrimitive], settings: BakeSettings) -> list[RestSurface]:
+def rest_primitives(primitives: Sequence[SkinnedPrimitive], settings: BakeSettings) -> list[RestPrimitive]:
     surfaces = []
     for primitive, (baked, _) in zip(primitives, bake_primitives(primitives, settings), strict=True):
         frame = rest_frame(primitive, baked.frame)
         adopted = baked.adopted_joints
         weights = normalised_weights(primitive.weights, primitive.joints)
         surfaces.append(
-            RestSurface(
+            RestPrimitive(
                 primitive.positions,
                 unit_normals(primitive.normals),
                 frame.tangents,
@@ -85,7 +85,7 @@ def mean_errors(name: str, matrices: Sequence[Float64Array], settings: BakeSetti
     weights = []
     for mesh, primitives in meshes_of(path_of(name)).items():
         poses = matrices[skin_of(name)[mesh]]
-        surfaces = rest_surfaces(primitives, settings)
+        surfaces = rest_primitives(primitives, settings)
         outcomes = {
             algorithm: [replay(algorithm, surface, poses) for surface in surfaces] for algorithm in errors
         }

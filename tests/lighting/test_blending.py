@@ -10,22 +10,22 @@ import pytest
 from skinbake.choices import Baseline
 from skinbake.geometry.skinned import Float64Array
 from skinbake.lighting import blending
-from skinbake.lighting.blending import BlendedSurface, blended_blocks
+from skinbake.lighting.blending import BlendedPrimitive, blended_blocks
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.surface import Options, RestSurface
+from skinbake.skinning.rest import Options, RestPrimitive
 from tests.support.replay import replay
 
 ALGORITHMS = (Algorithm.LBS_APPROXIMATED, Algorithm.LBS_DIRECT, Algorithm.LBS_ACCURATE)
 JOINTS, VERTICES = 200, 23
 
 
-def surface(slots: int, seed: int = 0) -> RestSurface:
+def surface(slots: int, seed: int = 0) -> RestPrimitive:
     """Vertices without order: frames of both hands, joints twice at a vertex, weights of 0, narrow types."""
     rng = np.random.default_rng(seed)
     frames = np.linalg.qr(rng.normal(size=(VERTICES, 3, 3)))[0]
     weights = rng.random((VERTICES, slots)) * (rng.random((VERTICES, slots)) < 0.8)
     weights[:, 0] += 0.1
-    return RestSurface(
+    return RestPrimitive(
         positions=rng.normal(size=(VERTICES, 3)),
         normals=frames[:, 0],
         tangents=frames[:, 1],
@@ -37,7 +37,7 @@ def surface(slots: int, seed: int = 0) -> RestSurface:
     )
 
 
-def rows_of(rest: RestSurface, part: slice) -> RestSurface:
+def rows_of(rest: RestPrimitive, part: slice) -> RestPrimitive:
     names = ("positions", "normals", "tangents", "bitangents", "joints", "weights", "alpha", "beta")
     return replace(rest, **{name: getattr(rest, name)[part] for name in names})
 
@@ -57,7 +57,7 @@ def joint_matrices(poses: int) -> Float64Array:
 def test_it_is_what_the_lines_compute(poses: int, slots: int, baseline: Baseline, cap: float | None) -> None:
     rest, matrices = surface(slots), joint_matrices(poses)
     authored = replace(rest, normals=surface(slots, 2).normals)
-    found = BlendedSurface(
+    found = BlendedPrimitive(
         rest, matrices, Options(cap, baseline), direct=lambda part: rows_of(authored, part)
     )
     for pose, part in (
@@ -78,7 +78,7 @@ def test_it_is_what_the_lines_compute(poses: int, slots: int, baseline: Baseline
 def test_where_the_jacobian_is_singular_the_cofactors_are_left() -> None:
     rest, matrices = surface(1), np.zeros((1, JOINTS, 4, 4))
     matrices[..., :2, :2] = np.eye(2)
-    (normals,) = BlendedSurface(rest, matrices, Options(), direct=lambda part: rows_of(rest, part)).normals(
+    (normals,) = BlendedPrimitive(rest, matrices, Options(), direct=lambda part: rows_of(rest, part)).normals(
         (Algorithm.LBS_DIRECT,), slice(0, 1), slice(0, VERTICES)
     )
     expected = np.zeros((1, VERTICES, 3))
@@ -87,7 +87,7 @@ def test_where_the_jacobian_is_singular_the_cofactors_are_left() -> None:
 
 
 def test_algorithm_2_has_to_be_prepared_for() -> None:
-    plain = BlendedSurface(surface(4), joint_matrices(1), Options())
+    plain = BlendedPrimitive(surface(4), joint_matrices(1), Options())
     with pytest.raises(ValueError, match="algorithm 2"):
         plain.normals((Algorithm.LBS_DIRECT,), slice(0, 1), slice(0, 1))
 

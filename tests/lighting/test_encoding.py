@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 
 from skinbake.lighting.blending import BLOCK_SAMPLES
-from skinbake.lighting.encoding import EncodedSurface, added_error
-from skinbake.skinning.surface import RestSurface
+from skinbake.lighting.encoding import EncodedPrimitive, added_error
+from skinbake.skinning.rest import RestPrimitive
 
 ROUNDING = 2.0**-22
 """Relative: angles are kept as float32."""
 
 
-def flat(alpha: list[float], lift: list[float]) -> EncodedSurface:
+def flat(alpha: list[float], lift: list[float]) -> EncodedPrimitive:
     """Return vertices at the origin, between a joint at rest and one that a pose lifts along the normal.
 
     t' = x + α lift z and b' = y, so that the normal turns by atan(α lift).
     """
     count, poses = len(alpha), len(lift)
     rows = np.eye(3)[[0, 1, 2]]
-    surface = RestSurface(
+    surface = RestPrimitive(
         positions=np.zeros((count, 3)),
         normals=np.tile(rows[2], (count, 1)),
         tangents=np.tile(rows[0], (count, 1)),
@@ -34,7 +34,7 @@ def flat(alpha: list[float], lift: list[float]) -> EncodedSurface:
     )
     matrices = np.tile(np.eye(4), (poses, 2, 1, 1))
     matrices[:, 1, 2, 3] = lift
-    return EncodedSurface(surface, surface.alpha, surface.beta, np.ones(count), matrices)
+    return EncodedPrimitive(surface, surface.alpha, surface.beta, np.ones(count), matrices)
 
 
 def test_the_angle_is_that_between_the_two_normals() -> None:
@@ -78,8 +78,8 @@ def test_without_an_area_or_a_normal_there_is_no_figure() -> None:
     item = flat([1.0], [1.0])
     assert added_error([]) is None
     assert added_error([replace(item, areas=np.zeros(1))]) is None
-    gone = replace(item.surface, tangents=np.zeros((1, 3)), alpha=np.zeros((1, 1)))
-    assert added_error([replace(item, surface=gone, alpha=np.zeros((1, 1)))]) is None
+    gone = replace(item.primitive, tangents=np.zeros((1, 3)), alpha=np.zeros((1, 1)))
+    assert added_error([replace(item, primitive=gone, alpha=np.zeros((1, 1)))]) is None
 
 
 def test_a_normal_that_only_the_stored_numbers_lose_counts_as_upside_down() -> None:

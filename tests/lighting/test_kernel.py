@@ -29,8 +29,8 @@ from skinbake.lighting.operator import GradientOperator, gradient_operator
 from skinbake.lighting.rest_truth import carried_normals, rest_frames
 from skinbake.lighting.tangent_normals import RestFrames
 from skinbake.lighting.triangle_normals import ClassBlock, ClassSums, class_blocks
+from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.skinning.run import Skinning
-from skinbake.skinning.surface import Options, RestSurface
 from tests.support.baked_files import verify
 from tests.support.models import FOLDER, baked
 from tests.support.strictness import missing_tool
@@ -190,7 +190,7 @@ def moved_by_dqs(poses: int, slots: int, *, scaled: bool, cap: float | None = No
     weights = rng.random((23, slots)) * (rng.random((23, slots)) < 0.8)
     weights[:, 0] += 0.1
     alpha, beta = rng.normal(size=(2, 23, slots - 1)) * (rng.random((23, slots - 1)) < 0.8)
-    rest = RestSurface(
+    rest = RestPrimitive(
         positions=rng.normal(size=(23, 3)),
         normals=frames[:, 0],
         tangents=frames[:, 1],

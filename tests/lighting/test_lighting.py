@@ -22,7 +22,7 @@ from skinbake.gradients.baker import BakeSettings, bake_primitives
 from skinbake.lighting import angles as lighting
 from skinbake.lighting import blending, identity, tally, triangle_normals
 from skinbake.lighting.baked_views import baked_views
-from skinbake.lighting.blending import BlendedSurface
+from skinbake.lighting.blending import BlendedPrimitive
 from skinbake.lighting.influences import normalised_weights
 from skinbake.lighting.poses import PoseRequest
 from skinbake.lighting.staleness import surface_operator
@@ -30,7 +30,7 @@ from skinbake.lighting.verify_options import VerifyOptions
 from skinbake.report.verify import FileVerdict, Normals
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Vector
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 from tests.support import analytic, corpus, gltf_reading
 from tests.support.baked_files import CESIUM_MAN, Editable, baked, source, verify
 from tests.support.baking import bake_settings
@@ -140,7 +140,7 @@ def test_at_rest_every_lighting_gives_the_stored_normals(path: Path, tmp_path: P
     assert not problems
     for mesh in dict.fromkeys(view.source.mesh for view in views):
         here = [view for view in views if view.source.mesh == mesh]
-        rest = [rest_surface(view) for view in here]
+        rest = [rest_primitive(view) for view in here]
         joints = max(int(view.now.joints.max()) for view in here) + 1
         identity = np.tile(np.eye(4), (1, joints, 1, 1))
         for method in ("lbs", "dqs"):
@@ -157,9 +157,9 @@ def test_at_rest_every_lighting_gives_the_stored_normals(path: Path, tmp_path: P
                     assert block.errors[block.valid].max(initial=0.0) < (1e-4 if exact else 0.11)
 
 
-def rest_surface(view: Any) -> RestSurface:
+def rest_primitive(view: Any) -> RestPrimitive:
     primitive = view.now
-    return RestSurface(
+    return RestPrimitive(
         primitive.positions.astype(float),
         unit_normals(primitive.normals),
         view.tangents.astype(float),
@@ -479,7 +479,7 @@ def test_the_identity_check_fails_when_an_algorithm_is_wrong(
 ) -> None:
     path = baked(source("bent_tube.glb"), tmp_path)
 
-    class Tilted(BlendedSurface):
+    class Tilted(BlendedPrimitive):
         def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
             found = super().normals(algorithms, pose, part)
             direct = algorithms.index(Algorithm.LBS_DIRECT)
@@ -487,7 +487,7 @@ def test_the_identity_check_fails_when_an_algorithm_is_wrong(
             found[direct] = (x + 1e-5 * z, y + 1e-5 * x, z + 1e-5 * y)
             return found
 
-    monkeypatch.setattr(lighting, "BlendedSurface", Tilted)
+    monkeypatch.setattr(lighting, "BlendedPrimitive", Tilted)
     verdict = measured(path, methods=("lbs",), poses=PoseRequest(PoseKind.ANIMATION, 3))
     ((name, code, message),) = failing(verdict)
     assert (name, code) == ("identity", "identity")
@@ -576,7 +576,7 @@ def mesh_gradient_errors(bend: str, *algorithms: Algorithm) -> list[float]:
     primitive = SkinnedPrimitive(surface.positions, surface.normals, None, joints, weights, triangles)
     ((made, _),) = bake_primitives([primitive], bake_settings())
     tangents, bitangents = duff_frame(surface.normals)
-    rest = RestSurface(
+    rest = RestPrimitive(
         surface.positions, surface.normals, tangents, bitangents, joints, weights, made.alpha, made.beta
     )
     blend = analytic.dual_quaternion_blend(analytic.joint_dual_quaternions(bend), joints[:, 0])

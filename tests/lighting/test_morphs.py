@@ -17,7 +17,7 @@ from skinbake.gltf.document import read_document
 from skinbake.lighting import measured
 from skinbake.lighting.poses import PoseRequest, draws_of, pose_set
 from skinbake.lighting.truths import Truths
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 from tests.support.baked_files import Editable, baked, source, verify
 from tests.support.baking import bake_settings
 from tests.support.morphed_files import morphed, with_tangents
@@ -136,7 +136,7 @@ def test_both_methods_share_the_morphed_surfaces_if_these_are_small(
     path = morphed(baked(source("mirrored_tangent.glb"), tmp_path), tmp_path / "moved.glb", targets=1)
     made = []
 
-    def counted(truth: Truths, surfaces: Sequence[RestSurface]) -> Truths:
+    def counted(truth: Truths, surfaces: Sequence[RestPrimitive]) -> Truths:
         made.append(surfaces)
         return moved(truth, surfaces)
 

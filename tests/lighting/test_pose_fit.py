@@ -20,19 +20,19 @@ from skinbake.lighting.operator import GradientOperator, true_operator
 from skinbake.lighting.pose_fit import POSE_STIFFNESS, FitPoses, fitted_to_poses, tilts
 from skinbake.lighting.truths import Truths
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 from tests.gradients.tubes import BRANCHES, SETTINGS, tube
 from tests.support.replay import replay
 
 
-def surface_of(primitive: SkinnedPrimitive, rig: Rig | None = None) -> RestSurface:
+def surface_of(primitive: SkinnedPrimitive, rig: Rig | None = None) -> RestPrimitive:
     """Return a primitive as it was baked, in float64."""
     ((result, _),) = bake_primitives([primitive], SETTINGS, rig)
     normals = unit_normals(primitive.normals)
     tangents, bitangents = (axis.astype(np.float64) for axis in frame_from_normal(normals))
     named = np.where(result.adopted_joints >= 0, result.adopted_joints, primitive.joints)
     weights = primitive.weights.astype(np.float64)
-    return RestSurface(
+    return RestPrimitive(
         positions=primitive.positions.astype(np.float64),
         normals=normals.astype(np.float64),
         tangents=tangents,
@@ -73,7 +73,7 @@ def even(matrices: Float64Array) -> list[FitPoses]:
     return [FitPoses(matrices, 1.0)]
 
 
-def true_normals(operator: GradientOperator, surface: RestSurface, matrices: Float64Array) -> Float64Array:
+def true_normals(operator: GradientOperator, surface: RestPrimitive, matrices: Float64Array) -> Float64Array:
     """Return the unit means (P, V, 3) of both truths by their parts."""
     positions = replay(Algorithm.LBS_APPROXIMATED, surface, matrices).positions
     truths = Truths.of(operator, [surface], len(matrices), tuple(Truth))
@@ -112,7 +112,7 @@ class WrittenOut:
     tangents are t' and b' (2, P, V, 3), motions (2, slots, P, V, 3) what one more of α or β adds to them.
     """
 
-    surface: RestSurface
+    surface: RestPrimitive
     group: FitPoses
     normals: Float64Array
     tangents: Float64Array
@@ -150,7 +150,7 @@ class WrittenOut:
         return np.asarray(np.sqrt(POSE_STIFFNESS * reach * (EVEN + faint)))
 
 
-def written_out(operator: GradientOperator, surface: RestSurface, group: FitPoses) -> WrittenOut:
+def written_out(operator: GradientOperator, surface: RestPrimitive, group: FitPoses) -> WrittenOut:
     """Replay the surface, and again for each stored slot: what it adds is linear in α and β."""
     matrices = group.joint_matrices
     given = replay(Algorithm.LBS_ACCURATE, surface, matrices)

@@ -20,10 +20,10 @@ from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.baked_views import baked_views
 from skinbake.lighting.poses import PoseRequest, pose_set
-from skinbake.lighting.rest_surfaces import rest_surface
+from skinbake.lighting.rest_primitives import rest_primitive
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 from tests.shaders.combinations import ATTRIBUTES, columns
 from tests.support import analytic, corpus
 from tests.support.baking import bake_file
@@ -54,7 +54,7 @@ class Scene:
     beta: Single
     matrices: Single
 
-    def rest(self, choices: ShaderChoices) -> RestSurface:
+    def rest(self, choices: ShaderChoices) -> RestPrimitive:
         """Return the surface as the replay takes it, in the frame of the choices."""
         count = choices.influences
         if choices.frame == Frame.NORMAL:
@@ -64,7 +64,7 @@ class Scene:
                 np.asarray(vectors, np.float32)
                 for vectors in frames.frame_from_tangent(self.normals, self.tangents)
             )
-        return RestSurface(
+        return RestPrimitive(
             self.positions,
             self.normals,
             tangents,
@@ -226,7 +226,7 @@ class Character:
         assert not problems
         view = views[0]
         assert view.metadata["frame"] == self.frame
-        rest = rest_surface(view)
+        rest = rest_primitive(view)
         assert rest.joints.shape[1] == self.influences
         skin = next(node["skin"] for node in document.objects("nodes") if "skin" in node)
         poses = pose_set(document, skin, read_clips(document), PoseRequest(PoseKind.ANIMATION, samples))

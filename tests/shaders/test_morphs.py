@@ -25,10 +25,10 @@ from skinbake.geometry.skinned import Float32Array
 from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 from tests.shaders.combinations import usage
 from tests.support import analytic, glslang, morphing
-from tests.support.analytic_rest import rest_surface, sample
+from tests.support.analytic_rest import rest_primitive, sample
 from tests.support.baked_files import baked, source
 from tests.support.baking import bake_settings
 from tests.support.morphed_files import morphed as with_targets
@@ -211,10 +211,10 @@ def test_the_frame_that_follows_the_tangent_is_the_replay_s(language: Language, 
     assert np.array_equal(found[:, 0, 3], hand)
 
 
-def surface_at(frame: str) -> tuple[RestSurface, analytic.Sample]:
+def surface_at(frame: str) -> tuple[RestPrimitive, analytic.Sample]:
     """The analytic surface in float32, with the frame that a file would give it."""
     points = sample()
-    rest = rest_surface(points)
+    rest = rest_primitive(points)
     if frame == "normal":
         normals = rest.normals.astype(np.float32)
         t0, b0 = (vectors.astype(np.float64) for vectors in frame_from_normal(normals))

@@ -7,7 +7,7 @@ import pytest
 
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import analytic
-from tests.support.analytic_rest import rest_surface, sample, slots
+from tests.support.analytic_rest import rest_primitive, sample, slots
 from tests.support.replay import replay
 
 EXACT_DEGREES = 1e-4
@@ -26,7 +26,7 @@ def dual_quaternion_truth(surface: analytic.Sample, bend: str, pivots: np.ndarra
 def errors(algorithm: Algorithm, bend: str, *, heaviest_first: bool = True) -> analytic.Array:
     surface = sample()
     joints = slots(surface, heaviest_first=heaviest_first)
-    skinned = replay(algorithm, rest_surface(surface, joints), analytic.joint_matrices(bend)[None])
+    skinned = replay(algorithm, rest_primitive(surface, joints), analytic.joint_matrices(bend)[None])
     if algorithm.uses_dual_quaternions:
         truth = dual_quaternion_truth(surface, bend, joints[:, 0])
     else:
@@ -55,7 +55,7 @@ def test_linear_blend_positions_are_the_oracle_s(bend: str) -> None:
     surface = sample()
     expected = analytic.linear_blend(analytic.joint_matrices(bend))(surface.positions, surface.weights)
     for algorithm in (Algorithm.LBS_APPROXIMATED, Algorithm.LBS_DIRECT, Algorithm.LBS_ACCURATE):
-        skinned = replay(algorithm, rest_surface(surface), analytic.joint_matrices(bend)[None])
+        skinned = replay(algorithm, rest_primitive(surface), analytic.joint_matrices(bend)[None])
         np.testing.assert_allclose(skinned.positions[0], expected, atol=1e-13)
 
 
@@ -65,7 +65,7 @@ def test_dual_quaternion_positions_are_the_oracle_s(bend: str) -> None:
     skinning = analytic.dual_quaternion_blend(analytic.joint_dual_quaternions(bend), slots(surface)[:, 0])
     expected = skinning(surface.positions, surface.weights)
     for algorithm in (Algorithm.DQS_APPROXIMATED, Algorithm.DQS_ACCURATE, Algorithm.DQS_EXACT):
-        skinned = replay(algorithm, rest_surface(surface), analytic.joint_matrices(bend)[None])
+        skinned = replay(algorithm, rest_primitive(surface), analytic.joint_matrices(bend)[None])
         np.testing.assert_allclose(skinned.positions[0], expected, atol=1e-13)
 
 
@@ -104,7 +104,7 @@ def test_algorithm_6_gives_the_normals_of_the_dual_quaternion_surface(
 @pytest.mark.parametrize("bend", analytic.BENDS)
 def test_algorithm_6_equals_its_formula_in_angular_velocities(bend: str) -> None:
     surface = sample()
-    rest = rest_surface(surface, slots(surface, heaviest_first=False))
+    rest = rest_primitive(surface, slots(surface, heaviest_first=False))
     skinned = replay(Algorithm.DQS_EXACT, rest, analytic.joint_matrices(bend)[None])
     found, _ = angular_velocity_tangents(surface, bend)
     np.testing.assert_allclose(skinned.tangents[0], found, atol=1e-12)
@@ -162,7 +162,7 @@ def test_tangents_are_derivatives_of_the_skinned_position(algorithm: Algorithm) 
         if algorithm.uses_dual_quaternions
         else analytic.linear_blend(matrices)
     )
-    skinned = replay(algorithm, rest_surface(surface, joints), matrices[None])
+    skinned = replay(algorithm, rest_primitive(surface, joints), matrices[None])
     along, _ = analytic.derivatives(surface.u, surface.v)
     step = 1e-5 / np.linalg.norm(along, axis=1)
 

@@ -13,10 +13,10 @@ from skinbake.geometry.dual_quaternions import RigidMotions, rigid_motions
 from skinbake.skinning import run
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import PosedVertex
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 from tests.support import analytic
 from tests.support import replay as replaying
-from tests.support.analytic_rest import poses, rest_surface, sample, slots
+from tests.support.analytic_rest import poses, rest_primitive, sample, slots
 from tests.support.replay import SkinnedSurface, replay
 
 ACCURATE = [Algorithm.LBS_ACCURATE, Algorithm.DQS_ACCURATE, Algorithm.DQS_EXACT]
@@ -35,7 +35,7 @@ def unit(vectors: np.ndarray) -> np.ndarray:
 
 
 def test_algorithm_3_equals_algorithm_2() -> None:
-    rest = rest_surface(sample())
+    rest = rest_primitive(sample())
     accurate = replay(Algorithm.LBS_ACCURATE, rest, poses())
     direct = replay(Algorithm.LBS_DIRECT, rest, poses())
     for field in ("positions", "tangents", "bitangents"):
@@ -48,7 +48,7 @@ def test_algorithm_3_equals_algorithm_2() -> None:
 
 def test_algorithm_2_takes_given_gradients_over_rebuilt_ones() -> None:
     surface = sample()
-    rest = rest_surface(surface)
+    rest = rest_primitive(surface)
     given = np.take_along_axis(surface.gradients, rest.joints[:, :, None], axis=1)
     assert_same(
         replay(Algorithm.LBS_DIRECT, replace(rest, gradients=given), poses()),
@@ -64,7 +64,7 @@ def test_one_joint_moves_the_frame_rigidly(algorithm: Algorithm) -> None:
     surface = sample()
     matrix = analytic.joint_matrices("strong")[2]
     rest = replace(
-        rest_surface(surface),
+        rest_primitive(surface),
         joints=np.zeros((len(surface.u), 1), dtype=np.uint8),
         weights=np.ones((len(surface.u), 1)),
         alpha=np.zeros((len(surface.u), 0)),
@@ -82,10 +82,10 @@ def test_one_joint_moves_the_frame_rigidly(algorithm: Algorithm) -> None:
 @pytest.mark.parametrize("algorithm", Algorithm)
 def test_eight_influences_say_the_same_as_three(algorithm: Algorithm) -> None:
     """Slots 3–5 halve those of slots 0–2, slot 6 and 7 are empty and point at joint 0."""
-    rest = rest_surface(sample())
+    rest = rest_primitive(sample())
     gradients = rest.weight_gradients()
     halved = np.concatenate([gradients / 2, gradients / 2, np.zeros_like(gradients[:, :2])], axis=1)
-    eight = RestSurface(
+    eight = RestPrimitive(
         rest.positions,
         rest.normals,
         rest.tangents,
@@ -103,15 +103,17 @@ def test_the_order_of_slots_does_not_matter(algorithm: Algorithm) -> None:
     """For dual quaternions as long as all joints share a hemisphere, which they do in the mild bend."""
     surface = sample()
     mild = poses()[:1]
-    by_joint = rest_surface(surface, slots(surface, heaviest_first=False))
-    assert_same(replay(algorithm, rest_surface(surface), mild), replay(algorithm, by_joint, mild), atol=1e-11)
+    by_joint = rest_primitive(surface, slots(surface, heaviest_first=False))
+    assert_same(
+        replay(algorithm, rest_primitive(surface), mild), replay(algorithm, by_joint, mild), atol=1e-11
+    )
 
 
 @pytest.mark.parametrize("algorithm", DUAL_QUATERNIONS)
 def test_a_dual_quaternion_and_its_negative_are_the_same_motion(
     algorithm: Algorithm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rest = rest_surface(sample())
+    rest = rest_primitive(sample())
     expected = replay(algorithm, rest, poses())
     for joint in range(3):
 
@@ -126,7 +128,7 @@ def test_a_dual_quaternion_and_its_negative_are_the_same_motion(
 
 @pytest.mark.parametrize("algorithm", Algorithm)
 def test_mirrored_tangents_light_alike(algorithm: Algorithm) -> None:
-    rest = rest_surface(sample())
+    rest = rest_primitive(sample())
     mirrored = replace(rest, bitangents=-rest.bitangents, beta=-rest.beta)
     expected = replay(algorithm, rest, poses())
     found = replay(algorithm, mirrored, poses())
@@ -137,7 +139,7 @@ def test_mirrored_tangents_light_alike(algorithm: Algorithm) -> None:
 
 @pytest.mark.parametrize("algorithm", Algorithm)
 def test_a_uniform_scale_of_all_joints_scales_positions_and_turns_nothing(algorithm: Algorithm) -> None:
-    rest = rest_surface(sample())
+    rest = rest_primitive(sample())
     scaled = poses()
     scaled[:, :, :3] *= 0.01
     scaled[1, :, :3] *= 3
@@ -151,7 +153,7 @@ def test_a_uniform_scale_of_all_joints_scales_positions_and_turns_nothing(algori
 
 @pytest.mark.parametrize("algorithm", ACCURATE)
 def test_scaling_the_mesh_scales_alpha_the_other_way(algorithm: Algorithm) -> None:
-    rest = rest_surface(sample())
+    rest = rest_primitive(sample())
     grown = replace(rest, positions=100 * rest.positions, alpha=rest.alpha / 100, beta=rest.beta / 100)
     matrices = poses()
     matrices[..., :3, 3] *= 100
@@ -164,7 +166,7 @@ def test_scaling_the_mesh_scales_alpha_the_other_way(algorithm: Algorithm) -> No
 @pytest.mark.parametrize("algorithm", Algorithm)
 def test_float32_is_float64_rounded(algorithm: Algorithm) -> None:
     """Roundings of 6e-8 on values of a few units, some hundred of them in a row: 1e-4 bounds them."""
-    rest = rest_surface(sample())
+    rest = rest_primitive(sample())
     wide = replay(algorithm, rest, poses()[:2])
     narrow = replay(algorithm, rest, poses()[:2], dtype=np.float32)
     for field in FIELDS:
@@ -186,7 +188,7 @@ def test_float32_is_never_widened_on_the_way(
             seen.update(component.dtype for component in getattr(vertex, field))
 
     monkeypatch.setattr(replaying, "_write", record)
-    replay(algorithm, rest_surface(sample()), poses(), dtype=np.float32, cap=cap)
+    replay(algorithm, rest_primitive(sample()), poses(), dtype=np.float32, cap=cap)
     assert seen == {np.dtype(np.float32)}
 
 
@@ -196,7 +198,7 @@ def test_the_size_of_a_block_changes_nothing(
     algorithm: Algorithm, size: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """480 vertices and 4 poses: single numbers, a part of a pose, two poses, everything at once."""
-    rest = rest_surface(sample())
+    rest = rest_primitive(sample())
     expected = replay(algorithm, rest, poses())
     monkeypatch.setattr(replaying, "_BLOCK_BYTES", size)
     assert_same(replay(algorithm, rest, poses()), expected, atol=0)
@@ -204,7 +206,7 @@ def test_the_size_of_a_block_changes_nothing(
 
 @pytest.mark.parametrize("algorithm", DUAL_QUATERNIONS)
 def test_dual_quaternions_refuse_a_joint_with_a_scale_of_its_own(algorithm: Algorithm) -> None:
-    rest = rest_surface(sample())
+    rest = rest_primitive(sample())
     matrices = poses()
     matrices[1, 2, :3, :3] *= 1.1
     with pytest.raises(UnsupportedFeatureError, match="joints 2 exceed"):
@@ -215,7 +217,8 @@ def test_a_refusal_lists_no_more_than_eight_joints() -> None:
     surface = sample()
     count = 12
     rest = replace(
-        rest_surface(surface), joints=rest_surface(surface).joints + np.arange(len(surface.u))[:, None] % 10
+        rest_primitive(surface),
+        joints=rest_primitive(surface).joints + np.arange(len(surface.u))[:, None] % 10,
     )
     matrices = np.tile(np.diag([1.0, 2.0, 1.0, 1.0]), (1, count, 1, 1))
     with pytest.raises(UnsupportedFeatureError, match="joints 0, 1, 2, 3, 4, 5, 6, 7 and 4 more exceed"):
@@ -224,7 +227,7 @@ def test_a_refusal_lists_no_more_than_eight_joints() -> None:
 
 def test_a_joint_without_weight_may_be_anything() -> None:
     """Padding slots often point at a root that is scaled."""
-    rest = rest_surface(sample())
+    rest = rest_primitive(sample())
     padded = replace(
         rest,
         joints=np.concatenate([rest.joints, np.full((len(rest.joints), 1), 3)], axis=1),
@@ -237,7 +240,7 @@ def test_a_joint_without_weight_may_be_anything() -> None:
 
 
 def test_an_adopted_joint_without_weight_counts_by_its_derivative() -> None:
-    rest = rest_surface(sample(), slots(sample(), heaviest_first=False))
+    rest = rest_primitive(sample(), slots(sample(), heaviest_first=False))
     weightless = replace(rest, weights=np.tile([1.0, 0.0, 0.0], (len(rest.weights), 1)))
     assert weightless.joints_in_use(4).tolist() == [True, True, True, False]
     pivot = replace(rest, weights=np.tile([0.0, 1.0, 0.0], (len(rest.weights), 1)))
@@ -253,7 +256,7 @@ def test_an_adopted_joint_without_weight_counts_by_its_derivative() -> None:
 
 @pytest.mark.parametrize("algorithm", Algorithm)
 def test_vertices_without_weight_stay_finite(algorithm: Algorithm) -> None:
-    rest = rest_surface(sample())
+    rest = rest_primitive(sample())
     empty = replace(rest, weights=np.zeros_like(rest.weights))
     skinned = replay(algorithm, empty, poses())
     assert all(np.isfinite(getattr(skinned, field)).all() for field in FIELDS)
@@ -263,15 +266,15 @@ def test_vertices_without_weight_stay_finite(algorithm: Algorithm) -> None:
 
 
 def test_a_flat_frame_counts_as_right_handed() -> None:
-    rest = rest_surface(sample())
+    rest = rest_primitive(sample())
     flat = replace(rest, bitangents=rest.tangents)
     assert (flat.handedness() == 1).all()
 
 
 def test_no_poses_and_no_vertices_are_no_error() -> None:
-    rest = rest_surface(sample())
+    rest = rest_primitive(sample())
     assert replay(Algorithm.DQS_EXACT, rest, poses()[:0]).normals.shape == (0, len(rest.positions), 3)
-    nothing = RestSurface(
+    nothing = RestPrimitive(
         *(
             getattr(rest, name)[:0]
             for name in (

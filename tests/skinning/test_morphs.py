@@ -12,25 +12,25 @@ from skinbake.geometry.frames import frame_from_normal
 from skinbake.geometry.morphs import Differences, MorphTarget, MorphTargets
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 from tests.support import analytic, morphing
-from tests.support.analytic_rest import rest_surface, sample, slots
+from tests.support.analytic_rest import rest_primitive, sample, slots
 from tests.support.replay import replay
 
 EXACT_DEGREES = 1e-4
 """Steps of the differences, seen from the mildest to the strongest bend: they are near 1e-8."""
 
 
-def errors(surface: RestSurface, truth: analytic.Array, bend: str, algorithm: Algorithm) -> analytic.Array:
+def errors(surface: RestPrimitive, truth: analytic.Array, bend: str, algorithm: Algorithm) -> analytic.Array:
     skinned = replay(algorithm, surface, analytic.joint_matrices(bend)[None])
     return analytic.degrees_between(skinned.normals[0], truth)
 
 
-def with_image(surface: analytic.Sample, shape: analytic.Surface) -> RestSurface:
+def with_image(surface: analytic.Sample, shape: analytic.Surface) -> RestPrimitive:
     """The morphed surface with the images of t0 and b0 under the morph's differential."""
     t, b = morphing.images(surface, shape, surface.tangents, surface.bitangents)
     return replace(
-        rest_surface(surface),
+        rest_primitive(surface),
         positions=shape(surface.u, surface.v),
         normals=morphing.normals(surface, shape),
         tangents=t,
@@ -79,7 +79,7 @@ def test_a_carried_frame_keeps_most_of_the_gain(name: str, with_tangents: bool) 
     surface = sample()
     displacement = morphing.DISPLACEMENTS[name]
     target = morphing.target(surface, displacement, tangents=with_tangents)
-    moved = morphed(rest_surface(surface), target, np.array([1.0]))
+    moved = morphed(rest_primitive(surface), target, np.array([1.0]))
     shape = morphing.morphed_surface(displacement, 1.0)
     assert moved.positions == pytest.approx(shape(surface.u, surface.v), abs=1e-14)
     assert moved.normals == pytest.approx(morphing.normals(surface, shape), abs=1e-12)
@@ -98,7 +98,7 @@ def test_a_rigid_target_with_tangents_is_exact_at_every_weight_about_one_axis() 
     # A sheet in the plane of the rotation: n stays, t and b turn within the surface. No normal can tell.
     t0, b0 = frame_from_normal(flat.astype(np.float32))
     rest = replace(
-        rest_surface(surface), normals=flat, tangents=t0.astype(float), bitangents=b0.astype(float)
+        rest_primitive(surface), normals=flat, tangents=t0.astype(float), bitangents=b0.astype(float)
     )
     arms = surface.positions @ (turn - np.eye(3)).T
     differences = Differences.of(rest.tangents @ (turn - np.eye(3)).T)
@@ -112,7 +112,7 @@ def test_a_rigid_target_with_tangents_is_exact_at_every_weight_about_one_axis() 
 
 
 def test_without_weight_the_surface_is_the_same_object() -> None:
-    surface = rest_surface(sample())
+    surface = rest_primitive(sample())
     target = morphing.target(sample(), morphing.bulge)
     assert morphed(surface, target, np.array([0.0])) is surface
 
@@ -129,7 +129,7 @@ def test_vertices_that_no_target_moves_stay_bit_for_bit(with_tangents: bool, dty
         return Differences(differences.rows[kept], differences.values[kept])
 
     target = MorphTarget(first_half(full.positions), first_half(full.normals), first_half(full.tangents))
-    rest = rest_surface(surface)
+    rest = rest_primitive(surface)
     moved = morphed(rest, MorphTargets((target,), with_tangents), np.array([0.8]), dtype=dtype)
     # b0 is n0 × t0 anew where TANGENT morphs: of the same bits only where that was computed in the same type.
     for name in ("positions", "normals", "tangents"):
@@ -144,9 +144,9 @@ def test_vertices_that_no_target_moves_stay_bit_for_bit(with_tangents: bool, dty
 def test_float32_is_float64_rounded(with_tangents: bool) -> None:
     surface = sample()
     target = morphing.target(surface, morphing.mixture, tangents=with_tangents)
-    rest = rest_surface(surface)
+    rest = rest_primitive(surface)
     narrow, wide = (morphed(rest, target, np.array([0.6]), dtype=dtype) for dtype in (np.float32, np.float64))
-    for field in fields(RestSurface):
+    for field in fields(RestPrimitive):
         expected = getattr(wide, field.name)
         if expected is not None:
             assert getattr(narrow, field.name) == pytest.approx(expected, rel=1e-5, abs=2e-6), field.name
@@ -156,7 +156,7 @@ def test_float32_is_float64_rounded(with_tangents: bool) -> None:
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_at_the_identity_the_normals_are_those_of_the_morph(with_tangents: bool, mirrored: bool) -> None:
     surface = sample()
-    rest = rest_surface(surface)
+    rest = rest_primitive(surface)
     if mirrored:
         rest = replace(rest, bitangents=-rest.bitangents, beta=-rest.beta)
     target = morphing.target(surface, morphing.jaw, tangents=with_tangents)
@@ -174,7 +174,7 @@ def test_direct_equals_accurate_under_a_morph(with_tangents: bool) -> None:
     """Tangents that are not of length 1 need gradients in their dual basis."""
     surface = sample()
     target = morphing.target(surface, morphing.bend, tangents=with_tangents)
-    moved = morphed(rest_surface(surface), target, np.array([0.5]))
+    moved = morphed(rest_primitive(surface), target, np.array([0.5]))
     lengths = np.linalg.norm(moved.tangents, axis=1)
     assert (lengths.min() < 0.98) == with_tangents
     matrices = analytic.joint_matrices("medium")[None]

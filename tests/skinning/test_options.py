@@ -10,9 +10,9 @@ import pytest
 from skinbake.choices import Baseline
 from skinbake.cli.shader import PUBLISHED_CAP
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 from tests.support import analytic
-from tests.support.analytic_rest import poses, rest_surface, sample
+from tests.support.analytic_rest import poses, rest_primitive, sample
 from tests.support.replay import replay
 
 # The algorithm that is capped, and the one whose tangents are T t.
@@ -28,7 +28,7 @@ CAPPED = [
 def test_the_cap_shortens_long_corrections_and_only_those(
     algorithm: Algorithm, standard: Algorithm, field: str
 ) -> None:
-    rest = rest_surface(sample())
+    rest = rest_primitive(sample())
     base = getattr(replay(standard, rest, poses()), field)
     free = getattr(replay(algorithm, rest, poses()), field) - base
     capped = getattr(replay(algorithm, rest, poses(), cap=0.3), field) - base
@@ -44,7 +44,7 @@ def test_the_cap_shortens_long_corrections_and_only_those(
 
 @pytest.mark.parametrize(("algorithm", "_"), CAPPED)
 def test_a_cap_out_of_reach_changes_nothing(algorithm: Algorithm, _: Algorithm) -> None:
-    rest = rest_surface(sample())
+    rest = rest_primitive(sample())
     free, capped = replay(algorithm, rest, poses()), replay(algorithm, rest, poses(), cap=1e6)
     np.testing.assert_allclose(capped.normals, free.normals, atol=1e-11)
 
@@ -52,7 +52,7 @@ def test_a_cap_out_of_reach_changes_nothing(algorithm: Algorithm, _: Algorithm) 
 @pytest.mark.parametrize(("algorithm", "_"), CAPPED)
 def test_the_cap_spares_the_normal_from_turning_inside_out(algorithm: Algorithm, _: Algorithm) -> None:
     """The normal of a folded vertex turns back towards the standard one."""
-    rest = rest_surface(sample())
+    rest = rest_primitive(sample())
     strong = poses()[2:3]
     standard = replay(CAPPED[0][1] if algorithm is CAPPED[0][0] else CAPPED[1][1], rest, strong).normals
     free = analytic.degrees_between(replay(algorithm, rest, strong).normals, standard)
@@ -89,9 +89,9 @@ def test_the_cap_of_one_influence_is_idle() -> None:
         np.testing.assert_allclose(skinned.normals[0], rest.normals, atol=1e-15)
 
 
-def single_vertex() -> RestSurface:
+def single_vertex() -> RestPrimitive:
     """A vertex at (0, 1, 0) between two joints, its tangent along y, its bitangent along z."""
-    return RestSurface(
+    return RestPrimitive(
         positions=np.array([[0.0, 1.0, 0.5]]),
         normals=np.array([[1.0, 0.0, 0.0]]),
         tangents=np.array([[0.0, 1.0, 0.0]]),
@@ -112,7 +112,7 @@ def sheared_poses() -> analytic.Array:
 
 
 def test_baselines_are_the_normals_that_engines_ship() -> None:
-    rest = rest_surface(sample())
+    rest = rest_primitive(sample())
     matrices = sheared_poses()
     linear = matrices[:, :, :3, :3][:, rest.joints]
     blended = np.einsum("vk,pvkij->pvij", rest.weights, linear)
@@ -131,7 +131,7 @@ def test_baselines_are_the_normals_that_engines_ship() -> None:
 
 @pytest.mark.parametrize("baseline", Baseline)
 def test_baselines_agree_where_one_rigid_joint_rules(baseline: Baseline) -> None:
-    rest = rest_surface(sample())
+    rest = rest_primitive(sample())
     alone = replace(rest, weights=np.tile([1.0, 0.0, 0.0], (len(rest.weights), 1)))
     found = replay(Algorithm.LBS_APPROXIMATED, alone, poses(), baseline=baseline).normals
     expected = np.einsum("pvij,vj->pvi", poses()[:, :, :3, :3][:, rest.joints[:, 0]], rest.normals)

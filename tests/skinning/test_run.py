@@ -16,7 +16,7 @@ VECTORS = ("positions", "normals", "tangents", "bitangents")
 @pytest.mark.parametrize("algorithm", list(Algorithm))
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_many_poses_are_as_many_single_ones(algorithm: Algorithm, dtype: type) -> None:
-    rest = analytic_rest.rest_surface(analytic_rest.sample())
+    rest = analytic_rest.rest_primitive(analytic_rest.sample())
     poses = np.concatenate([analytic_rest.poses()] * 6)
     poses[:, :, :3] *= np.linspace(0.5, 2.0, len(poses))[:, None, None, None]
     together = replay(algorithm, rest, poses, dtype=dtype)
@@ -29,7 +29,7 @@ def test_many_poses_are_as_many_single_ones(algorithm: Algorithm, dtype: type) -
 
 @pytest.mark.parametrize("algorithm", [Algorithm.LBS_DIRECT, Algorithm.DQS_EXACT])
 def test_small_blocks_change_nothing(algorithm: Algorithm, monkeypatch: pytest.MonkeyPatch) -> None:
-    rest = analytic_rest.rest_surface(analytic_rest.sample())
+    rest = analytic_rest.rest_primitive(analytic_rest.sample())
     poses = np.concatenate([analytic_rest.poses()] * 6)
     whole = replay(algorithm, rest, poses)
     monkeypatch.setattr(replaying, "_BLOCK_BYTES", 8 * 100)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 from tests.support import analytic
 
 COLUMNS, ROWS = 24, 20
@@ -23,11 +23,11 @@ def slots(surface: analytic.Sample, *, heaviest_first: bool = True) -> npt.NDArr
     return np.tile(np.arange(3), (len(surface.u), 1))
 
 
-def rest_surface(surface: analytic.Sample, joints: npt.NDArray[np.int64] | None = None) -> RestSurface:
+def rest_primitive(surface: analytic.Sample, joints: npt.NDArray[np.int64] | None = None) -> RestPrimitive:
     """The rest surface with exact gradients, in the order of slots."""
     order = slots(surface) if joints is None else joints
     gradients = np.take_along_axis(surface.gradients, order[:, :, None], axis=1)
-    return RestSurface(
+    return RestPrimitive(
         positions=surface.positions,
         normals=surface.normals,
         tangents=surface.tangents,

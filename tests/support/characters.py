@@ -20,7 +20,7 @@ from skinbake.geometry.poses import random_rotations
 from skinbake.gltf.animation import clip_poses, random_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 from tests.support import gltf_reading
 from tests.support.baking import bake_file
 from tests.support.replay import replay
@@ -82,7 +82,7 @@ class Character:
         self.joints, self.pose = _posed(path, pose)
         joints, weights = file.influences()
         alpha, beta = _gradients(file, metadata)
-        self.rest = RestSurface(
+        self.rest = RestPrimitive(
             positions=file.attribute("POSITION"),
             normals=normals,
             tangents=tangents,

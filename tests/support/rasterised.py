@@ -11,7 +11,7 @@ from skinbake.gltf.animation import clip_poses, random_poses, read_clips, read_s
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.baked_views import baked_views
-from skinbake.lighting.rest_surfaces import rest_surface
+from skinbake.lighting.rest_primitives import rest_primitive
 from skinbake.skinning.algorithms import Algorithm
 from tests.support.characters import Array, unit
 from tests.support.replay import replay
@@ -40,7 +40,7 @@ def fragments(
         poses = random_poses(skeleton, 1, angle=float(np.radians(30.0)), seed=0)
     else:
         poses = clip_poses(skeleton, read_clips(document)[0], np.array([time]))
-    posed = replay(algorithm, rest_surface(view), poses)
+    posed = replay(algorithm, rest_primitive(view), poses)
     positions, normals = posed.positions[0].astype(float), unit(posed.normals[0])
     clip = np.column_stack([positions, np.ones(len(positions))]) @ matrix.T
     places = (clip[:, :3] / clip[:, 3:] * [1, -1, 1] * 0.5 + 0.5) * [*size, 1]

@@ -13,8 +13,8 @@ from skinbake.geometry.dual_quaternions import RIGID_TOLERANCE
 from skinbake.geometry.skinned import FloatArray
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import PosedVertex
+from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.skinning.run import Skinning
-from skinbake.skinning.surface import Options, RestSurface
 
 # Bytes of one component of a block, some sixty of which are alive at a time. Measured at 10,000 vertices ×
 # 100 poses: flat from 32 to 256 KiB, half as long again at 16, where the interpreter begins to show.
@@ -39,7 +39,7 @@ class SkinnedSurface:
 
 def replay(
     algorithm: Algorithm,
-    rest: RestSurface,
+    rest: RestPrimitive,
     joint_matrices: FloatArray,
     *,
     dtype: npt.DTypeLike = np.float64,

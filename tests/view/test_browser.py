@@ -17,7 +17,7 @@ from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.angles import MeasuredBlock, lighting_errors, truths_at_rest
 from skinbake.lighting.baked_views import baked_views
 from skinbake.lighting.operator import gradient_operator
-from skinbake.lighting.rest_surfaces import rest_surface
+from skinbake.lighting.rest_primitives import rest_primitive
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser, corpus
 from tests.support.baking import bake_file
@@ -121,8 +121,8 @@ def errors_by_verify(path: Path, time: float) -> dict[str, float]:
         total[0] += float((np.where(block.valid[0], block.errors[0], 0.0) * here).sum())
         total[1] += float(here.sum())
 
-    truths = truths_at_rest(operator, [rest_surface(view)], len(matrices), None, ("triangles",))
-    lighting_errors(operator, [rest_surface(view)], matrices, "lbs", record, at_rest=truths)
+    truths = truths_at_rest(operator, [rest_primitive(view)], len(matrices), None, ("triangles",))
+    lighting_errors(operator, [rest_primitive(view)], matrices, "lbs", record, at_rest=truths)
     return {lighting: error / area for lighting, (error, area) in sums.items()}
 
 

@@ -20,7 +20,7 @@ from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.baked_views import baked_views
 from skinbake.lighting.morphing import morphing_of
 from skinbake.lighting.poses import PoseRequest, draws_of, pose_set
-from skinbake.lighting.rest_surfaces import rest_surface
+from skinbake.lighting.rest_primitives import rest_primitive
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser
 from tests.support.baked_files import Editable
@@ -73,7 +73,7 @@ def test_every_frame_and_storage_is_shown(
     (view,), _ = baked_views(document, skinned_sources(document)[0])
     for lighting, algorithm in LIGHTINGS.items():
         found = normals(browsing, lighting, clip=0, time=0.6)
-        wanted = unit(replay(algorithm, rest_surface(view), matrices(browsing)).normals[0])
+        wanted = unit(replay(algorithm, rest_primitive(view), matrices(browsing)).normals[0])
         assert angles(found, wanted).max() < DEGREES, lighting
     assert browsing.messages() == []
 
@@ -101,7 +101,7 @@ def test_morph_targets_come_before_skinning(browsing: browser.Page, tmp_path: Pa
     assert morphing is not None
     take(browsing, path)
     pose = 3
-    (surface,) = morphing.surfaces([rest_surface(view) for view in views], pose)
+    (surface,) = morphing.primitives([rest_primitive(view) for view in views], pose)
     for lighting, algorithm in LIGHTINGS.items():
         found = normals(browsing, lighting, clip=0, time=float(poses.times[pose] or 0.0))
         wanted = unit(replay(algorithm, surface, poses.joint_matrices[pose : pose + 1]).normals[0])

@@ -38,7 +38,7 @@ from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.morphing import Morphing, morphing_of
 from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.poses import PoseSet, draws_of
-from skinbake.lighting.rest_surfaces import rest_surface
+from skinbake.lighting.rest_primitives import rest_primitive
 from skinbake.render.captions import captioned
 from skinbake.render.files import MILLISECONDS, MOVING, encoded
 from skinbake.render.materials import CLAY, WHITE, Material, Materials
@@ -46,8 +46,8 @@ from skinbake.render.studio import Look, Picture, Studio, placed
 from skinbake.render.subject import YAW, Shot, Subject
 from skinbake.render.thumbnail import Posed, thumbnail
 from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.skinning.run import Skinning
-from skinbake.skinning.surface import Options, RestSurface
 from skinbake.wording import one_or_many
 
 MOST = 1e15
@@ -106,7 +106,7 @@ class _Draw:
     """
 
     views: Sequence[BakedView]
-    rest: Sequence[RestSurface]
+    rest: Sequence[RestPrimitive]
     skeleton: Skeleton
     node: int | None
     operator: Callable[[], GradientOperator]
@@ -229,7 +229,7 @@ def small_picture(document: Document) -> bytes | None:
 
 def _still(draw: _Draw, posed: _Posed) -> Iterator[Posed]:
     """Yield the primitives of a draw in its only pose, with accurate normals."""
-    for view, (rest, matrices) in zip(draw.views, _surfaces(draw, posed), strict=True):
+    for view, (rest, matrices) in zip(draw.views, _primitives(draw, posed), strict=True):
         skinning = Skinning.of(rest, matrices, dual_quaternions=False, options=Options())
         (found,) = skinning.run((Algorithm.LBS_ACCURATE,), slice(0, 1), slice(0, len(rest.positions)))
         positions, normals = (
@@ -253,7 +253,7 @@ def _draws(document: Document, views: Sequence[BakedView]) -> Iterator[_Draw]:
         for skin, node in draws_of(document, group[0].source.mesh, clips):
             if not any((view.source.mesh, skin) in shown for view in group):
                 continue
-            rest = [rest_surface(view) for view in group]
+            rest = [rest_primitive(view) for view in group]
             yield _Draw(group, rest, read_skeleton(document, skin), node, operator)
 
 
@@ -337,7 +337,7 @@ def _subject(document: Document, number: int, draw: _Draw, view: BakedView, mate
     if colours is not None and material.base == CLAY:
         material = replace(material, base=WHITE)
     return Subject(
-        rest=rest_surface(view),
+        rest=rest_primitive(view),
         triangles=view.now.triangles,
         pose_set=number,
         material=material,
@@ -377,20 +377,20 @@ def _attribute(
 def _positions(draws: Sequence[_Draw], posed: Sequence[_Posed]) -> Iterator[Float64Array]:
     """Yield positions (P, V, 3) of each primitive: all poses, or one at a time if targets move it."""
     for draw, one in zip(draws, posed, strict=True):
-        for rest, matrices in _surfaces(draw, one):
+        for rest, matrices in _primitives(draw, one):
             skinning = Skinning.of(rest, matrices, dual_quaternions=False, options=Options())
             every = slice(0, len(matrices)), slice(0, len(rest.positions))
             (found,) = skinning.run((Algorithm.LBS_APPROXIMATED,), *every)
             yield np.stack([np.asarray(component, np.float64) for component in found.position], axis=-1)
 
 
-def _surfaces(draw: _Draw, posed: _Posed) -> Iterator[tuple[RestSurface, Float64Array]]:
+def _primitives(draw: _Draw, posed: _Posed) -> Iterator[tuple[RestPrimitive, Float64Array]]:
     """Yield each primitive before skinning, with the joint matrices of the poses in which it is that."""
     if posed.morphing is None:
         yield from ((rest, posed.matrices) for rest in draw.rest)
         return
     for pose in range(len(posed.matrices)):
-        for rest in posed.morphing.surfaces(draw.rest, pose):
+        for rest in posed.morphing.primitives(draw.rest, pose):
             yield rest, posed.matrices[pose : pose + 1]
 
 
@@ -410,8 +410,8 @@ def _errors(draws: Sequence[_Draw], posed: Sequence[_Posed]) -> list[dict[str, F
                 if block.lighting == lighting:
                     poses = slice(block.pose, block.pose + block.errors.shape[0])
                     rows = slice(block.vertex, block.vertex + block.errors.shape[1])
-                    own[block.surface][name][0, poses, rows] = np.where(block.valid, block.errors, 0.0)
-                    own[block.surface][name][1, poses, rows] = block.valid
+                    own[block.primitive][name][0, poses, rows] = np.where(block.valid, block.errors, 0.0)
+                    own[block.primitive][name][1, poses, rows] = block.valid
 
         truths = truths_at_rest(operator, draw.rest, count, one.morphing, (Truth.TRIANGLES,))
         lighting_errors(
@@ -452,12 +452,12 @@ def _shots(
         )
 
 
-def _morphed(draws: Sequence[_Draw], posed: Sequence[_Posed], pose: int) -> dict[int, RestSurface]:
+def _morphed(draws: Sequence[_Draw], posed: Sequence[_Posed], pose: int) -> dict[int, RestPrimitive]:
     """Return the primitives that morph targets move, by their number among all, as they are in a pose."""
-    found: dict[int, RestSurface] = {}
+    found: dict[int, RestPrimitive] = {}
     first = 0
     for draw, one in zip(draws, posed, strict=True):
         if one.morphing is not None:
-            found.update(enumerate(one.morphing.surfaces(draw.rest, pose), first))
+            found.update(enumerate(one.morphing.primitives(draw.rest, pose), first))
         first += len(draw.rest)
     return found

@@ -23,7 +23,7 @@ from skinbake.lighting.baked_views import BakedView, baked_views, is_baked
 from skinbake.lighting.joint_checks import joints_without_dqs, without_dqs
 from skinbake.lighting.morphing import carrier
 from skinbake.lighting.poses import PoseRequest, PoseSet, pose_set
-from skinbake.lighting.rest_surfaces import rest_surface
+from skinbake.lighting.rest_primitives import rest_primitive
 from skinbake.lighting.staleness import refuse_stale
 from skinbake.shaders.choices import AT_RUN_TIME, BEST, AttributeText, ShaderChoices
 from skinbake.shaders.text import shader_made
@@ -319,14 +319,14 @@ def _with_joints(document: Document, views: Sequence[BakedView], choices: Shader
     """Return the choices adapted to mirroring joints. Raises InputError for DQS if joints are not rigid."""
     mirrors = choices.mirrored_joints
     for view, poses in _posed(document, views):
-        surface = rest_surface(view)
+        primitive = rest_primitive(view)
         if choices.method is Method.DQS:
-            joints = joints_without_dqs([surface], poses)
+            joints = joints_without_dqs([primitive], poses)
             if joints:
                 raise InputError(
                     f"this file does not fit --method dqs: {without_dqs(joints)}", view.source.place
                 )
-        used = surface.joints_in_use(poses.joint_matrices.shape[1])
+        used = primitive.joints_in_use(poses.joint_matrices.shape[1])
         mirrors |= bool((np.linalg.det(poses.joint_matrices[:, used, :3, :3]) < 0).any())
     return replace(choices, mirrored_joints=mirrors and choices.crosses)
 

@@ -232,7 +232,7 @@ def _fitted_to_poses(
         [bake.primitive for bake in bakes],
         claim=lambda size: document.budget.claim_welding(size, bakes[0].source.place),
     )
-    surfaces = [bake.rest_surface() for bake in unwritten(bakes)]
+    surfaces = [bake.rest_primitive() for bake in unwritten(bakes)]
     with stage("fit"):
         slots = fitted_to_poses(operator, surfaces, found.groups)
     return [

@@ -13,16 +13,16 @@ from skinbake.choices import Truth
 from skinbake.geometry import dual_quaternions
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array
 from skinbake.lighting import kernel
-from skinbake.lighting.blending import BlendedSurface, chunks
-from skinbake.lighting.identity import Compared, Identity, compared_normals, surface_for_direct
+from skinbake.lighting.blending import BlendedPrimitive, chunks
+from skinbake.lighting.identity import Compared, Identity, compared_normals, primitive_for_direct
 from skinbake.lighting.morphing import Morphing
 from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.triangle_normals import ClassSums
 from skinbake.lighting.truths import ChunkMemory, Truths, VertexBlock
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Vector, scaled
+from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.skinning.run import Skinning, joints_in_use
-from skinbake.skinning.surface import Options, RestSurface
 from skinbake.threads import Threads, thread_count
 from skinbake.timing import stage
 
@@ -53,28 +53,28 @@ IDENTITY_SAMPLES = 1 << 21
 class MeasuredBlock:
     """Errors of one lighting on a block of one primitive's vertices, in some poses, by one truth.
 
-    surface is the number of the primitive. pose and vertex are the first ones of the block. errors (P, V) are
+    primitive is its number in the mesh. pose and vertex are the first ones of the block. errors (P, V) are
     float32 degrees. valid (P, V) is true if the truth exists.
     """
 
     truth: str
     lighting: str
-    surface: int
+    primitive: int
     pose: int
     vertex: int
     errors: Float32Array
     valid: BoolArray
 
 
-def not_rigid_joints(surfaces: Sequence[RestSurface], joint_matrices: Float64Array) -> list[int]:
+def not_rigid_joints(primitives: Sequence[RestPrimitive], joint_matrices: Float64Array) -> list[int]:
     """Return the joints in use that dual quaternions cannot represent, in joint matrices (P, J, 4, 4)."""
-    in_use = joints_in_use(surfaces, joint_matrices.shape[1])
+    in_use = joints_in_use(primitives, joint_matrices.shape[1])
     return [int(joint) for joint in dual_quaternions.not_rigid_joints(joint_matrices, in_use)]
 
 
 def lighting_errors(  # noqa: PLR0913  # five arguments are optional, and by keyword
     operator: GradientOperator,
-    surfaces: Sequence[RestSurface],
+    primitives: Sequence[RestPrimitive],
     joint_matrices: Float64Array,
     method: str,
     record: Callable[[Any], None],
@@ -87,17 +87,17 @@ def lighting_errors(  # noqa: PLR0913  # five arguments are optional, and by key
 ) -> float:
     """Run every algorithm of a method over all poses, and measure its normals block by block.
 
-    surfaces are the primitives of one mesh in the operator's order. joint_matrices are (P, J, 4, 4). The
+    primitives are those of one mesh in the operator's order. joint_matrices are (P, J, 4, 4). The
     truths are built from the positions that the method itself gives. record is called with every block, in an
     order that does not depend on the number of threads. With count, the thread that measured a block calls
     it, and record is called with its result instead. advance is called with poses done. With morphing, every
-    pose starts from its own surface, so poses are measured one at a time. at_rest is the result of
+    pose starts from its own primitives, so poses are measured one at a time. at_rest is the result of
     ``truths_at_rest`` for the same mesh. Returns the largest angle in degrees between the normals of
     algorithms 2 and 3, or 0 if they are not compared.
     """
     vertices, poses = len(operator.positions), len(joint_matrices)
-    truths = truths_at_rest(operator, surfaces, poses, morphing) if at_rest is None else at_rest
-    mesh = _PosedMesh(surfaces, joint_matrices, method, options or Options(), truths)
+    truths = truths_at_rest(operator, primitives, poses, morphing) if at_rest is None else at_rest
+    mesh = _PosedMesh(primitives, joint_matrices, method, options or Options(), truths)
     identity, memory = Identity(), ChunkMemory()
     with Threads(thread_count()) as threads:
         for chunk in mesh.in_chunks() if morphing is None else mesh.pose_by_pose(morphing):
@@ -119,7 +119,7 @@ def lighting_errors(  # noqa: PLR0913  # five arguments are optional, and by key
 
 def truths_at_rest(
     operator: GradientOperator,
-    surfaces: Sequence[RestSurface],
+    primitives: Sequence[RestPrimitive],
     poses: int,
     morphing: Morphing | None,
     names: Sequence[str] = tuple(Truth),
@@ -129,21 +129,21 @@ def truths_at_rest(
     most = max((part.stop - part.start for part in parts), default=0)
     with stage("truths"):
         # Under morph targets, poses are measured one at a time.
-        return Truths.of(operator, surfaces, min(most, 1) if morphing else most, names)
+        return Truths.of(operator, primitives, min(most, 1) if morphing else most, names)
 
 
 @dataclass(frozen=True, slots=True)
 class _PosedMesh:
     """One mesh under a method of skinning: its primitives and truths at rest, joint matrices (P, J, 4, 4)."""
 
-    surfaces: Sequence[RestSurface]
+    primitives: Sequence[RestPrimitive]
     joint_matrices: Float64Array
     method: str
     options: Options
     truths: Truths
 
     def in_chunks(self) -> Iterator[_Chunk]:
-        """Yield many poses at a time. All poses start from the same surfaces.
+        """Yield many poses at a time. All poses start from the same primitives.
 
         Algorithm 2 is only compared with algorithm 3. In millions of vertices × poses, a sample is enough.
         Then most chunks go without algorithm 2.
@@ -152,8 +152,8 @@ class _PosedMesh:
         stride = max(1, -(-vertices * poses // IDENTITY_SAMPLES))
         every = METHODS[self.method]
         without_direct = {lighting: every[lighting] for lighting in every if lighting != "direct"}
-        sides = sides_of(self.surfaces, self.joint_matrices)
-        skinned = self._skinned(self.surfaces, self.joint_matrices)
+        sides = sides_of(self.primitives, self.joint_matrices)
+        skinned = self._skinned(self.primitives, self.joint_matrices)
         for number, pose in enumerate(chunks(vertices, poses)):
             yield _Chunk(
                 truths=self.truths,
@@ -166,13 +166,13 @@ class _PosedMesh:
             )
 
     def pose_by_pose(self, morphing: Morphing) -> Iterator[_Chunk]:
-        """Yield one pose at a time. Morph targets give each pose its own surfaces to start from."""
-        sides = sides_of(self.surfaces, self.joint_matrices)
+        """Yield one pose at a time. Morph targets give each pose its own primitives to start from."""
+        sides = sides_of(self.primitives, self.joint_matrices)
         for pose in range(len(self.joint_matrices)):
-            surfaces, truths = morphing.posed(self.surfaces, self.truths, pose)
+            primitives, truths = morphing.posed(self.primitives, self.truths, pose)
             yield _Chunk(
                 truths=truths,
-                skinned=self._skinned(surfaces, self.joint_matrices[pose : pose + 1]),
+                skinned=self._skinned(primitives, self.joint_matrices[pose : pose + 1]),
                 at=slice(0, 1),
                 first_pose=pose,
                 algorithms=METHODS[self.method],
@@ -180,12 +180,16 @@ class _PosedMesh:
                 compares=self.options.cap is None,
             )
 
-    def _skinned(self, surfaces: Sequence[RestSurface], joint_matrices: Float64Array) -> list[_Skinned]:
+    def _skinned(self, primitives: Sequence[RestPrimitive], joint_matrices: Float64Array) -> list[_Skinned]:
         if self.method == "dqs":
-            return [SteppedSurface(one) for one in Skinning.of_mesh(surfaces, joint_matrices, self.options)]
+            return [
+                SteppedPrimitive(one) for one in Skinning.of_mesh(primitives, joint_matrices, self.options)
+            ]
         return [
-            BlendedSurface(surface, joint_matrices, self.options, direct=partial(surface_for_direct, surface))
-            for surface in surfaces
+            BlendedPrimitive(
+                primitive, joint_matrices, self.options, direct=partial(primitive_for_direct, primitive)
+            )
+            for primitive in primitives
         ]
 
 
@@ -193,8 +197,8 @@ class _PosedMesh:
 class _Chunk:
     """Some poses of one mesh that are measured together.
 
-    at are these poses among those of the skinned surfaces. first_pose is the first of them among all poses of
-    the mesh. algorithms are named by their lighting. sides (P, V) are the result of ``sides_of`` in these
+    at are these poses among those of the skinned primitives. first_pose is the first of them among all poses
+    of the mesh. algorithms are named by their lighting. sides (P, V) are the result of ``sides_of`` in these
     poses. compares tells whether algorithms 2 and 3 are compared if both are there.
     """
 
@@ -214,7 +218,7 @@ class _Chunk:
         def place(block: VertexBlock) -> None:
             # A position may be past all numbers.
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                skinned = self.skinned[block.surface]
+                skinned = self.skinned[block.primitive]
                 skinned.put_positions(self.at, block.rows, deformed, block.part.start)
 
         threads.done(place, self.truths.vertex_blocks)
@@ -234,7 +238,7 @@ class _Chunk:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no normal gets NaN
             side = None if self.sides is None else self.sides[:, block.part]
             steps = tuple(self.algorithms.values())
-            found = self.skinned[block.surface].normals(steps, self.at, block.rows)
+            found = self.skinned[block.primitive].normals(steps, self.at, block.rows)
             normals = dict(zip(self.algorithms, found, strict=True))
             expected, exist = self.truths.normals(block.number, deformed, sums, side)
             measured = []
@@ -242,7 +246,7 @@ class _Chunk:
                 outside = vectors if side is None or lighting not in INSIDE_OUT else scaled(side, vectors)
                 names = _truths_of(lighting, self.truths.names)
                 errors = kernel.angles(outside, expected[: len(names)])
-                corner = block.surface, self.first_pose, block.rows.start
+                corner = block.primitive, self.first_pose, block.rows.start
                 measured += [
                     MeasuredBlock(truth, lighting, *corner, errors[number].T, exist[number].T)
                     for number, truth in enumerate(names)
@@ -262,7 +266,7 @@ def _truths_of(lighting: str, names: Sequence[str]) -> list[str]:
 
 
 class _Skinned(Protocol):
-    """A surface that is skinned block by block, by poses and vertices."""
+    """A primitive that is skinned block by block, by poses and vertices."""
 
     def put_positions(self, pose: slice, part: slice, out: Float64Array, first_row: int) -> None:
         """Write the positions of some vertices to the rows of out (3, V, P) from ``first_row`` on."""
@@ -271,8 +275,8 @@ class _Skinned(Protocol):
         """Return the normals that algorithms give a block."""
 
 
-class SteppedSurface:
-    """A rest surface under dual quaternions, as in algorithms 4–6: the counterpart of ``BlendedSurface``."""
+class SteppedPrimitive:
+    """A primitive under dual quaternions, as in algorithms 4–6: the counterpart of ``BlendedPrimitive``."""
 
     def __init__(self, skinning: Skinning) -> None:
         self._skinning = skinning
@@ -288,7 +292,7 @@ class SteppedSurface:
         return [tuple(axis.T for axis in normal) for normal in chosen]
 
 
-def sides_of(surfaces: Sequence[RestSurface], joint_matrices: Float64Array) -> Float64Array | None:
+def sides_of(primitives: Sequence[RestPrimitive], joint_matrices: Float64Array) -> Float64Array | None:
     """Return −1 (P, V) if the joint of the largest weight mirrors, else 1; None if no joint mirrors.
 
     A joint that mirrors turns t' × b' to the inside. For example, some left hands are right hands under a
@@ -300,8 +304,8 @@ def sides_of(surfaces: Sequence[RestSurface], joint_matrices: Float64Array) -> F
         return None
     dominant = np.concatenate(
         [
-            np.take_along_axis(surface.joints, surface.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
-            for surface in surfaces
+            np.take_along_axis(primitive.joints, primitive.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+            for primitive in primitives
         ]
     )
     return np.where(mirrors.T[dominant], -1.0, 1.0).T

@@ -24,7 +24,7 @@ from skinbake.lighting import kernel
 from skinbake.lighting.forms import Forms
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Vector, cofactors, corrected, cross
-from skinbake.skinning.surface import Options, RestSurface, all_slots
+from skinbake.skinning.rest import Options, RestPrimitive, all_slots
 
 CHUNK_SAMPLES = 1 << 21
 """Vertices × poses that are deformed before they are measured: 50 MB of positions."""
@@ -55,21 +55,21 @@ def sample_blocks(vertices: slice, poses: int) -> list[slice]:
     ]
 
 
-class BlendedSurface:
-    """A rest surface under linear blend skinning by joint matrices (P, J, 4, 4), block by block.
+class BlendedPrimitive:
+    """A primitive under linear blend skinning by joint matrices (P, J, 4, 4), block by block.
 
     Vectors are components (P, V), stored vertex by vertex.
     """
 
     def __init__(
         self,
-        rest: RestSurface,
+        rest: RestPrimitive,
         joint_matrices: Float64Array,
         options: Options,
         *,
-        direct: Callable[[slice], RestSurface] | None = None,
+        direct: Callable[[slice], RestPrimitive] | None = None,
     ) -> None:
-        """Prepare a surface. Algorithm 2 needs ``direct``, and starts from its result for a block."""
+        """Prepare a primitive. Algorithm 2 needs ``direct``, and starts from its result for a block."""
         self._rest, self._options, self._direct = rest, options, direct
         self._handedness = rest.handedness()
         self._matrices = _Table(joint_matrices)
@@ -167,11 +167,11 @@ class _Table:
 
 
 def blended_blocks(
-    surfaces: Sequence[RestSurface], joint_matrices: Float64Array
-) -> Iterator[tuple[slice, slice, list[BlendedSurface]]]:
-    """Yield poses and vertices of blocks, with surfaces of the same vertices blended in all poses."""
-    count = len(surfaces[0].positions)
-    blended = [BlendedSurface(surface, joint_matrices, Options()) for surface in surfaces]
+    primitives: Sequence[RestPrimitive], joint_matrices: Float64Array
+) -> Iterator[tuple[slice, slice, list[BlendedPrimitive]]]:
+    """Yield poses and vertices of blocks, with primitives of the same vertices blended in all poses."""
+    count = len(primitives[0].positions)
+    blended = [BlendedPrimitive(primitive, joint_matrices, Options()) for primitive in primitives]
     for pose in chunks(count, len(joint_matrices)):
         for part in sample_blocks(slice(0, count), pose.stop - pose.start):
             yield pose, part, blended

@@ -21,8 +21,8 @@ from skinbake.lighting.tangent_normals import FLAT_FRAME, RestFrames
 from skinbake.lighting.triangle_normals import FLAT_TRIANGLE, ClassBlock, ClassSums
 from skinbake.lighting.welded_mesh import WeldedMesh
 from skinbake.skinning.components import Vector
+from skinbake.skinning.rest import RestPrimitive
 from skinbake.skinning.run import Skinning
-from skinbake.skinning.surface import RestSurface
 
 
 def blend(forms: Forms, table: Float64Array, out: Float64Array, first_row: int = 0) -> None:
@@ -90,7 +90,7 @@ _Moved: TypeAlias = tuple[
 ]
 
 
-def _moved_by_dqs(skinning: Skinning, rest: RestSurface) -> _Moved:
+def _moved_by_dqs(skinning: Skinning, rest: RestPrimitive) -> _Moved:
     """Return motions, scales, joints, weights and positions, in the types that the loops read."""
     table, scale = skinning.motions.table, skinning.motions.scale
     return (

@@ -15,8 +15,8 @@ from skinbake.lighting.before_adoption import true_operator_of
 from skinbake.lighting.operator import TRUE_CREASE_ANGLE, TRUE_WEIGHTING, GradientOperator
 from skinbake.lighting.poses import SHARED_SAMPLES, PoseRequest, PoseSet, draws_of, pose_set
 from skinbake.lighting.rest_areas import RestAreas
-from skinbake.lighting.rest_surfaces import rest_surface
-from skinbake.skinning.surface import RestSurface
+from skinbake.lighting.rest_primitives import rest_primitive
+from skinbake.skinning.rest import RestPrimitive
 from skinbake.wording import counted
 
 BYTES_A_SAMPLE = 32
@@ -34,14 +34,14 @@ of one mesh of 3,000 vertices need 20 a byte, a character of a million vertices 
 class Draw:
     """One surface as one skin draws it: its baked primitives, and what a replay and the truths need of them.
 
-    operator is that of the truths, over all primitives. rest are their surfaces for the replay, areas the
+    operator is that of the truths, over all primitives. rest are these for the replay, areas the
     areas around their vertices, (V,) each, in the squared unit of the scene. They are the weights of errors.
     poses are those of the skin, and of the node if the mesh has morph targets.
     """
 
     views: Sequence[BakedView]
     operator: GradientOperator
-    rest: Sequence[RestSurface]
+    rest: Sequence[RestPrimitive]
     areas: Sequence[Float64Array]
     poses: PoseSet
 
@@ -93,7 +93,7 @@ def draws(
     work = _Work(document, request)
     found: dict[tuple[int, int | None], PoseSet] = {}
     for views, operator in surfaces:
-        rest = [rest_surface(view) for view in views]
+        rest = [rest_primitive(view) for view in views]
         for skin, node in draws_of(document, views[0].source.mesh, clips):
             if (skin, node) not in found:
                 found[skin, node] = pose_set(document, skin, clips, request, node)

@@ -13,17 +13,17 @@ from skinbake.lighting.metrics import angles_between, total_area
 from skinbake.lighting.tally import ErrorTally
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import dot
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 
 
 @dataclass(frozen=True, slots=True)
-class EncodedSurface:
+class EncodedPrimitive:
     """One primitive in P poses with stored α and β, and with alpha and beta (V, K − 1) before storage.
 
-    surface has the stored α and β. areas (V,) are rest areas. joint_matrices are (P, J, 4, 4).
+    primitive has the stored α and β. areas (V,) are rest areas. joint_matrices are (P, J, 4, 4).
     """
 
-    surface: RestSurface
+    primitive: RestPrimitive
     alpha: FloatArray
     beta: FloatArray
     areas: FloatArray
@@ -38,18 +38,18 @@ class AddedError:
     p99: float
 
 
-def added_error(surfaces: Iterable[EncodedSurface]) -> AddedError | None:
+def added_error(primitives: Iterable[EncodedPrimitive]) -> AddedError | None:
     """Measure the angle between algorithm 3's normals with stored and with unrounded α and β.
 
     All samples count together, and all poses count alike. If the unrounded normal of a sample vanishes, the
     sample is left out. If only its stored normal vanishes, the sample counts as 180°. None if no sample is
     left.
     """
-    items = list(surfaces)
+    items = list(primitives)
     tally = ErrorTally(sum(len(item.joint_matrices) * total_area(item.areas) for item in items))
     for item in items:
-        exact = replace(item.surface, alpha=item.alpha, beta=item.beta)
-        for pose, part, blended in blended_blocks((item.surface, exact), item.joint_matrices):
+        exact = replace(item.primitive, alpha=item.alpha, beta=item.beta)
+        for pose, part, blended in blended_blocks((item.primitive, exact), item.joint_matrices):
             stored, unrounded = (one.normals((Algorithm.LBS_ACCURATE,), pose, part)[0] for one in blended)
             square = dot(unrounded, unrounded)
             angles = angles_between(stored, unrounded).astype(np.float32)

@@ -11,7 +11,7 @@ from skinbake.format.encodings import rounded
 from skinbake.format.layouts import GradientFormat
 from skinbake.gltf.animation import read_clips, skins_of
 from skinbake.gltf.document import Document
-from skinbake.lighting.encoding import AddedError, EncodedSurface, added_error
+from skinbake.lighting.encoding import AddedError, EncodedPrimitive, added_error
 from skinbake.lighting.poses import PoseRequest, PoseSet, pose_set
 from skinbake.lighting.rest_areas import RestAreas
 from skinbake.lighting.unwritten import UnwrittenBake
@@ -25,15 +25,15 @@ def added_by_encoding(
     The document has the poses. None if no pose has a normal. Raises InputError if the animations or
     skins of the document cannot be read.
     """
-    return added_error(_surfaces(document, bakes, storage))
+    return added_error(_primitives(document, bakes, storage))
 
 
-def _surfaces(
+def _primitives(
     document: Document, bakes: Sequence[UnwrittenBake], storage: GradientFormat
-) -> Iterator[EncodedSurface]:
+) -> Iterator[EncodedPrimitive]:
     clips, sets = read_clips(document), dict[int, PoseSet]()
     for bake in bakes:
-        exact = bake.rest_surface()
+        exact = bake.rest_primitive()
         alpha, beta = (
             rounded(slots, storage.encoding, storage.scale).astype(np.float64)
             for slots in (bake.baked.alpha, bake.baked.beta)
@@ -43,4 +43,4 @@ def _surfaces(
                 sets[skin] = pose_set(document, skin, clips, PoseRequest())
             stored = replace(exact, alpha=alpha, beta=beta)
             areas = RestAreas(document, skin).of(bake.primitive)
-            yield EncodedSurface(stored, exact.alpha, exact.beta, areas, sets[skin].joint_matrices)
+            yield EncodedPrimitive(stored, exact.alpha, exact.beta, areas, sets[skin].joint_matrices)

@@ -20,8 +20,8 @@ from skinbake.gradients.baker import slots_of_surface
 from skinbake.lighting.baked_views import BakedView
 from skinbake.lighting.influences import free_slots
 from skinbake.lighting.operator import GradientOperator, expected_alpha_beta, true_operator
-from skinbake.lighting.rest_surfaces import rest_surface
-from skinbake.skinning.surface import RestSurface
+from skinbake.lighting.rest_primitives import rest_primitive
+from skinbake.skinning.rest import RestPrimitive
 
 if TYPE_CHECKING:
     from skinbake.lighting.poses_to_fit import FoundPoses
@@ -142,15 +142,17 @@ def posed_slots(document: Document, views: Sequence[BakedView], slots: Expected)
     found = noted_poses(document, views[0])
     return fitted_to_poses(
         true_operator([_without_given_weights(document, view) for view in views]),
-        surfaces_of(document, views, slots),
+        rest_primitives_of(document, views, slots),
         found.groups,
     )
 
 
-def surfaces_of(document: Document, views: Sequence[BakedView], slots: Expected) -> list[RestSurface]:
+def rest_primitives_of(
+    document: Document, views: Sequence[BakedView], slots: Expected
+) -> list[RestPrimitive]:
     """Return the views as a replay reads them, without the weights of adoption, and with other α and β."""
     return [
-        rest_surface(replace(view, now=_without_given_weights(document, view), alpha=alpha, beta=beta))
+        rest_primitive(replace(view, now=_without_given_weights(document, view), alpha=alpha, beta=beta))
         for view, (alpha, beta) in zip(views, slots, strict=True)
     ]
 

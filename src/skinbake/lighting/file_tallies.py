@@ -65,9 +65,9 @@ class FileTallies:
 
     def _count(self, method: str, draw: Draw, first: int, block: MeasuredBlock) -> Callable[[], None]:
         """Count a block of a draw whose segments begin with ``first``. Return what adds it to its tallies."""
-        areas = draw.areas[block.surface][block.vertex : block.vertex + block.errors.shape[1]]
-        start = first + block.surface, block.pose, block.vertex
-        by_place = self._by_place[draw.views[block.surface].source.place]
+        areas = draw.areas[block.primitive][block.vertex : block.vertex + block.errors.shape[1]]
+        start = first + block.primitive, block.pose, block.vertex
+        by_place = self._by_place[draw.views[block.primitive].source.place]
         whole, own = (tallies[block.truth, method][block.lighting] for tallies in (self._whole, by_place))
         tallies = [whole] if own is whole else [whole, own]
         with stage("figures"):

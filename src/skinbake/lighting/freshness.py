@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
-from skinbake.skinning.surface import all_slots
+from skinbake.skinning.rest import all_slots
 
 RELATIVE_TOLERANCE = 1e-3
 """The largest allowed difference between stored and recomputed, relative to the vertex's largest entry.

@@ -13,7 +13,7 @@ import numpy as np
 from skinbake.geometry.skinned import FloatArray
 from skinbake.lighting.metrics import squared_cross
 from skinbake.skinning.components import Vector, cross, dot, scaled
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 
 IDENTITY_TOLERANCE = 1e-4
 """Degrees by which algorithms 2 and 3 may differ."""
@@ -32,14 +32,14 @@ Compared: TypeAlias = tuple[FloatArray, FloatArray]
 """What ``compared_normals`` returns for a block."""
 
 
-def surface_for_direct(surface: RestSurface, part: slice) -> RestSurface:
-    """Return the surface from which algorithm 2 equals algorithm 3, even in a slightly skewed frame.
+def primitive_for_direct(primitive: RestPrimitive, part: slice) -> RestPrimitive:
+    """Return the vertices from which algorithm 2 equals algorithm 3, even in a slightly skewed frame.
 
     n0 is ± t0 × b0. The gradients are in the dual basis: their products with t0 and b0 *are* α and β. NORMAL
     and TANGENT of a file are orthonormal to a tenth of a degree, and a frame in float32 to 1e-7. A fold
     amplifies either error.
     """
-    block = surface.rows(part)
+    block = primitive.rows(part)
     t, b = (tuple(vectors.T.astype(np.float64)) for vectors in (block.tangents, block.bitangents))
     normal = cross(t, b)
     volume = dot(normal, normal)

@@ -15,8 +15,8 @@ from skinbake.lighting.draws import Draw
 from skinbake.lighting.identity import IDENTITY_TOLERANCE
 from skinbake.lighting.poses import PoseSet
 from skinbake.report.verify import Check
+from skinbake.skinning.rest import RestPrimitive
 from skinbake.skinning.run import joints_in_use
-from skinbake.skinning.surface import RestSurface
 from skinbake.wording import counted
 
 
@@ -37,7 +37,7 @@ def mirrored(drawn: Sequence[Draw]) -> Iterator[Notice]:
             yield Notice("joints-mirror", message, replace(draw.views[0].source.place, primitive=None), count)
 
 
-def joints_without_dqs(rest: Sequence[RestSurface], poses: PoseSet) -> list[str]:
+def joints_without_dqs(rest: Sequence[RestPrimitive], poses: PoseSet) -> list[str]:
     """Return the names of the joints in use that dual quaternions cannot represent in these poses."""
     return [poses.joint_names[joint] for joint in not_rigid_joints(rest, poses.joint_matrices)]
 

@@ -21,7 +21,7 @@ from skinbake.lighting.tally import ErrorTally
 from skinbake.lighting.unwritten import UnwrittenBake
 from skinbake.report.bake import LimitCost, Spread
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ def _cost(
     told: str,
 ) -> LimitCost:
     areas = [space.of(before.primitive) for space in spaces]
-    turned, moved, size = _differences((before.rest_surface(), after.rest_surface()), sets, areas)
+    turned, moved, size = _differences((before.rest_primitive(), after.rest_primitive()), sets, areas)
     return LimitCost(
         influences=part.primitive.joints.shape[1],
         vertices=part.vertices,
@@ -104,7 +104,7 @@ def _cost(
 
 
 def _differences(
-    pair: tuple[RestSurface, RestSurface], sets: Sequence[PoseSet], by_set: Sequence[Float64Array]
+    pair: tuple[RestPrimitive, RestPrimitive], sets: Sequence[PoseSet], by_set: Sequence[Float64Array]
 ) -> tuple[ErrorTally, ErrorTally, float]:
     """Return angles between normals in degrees, distances between positions, and the size.
 

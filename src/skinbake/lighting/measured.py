@@ -27,11 +27,11 @@ from skinbake.lighting.poses import described
 from skinbake.lighting.truths import Truths
 from skinbake.lighting.verify_options import VerifyOptions
 from skinbake.report.verify import Check, FileVerdict, Normals
-from skinbake.skinning.surface import Options, RestSurface
+from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.timing import stage, tell_steps
 
 MORPHED_BYTES = 64 << 20
-"""The memory in which morphed surfaces wait for the second method. Those that need more are made again."""
+"""The memory in which morphed primitives wait for the second method. Those that need more are made again."""
 
 
 def lighting_verdict(
@@ -110,7 +110,7 @@ class _Measurement:
         self._identity = max(self._identity, identity)
 
     def _morphing(self, draw: Draw, *, again: bool) -> Morphing | None:
-        """Return the morph targets of a draw, and keep its morphed surfaces for the next method if small."""
+        """Return the morph targets of a draw. Keep its morphed primitives for the next method if small."""
         key = id(draw)
         if key in self._morphed:
             return self._morphed[key] if again else self._morphed.pop(key)
@@ -190,7 +190,7 @@ def _readable_clips(document: Document, kind: PoseKind) -> tuple[list[Clip], lis
         return [], [Notice("animations-broken", message, document.place)]
 
 
-def _morphed_size(rest: RestSurface) -> int:
-    """Return the memory of a surface in one pose of its morph targets, with the data that truths need."""
+def _morphed_size(rest: RestPrimitive) -> int:
+    """Return the memory of a primitive in one pose of its morph targets, with the data that truths need."""
     vertices, slots = rest.joints.shape
     return int(vertices * 8 * (4 * 3 + 3 * slots + 8))

@@ -16,39 +16,40 @@ from skinbake.lighting.poses import PoseSet
 from skinbake.lighting.truths import Truths
 from skinbake.report.verify import MorphCount
 from skinbake.skinning.morphs import morphed
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 
 
 @dataclass(frozen=True, slots=True)
 class Morphing:
     """The morph targets of one mesh by primitive (None: no targets), and their weights (P, N) in P poses.
 
-    kept, if it is there, keeps each pose's surfaces and truths when they are first made, for another method.
+    kept, if it is there, keeps each pose's primitives and truths when they are first made, for another
+    method.
     """
 
     targets: tuple[MorphTargets | None, ...]
     weights: Float64Array
-    kept: dict[int, tuple[Sequence[RestSurface], Truths]] | None = None
+    kept: dict[int, tuple[Sequence[RestPrimitive], Truths]] | None = None
 
-    def surfaces(self, surfaces: Sequence[RestSurface], pose: int) -> list[RestSurface]:
+    def primitives(self, primitives: Sequence[RestPrimitive], pose: int) -> list[RestPrimitive]:
         """Return the primitives as they are in one pose, before skinning."""
         return [
-            surface if targets is None else morphed(surface, targets, self.weights[pose])
-            for surface, targets in zip(surfaces, self.targets, strict=True)
+            primitive if targets is None else morphed(primitive, targets, self.weights[pose])
+            for primitive, targets in zip(primitives, self.targets, strict=True)
         ]
 
     def posed(
-        self, surfaces: Sequence[RestSurface], truths: Truths, pose: int
-    ) -> tuple[Sequence[RestSurface], Truths]:
+        self, primitives: Sequence[RestPrimitive], truths: Truths, pose: int
+    ) -> tuple[Sequence[RestPrimitive], Truths]:
         """Return the primitives as they are in one pose, before skinning, and their truths.
 
-        surfaces and truths are those without morph targets.
+        primitives and truths are those without morph targets.
         """
         if not self.weights[pose].any():
-            return surfaces, truths
+            return primitives, truths
         kept = {} if self.kept is None else self.kept
         if pose not in kept:
-            moved = self.surfaces(surfaces, pose)
+            moved = self.primitives(primitives, pose)
             kept[pose] = moved, truths.moved(moved)
         return kept[pose]
 

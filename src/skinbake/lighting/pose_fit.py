@@ -30,10 +30,10 @@ from skinbake.choices import Truth
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.gradients.fit_rules import EVEN, FAINT, UNFELT
 from skinbake.lighting.angles import sides_of
-from skinbake.lighting.blending import BlendedSurface, chunks
+from skinbake.lighting.blending import BlendedPrimitive, chunks
 from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.truths import Truths
-from skinbake.skinning.surface import Options, RestSurface, all_slots
+from skinbake.skinning.rest import Options, RestPrimitive, all_slots
 from skinbake.threads import Threads, thread_count
 
 POSE_STIFFNESS = 0.08
@@ -73,37 +73,37 @@ def fit_size(vertices: int, influences: int) -> int:
 
 
 def fitted_to_poses(
-    operator: GradientOperator, surfaces: Sequence[RestSurface], groups: Sequence[FitPoses]
+    operator: GradientOperator, primitives: Sequence[RestPrimitive], groups: Sequence[FitPoses]
 ) -> list[Slots]:
     """Return α and β of each primitive of one surface, fitted to poses. They stay near the given ones.
 
-    surfaces are in the operator's order. A joint that has neither weight nor gradient at a vertex gets none.
-    A vertex without true normals keeps its gradients.
+    primitives are in the operator's order. A joint that has neither weight nor gradient at a vertex gets
+    none. A vertex without true normals keeps its gradients.
     """
     # A vertex without true normals has NaN on the way.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        fitted = [_LeastSquares.of(surface) for surface in surfaces]
+        fitted = [_LeastSquares.of(primitive) for primitive in primitives]
         for group in groups:
-            systems = [_LeastSquares.of(surface) for surface in surfaces]
-            for seen in _seen(operator, surfaces, group):
-                system = systems[seen.surface]
-                system.add(seen, seen.moved(surfaces, group, system.last))
+            systems = [_LeastSquares.of(primitive) for primitive in primitives]
+            for seen in _seen(operator, primitives, group):
+                system = systems[seen.primitive]
+                system.add(seen, seen.moved(primitives, group, system.last))
             for system, of_group in zip(fitted, systems, strict=True):
                 system.take(of_group, group.share)
         return [system.solved() for system in fitted]
 
 
 def tilts(
-    operator: GradientOperator, surfaces: Sequence[RestSurface], groups: Sequence[FitPoses]
+    operator: GradientOperator, primitives: Sequence[RestPrimitive], groups: Sequence[FitPoses]
 ) -> list[Float64Array]:
     """Return by how much the tangents of each primitive leave the true surface: (V,), mean squared sines."""
-    found = [np.zeros(len(surface.positions)) for surface in surfaces]
+    found = [np.zeros(len(primitive.positions)) for primitive in primitives]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # likewise
         for group in groups:
             share = group.share / sum(each.share for each in groups)
-            for seen in _seen(operator, surfaces, group):
-                moved = seen.moved(surfaces, group, np.zeros(len(found[seen.surface]), dtype=np.int64))
-                found[seen.surface][seen.rows] += share * seen.tilt(moved)
+            for seen in _seen(operator, primitives, group):
+                moved = seen.moved(primitives, group, np.zeros(len(found[seen.primitive]), dtype=np.int64))
+                found[seen.primitive][seen.rows] += share * seen.tilt(moved)
     return found
 
 
@@ -111,19 +111,19 @@ def tilts(
 class _Seen:
     """Some vertices of a primitive in some poses of a group.
 
-    surface is the primitive's number. rows and poses are B vertices and P poses. normals (B, 3, P) are the
-    mean true normals, 0 where there is none. share is that of one pose in the group.
+    primitive is its number in the surface. rows and poses are B vertices and P poses. normals (B, 3, P) are
+    the mean true normals, 0 where there is none. share is that of one pose in the group.
     """
 
-    surface: int
+    primitive: int
     rows: slice
     poses: slice
     normals: Float64Array
     share: float
 
-    def moved(self, surfaces: Sequence[RestSurface], group: FitPoses, last: IntArray) -> _Moved:
+    def moved(self, primitives: Sequence[RestPrimitive], group: FitPoses, last: IntArray) -> _Moved:
         """Return the vertices in the poses. last (V,) is a slot of each vertex of the primitive."""
-        part = surfaces[self.surface].rows(self.rows)
+        part = primitives[self.primitive].rows(self.rows)
         return _Moved.of(part, group.joint_matrices[self.poses], last[self.rows])
 
     def tilt(self, moved: _Moved) -> Float64Array:
@@ -132,28 +132,30 @@ class _Seen:
         return np.asarray(self.share * np.einsum("btp,bp->b", tilt * tilt, moved.emphasis) / 2.0)
 
 
-def _seen(operator: GradientOperator, surfaces: Sequence[RestSurface], group: FitPoses) -> Iterator[_Seen]:
+def _seen(
+    operator: GradientOperator, primitives: Sequence[RestPrimitive], group: FitPoses
+) -> Iterator[_Seen]:
     """Yield all vertices in all poses of a group.
 
     Every vertex meets each pose once, and its poses in order, so that sums do not depend on the number of
     threads.
     """
     matrices, count = group.joint_matrices, len(operator.positions)
-    widest = max(surface.joints.shape[1] for surface in surfaces)
+    widest = max(primitive.joints.shape[1] for primitive in primitives)
     parts = chunks(count, len(matrices))
-    truths = Truths.of(operator, surfaces, (parts[0].stop if parts else 0) * widest, tuple(Truth))
-    sides = sides_of(surfaces, matrices)
-    blended = [BlendedSurface(surface, matrices, Options()) for surface in surfaces]
+    truths = Truths.of(operator, primitives, (parts[0].stop if parts else 0) * widest, tuple(Truth))
+    sides = sides_of(primitives, matrices)
+    blended = [BlendedPrimitive(primitive, matrices, Options()) for primitive in primitives]
     with Threads(thread_count()) as threads:
         for poses in parts:
             deformed = np.empty((3, count, poses.stop - poses.start))
             for block in truths.vertex_blocks:
-                blended[block.surface].put_positions(poses, block.rows, deformed, block.part.start)
+                blended[block.primitive].put_positions(poses, block.rows, deformed, block.part.start)
             sums = truths.sums(deformed, threads)
             for block in truths.vertex_blocks:
                 side = None if sides is None else sides[poses, block.part]
                 normals = _mean(*truths.normals(block.number, deformed, sums, side))
-                yield _Seen(block.surface, block.rows, poses, normals, 1.0 / len(matrices))
+                yield _Seen(block.primitive, block.rows, poses, normals, 1.0 / len(matrices))
 
 
 def _mean(normals: Float64Array, exist: BoolArray) -> Float64Array:
@@ -177,7 +179,7 @@ class _Moved:
     emphasis: Float64Array
 
     @classmethod
-    def of(cls, rest: RestSurface, matrices: Float64Array, last: IntArray) -> _Moved:
+    def of(cls, rest: RestPrimitive, matrices: Float64Array, last: IntArray) -> _Moved:
         """Move vertices by joint matrices (P, J, 4, 4). last (B,) is a slot of each."""
         count, slots = rest.joints.shape
         poses = len(matrices)
@@ -218,13 +220,13 @@ class _LeastSquares:
     error: Float64Array
 
     @classmethod
-    def of(cls, surface: RestSurface) -> _LeastSquares:
+    def of(cls, primitive: RestPrimitive) -> _LeastSquares:
         """Prepare the equations of a primitive. Joints with presence above UNFELT are fitted."""
-        given = _pairs_of_slots(surface)
+        given = _pairs_of_slots(primitive)
         lengths = np.hypot(given[..., 0], given[..., 1])
         total = lengths.sum(axis=1, keepdims=True)
         share = np.divide(lengths, total, out=np.zeros_like(lengths), where=total > 0.0)
-        presence = surface.weights + share
+        presence = primitive.weights + share
         count, slots = presence.shape
         return cls(
             given=given,
@@ -289,6 +291,6 @@ def _spread(presence: FloatArray, levers: Float64Array) -> Float64Array:
     return np.asarray(np.einsum("bk,bkip->bp", share, np.square(levers - middle[:, None])))
 
 
-def _pairs_of_slots(surface: RestSurface) -> Float64Array:
+def _pairs_of_slots(primitive: RestPrimitive) -> Float64Array:
     """Return α and β of all slots (V, K, 2)."""
-    return all_slots(np.stack([surface.alpha, surface.beta], axis=2).astype(np.float64))
+    return all_slots(np.stack([primitive.alpha, primitive.beta], axis=2).astype(np.float64))

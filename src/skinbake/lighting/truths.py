@@ -27,7 +27,7 @@ from skinbake.lighting.triangle_normals import (
     ClassSums,
     class_blocks,
 )
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 from skinbake.threads import Threads
 
 
@@ -48,11 +48,11 @@ class Truths:
 
     @classmethod
     def of(
-        cls, operator: GradientOperator, surfaces: Sequence[RestSurface], poses: int, names: Sequence[str]
+        cls, operator: GradientOperator, primitives: Sequence[RestPrimitive], poses: int, names: Sequence[str]
     ) -> Truths:
         """Measure a mesh at rest, for chunks of so many poses."""
         blocks_of_vertices = _vertex_blocks(operator.slices, poses)
-        positions, normals = (_joined(surfaces, name) for name in ("positions", "normals"))
+        positions, normals = (_joined(primitives, name) for name in ("positions", "normals"))
         parts = tuple(block.part for block in blocks_of_vertices)
         frames = rest_frames(operator, positions, normals, parts=parts)
         blocks_of_classes: list[ClassBlock] = []
@@ -62,9 +62,9 @@ class Truths:
             carried = carried_normals(operator, frames, positions, normals, blocks_of_classes)
         return cls(operator, names, blocks_of_vertices, blocks_of_classes, frames, carried)
 
-    def moved(self, surfaces: Sequence[RestSurface]) -> Truths:
+    def moved(self, primitives: Sequence[RestPrimitive]) -> Truths:
         """Measure the mesh under morph targets, before skinning."""
-        positions, normals = (_joined(surfaces, name) for name in ("positions", "normals"))
+        positions, normals = (_joined(primitives, name) for name in ("positions", "normals"))
         frames = morphed_frames(self.frames, positions, normals)
         carried = self.carried and carried_normals(
             self.operator, frames, positions, normals, self.class_blocks
@@ -117,7 +117,7 @@ class VertexBlock:
     """Some vertices: the numbers of block and primitive, the rows in the primitive, the part of the mesh."""
 
     number: int
-    surface: int
+    primitive: int
     rows: slice
     part: slice
 
@@ -125,19 +125,19 @@ class VertexBlock:
 def _vertex_blocks(slices: Sequence[slice], poses: int) -> list[VertexBlock]:
     """Cut the vertices of all primitives, each at its slice of the mesh, for chunks of so many poses."""
     pieces = [
-        (surface, here.start, part)
-        for surface, here in enumerate(slices)
+        (primitive, here.start, part)
+        for primitive, here in enumerate(slices)
         for part in sample_blocks(here, poses)
     ]
     return [
-        VertexBlock(number, surface, slice(part.start - start, part.stop - start), part)
-        for number, (surface, start, part) in enumerate(pieces)
+        VertexBlock(number, primitive, slice(part.start - start, part.stop - start), part)
+        for number, (primitive, start, part) in enumerate(pieces)
     ]
 
 
-def _joined(surfaces: Sequence[RestSurface], name: str) -> FloatArray:
+def _joined(primitives: Sequence[RestPrimitive], name: str) -> FloatArray:
     """Return one array of all primitives, their vertices concatenated. A single one is not copied."""
-    if len(surfaces) == 1:
-        only: FloatArray = getattr(surfaces[0], name)
+    if len(primitives) == 1:
+        only: FloatArray = getattr(primitives[0], name)
         return only
-    return np.concatenate([getattr(surface, name) for surface in surfaces])
+    return np.concatenate([getattr(primitive, name) for primitive in primitives])

@@ -11,7 +11,7 @@ from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gltf.primitives import PrimitiveSource
 from skinbake.gradients.tangents import frame_vectors
 from skinbake.lighting.influences import normalised_weights
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,13 +22,13 @@ class UnwrittenBake:
     primitive: SkinnedPrimitive
     baked: BakedPrimitive
 
-    def rest_surface(self) -> RestSurface:
+    def rest_primitive(self) -> RestPrimitive:
         """Return it as float64. Adopted joints have weight 0, and joints past the skin become 0."""
         primitive, baked = self.primitive, self.baked
         tangents, bitangents = frame_vectors(primitive, baked.frame)
         named = np.where(baked.adopted_joints >= 0, baked.adopted_joints, primitive.joints)
         joints = np.where(named < self.source.joint_count, named, 0)
-        return RestSurface(
+        return RestPrimitive(
             positions=primitive.positions.astype(np.float64),
             normals=frames.unit_normals(primitive.normals).astype(np.float64),
             tangents=tangents.astype(np.float64),

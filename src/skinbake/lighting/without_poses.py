@@ -13,7 +13,7 @@ from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
 from skinbake.gltf.rigs import fitting_rig
 from skinbake.lighting.baked_views import BakedView
-from skinbake.lighting.expected import noted_kind, noted_poses, surface_slots, surfaces_of
+from skinbake.lighting.expected import noted_kind, noted_poses, rest_primitives_of, surface_slots
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.operator import GradientOperator, true_operator
 
@@ -83,8 +83,8 @@ def _without_effect(
         claim=lambda size: document.budget.claim_welding(size, views[0].source.place),
     )
     slots = [(view.alpha.astype(np.float64), view.beta.astype(np.float64)) for view in views]
-    stored = surfaces_of(document, views, slots)
-    plain = surfaces_of(document, views, surface_slots(views, operator))
+    stored = rest_primitives_of(document, views, slots)
+    plain = rest_primitives_of(document, views, surface_slots(views, operator))
     both = [tilts(true, surfaces, groups) for surfaces in (stored, plain)]
     for number, view in enumerate(views):
         areas = vertex_areas(view.now.positions, view.now.triangles)

@@ -20,7 +20,7 @@ from skinbake.render.materials import Levels, Sampling
 from skinbake.render.subject import Camera, Shot, Subject
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.shaders.text import shader_made
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 
 SCENE = Path(__file__).parent / "scene.wgsl"
 MODES = ("shaded", "reflections", "error", "normals")
@@ -310,7 +310,7 @@ def shader(lighting: str, slots: int, mirrored: bool) -> str:
     return shader_made(choices)[0] + scene
 
 
-def _rows(subject: Subject, rest: RestSurface, errors: tuple[Any, Any] | None) -> npt.NDArray[np.float32]:
+def _rows(subject: Subject, rest: RestPrimitive, errors: tuple[Any, Any] | None) -> npt.NDArray[np.float32]:
     """Return what the vertex stage reads of each vertex, in vec4 (V, R, 4): see ``shader``."""
     count, slots = rest.joints.shape
     padded = 4 * -(-slots // 4)

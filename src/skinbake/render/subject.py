@@ -9,7 +9,7 @@ import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
 from skinbake.render.materials import Material
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 
 ANGLE = np.radians(32.0)
 YAW, PITCH = 0.45, 0.16
@@ -26,7 +26,7 @@ class Subject:
     ``Shot``.
     """
 
-    rest: RestSurface
+    rest: RestPrimitive
     triangles: IntArray
     pose_set: int
     material: Material = field(default_factory=Material)
@@ -91,4 +91,4 @@ class Shot:
     matrices: tuple[Float64Array, ...]
     yaw: float = YAW
     errors: Mapping[str, tuple[tuple[Float32Array, BoolArray], ...]] = field(default_factory=dict)
-    morphed: Mapping[int, RestSurface] = field(default_factory=dict)
+    morphed: Mapping[int, RestPrimitive] = field(default_factory=dict)

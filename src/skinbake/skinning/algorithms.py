@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 from skinbake.skinning import dqs, lbs
 from skinbake.skinning.components import LineMark, PosedVertex, RestVertex
-from skinbake.skinning.surface import Options
+from skinbake.skinning.rest import Options
 
 
 class Algorithm(IntEnum):

@@ -22,7 +22,7 @@ LineMark: TypeAlias = Callable[[int], None]
 
 @dataclass(frozen=True, slots=True)
 class RestVertex:
-    """The input of an algorithm at one vertex: the fields of RestSurface, component by component.
+    """The input of an algorithm at one vertex: the fields of RestPrimitive, component by component.
 
     weights and gradients have one entry for each slot, alpha and beta one for each slot after the first.
     handedness is 1 or −1.

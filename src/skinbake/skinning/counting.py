@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 from skinbake.skinning.algorithms import STEPS, Algorithm
 from skinbake.skinning.components import RestVertex, Rows, Vector
-from skinbake.skinning.surface import Options
+from skinbake.skinning.rest import Options
 
 
 @dataclass(frozen=True, slots=True)

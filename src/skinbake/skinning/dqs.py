@@ -29,7 +29,7 @@ from skinbake.skinning.components import (
     weighted_sum,
 )
 from skinbake.skinning.lbs import plus_gradient
-from skinbake.skinning.surface import Options
+from skinbake.skinning.rest import Options
 
 
 def approximated(

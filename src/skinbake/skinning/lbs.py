@@ -28,7 +28,7 @@ from skinbake.skinning.components import (
     scaled,
     weighted_sum,
 )
-from skinbake.skinning.surface import Options
+from skinbake.skinning.rest import Options
 
 
 def approximated(

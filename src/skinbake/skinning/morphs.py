@@ -1,4 +1,4 @@
-"""A rest surface under morph targets: moved positions, and the frame that the shader would use."""
+"""A primitive at rest under morph targets: moved positions, and the frame that the shader would use."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from skinbake.geometry.morphs import (
     morphed_normals,
 )
 from skinbake.geometry.skinned import FloatArray
-from skinbake.skinning.surface import RestSurface
+from skinbake.skinning.rest import RestPrimitive
 
 
 def morphed(
-    rest: RestSurface, targets: MorphTargets, weights: FloatArray, *, dtype: npt.DTypeLike = np.float64
-) -> RestSurface:
-    """Return the rest surface with the targets at these weights (N,).
+    rest: RestPrimitive, targets: MorphTargets, weights: FloatArray, *, dtype: npt.DTypeLike = np.float64
+) -> RestPrimitive:
+    """Return the primitive with the targets at these weights (N,).
 
     α, β, joints and weights of influences stay. The normal is n0 + Σ w ΔN at length 1. t and b are those of
     ``carried_by_tangent`` if ``targets.with_tangents``, otherwise of ``carried_by_normal``. Positions and
     frame are computed in ``dtype``, the sums over targets in float64. verify uses float64. float32 gives the
-    numbers of a shader, with which the tests of the shaders compare. If all weights are 0, the surface itself
-    is returned.
+    numbers of a shader, with which the tests of the shaders compare. If all weights are 0, the primitive
+    itself is returned.
     """
     if not weights.any():
         return rest
@@ -43,7 +43,7 @@ def morphed(
         t, b = carried_by_tangent(n0, (t0, b0), n, moved, rest.handedness().astype(dtype))
     else:
         t, b = carried_by_normal(n0, (t0, b0), n)
-    surface = replace(
+    primitive = replace(
         rest,
         positions=added(rest.positions, targets.summed("positions", weights, count)),
         normals=n,
@@ -51,11 +51,11 @@ def morphed(
         bitangents=b,
         gradients=None,
     )
-    return _with_gradients(surface) if targets.with_tangents else surface
+    return _with_gradients(primitive) if targets.with_tangents else primitive
 
 
-def _with_gradients(surface: RestSurface) -> RestSurface:
-    """Return the surface with ∇w = (α t + β b) / |t|²: t and b are at right angles, and not of length 1."""
-    square = dot(surface.tangents, surface.tangents)
+def _with_gradients(primitive: RestPrimitive) -> RestPrimitive:
+    """Return the primitive with ∇w = (α t + β b) / |t|²: t and b are at right angles, and not of length 1."""
+    square = dot(primitive.tangents, primitive.tangents)
     scale = 1 / np.where(square > 0, square, square.dtype.type(1))
-    return replace(surface, gradients=surface.weight_gradients() * scale[:, None, None])
+    return replace(primitive, gradients=primitive.weight_gradients() * scale[:, None, None])

@@ -14,7 +14,7 @@ from skinbake.geometry.skinned import BoolArray, FloatArray
 from skinbake.skinning import dqs
 from skinbake.skinning.algorithms import STEPS, Algorithm
 from skinbake.skinning.components import PosedVertex, RestVertex, Rows, Vector
-from skinbake.skinning.surface import Options, RestSurface
+from skinbake.skinning.rest import Options, RestPrimitive
 
 # From this number of poses on, components are stored pose by pose; with fewer poses rows are too short.
 _ROWS = 16
@@ -22,7 +22,7 @@ _ROWS = 16
 
 @dataclass(frozen=True, slots=True)
 class Skinning:
-    """A rest surface and joint motions of P poses, on which the algorithms run block by block.
+    """A primitive at rest and joint motions of P poses, on which the algorithms run block by block.
 
     The motions are joint matrices for algorithms 1–3 and dual quaternions for 4–6.
     """
@@ -34,7 +34,7 @@ class Skinning:
     @classmethod
     def of(
         cls,
-        rest: RestSurface,
+        rest: RestPrimitive,
         joint_matrices: FloatArray,
         *,
         dual_quaternions: bool,
@@ -57,14 +57,14 @@ class Skinning:
 
     @classmethod
     def of_mesh(
-        cls, surfaces: Sequence[RestSurface], joint_matrices: FloatArray, options: Options
+        cls, primitives: Sequence[RestPrimitive], joint_matrices: FloatArray, options: Options
     ) -> list[Skinning]:
         """Prepare the primitives of one mesh for algorithms 4–6. They share their dual quaternions and scale.
 
         Raises UnsupportedFeatureError as ``of`` does.
         """
-        motions = _rigid_motions(surfaces, joint_matrices, RIGID_TOLERANCE, np.float64)
-        return [cls(_Vertices(rest, np.float64), motions, options) for rest in surfaces]
+        motions = _rigid_motions(primitives, joint_matrices, RIGID_TOLERANCE, np.float64)
+        return [cls(_Vertices(rest, np.float64), motions, options) for rest in primitives]
 
     def run(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[PosedVertex]:
         """Return the result of an algorithm for a block of poses and vertices, as components (P, V)."""
@@ -82,11 +82,11 @@ class Skinning:
         return self.vertices.block(part, None if scale is None else scale[pose], gradients=gradients)
 
 
-def joints_in_use(surfaces: Sequence[RestSurface], count: int) -> BoolArray:
-    """Mark the joints (J,) that carry weight on one of the surfaces, of so many joints."""
+def joints_in_use(primitives: Sequence[RestPrimitive], count: int) -> BoolArray:
+    """Mark the joints (J,) that carry weight on one of the primitives, of so many joints."""
     in_use = np.zeros(count, dtype=np.bool_)
-    for surface in surfaces:
-        in_use |= surface.joints_in_use(count)
+    for primitive in primitives:
+        in_use |= primitive.joints_in_use(count)
     return in_use
 
 
@@ -126,10 +126,10 @@ def _matrices(joint_matrices: FloatArray, dtype: npt.DTypeLike) -> _Motions:
 
 
 def _rigid_motions(
-    surfaces: Sequence[RestSurface], joint_matrices: FloatArray, tolerance: float, dtype: npt.DTypeLike
+    primitives: Sequence[RestPrimitive], joint_matrices: FloatArray, tolerance: float, dtype: npt.DTypeLike
 ) -> _Motions:
-    """Convert joint matrices to dual quaternions, for all joints that one of the surfaces uses."""
-    in_use = joints_in_use(surfaces, joint_matrices.shape[1])
+    """Convert joint matrices to dual quaternions, for all joints that one of the primitives uses."""
+    in_use = joints_in_use(primitives, joint_matrices.shape[1])
     motions = rigid_motions(joint_matrices, tolerance=tolerance, in_use=in_use)
     if not motions.is_rigid:
         found = ", ".join(str(joint) for joint in motions.not_rigid[:8])
@@ -145,9 +145,9 @@ def _rigid_motions(
 
 @dataclass(frozen=True, slots=True)
 class _Vertices:
-    """A rest surface whose blocks are transposed one by one. All of it at once would double its memory."""
+    """A primitive at rest. Its blocks are transposed one by one: all at once would double its memory."""
 
-    rest: RestSurface
+    rest: RestPrimitive
     dtype: npt.DTypeLike
 
     def block(self, part: slice, scale: FloatArray | None, *, gradients: bool) -> RestVertex:

@@ -1,4 +1,4 @@
-"""The input of the algorithms: a surface at rest with its weight gradients, and their options."""
+"""The input of the algorithms: a primitive at rest with its weight gradients, and their options."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class Options:
 
 
 @dataclass(frozen=True, slots=True)
-class RestSurface:
-    """A skinned surface at rest, in mesh space, with the derivatives of its weights.
+class RestPrimitive:
+    """A skinned primitive at rest, in mesh space, with the derivatives of its weights.
 
     positions, normals, tangents (t0), bitangents (b0) are (V, 3) floating. The frame is assumed to be
     orthonormal. joints (V, K) are integers below the J of the poses. weights (V, K) sum to one. alpha, beta
@@ -51,9 +51,9 @@ class RestSurface:
     beta: FloatArray
     gradients: FloatArray | None = None
 
-    def rows(self, part: slice) -> RestSurface:
+    def rows(self, part: slice) -> RestPrimitive:
         """Return some of the vertices."""
-        return RestSurface(
+        return RestPrimitive(
             positions=self.positions[part],
             normals=self.normals[part],
             tangents=self.tangents[part],
