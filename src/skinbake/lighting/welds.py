@@ -35,7 +35,7 @@ def weld_classes(
     """Return the number of each vertex's weld class: (V,) int64 over all primitives, from 0 without gaps.
 
     Vertices of one class have equal positions (−0 is +0) and equal influences (joint → w / Σw, in any slot
-    order, compared in float32). A chain of normals joins them in which neighbours differ by at most
+    order, compared in float32). A chain of normals joins them: each differs from the next by at most
     ``crease_angle_degrees``, in any primitive of the mesh. Normals may have any length. A zero or non-finite
     normal welds only with one of identical bits. ``claim`` is called with the number of bytes that the pairs
     at crowded places take, before they are listed.
