@@ -249,7 +249,7 @@ def test_rows_are_prepared_in_parts_as_the_definition_does(
     corners = random.integers(0, 50, (90, 3)).astype(np.uint32)
     told = {"adopting_sum": 0.5, "tolerance": 1e-3, "least": 2.0**-30}
     field, defects = by_numpy.normalise_influences(joints.copy(), weights.copy(), **told)
-    monkeypatch.setattr(by_loops, "ROWS", 7)
+    monkeypatch.setattr(by_loops, "ROWS_A_THREAD", 7)
     with threads_limited(count):
         found, counted = by_loops.normalise_influences(joints.copy(), weights.copy(), **told)
         mask = by_loops.mark_proper(points, corners)

@@ -19,7 +19,7 @@ from skinbake.errors import Notice, Place
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import read_primitive, skinned_sources
-from skinbake.gradients.normal_lean import VERTICES, lean_notices, normal_lean
+from skinbake.gradients.normal_lean import SAMPLED_VERTICES, lean_notices, normal_lean
 from skinbake.gradients.normals import with_smooth_normals
 from skinbake.lighting.poses import PoseRequest
 from skinbake.lighting.verify_options import VerifyOptions
@@ -95,7 +95,7 @@ def test_triangles_that_are_there_twice_have_no_plane_to_lean_from() -> None:
 def test_of_a_large_mesh_some_are_looked_at() -> None:
     whole = turned(smooth(300, 200), 60.0, 0.5)
     lean = normal_lean(whole)
-    assert lean.looked_at <= VERTICES
+    assert lean.looked_at <= SAMPLED_VERTICES
     [notice] = lean_notices(whole, HERE)
     assert notice.count == pytest.approx(len(whole.positions) / 2, rel=0.1)
     assert "at about" in notice.message

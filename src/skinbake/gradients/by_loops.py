@@ -39,7 +39,7 @@ NO_RIG = Rig(np.empty(0, dtype=np.int32), np.empty((0, 3)))
 PART = 1 << 15
 """The weld classes that one thread bakes at a time. It is fixed, so sums are the same for any threads."""
 
-ROWS = 1 << 17
+ROWS_A_THREAD = 1 << 17
 """The vertices or triangles that one thread prepares at a time: about 3 ms of work."""
 
 Found = TypeVar("Found")
@@ -163,12 +163,12 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
 
 def _by_rows(work: Callable[[slice], Found], rows: int) -> list[Found]:
     """Return the results of work on parts of some rows, done side by side if they are many."""
-    if rows <= ROWS:
+    if rows <= ROWS_A_THREAD:
         return [work(slice(0, rows))]
     from skinbake.threads import Threads, thread_count
 
     with Threads(thread_count()) as threads:
-        return list(threads.each(work, blocks(rows, ROWS)))
+        return list(threads.each(work, blocks(rows, ROWS_A_THREAD)))
 
 
 def _baked_in_parts(bake: Callable[..., None], classes: int, primitives: int) -> Float64Array:

@@ -30,7 +30,7 @@ MOST = 0.05
 Of 114 primitives of real models, two have more, and both are broken. The next has 1.4 %.
 """
 
-TRIANGLES, VERTICES = 1 << 8, 1 << 11
+SAMPLED_TRIANGLES, SAMPLED_VERTICES = 1 << 8, 1 << 11
 """The number of triangles and of vertices that are sampled.
 
 Triangles come first. Vertices follow if the triangles raise a doubt. In larger models every second, third …
@@ -70,7 +70,7 @@ def normal_lean(primitive: SkinnedPrimitive) -> NormalLean:
     """
     if not _is_doubtful(primitive):
         return NormalLean(0, 0, 0.0, 0.0)
-    step = _step(len(primitive.positions), VERTICES)
+    step = _step(len(primitive.positions), SAMPLED_VERTICES)
     rows = np.arange(0, len(primitive.positions), step)
     rows = rows[has_direction(primitive.normals[rows])]
     leans = _leans(primitive, rows, None)
@@ -94,7 +94,7 @@ def _is_doubtful(primitive: SkinnedPrimitive) -> bool:
 
     A coarse smooth mesh is doubtful too.
     """
-    triangles = primitive.triangles[:: _step(len(primitive.triangles), TRIANGLES)]
+    triangles = primitive.triangles[:: _step(len(primitive.triangles), SAMPLED_TRIANGLES)]
     cross = _normals(_sides(primitive, triangles))
     with np.errstate(invalid="ignore"):  # normals that are not finite are not far
         normals = primitive.normals[triangles.T].astype(np.float64)

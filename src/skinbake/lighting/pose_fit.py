@@ -55,7 +55,7 @@ AIM = {Truth.TANGENTS: 0.7, Truth.TRIANGLES: 0.3}
 With halves, the sum of both truths' errors is larger, in clips and in other poses.
 """
 
-NEGLIGIBLE = float(np.radians(0.3)) ** 2
+ADDED_TILT = float(np.radians(0.3)) ** 2
 """The squared sine that is added to the mean squared tilt of a group. Otherwise rounding would be fitted."""
 
 
@@ -254,7 +254,7 @@ class _LeastSquares:
 
     def take(self, group: _LeastSquares, share: float) -> None:
         """Add the equations of a group of poses, by its share over its error."""
-        scale = share / (group.error + NEGLIGIBLE)
+        scale = share / (group.error + ADDED_TILT)
         self.matrix[:] += scale[:, None, None] * group.matrix
         self.right[:] += scale[:, None, None] * group.right
         self.reach[:] += scale * group.reach
