@@ -39,7 +39,8 @@ class Stage:
     def call(self, function: str, options: dict[str, Any]) -> Any:
         """Call a function of the page; whatever the console says of it fails the test."""
         value = self.page.call(function, options)
-        assert self.messages() == []
+        said = self.messages()
+        assert not said, said
         return value
 
     def messages(self) -> list[str]:

@@ -52,8 +52,9 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run(npm, "pack", str(FOLDER), "--pack-destination", str(folder), folder=folder)
     (packed,) = folder.glob("*.tgz")
     (folder / "package.json").write_text('{"name": "empty", "private": true, "type": "module"}')
-    install = (npm, "install", "--offline", "--no-audit", "--no-fund", f"file:{package_folder('three')}")
-    run(*install, f"file:{packed}", folder=folder)
+    # One after the other: while npm still reads a linked package, a second one that asks for it may fail.
+    for package in (package_folder("three"), packed):
+        run(npm, "install", "--offline", "--no-audit", "--no-fund", f"file:{package}", folder=folder)
     return folder
 
 
