@@ -12,7 +12,7 @@ GOALS = {"verify": 1.8, "bake 10,": 1.7, "bake 1,000 ×": 2 / 1.2}
 """The least speed-ups by two threads that are wanted, by the beginning of a case's name."""
 
 WIDTH, HEIGHT, LEFT, TOP, PLOT = 780, 420, 50, 20, 340
-COLOURS = ("#3778bf", "#d1593a", "#3a9c5a", "#8a5fb5", "#a08020")
+COLOURS = ("#3778bf", "#d1593a", "#3a9c5a", "#8a5fb5", "#a08020", "#30a0a0")
 GREY = "#888888"
 
 

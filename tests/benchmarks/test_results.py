@@ -29,6 +29,7 @@ WHAT = (
     "`skinbake --version`",
     CHARACTER,
     "bake a grid of 10,000 vertices, 1 MB",
+    "bake a grid of 10,000 vertices, 1 MB, `--no-sync`",
     "bake a grid of 10,000 vertices, 1 MB: memory",
     "bake a grid of 10,000 vertices, 1 MB",
     "gradients alone, 10,000 vertices, one core",
@@ -141,7 +142,7 @@ def sample() -> Results:
     return {
         "startup": {"runs": dict.fromkeys(STARTED, runs)},
         "character": {"model": "a.glb", "bytes": 1, "runs": {"bake": runs, "tangents": slow}},
-        "grid": {"vertices": 100_000, "bytes": 1, "runs": {"bake": runs}},
+        "grid": {"vertices": 100_000, "bytes": 1, "runs": {"bake": runs, "bake --no-sync": half}},
         "tangents": {"runs": {"bake": runs}},
         "gradients": {"vertices": 9, "runs": {"skinbake": half, "authors' loop": whole}},
         "scaling": {"sizes": sizes, "left_out": []},
@@ -179,6 +180,7 @@ class TestPage:
             (None, None),
             (None, None),
             (None, None),
+            (None, None),
             (0.5, False),
             (None, None),
             (None, True),
@@ -191,6 +193,7 @@ class TestPage:
 
     def test_a_peer_that_is_not_installed_is_said(self) -> None:
         assert [line.peer for line in lines(sample()) if line.theirs == "not installed"] == [
+            "`gltf-transform copy`",
             "`gltf-transform copy`",
             "`gltfpack -noq`",
             "`gltf-transform tangents`",
