@@ -247,8 +247,7 @@ def notes(rows: Json) -> str:
         else "Instead of CesiumMan a fixture is baked: the corpus of real models is not here.",
         "Grids are those of `benchmarks/skinned_grid.py`: FLOAT weights, four influences of 32 joints, "
         "normals, texture coordinates, two triangles a vertex.",
-        "bake waits until its output is on the disk. The other tools and `bake --no-sync` do "
-        "not.",
+        "bake waits until its output is on the disk. The other tools and `bake --no-sync` do not.",
         "The gradients are timed inside their processes, without start-up and reading. The authors' loop is "
         "`benchmarks/authors_loop.cpp`, written from a description of what Tarini et al. (2014) published. "
         "It takes means by angle × area, of a vertex's own joints, in float32. skinbake's is one pass that "
