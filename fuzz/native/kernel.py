@@ -100,7 +100,8 @@ def _calls(kernel: Any, random: np.random.Generator) -> list[Call]:
 
 USUAL = {
     "negligible": 1e-4, "missing": 15.0, "stiffness": 0.12, "together": 10.0, "doubt": 0.01,
-    "smooth": 0.2, "most_doubt": 4.0, "even": 1e-4, "faint": 0.1, "unfelt": 1e-4, "flat": 1e-6,
+    "smooth": 0.2, "most_doubt": 4.0, "times_stored": 4.0, "stretched": 4.0, "even": 1e-4, "faint": 0.1,
+    "unfelt": 1e-4, "flat": 1e-6,
 }  # fmt: skip
 """The numbers of bake_surface, as bake chooses them."""
 
@@ -121,11 +122,15 @@ def _rig(random: np.random.Generator, joints: int) -> dict[str, Any]:
     pivots = floats(random, (count, 3), "f8")
     pivots[random.random(count) < 0.1] = np.nan
     chains = np.zeros(count) if is_chain else random.integers(-1, 3, count)
+    stored = floats(random, (random.choice([0, count]), 12), "f8")
+    if random.random() < 0.5:
+        stored = np.tile(np.eye(3, 4).ravel(), (len(stored), 1)) + 0.5 * random.normal(size=stored.shape)
     return {
         "parents": parents.astype("i4"),
         "ranks": ranks.astype("i4"),
         "pivots": pivots,
         "chains": chains.astype("i4"),
+        "stored": stored,
     }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from tests.support import corpus
 from tests.support.baked_files import CESIUM_MAN, source, verify
 from tests.support.command_line import document, invoke, run
 from tests.support.gltf_reading import read
-from tests.support.models import Change, copied, edited, note, rewritten
+from tests.support.models import Change, copied, edited, note, rewritten, scaled
 
 pytestmark = pytest.mark.slow
 
@@ -38,20 +37,6 @@ def changed(path: Path, change: Change, name: str) -> Path:
 
 def without_clips(content: Any) -> None:
     del content["animations"]
-
-
-def scaled(path: Path, attribute: str, factor: float, name: str, *, first: int = 0) -> Path:
-    """Write a copy of a file with an attribute of floats times a factor, from a vertex on."""
-    file = read(path)
-    number = file.content["meshes"][0]["primitives"][0]["attributes"][attribute]
-    accessor = file.content["accessors"][number]
-    view = file.content["bufferViews"][accessor["bufferView"]]
-    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-    assert accessor["componentType"] == 5126
-    chunk = bytearray(file.binary_chunk or b"")
-    values = np.frombuffer(chunk, dtype="<f4", count=3 * accessor["count"], offset=start)
-    values[3 * first :] *= np.float32(factor)
-    return rewritten(replace(file, binary_chunk=bytes(chunk)), path.with_name(name))
 
 
 def mean(path: Path) -> float:

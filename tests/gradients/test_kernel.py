@@ -349,6 +349,7 @@ class TestArguments:
             "ranks": np.arange(4, dtype=np.int32),
             "pivots": np.zeros((4, 3)),
             "chains": np.full(4, -1, dtype=np.int32),
+            "stored": np.zeros((0, 12)),
             "class_count": 3,
             "weighting": _kernel.BY_MAX,
             "adopts": True,
@@ -359,6 +360,8 @@ class TestArguments:
             "doubt": 0.01,
             "smooth": 0.2,
             "most_doubt": 4.0,
+            "times_stored": 4.0,
+            "stretched": 4.0,
             "even": 1e-4,
             "faint": 0.1,
             "unfelt": 1e-6,
@@ -407,6 +410,9 @@ class TestArguments:
             ("pivots", np.zeros((5, 3)), ValueError),
             ("chains", np.zeros(4), TypeError),
             ("chains", np.zeros(3, dtype=np.int32), ValueError),
+            ("stored", np.zeros((4, 12), dtype=np.float32), TypeError),
+            ("stored", np.zeros((3, 12)), ValueError),
+            ("stored", np.zeros((4, 9)), ValueError),
             ("joints", np.full((3, 4), 4, dtype=np.int32), ValueError),  # the rig has four joints
         ],
     )
@@ -497,7 +503,7 @@ class TestArguments:
             _kernel.normalise_influences(joints, weights, free, 0.99, 1e-3, 2.0**-30)
 
 
-KEPT = ("ends", "sums", "parents", "ranks", "pivots", "chains")
+KEPT = ("ends", "sums", "parents", "ranks", "pivots", "chains", "stored")
 """Arguments that have other lengths than vertices and triangles."""
 
 RACE = """
@@ -511,6 +517,7 @@ triangles = chance.integers(0, V, (2 * V, 3)).astype(np.uint32)
 joints = chance.integers(0, 30, (V, S)).astype(np.int32)
 parents, ranks = np.arange(-1, 29, dtype=np.int32), np.arange(30, dtype=np.int32)
 pivots, chains = chance.normal(size=(30, 3)), np.zeros(30, np.int32)
+stored = chance.normal(size=(30, 12))
 weights, free = chance.random((V, S)), np.zeros((V, S), np.bool_)
 classes, ends = (np.arange(V) // 2).astype(np.int32), np.array([V // 2, V], np.uint64)
 kept = [array.copy() for array in (triangles, joints, classes, ends, parents, ranks, chains)]
@@ -548,10 +555,11 @@ for turn in range(16):
             positions=positions, triangles=triangles, joints=joints, weights=weights, free=free,
             classes=classes, normals=positions, tangents=frames, bitangents=frames, alpha=alpha,
             beta=alpha.copy(), adopted=np.zeros((V, S), np.int32), ends=ends, sums=np.zeros((2, 4)),
-            parents=parents, ranks=ranks, pivots=pivots, chains=chains, class_count=V // 2,
+            parents=parents, ranks=ranks, pivots=pivots, chains=chains, stored=stored, class_count=V // 2,
             weighting=_kernel.BY_ANGLE, adopts=True, negligible=1e-4, missing=15.0, stiffness=0.1,
-            together=10.0, doubt=0.01, smooth=0.2, most_doubt=4.0, even=1e-4, faint=0.1, unfelt=1e-6,
-            flat=1e-6, grouped=grouped if spoil is anything and turn % 2 else None, first=0, last=V // 2)
+            together=10.0, doubt=0.01, smooth=0.2, most_doubt=4.0, times_stored=4.0, stretched=4.0,
+            even=1e-4, faint=0.1, unfelt=1e-6, flat=1e-6,
+            grouped=grouped if spoil is anything and turn % 2 else None, first=0, last=V // 2)
     except (IndexError, ValueError):
         pass
     going = False

@@ -20,17 +20,18 @@ from skinbake.gradients.fit_rules import (
     MOST_DOUBT,
     SMOOTH,
     STIFFNESS,
+    STORED,
     TOGETHER,
 )
 from skinbake.lighting.operator import GradientOperator, gradient_operator
-from tests.gradients.tubes import BRANCHES, CHAIN, SETTINGS, tube
+from tests.gradients.tubes import BRANCHES, CHAIN, SETTINGS, bent, tube
 from tests.support.derivatives import derivatives
 from tests.support.kernels import use_numpy
 
 TURN = 1e-5
 """The angle of a sampled turn, in radians."""
 
-Normals = Callable[[Float64Array], Float64Array]
+Maps = Callable[[Float64Array], Float64Array]
 
 
 def fitted(primitive: SkinnedPrimitive, rig: Rig | None, settings: BakeSettings = SETTINGS) -> BakedPrimitive:
@@ -60,6 +61,18 @@ class TestOracle:
         for found, wanted in zip((baked.alpha, baked.beta), expected, strict=True):
             assert np.abs(found - wanted).max() < 1e-6 * np.abs(wanted).max()
 
+    @pytest.mark.parametrize("parents", [BRANCHES[:4], CHAIN], ids=["branches", "chain"])
+    @pytest.mark.parametrize("slots", [None, 3], ids=["all", "three"])
+    def test_the_tilt_in_the_stored_pose_is_one_more_square(
+        self, slots: int | None, parents: Sequence[int]
+    ) -> None:
+        primitive, rig = tube(slots=slots or len(parents), parents=parents)
+        rig = bent(rig, np.radians(20.0))
+        baked = fitted(primitive, rig)
+        expected = sampled_fit(primitive, rig)
+        for found, wanted in zip((baked.alpha, baked.beta), expected, strict=True):
+            assert np.abs(found - wanted).max() < 1e-6 * np.abs(wanted).max()
+
     def test_a_joint_that_tilts_nothing_curls_with_its_chain(self) -> None:
         # The pivot of a joint lies on the normal of a vertex, and its turns tilt no tangent there.
         primitive, rig = tube(slots=len(CHAIN), parents=CHAIN)
@@ -77,6 +90,57 @@ class TestOracle:
 
 
 @pytest.mark.usefixtures("_kernel")
+class TestStoredPose:
+    def test_it_does_not_matter_where_all_joints_are_moved_together(self) -> None:
+        primitive, rig = tube()
+        rig = bent(rig, np.radians(20.0))
+        assert rig.stored is not None
+        moved = np.array([[0.0, -3.0, 0.0, 5.0], [3.0, 0.0, 0.0, -1.0], [0.0, 0.0, 3.0, 2.0]])
+        there = moved[:, :3] @ rig.stored
+        there[:, :, 3] += moved[:, 3]
+        here, elsewhere = (fitted(primitive, each) for each in (rig, replace(rig, stored=there)))
+        assert np.abs(here.alpha - fitted(primitive, replace(rig, stored=None)).alpha).max() > 0.02
+        assert np.abs(here.alpha - elsewhere.alpha).max() < 1e-5
+        assert np.abs(here.beta - elsewhere.beta).max() < 1e-5
+
+    def test_the_bind_pose_changes_nothing(self) -> None:
+        primitive, rig = tube()
+        still = np.tile(np.eye(3, 4), (len(rig.parents), 1, 1))
+        plain, stored = (fitted(primitive, replace(rig, stored=each)) for each in (None, still))
+        assert np.abs(plain.alpha - stored.alpha).max() < 1e-6
+        assert np.abs(plain.beta - stored.beta).max() < 1e-6
+
+    @pytest.mark.parametrize("far", [0.0, 50.0, np.nan, np.inf])
+    def test_a_pose_that_collapses_or_tears_the_surface_does_not_count(self, far: float) -> None:
+        primitive, rig = tube()
+        random = np.random.default_rng(1)
+        torn = np.tile(np.eye(3, 4), (len(rig.parents), 1, 1))
+        torn[:, :, :3] *= far > 0.0
+        torn[:, :, 3] = far * random.normal(size=(len(rig.parents), 3))
+        plain, stored = (fitted(primitive, replace(rig, stored=each)) for each in (None, torn))
+        assert np.array_equal(plain.alpha, stored.alpha)
+        assert np.array_equal(plain.beta, stored.beta)
+
+    def test_a_joint_without_a_matrix_matters_only_where_it_is(self) -> None:
+        primitive, rig = tube(slots=2)
+        rig = bent(rig, np.radians(20.0))
+        assert rig.stored is not None
+        lacking = rig.stored.copy()
+        lacking[3] = np.nan
+        whole, part, none = (
+            fitted(primitive, replace(rig, stored=each)).alpha for each in (rig.stored, lacking, None)
+        )
+        has = (primitive.joints == 3).any(axis=1)
+        around = np.zeros(len(has), dtype=np.bool_)
+        for triangle in primitive.triangles:
+            around[triangle] |= has[triangle].any()
+        assert around.any()
+        assert not around.all()
+        assert np.array_equal(part[around], none[around])
+        assert np.array_equal(part[~around], whole[~around])
+
+
+@pytest.mark.usefixtures("_kernel")
 def test_a_mesh_without_an_area_has_no_gradients() -> None:
     primitive, rig = tube()
     baked = fitted(replace(primitive, positions=np.zeros_like(primitive.positions)), rig)
@@ -91,9 +155,13 @@ def sampled_fit(primitive: SkinnedPrimitive, rig: Rig) -> tuple[Float64Array, Fl
     n0 = unit_normals(primitive.normals)
     t0, b0 = (axis.astype(np.float64) for axis in frame_from_normal(n0))
     operator = gradient_operator([primitive], crease_angle_degrees=15.0)
-    true_normals = normal_of_derivatives(
-        root_derivatives(primitive), positions, n0.astype(np.float64), t0, b0
-    )
+    maps = maps_of_derivatives(root_derivatives(primitive), positions, t0, b0)
+
+    def true_normals(points: Float64Array) -> Float64Array:
+        """Return the normals that the map carries along, not normalised to first order."""
+        carried: Float64Array = np.einsum("vji,vj->vi", np.linalg.inv(maps(points)), n0.astype(np.float64))
+        return carried
+
     carried = carries(rig)
     samples = [(joint, axis) for joint in range(len(rig.parents)) for axis in np.eye(3)]
     rows: dict[str, list[list[Float64Array]]] = {"alpha": [], "beta": []}
@@ -114,16 +182,45 @@ def sampled_fit(primitive: SkinnedPrimitive, rig: Rig) -> tuple[Float64Array, Fl
             rows[name].append([sum(parts) / (2 * TURN) for parts in (slope, column, lift)])
     whole = gradients_of_joints(primitive, operator)
     found, given, tilts = [], [], np.zeros(len(positions))
+    stored = None if rig.stored is None else stored_rows(primitive, rig.stored, maps, (t0, b0), true_normals)
     for name, base, axis in (("alpha", surface.alpha, t0), ("beta", surface.beta, b0)):
         along = np.einsum("vji,vi->vj", whole, axis)
         own = np.take_along_axis(along, primitive.joints.astype(np.int64), axis=1)
         slopes, columns, lifts = (np.stack(parts, axis=1) for parts in zip(*rows[name], strict=True))
-        found.append(solved(primitive, rig, carried, whole, own, slopes, columns))
+        in_pose = None if stored is None else stored[name]
+        found.append(solved(primitive, rig, carried, whole, own, slopes, columns, in_pose))
         given.append(base)
         tilts += squared_tilts(slopes + np.einsum("vsk,vk->vs", lifts, own), columns)
+        if in_pose is not None:
+            at_rest, rises = in_pose
+            tilts += (at_rest + np.einsum("vk,vk->v", rises, own)) ** 2
     share = (tilts / (tilts + doubts(primitive) ** 2))[:, None]
     alpha, beta = (base + share * (fit - base) for base, fit in zip(given, found, strict=True))
     return alpha, beta
+
+
+def stored_rows(
+    primitive: SkinnedPrimitive,
+    stored: Float64Array,
+    maps: Maps,
+    frame: tuple[Float64Array, Float64Array],
+    true_normals: Maps,
+) -> dict[str, tuple[Float64Array, Float64Array]]:
+    """Return by number the weighted tilt (V,) in the stored pose without it, and that of each slot (V, K)."""
+    points = homogeneous(primitive.positions.astype(np.float64))
+    matrices = stored[primitive.joints]
+    moved = np.einsum("vkij,vj->vki", matrices, points)
+    deformed = np.einsum("vk,vki->vi", primitive.weights, moved)
+    normals = true_normals(deformed)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    carried = [np.einsum("vij,vj->vi", maps(deformed), tangent) for tangent in frame]
+    weight = np.sqrt(STORED * 2.0 / np.square(carried).sum(axis=(0, 2)))
+    lift = weight[:, None] * np.einsum("vki,vi->vk", moved - deformed[:, None], normals)
+    found = {}
+    for name, tangent in zip(("alpha", "beta"), frame, strict=True):
+        turned = np.einsum("vk,vkij,vj->vi", primitive.weights, matrices[..., :3], tangent)
+        found[name] = weight * np.einsum("vi,vi->v", turned, normals), lift
+    return found
 
 
 def doubts(primitive: SkinnedPrimitive) -> Float64Array:
@@ -194,6 +291,7 @@ def solved(
     base: Float64Array,
     slopes: Float64Array,
     columns: Float64Array,
+    stored: tuple[Float64Array, Float64Array] | None,
 ) -> Float64Array:
     """Solve each vertex by numpy's lstsq, with rows for all pulls, for all slots but the first.
 
@@ -216,6 +314,10 @@ def solved(
         pulls += list(np.diag(np.sqrt(stiffness * squares[parting].sum() * more)))
         matrix = [row[1:] - row[0] for row in pulls]
         right = [row @ base[vertex] for row in pulls]
+        if stored is not None:
+            slope, lift = stored
+            matrix.append(lift[vertex, 1:] - lift[vertex, 0])
+            right.append(-slope[vertex])
         for chain in chains:
             curl = [joint for joint in chain if joint in parting]
             for axis in range(3 if len(curl) > 1 else 0):
@@ -256,10 +358,10 @@ def pose(
     return np.where(carried[primitive.joints][..., None, None] > 0.0, moved, still)
 
 
-def normal_of_derivatives(
-    derivatives: Float64Array, rest: Float64Array, n0: Float64Array, t0: Float64Array, b0: Float64Array
-) -> Normals:
-    """Return the normal that the derivatives of the positions carry along, not normalised to first order."""
+def maps_of_derivatives(
+    derivatives: Float64Array, rest: Float64Array, t0: Float64Array, b0: Float64Array
+) -> Maps:
+    """Return what maps the derivatives of the positions, and the vector across, to the deformed ones."""
     along, across = (np.einsum("ui,iuv->uv", axis, derivatives) for axis in (t0, b0))
 
     def columns(points: Float64Array, area: Float64Array | None) -> Float64Array:
@@ -272,9 +374,8 @@ def normal_of_derivatives(
     first = columns(rest, None)
     area = np.linalg.norm(np.cross(first[..., 0], first[..., 1]), axis=1)
 
-    def normals(points: Float64Array) -> Float64Array:
-        carried = np.linalg.inv(columns(points, area) @ np.linalg.inv(first))
-        found: Float64Array = np.einsum("vji,vj->vi", carried, n0)
+    def maps(points: Float64Array) -> Float64Array:
+        found: Float64Array = columns(points, area) @ np.linalg.inv(first)
         return found
 
-    return normals
+    return maps

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from skinbake.choices import FrameChoice
+from skinbake.geometry.poses import rotation_matrices
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import Float64Array, IntArray, SkinnedPrimitive
 from tests.support.baking import bake_settings
@@ -54,6 +56,21 @@ def tube(
         triangles=triangles.astype(np.uint32),
     )
     return primitive, Rig(np.array(parents, dtype=np.int32), random.normal(scale=1.5, size=(joints, 3)))
+
+
+def bent(rig: Rig, angle: float, seed: int = 5) -> Rig:
+    """Return a rig whose stored pose has every joint turned by an angle about a random axis through it."""
+    random = np.random.default_rng(seed)
+    matrices = np.tile(np.eye(4), (len(rig.parents), 1, 1))
+    for joint, parent in enumerate(rig.parents):
+        axis = random.normal(size=3)
+        half = 0.5 * angle
+        turned = rotation_matrices(np.append(np.cos(half), np.sin(half) * axis / np.linalg.norm(axis)))
+        matrices[joint, :3, :3] = turned
+        matrices[joint, :3, 3] = rig.pivots[joint] - turned @ rig.pivots[joint]
+        if parent != NO_PARENT:
+            matrices[joint] = matrices[parent] @ matrices[joint]
+    return replace(rig, stored=matrices[:, :3])
 
 
 def corner_angles(points: Float64Array, triangles: IntArray) -> Float64Array:

@@ -7,7 +7,7 @@ import copy
 import json
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +62,20 @@ class Part:
     attributes: Mapping[str, AnyArray]
     indices: AnyArray | None
     mode: int = pygltflib.TRIANGLES
+
+
+def scaled(path: Path, attribute: str, factor: float, name: str, *, first: int = 0) -> Path:
+    """Write a copy of a file with an attribute of floats times a factor, from a vertex on."""
+    file = read(path)
+    number = file.content["meshes"][0]["primitives"][0]["attributes"][attribute]
+    accessor = file.content["accessors"][number]
+    view = file.content["bufferViews"][accessor["bufferView"]]
+    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    assert accessor["componentType"] == 5126
+    chunk = bytearray(file.binary_chunk or b"")
+    values = np.frombuffer(chunk, dtype="<f4", count=3 * accessor["count"], offset=start)
+    values[3 * first :] *= np.float32(factor)
+    return rewritten(replace(file, binary_chunk=bytes(chunk)), path.with_name(name))
 
 
 def sheet(**changes: AnyArray | None) -> Part:

@@ -121,8 +121,9 @@ def _written(
         note["digest"] = metadata.digests(stored, item.result.frame)
     note["alpha"], note["beta"], gradients = _stored(item, names, storage)
     note |= storage.noted
-    if metadata.POSES in note:
-        note[metadata.POSES] = {**note[metadata.POSES], "slots": metadata.slots_digest(dict(gradients))}
+    for member in (metadata.STORED_POSE, metadata.POSES):
+        if member in note:
+            note[member] = {**note[member], "slots": metadata.slots_digest(dict(gradients))}
     if item.source.json.get("extras") == {}:
         note["keepExtras"] = True
     beside = _has_foreign_extras(item.source.json)

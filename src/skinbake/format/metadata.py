@@ -34,6 +34,9 @@ BYTES_AN_ENTRY = 256
 POSES = "poses"
 """The member that names the poses of a fit: their sources, a fingerprint of them, and a digest of α and β."""
 
+STORED_POSE = "storedPose"
+"""The member about the stored pose to which α and β are fitted: a fingerprint of it, and a digest of both."""
+
 STRAIGHTENED = "straightened"
 """The member that names the accessor of the TANGENT before a bake that straightened some of it."""
 

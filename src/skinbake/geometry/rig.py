@@ -27,11 +27,14 @@ class Rig:
     """The hierarchy of J joints, in mesh space.
 
     parents (J,) int32 is the joint that carries each joint, −1 for none. Nodes between two joints are left
-    out. pivots (J, 3) is the point about which each joint turns, NaN if it has none.
+    out. pivots (J, 3) is the point about which each joint turns, NaN if it has none. stored (J, 3, 4) are the
+    upper rows of the joint matrices in the stored pose, NaN for a joint that has none. stored is None if that
+    pose is the bind pose: no joint is turned against the joint that carries it.
     """
 
     parents: npt.NDArray[np.int32]
     pivots: Float64Array
+    stored: Float64Array | None = None
 
     @property
     def ranks(self) -> npt.NDArray[np.int32]:
@@ -71,7 +74,7 @@ class Rig:
 
     @cached_property
     def digest(self) -> str:
-        """Return a short digest of the rig. float32 decides, so that a tool may write its matrices again."""
+        """Return a short digest of hierarchy and pivots. float32 decides: a tool may write matrices again."""
         state = hashlib.sha256(self.parents.astype("<i4").tobytes())
         with np.errstate(over="ignore"):  # a matrix that is nearly singular has its pivot past all floats
             pivots = self.pivots.astype("<f4")
@@ -80,10 +83,11 @@ class Rig:
 
     def with_joints(self, count: int) -> Rig:
         """Return the rig with at least so many joints. Further joints stand apart, and do not turn."""
-        more = max(0, count - len(self.parents))
+        more, stored = max(0, count - len(self.parents)), self.stored
         return Rig(
             np.pad(self.parents, (0, more), constant_values=NO_PARENT),
             np.pad(self.pivots, ((0, more), (0, 0)), constant_values=np.nan),
+            None if stored is None else np.pad(stored, ((0, more), (0, 0), (0, 0)), constant_values=np.nan),
         )
 
 

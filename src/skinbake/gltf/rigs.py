@@ -8,7 +8,7 @@ import numpy.typing as npt
 from skinbake.errors import InputError, Notice
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import Float64Array
-from skinbake.gltf.animation import Skeleton, read_skeleton, skins_of
+from skinbake.gltf.animation import Skeleton, read_skeleton, rest_pose, skins_of
 from skinbake.gltf.document import Document
 from skinbake.gltf.primitives import PrimitiveSource
 
@@ -49,12 +49,20 @@ def rig_of_mesh(document: Document, mesh: int) -> tuple[Rig, int]:
     return first, len({rig.digest for rig in others} - {first.digest})
 
 
+TURNED = float(np.radians(1.0))
+"""The turn of a joint against the one that carries it, in radians, from which on the stored pose counts.
+
+Exporters round inverse bind matrices. The stored pose of a file that rests in its bind pose is off by less.
+"""
+
+
 def _rig_of(document: Document, skeleton: Skeleton) -> Rig:
     """Return the rig of a skeleton of the document, which is made once for all meshes."""
     known: dict[int, Rig] = document.derived.setdefault("rigs", {})
     key = id(skeleton)  # the document keeps its skeletons
     if key not in known:
-        known[key] = Rig(_joint_parents(skeleton), _pivots(skeleton.inverse_bind))
+        parents = _joint_parents(skeleton)
+        known[key] = Rig(parents, _pivots(skeleton.inverse_bind), _stored_pose(skeleton, parents))
     return known[key]
 
 
@@ -84,3 +92,21 @@ def _pivots(inverse_bind: Float64Array) -> Float64Array:
     pivots[usable] = -np.linalg.solve(linear, moved)[..., 0]
     pivots[~np.isfinite(pivots).all(axis=1)] = np.nan
     return pivots
+
+
+def _stored_pose(skeleton: Skeleton, parents: npt.NDArray[np.int32]) -> Float64Array | None:
+    """Return the upper rows of the joint matrices (J, 3, 4) of the nodes as stored, NaN where there is none.
+
+    Return None if no joint is turned against the joint that carries it.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):  # scales may be past all floats
+        stored = rest_pose(skeleton)[0, :, :3]
+        held = np.flatnonzero(parents != NO_PARENT)
+        turned = stored[held, :, :3] - stored[parents[held], :, :3]
+        sizes = np.linalg.norm(stored[parents[held], :, :3], axis=(1, 2))
+        # A turn by a small angle changes the norm of a rotation, √3, by √2 times the angle.
+        counts = np.linalg.norm(turned, axis=(1, 2)) > np.sqrt(2.0 / 3.0) * TURNED * sizes
+    if not counts.any():
+        return None
+    stored[~np.isfinite(stored).all(axis=(1, 2))] = np.nan
+    return stored

@@ -27,6 +27,8 @@ from skinbake.gradients.fit_rules import (
     MOST_DOUBT,
     SMOOTH,
     STIFFNESS,
+    STORED,
+    STRETCHED,
     TOGETHER,
     UNFELT,
 )
@@ -110,6 +112,7 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
     adopted = np.zeros((vertices, slots), dtype=np.int32)  # memory stays untouched if no slot adopts
     tangents, bitangents = surface.frame or (np.zeros((0, 3)), np.zeros((0, 3)))
     rig = surface.rig or NO_RIG
+    stored = np.empty((0, 3, 4)) if rig.stored is None else rig.stored
     triangles = np.ascontiguousarray(surface.triangles, dtype=np.uint32)
     classes = np.ascontiguousarray(surface.classes, dtype=np.int32)
     count = int(classes.max(initial=-1)) + 1
@@ -132,6 +135,7 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
         ranks=np.ascontiguousarray(rig.ranks, dtype=np.int32),
         pivots=np.ascontiguousarray(rig.pivots, dtype=np.float64),
         chains=np.ascontiguousarray(rig.chains, dtype=np.int32),
+        stored=np.ascontiguousarray(stored, dtype=np.float64).reshape(-1, 12),
         class_count=count,
         weighting=WEIGHTINGS[weighting],
         adopts=adopt,
@@ -142,6 +146,8 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
         doubt=DOUBT,
         smooth=SMOOTH,
         most_doubt=MOST_DOUBT,
+        times_stored=STORED,
+        stretched=STRETCHED,
         even=EVEN,
         faint=FAINT,
         unfelt=UNFELT,

@@ -28,6 +28,19 @@ DOUBT, and at most MOST_DOUBT times it. Triangles that lie nearly in one plane s
 the gradient follows that surface better than they do.
 """
 
+STORED = 4.0
+"""How much more the stored pose counts than that one joint turns by a radian.
+
+It counts as much as that one joint turns by half a radian, about 30°, as joints of clips do.
+"""
+
+STRETCHED = 4.0
+"""The factor by which the stored pose may change the squared lengths of tangents.
+
+Some exporters store nodes in no pose at all, and leave it to the clips to set them. There surfaces collapse,
+or are torn apart.
+"""
+
 EVEN = 1e-4
 """A pull at every slot, a share of that of all turns. It decides where no turn parts two slots."""
 

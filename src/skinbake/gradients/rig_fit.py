@@ -16,8 +16,9 @@ import numpy as np
 from skinbake.geometry.rig import NO_CHAIN, Lineage, Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.gradients.field import NO_JOINT, WeightField
-from skinbake.gradients.fit_rules import EVEN, FAINT, MISSING, STIFFNESS, TOGETHER, UNFELT
+from skinbake.gradients.fit_rules import EVEN, FAINT, MISSING, STIFFNESS, STORED, TOGETHER, UNFELT
 from skinbake.gradients.ring_turns import RingTurns
+from skinbake.gradients.stored_pose import StoredTilts
 from skinbake.gradients.weight_gradients import VertexGradients, summed_rows
 
 MOST_TURNS = 128
@@ -236,8 +237,10 @@ def _normal_equations(
     # Sums of floats depend on the order of these lines.
     _add_turns(sums, pairs, effects, stiffness)
     _add_chains(sums, pairs, effects)
-    _add_pulls_of_slots(sums, pairs, given, presence, stiffness * reach)
     tilts = _tilts_of_surface(pairs, effects, count)
+    if turns.stored is not None:
+        tilts += _add_stored_pose(sums, pairs, turns.stored, vertices, given)
+    _add_pulls_of_slots(sums, pairs, given, presence, stiffness * reach)
     # Where levers are very long, the tilts overflow.
     solvable = turns.sound[vertices.classes] & (reach > 0.0) & np.isfinite(tilts)
     return _NormalEquations(*sums, tilts, unknowns, solvable)
@@ -313,6 +316,25 @@ def _add_chains(sums: _Sums, pairs: _Pairs, effects: _TurnEffects) -> None:
     at, moved, wanted = _curls(pairs, moved_by_turns, effects.wanted)
     np.add.at(matrix, at, TOGETHER * np.einsum("mki,mli->mkl", moved, moved))
     np.add.at(right, at, TOGETHER * np.einsum("mki,mti->mkt", moved, wanted))
+
+
+def _add_stored_pose(
+    sums: _Sums, pairs: _Pairs, stored: StoredTilts, vertices: FittedVertices, given: Float64Array
+) -> Float64Array:
+    """Add 4 v (n' · t')², the tilt in the stored pose. Return it with the surface's gradients, (V,).
+
+    α of the last slot is minus the sum of the others. So what counts of a height is what it is over that of
+    the last slot.
+    """
+    matrix, right = sums
+    at, every = vertices.classes, np.arange(len(vertices.classes))
+    heights = stored.heights(at, pairs.named, vertices.positions)
+    over = np.where(pairs.named >= 0, heights - heights[every, pairs.last, None], 0.0)
+    weights, tilts = STORED * stored.weights[at], stored.tilts[at]
+    matrix += weights[:, None, None] * over[:, :, None] * over[:, None, :]
+    right -= (weights[:, None] * over)[:, :, None] * tilts[:, None, :]
+    off = tilts + np.einsum("vk,vkt->vt", heights, given)
+    return np.asarray(weights * np.square(off).sum(axis=1), dtype=np.float64)
 
 
 def _add_pulls_of_slots(

@@ -16,6 +16,7 @@ from skinbake.geometry.frames import frame_from_normal, has_direction, unit_norm
 from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray
 from skinbake.gradients.corner import ROOT
 from skinbake.gradients.fit_rules import DOUBT, FLAT, MOST_DOUBT, SMOOTH
+from skinbake.gradients.stored_pose import StoredTilts, WeightChanges, stored_tilts
 from skinbake.gradients.surface import Surface
 from skinbake.gradients.weight_gradients import (
     corner_differences,
@@ -37,7 +38,7 @@ class RingTurns:
     a_k, in 1 / length unit, and act through the lever from the pivot. spins (E, 2, 3) are Σ Δw e_k × a_k, and
     act by themselves. normals (C, 3) and tangents (C, 2, 3) are the orthonormal frames in which this holds.
     sound (C,) tells which classes can be fitted. doubts (C,) are e0, the tilts, for each radian of a turn, of
-    which the fit takes half.
+    which the fit takes half. stored are the tilts of the classes in the stored pose, if the rig has one.
     """
 
     offsets: IntArray
@@ -48,6 +49,7 @@ class RingTurns:
     tangents: Float64Array
     sound: BoolArray
     doubts: Float64Array
+    stored: StoredTilts | None
 
 
 def ring_turns(surface: Surface) -> RingTurns:
@@ -75,7 +77,9 @@ def ring_turns(surface: Surface) -> RingTurns:
     arms = np.einsum("ed,etdi->eti", by_coefficient, own)
     spins = np.cross(by_edge[:, None], own).sum(axis=2)
     doubts = _doubts(alignment)
-    return RingTurns(ring.offsets, ring.joints, arms, spins, normals, tangents, sound, doubts)
+    weight_changes = WeightChanges(owner, ring.joints, by_coefficient, by_edge)
+    stored = stored_tilts(surface, weight_changes, derivatives, tangents)
+    return RingTurns(ring.offsets, ring.joints, arms, spins, normals, tangents, sound, doubts, stored)
 
 
 @dataclass(frozen=True, slots=True)

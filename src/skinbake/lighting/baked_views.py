@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
 from skinbake.choices import Frame, Gradients, Weighting, Weld
 from skinbake.errors import Notice
-from skinbake.format.metadata import POSES, VERSION, changed_arrays, read_metadata
+from skinbake.format.metadata import POSES, STORED_POSE, VERSION, changed_arrays, read_metadata
 from skinbake.format.stored_slots import BAKE, read_slots, shown, wrong_storage
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
@@ -155,6 +155,8 @@ def _wrong_members(metadata: JsonObject, source: PrimitiveSource) -> Iterator[st
         yield f'"gradients" is {shown(metadata.get("gradients"))}'
     if metadata.get("gradients") == Gradients.POSES and not _names_poses(metadata.get(POSES)):
         yield f'"{POSES}" is {shown(metadata.get(POSES))}'
+    if STORED_POSE in metadata and not _has_fingerprint(metadata[STORED_POSE]):
+        yield f'"{STORED_POSE}" is {shown(metadata[STORED_POSE])}'
     if metadata.get("weighting") not in list(Weighting):
         yield f'"weighting" is {shown(metadata.get("weighting"))}'
     angle = metadata.get("creaseAngle")
@@ -178,15 +180,17 @@ def _wrong_members(metadata: JsonObject, source: PrimitiveSource) -> Iterator[st
 
 def _names_poses(noted: object) -> bool:
     """Tell whether the member about the poses of a fit is complete."""
-    if not isinstance(noted, dict) or not isinstance(noted.get("from"), list):
+    if not _has_fingerprint(noted) or not isinstance(noted.get("from"), list):
+        return False
+    return all(isinstance(one, str) for one in noted["from"])
+
+
+def _has_fingerprint(noted: object) -> TypeGuard[JsonObject]:
+    """Tell whether a member has a fingerprint of poses, and the digest of α and β."""
+    if not isinstance(noted, dict) or not isinstance(noted.get("slots"), str):
         return False
     numbers = noted.get("fingerprint")
-    texts = [*noted["from"], noted.get("slots")]
-    return (
-        isinstance(numbers, list)
-        and all(map(is_number, numbers))
-        and all(isinstance(one, str) for one in texts)
-    )
+    return isinstance(numbers, list) and all(map(is_number, numbers))
 
 
 def _rest_frame(primitive: SkinnedPrimitive, kind: str) -> tuple[FloatArray, FloatArray] | None:

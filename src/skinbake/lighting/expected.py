@@ -11,7 +11,7 @@ import numpy as np
 from skinbake.choices import SLOTS_PER_SET, Gradients, Weighting
 from skinbake.format.adoption import TINY_WEIGHT, UNIT
 from skinbake.format.former import former_attributes
-from skinbake.format.metadata import FORMER_ATTRIBUTES, POSES
+from skinbake.format.metadata import FORMER_ATTRIBUTES, POSES, STORED_POSE
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
@@ -116,6 +116,8 @@ def prepared_rig_fit(document: Document, views: Sequence[BakedView], weighting: 
     rig, _ = fitting_rig(document, views[0].source)
     if rig is None:
         return None
+    if STORED_POSE not in views[0].metadata:
+        rig = replace(rig, stored=None)
     crease_angle = float(np.radians(views[0].metadata["creaseAngle"]))
     primitives = [_without_given_weights(document, view) for view in views]
     tangents = np.concatenate([np.asarray(view.tangents, dtype=np.float64) for view in views])

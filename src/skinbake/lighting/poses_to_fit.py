@@ -12,6 +12,7 @@ import numpy as np
 
 from skinbake.choices import PoseKind
 from skinbake.errors import ChoiceError, InputError, Notice, Place
+from skinbake.geometry.poses import fingerprint, is_fingerprint_of
 from skinbake.gltf.animation import MORPH_WEIGHTS, Channel, Clip, read_clips, skins_of
 from skinbake.gltf.document import Document, read_document
 from skinbake.lighting.pose_fit import FitPoses
@@ -39,12 +40,6 @@ CLIP_SHARE = 0.95
 """The share of the clips in the fit. The random poses have the rest."""
 
 MOST_RANDOM = 10_000
-
-FINGERS, SAME = 4, 1e-6
-"""The numbers of a fingerprint, and the difference up to which they are the same.
-
-Rounding by tools changes them by 1e-8, one joint that turns by a degree in one of 121 poses by 1e-5.
-"""
 
 
 class ClipFile:
@@ -156,7 +151,7 @@ class FoundPoses:
 
     def are(self, noted: Sequence[float]) -> bool:
         """Tell whether a fingerprint in the metadata is that of these poses."""
-        return len(noted) == FINGERS and bool(np.allclose(self.fingerprint, noted, rtol=0.0, atol=SAME))
+        return is_fingerprint_of(self.fingerprint, noted)
 
 
 def poses_to_fit(document: Document, mesh: int, sources: Sequence[PoseSource], place: Place) -> FoundPoses:
@@ -224,7 +219,8 @@ class _Poses:
         parts = ((by_clips, share), (at_random, 1.0 - share))
         groups = tuple(_group(sets, joints, part) for sets, part in parts if sets)
         random = sum(len(poses.clips) for poses in at_random)
-        return cls(groups, _fingerprint(groups), bool(by_clips), random)
+        prints = fingerprint([group.joint_matrices for group in groups])
+        return cls(groups, prints, bool(by_clips), random)
 
 
 def _random_counts(sources: Sequence[PoseSource], skins: int) -> list[int]:
@@ -268,18 +264,6 @@ def _group(sets: Sequence[PoseSet], joints: int, share: float) -> FitPoses:
         wide[:, : poses.joint_matrices.shape[1]] = poses.joint_matrices
         matrices.append(wide)
     return FitPoses(np.concatenate(matrices), share)
-
-
-def _fingerprint(groups: Sequence[FitPoses]) -> tuple[float, ...]:
-    """Return a few numbers from −1 to 1 that change with any joint of any pose, but hardly by rounding.
-
-    A digest would change when a tool writes a matrix as translation, rotation and scale.
-    """
-    values = np.concatenate([group.joint_matrices.ravel() for group in groups])
-    length = float(np.linalg.norm(values)) or 1.0  # inverse bind matrices may be zero
-    steps = np.arange(1, len(values) + 1)
-    found = [float(values @ np.cos(number * steps)) / length for number in range(1, FINGERS + 1)]
-    return tuple(round(value, 9) for value in found)
 
 
 def _feed(state: hashlib._Hash, node: str, channel: Channel) -> None:

@@ -30,8 +30,10 @@ from skinbake.lighting.influences import free_slots
 from skinbake.lighting.operator import GradientOperator, gradient_operator
 from skinbake.lighting.without_poses import (
     BAKE_AGAIN,
+    STORED_OTHERWISE,
     WITHOUT_POSES,
     has_poses,
+    is_stored_as_noted,
     problems_without_poses,
     rig_changed,
 )
@@ -105,17 +107,20 @@ def freshness_check(
     """Return whether α/β fit the arrays that are in the file now, and the arrays from which they were baked.
 
     If α/β fit, and the arrays have changed only in a way that keeps related values together, the check passes
-    with a remark. If α/β were fitted to poses that are not in the file any more, they must be the ones that
-    bake wrote, and light the present poses better than the gradients of the surface. fits is the result of
+    with a remark. If α/β were fitted to poses that are not in the file any more, or to another stored pose,
+    they must be the ones that bake wrote, and light the present poses better than the gradients of the
+    surface. fits is the result of
     ``fits_begun``, if there is one.
     """
     problems: list[Notice] = []
     moved: list[BakedView] = []
-    without_poses: list[BakedView] = []
+    unchecked: set[str] = set()
     for views, operator, fit in zip(surfaces, operators, fits or [None] * len(surfaces), strict=True):
-        if noted_kind(views[0]) is Gradients.POSES and not has_poses(document, views[0]):
+        gone = [] if is_stored_as_noted(document, views[0]) else [STORED_OTHERWISE]
+        gone += [] if has_poses(document, views[0]) else [WITHOUT_POSES]
+        if gone:
             problems += problems_without_poses(document, views, operator)
-            without_poses += views
+            unchecked.add(gone[0])
             continue
         surface = _Surface(document, views, _comparisons(document, views, operator, fit))
         for number, view in enumerate(views):
@@ -124,7 +129,7 @@ def freshness_check(
             elif view.changed:
                 moved.append(view)
     remarks = [_rearranged(moved, sum(map(len, surfaces)))] if moved else []
-    remarks += [WITHOUT_POSES] if without_poses else []
+    remarks += sorted(unchecked)
     remark = "" if problems else "; ".join(remarks)
     return Check("freshness", "failed" if problems else "passed", tuple(problems), remark)
 

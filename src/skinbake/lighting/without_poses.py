@@ -1,4 +1,7 @@
-"""Whether α and β are fresh that were fitted to poses which are not in the file, or not any more."""
+"""Whether α and β are fresh that were fitted to poses which are not in the file, or not any more.
+
+These are the poses of ``--gradients poses``, and the stored pose.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,8 @@ import numpy as np
 
 from skinbake.choices import Gradients
 from skinbake.errors import Notice
-from skinbake.format.metadata import POSES, slot_names, slots_digest
+from skinbake.format.metadata import POSES, STORED_POSE, slot_names, slots_digest
+from skinbake.geometry.poses import fingerprint, is_fingerprint_of
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
 from skinbake.gltf.rigs import fitting_rig
@@ -23,6 +27,11 @@ WITHOUT_POSES = (
     "the poses of the fit are not in the file, so α/β were checked by their digest and their effect"
 )
 
+STORED_OTHERWISE = (
+    "the nodes are stored in another pose than at the bake, so α/β were checked by their digest and their "
+    "effect"
+)
+
 NO_BETTER = 1.02
 """The tilt that fitted gradients may leave, relative to that of the surface's gradients.
 
@@ -32,7 +41,19 @@ A fit to other poses than the present ones left at most 0.9 of it on all models 
 
 def has_poses(document: Document, view: BakedView) -> bool:
     """Tell whether the poses of a fit follow from the file as it is now."""
+    if noted_kind(view) is not Gradients.POSES:
+        return True
     return noted_poses(document, view).are(view.metadata[POSES]["fingerprint"])
+
+
+def is_stored_as_noted(document: Document, view: BakedView) -> bool:
+    """Tell whether the nodes are stored in the pose to which α and β are fitted, if there is one."""
+    if noted_kind(view) is Gradients.SURFACE or STORED_POSE not in view.metadata:
+        return True
+    rig, _ = fitting_rig(document, view.source)
+    if rig is None or rig.stored is None:
+        return False
+    return is_fingerprint_of(fingerprint([rig.stored]), view.metadata[STORED_POSE]["fingerprint"])
 
 
 def rig_changed(document: Document, view: BakedView) -> bool:
@@ -57,7 +78,11 @@ def problems_without_poses(
 
 def _change(document: Document, view: BakedView) -> str | None:
     """Return what changed since the bake, None for nothing."""
-    gone = "the poses that α/β were fitted to are not in the file"
+    gone = (
+        "the nodes are stored in another pose"
+        if not is_stored_as_noted(document, view)
+        else "the poses that α/β were fitted to are not in the file"
+    )
     if view.changed:
         return f"{', '.join(view.changed)} changed since its bake, and {gone}: {BAKE_AGAIN}"
     if rig_changed(document, view):
@@ -66,7 +91,8 @@ def _change(document: Document, view: BakedView) -> str | None:
     stored = {
         name: read_accessor(document, attributes[name], place).values for name in slot_names(view.metadata)
     }
-    if slots_digest(stored) != view.metadata[POSES]["slots"]:
+    noted = view.metadata.get(STORED_POSE) or view.metadata[POSES]
+    if slots_digest(stored) != noted["slots"]:
         return f"α/β changed since its bake, and {gone}: {BAKE_AGAIN}"
     return None
 
@@ -86,13 +112,14 @@ def _without_effect(
     stored = rest_primitives_of(document, views, slots)
     plain = rest_primitives_of(document, views, surface_slots(views, operator))
     both = [tilts(true, surfaces, groups) for surfaces in (stored, plain)]
+    what = "poses" if noted_kind(views[0]) is Gradients.POSES else "the rig"
     for number, view in enumerate(views):
         areas = vertex_areas(view.now.positions, view.now.triangles)
         fitted, usual = (float(np.nansum(areas * found[number])) for found in both)
         if fitted > NO_BETTER * usual:
             yield (
                 f"α/β leave {fitted / usual:.3g} times the error of the gradients of the surface, "
-                f"although they are noted as fitted to poses: {BAKE_AGAIN}"
+                f"although they are noted as fitted to {what}: {BAKE_AGAIN}"
             )
         else:
             yield None

@@ -169,7 +169,7 @@ static int check_rig(Surface *s)
 }
 
 enum { POSITIONS, TRIANGLES, JOINTS, WEIGHTS, FREE_SLOTS, CLASSES, NORMALS, TANGENTS, BITANGENTS, ALPHA, BETA, ADOPTED,
-       ENDS, SUMS, PARENTS, RANKS, PIVOTS, CHAINS, ARRAYS };
+       ENDS, SUMS, PARENTS, RANKS, PIVOTS, CHAINS, STORED, ARRAYS };
 
 static const Requirement surface_arrays[ARRAYS] = {
     [POSITIONS] = {"positions", "fd", AXIS_V, AXIS_3, READ},
@@ -190,6 +190,7 @@ static const Requirement surface_arrays[ARRAYS] = {
     [RANKS] = {"ranks", "i", AXIS_J, AXIS_1, READ},
     [PIVOTS] = {"pivots", "d", AXIS_J, AXIS_3, READ},
     [CHAINS] = {"chains", "i", AXIS_J, AXIS_1, READ},
+    [STORED] = {"stored", "d", AXIS_STORED, AXIS_12, READ},
 };
 
 /* The classes to bake: those of `grouped` from first up to last, or all if it is None. */
@@ -203,21 +204,23 @@ static int read_surface(PyObject *args, PyObject *keywords, Array *a, Surface *s
 {
     static char *names[] = {"positions", "triangles", "joints", "weights", "free", "classes", "normals", "tangents",
                             "bitangents", "alpha", "beta", "adopted", "ends", "sums", "parents", "ranks", "pivots",
-                            "chains", "class_count", "weighting", "adopts", "negligible", "missing", "stiffness",
-                            "together", "doubt", "smooth", "most_doubt", "even", "faint", "unfelt", "flat",
-                            "grouped", "first", "last", NULL};
+                            "chains", "stored", "class_count", "weighting", "adopts", "negligible", "missing",
+                            "stiffness", "together", "doubt", "smooth", "most_doubt", "times_stored", "stretched",
+                            "even", "faint", "unfelt", "flat", "grouped", "first", "last", NULL};
     PyObject *o[ARRAYS];
     Py_ssize_t class_count;
     int weighting, adopts;
     double negligible;
     FitSettings fit;
-    if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOOOOOnipdddddddddddOnn", names,
+    if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOOOOOOnipdddddddddddddOnn", names,
                                      &o[POSITIONS], &o[TRIANGLES], &o[JOINTS], &o[WEIGHTS], &o[FREE_SLOTS],
                                      &o[CLASSES], &o[NORMALS], &o[TANGENTS], &o[BITANGENTS], &o[ALPHA], &o[BETA],
                                      &o[ADOPTED], &o[ENDS], &o[SUMS],
-                                     &o[PARENTS], &o[RANKS], &o[PIVOTS], &o[CHAINS], &class_count, &weighting, &adopts,
+                                     &o[PARENTS], &o[RANKS], &o[PIVOTS], &o[CHAINS], &o[STORED], &class_count,
+                                     &weighting, &adopts,
                                      &negligible, &fit.missing, &fit.stiffness, &fit.together, &fit.doubt,
-                                     &fit.smooth, &fit.most_doubt, &fit.even, &fit.faint, &fit.unfelt, &fit.flat,
+                                     &fit.smooth, &fit.most_doubt, &fit.stored, &fit.stretched, &fit.even,
+                                     &fit.faint, &fit.unfelt, &fit.flat,
                                      &part->grouped, &part->first, &part->last))
         return -1;
     if (read_arrays(o, surface_arrays, ARRAYS, 2, a) < 0)
@@ -256,6 +259,7 @@ static int read_surface(PyObject *args, PyObject *keywords, Array *a, Surface *s
         .ranks = a[RANKS].buffer.buf,
         .pivots = a[PIVOTS].buffer.buf,
         .chains = a[CHAINS].buffer.buf,
+        .stored = a[STORED].rows ? a[STORED].buffer.buf : NULL,
         .rig_joints = a[PARENTS].rows,
         .fit = fit,
     };

@@ -4,7 +4,7 @@
 #pragma once
 
 #include "corners.h"
-#include "frames.h"
+#include "stored_pose.h"
 
 /* Work out the leverage of both tangents from the derivatives of the positions along them. */
 static ALWAYS_INLINE void find_leverage(RingFrame *f, const Vector derivatives[2], double flat)
@@ -181,10 +181,6 @@ static ALWAYS_INLINE void add_corners(const Surface *s, Corners *c, size_t some,
     }
 }
 
-/* What a neighbour adds to the turns of a joint, times the difference of the joint's weight: the edge times its
-   coefficient along each tangent, by axis, then both coefficients. find_turn makes a turn of the sums. */
-enum { BY_EDGE = 0, BY_ITSELF = 6, PRODUCTS = 8 };
-
 /* Add a difference of weights times the products of a neighbour to those of one joint. */
 static ALWAYS_INLINE void add_products(double *to, const Four products[PRODUCTS / AT_ONCE], double difference)
 {
@@ -243,15 +239,14 @@ static ALWAYS_INLINE void begin_frame(const Surface *s, Members corners, Members
     f->along = (Vectors){pair(t[0].x, t[1].x), pair(t[0].y, t[1].y), pair(t[0].z, t[1].z)};
 }
 
-/* The rest of the frame, from the sums over the corners and over the ring. */
-static ALWAYS_INLINE void end_frame(const Surface *s, const CornerSums *sums, Vectors derivatives, double shrink,
-                                    RingFrame *f)
+/* The rest of the frame, from the sums over the corners and the derivatives of the positions. */
+static ALWAYS_INLINE void end_frame(const Surface *s, const CornerSums *sums, Vectors derivatives, RingFrame *f)
 {
     const Vector facing = sums_of(sums->normal);
     const double alignment = sqrt(dot(facing, facing)) / sum_of(sums->area);
     f->doubt = doubt_of(s, alignment);
     f->sound &= alignment > s->fit.flat;
-    const Vector means[2] = {times(one_of(derivatives, 0), shrink), times(one_of(derivatives, 1), shrink)};
+    const Vector means[2] = {one_of(derivatives, 0), one_of(derivatives, 1)};
     find_leverage(f, means, s->fit.flat);
 }
 
@@ -310,7 +305,10 @@ static ALWAYS_INLINE int32_t sum_turns(const Surface *s, Shape shape, Members co
     }
     used = sum_ring(s, shape, used, &derivatives, w);
     const double shrink = 1.0 / sum_of(sums.root_weight);
-    end_frame(s, &sums, derivatives, shrink, f);
+    derivatives = times_each(derivatives, both(shrink));
+    end_frame(s, &sums, derivatives, f);
+    if (f->sound && s->stored)
+        find_stored_tilt(s, row3(s->positions, shape.wide, vertices.first[0]), derivatives, shrink, used, w);
     for (int32_t n = 0; f->sound && n < used; n++)
         if (w->met[n] >= 0)
             find_turn(f, shrink, w->turns + n * TURN);

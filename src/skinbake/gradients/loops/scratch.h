@@ -71,14 +71,26 @@ typedef struct {
     int known, directed;
 } Latest;
 
+/* The tilt of a class in the stored pose, see stored_pose.StoredTilts. find_stored_tilt writes it. */
+typedef struct {
+    Vector normal, point;
+    Pair tilts;
+    double weight; /* 0 where the pose does not count */
+} StoredTilt;
+
 /* The frame of a class, in which its turns are measured. begin_frame writes the first three, end_frame the others. */
 typedef struct {
     Vector normal, tangents[2];
     Vectors along;       /* both tangents, component by component */
     Vectors leverage[2]; /* see ring_turns._leverage: by derivative; only of a sound class */
     double doubt;        /* the tilt for each radian of a turn of which the fit takes half */
+    StoredTilt stored;   /* only of a sound class, if the rig has a stored pose */
     int sound;           /* find_gradients writes 0, begin_frame whether there is a normal; end_frame may clear it */
 } RingFrame;
+
+/* What a neighbour adds to the turns of a joint, times the difference of the joint's weight: the edge times its
+   coefficient along each tangent, by axis, then both coefficients. find_turn makes a turn of the sums. */
+enum { BY_EDGE = 0, BY_ITSELF = 6, PRODUCTS = 8 };
 
 /* A joint that may turn: which of the fitted slots it carries. */
 typedef struct {

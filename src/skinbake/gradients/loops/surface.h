@@ -12,7 +12,7 @@ typedef enum { BY_MAX, BY_ANGLE, BY_AREA, BY_ANGLE_AREA, WEIGHTINGS } Weighting;
 
 /* How gradients are fitted to a rig: the constants of fit_rules.py. */
 typedef struct {
-    double missing, stiffness, together, doubt, smooth, most_doubt, even, faint, unfelt, flat;
+    double missing, stiffness, together, doubt, smooth, most_doubt, stored, stretched, even, faint, unfelt, flat;
 } FitSettings;
 
 /* The surface to bake: V vertices with K slots each, T triangles, C weld classes. Rows as in the twins. */
@@ -31,6 +31,7 @@ typedef struct {
     const int32_t *parents, *ranks; /* (J,) of the rig to fit to, NULL for none; see rig.py */
     const double *pivots;           /* (J, 3), NaN where a joint does not turn */
     const int32_t *chains;          /* (J,): a long chain's number, the same for all its joints, or NO_CHAIN */
+    const double *stored;           /* (J, 12), rows of joint matrices in the stored pose; NULL for no such pose */
     Py_ssize_t rig_joints;
     FitSettings fit;
 } Surface;

@@ -294,6 +294,27 @@ static ALWAYS_INLINE void gather_turns(const Surface *s, Vector position, const 
     add_curls(s, w->curls, way->curls, e);
 }
 
+/* Add the tilt in the stored pose to the normal equations of the slots (twin: rig_fit._add_stored_pose). */
+static void add_stored_pose(const Surface *s, Vector position, const StoredTilt *stored, Fitted *fitted, Equations e)
+{
+    double heights[MOST_FITTED];
+    Pair off = stored->tilts;
+    for (size_t i = 0; i <= e.unknowns; i++) {
+        const Vector moved = moved_by(stored_matrix(s, fitted->joints[i]), position);
+        heights[i] = dot(minus(moved, stored->point), stored->normal);
+        off = add_pairs(off, scaled(heights[i], fitted->given[i]));
+    }
+    const double weight = s->fit.stored * stored->weight;
+    const Pair squares = multiply_pairs(off, off);
+    fitted->tilts += weight * (part(squares, 0) + part(squares, 1));
+    for (size_t i = 0; i < e.unknowns; i++) {
+        const double over = weight * (heights[i] - heights[e.unknowns]);
+        e.right[i] = subtract_pairs(e.right[i], scaled(over, stored->tilts));
+        for (size_t k = 0; k <= i; k++)
+            e.matrix[i * e.stride + k] += over * (heights[k] - heights[e.unknowns]);
+    }
+}
+
 /* Solve the normal equations, by the factors L D Lt in place of the matrix. The right side becomes the solution.
    Returns 0 where it is not finite. */
 static ALWAYS_INLINE int solve(Equations e)
@@ -365,6 +386,8 @@ static ALWAYS_INLINE void fit_unknowns(const Surface *s, size_t unknowns, Vector
     if (unknowns >= FEW_FITTED)
         e.matrix = w->matrix, e.stride = MOST_FITTED;
     gather_turns(s, position, way, fitted, e, w);
+    if (s->stored && w->frame.stored.weight > 0.0)
+        add_stored_pose(s, position, &w->frame.stored, fitted, e);
     if (fitted->reach > 0.0 && isfinite(fitted->tilts)) /* where levers are very long the tilts overflow */
         move_gradients(s, fitted, e, w);
 }

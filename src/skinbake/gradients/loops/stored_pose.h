@@ -1,0 +1,102 @@
+/* The tilt of tangents in the stored pose of the rig, against the mesh in that pose (twin: stored_pose.py). */
+
+#pragma once
+
+#include "frames.h"
+
+/* The upper rows of a joint matrix, row by row. */
+enum { MATRIX = 12 };
+
+/* Vectors turned and stretched by the linear part of a matrix. */
+static ALWAYS_INLINE Vectors turned_by(const double matrix[MATRIX], Vectors v)
+{
+    Vectors rows[3];
+    for (int row = 0; row < 3; row++)
+        rows[row] = twice((Vector){matrix[4 * row], matrix[4 * row + 1], matrix[4 * row + 2]});
+    return (Vectors){dots(rows[0], v), dots(rows[1], v), dots(rows[2], v)};
+}
+
+/* A position moved by a matrix. */
+static ALWAYS_INLINE Vector moved_by(const double matrix[MATRIX], Vector position)
+{
+    double moved[3];
+    for (int row = 0; row < 3; row++)
+        moved[row] = dot((Vector){matrix[4 * row], matrix[4 * row + 1], matrix[4 * row + 2]}, position) +
+                     matrix[4 * row + 3];
+    return (Vector){moved[0], moved[1], moved[2]};
+}
+
+static ALWAYS_INLINE const double *stored_matrix(const Surface *s, int32_t joint)
+{
+    return s->stored + MATRIX * (size_t)joint;
+}
+
+/* Blend the matrices of a class. Return what both tangents' squared lengths are if nothing stretches them, added. */
+static double blend_stored(const Surface *s, const Scratch *w, double blended[MATRIX])
+{
+    double unstretched = 0.0;
+    memset(blended, 0, MATRIX * sizeof *blended);
+    for (Py_ssize_t k = 0; k < s->slots; k++) {
+        if (!(w->own[k] > 0.0) || w->met[k] < 0)
+            continue;
+        const double *matrix = stored_matrix(s, w->met[k]);
+        for (int m = 0; m < MATRIX; m++)
+            blended[m] += w->own[k] * matrix[m];
+        const Vectors turned = turned_by(matrix, w->frame.along);
+        const Pair squares = dots(turned, turned);
+        unstretched += w->own[k] * (part(squares, 0) + part(squares, 1));
+    }
+    return unstretched;
+}
+
+/* The derivatives of the posed positions of a class, whose products are summed up but not yet made into turns. */
+static Vectors posed_derivatives(const Surface *s, Vector position, const double blended[MATRIX], Vectors derivatives,
+                                 double shrink, int32_t used, const Scratch *w)
+{
+    Vectors posed = turned_by(blended, derivatives);
+    for (int32_t n = 0; n < used; n++) {
+        if (w->met[n] < 0)
+            continue;
+        const double *matrix = stored_matrix(s, w->met[n]), *products = w->turns + n * TURN;
+        const Vectors edges = times_each(load_vectors(products + BY_EDGE), both(shrink));
+        const Pair along = scaled(shrink, load_pair(products + BY_ITSELF));
+        const Vector over = minus(moved_by(matrix, position), w->frame.stored.point);
+        posed = plus_each(posed, plus_each(turned_by(matrix, edges), times_each(twice(over), along)));
+    }
+    return posed;
+}
+
+/* The tangents that the mesh has in the pose, from its derivatives at rest and there. */
+static Vectors mapped_tangents(Vectors tangents, Vectors derivatives, Vectors posed)
+{
+    const Vector a = one_of(derivatives, 0), b = one_of(derivatives, 1), across = cross(a, b);
+    const Vector posed_a = one_of(posed, 0), posed_b = one_of(posed, 1), posed_across = cross(posed_a, posed_b);
+    const double area = sqrt(dot(across, across)), posed_area = sqrt(dot(posed_across, posed_across));
+    const Vector third = times(posed_across, sqrt(posed_area / area) / posed_area);
+    const Pair squared_area = both(area * area);
+    const Pair along_a = divide_pairs(dots(crosses(tangents, twice(b)), twice(across)), squared_area);
+    const Pair along_b = divide_pairs(dots(crosses(twice(a), tangents), twice(across)), squared_area);
+    const Pair along_third = divide_pairs(dots(tangents, twice(across)), both(area));
+    return plus_each(plus_each(times_each(twice(posed_a), along_a), times_each(twice(posed_b), along_b)),
+                     times_each(twice(third), along_third));
+}
+
+/* Measure the tilt of a sound class in the stored pose. derivatives are those of the positions, at rest. */
+static void find_stored_tilt(const Surface *s, Vector position, Vectors derivatives, double shrink, int32_t used,
+                             Scratch *w)
+{
+    StoredTilt *stored = &w->frame.stored;
+    double blended[MATRIX];
+    const double unstretched = blend_stored(s, w, blended);
+    stored->point = moved_by(blended, position);
+    const Vectors posed = posed_derivatives(s, position, blended, derivatives, shrink, used, w);
+    const Vectors mapped = mapped_tangents(w->frame.along, derivatives, posed);
+    const Pair squares = dots(mapped, mapped);
+    const double lengths = part(squares, 0) + part(squares, 1), most = s->fit.stretched;
+    const Vector normal = cross(one_of(mapped, 0), one_of(mapped, 1));
+    stored->normal = times(normal, 1.0 / sqrt(dot(normal, normal)));
+    stored->tilts = dots(twice(stored->normal), turned_by(blended, w->frame.along));
+    const double sum = part(stored->tilts, 0) + part(stored->tilts, 1) + dot(stored->normal, stored->normal);
+    const int counts = lengths <= most * unstretched && unstretched <= most * lengths && isfinite(sum);
+    stored->weight = counts ? 2.0 / lengths : 0.0; /* lengths of 0 do not count: the normal is not finite */
+}
