@@ -124,7 +124,7 @@ def test_equal_positions_weld_and_minus_zero_is_zero() -> None:
     assert partition(kernel.label_equal_rows(np.array(positions, dtype=np.float32))) == [0, 0, 1, 2]
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("sign", [1.0, -1.0, 0.0])
 def test_minus_zero_in_a_normal_is_zero(sign: float) -> None:
     normals = [[0.0, 0.0, sign], [-0.0, -0.0, sign]]
     assert classes(copies(normals=normals), crease=0.0) == [0, 0]

@@ -86,6 +86,12 @@ def test_broken_normals_weld_only_with_their_own_bits() -> None:
     assert partition(copies(normals=normals), crease=180.0) == [0, 1, 1, 2, 2, 3, 0, 0, 3]
 
 
+def test_minus_zero_in_a_normal_is_zero() -> None:
+    """Of a normal without a direction too, which has no angle to the other sign."""
+    normals = [[0.0, 0.0, 0.0], [-0.0, 0.0, -0.0], UP, [-0.0, -0.0, 1.0]]
+    assert partition(copies(normals=normals), crease=0.0) == [0, 0, 1, 1]
+
+
 @pytest.mark.parametrize(
     ("joints", "weights", "welds"),
     [

@@ -32,7 +32,8 @@ def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crea
     same vertices. crease_angle is in radians. Two vertices are copies of one surface point if position (−0 =
     +0) and influences are equal, in any order of the slots. Copies are one class if their normals differ by
     at most the crease angle, or if a chain of such copies joins them. A normal without a direction welds only
-    with a bit-identical one. The result depends on neither vertex nor slot order, except for the numbers of
+    with an equal one: the same bits, but −0 is +0. At a point with more than LINKED_GROUP different normals,
+    only equal normals weld. The result depends on neither vertex nor slot order, except for the numbers of
     the classes.
     """
     labels = kernel.label_equal_rows(positions)
@@ -50,7 +51,7 @@ def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crea
 
 
 def _point_keys(labels: Labels, field: WeightField, copies: IntArray) -> npt.NDArray[np.uint64]:
-    """Return the keys (C, 1 + K), position and influences, that are equal for copies of one surface point."""
+    """Return the keys (N, 1 + K) of N copies, position and influences: equal at one surface point."""
     keys = np.empty((len(copies), 1 + field.joints.shape[1]), dtype=np.uint64)
     for rows in blocks(len(copies)):
         keys[rows, 0] = labels[copies[rows]]
@@ -59,7 +60,7 @@ def _point_keys(labels: Labels, field: WeightField, copies: IntArray) -> npt.NDA
 
 
 def _oriented_keys(points: Labels, normals: FloatArray, copies: IntArray) -> npt.NDArray[np.unsignedinteger]:
-    """Return the keys (C, 4) that are equal for copies of a surface point with equal normals."""
+    """Return the keys (N, 4) of N copies: equal for those of a surface point with equal normals."""
     wide = normals.dtype != np.float32
     keys: npt.NDArray[np.unsignedinteger] = np.empty((len(copies), 4), np.uint64 if wide else np.uint32)
     for rows in blocks(len(copies)):
@@ -69,7 +70,7 @@ def _oriented_keys(points: Labels, normals: FloatArray, copies: IntArray) -> npt
 
 
 def _influence_keys(field: WeightField) -> npt.NDArray[np.uint64]:
-    """Return (V, K) keys: joint and float32 weight of every influence, in joint order, empty ones last."""
+    """Return (V, K) keys: joint and float32 weight of every influence, in joint order, other slots last."""
     weights = np.ascontiguousarray(field.weights.astype(np.float32)).view(np.uint32).astype(np.uint64)
     keys = (field.joints.astype(np.uint64) << np.uint64(32)) | weights
     keys[field.weights == 0] = np.iinfo(np.uint64).max

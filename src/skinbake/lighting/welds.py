@@ -37,8 +37,8 @@ def weld_classes(
     Vertices of one class have equal positions (−0 is +0) and equal influences (joint → w / Σw, in any slot
     order, compared in float32). A chain of normals joins them: each differs from the next by at most
     ``crease_angle_degrees``, in any primitive of the mesh. Normals may have any length. A zero or non-finite
-    normal welds only with one of identical bits. ``claim`` is called with the number of bytes that the pairs
-    at crowded places take, before they are listed.
+    normal welds only with an equal one: the same bits, but −0 is +0. ``claim`` is called with the number of
+    bytes that the pairs at crowded places take, before they are listed.
     """
     positions = np.concatenate([primitive.positions for primitive in primitives]).astype(np.float64)
     with np.errstate(invalid="ignore"):  # a NaN may be signalling
@@ -48,7 +48,7 @@ def weld_classes(
     # other.
     places = _row_numbers(np.hstack([(positions + 0.0).view(np.int64), joints, shares.view(np.int32)]))
     # Identical copies collapse here. Few pairs are left to compare by angle.
-    nodes = _row_numbers(np.column_stack([places, normals.view(np.int64)]))
+    nodes = _row_numbers(np.column_stack([places, (normals + 0.0).view(np.int64)]))
     firsts = _first_rows(nodes)
     pairs = _close_pairs(places[firsts], normals[firsts], np.radians(crease_angle_degrees), claim)
     return _by_first_vertex(_components(pairs, len(firsts))[nodes])
