@@ -74,6 +74,23 @@ def test_slots_of_tiny_weights_that_adopt_are_known_at_any_sum(
     assert answer.exit_code == 0, answer.messages
 
 
+@pytest.mark.parametrize("gradients", ["surface", "rig"])
+def test_a_joint_named_again_before_its_own_slot_at_a_tiny_weight_is_fresh(
+    gradients: str, tmp_path: Path
+) -> None:
+    """Such a weight counts as 0, so the later slot has the joint's gradient. Without adoption it stays."""
+    weights = sheet().attributes["WEIGHTS_0"].astype(np.float32)[:, [3, 0, 1, 2]]
+    weights[:, 0] = 1e-11
+    joints = np.tile(np.array([[1, 0, 1, 0]], dtype=np.uint8), (len(weights), 1))
+    original = write_model(tmp_path / "again.glb", [sheet(JOINTS_0=joints, WEIGHTS_0=weights)])
+    written = baked(original, tmp_path / "baked", gradients=gradients, neighbours="drop")
+    model = Editable(written)
+    assert np.array_equal(model.array("WEIGHTS_0"), weights)
+    assert model.array("_SKINBAKE_ALPHA_0")[:, 1].any()
+    answer = verify(written, "--poses", "rest")
+    assert answer.exit_code == 0, answer.messages
+
+
 def two_primitives(folder: Path, gradients: str, left: float = 0.0) -> Editable:
     """Bake two primitives, at whose border joint 4 takes the slot of joint 0. One has further free slots.
 

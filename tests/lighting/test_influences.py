@@ -94,6 +94,8 @@ def test_a_vertex_without_weight_follows_its_first_joint() -> None:
         ([5, 0, 0, 0], [1.0, 0.0, 0.0, 0.0], [True, True, False, False]),
         ([5, 5, 6, 6], [0.0, 0.0, 0.0, 0.0], [True, False, True, False]),
         ([5, 5, 6, 6], [-1.0, 0.5, 0.5, 0.0], [False, True, True, False]),
+        ([5, 0, 5, 0], [1e-11, 0.5, 0.5, 0.0], [False, True, True, False]),
+        ([5, 5, 6, 6], [-1.0, 1e-11, 0.0, 1e-21], [False, True, True, False]),
     ],
 )
 def test_one_slot_carries_each_joint(joints: list[int], weights: list[float], carries: list[bool]) -> None:

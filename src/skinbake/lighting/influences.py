@@ -50,8 +50,16 @@ def normalised_weights(weights: FloatArray, joints: IntArray) -> Float64Array:
     return positive
 
 
+def moving_weights(weights: FloatArray, joints: IntArray) -> Float64Array:
+    """Return the weights as bake reads them, (V, K) float64: normalised, and 0 where they move nothing.
+
+    weights and joints (V, K) are as stored. Raises ValueError as ``normalised_weights`` does.
+    """
+    return normalised_weights(np.where(free_slots(weights), 0.0, weights), joints)
+
+
 def free_slots(weights: FloatArray) -> BoolArray:
-    """Tell which slots bake takes for empty, (V, K): those of weight 0, or of a weight that moves nothing.
+    """Tell which slots are free, (V, K): those of weight 0, or of a weight that moves nothing.
 
     weights (V, K) as stored.
     """
@@ -77,8 +85,7 @@ def joint_weights(primitives: Sequence[SkinnedPrimitive]) -> tuple[Int64Array, F
     for primitive in primitives:
         rows, slots = slice(start, start + len(primitive.joints)), slice(0, primitive.joints.shape[1])
         joints[rows, slots] = primitive.joints
-        held = np.where(free_slots(primitive.weights), 0.0, primitive.weights)
-        weights[rows, slots] = normalised_weights(held, primitive.joints)
+        weights[rows, slots] = moving_weights(primitive.weights, primitive.joints)
         start = rows.stop
     order = np.argsort(joints, axis=1, kind="stable")
     joints, weights = np.take_along_axis(joints, order, axis=1), np.take_along_axis(weights, order, axis=1)
@@ -139,14 +146,18 @@ def influence_keys(primitives: Sequence[SkinnedPrimitive]) -> tuple[Int64Array, 
 
 
 def carrying_slots(primitive: SkinnedPrimitive) -> BoolArray:
-    """Mark, (V, K), the one slot of each joint that carries its gradient."""
+    """Mark, (V, K), the one slot of each joint that carries its gradient.
+
+    It is the first slot in which the joint has weight, or else the first of all. A weight that moves nothing
+    is none (``free_slots``).
+    """
     count, width = primitive.joints.shape
     carries = np.ones((count, width), dtype=np.bool_)
     earlier = np.tril(np.ones((width, width), dtype=bool), -1)
     step = max(1, PAIRS // max(width * width, 1))
     for rows in blocks(count, step):
         joints = primitive.joints[rows]
-        positive = normalised_weights(primitive.weights[rows], joints) > 0.0
+        positive = moving_weights(primitive.weights[rows], joints) > 0.0
         mine, other = positive[:, :, None], positive[:, None, :]
         outranks = (other & ~mine) | ((other == mine) & earlier)
         same = joints[:, :, None] == joints[:, None, :]
