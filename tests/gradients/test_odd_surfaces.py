@@ -1,0 +1,60 @@
+"""Bake by compiled loops, bake in numpy, and verify: all three read odd surfaces alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from skinbake.choices import Weighting
+from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
+from skinbake.gradients.baker import slots_of_surface
+from skinbake.gradients.field import concatenate_fields
+from skinbake.gradients.influences import weight_field
+from skinbake.gradients.weld import weld
+from skinbake.lighting.operator import expected_alpha_beta, gradient_operator
+from skinbake.lighting.welds import weld_classes
+from tests.gradients.odd_surfaces import as_met, odd_surface
+from tests.support.kernels import use_numpy
+
+SEEDS = range(60)
+Frame = tuple[Float64Array, Float64Array]
+
+
+def joined(parts: Sequence[SkinnedPrimitive], name: str) -> Float64Array:
+    return np.concatenate([getattr(part, name) for part in parts])
+
+
+@pytest.mark.parametrize("crease", [0.0, 15.0, 60.0, 180.0])
+def test_verify_welds_what_bake_welds(crease: float) -> None:
+    for seed in SEEDS:
+        parts = odd_surface(seed)
+        field = concatenate_fields([weight_field(part)[0] for part in parts])
+        positions, normals = joined(parts, "positions"), joined(parts, "normals")
+        found = weld(positions, normals, field, crease_angle=np.radians(crease))
+        assert as_met(found) == as_met(weld_classes(parts, crease_angle_degrees=crease)), seed
+
+
+def baked(parts: Sequence[SkinnedPrimitive], frame: Frame, weighting: Weighting) -> Float64Array:
+    """Return α and β (V, 2 K − 2) side by side."""
+    slots = slots_of_surface(parts, frame, weighting=weighting, crease_angle=np.radians(15.0), rig=None)
+    return np.hstack([slots.alpha, slots.beta]).astype(np.float64)
+
+
+@pytest.mark.parametrize("weighting", list(Weighting))
+def test_verify_expects_what_bake_stores(weighting: Weighting, monkeypatch: pytest.MonkeyPatch) -> None:
+    for seed in SEEDS:
+        parts = odd_surface(seed)
+        operator = gradient_operator(parts, weighting=weighting)
+        tangents, bitangents = np.random.default_rng(seed).normal(size=(2, len(operator.positions), 3))
+        frames = [(tangents[rows], bitangents[rows]) for rows in operator.slices]
+        found = expected_alpha_beta(operator, parts, frames)
+        expected = np.concatenate([np.hstack([alpha[:, 1:], beta[:, 1:]]) for alpha, beta in found])
+        # Gradients that cancel leave rounding.
+        scale = np.maximum(np.abs(expected).max(axis=1), 1e-3 * operator.reach())[:, None]
+        frame = tangents, bitangents
+        assert (np.abs(baked(parts, frame, weighting) - expected) <= 1e-6 * scale).all(), seed
+        with monkeypatch.context() as patch:
+            use_numpy(patch)
+            assert (np.abs(baked(parts, frame, weighting) - expected) <= 1e-6 * scale).all(), seed
