@@ -154,14 +154,19 @@ def test_a_slot_that_lost_its_gradient_is_no_slot_whose_joint_has_left_it(tmp_pa
     assert answer.failed == ["freshness"], answer.messages
 
 
-def test_a_joint_that_leaves_a_slot_of_negative_weight_is_fresh(tmp_path: Path) -> None:
-    """A slot of negative weight is not empty, so its joint 0 goes into another slot."""
+@pytest.mark.parametrize("slot", range(4))
+@pytest.mark.parametrize("gradients", ["surface", "rig"])
+def test_a_joint_that_leaves_a_slot_of_negative_weight_is_fresh(
+    gradients: str, slot: int, tmp_path: Path
+) -> None:
+    """A slot of negative weight is not free, so its joint 0 goes into another slot."""
     place = sheet().attributes["POSITION"]
     border = place[:, :1] == place[:, 0].max()
     joints = np.where(border, [1, 2, 3, 0], [4, 0, 1, 0]).astype(np.uint8)
     weights = np.where(border, [0.5, 0.3, 0.3, -0.1], [0.6, 0.3, 0.1, 0.0]).astype(np.float32)
-    original = write_model(tmp_path / "negative.glb", [sheet(JOINTS_0=joints, WEIGHTS_0=weights)], joints=5)
-    written = baked(original, tmp_path / "baked", gradients="rig", neighbours="extend")
+    part = sheet(JOINTS_0=np.roll(joints, slot - 3, axis=1), WEIGHTS_0=np.roll(weights, slot - 3, axis=1))
+    original = write_model(tmp_path / "negative.glb", [part], joints=5)
+    written = baked(original, tmp_path / "baked", gradients=gradients, neighbours="extend")
     assert (np.sort(Editable(written).array("JOINTS_1")[border[:, 0]]) == [0, 0, 0, 4]).all()
     answer = verify(written, "--poses", "rest")
     assert answer.exit_code == 0, answer.messages

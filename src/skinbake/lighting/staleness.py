@@ -239,18 +239,22 @@ def _without_vacated_names(document: Document, view: BakedView) -> BakedView:
 
     If several such slots name a joint, the first of them has its gradient. α and β of the others are 0 in two
     cases. The first of them adopted another joint, and bake lost the gradient: this happens only if a copy of
-    the vertex has fewer empty slots. Or an empty slot adopted the joint, and another slot with a negative
-    weight names it. These others name the joint of slot 0 here. Its gradient is not theirs, so 0 is right.
+    the vertex has fewer free slots. Or a free slot adopted the joint, and another slot with a negative weight
+    names it. α and β of slot 0 are not stored, but bake fills the free slots in order, so only the second
+    case is one for it. All these others name the joint of the largest weight here. Its gradient is not
+    theirs, so 0 is right.
     """
+    stored, weights = view.now.joints, view.now.weights
     given = given_weights(document, view) > 0.0
-    adopts = given.any(axis=1, keepdims=True)
-    empty = (free_slots(view.now.weights) & ~given) | (view.now.weights < 0.0)
-    empty[:, 0] = False
-    empty[:, 1:] &= (view.alpha == 0.0) & (view.beta == 0.0)
-    joints = np.where(adopts & empty, view.now.joints[:, :1], view.now.joints)
-    if (joints == view.now.joints).all():
+    vacated = (free_slots(weights) & ~given) | (weights < 0.0)
+    vacated &= given.any(axis=1, keepdims=True)
+    vacated[:, 0] &= (given & (stored == stored[:, :1])).any(axis=1)
+    vacated[:, 1:] &= (view.alpha == 0.0) & (view.beta == 0.0)
+    largest = np.take_along_axis(stored, weights.argmax(axis=1)[:, None], axis=1)
+    joints = np.where(vacated, largest, stored)
+    if (joints == stored).all():
         return view
-    return replace(view, now=view.now.with_influences(joints, view.now.weights))
+    return replace(view, now=view.now.with_influences(joints, weights))
 
 
 def _compared(
