@@ -91,6 +91,20 @@ def test_a_joint_named_again_before_its_own_slot_at_a_tiny_weight_is_fresh(
     assert answer.exit_code == 0, answer.messages
 
 
+@pytest.mark.parametrize("neighbours", ["adopt", "extend"])
+def test_a_stored_weight_of_one_unit_is_none_that_a_slot_was_given(neighbours: str, tmp_path: Path) -> None:
+    """The file still has the weights from before the bake, so also before a set was added."""
+    steps = (sheet().attributes["POSITION"][:, :1] > 0.1).astype(int)
+    joints = np.where(steps, [[1, 2, 0, 0]], [[1, 0, 1, 0]]).astype(np.uint8)
+    weights = np.where(steps, [[35535, 30000, 0, 0]], [[1, 35533, 30000, 1]]).astype(np.uint16)
+    original = write_model(tmp_path / "unit.glb", [sheet(JOINTS_0=joints, WEIGHTS_0=weights)], joints=3)
+    written = baked(original, tmp_path / "baked", gradients="rig", neighbours=neighbours)
+    model = Editable(written)
+    assert "adopted" in model.metadata()
+    answer = verify(written, "--poses", "rest")
+    assert answer.exit_code == 0, answer.messages
+
+
 def two_primitives(folder: Path, gradients: str, left: float = 0.0) -> Editable:
     """Bake two primitives, at whose border joint 4 takes the slot of joint 0. One has further free slots.
 

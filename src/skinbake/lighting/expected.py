@@ -10,7 +10,7 @@ import numpy as np
 
 from skinbake.choices import SLOTS_PER_SET, Gradients, Weighting
 from skinbake.format.adoption import TINY_WEIGHT, UNIT
-from skinbake.format.former import former_attributes
+from skinbake.format.former import former_attributes, former_sets
 from skinbake.format.metadata import FORMER_ATTRIBUTES, POSES, STORED_POSE
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.accessors import read_accessor
@@ -74,16 +74,24 @@ def given_weights(document: Document, view: BakedView) -> Float64Array:
 
 
 def former_weights(document: Document, view: BakedView) -> FloatArray | None:
-    """Return the weights (V, K) before the bake. None if they are gone, or if a limit changed their slots."""
+    """Return the weights (V, K) before the bake, 0 in the slots of a set that it added.
+
+    None if they are gone, or if a limit changed their slots.
+    """
     attributes, place = view.source.attributes, view.source.place
     former = former_attributes(document, attributes, view.metadata, place)
-    if former is None or FORMER_ATTRIBUTES in view.metadata:
+    if former is None:
         return None
-    named = {**attributes, **former}
-    sets = range(view.now.weights.shape[1] // SLOTS_PER_SET)
-    return np.concatenate(
-        [read_accessor(document, named[f"WEIGHTS_{number}"], place).decoded() for number in sets], axis=1
+    before = former_sets({**attributes, **former}, view.metadata)
+    count = view.now.weights.shape[1] // SLOTS_PER_SET
+    names = [name for name in (f"WEIGHTS_{number}" for number in range(count)) if name in before]
+    # A limit takes sets away. So if none was added, the noted ones are from before a limit.
+    if not names or (FORMER_ATTRIBUTES in view.metadata and len(names) == count):
+        return None
+    weights = np.concatenate(
+        [read_accessor(document, before[name], place).decoded() for name in names], axis=1
     )
+    return np.pad(weights, ((0, 0), (0, view.now.weights.shape[1] - weights.shape[1])))
 
 
 def _without_given_weights(document: Document, view: BakedView) -> SkinnedPrimitive:
