@@ -1,6 +1,6 @@
 """Types of verify's compiled loops: arrays are contiguous and aligned, of the named element types.
 
-B vertices of a block, V all vertices, P poses, C weld classes of a range, T triangles, U truths. Raises
+B vertices of a block, V all vertices, P poses, C weld classes, T triangles, U truths. Raises
 TypeError for another element type, ValueError for another shape, IndexError for an index out of range.
 """
 
@@ -114,9 +114,10 @@ def class_sums(
 ) -> None:
     """Fill the sums (3, C, P) of ``class_count`` classes from ``first_class`` on: Σ angle × unit normal.
 
-    sums are float32 or float64. Angles are good to a few units of float32. positions (3, V, P). triangles
-    (T, 3). classes (V,). met (N,) are the triangles with a corner in these classes, each once, in ascending
-    order. A triangle with a larger cotangent than ``flat`` adds nothing.
+    sums are of all classes. With float64, angles are good to a few units of the last place; with float32, to
+    a few units of float32. positions (3, V, P). triangles (T, 3). classes (V,). met (N,) are the triangles
+    with a corner in these classes, each once, in ascending order. A triangle with a larger cotangent than
+    ``flat`` adds nothing.
     """
 
 def true_normals(

@@ -97,9 +97,9 @@ static ALWAYS_INLINE Vector half_turn(DualQuaternion q, Vector lever)
     return plus_cross(plus_times(scaled(q.real, q.dual_vector), -q.dual, q.vector), q.vector, lever);
 }
 
-/* Return t' of algorithm 6. `turned` is k, and `moved` is δ. */
+/* Return t' of algorithm 6. The factor is k, and the displacement δ. */
 static ALWAYS_INLINE Vector derivative(DualQuaternion mix, DualQuaternion rate, Vector tangent, Vector point,
-                                       Vector lever, double turned, Vector moved)
+                                       Vector lever, double factor, Vector displacement)
 {
     Vector lever_rate = plus_times(rate.dual_vector, mix.real, tangent);
     lever_rate = plus_cross(lever_rate, mix.vector, tangent);
@@ -110,8 +110,8 @@ static ALWAYS_INLINE Vector derivative(DualQuaternion mix, DualQuaternion rate, 
     turn_rate = plus_times(turn_rate, rate.real, mix.dual_vector);
     turn_rate = plus_times(turn_rate, -rate.dual, mix.vector);
     turn_rate = plus_times(turn_rate, -mix.dual, rate.vector);
-    turn_rate = plus_times(turn_rate, -real_dot(mix, rate), moved);
-    return plus_times(tangent, turned, turn_rate);
+    turn_rate = plus_times(turn_rate, -real_dot(mix, rate), displacement);
+    return plus_times(tangent, factor, turn_rate);
 }
 
 enum {
@@ -229,10 +229,10 @@ static ALWAYS_INLINE int add_slot(const Dqs *s, const Posing *at, Py_ssize_t slo
         put(t->rate, p, plus_share(mixed_at(t->rate, p), alpha, change));
         put(b->rate, p, plus_share(mixed_at(b->rate, p), beta, change));
         const Vector point = scaled(at->scale[p], rest);
-        const Vector moved = scaled(2.0, half_turn(q, lever_of(q, point)));
-        const Vector by = minus(moved, scaled(2.0, half_turn(pivot, lever_of(pivot, point))));
-        t->x[p] += alpha * by.x, t->y[p] += alpha * by.y, t->z[p] += alpha * by.z;
-        b->x[p] += beta * by.x, b->y[p] += beta * by.y, b->z[p] += beta * by.z;
+        const Vector displacement = scaled(2.0, half_turn(q, lever_of(q, point)));
+        const Vector difference = minus(displacement, scaled(2.0, half_turn(pivot, lever_of(pivot, point))));
+        t->x[p] += alpha * difference.x, t->y[p] += alpha * difference.y, t->z[p] += alpha * difference.z;
+        b->x[p] += beta * difference.x, b->y[p] += beta * difference.y, b->z[p] += beta * difference.z;
     }
     return 0;
 }
@@ -269,12 +269,13 @@ static ALWAYS_INLINE void put_normals(const Dqs *s, const Posing *at, Mix mixes,
     }
     for (Py_ssize_t p = 0; p < at->poses; p++) {
         const DualQuaternion mix = mixed_at(mixes, p);
-        const double square = real_dot(mix, mix), turned = 2.0 / (square == 0.0 ? 1.0 : square);
+        const double square = real_dot(mix, mix), factor = 2.0 / (square == 0.0 ? 1.0 : square);
         const Vector point = scaled(at->scale[p], rest), lever = lever_of(mix, point);
-        const Vector moved = scaled(turned, half_turn(mix, lever));
-        const Vector along = scaled(at->scale[p], frame[1]), across = scaled(at->scale[p], frame[2]);
-        const Vector t = derivative(mix, dual_at(along_t->rate[0], MIXED, p), along, point, lever, turned, moved);
-        const Vector b = derivative(mix, dual_at(along_b->rate[0], MIXED, p), across, point, lever, turned, moved);
+        const Vector displacement = scaled(factor, half_turn(mix, lever));
+        const DualQuaternion rate_t = dual_at(along_t->rate[0], MIXED, p), rate_b = dual_at(along_b->rate[0], MIXED, p);
+        const Vector tangent = scaled(at->scale[p], frame[1]), bitangent = scaled(at->scale[p], frame[2]);
+        const Vector t = derivative(mix, rate_t, tangent, point, lever, factor, displacement);
+        const Vector b = derivative(mix, rate_b, bitangent, point, lever, factor, displacement);
         put_normal(s, 2, out + p, scaled(s->handedness[row], cross(t, b)));
     }
 }
@@ -294,8 +295,8 @@ static int move_by_dqs(const Dqs *s)
             for (Py_ssize_t p = 0; p < at.poses; p++) {
                 const DualQuaternion unit = normalised(mixed_at(mix, p));
                 const Vector point = scaled(at.scale[p], rest);
-                const Vector moved = plus_times(point, 2.0, half_turn(unit, lever_of(unit, point)));
-                out[p] = moved.x, out[apart + p] = moved.y, out[2 * apart + p] = moved.z;
+                const Vector posed = plus_times(point, 2.0, half_turn(unit, lever_of(unit, point)));
+                out[p] = posed.x, out[apart + p] = posed.y, out[2 * apart + p] = posed.z;
             }
         }
     }
