@@ -45,8 +45,8 @@ algorithm 2). It is measured over its own animations. If it has none, its joints
 paper's gradients beside them, also in poses of other kinds.
 
 ## True normals
-A smooth surface has one normal at each point. A mesh has flat triangles, and the normal at a vertex is an
-agreement about them. The authored normals of the rest pose are such an agreement. Animation files store no
+A smooth surface has one normal at each point. A mesh has flat triangles, and the normal at a vertex is a
+convention about them. The authored normals of the rest pose are such a convention. Animation files store no
 normals for the other poses. So verify finds true normals itself, in two ways that have little in common. Both
 look only at the places of the vertices before and after skinning, never at α and β. (The fit of α and β aims
 between both, for small turns, and at no pose of the tables.) At rest both give the authored normal itself.
