@@ -110,14 +110,12 @@ class JointField:
     joint_count: int
 
     @classmethod
-    def of_surface(
-        cls, primitives: Sequence[SkinnedPrimitive], named: Sequence[SkinnedPrimitive]
-    ) -> JointField:
-        """Return the weights of some primitives. ``named`` are primitives that may name further joints."""
+    def of_surface(cls, primitives: Sequence[SkinnedPrimitive]) -> JointField:
+        """Return the weights of the primitives of one surface."""
         joints, weights = joint_weights(primitives)
         held = weights != 0.0
         starts = np.concatenate([[0], np.cumsum(np.count_nonzero(held, axis=1))])
-        most = max((int(one.joints.max(initial=0)) for one in (*primitives, *named)), default=0)
+        most = max((int(primitive.joints.max(initial=0)) for primitive in primitives), default=0)
         return cls(starts, joints[held], weights[held], most + 1)
 
     def of(self, vertices: IntArray) -> tuple[Int64Array, Int64Array, Float64Array]:

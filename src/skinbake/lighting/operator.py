@@ -31,7 +31,6 @@ Frame: TypeAlias = tuple[FloatArray, FloatArray]
 # bake's own is DEGENERATE_AREA in geometry/triangles.py, of which verify takes no code.
 _DEGENERATE = 1e-10
 
-
 TABLE_CELLS = 1 << 21
 """The rows × joints whose derivatives are summed up at a time: 16 MiB."""
 
@@ -142,21 +141,17 @@ def expected_alpha_beta(
     operator: GradientOperator,
     primitives: Sequence[SkinnedPrimitive],
     frames: Sequence[Frame],
-    *,
-    named: Sequence[SkinnedPrimitive] | None = None,
 ) -> list[tuple[Float64Array, Float64Array]]:
     """Return α = ∇w · t0 and β = ∇w · b0 of the joint in every slot: per primitive two (V, K) float64.
 
     frames are per primitive t0 and b0, each (V, 3), mesh space. If a joint is in several slots of a vertex,
-    the first slot with a positive weight, or else the first slot, has its gradient, and the others hold 0.
-    Slot 0 holds the gradient of its own joint. A file stores minus the sum of the other slots there. The two
-    differ at vertices whose neighbours have joints outside the vertex's own set. After adoption, the weights
-    come from other slots than the stored ones. ``named`` are then the same primitives with the joints that
-    the slots name now.
+    one of them has its gradient (``carrying_slots``), and the others hold 0. Slot 0 holds the gradient of its
+    own joint. A reader of the file takes minus the sum of the other slots there. The two differ at vertices
+    whose neighbours have joints outside the vertex's own set.
     """
-    field = JointField.of_surface(primitives, named or primitives)
+    field = JointField.of_surface(primitives)
     result = []
-    for primitive, rows, frame in zip(named or primitives, operator.slices, frames, strict=True):
+    for primitive, rows, frame in zip(primitives, operator.slices, frames, strict=True):
         carries = carrying_slots(primitive)
         found = np.zeros((2, *primitive.joints.shape))
         for part in operator.row_blocks(rows):
