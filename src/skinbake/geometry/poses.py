@@ -24,11 +24,11 @@ Rounding by tools changes them by 1e-8, one joint that turns by a degree in one 
 def interpolated(
     times: Float64Array, values: Float64Array, at: Float64Array, *, method: str, rotation: bool
 ) -> Float64Array:
-    """Return an animated property at the times ``at`` (P,), each (P, C).
+    """Return an animated property of M components at the times ``at`` (P,): (P, M).
 
-    times (N,) ascend, in seconds. values are (N, C), or (N, 3, C) as in-tangent, value, out-tangent for
-    CUBICSPLINE. Several properties with the same times may be one array (…, N, C), and the result is then (…,
-    P, C). Before the first and after the last key the value stays. Rotations are quaternions (w, x, y, z),
+    times (N,) ascend, in seconds. values are (N, M), or (N, 3, M) as in-tangent, value, out-tangent for
+    CUBICSPLINE. Several properties with the same times may be one array (…, N, M), and the result is then (…,
+    P, M). Before the first and after the last key the value stays. Rotations are quaternions (w, x, y, z),
     interpolated along the shorter arc for LINEAR, and normalised.
     """
     last = len(times) - 1
@@ -50,7 +50,7 @@ def interpolated(
 
 
 def _hermite(left: Float64Array, right: Float64Array, s: Float64Array, span: Float64Array) -> Float64Array:
-    """Return the cubic Hermite spline of glTF 2.0, appendix C.5; left and right (…, P, 3, C), s in 0 … 1."""
+    """Return the cubic Hermite spline of glTF 2.0, appendix C.5; left and right (…, P, 3, M), s in 0 … 1."""
     s2, s3 = s * s, s * s * s
     return (
         (2 * s3 - 3 * s2 + 1) * left[..., 1, :]

@@ -47,6 +47,7 @@ def mark_proper(positions: FloatArray, triangles: IntArray) -> BoolArray:
 
 
 def _proper(components: Float64Array, triangles: IntArray) -> BoolArray:
+    """Return the mask of some triangles (T, 3), from positions by component (3, V)."""
     i, j, k = np.ascontiguousarray(triangles.T)
     x, y, z = components
     ax, ay, az = x[j] - x[i], y[j] - y[i], z[j] - z[i]

@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from skinbake.choices import Baseline
+from skinbake.geometry.blocks import blocks
 from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.lighting import kernel
 from skinbake.lighting.forms import Forms
@@ -44,15 +45,14 @@ def chunks(vertices: int, poses: int) -> list[slice]:
     size = max(CHUNK_POSES, CHUNK_SAMPLES // max(vertices, 1))
     # Whole vectors: no pose is left over from groups of eight, and rows begin with a line of the cache.
     size -= size % 8 if size > 8 else 0
-    return [slice(start, min(start + size, poses)) for start in range(0, poses, size)]
+    return list(blocks(poses, size))
 
 
 def sample_blocks(vertices: slice, poses: int) -> list[slice]:
     """Cut vertices into blocks, for chunks of so many poses."""
     size = max(1, min(BLOCK_SAMPLES // max(poses, 1), BLOCK_VERTICES))
-    return [
-        slice(start, min(start + size, vertices.stop)) for start in range(vertices.start, vertices.stop, size)
-    ]
+    first = vertices.start
+    return [slice(first + part.start, first + part.stop) for part in blocks(vertices.stop - first, size)]
 
 
 class BlendedPrimitive:
@@ -75,11 +75,11 @@ class BlendedPrimitive:
         self._matrices = _Table(joint_matrices)
         self._cofactors = None
         if options.baseline is Baseline.COFACTOR:
-            turned = np.zeros_like(joint_matrices)
+            of_cofactors = np.zeros_like(joint_matrices)
             rows = tuple(tuple(np.moveaxis(joint_matrices[..., row, :3], -1, 0)) for row in range(3))
             for row, entries in enumerate(cofactors(rows)):
-                turned[..., row, :3] = np.stack(entries, axis=-1)
-            self._cofactors = _Table(turned)
+                of_cofactors[..., row, :3] = np.stack(entries, axis=-1)
+            self._cofactors = _Table(of_cofactors)
 
     def put_positions(self, pose: slice, part: slice, out: Float64Array, first_row: int) -> None:
         """Write p' of some vertices to the rows of out (3, V, P) from ``first_row`` on."""

@@ -69,9 +69,9 @@ def blended_normals(forms: Forms, table: Float64Array, normals: FloatArray | Non
     if normals is None:
         return np.stack(cross(*found))
     rows: Rows = tuple(zip(*found, strict=True))
-    turned = cofactors(rows)
-    reciprocal = quotient(1.0, dot(rows[0], turned[0]))
-    return np.stack(scaled(reciprocal, linear(turned, tuple(normals.T[:, :, None]))))
+    cofactor = cofactors(rows)
+    reciprocal = quotient(1.0, dot(rows[0], cofactor[0]))
+    return np.stack(scaled(reciprocal, linear(cofactor, tuple(normals.T[:, :, None]))))
 
 
 def dqs_positions(
@@ -159,8 +159,8 @@ def gradient_rows(mesh: WeldedMesh, part: slice, directions: Sequence[FloatArray
     places = (triangle[:, None] + len(met) * np.arange(3)).ravel()
     found = []
     for direction in directions:
-        turned = np.asarray(direction, dtype=np.float64)[owners] * share[:, None]
-        mean = csr_array((turned.ravel(), places, 3 * ends), shape=(size, 3 * len(met)))
+        weighted = np.asarray(direction, dtype=np.float64)[owners] * share[:, None]
+        mean = csr_array((weighted.ravel(), places, 3 * ends), shape=(size, 3 * len(met)))
         found.append(mean @ gradients)
     stacked = vstack(found, format="csr")
     columns = local[stacked.indices].astype(np.int32)

@@ -58,7 +58,7 @@ def primitive_for_direct(primitive: RestPrimitive, part: slice) -> RestPrimitive
 def compared_normals(direct: Vector, accurate: Vector) -> Compared:
     """Return the squared tangent of the angle between two lightings of a block, and the second's length.
 
-    Both are float32 (V, P). All blocks of a chunk are kept until its last block is there.
+    Both are float32 (P, V). All blocks of a chunk are kept until its last block is there.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a fold may have no normal
         ratio = squared_cross(direct, accurate) / np.square(dot(direct, accurate))

@@ -52,8 +52,8 @@ def units_or_nan(vector: Vector) -> list[FloatArray]:
 def angles_of_units(measured: Sequence[FloatArray], expected: Sequence[FloatArray]) -> Float32Array:
     """Return the angle between unit vectors given by their components, in degrees, float32.
 
-    It is twice the arctangent of half a chord over the rest of the diameter. It is as exact near 0° and 180°
-    as ``angles_between``, and cheaper if one vector is compared with several.
+    With the chord c between their ends, it is twice the arctangent of c / √(4 − c²). It is as exact near 0°
+    and 180° as ``angles_between``, and cheaper if one vector is compared with several.
     """
     # Opposite vectors, or a NaN or infinity in place of a unit.
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -207,6 +207,10 @@ class _Surface:
 def _comparisons(
     document: Document, views: Sequence[BakedView], operator: GradientOperator, fit: Fit | None
 ) -> list[freshness.Comparison]:
+    """Compare α and β of each view with those of the present weights, or of the weights before adoption.
+
+    The second comparison is made only if the first one finds a difference. A view agrees if either does.
+    """
     found = _compared(document, views, operator, expected_slots(document, views, operator, fit=fit))
     if all(comparison.agrees for comparison in found):
         return found

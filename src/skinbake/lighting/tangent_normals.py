@@ -54,7 +54,11 @@ def measured_frames(
     positions: FloatArray,
     normals: FloatArray,
 ) -> RestFrames:
-    """Measure the frames (a, b, ĉ) of all blocks, and find the coefficients of the normals n0 in them."""
+    """Measure the frames (a, b, ĉ) of all blocks, and find the coefficients of the normals n0 in them.
+
+    along has the rows of each part of ``parts``, as ``RestFrames.derivatives``. positions and normals (V, 3)
+    are those of the mesh before skinning, the normals of any length.
+    """
     components = np.ascontiguousarray(np.asarray(positions, dtype=np.float64).T)[:, :, None]
     count = len(positions)
     coefficients, areas, valid = np.zeros((3, count)), np.zeros(count), np.zeros(count, dtype=np.bool_)

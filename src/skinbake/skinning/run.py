@@ -83,7 +83,7 @@ class Skinning:
 
 
 def joints_in_use(primitives: Sequence[RestPrimitive], count: int) -> BoolArray:
-    """Mark the joints (J,) that carry weight on one of the primitives, of so many joints."""
+    """Mark the joints (J,) that have a weight or a derivative on one of the primitives, of so many joints."""
     in_use = np.zeros(count, dtype=np.bool_)
     for primitive in primitives:
         in_use |= primitive.joints_in_use(count)
@@ -155,17 +155,17 @@ class _Vertices:
         rest = self.rest.rows(part)
         position, tangent, bitangent = (
             tuple(vectors) if scale is None else _scaled(scale, vectors)
-            for vectors in map(self._turned, (rest.positions, rest.tangents, rest.bitangents))
+            for vectors in map(self._transposed, (rest.positions, rest.tangents, rest.bitangents))
         )
         return RestVertex(
             position=position,
-            normal=tuple(self._turned(rest.normals)),
+            normal=tuple(self._transposed(rest.normals)),
             tangent=tangent,
             bitangent=bitangent,
-            weights=tuple(self._turned(rest.weights)),
-            alpha=tuple(self._turned(rest.alpha)),
-            beta=tuple(self._turned(rest.beta)),
-            gradients=list(map(tuple, self._turned(rest.weight_gradients()))) if gradients else [],
+            weights=tuple(self._transposed(rest.weights)),
+            alpha=tuple(self._transposed(rest.alpha)),
+            beta=tuple(self._transposed(rest.beta)),
+            gradients=list(map(tuple, self._transposed(rest.weight_gradients()))) if gradients else [],
             handedness=rest.handedness().astype(self.dtype),
         )
 
@@ -173,7 +173,7 @@ class _Vertices:
         """Return the joints of a block by slot: (K, V)."""
         return np.ascontiguousarray(self.rest.joints[part].T, dtype=np.intp)
 
-    def _turned(self, array: FloatArray) -> FloatArray:
+    def _transposed(self, array: FloatArray) -> FloatArray:
         """Return one contiguous row for each component, vertices last."""
         return np.ascontiguousarray(np.moveaxis(array, 0, -1), dtype=self.dtype)
 
