@@ -8,10 +8,10 @@ from skinbake.geometry.blocks import blocks
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray
 
 ALONG = 1e-3
-"""The share of a tangent in the surface below which its direction there is rounding."""
+"""The part of a tangent in the surface, relative to its length, below which its direction is rounding."""
 
 HUGE = 1e30
-"""A length of a tangent from which float32 cannot hold what is made of it."""
+"""The length from which on a tangent is too long: float32 cannot hold what is made of it."""
 
 TINY_SQUARE = 1e-280
 """A squared length below which underflow may have taken digits. No float32 vector has one, except zero."""

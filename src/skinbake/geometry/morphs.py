@@ -18,7 +18,10 @@ from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
 Kind: TypeAlias = Literal["positions", "normals", "tangents"]
 
 OPPOSITE = 1e-4
-"""|n0 + n|² below which n counts as −n0, at 0.6°. Closer, a TANGENT that leans 0.1° stretches the frame."""
+"""|n0 + n|² below which n counts as −n0: within 0.6° of it.
+
+Nearer to −n0, a TANGENT that leans by 0.1° would stretch the frame.
+"""
 
 CANCELLED = 1e-4
 """|t|² / |t0|² below which targets have cancelled a tangent: the 1 % that is left is only its lean."""

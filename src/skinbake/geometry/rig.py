@@ -16,7 +16,7 @@ NO_PARENT = -1
 NO_CHAIN = -1
 
 LONG_CHAIN = 6
-"""The joints of a chain from which on they curl together, as those of tails, tentacles and ropes do.
+"""The number of joints from which on a chain is long. They curl together, as those of tails and ropes do.
 
 Limbs, fingers and spines of characters are shorter chains: they end where a joint carries several others.
 """
@@ -141,9 +141,9 @@ class Lineage:
         return found
 
     def upwards(self, joints: IntArray, lengths: IntArray) -> tuple[IntArray, IntArray]:
-        """Return the first so many joints of each way up, as rows and joints (M,), ordered by rows.
+        """Return the joints of N ways up the rig: rows and joints (M,), ordered by rows.
 
-        The way of row i begins with joints[i]. lengths (N,) are their numbers of joints.
+        The way of row i begins with joints[i], and has lengths[i] joints.
         """
         rows = np.flatnonzero(lengths > 0)
         found = [(rows, joints[rows])]

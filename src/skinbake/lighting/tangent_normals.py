@@ -100,8 +100,7 @@ def tangent_normals(
         # three.
         by_c = along_c if sides is None else along_c * sides
         found = tuple(by_a * a[i] + by_b * b[i] + by_c * c[i] for i in range(3))
-        # The test is not "flat if below": a comparison with NaN is false, and a broken position leaves no
-        # normal.
+        # A comparison with NaN is false, so a broken position is not sound.
         sound = (square > FLAT_FRAME**2 * aa * bb) & rest.valid[part]
     return unit_or_nan(found, sound)
 

@@ -86,8 +86,8 @@ def _corner_normals(mesh: WeldedMesh, positions: Float64Array, corners: IntArray
             [corners[:, None] % 3 == 0, corners[:, None] % 3 == 1], [ab, aa - ab], dot(e2, e2) - ab
         )
         angle = np.arctan2(area, along)
-        # The test is not "flat if beyond": a comparison with NaN is false. A flat triangle shows at one of
-        # two corners.
+        # A comparison with NaN is false, so a broken position is not sound. A flat triangle has a large
+        # cotangent at the first or the second corner.
         sound = (np.abs(ab / area) < FLAT_TRIANGLE) & (np.abs((aa - ab) / area) < FLAT_TRIANGLE)
         return tuple(np.where(sound, angle / area * component, 0.0) for component in normal)
 
