@@ -33,6 +33,7 @@ from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.skinning.run import Skinning
 from tests.support.baked_files import verify
 from tests.support.models import FOLDER, baked
+from tests.support.odd_surfaces import odd_surface
 from tests.support.strictness import missing_tool
 from tests.support.surfaces import analytic_surface
 from tests.support.tools import required_program
@@ -319,6 +320,39 @@ def test_true_normals_are_those_of_numpy(poses: int, sided: bool) -> None:
             assert np.allclose(found, expected, rtol=0, atol=1e-10, equal_nan=True)
             missing += int(np.count_nonzero(~exist))
     assert missing, "some vertices are broken or have no n0"
+
+
+@pytest.mark.parametrize("weighting", list(Weighting))
+def test_truths_of_odd_surfaces_are_those_of_numpy(weighting: Weighting) -> None:
+    exist = 0
+    for seed in range(40):
+        primitives = odd_surface(seed)
+        operator = gradient_operator(primitives, weighting=weighting)
+        positions, normals = operator.positions, np.concatenate([one.normals for one in primitives])
+        rng, whole = np.random.default_rng(seed), slice(0, len(positions))
+        directions = list(rng.normal(size=(2, len(positions), 3)))
+        rows, expected = (
+            twin.gradient_rows(operator, whole, directions).matrix(len(positions)).toarray()
+            for twin in (by_loops, by_numpy)
+        )
+        assert (np.abs(rows - expected) <= 1e-9 * np.abs(expected).max(axis=1, keepdims=True)).all(), seed
+        # Some vertices come together, so that triangles collapse.
+        posed = np.einsum("pij,vj->ivp", rng.normal(size=(5, 3, 3)), positions)
+        posed[:, rng.random(len(positions)) < 0.2] = posed[:, :1]
+        rest = rest_frames(operator, positions, normals, parts=(whole,))
+        sums = np.empty((2, 3, len(operator.ends) - 1, 5))
+        for block in class_blocks(operator):
+            for twin, own in zip((by_loops, by_numpy), sums, strict=True):
+                twin.class_sums(operator, posed, block, own)
+        assert np.allclose(sums[0], sums[1], rtol=0, atol=1e-9), seed
+        carried = carried_normals(operator, rest, positions, normals)
+        by_triangles = ClassSums(carried, operator.classes, sums[1].astype(np.float32))
+        found, there = by_loops.true_normals(rest, 0, posed, None, by_triangles)
+        expected, as_there = by_numpy.true_normals(rest, 0, posed, None, by_triangles)
+        assert np.array_equal(there, as_there), seed
+        assert np.allclose(found, expected, rtol=0, atol=1e-10, equal_nan=True), seed
+        exist += int(np.count_nonzero(there))
+    assert exist > 1000
 
 
 @pytest.mark.parametrize("truths", [1, 2])
