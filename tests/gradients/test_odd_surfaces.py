@@ -16,7 +16,8 @@ from skinbake.gradients.weld import weld
 from skinbake.lighting.operator import expected_alpha_beta, gradient_operator
 from skinbake.lighting.welds import weld_classes
 from tests.support.kernels import use_numpy
-from tests.support.odd_surfaces import as_met, odd_surface
+from tests.support.labels import as_met
+from tests.support.odd_surfaces import odd_surface
 
 SEEDS = range(60)
 Frame = tuple[Float64Array, Float64Array]

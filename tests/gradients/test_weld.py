@@ -31,6 +31,7 @@ from tests.support.baked_arrays import (
     meshes_of,
     path_of,
 )
+from tests.support.labels import as_met
 
 MODELS = [
     CESIUM_MAN,
@@ -85,16 +86,10 @@ def labels_of(primitives: Sequence[SkinnedPrimitive], crease: float = 15.0) -> I
     )
 
 
-def partition(labels: IntArray) -> list[int]:
-    """Number the classes in the order in which they appear."""
-    seen: dict[int, int] = {}
-    return [seen.setdefault(label, len(seen)) for label in labels.tolist()]
-
-
 def classes(*primitives: SkinnedPrimitive, crease: float = 15.0) -> list[int]:
     labels = labels_of(primitives, crease)
     assert sorted(set(labels.tolist())) == list(range(len(set(labels.tolist()))))
-    return partition(labels)
+    return as_met(labels)
 
 
 @pytest.mark.parametrize("name", [*FIXTURES, *MODELS])
@@ -102,7 +97,7 @@ def test_the_classes_are_those_of_another_implementation(name: str) -> None:
     for primitives in meshes_of(path_of(name)).values():
         for crease in (15.0, 0.0, 60.0, 180.0):
             expected = weld_classes(primitives, crease_angle_degrees=crease)
-            assert partition(labels_of(primitives, crease)) == partition(expected)
+            assert as_met(labels_of(primitives, crease)) == as_met(expected)
 
 
 def test_uv_seams_weld_although_their_normals_and_the_sign_of_zero_differ() -> None:
@@ -121,7 +116,7 @@ def test_hard_edges_stay_apart() -> None:
 def test_equal_positions_weld_and_minus_zero_is_zero() -> None:
     positions = [[0, 0, 0], [-0.0, 0, -0.0], [0, 1e-30, 0], [0, 0, 1e-45]]
     assert classes(copies(positions=positions)) == [0, 0, 1, 2]
-    assert partition(kernel.label_equal_rows(np.array(positions, dtype=np.float32))) == [0, 0, 1, 2]
+    assert as_met(kernel.label_equal_rows(np.array(positions, dtype=np.float32))) == [0, 0, 1, 2]
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0, 0.0])
@@ -220,7 +215,7 @@ def test_groups_of_every_size_weld_alike(count: int, crease: float) -> None:
     # Groups above PAIRED_GROUP grow step by step, smaller ones are compared pair by pair.
     part = copies(normals=directions(count, seed=count), dtype=np.float64)
     found = classes(part, crease=crease)
-    assert found == partition(weld_classes([part], crease_angle_degrees=crease))
+    assert found == as_met(weld_classes([part], crease_angle_degrees=crease))
     assert len(set(found)) == 5 if crease == 15.0 else len(set(found)) > 5
 
 
@@ -235,7 +230,7 @@ def test_groups_of_several_sizes_beside_each_other_weld_as_if_alone() -> None:
     seen: set[int] = set()
     for part, size in zip(parts, sizes, strict=True):
         own = together[start : start + size]
-        assert partition(own) == partition(labels_of([part]))
+        assert as_met(own) == as_met(labels_of([part]))
         assert not seen & set(own.tolist())
         seen |= set(own.tolist())
         start += size
@@ -262,19 +257,19 @@ def test_the_order_of_vertices_changes_no_class(crease: float, seed: int) -> Non
     )
     found, expected = labels_of([moved], crease), labels_of([part], crease)
     assert len(set(expected.tolist())) > 64
-    assert partition(found) == partition(expected[order])
+    assert as_met(found) == as_met(expected[order])
 
 
 def test_rows_of_one_hash_are_compared_in_full(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = np.random.default_rng(1).integers(0, 3, (200, 4)).astype(np.uint64)
-    expected = partition(kernel.label_equal_rows(rows))
-    assert expected == partition(np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1))
+    expected = as_met(kernel.label_equal_rows(rows))
+    assert expected == as_met(np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1))
 
     def collide(keys: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
         return np.asarray(keys[:, 0] % np.uint64(2))
 
     monkeypatch.setattr(by_numpy, "_hash_rows", collide)
-    assert partition(by_numpy.label_equal_rows(rows)) == expected
+    assert as_met(by_numpy.label_equal_rows(rows)) == expected
 
 
 def test_a_welded_seam_bakes_as_if_it_had_never_been_cut() -> None:

@@ -8,6 +8,7 @@ import pytest
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.lighting import welds
 from skinbake.lighting.welds import weld_classes
+from tests.support.labels import as_met
 
 UP = [0.0, 0.0, 1.0]
 
@@ -39,9 +40,7 @@ def tilted(*degrees: float) -> list[list[float]]:
 
 def partition(*primitives: SkinnedPrimitive, crease: float = 15.0) -> list[int]:
     """Number the classes in the order in which they appear."""
-    classes = weld_classes(primitives, crease_angle_degrees=crease).tolist()
-    seen: dict[int, int] = {}
-    return [seen.setdefault(label, len(seen)) for label in classes]
+    return as_met(weld_classes(primitives, crease_angle_degrees=crease))
 
 
 def test_positions_must_be_equal() -> None:

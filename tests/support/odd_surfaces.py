@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.geometry.skinned import Float64Array, IntArray, SkinnedPrimitive
+from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 
 Random = np.random.Generator
 
@@ -84,9 +84,3 @@ def _weights(random: Random, count: int, slots: int) -> Float64Array:
 
 def _cells(random: Random, table: Float64Array, share: float) -> npt.NDArray[np.bool_]:
     return np.asarray(random.random(table.shape) < share)
-
-
-def as_met(labels: IntArray) -> list[int]:
-    """Number classes in the order in which vertices meet them."""
-    seen: dict[int, int] = {}
-    return [seen.setdefault(label, len(seen)) for label in labels.tolist()]
