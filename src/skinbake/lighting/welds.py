@@ -22,6 +22,9 @@ CROWDED = 32
 Real meshes have only a few. Importing SciPy takes longer than the welding of most meshes.
 """
 
+MOST_NORMALS = 4096
+"""The number of different normals at one point above which only equal ones weld, as in bake."""
+
 HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)
 """2⁶⁴ divided by the golden ratio (Knuth, *The art of computer programming*, 6.4)."""
 
@@ -37,8 +40,9 @@ def weld_classes(
     Vertices of one class have equal positions (−0 is +0) and equal influences (joint → w / Σw, in any slot
     order, compared in float32). A chain of normals joins them: each differs from the next by at most
     ``crease_angle_degrees``, in any primitive of the mesh. Normals may have any length. A zero or non-finite
-    normal welds only with an equal one: the same bits, but −0 is +0. ``claim`` is called with the number of
-    bytes that the pairs at crowded places take, before they are listed.
+    normal welds only with an equal one: the same bits, but −0 is +0. So does any normal at a point with more
+    than MOST_NORMALS different ones. ``claim`` is called with the number of bytes that the pairs at crowded
+    places take, before they are listed.
     """
     positions = np.concatenate([primitive.positions for primitive in primitives]).astype(np.float64)
     with np.errstate(invalid="ignore"):  # a NaN may be signalling
@@ -107,6 +111,7 @@ def _close_pairs(
 ) -> Int64Array:
     """List the pairs (N, 2) at one place whose normals differ by at most ``angle`` radians."""
     counts = np.bincount(places, minlength=len(places))
+    counts[counts > MOST_NORMALS] = 0
     shared = np.flatnonzero(counts[places] > 1)
     with np.errstate(invalid="ignore", divide="ignore"):  # a normal of zeros has no direction
         # The scaling comes before the squaring, so that a normal of any finite length has a direction.
