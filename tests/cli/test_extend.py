@@ -14,7 +14,7 @@ from tests.support import corpus, khronos
 from tests.support.baked_files import CESIUM_MAN, Editable, source, verify
 from tests.support.command_line import document, invoke
 from tests.support.gltf_reading import read
-from tests.support.models import baked, rewritten, stripped
+from tests.support.models import baked, rewritten, sheet, stripped, write_model
 
 FULL = "two_sets.glb"
 """A fixture with vertices that have more foreign joints than free slots."""
@@ -42,6 +42,20 @@ def test_all_joints_of_neighbours_find_a_slot(extended: Path, tmp_path: Path) ->
     costs = [document(invoke("cost", "--influences", str(count), "--json")) for count in (8, 12)]
     work = [cost["multiply_adds"]["3"] for cost in costs]
     assert counts["extended"]["multiply_adds"] == work[1] - work[0]
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float32])
+def test_the_bytes_are_those_of_the_types_in_the_file(tmp_path: Path, kind: type[np.generic]) -> None:
+    """Weights in 8 bits are stored in 16 where a slot adopts a joint, as one of the new set does."""
+    joints = (np.arange(80).reshape(20, 4) % 40).astype(np.uint8)
+    whole = 1 if kind is np.float32 else np.iinfo(kind).max  # type: ignore[type-var]  # the others are integers
+    weights = np.tile(np.array([0.4, 0.2, 0.2, 0.2]) * whole, (20, 1)).astype(kind)
+    path = write_model(tmp_path / "full.glb", [sheet(JOINTS_0=joints, WEIGHTS_0=weights)], joints=40)
+    result = document(invoke("bake", path, "-o", tmp_path / "out.glb", "--json", "--neighbours", "extend"))
+    file = read(tmp_path / "out.glb")
+    names = ("JOINTS_1", "WEIGHTS_1", "_SKINBAKE_ALPHA_1", "_SKINBAKE_BETA_1")
+    told = result["files"][0]["primitives"][0]["extended"]["bytes"]
+    assert told == sum(file.stored_attribute(name)[0].nbytes for name in names)
 
 
 def test_the_new_set_moves_no_vertex(extended: Path) -> None:

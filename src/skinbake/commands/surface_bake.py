@@ -219,7 +219,7 @@ class PrimitiveBake:
             added_bytes=added_bytes,
             bytes_per_vertex=vertex_bytes(encoding, influences),
             limited=self.limit_cost,
-            extended=None if self.extended is None else _extension_cost(self.extended, encoding),
+            extended=None if self.extended is None else _extension_cost(self.extended, self.result, encoding),
         )
 
 
@@ -245,13 +245,14 @@ def _fitted_to_poses(
     ]
 
 
-def _extension_cost(part: Extended, encoding: Encoding) -> ExtensionCost:
-    """Return the price of an influence set more."""
+def _extension_cost(part: Extended, result: BakedPrimitive, encoding: Encoding) -> ExtensionCost:
+    """Return the price of an influence set more, of the types that it has with its adopted joints."""
+    from skinbake.format.adoption import with_adopted
     from skinbake.skinning.algorithms import Algorithm
     from skinbake.skinning.counting import multiply_adds
 
     after = part.primitive.joints.shape[1]
-    before, added = after - SLOTS_PER_SET, part.stored[-1]
+    before, added = after - SLOTS_PER_SET, with_adopted(part.stored, result.adopting, result.adopted)[-1]
     stored = SLOTS_PER_SET * (added.joints.values.itemsize + added.weights.values.itemsize)
     work = [sum(multiply_adds(Algorithm.LBS_ACCURATE, count).values()) for count in (before, after)]
     return ExtensionCost(
