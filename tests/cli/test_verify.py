@@ -49,6 +49,14 @@ def test_a_good_file_exits_0_and_a_bad_one_1(good: Path, bad: Path) -> None:
     assert failed.stderr.startswith(f'error: {bad}: mesh 0 "seam", primitive 0: POSITION changed')
 
 
+def test_several_files_have_a_line_each_and_all_of_it_with_v(good: Path, bad: Path) -> None:
+    lines = run(good, bad).stdout.splitlines()
+    assert [line.split(", ")[0] for line in lines] == [f"{good}: passed", f"{bad}: FAILED (freshness)"]
+    alone = run(good).stdout + run(bad).stdout
+    assert run("-v", good, bad).stdout == alone
+    assert len(alone.splitlines()) > 20
+
+
 @pytest.mark.slow
 def test_several_files_return_the_worst_code_and_all_are_told(good: Path, bad: Path, tmp_path: Path) -> None:
     gone, text = tmp_path / "gone.glb", tmp_path / "text.glb"

@@ -18,6 +18,7 @@ from skinbake.report.verify import (
     Worst,
     as_json,
     as_junit,
+    as_line,
     as_text,
     by_worse_truth,
     gain,
@@ -232,6 +233,40 @@ def test_a_failed_file_says_so_first() -> None:
     assert as_text(UNREADABLE) == "no.glb: FAILED"
     left_out = as_text(replace(PASSED, without_dqs='"Arm" is not rigid'))
     assert left_out.endswith('Dual quaternions left out: "Arm" is not rigid.')
+
+
+@pytest.mark.parametrize(
+    ("verdict", "line"),
+    [
+        (PASSED, "hero.glb: passed, LBS gain 2.50x by triangles, mean error 5.00° -> 2.00°"),
+        (FAILED, "old.glb: FAILED (freshness), 1 warning"),
+        (UNREADABLE, "no.glb: FAILED"),
+        (
+            FileVerdict(
+                "a.glb", (Check("structure", "skipped"),), notices=(Notice("not-baked", "not so", PLACE),)
+            ),
+            "a.glb: not baked",
+        ),
+        (FileVerdict("a.glb", up_to_date=True), "a.glb: passed before, up to date"),
+        (
+            replace(PASSED, normals=lit(4.0, 3.9), by_triangles=None),
+            "hero.glb: passed, LBS gain 1.03x by tangents, mean error 4.00° -> 3.90°, "
+            "little to win: leave it unbaked",
+        ),
+        (
+            replace(PASSED, normals=lit(1e-6, 1e-6), by_triangles=None),
+            "hero.glb: passed, mean error 0.00° -> 0.00°, nothing bends",
+        ),
+    ],
+)
+def test_a_file_among_many_has_one_line(verdict: FileVerdict, line: str) -> None:
+    assert as_line(verdict) == line
+
+
+def test_the_gain_in_a_line_has_a_colour() -> None:
+    worse = as_line(replace(PASSED, normals=lit(1.0, 2.0)))
+    assert f"LBS gain {RED}0.50x" in with_colours(worse)
+    assert f": {GREEN}passed" in with_colours(worse)
 
 
 def test_junit_counts_a_suite_a_file_and_a_case_a_check() -> None:

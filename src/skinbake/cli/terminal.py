@@ -16,7 +16,7 @@ COLOURS = {"passed": "green", "FAILED": "red", "failed": "red"}
 VERDICT = re.compile(r"(: |\n  \w+ +)(passed|FAILED|failed)\b")
 """The verdict after the name of a file, and after the name of a check."""
 
-GAIN = re.compile(r"\n  (?:LBS|DQS) gain .*")
+GAIN = re.compile(r"(?:\n  |, )(?:LBS|DQS) gain .*")
 FACTOR = re.compile(r"(\d+\.\d+)x")
 WORD = re.compile(r"[ \t]*[^ \t]+")
 CONTINUED = 4

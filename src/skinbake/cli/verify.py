@@ -172,7 +172,7 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[VerifyG
     algorithm are from the true ones, in degrees, in the file's own animations. Limits apply to the accurate
     lighting of each --method asked for (LBS otherwise). INPUT is a .glb, .gltf or .vrm file, or - for a GLB
     on stdin; a folder, for all such files below it; or a quoted pattern like 'build/**/*.glb'. Each may be a
-    URL.
+    URL. Several files have a line each; -v shows all of them in full.
     """
     clock = Clock()
     found, notes_at = expanded(inputs), state_path(given)
@@ -208,7 +208,8 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[VerifyG
         for entry in found
     ]
     options_of = {source: options[number] for source, number in zip(sources, sets.numbers, strict=True)}
-    reporting = _reporting(given, say, options_of, {entry.source: entry.searched for entry in found})
+    searched = {entry.source: entry.searched for entry in found}
+    reporting = _reporting(given, say, options_of, searched, is_one=len(found) == 1)
     clock.imports_done()
     guess = (SECONDS_A_FILE, SECONDS_A_BYTE)
     run = run_of(
@@ -228,11 +229,14 @@ def _reporting(
     say: Console,
     options: Mapping[str, VerifyOptions],
     searched: Mapping[str, str | None],
+    *,
+    is_one: bool,
 ) -> Reporting[FileVerdict]:
-    """Return how verdicts are reported, counted and written."""
-    from skinbake.report.verify import OUTCOMES, SCHEMA, as_json, as_junit, as_text, count, file_json
+    """Return how verdicts are reported, counted and written. The verdict on a single file is in full."""
+    from skinbake.report.verify import OUTCOMES, SCHEMA, as_json, as_junit, as_line, as_text, count, file_json
 
     junit, page = given["junit"], given["html"]
+    words_of = as_text if is_one or given["verbose"] else as_line
 
     def tell(verdict: FileVerdict) -> None:
         say.notices(verdict.notices)
@@ -240,7 +244,7 @@ def _reporting(
         if verdict.error is not None:
             say.error(verdict.error)
         if not given["as_json"]:
-            say.verdict(as_text(verdict))
+            say.verdict(words_of(verdict))
 
     def write(verdicts: Sequence[FileVerdict]) -> int:
         code = exit_codes.OK

@@ -12,7 +12,7 @@ from skinbake.choices import Truth
 from skinbake.errors import Notice, Place, SkinbakeError, printable
 from skinbake.report.notices import error_fields, notice_list, place_fields
 from skinbake.report.totals import Totals, reason_of, run_json, timing_fields
-from skinbake.wording import gain_in_words
+from skinbake.wording import counted, gain_in_words
 
 if TYPE_CHECKING:
     from xml.etree import ElementTree
@@ -154,8 +154,14 @@ def gain(figures: dict[str, ErrorFigures], lighting: str = "accurate") -> float 
 
 def by_worse_truth(verdict: FileVerdict) -> dict[str, ErrorFigures]:
     """Return the figures of the first method by the truth with the smaller gain; empty without figures."""
-    every = [next(iter(normals.values())) for normals in verdict.by_truth.values() if normals]
-    return min(every, key=lambda figures: gain(figures) or math.inf, default={})
+    found = _worse(verdict)
+    return found[2] if found else {}
+
+
+def _worse(verdict: FileVerdict) -> tuple[str, str, dict[str, ErrorFigures]] | None:
+    """Return the truth with the smaller gain, the first method and its figures; None without figures."""
+    every = [(truth, *next(iter(normals.items()))) for truth, normals in verdict.by_truth.items() if normals]
+    return min(every, key=lambda found: gain(found[2]) or math.inf, default=None)
 
 
 def count(totals: Totals, verdict: FileVerdict) -> None:
@@ -196,6 +202,23 @@ def as_text(verdict: FileVerdict) -> str:
         lines.append(f"  Angle in degrees between each method's normals and the true ones, over {over}.")
     lines += [f"  {printable(remark)}" for remark in remarks(verdict)]
     return "\n".join(lines)
+
+
+def as_line(verdict: FileVerdict) -> str:
+    """Return the line of one file among many: the outcome, the lower gain, and what is to be done."""
+    head, *_ = as_text(verdict).split("\n", 1)
+    failed = [check.name for check in verdict.checks if check.outcome == "failed"]
+    parts = [f"{head} ({', '.join(failed)})" if failed else head]
+    if found := _worse(verdict):
+        truth, method, figures = found
+        factor = gain(figures)
+        parts += [] if factor is None else [f"{method.upper()} gain {gain_in_words(factor)}x by {truth}"]
+        parts += [f"mean error {figures['approximated'].mean:.2f}° -> {figures['accurate'].mean:.2f}°"]
+        if _little_to_win(verdict):
+            parts += ["nothing bends" if factor is None else "little to win: leave it unbaked"]
+    warnings = sum(notice.code != "not-baked" for notice in verdict.notices)  # the outcome says so
+    parts += [counted(warnings, "warning")] if warnings else []
+    return ", ".join(parts)
 
 
 def remarks(verdict: FileVerdict) -> list[str]:
