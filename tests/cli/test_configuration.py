@@ -222,7 +222,17 @@ class TestValues:
             ("bake = 3\n", "skinbake.toml:1: bake: expected a table"),
             ("[bkae]\n", "skinbake.toml:1: bkae: there is nothing of this name"),
             ("[bkae]\n", "did you mean 'bake'?"),
+            (
+                "encoding = 1\n",
+                "skinbake.toml:1: encoding: there is nothing of this name: expected the table",
+            ),
+            ("encoding = 1\n", "of a command, like [bake], or [[overrides]]"),
+            (
+                "[tool.skinbake.bake]\nencoding = 1\n",
+                "skinbake.toml:1: tool: this is for pyproject.toml: name the tables [bake], [verify] …",
+            ),
             ("[bake]\nencoding = \n", "skinbake.toml is no valid TOML: Invalid value (at line 2"),
+            ("[bake]\nencoding = snorm16\n", "(at line 2, column 12); text stands in quotes"),
             ("[bake]\n\xe4\n", "skinbake.toml is no valid TOML"),
             ("[overrides]\n", "skinbake.toml:1: overrides: expected an array of tables"),
             ("overrides = [3]\n", "skinbake.toml:1: overrides[0]: expected a table"),
@@ -251,6 +261,11 @@ class TestValues:
     )
     def test_mistakes_of_tables(self, text: str, message: str, project: Path) -> None:
         assert message in refused(text)
+
+    def test_a_file_that_is_no_text(self, project: Path) -> None:
+        (project / "skinbake.toml").write_bytes(b"glTF\x86\xff")
+        result = invoke("bake", "a.glb", "--dry-run")
+        assert result.stderr == "error: skinbake.toml is no valid TOML: it is not text in UTF-8\n"
 
     def test_lines_are_those_of_the_key_not_of_its_name(self, project: Path) -> None:
         text = (

@@ -77,7 +77,7 @@ def read_configuration(path: str) -> Configuration | None:
         text = data.decode("utf-8-sig").replace("\r\n", "\n")
         tables = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        raise ConfigurationError(f"{path} is no valid TOML: {error}") from error
+        raise ConfigurationError(f"{path} is no valid TOML: {_fault(error)}") from error
     found = Configuration(path, os.path.realpath(os.path.dirname(path) or os.curdir), text, (), tables)
     if os.path.basename(path) != SHARED_CONFIG:
         return found
@@ -86,6 +86,13 @@ def read_configuration(path: str) -> Configuration | None:
     if inner is None:
         return None
     return Configuration(path, found.folder, text, above, found.table(above, inner))
+
+
+def _fault(error: Exception) -> str:
+    """Return what is wrong with a text that is no TOML, and the usual cause of an invalid value."""
+    if isinstance(error, UnicodeDecodeError):
+        return "it is not text in UTF-8"
+    return f"{error}{'; text stands in quotes' if str(error).startswith('Invalid value') else ''}"
 
 
 def _content(path: str) -> bytes:

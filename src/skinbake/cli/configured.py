@@ -160,8 +160,11 @@ def configured_options(configuration: Configuration, ctx: click.Context) -> Conf
     group = ctx.find_root().command
     commands = group.list_commands(ctx.find_root()) if isinstance(group, click.Group) else []
     for key in configuration.tables:
+        if key == "tool" and not configuration.above:
+            configuration.refuse((key,), "this is for pyproject.toml: name the tables [bake], [verify] …")
         if key not in {*commands, "overrides"}:
-            _unknown(configuration, (key,), "a command, or overrides", [*commands, "overrides"])
+            expected = "the table of a command, like [bake], or [[overrides]]"
+            _unknown(configuration, (key,), expected, [*commands, "overrides"])
     name = str(ctx.command.name)
     table = configuration.table((name,), configuration.tables.get(name, {}))
     settings, _ = _checked(configuration, ctx, (name,), table, SETTABLE)
