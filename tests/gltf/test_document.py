@@ -90,6 +90,7 @@ def test_what_is_no_gltf_is_refused(text: str | bytes, message: str) -> None:
         (b"PK\x03\x04\x14\0\0\0\x08\0", "a ZIP archive: unpack it"),
         (b"version https://git-lfs.github.com/spec/v1\n", "fetch it with git lfs pull"),
         (b"<!DOCTYPE html>\n<html>", "a web page or XML"),
+        (b"\xef\xbb\xbf\r\n\n<html><body>Not Found", "a web page or XML"),
         ('{"asset": {}}'.encode("utf-16"), "text in UTF-16"),
     ],
 )
@@ -98,6 +99,21 @@ def test_a_file_of_another_kind_is_named(data: bytes, message: str) -> None:
         with pytest.raises(InputError, match=message) as caught:
             parse_one(data, name, Path())
         assert str(caught.value).startswith(f"{name}: ")
+
+
+def test_a_buffer_that_git_lfs_has_not_fetched_is_named(tmp_path: Path) -> None:
+    """A .gltf is text, so that only its buffers are kept in Git LFS."""
+    (tmp_path / "hero.bin").write_text(
+        "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9999\n"
+    )
+    content = {"asset": {"version": "2.0"}, "buffers": [{"uri": "hero.bin", "byteLength": 9999}]}
+    document = parse_gltf(json.dumps(content).encode(), "model.gltf", tmp_path)
+    with pytest.raises(InputError) as caught:
+        document.buffer(0)
+    assert str(caught.value) == (
+        'model.gltf: buffer 0, "hero.bin", is the pointer that Git LFS left in its place: '
+        "fetch it with git lfs pull"
+    )
 
 
 @pytest.mark.parametrize("version", ["1.0", "1.1", "3.0", "", "20"])

@@ -202,6 +202,16 @@ def test_what_cannot_be_read_is_an_input_error_that_names_it(tmp_path: Path, uri
     assert len(str(caught.value)) < 300
 
 
+def test_of_a_missing_buffer_it_is_said_what_to_do(tmp_path: Path) -> None:
+    told = '"a.bin" beside it: No such file or directory'
+    with pytest.raises(InputError) as caught:
+        read_resource("a.bin", tmp_path, BESIDE, HERE)
+    remedy = "; copy it there too, or export a .glb, which is one file"
+    assert str(caught.value) == f"model.gltf: cannot read {told}{remedy}"
+    with pytest.raises(InputError, match=f"{told}$"):
+        read_resource("a.bin", tmp_path, BESIDE, HERE, of="image")
+
+
 def test_relative_uris_are_told_from_others() -> None:
     assert is_relative("../a.bin")
     assert not is_relative("http://example.org/a.bin")

@@ -125,11 +125,7 @@ class Document:
         else:
             raise InputError(f"buffer {index} has no URI and there is no BIN chunk that holds it", self.place)
         if len(data) < length:
-            raise InputError(
-                f"buffer {index} is cut short: it declares {counted(length, 'byte')}, but only "
-                f"{one_or_many(len(data), '1 is', '{} are')} there",
-                self.place,
-            )
+            raise InputError(_why_short(index, uri, data, length), self.place)
         return memoryview(data)[:length]
 
     def _resource(self, index: int, uri: str) -> Bytes:
@@ -142,6 +138,19 @@ class Document:
             self.budget.back(len(data), relative_names(uri)[0], f"buffer {index}", self.place)
             self._files[uri] = data
         return self._files[uri]
+
+
+def _why_short(index: int, uri: str | None, data: Bytes, length: int) -> str:
+    """Return why a buffer has fewer bytes than it declares: it is cut, or another file took its place."""
+    from skinbake.gltf.other_kinds import other_kind  # most buffers are whole
+
+    kind = other_kind(data)
+    if kind is not None and uri is not None and not resources.is_data_uri(uri):
+        return f'buffer {index}, "{resources.shortened(uri)}", is {kind}'
+    return (
+        f"buffer {index} is cut short: it declares {counted(length, 'byte')}, but only "
+        f"{one_or_many(len(data), '1 is', '{} are')} there"
+    )
 
 
 def joined(pieces: Sequence[Bytes]) -> Bytes:

@@ -56,7 +56,9 @@ def split_glb(data: Bytes, place: Place) -> GlbChunks:
         raise UnsupportedFeatureError(f"GLB container version {version}; only version 2 is supported", place)
     if length > len(view):
         raise InputError(
-            f"the GLB is cut short: its header says {length:,} bytes, it has {len(view):,}", place
+            f"the GLB is cut short: its header says {length:,} bytes, it has {len(view):,}; "
+            "copy or download it again",
+            place,
         )
     json_chunk, binary, others = _sorted_chunks(_chunks(view[:length], place), place)
     return GlbChunks(json_chunk, binary, others, view[length:])

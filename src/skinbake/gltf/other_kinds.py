@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from skinbake.errors import InputError, Place
+from skinbake.files import Bytes
 from skinbake.wording import OTHER_FORMATS
 
 _TAKE_THE_MODEL = "take the model that it belongs to"
@@ -25,11 +26,18 @@ FIRST_BYTES = (
 """The beginning of files that take the place of a model by mistake, and their kind in words."""
 
 
-def refuse_other_kind(data: bytes | memoryview, place: Place) -> None:
+def refuse_other_kind(data: Bytes, place: Place) -> None:
     """Raise InputError if a file is empty, or is of another kind by its first bytes."""
     if not len(data):
         raise InputError("it is empty: an export or a download may have stopped; write it again", place)
+    if kind := other_kind(data):
+        raise InputError(f"this is not glTF, but {kind}", place)
+
+
+def other_kind(data: Bytes) -> str | None:
+    """Return the kind of a file that is no model by its first bytes, and what to do; None of any other."""
     head = bytes(data[:32])
-    for first, kind in FIRST_BYTES:
-        if head.startswith(first):
-            raise InputError(f"this is not glTF, but {kind}", place)
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()  # servers answer with white space before a page
+    return next(
+        (kind for first, kind in FIRST_BYTES if first in {head[: len(first)], text[: len(first)]}), None
+    )

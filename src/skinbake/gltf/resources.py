@@ -160,7 +160,10 @@ def read_resource(uri: str, folder: Path, bounds: Bounds, place: Place, *, of: s
     except OSError as error:
         if error.errno == errno.EXDEV:
             raise outside(uri, "a link on the way leads out of its folder", place, of=of) from error
-        raise InputError(f'cannot read "{shortened(uri)}" beside it: {error.strerror}', place) from error
+        remedy = "; copy it there too, or export a .glb, which is one file" if of == "buffer" else ""
+        advice = remedy if error.errno == errno.ENOENT else ""
+        message = f'cannot read "{shortened(uri)}" beside it: {error.strerror}{advice}'
+        raise InputError(message, place) from error
 
 
 def outside(uri: str, why: str, place: Place, *, of: str = "buffer") -> InputError:
