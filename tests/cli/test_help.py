@@ -51,6 +51,16 @@ def test_the_help_of_an_option_names_only_options_of_its_command(name: str) -> N
 
 
 @pytest.mark.parametrize("name", COMMANDS)
+def test_the_value_of_an_option_has_a_name_of_ours(name: str) -> None:
+    """Without one, click writes INTEGER RANGE, FLOAT RANGE or TEXT."""
+    named = re.findall(
+        r"^  (?:-\w, )?--[a-z-]+ ([A-Z].*?)(?:  |$)", invoke(name, "--help").stdout, re.MULTILINE
+    )
+    assert [value for value in named if re.search(r"RANGE|INTEGER|FLOAT\b|TEXT", value)] == []
+    assert named
+
+
+@pytest.mark.parametrize("name", COMMANDS)
 def test_the_examples_are_commands(name: str) -> None:
     """click takes each of them; nothing is run."""
     command, _ = command_of(name)

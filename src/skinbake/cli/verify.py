@@ -94,6 +94,7 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> str:
 @click.option(
     "--samples",
     type=in_range(VERIFY_RANGES["samples"]),
+    metavar="N",
     help="Poses of each clip, evenly from its first moment to its last, which are the same pose in a loop: "
     "take 3 or more. By default about 60 in all, at least 3 for each clip. A file without clips has 24 "
     "random poses; --poses random:N gives another number.",
@@ -111,6 +112,7 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> str:
     type=in_range(VERIFY_RANGES["seed"]),
     default=0,
     show_default=True,
+    metavar="N",
     help="Seed of random poses.",
 )
 @click.option(
@@ -123,7 +125,8 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> str:
 @click.option(
     "--cap",
     type=in_range(VERIFY_RANGES["cap"]),
-    help="Limit the correction of a tangent to this share of it (0.9 in the authors' demo); off by default.",
+    metavar="X",
+    help="Limit a tangent's correction to X times its length (0.9 in the authors' demo); off by default.",
 )
 @click.option(
     "--max-mean-error",
