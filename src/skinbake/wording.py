@@ -104,7 +104,7 @@ def not_gltf(path: str) -> str:
     way = OTHER_FORMATS.get(ALIASES.get(suffix, suffix))
     if way is not None:
         return f"{suffix[1:].upper()} is not glTF: {way}"
-    told, meant = f"expected a name that ends in {', '.join(SUFFIXES)}, or -", ""
+    told, meant = f"expected a name that ends in {', '.join(SUFFIXES)}, or - for stdin", ""
     if path and not os.path.lexists(path):
         meant = meant_file(path)
         if not suffix:

@@ -27,7 +27,11 @@ def test_it_writes_to_stdout() -> None:
 @pytest.mark.parametrize(
     ("target", "code", "said"),
     [
-        ("hero.gltf", 2, "hero.gltf: the example is a GLB; expected a name that ends in .glb, or -"),
+        (
+            "hero.gltf",
+            2,
+            "hero.gltf: the example is a GLB; expected a name that ends in .glb, or - for stdout",
+        ),
         ("{}", 2, "is a folder: name the file"),
         ("{}/file/hero.glb", 4, "file is a file, not a folder"),
     ],

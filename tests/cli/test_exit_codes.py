@@ -187,7 +187,10 @@ class TestUsage:
             (["model.obj", "-o", "{dir}/a.glb"], "model.obj: OBJ is not glTF: OBJ has no skin"),
             (["model", "-o", "{dir}/a.glb"], "model: no such file or folder"),
             (["model.txt", "-o", "{dir}/a.glb"], "expected a name"),
-            (["{seam}", "-o", "{dir}/a.fbx"], "a.fbx: expected a name that ends in .glb"),
+            (
+                ["{seam}", "-o", "{dir}/a.fbx"],
+                "a.fbx: expected a name that ends in .glb, .gltf, .vrm, or - for stdout",
+            ),
             (["{seam}", "-o", "{dir}"], "out is a folder: use --out-dir"),
             (["{seam}", "-o", "{dir}/new/"], "new/ is a folder: use --out-dir"),
             (["{seam}", "-o", "{seam}"], "is the input; use --in-place"),

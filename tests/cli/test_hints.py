@@ -100,7 +100,7 @@ def test_a_mistyped_suffix_is_asked_about(name: str, tmp_path: Path) -> None:
     code, text = said("inspect", tmp_path / name)
     assert code == 2
     assert text.endswith(
-        f"{name}: expected a name that ends in .glb, .gltf, .vrm, or -; did you mean 'hero.glb'?"
+        f"{name}: expected a name that ends in .glb, .gltf, .vrm, or - for stdin; did you mean 'hero.glb'?"
     )
     (tmp_path / name).touch()
     assert "id you mean" not in said("inspect", tmp_path / name)[1], "it is there"

@@ -98,7 +98,11 @@ def test_the_page_names_nothing_on_the_network(tmp_path: Path) -> None:
     [
         (["{tube}", "-o", "page.glb"], exit_codes.USAGE, "page.glb is the name of a model"),
         (["{tube}", "-o", "page.png"], exit_codes.USAGE, "page.png: expected a name that ends in .html or"),
-        (["{tube}", "-o", "page"], exit_codes.USAGE, "page: expected a name that ends in .html or .htm"),
+        (
+            ["{tube}", "-o", "page"],
+            exit_codes.USAGE,
+            "page: expected a name that ends in .html or .htm, or - for stdout",
+        ),
         (["{tube}", "-o", "{folder}"], exit_codes.USAGE, "is a folder"),
         (["model.obj"], exit_codes.USAGE, "OBJ is not glTF: OBJ has no skin"),
         (["{folder}/none.glb", "-o", "{folder}/page.html"], exit_codes.INPUT, "cannot be read"),

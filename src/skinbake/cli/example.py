@@ -26,7 +26,9 @@ def command(output: str, **given: Any) -> None:
     """Write a small model to try the other commands on: an arm that bends, with an animation."""
     check_named(output)
     if output != STDIO and Path(output).suffix.lower() != ".glb":
-        raise click.UsageError(f"{output}: the example is a GLB; expected a name that ends in .glb, or -")
+        raise click.UsageError(
+            f"{output}: the example is a GLB; expected a name that ends in .glb, or - for stdout"
+        )
     say = console(given, results_on_stderr=output == STDIO)
     from skinbake.commands.example import write_example
 

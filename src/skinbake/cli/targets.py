@@ -39,7 +39,9 @@ def check_target(source: str, target: str, *, instead: str = "use --in-place to 
     if target == STDIO:
         return
     if Path(target).suffix.lower() not in SUFFIXES:
-        raise click.UsageError(f"{target}: expected a name that ends in {', '.join(SUFFIXES)}, or -")
+        raise click.UsageError(
+            f"{target}: expected a name that ends in {', '.join(SUFFIXES)}, or - for stdout"
+        )
     if source != STDIO and _same_file(source, target):
         raise click.UsageError(f"{target} is the input; {instead}")
 

@@ -86,7 +86,9 @@ def _check_page(output: str) -> None:
     if is_model_name(output):
         raise click.UsageError(f"{output} is the name of a model; name the page .html")
     if not output.lower().endswith(PAGES):
-        raise click.UsageError(f"{output}: expected a name that ends in {' or '.join(PAGES)}, or -")
+        raise click.UsageError(
+            f"{output}: expected a name that ends in {' or '.join(PAGES)}, or - for stdout"
+        )
     check_earlier(output, is_page)
 
 
