@@ -109,7 +109,7 @@ fuzz: $(DEV) ## Damage models for MINUTES=2 in WORKERS=2 from SEED, by every com
 fuzz-native: $(DEV) ## The compiled loops and the decoders under sanitizers for MINUTES=2 from SEED
 	$(BIN)/python -m fuzz.native --minutes $(MINUTES) --seed $(SEED)
 
-fuzz-coverage: $(DEV) ## Which branches of src/skinbake/gltf the fuzzer reaches in MINUTES=2, and which it misses
+fuzz-coverage: $(DEV) ## Which branches of src/skinbake/files and gltf the fuzzer reaches in MINUTES=2, and which it misses
 	$(BIN)/python -m fuzz.branches --minutes $(MINUTES) --workers $(WORKERS) --seed $(SEED) --corpus $(FUZZ_MODELS)
 
 faults: $(DEV) ## Kills, signals and I/O errors at every call that writes
