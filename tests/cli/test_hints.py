@@ -39,6 +39,9 @@ def said(*arguments: str | Path) -> tuple[int, str]:
         (["shader", "--target", "threee"], "Did you mean 'three'?"),
         (["render", "x.glb", "-o", "x.png", "--mode", "shade"], "Did you mean 'shaded'?"),
         (["bake", "x.glb", "--gardients", "rig"], "Did you mean '--gradients'?"),
+        (["--versoin"], "Did you mean '--version'?"),
+        (["-v", "bake", "x.glb"], "No such option '-v'. The options of a command stand after its name"),
+        (["A.GLB"], "No such command 'A.GLB'. A command comes before the file, like skinbake view A.GLB"),
     ],
 )
 def test_a_mistyped_word_is_asked_about(arguments: list[str], question: str) -> None:

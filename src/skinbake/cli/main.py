@@ -50,6 +50,15 @@ class LazyGroup(click.Group):
         command: click.Command = importlib.import_module(f"skinbake.cli.{cmd_name}").command
         return command
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Read what stands before the command. For the option of a command, say where it stands."""
+        try:
+            return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            if error.possibilities:
+                raise
+            ctx.fail(f"{error.format_message()} The options of a command stand after its name")
+
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
@@ -57,8 +66,11 @@ class LazyGroup(click.Group):
         try:
             return super().resolve_command(ctx, args)
         except click.UsageError as error:
+            from skinbake.files.urls import SUFFIXES
             from skinbake.wording import did_you_mean
 
+            if args[0].lower().endswith(SUFFIXES):
+                ctx.fail(f"{error.message} A command comes before the file, like skinbake view {args[0]}")
             meant = did_you_mean(args[0], COMMANDS)
             if meant:
                 ctx.fail(f"{error.message} {meant[0].upper()}{meant[1:]}")
