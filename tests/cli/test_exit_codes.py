@@ -113,6 +113,14 @@ class TestBake:
         result = invoke("bake", path, "-o", tmp_path / "out.glb")
         assert "passed through unchanged: it has a skin, but no mesh that is drawn with one" in result.stderr
 
+    def test_a_skinned_mesh_without_joints_is_named(self, tmp_path: Path) -> None:
+        path = write_model(tmp_path / "bare.glb", [sheet(JOINTS_0=None, WEIGHTS_0=None)])
+        result = invoke("bake", path, "-o", tmp_path / "out.glb")
+        assert (
+            "passed through unchanged: the meshes that are drawn with a skin have no JOINTS_0"
+            in result.stderr
+        )
+
     def test_nothing_to_bake_is_3_where_it_is_required(self, tmp_path: Path) -> None:
         path = write_model(tmp_path / "bare.glb", [sheet(NORMAL=None)])
         result = invoke("bake", path, "-o", tmp_path / "out.glb", "--require-baked")

@@ -234,7 +234,8 @@ def test_a_broken_pointer_is_refused() -> None:
     animate(builder)
     point(builder, "/nodes/4/rotation")
     with pytest.raises(
-        InputError, match='the pointer "/nodes/4/rotation": "node" is 4, but the file has 4 nodes'
+        InputError,
+        match='clip "animation 0": the pointer "/nodes/4/rotation": "node" is 4, but the file has 4 nodes',
     ):
         read_clips(builder.document())
     point(builder, 3)
@@ -444,11 +445,17 @@ def _sampler(json: JsonObject) -> JsonObject:
             "needs 9 outputs of 4 components, found 3 of 4",
         ),
         (lambda json: _sampler(json).update(output=0), "needs 3 outputs of 4 components, found"),
-        (lambda json: _sampler(json).update(output=77), "refers to entry 77"),
-        (lambda json: json["animations"][0]["channels"][0].update(sampler=5), "refers to entry 5"),
+        (
+            lambda json: _sampler(json).update(output=77),
+            'clip "animation 0": "output" is 77, but the file has',
+        ),
+        (
+            lambda json: json["animations"][0]["channels"][0].update(sampler=5),
+            'clip "animation 0": "sampler" refers to entry 5',
+        ),
         (
             lambda json: json["animations"][0]["channels"][0]["target"].update(node=40),
-            "refers to entry 40",
+            'clip "animation 0": "node" is 40, but the file has 4 nodes',
         ),
         (
             lambda json: json["animations"][0]["channels"][0]["target"].update(path="scale"),

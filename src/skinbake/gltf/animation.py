@@ -362,9 +362,9 @@ def _channel(
 
     known are the times that were read before, by accessor. outputs are the values, by accessor and use.
     """
-    place = document.place
-    node, path, nodes = _target(document, channel)
-    sampler_index = index(channel, "sampler", len(samplers), place)
+    place, owner = document.place, f'clip "{clip}"'
+    node, path, nodes = _target(document, channel, owner)
+    sampler_index = index(channel, "sampler", len(samplers), place, owner=owner)
     if node is None or path is None or sampler_index is None:
         return None
     components = _morph_count(document, node) if path == MORPH_WEIGHTS else PATHS.get(path)
@@ -372,7 +372,10 @@ def _channel(
         return None
     sampler = samplers[sampler_index]
     accessors = document.objects("accessors")
-    source, output = (index(sampler, key, len(accessors), place) for key in ("input", "output"))
+    source, output = (
+        index(sampler, key, len(accessors), place, owner=owner, kind="accessor")
+        for key in ("input", "output")
+    )
     if source is None or output is None:
         raise _refused(document, clip, node, "its sampler lacks its input or output")
     if source not in known:
@@ -398,19 +401,21 @@ def _channel(
     return Channel(node, path, method, times, outputs[use], nodes)
 
 
-def _target(document: Document, channel: JsonObject) -> tuple[int | None, str | None, frozenset[int]]:
+def _target(
+    document: Document, channel: JsonObject, clip: str
+) -> tuple[int | None, str | None, frozenset[int]]:
     """Return the node and its property that a channel moves, also through a pointer; None for others.
 
-    The nodes of ``Channel.nodes`` come last.
+    The nodes of ``Channel.nodes`` come last. clip names the clip in errors.
     """
     place, count = document.place, len(document.objects("nodes"))
     target = member(channel, "target", place)
     path = text(target, "path", place)
     if path != "pointer":
-        return index(target, "node", count, place), path, frozenset()
+        return index(target, "node", count, place, owner=clip, kind="node"), path, frozenset()
     extension = member(member(target, "extensions", place), POINTER_EXTENSION, place)
     pointer = text(extension, "pointer", place) or ""
-    owner = f'the pointer "{pointer}"'
+    owner = f'{clip}: the pointer "{pointer}"'
     if (found := POINTER.fullmatch(pointer)) is not None:
         node = index({"node": int(found[1])}, "node", count, place, owner=owner, kind="node")
         return node, found[2], frozenset()

@@ -143,6 +143,8 @@ def _sets_after_gap(source: PrimitiveSource) -> list[Notice]:
 
 def why_nothing(document: Document) -> str:
     """Return why a document without skinned primitives has none: a clause for messages."""
+    if _joint_counts(document):
+        return "the meshes that are drawn with a skin have no JOINTS_0"
     if document.objects("skins"):
         return "it has a skin, but no mesh that is drawn with one"
     return "nothing in it is skinned"
