@@ -159,7 +159,10 @@ def test_inputs_named_twice_by_folders_and_patterns_are_baked_once(tree: Path, t
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["one", "two", "--out-dir", "out"], "would both become"),
+        (
+            ["one", "two", "--out-dir", "out"],
+            "/x.glb: take another --out-dir for one, or name a folder above",
+        ),
         (["one", "two/x.glb", "--out-dir", "out"], "would both become"),
         (["one/*", "two", "--out-dir", "out"], "would both become"),
         (["one", "--out-dir", "one"], "is the input; use --in-place"),

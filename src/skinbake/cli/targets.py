@@ -193,7 +193,10 @@ def pair_up(inputs: Sequence[Input], folder: str) -> list[tuple[Input, str]]:
         if entry.missing is None:
             key = found.real(target)
             if key in taken:
-                raise click.UsageError(f"{taken[key]} and {source} would both become {target}")
+                raise click.UsageError(
+                    f"{taken[key]} and {source} would both become {target}: take another --out-dir for one, "
+                    "or name a folder above both, so that their paths stay"
+                )
             taken[key] = source
             check_target(source, target)
             if key in sources:
