@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 from unittest.mock import patch
 
 import numpy as np
@@ -60,6 +60,13 @@ RULES: dict[str, dict[str, Any]] = {
     "chains do not curl": {"TOGETHER": 0.0},
     "chains of four joints are long": {"LONG_CHAIN": 4},
 }
+
+
+Ratios: TypeAlias = dict[str, dict[tuple[str, str], float]]
+"""By model, and by poses and truth: the error with the fit over that with the gradients of the surface."""
+
+RANDOM = "random:200"
+"""The poses of the last row, to which α and β are fitted after the rules as they are."""
 
 
 @dataclass(frozen=True)
@@ -113,9 +120,10 @@ def models_of(paths: Sequence[Path]) -> Iterator[Model]:
             yield Model(path, name, lit)
 
 
-def baked(path: Path, kind: Gradients) -> Document:
+def baked(path: Path, kind: Gradients, fit_poses: Sequence[str] = ()) -> Document:
     """Bake a model with one kind of gradients."""
-    return Baker(gradients=kind, generate_normals=True).bake_document(read_document(str(path))).document
+    baker = Baker(gradients=kind, fit_poses=tuple(fit_poses), generate_normals=True)
+    return baker.bake_document(read_document(str(path))).document
 
 
 def lit_by(document: Document) -> dict[str, Lit]:
@@ -138,29 +146,38 @@ def figures(models: Sequence[Model]) -> Iterator[str]:
         with changed(constants):
             ratios, lost = ratios_of(models)
             fitted = [grown(KINDS["smooth"], *size, gradients=Gradients.RIG) for size in TUBES]
-        cells = [
-            " / ".join(
-                f"{np.mean([of[poses, truth] for of in ratios.values() if (poses, truth) in of]):.3f}"
-                for truth in Truth
-            )
-            for poses in POSES
-        ]
-        largest, worst = max((max(of.values()), model) for model, of in ratios.items())
-        cells.append(f"{largest:.2f}, {worst}")
-        cells.append(f"{sum(lost.values())}: {', '.join(lost)}" if lost else "none")
-        cells += [f"{rig.accurate / plain.accurate:.2f}" for rig, plain in zip(fitted, tubes, strict=True)]
-        yield f"| {name} | {' | '.join(cells)} |"
+        ends = [f"{rig.accurate / plain.accurate:.2f}" for rig, plain in zip(fitted, tubes, strict=True)]
+        yield row(name, ratios, lost, ends)
+    name = f"as it is, then fitted to 200 random poses of up to 45° (`--fit-poses {RANDOM}`)"
+    yield row(name, *ratios_of(models, Gradients.POSES, [RANDOM]), ["—"] * len(tubes))
 
 
-def ratios_of(models: Sequence[Model]) -> tuple[dict[str, dict[tuple[str, str], float]], Counter[str]]:
+def row(name: str, ratios: Ratios, lost: Counter[str], ends: Sequence[str]) -> str:
+    """Return one row of the table, which ends with the cells of the tubes."""
+    cells = [
+        " / ".join(
+            f"{np.mean([of[poses, truth] for of in ratios.values() if (poses, truth) in of]):.3f}"
+            for truth in Truth
+        )
+        for poses in POSES
+    ]
+    largest, worst = max((max(of.values()), model) for model, of in ratios.items())
+    cells.append(f"{largest:.2f}, {worst}")
+    cells.append(f"{sum(lost.values())}: {', '.join(lost)}" if lost else "none")
+    return f"| {' | '.join([name, *cells, *ends])} |"
+
+
+def ratios_of(
+    models: Sequence[Model], kind: Gradients = Gradients.RIG, fit_poses: Sequence[str] = ()
+) -> tuple[Ratios, Counter[str]]:
     """Return the error that the fit leaves of that of the surface's gradients, by model, poses and truth.
 
     Also return by model the number of cases in which the fit leaves more than standard lighting has.
     """
-    found: dict[str, dict[tuple[str, str], float]] = {}
+    found: Ratios = {}
     lost: Counter[str] = Counter()
     for model in models:
-        lit = lit_by(baked(model.path, Gradients.RIG))
+        lit = lit_by(baked(model.path, kind, fit_poses))
         cases = [(poses, truth) for poses in model.surface for truth in Truth]
         found[model.name] = {
             (poses, truth): lit[poses].mean(truth) / model.surface[poses].mean(truth)

@@ -37,6 +37,9 @@ KINDS = {
     "poses, extend": (Gradients.POSES, Neighbours.EXTEND),
 }
 
+ALIKE = 0.01
+"""The relative difference of errors up to which models of as many vertices are one in two files."""
+
 HELD_BACK = 47
 """The poses of all clips together, from end to end. The fit takes others: none at an end of a clip."""
 
@@ -69,7 +72,7 @@ def main() -> int:
 
 def models_of(paths: Sequence[Path]) -> Iterator[Model]:
     """Yield every model that bends in its clips, each geometry once."""
-    seen = set()
+    seen: list[tuple[object, float]] = []
     for path, name in zip(paths, told_apart(list(paths)), strict=True):
         print(f"{name} ...", file=sys.stderr, flush=True)
         try:
@@ -80,9 +83,9 @@ def models_of(paths: Sequence[Path]) -> Iterator[Model]:
         if model is None or model.vertices < FEWEST:
             continue
         poses, lit = next(iter(model.lit.items()))
-        key = model.vertices, poses, round(lit["surface"].mean(Truth.TANGENTS), 2)
-        if key not in seen:
-            seen.add(key)
+        key, mean = (model.vertices, poses), lit["surface"].mean(Truth.TANGENTS)
+        if not any(key == other and np.isclose(mean, there, rtol=ALIKE) for other, there in seen):
+            seen.append((key, mean))
             yield model
 
 

@@ -10,7 +10,9 @@ from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import Skeleton, read_skeleton, rest_pose, skins_of
 from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import MOST
 from skinbake.gltf.primitives import PrimitiveSource
+from skinbake.wording import counted
 
 
 def fitting_rig(document: Document, source: PrimitiveSource) -> tuple[Rig | None, list[Notice]]:
@@ -56,13 +58,20 @@ Exporters round inverse bind matrices. The stored pose of a file that rests in i
 """
 
 
+BYTES_A_POSED_NODE = 640
+"""The memory that a node takes while its pose is made."""
+
+
 def _rig_of(document: Document, skeleton: Skeleton) -> Rig:
     """Return the rig of a skeleton of the document, which is made once for all meshes."""
     known: dict[int, Rig] = document.derived.setdefault("rigs", {})
     key = id(skeleton)  # the document keeps its skeletons
     if key not in known:
         parents = _joint_parents(skeleton)
-        known[key] = Rig(parents, _pivots(skeleton.inverse_bind), _stored_pose(skeleton, parents))
+        with document.budget.passing():
+            what = f"the stored pose of {counted(len(skeleton.nodes), 'node')}"
+            document.budget.claim(BYTES_A_POSED_NODE * len(skeleton.nodes), what, document.place)
+            known[key] = Rig(parents, _pivots(skeleton.inverse_bind), _stored_pose(skeleton, parents))
     return known[key]
 
 
@@ -106,7 +115,8 @@ def _stored_pose(skeleton: Skeleton, parents: npt.NDArray[np.int32]) -> Float64A
         sizes = np.linalg.norm(stored[parents[held], :, :3], axis=(1, 2))
         # A turn by a small angle changes the norm of a rotation, √3, by √2 times the angle.
         counts = np.linalg.norm(turned, axis=(1, 2)) > np.sqrt(2.0 / 3.0) * TURNED * sizes
+        held_by_float32 = (np.abs(stored) <= MOST).all(axis=(1, 2))
     if not counts.any():
         return None
-    stored[~np.isfinite(stored).all(axis=(1, 2))] = np.nan
+    stored[~held_by_float32] = np.nan
     return stored

@@ -15,13 +15,13 @@ static ALWAYS_INLINE void find_leverage(RingFrame *f, const Vector derivatives[2
     if (!f->sound)
         return;
     const Vector unit = times(c, 1.0 / area), lean = minus(f->normal, times(unit, 0.5 * dot(unit, f->normal)));
-    const Vectors t = f->along, normal = twice(f->normal);
-    const Vectors q = times_each(twice(lean), divide_pairs(dots(t, twice(unit)), both(area)));
+    const Vectors t = f->along, normal = both_vectors(f->normal);
+    const Vectors q = times_each(both_vectors(lean), divide_pairs(dots(t, both_vectors(unit)), both(area)));
     const Pair squared_area = both(area * area);
-    const Pair t_a = divide_pairs(dots(crosses(t, twice(b)), twice(c)), squared_area);
-    const Pair t_b = divide_pairs(dots(crosses(twice(a), t), twice(c)), squared_area);
-    f->leverage[0] = plus_each(times_each(normal, t_a), crosses(twice(b), q));
-    f->leverage[1] = plus_each(times_each(normal, t_b), crosses(q, twice(a)));
+    const Pair t_a = divide_pairs(dots(crosses(t, both_vectors(b)), both_vectors(c)), squared_area);
+    const Pair t_b = divide_pairs(dots(crosses(both_vectors(a), t), both_vectors(c)), squared_area);
+    f->leverage[0] = plus_each(times_each(normal, t_a), crosses(both_vectors(b), q));
+    f->leverage[1] = plus_each(times_each(normal, t_b), crosses(q, both_vectors(a)));
 }
 
 /* The sum of the unit normals at the corners of a class, of any length. It depends neither on the order of the
@@ -57,7 +57,7 @@ static ALWAYS_INLINE double doubt_of(const Surface *s, double alignment)
 }
 
 /* Write six numbers of four corners by corner. */
-static ALWAYS_INLINE void turn_over(const Four numbers[ADDED], double by_corner[AT_ONCE][ADDED])
+static ALWAYS_INLINE void transpose_corners(const Four numbers[ADDED], double by_corner[AT_ONCE][ADDED])
 {
 #if defined(HAS_SHUFFLES)
     Four low = __builtin_shufflevector(numbers[0], numbers[1], 0, 4, 2, 6);  /* of corners 0 and 2 */
@@ -132,7 +132,7 @@ static ALWAYS_INLINE void find_neighbours(const Surface *s, Shape shape, size_t 
         }
         for (size_t n = some; n < AT_ONCE; n++)
             edges[n] = edges[0];
-        turn_rows(edges, c->edges + 3 * end);
+        transpose_rows(edges, c->edges + 3 * end);
     }
     w->neighbours = count;
 }
@@ -172,7 +172,7 @@ static ALWAYS_INLINE void add_corners(const Surface *s, Corners *c, size_t some,
                                                       multiply(numbers[2], all(tangents[n].z))));
         numbers[ADDED - 1] = all(0.0);
         double by_corner[AT_ONCE][ADDED];
-        turn_over(numbers, by_corner);
+        transpose_corners(numbers, by_corner);
         for (size_t n = 0; n < some; n++) {
             double *sum = c->neighbours[end][n]->added;
             store(sum, add(load(sum), load(by_corner[n])));
@@ -220,7 +220,7 @@ static ALWAYS_INLINE void find_turn(const RingFrame *f, double shrink, double tu
 {
     const Vectors edges = load_vectors(turn + BY_EDGE), *u = f->leverage;
     const Pair along = scaled(shrink, load_pair(turn + BY_ITSELF));
-    const Vectors by_a = twice(one_of(edges, 0)), by_b = twice(one_of(edges, 1));
+    const Vectors by_a = both_vectors(one_of(edges, 0)), by_b = both_vectors(one_of(edges, 1));
     const Vectors arms = plus_each(times_each(u[0], both(part(along, 0))), times_each(u[1], both(part(along, 1))));
     const Vectors spins = times_each(plus_each(crosses(by_a, u[0]), crosses(by_b, u[1])), both(shrink));
     store(turn, join(arms.x, arms.y));
@@ -258,7 +258,7 @@ static ALWAYS_INLINE int32_t sum_ring(const Surface *s, Shape shape, int32_t use
     const Four none = all(0.0);
     Four gradients[3] = {none, none, none}, sums[AT_ONCE][PRODUCTS / AT_ONCE]; /* of the usual four slots */
     memset(w->turns, 0, (size_t)used * TURN * sizeof *w->turns);
-    *derivatives = twice((Vector){0.0, 0.0, 0.0});
+    *derivatives = both_vectors((Vector){0.0, 0.0, 0.0});
     for (int k = 0; k < AT_ONCE; k++)
         for (int m = 0; m < PRODUCTS / AT_ONCE; m++)
             sums[k][m] = none;

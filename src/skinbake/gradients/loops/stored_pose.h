@@ -12,7 +12,7 @@ static ALWAYS_INLINE Vectors turned_by(const double matrix[MATRIX], Vectors v)
 {
     Vectors rows[3];
     for (int row = 0; row < 3; row++)
-        rows[row] = twice((Vector){matrix[4 * row], matrix[4 * row + 1], matrix[4 * row + 2]});
+        rows[row] = both_vectors((Vector){matrix[4 * row], matrix[4 * row + 1], matrix[4 * row + 2]});
     return (Vectors){dots(rows[0], v), dots(rows[1], v), dots(rows[2], v)};
 }
 
@@ -61,7 +61,7 @@ static Vectors posed_derivatives(const Surface *s, Vector position, const double
         const Vectors edges = times_each(load_vectors(products + BY_EDGE), both(shrink));
         const Pair along = scaled(shrink, load_pair(products + BY_ITSELF));
         const Vector over = minus(moved_by(matrix, position), w->frame.stored.point);
-        posed = plus_each(posed, plus_each(turned_by(matrix, edges), times_each(twice(over), along)));
+        posed = plus_each(posed, plus_each(turned_by(matrix, edges), times_each(both_vectors(over), along)));
     }
     return posed;
 }
@@ -74,11 +74,11 @@ static Vectors mapped_tangents(Vectors tangents, Vectors derivatives, Vectors po
     const double area = sqrt(dot(across, across)), posed_area = sqrt(dot(posed_across, posed_across));
     const Vector third = times(posed_across, sqrt(posed_area / area) / posed_area);
     const Pair squared_area = both(area * area);
-    const Pair along_a = divide_pairs(dots(crosses(tangents, twice(b)), twice(across)), squared_area);
-    const Pair along_b = divide_pairs(dots(crosses(twice(a), tangents), twice(across)), squared_area);
-    const Pair along_third = divide_pairs(dots(tangents, twice(across)), both(area));
-    return plus_each(plus_each(times_each(twice(posed_a), along_a), times_each(twice(posed_b), along_b)),
-                     times_each(twice(third), along_third));
+    const Pair along_a = divide_pairs(dots(crosses(tangents, both_vectors(b)), both_vectors(across)), squared_area);
+    const Pair along_b = divide_pairs(dots(crosses(both_vectors(a), tangents), both_vectors(across)), squared_area);
+    const Pair along_third = divide_pairs(dots(tangents, both_vectors(across)), both(area));
+    return plus_each(plus_each(times_each(both_vectors(posed_a), along_a), times_each(both_vectors(posed_b), along_b)),
+                     times_each(both_vectors(third), along_third));
 }
 
 /* Measure the tilt of a sound class in the stored pose. derivatives are those of the positions, at rest. */
@@ -95,7 +95,7 @@ static void find_stored_tilt(const Surface *s, Vector position, Vectors derivati
     const double lengths = part(squares, 0) + part(squares, 1), most = s->fit.stretched;
     const Vector normal = cross(one_of(mapped, 0), one_of(mapped, 1));
     stored->normal = times(normal, 1.0 / sqrt(dot(normal, normal)));
-    stored->tilts = dots(twice(stored->normal), turned_by(blended, w->frame.along));
+    stored->tilts = dots(both_vectors(stored->normal), turned_by(blended, w->frame.along));
     const double sum = part(stored->tilts, 0) + part(stored->tilts, 1) + dot(stored->normal, stored->normal);
     const int counts = lengths <= most * unstretched && unstretched <= most * lengths && isfinite(sum);
     stored->weight = counts ? 2.0 / lengths : 0.0; /* lengths of 0 do not count: the normal is not finite */

@@ -103,7 +103,7 @@ typedef struct {
     Pair x, y, z;
 } Vectors;
 static ALWAYS_INLINE Vector one_of(Vectors v, int n) { return (Vector){part(v.x, n), part(v.y, n), part(v.z, n)}; }
-static ALWAYS_INLINE Vectors twice(Vector v) { return (Vectors){both(v.x), both(v.y), both(v.z)}; }
+static ALWAYS_INLINE Vectors both_vectors(Vector v) { return (Vectors){both(v.x), both(v.y), both(v.z)}; }
 static ALWAYS_INLINE Vectors load_vectors(const double *from)
 {
     return (Vectors){load_pair(from), load_pair(from + 2), load_pair(from + 4)};
@@ -145,7 +145,7 @@ static ALWAYS_INLINE Four row4(const void *base, int wide, size_t row)
 }
 
 /* The three columns of four rows. */
-static ALWAYS_INLINE void turn_rows(const double *const rows[4], Four columns[3])
+static ALWAYS_INLINE void transpose_rows(const double *const rows[4], Four columns[3])
 {
 #if defined(HAS_SHUFFLES)
     Four even = join(load_pair(rows[0]), load_pair(rows[2])), odd = join(load_pair(rows[1]), load_pair(rows[3]));

@@ -89,7 +89,7 @@ static ALWAYS_INLINE int choose_slots(const Surface *s, size_t slots, size_t ver
             continue;
         if (count == MOST_FITTED)
             return 0;
-        fitted->given[count] = dots(twice(w->gradients[k]), w->frame.along);
+        fitted->given[count] = dots(both_vectors(w->gradients[k]), w->frame.along);
         fitted->presence[count] = presence;
         fitted->joints[count] = joint;
         fitted->slots[count++] = k;
@@ -236,8 +236,8 @@ static ALWAYS_INLINE void add_turn(Vector position, const Climb *climb, const do
     const double squared_lever = dot(lever, lever), square = dot(tilt, tilt);
     const double pull = fitted->stiffness * squared_lever;
     const Vectors arms = load_vectors(turn + ARMS), spins = load_vectors(turn + SPINS);
-    const Vectors wanted = plus_each(crosses(twice(lever), arms), spins);
-    const Pair aims = dots(twice(tilt), wanted);
+    const Vectors wanted = plus_each(crosses(both_vectors(lever), arms), spins);
+    const Pair aims = dots(both_vectors(tilt), wanted);
     Pair carried = both(0.0);
     for (size_t i = 0; i <= e.unknowns; i++)
         carried = add_pairs(carried, scaled(bit_of(climb->carries, i, e.unknowns), fitted->given[i]));
@@ -265,7 +265,7 @@ static ALWAYS_INLINE void add_curls(const Surface *s, const Curl *curls, size_t 
     for (const Curl *curl = curls; curl < curls + count; curl++)
         for (size_t i = 0; i < e.unknowns; i++) {
             const Vector moved = times(curl->moved[i], s->fit.together);
-            e.right[i] = add_pairs(e.right[i], dots(twice(moved), curl->wanted));
+            e.right[i] = add_pairs(e.right[i], dots(both_vectors(moved), curl->wanted));
             for (size_t k = 0; k <= i; k++)
                 e.matrix[i * e.stride + k] += dot(moved, curl->moved[k]);
         }
