@@ -56,7 +56,7 @@ RULES: dict[str, dict[str, Any]] = {
     "λ = 0.24": {"STIFFNESS": 0.24},
     "joints that are hardly there are fitted like others": {"FAINT": 0.0},
     "the stored pose does not count": {"STORED": 0.0},
-    "the stored pose counts 10": {"STORED": 10.0},
+    "the stored pose counts 4": {"STORED": 4.0},
     "chains do not curl": {"TOGETHER": 0.0},
     "chains of four joints are long": {"LONG_CHAIN": 4},
 }

@@ -360,7 +360,7 @@ class TestArguments:
             "doubt": 0.01,
             "smooth": 0.2,
             "most_doubt": 4.0,
-            "times_stored": 4.0,
+            "times_stored": 10.0,
             "stretched": 4.0,
             "even": 1e-4,
             "faint": 0.1,
@@ -557,7 +557,7 @@ for turn in range(16):
             beta=alpha.copy(), adopted=np.zeros((V, S), np.int32), ends=ends, sums=np.zeros((2, 4)),
             parents=parents, ranks=ranks, pivots=pivots, chains=chains, stored=stored, class_count=V // 2,
             weighting=_kernel.BY_ANGLE, adopts=True, negligible=1e-4, missing=15.0, stiffness=0.1,
-            together=10.0, doubt=0.01, smooth=0.2, most_doubt=4.0, times_stored=4.0, stretched=4.0,
+            together=10.0, doubt=0.01, smooth=0.2, most_doubt=4.0, times_stored=10.0, stretched=4.0,
             even=1e-4, faint=0.1, unfelt=1e-6, flat=1e-6,
             grouped=grouped if spoil is anything and turn % 2 else None, first=0, last=V // 2)
     except (IndexError, ValueError):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -192,11 +192,23 @@ def sampled_fit(primitive: SkinnedPrimitive, rig: Rig) -> tuple[Float64Array, Fl
         given.append(base)
         tilts += squared_tilts(slopes + np.einsum("vsk,vk->vs", lifts, own), columns)
         if in_pose is not None:
-            at_rest, rises = in_pose
-            tilts += (at_rest + np.einsum("vk,vk->v", rises, own)) ** 2
+            tilts += (in_pose.slopes + np.einsum("vk,vk->v", in_pose.rises, own)) ** 2
     share = (tilts / (tilts + doubts(primitive) ** 2))[:, None]
     alpha, beta = (base + share * (fit - base) for base, fit in zip(given, found, strict=True))
     return alpha, beta
+
+
+@dataclass(frozen=True)
+class InStoredPose:
+    """The tilt of a tangent in the stored pose, with its weight.
+
+    slopes (V,) are those without α. Each unit of a slot's α adds rises (V, K), and moves the tangent by moves
+    (V, K, 3).
+    """
+
+    slopes: Float64Array
+    rises: Float64Array
+    moves: Float64Array
 
 
 def stored_rows(
@@ -205,8 +217,8 @@ def stored_rows(
     maps: Maps,
     frame: tuple[Float64Array, Float64Array],
     true_normals: Maps,
-) -> dict[str, tuple[Float64Array, Float64Array]]:
-    """Return by number the weighted tilt (V,) in the stored pose without it, and that of each slot (V, K)."""
+) -> dict[str, InStoredPose]:
+    """Return the rows of the stored pose for α and for β."""
     points = homogeneous(primitive.positions.astype(np.float64))
     matrices = stored[primitive.joints]
     moved = np.einsum("vkij,vj->vki", matrices, points)
@@ -215,11 +227,12 @@ def stored_rows(
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     carried = [np.einsum("vij,vj->vi", maps(deformed), tangent) for tangent in frame]
     weight = np.sqrt(STORED * 2.0 / np.square(carried).sum(axis=(0, 2)))
-    lift = weight[:, None] * np.einsum("vki,vi->vk", moved - deformed[:, None], normals)
+    moves = weight[:, None, None] * (moved - deformed[:, None])
+    rises = np.einsum("vki,vi->vk", moves, normals)
     found = {}
     for name, tangent in zip(("alpha", "beta"), frame, strict=True):
         turned = np.einsum("vk,vkij,vj->vi", primitive.weights, matrices[..., :3], tangent)
-        found[name] = weight * np.einsum("vi,vi->v", turned, normals), lift
+        found[name] = InStoredPose(weight * np.einsum("vi,vi->v", turned, normals), rises, moves)
     return found
 
 
@@ -291,7 +304,7 @@ def solved(
     base: Float64Array,
     slopes: Float64Array,
     columns: Float64Array,
-    stored: tuple[Float64Array, Float64Array] | None,
+    stored: InStoredPose | None,
 ) -> Float64Array:
     """Solve each vertex by numpy's lstsq, with rows for all pulls, for all slots but the first.
 
@@ -315,9 +328,11 @@ def solved(
         matrix = [row[1:] - row[0] for row in pulls]
         right = [row @ base[vertex] for row in pulls]
         if stored is not None:
-            slope, lift = stored
-            matrix.append(lift[vertex, 1:] - lift[vertex, 0])
-            right.append(-slope[vertex])
+            matrix.append(stored.rises[vertex, 1:] - stored.rises[vertex, 0])
+            right.append(-stored.slopes[vertex])
+            for moves in np.sqrt(stiffness) * stored.moves[vertex].T:
+                matrix.append(moves[1:] - moves[0])
+                right.append(moves @ base[vertex])
         for chain in chains:
             curl = [joint for joint in chain if joint in parting]
             for axis in range(3 if len(curl) > 1 else 0):

@@ -28,11 +28,8 @@ DOUBT, and at most MOST_DOUBT times it. Triangles that lie nearly in one plane s
 the gradient follows that surface better than they do.
 """
 
-STORED = 4.0
-"""How much more the stored pose counts than that one joint turns by a radian.
-
-It counts as much as that one joint turns by half a radian, about 30°, as joints of clips do.
-"""
+STORED = 10.0
+"""How much more the stored pose counts than that one joint turns by a radian: as a turn by 18° does."""
 
 STRETCHED = 4.0
 """The factor by which the stored pose may change the squared lengths of tangents.

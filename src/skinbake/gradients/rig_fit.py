@@ -239,7 +239,7 @@ def _normal_equations(
     _add_chains(sums, pairs, effects)
     tilts = _tilts_of_surface(pairs, effects, count)
     if turns.stored is not None:
-        tilts += _add_stored_pose(sums, pairs, turns.stored, vertices, given)
+        tilts += _add_stored_pose(sums, pairs, turns.stored, vertices, given, stiffness)
     _add_pulls_of_slots(sums, pairs, given, presence, stiffness * reach)
     # Where levers are very long, the tilts overflow.
     solvable = turns.sound[vertices.classes] & (reach > 0.0) & np.isfinite(tilts)
@@ -319,21 +319,32 @@ def _add_chains(sums: _Sums, pairs: _Pairs, effects: _TurnEffects) -> None:
 
 
 def _add_stored_pose(
-    sums: _Sums, pairs: _Pairs, stored: StoredTilts, vertices: FittedVertices, given: Float64Array
+    sums: _Sums,
+    pairs: _Pairs,
+    stored: StoredTilts,
+    vertices: FittedVertices,
+    given: Float64Array,
+    stiffness: Float64Array,
 ) -> Float64Array:
-    """Add 4 v (n' · t')², the tilt in the stored pose. Return it with the surface's gradients, (V,).
+    """Add 10 v ((n' · t')² + λ |t' − t'∇|²), the tilt and the pull in the stored pose.
 
-    α of the last slot is minus the sum of the others. So what counts of a height is what it is over that of
-    the last slot.
+    Return 10 v (n' · t'∇)² (V,), with the tangents t'∇ of the surface's gradients. α of the last slot is
+    minus the sum of the others. So each unknown moves a tangent by the displacement of its joint over that of
+    the last one.
     """
     matrix, right = sums
     at, every = vertices.classes, np.arange(len(vertices.classes))
-    heights = stored.heights(at, pairs.named, vertices.positions)
-    over = np.where(pairs.named >= 0, heights - heights[every, pairs.last, None], 0.0)
-    weights, tilts = STORED * stored.weights[at], stored.tilts[at]
-    matrix += weights[:, None, None] * over[:, :, None] * over[:, None, :]
-    right -= (weights[:, None] * over)[:, :, None] * tilts[:, None, :]
-    off = tilts + np.einsum("vk,vkt->vt", heights, given)
+    normals, tilts, weights = stored.normals[at], stored.tilts[at], STORED * stored.weights[at]
+    displaced = stored.displacements(at, pairs.named, vertices.positions)
+    over = np.where((pairs.named >= 0)[:, :, None], displaced - displaced[every, pairs.last, None], 0.0)
+    raised = np.einsum("vki,vi->vk", over, normals)
+    pulls = (stiffness * weights)[:, None, None]
+    matrix += weights[:, None, None] * raised[:, :, None] * raised[:, None, :]
+    matrix += pulls * np.einsum("vki,vli->vkl", over, over)
+    by_gradients = np.einsum("vki,vkt->vit", displaced, given)
+    right -= (weights[:, None] * raised)[:, :, None] * tilts[:, None, :]
+    right += pulls * np.einsum("vki,vit->vkt", over, by_gradients)
+    off = tilts + np.einsum("vi,vit->vt", normals, by_gradients)
     return np.asarray(weights * np.square(off).sum(axis=1), dtype=np.float64)
 
 

@@ -48,15 +48,14 @@ class StoredTilts:
     tilts: Float64Array
     weights: Float64Array
 
-    def heights(self, classes: IntArray, joints: IntArray, positions: FloatArray) -> Float64Array:
-        """Return how far above their class each joint moves V vertices, along n': (V, K), 0 for no joint.
+    def displacements(self, classes: IntArray, joints: IntArray, positions: FloatArray) -> Float64Array:
+        """Return where joints move V vertices, from the points of their classes: (V, K, 3), 0 for no joint.
 
         classes (V,), joints (V, K) and positions (V, 3) are those of the vertices.
         """
         moved = _moved(self.matrices[np.maximum(joints, 0)], positions.astype(np.float64)[:, None])
-        heights = np.einsum("vki,vi->vk", moved - self.points[classes, None], self.normals[classes])
         counts = (joints >= 0) & (self.weights[classes] > 0.0)[:, None]
-        return np.where(counts, heights, 0.0)
+        return np.where(counts[:, :, None], moved - self.points[classes, None], 0.0)
 
 
 def stored_tilts(

@@ -294,24 +294,27 @@ static ALWAYS_INLINE void gather_turns(const Surface *s, Vector position, const 
     add_curls(s, w->curls, way->curls, e);
 }
 
-/* Add the tilt in the stored pose to the normal equations of the slots (twin: rig_fit._add_stored_pose). */
+/* Add the tilt and the pull in the stored pose to the normal equations of the slots (twin:
+   rig_fit._add_stored_pose). */
 static void add_stored_pose(const Surface *s, Vector position, const StoredTilt *stored, Fitted *fitted, Equations e)
 {
-    double heights[MOST_FITTED];
-    Pair off = stored->tilts;
+    Vector over[MOST_FITTED];
+    Vectors by_gradients = both_vectors((Vector){0.0, 0.0, 0.0});
     for (size_t i = 0; i <= e.unknowns; i++) {
-        const Vector moved = moved_by(stored_matrix(s, fitted->joints[i]), position);
-        heights[i] = dot(minus(moved, stored->point), stored->normal);
-        off = add_pairs(off, scaled(heights[i], fitted->given[i]));
+        over[i] = minus(moved_by(stored_matrix(s, fitted->joints[i]), position), stored->point);
+        by_gradients = plus_each(by_gradients, times_each(both_vectors(over[i]), fitted->given[i]));
     }
-    const double weight = s->fit.stored * stored->weight;
+    const double weight = s->fit.stored * stored->weight, pull = fitted->stiffness * weight;
+    const Pair off = add_pairs(stored->tilts, dots(both_vectors(stored->normal), by_gradients));
     const Pair squares = multiply_pairs(off, off);
     fitted->tilts += weight * (part(squares, 0) + part(squares, 1));
     for (size_t i = 0; i < e.unknowns; i++) {
-        const double over = weight * (heights[i] - heights[e.unknowns]);
-        e.right[i] = subtract_pairs(e.right[i], scaled(over, stored->tilts));
+        over[i] = minus(over[i], over[e.unknowns]);
+        const double raised = weight * dot(over[i], stored->normal);
+        const Pair pulled = scaled(pull, dots(both_vectors(over[i]), by_gradients));
+        e.right[i] = add_pairs(e.right[i], subtract_pairs(pulled, scaled(raised, stored->tilts)));
         for (size_t k = 0; k <= i; k++)
-            e.matrix[i * e.stride + k] += over * (heights[k] - heights[e.unknowns]);
+            e.matrix[i * e.stride + k] += raised * dot(over[k], stored->normal) + pull * dot(over[i], over[k]);
     }
 }
 
