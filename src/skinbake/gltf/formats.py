@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skinbake.gltf.json_access import JsonObject
+from skinbake.gltf.json_access import JsonObject, reference
 
 COMPONENT_TYPES: dict[int, np.dtype[np.generic]] = {
     5120: np.dtype("<i1"),
@@ -31,5 +31,5 @@ MATRIX_ROWS = {"MAT2": 2, "MAT3": 3, "MAT4": 4}
 
 def component_dtype(holder: JsonObject) -> np.dtype[np.generic] | None:
     """Return the dtype of an object's ``componentType``, None if glTF does not define it."""
-    code = holder.get("componentType")
-    return COMPONENT_TYPES.get(code) if isinstance(code, int) else None
+    code = reference(holder.get("componentType"))
+    return None if code is None else COMPONENT_TYPES.get(code)

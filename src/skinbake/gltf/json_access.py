@@ -147,7 +147,7 @@ def is_deeper(value: object, levels: int) -> bool:
 
 
 def reference(value: object) -> int | None:
-    """Return a reference to an entry of an array as an integer, None if it is none; 3.0 is 3."""
+    """Return a reference to an entry of an array, or a code, as an integer; None if it is none. 3.0 is 3."""
     if isinstance(value, float) and value.is_integer():
         return int(value)
     return value if isinstance(value, int) and not isinstance(value, bool) else None

@@ -16,7 +16,7 @@ from skinbake.geometry.triangles import TRIANGLE_FAN, TRIANGLES, unrolled
 from skinbake.gltf.accessors import StoredArray, element_count, read_accessor
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.document import Document
-from skinbake.gltf.formats import COMPONENT_NAMES
+from skinbake.gltf.formats import component_dtype
 from skinbake.gltf.json_access import (
     LARGEST_INTEGER,
     JsonObject,
@@ -239,8 +239,7 @@ def has_float_tangents(document: Document, source: PrimitiveSource) -> bool:
     number = index(source.attributes, "TANGENT", len(accessors), source.place)
     if number is None:
         return False
-    kind = accessors[number].get("componentType")
-    return isinstance(kind, int) and COMPONENT_NAMES.get(kind) == "FLOAT"
+    return component_dtype(accessors[number]) == np.float32
 
 
 def read_primitive(document: Document, source: PrimitiveSource) -> SkinnedPrimitive:

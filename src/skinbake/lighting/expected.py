@@ -15,6 +15,7 @@ from skinbake.format.metadata import FORMER_ATTRIBUTES, POSES, STORED_POSE
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import integer
 from skinbake.gltf.rigs import fitting_rig
 from skinbake.gradients.baker import slots_of_surface
 from skinbake.lighting.baked_views import BakedView
@@ -88,9 +89,8 @@ def former_weights(document: Document, view: BakedView) -> FloatArray | None:
     # A limit takes sets away. So if none was added, the noted ones are from before a limit.
     if not names or (FORMER_ATTRIBUTES in view.metadata and len(names) == count):
         return None
-    weights = np.concatenate(
-        [read_accessor(document, before[name], place).decoded() for name in names], axis=1
-    )
+    numbers = [integer(before, name, place) for name in names]
+    weights = np.concatenate([read_accessor(document, number, place).decoded() for number in numbers], axis=1)
     return np.pad(weights, ((0, 0), (0, view.now.weights.shape[1] - weights.shape[1])))
 
 

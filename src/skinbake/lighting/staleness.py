@@ -14,6 +14,7 @@ from skinbake.errors import InputError, Notice
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import integer
 from skinbake.lighting import freshness
 from skinbake.lighting.baked_views import BakedView, gathered_together
 from skinbake.lighting.before_adoption import NO_PAYMENT, paid_share, weights_before
@@ -404,7 +405,8 @@ def _sum_to_one(view: BakedView) -> bool:
 
 
 def _is_quantised(document: Document, view: BakedView) -> bool:
-    position = read_accessor(document, view.source.attributes["POSITION"], view.source.place).values
+    attributes, place = view.source.attributes, view.source.place
+    position = read_accessor(document, integer(attributes, "POSITION", place), place).values
     return "POSITION" in view.changed and position.dtype.kind != "f"
 
 

@@ -15,6 +15,7 @@ from skinbake.format.metadata import POSES, STORED_POSE, slot_names, slots_diges
 from skinbake.geometry.poses import fingerprint, is_fingerprint_of
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import integer
 from skinbake.gltf.rigs import fitting_rig
 from skinbake.lighting.baked_views import BakedView
 from skinbake.lighting.expected import noted_kind, noted_poses, rest_primitives_of, surface_slots
@@ -89,7 +90,8 @@ def _change(document: Document, view: BakedView) -> str | None:
         return f"The skeleton changed since the bake (its hierarchy or its bind pose): {BAKE_AGAIN}"
     attributes, place = view.source.attributes, view.source.place
     stored = {
-        name: read_accessor(document, attributes[name], place).values for name in slot_names(view.metadata)
+        name: read_accessor(document, integer(attributes, name, place), place).values
+        for name in slot_names(view.metadata)
     }
     noted = view.metadata.get(STORED_POSE) or view.metadata[POSES]
     if slots_digest(stored) != noted["slots"]:
