@@ -208,6 +208,21 @@ def test_inverse_bind_matrices_of_zeros_are_baked_with_a_notice(tmp_path: Path) 
     assert "no inverse bind matrix of the skin can be inverted" in result.stderr
 
 
+@pytest.mark.parametrize(("gradients", "advised"), [("rig", False), ("surface", True)])
+def test_a_fit_to_the_rig_is_not_advised_where_it_is_impossible(
+    gradients: str, advised: bool, tmp_path: Path
+) -> None:
+    """Over half of the vertices of this mesh adopt joints."""
+
+    def without_view(content: Any) -> None:
+        del content["accessors"][content["skins"][0]["inverseBindMatrices"]]["bufferView"]
+
+    path = edited("foreign_joints.glb", tmp_path, without_view)
+    result = invoke("bake", path, "-o", tmp_path / "out.glb", "--gradients", gradients)
+    assert "so coarse a mesh is often lit worse" in result.stderr
+    assert ("take --gradients rig" in result.stderr) is advised
+
+
 def test_a_file_without_clips_is_fitted_to_random_poses_with_a_notice(tmp_path: Path) -> None:
     still = changed(copied(CLIP, tmp_path), without_clips, "still.glb")
     result = invoke("bake", still, "-o", tmp_path / "baked.glb", "--gradients", "poses")

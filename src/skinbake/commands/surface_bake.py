@@ -40,9 +40,11 @@ BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 128, 48, 24
 class FitTarget:
     """The rig and the poses to which a surface is fitted, None for none, and notices about them.
 
-    pose_names are the sources of the poses, as the metadata names them.
+    asked is the kind of gradients that the user asked for. pose_names are the sources of the poses, as the
+    metadata names them.
     """
 
+    asked: Gradients = Gradients.SURFACE
     rig: Rig | None = None
     poses: FoundPoses | None = None
     pose_names: Sequence[str] = ()
@@ -62,13 +64,13 @@ class FitTarget:
         with stage("rig"):
             rig, notices = fitting_rig(document, sources[0])
         if kind is Gradients.RIG:
-            return cls(rig, notices=notices)
+            return cls(kind, rig, notices=notices)
         from skinbake.lighting.poses_to_fit import poses_to_fit  # it poses: half a second of imports
 
         with stage("poses"):
             found = poses_to_fit(document, sources[0].mesh, fit_poses, sources[0].place)
         names = [source if isinstance(source, str) else source.name for source in fit_poses]
-        return cls(rig, found, names, [*notices, *found.notices])
+        return cls(kind, rig, found, names, [*notices, *found.notices])
 
     @property
     def noted(self) -> JsonObject:
@@ -157,7 +159,7 @@ class SurfaceBake:
         outcomes = bake_primitives(primitives, self.settings, self.target.rig)
         noted = self.target.noted
         bakes = [
-            PrimitiveBake(source, primitive, *outcome, fitted=noted)
+            PrimitiveBake(source, primitive, *outcome, asked=self.target.asked, fitted=noted)
             for source, primitive, outcome in zip(self.sources, primitives, outcomes, strict=True)
         ]
         return (
@@ -169,7 +171,8 @@ class SurfaceBake:
 class PrimitiveBake:
     """One primitive: the arrays that were baked, the result, the findings, and the loss by a limit.
 
-    fitted is what the metadata says of the fit, nothing for the gradients of the surface.
+    asked is the kind of gradients that the user asked for. fitted is what the metadata says of the fit,
+    nothing for the gradients of the surface.
     """
 
     source: PrimitiveSource
@@ -178,6 +181,7 @@ class PrimitiveBake:
     findings: BakeFindings
     limited: Limited | None = None
     limit_cost: LimitCost | None = None
+    asked: Gradients = Gradients.SURFACE
     fitted: JsonObject = field(default_factory=dict)
     extended: Extended | None = None
 
@@ -191,6 +195,7 @@ class PrimitiveBake:
             self.findings,
             source.joint_count,
             source.place,
+            asked=self.asked,
             fitted=bool(self.fitted),
         )
         return [*assumed, *lean_notices(given, source.place)]

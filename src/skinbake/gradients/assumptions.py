@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skinbake.choices import Frame
+from skinbake.choices import Frame, Gradients
 from skinbake.errors import InputError, Notice, Place
 from skinbake.geometry.blocks import blocks
 from skinbake.geometry.frames import NO_DIRECTION
@@ -29,16 +29,19 @@ def assumptions(
     joint_count: int,
     place: Place,
     *,
+    asked: Gradients,
     fitted: bool,
 ) -> list[Notice]:
     """Return one notice for each kind of assumption.
 
-    joint_count is the number of joints of the skin. fitted tells that the gradients are fitted to a rig.
+    joint_count is the number of joints of the skin. asked is the kind of gradients that the user asked for.
+    fitted tells that the gradients are fitted to a rig.
     """
     count = len(primitive.positions)
     forced = baked.frame == Frame.TANGENT
     consequence = "used all the same, as asked" if forced else "the frame is taken from NORMAL instead"
     coarse = 0 if fitted or findings.adopting_vertices <= COARSE * count else findings.adopting_vertices
+    rig = ", or take --gradients rig" if asked is Gradients.SURFACE else ""
     remedy = "; remove NORMAL and bake with --generate-normals" if findings.zero_normals == count else ""
     table = [
         *_of_influences(findings.weights, _naming_outside(primitive, joint_count), joint_count),
@@ -51,7 +54,7 @@ def assumptions(
             "lighting-doubtful",
             coarse,
             f"{{count:,}} of {count:,} vertices take joints of their neighbours: so coarse a mesh is often "
-            "lit worse by --gradients surface; measure it with skinbake verify, or take --gradients rig",
+            f"lit worse by the gradients of the surface; measure it with skinbake verify{rig}",
         ),
         (
             "normals-zero",
