@@ -276,10 +276,25 @@ class TestForFile:
         assert message in result.stderr
         assert result.stdout == ""
 
-    def test_a_file_that_is_not_baked_is_refused(self) -> None:
-        result = invoke("shader", "--lang", "glsl", "--for", TUBE)
+    @pytest.mark.parametrize(
+        ("parts", "message"),
+        [
+            ([sheet(), sheet(NORMAL=None)], "is baked: run skinbake bake first"),
+            (
+                [sheet(POSITION=None), sheet(NORMAL=None)],
+                "is baked: run skinbake bake --generate-normals first",
+            ),
+            ([sheet(POSITION=None)] * 2, "can be baked: it has no POSITION"),
+            ([sheet(JOINTS_0=None)], "can be baked: no mesh that it draws with a skin has joints"),
+        ],
+    )
+    def test_a_file_that_is_not_baked_is_refused_with_what_to_do(
+        self, parts: list[Part], message: str, tmp_path: Path
+    ) -> None:
+        file = write_model(tmp_path / "plain.glb", parts)
+        result = invoke("shader", "--lang", "glsl", "--for", file)
         assert result.exit_code == 3
-        assert "nothing in it is baked" in result.stderr
+        assert result.stderr == f"error: {file}: nothing in it {message}\n"
 
     @pytest.mark.parametrize("target", ["three", "bevy", "bevy-wesl", "godot"])
     def test_an_engine_s_limit_is_the_file_s_fault_with_the_way_out(

@@ -17,7 +17,7 @@ from skinbake.format.metadata import slot_names
 from skinbake.gltf.animation import read_clips, skins_of
 from skinbake.gltf.document import STDIO, Document, read_document
 from skinbake.gltf.output import refuse_own_input
-from skinbake.gltf.primitives import reason_to_skip, skinned_sources
+from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources, why_nothing
 from skinbake.gradients.weight_sums import weight_sum_notices
 from skinbake.lighting.baked_views import BakedView, baked_views, is_baked
 from skinbake.lighting.joint_checks import joints_without_dqs, without_dqs
@@ -222,6 +222,20 @@ def _other_texcoords(view: BakedView) -> Notice:
     return Notice("texcoords-differ", message, view.source.place)
 
 
+def _nothing_baked(document: Document, sources: Sequence[PrimitiveSource]) -> InputError:
+    """Return the error for a file without a bake. It tells what to run, or why nothing can be baked."""
+    reasons = [reason_to_skip(document, source, generate_normals=False) for source in sources]
+    found = [reason for reason in reasons if reason is not None]
+    if len(found) < len(sources):
+        message = "nothing in it is baked: run skinbake bake first"
+    elif any(reason.code == "no-normals" for reason in found):
+        message = "nothing in it is baked: run skinbake bake --generate-normals first"
+    else:
+        told = "; ".join(dict.fromkeys(reason.message.removeprefix("skipped: ") for reason in found))
+        message = f"nothing in it can be baked: {told or why_nothing(document)}"
+    return InputError(message, document.place)
+
+
 def _views(document: Document) -> list[BakedView]:
     """Return the baked primitives. Raises InputError if there are none, or one is damaged or stale."""
     sources, _ = skinned_sources(document)
@@ -231,7 +245,7 @@ def _views(document: Document) -> list[BakedView]:
         if reason is not None:
             raise InputError(f"it has lost what α/β are for ({reason.message}): bake it anew", reason.place)
     if not baked:
-        raise InputError("nothing in it is baked: run skinbake bake first", document.place)
+        raise _nothing_baked(document, sources)
     views, problems = baked_views(document, baked)
     for problem in problems:
         if problem.code != "tangents-skewed":
