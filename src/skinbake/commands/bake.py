@@ -30,6 +30,7 @@ from skinbake.gltf.primitives import (
     why_nothing,
 )
 from skinbake.gradients.baker import BakeSettings
+from skinbake.gradients.normal_lean import lean_notices
 from skinbake.report.bake import BakedCounts, EncodingCost, FileResult
 from skinbake.timing import stage
 
@@ -127,6 +128,7 @@ class Baker(CheckedOptions):
         with stage("encoding"):
             cost, unmeasured = _encoding_cost(document, bakes, storage)
         notices = [*kept, *reasons, *remarks, *(notice for bake in bakes for notice in bake.notices)]
+        notices += lean_notices((bake.primitive, bake.source.place) for bake in bakes)
         notices += [
             *stored_otherwise(document, sources),
             *level_ignored(document, sources, level),

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 
 import numpy as np
 
 from skinbake.choices import FrameChoice
+from skinbake.errors import Notice
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.format.attribute_store import meshopt_of
 from skinbake.format.metadata import changed_arrays, read_metadata, slot_names
@@ -41,6 +43,8 @@ def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
         document = read_document(source, bounds)
     sources, notices = skinned_sources(document)
     primitives = []
+    read: dict[int, list[PrimitiveSource]] = {}
+    leaning: set[int] = set()
     for entry in sources:
         reason = reason_to_skip(document, entry, generate_normals=False)
         if reason is not None:
@@ -50,7 +54,11 @@ def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
                 primitive = read_primitive(document, entry)
                 primitives.append(_summary(document, entry, primitive))
                 notices += weight_sum_notices(primitive, entry.place)
-                notices += lean_notices(primitive, entry.place)
+                read.setdefault(entry.mesh, []).append(entry)
+                if lean_notices([(primitive, entry.place)]):
+                    leaning.add(entry.mesh)
+    for mesh in sorted(leaning):
+        notices += _lean_notices(document, read[mesh])
     return InspectResult(
         input=source,
         byte_length=_byte_length(document),
@@ -60,6 +68,18 @@ def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
         primitives=tuple(primitives),
         notices=tuple(notices),
     )
+
+
+def _lean_notices(document: Document, sources: Sequence[PrimitiveSource]) -> list[Notice]:
+    """Return the notices on normals of one mesh. Few meshes have any, so only these are read at once."""
+    with document.budget.passing():
+        primitives = []
+        for source in sources:
+            primitive = read_primitive(document, source)
+            size = BYTES_A_VERTEX * len(primitive.positions)
+            document.budget.claim(size, "comparing its normals", source.place)
+            primitives.append((primitive, source.place))
+        return lean_notices(primitives)
 
 
 def _byte_length(document: Document) -> int:

@@ -20,7 +20,6 @@ from skinbake.gltf.primitives import PrimitiveSource, has_float_tangents, read_i
 from skinbake.gltf.rigs import fitting_rig
 from skinbake.gradients.assumptions import assumptions, check_finite
 from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_primitives
-from skinbake.gradients.normal_lean import lean_notices
 from skinbake.gradients.tangents import with_straight_tangents
 from skinbake.report.bake import BakedCounts, ExtensionCost, LimitCost
 from skinbake.timing import stage
@@ -187,10 +186,10 @@ class PrimitiveBake:
 
     @property
     def notices(self) -> list[Notice]:
-        """Return the assumptions made, and signs of errors in the model."""
-        source, given = self.source, self.primitive
-        assumed = assumptions(
-            given,
+        """Return the assumptions made."""
+        source = self.source
+        return assumptions(
+            self.primitive,
             self.result,
             self.findings,
             source.joint_count,
@@ -198,7 +197,6 @@ class PrimitiveBake:
             asked=self.asked,
             fitted=bool(self.fitted),
         )
-        return [*assumed, *lean_notices(given, source.place)]
 
     def to_store(self, settings: JsonObject) -> Baked:
         """Return the data to write. settings is noted in the metadata."""

@@ -51,7 +51,7 @@ def verify_document(document: Document, options: VerifyOptions) -> FileVerdict:
     structure = Check("structure", "passed", (), _counted(views))
     for view in views:
         notices += weight_sum_notices(view.now, view.source.place)
-        notices += lean_notices(view.now, view.source.place)
+    notices += lean_notices((view.now, view.source.place) for view in views)
     surfaces = gathered_together(document, views)
     operators, fresh = _operators_and_freshness(document, surfaces)
     verdict = lighting_verdict(document, options, surfaces, operators)
