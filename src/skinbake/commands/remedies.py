@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from skinbake.commands.bake import Baker
 
 WORSE = 0.995
-"""The gain below which lighting is worse. From here on, it prints as 1.00."""
+"""The gain below which lighting is worse. A loss of half a percent is too small for a notice."""
 
 UNSEEN = 0.1
 """The degrees that the 99th percentile of the error must reach for lighting to be worse.
