@@ -189,7 +189,17 @@ def constant(value: float, dtype: type[np.generic], *, columns: int = 4, rows: i
 
 U8, U16, F4 = np.uint8, np.uint16, np.float32
 WRONG_ARRAYS: list[tuple[dict[str, AnyArray | None], str]] = [
-    ({"WEIGHTS_0": constant(-np.inf, F4)}, "WEIGHTS_0: its weights are not all finite"),
+    (
+        {"WEIGHTS_0": constant(-np.inf, F4)},
+        r"WEIGHTS_0: its weights are not all finite numbers \(at 20 vertices, first at 0\): mend the mesh",
+    ),
+    (
+        {
+            "JOINTS_1": constant(0, U8),
+            "WEIGHTS_1": np.where(np.arange(20)[:, None] < 7, F4(0), F4("nan")) + constant(0, F4),
+        },
+        r"WEIGHTS_1: its weights are not all finite numbers \(at 13 vertices, first at 7\)",
+    ),
     ({"NORMAL": constant(1, F4, columns=3, rows=19)}, "NORMAL: it has 19 elements, POSITION has 20"),
     ({"JOINTS_0": constant(0, U8, rows=21)}, "JOINTS_0: it has 21 elements, POSITION has 20"),
     ({"TANGENT": constant(1, F4, rows=1)}, "TANGENT: it has 1 element, POSITION has 20"),
@@ -218,7 +228,7 @@ def test_a_position_that_is_no_number_is_refused(tmp_path: Path) -> None:
     first = model.attribute("POSITION")[0].astype(np.float32).tobytes()
     assert path.read_bytes().count(first) == 1
     path.write_bytes(path.read_bytes().replace(first, np.full(3, np.nan, np.float32).tobytes()))
-    with pytest.raises(InputError, match="POSITION: its values are not all finite"):
+    with pytest.raises(InputError, match=r"POSITION: its values are not all finite numbers \(at vertex 0\)"):
         primitive_of(path)
 
 

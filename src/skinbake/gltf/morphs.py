@@ -10,7 +10,7 @@ from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import element_count, read_accessor
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, is_number, objects, text
-from skinbake.gltf.primitives import FLOAT, NORMALISED_SIGNED, PrimitiveSource
+from skinbake.gltf.primitives import FLOAT, NORMALISED_SIGNED, PrimitiveSource, refuse_not_finite
 from skinbake.wording import counted
 
 FORMATS: dict[str, tuple[tuple[str, bool], ...]] = {
@@ -143,6 +143,6 @@ def _moved_rows(document: Document, accessor: int, name: str, place: Place) -> D
         raise InputError(f"differences must be {EXPECTED[name]}, found {kind}", place)
     document.budget.claim(stored.decoded_size, "its decoded values", place)
     values = stored.decoded()
-    if name == "POSITION" and not np.isfinite(values).all():
-        raise InputError("its values are not all finite numbers", place)
+    if name == "POSITION":
+        refuse_not_finite(values, "values", place)
     return Differences.of(values)

@@ -27,7 +27,7 @@ from skinbake.gltf.json_access import (
     objects,
     text,
 )
-from skinbake.wording import counted
+from skinbake.wording import counted, one_or_many
 
 FLOAT = ("f4", False)
 NORMALISED_SIGNED = (("i1", True), ("i2", True))
@@ -250,8 +250,7 @@ def read_primitive(document: Document, source: PrimitiveSource) -> SkinnedPrimit
     skin at a weight other than zero. Normals and tangents that are not finite stay for the caller.
     """
     positions = _decoded(document, source, "POSITION", 3)
-    if not np.isfinite(positions).all():
-        raise InputError("its values are not all finite numbers", source.place.at("POSITION"))
+    refuse_not_finite(positions, "values", source.place.at("POSITION"))
     count = len(positions)
     normals = (
         _decoded(document, source, "NORMAL", 3, count) if "NORMAL" in source.attributes else np.zeros((0, 3))
@@ -263,10 +262,23 @@ def read_primitive(document: Document, source: PrimitiveSource) -> SkinnedPrimit
     sizes += [entry.weights.decoded_size or entry.weights.values.nbytes for entry in influences]
     document.budget.claim(sum(sizes), "its influences", source.place)
     joints, weights = side_by_side(influences)
-    if not np.isfinite(weights).all():
-        raise InputError("its weights are not all finite numbers", source.place.at("WEIGHTS_0"))
+    for number in range(len(influences)):
+        own = weights[:, 4 * number : 4 * number + 4]
+        refuse_not_finite(own, "weights", source.place.at(f"WEIGHTS_{number}"))
     _check_joints(joints, weights, source)
     return SkinnedPrimitive(positions, normals, tangents, joints, weights, read_triangles(document, source))
+
+
+def refuse_not_finite(values: FloatArray, name: str, place: Place) -> None:
+    """Raise InputError if the values (V, C) of an attribute are not all finite numbers."""
+    if np.isfinite(values).all():
+        return
+    vertices = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    found = one_or_many(
+        len(vertices), f"at vertex {vertices[0]}", f"at {{}} vertices, first at {vertices[0]}"
+    )
+    message = f"its {name} are not all finite numbers ({found}): mend the mesh in the modelling tool"
+    raise InputError(message, place)
 
 
 def read_influences(document: Document, source: PrimitiveSource, count: int) -> list[StoredInfluences]:
