@@ -223,9 +223,10 @@ INDICES, VALUES = (*SPARSE, "indices"), (*SPARSE, "values")
 VIEW, INDEX_VIEW = ("bufferViews", 0), ("bufferViews", 1)
 REJECTIONS: list[tuple[tuple[str | int, ...], str, Any, str]] = [
     (ACCESSOR, "componentType", 5124, "glTF does not define"),
+    (ACCESSOR, "componentType", 5122.5, "glTF does not define"),
     (ACCESSOR, "componentType", "5122", "glTF does not define"),
     (ACCESSOR, "componentType", True, "glTF does not define"),
-    (ACCESSOR, "componentType", None, "glTF does not define"),
+    (ACCESSOR, "componentType", None, "of component type null, which glTF does not define"),
     (ACCESSOR, "componentType", [5122], "glTF does not define"),
     (ACCESSOR, "type", "VEC5", "glTF does not define"),
     (ACCESSOR, "type", "vec2", "glTF does not define"),
@@ -235,8 +236,8 @@ REJECTIONS: list[tuple[tuple[str | int, ...], str, Any, str]] = [
     (ACCESSOR, "count", -1, '"count" must be'),
     (ACCESSOR, "count", 2.5, '"count" must be'),
     (ACCESSOR, "count", "6", "\"count\" must be an integer of at least 1, found '6'"),
-    (ACCESSOR, "count", True, '"count" must be'),
-    (ACCESSOR, "count", None, '"count" must be'),
+    (ACCESSOR, "count", True, '"count" must be an integer of at least 1, found true'),
+    (ACCESSOR, "count", None, '"count" must be an integer of at least 1, found null'),
     (ACCESSOR, "count", 7, "7 elements need 52 bytes of buffer view 0, which has 48"),
     (ACCESSOR, "count", 2**53, "which has 48"),
     (ACCESSOR, "count", 2**53 + 1, '"count" must be an integer of at most 9,007,199,254,740,992, found 9007'),
@@ -295,6 +296,23 @@ def test_contradictions_are_refused(path: tuple[str | int, ...], key: str, value
     with pytest.raises(InputError, match=message) as caught:
         read(made)
     assert str(caught.value).startswith('made.gltf: mesh 0 "body", primitive 0, POSITION: ')
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        (["count"], '"count" must be an integer of at least 1, and it is missing'),
+        (["type"], 'accessor 0 has no "type"'),
+        (["type", "componentType"], 'accessor 0 has no "type" and no "componentType"'),
+    ],
+)
+def test_missing_members_are_told_from_null(keys: list[str], message: str) -> None:
+    made = plain()
+    for key in keys:
+        del made["accessors"][0][key]
+    with pytest.raises(InputError) as caught:
+        read(made)
+    assert caught.value.message == message
 
 
 def test_a_sparse_index_just_past_the_end_is_refused() -> None:

@@ -113,6 +113,9 @@ def _format(accessor: JsonObject, number: int, place: Place) -> tuple[np.dtype[n
 
 def _unknown_format(accessor: JsonObject, number: int, place: Place) -> InputError:
     kind, code = accessor.get("type"), accessor.get("componentType")
+    missing = [f'"{key}"' for key in ("type", "componentType") if key not in accessor]
+    if missing:
+        return InputError(f"accessor {number} has no {' and no '.join(missing)}", place)
     known = isinstance(kind, str) and kind in MATRIX_ROWS and component_dtype(accessor) is not None
     verdict = "is not allowed here" if known else "glTF does not define"
     return InputError(

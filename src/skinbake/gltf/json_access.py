@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
 from typing import Any, TypeAlias, TypeGuard
 
@@ -62,7 +63,8 @@ def integer(
     if isinstance(value, float) and value.is_integer():
         value = int(value)  # some exporters write 3.0
     if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
-        message = f'"{key}" must be an integer of at least {minimum}, found {shown(value)}'
+        found = f"found {shown(value)}" if key in parent else "and it is missing"
+        message = f'"{key}" must be an integer of at least {minimum}, {found}'
         raise InputError(_of(owner, message), place)
     if value > LARGEST_INTEGER:
         message = f'"{key}" must be an integer of at most {LARGEST_INTEGER:,}, found {shown(value)}'
@@ -182,6 +184,8 @@ def text(parent: Mapping[str, Any], key: str, place: Place) -> str | None:
 
 def shown(value: object) -> str:
     """Return a value for a message, shortened."""
+    if value is None or isinstance(value, bool):
+        return json.dumps(value)
     try:
         text = repr(value)
     except RecursionError:
