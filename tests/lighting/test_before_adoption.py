@@ -145,12 +145,16 @@ def test_a_border_of_primitives_with_one_and_two_sets_is_fresh(
     assert answer.exit_code == 0, answer.messages
 
 
-def test_damage_beside_slots_whose_joint_has_left_them_is_found_where_it_is(tmp_path: Path) -> None:
-    model = two_primitives(tmp_path, "surface")
-    alpha = model.array("_SKINBAKE_ALPHA_0", 0)
+@pytest.mark.parametrize("gradients", ["surface", "rig"])
+@pytest.mark.parametrize("damaged", [0, 1])
+def test_damage_beside_slots_whose_joint_has_left_them_is_found_where_it_is(
+    damaged: int, gradients: str, tmp_path: Path
+) -> None:
+    model = two_primitives(tmp_path, gradients)
+    alpha = model.array("_SKINBAKE_ALPHA_0", damaged)
     alpha[np.abs(alpha).max(axis=1).argmax()] *= -1.0
     answer = verify(model.write(tmp_path / "damaged.glb"), "--poses", "rest")
-    assert [(one["primitive"], one["count"]) for one in answer.problems("freshness")] == [(0, 1)]
+    assert [(one["primitive"], one["count"]) for one in answer.problems("freshness")] == [(damaged, 1)]
 
 
 def test_a_slot_that_lost_its_gradient_is_no_slot_whose_joint_has_left_it(tmp_path: Path) -> None:

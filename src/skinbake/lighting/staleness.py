@@ -222,7 +222,8 @@ def _comparisons(
         welded = surface_operator(document, before)
         expected = expected_slots(document, before, welded)
         again = _compared(document, before, welded, expected, _roundings(document, views, operator))
-    return [other if other.agrees else one for one, other in zip(found, again, strict=True)]
+    # The weights that explain more vertices show the damage alone.
+    return [min(pair, key=lambda one: one.differing) for pair in zip(found, again, strict=True)]
 
 
 def _before_adoption(document: Document, view: BakedView) -> BakedView:
