@@ -474,25 +474,57 @@ def test_a_baseline_and_a_cap_change_what_they_should(tmp_path: Path) -> None:
     assert capped["accurate"]["mean"] > 2 * plain["accurate"]["mean"]
 
 
+class Tilted(BlendedPrimitive):
+    """A replay whose algorithm 2 is wrong by 1e-5."""
+
+    def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
+        found = super().normals(algorithms, pose, part)
+        direct = algorithms.index(Algorithm.LBS_DIRECT)
+        x, y, z = found[direct]
+        found[direct] = (x + 1e-5 * z, y + 1e-5 * x, z + 1e-5 * y)
+        return found
+
+
 def test_the_identity_check_fails_when_an_algorithm_is_wrong(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = baked(source("bent_tube.glb"), tmp_path)
-
-    class Tilted(BlendedPrimitive):
-        def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
-            found = super().normals(algorithms, pose, part)
-            direct = algorithms.index(Algorithm.LBS_DIRECT)
-            x, y, z = found[direct]
-            found[direct] = (x + 1e-5 * z, y + 1e-5 * x, z + 1e-5 * y)
-            return found
-
     monkeypatch.setattr(lighting, "BlendedPrimitive", Tilted)
     verdict = measured(path, methods=("lbs",), poses=PoseRequest(PoseKind.ANIMATION, 3))
     ((name, code, message),) = failing(verdict)
     assert (name, code) == ("identity", "identity")
     assert "algorithms 2 and 3" in message
     assert message.endswith("should agree to rounding: this is a fault of skinbake, please report it")
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0)])
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"scale": [1.0, 1e-9, 1.0]},
+        {"scale": [1e9] * 3},
+        {"translation": [0.0, 3e6, 0.0]},
+        {"scale": [0.0] * 3},
+    ],
+    ids=["flat", "large", "far", "nothing"],
+)
+def test_where_rounding_parts_the_algorithms_the_joint_to_mend_is_named(
+    change: dict[str, Any], order: tuple[int, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The last joint of a chain is changed, in any place of the skin."""
+
+    def spoil(content: dict[str, Any]) -> None:
+        joints = content["skins"][0]["joints"]
+        content["nodes"][joints[2]] |= change
+        content["skins"][0]["joints"] = [joints[place] for place in order]
+
+    original = write_model(tmp_path / "three.glb", [sheet()], joints=3, change=spoil)
+    path = baked(original, tmp_path / "baked")
+    monkeypatch.setattr(lighting, "BlendedPrimitive", Tilted)
+    verdict = measured(path, methods=("lbs",), poses=PoseRequest(PoseKind.REST))
+    ((_, code, message),) = failing(verdict)
+    assert code == "identity"
+    assert 'too unlike in size, "joint2" most of all, and rounding takes over' in message
 
 
 def test_the_identity_check_passes_where_joints_hide_most_of_a_mesh(tmp_path: Path) -> None:
