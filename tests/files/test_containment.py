@@ -142,7 +142,7 @@ class TestOpening:
 
     def test_no_descriptor_is_left_open(self, root: Path) -> None:
         before = len(list(Path("/dev/fd").iterdir()))
-        for name in ("in", "out", "abs", "fifo", "a", "gone", "loop", "a/up/secret"):
+        for name in ("in", "a/dots", "out", "abs", "fifo", "a", "gone", "loop", "a/up/secret"):
             with suppress(OSError):  # most of them are refused
                 os.close(open_beneath(Spot(str(root), name)))
         assert len(list(Path("/dev/fd").iterdir())) == before
@@ -180,6 +180,13 @@ class TestFolders:
         with pytest.raises(OSError, match="a link leads out"), beneath(str(root), parts, print):
             pass
         assert sorted(root.parent.rglob("*")) == before
+
+    def test_no_descriptor_is_left_open(self, root: Path) -> None:
+        before = len(list(Path("/dev/fd").iterdir()))
+        for parts in (["a", "b"], ["a", "x", "y"], ["a", "up"], ["a", "up", "new"], ["in", "new"]):
+            with suppress(OSError), beneath(str(root), parts, lambda path: None):
+                pass
+        assert len(list(Path("/dev/fd").iterdir())) == before
 
 
 def test_an_open_folder_stays_the_one_that_was_opened(root: Path) -> None:
