@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import read_primitive, skinned_sources
 from skinbake.gltf.views import view_bytes
 from tests.support import corpus
+from tests.support.command_line import invoke
 from tests.support.compressed import EXT, KHR, meshopt_twin
 from tests.support.decoders import read_plain
 from tests.support.gltf_reading import read
@@ -184,6 +186,24 @@ def test_a_fallback_buffer_whose_file_was_left_out_is_not_missed(tmp_path: Path)
     path = meshopt_twin(FOLDER / "foreign_joints.glb", tmp_path / "twin.glb", change=named)
     assert inspect_file(str(path)).primitives[0].vertices == 112
     bake(path, tmp_path / "baked.glb")
+
+
+def test_on_stdout_a_fallback_buffer_is_brought_along_if_its_file_is_there(tmp_path: Path) -> None:
+    def named(content: JsonObject) -> None:
+        content["buffers"][1]["uri"] = "fallback.bin"
+
+    path = meshopt_twin(FOLDER / "foreign_joints.glb", tmp_path / "twin.glb", change=named)
+    for content in (None, bytes(read(path).content["buffers"][1]["byteLength"])):
+        if content is not None:
+            (tmp_path / "fallback.bin").write_bytes(content)
+        answer = invoke("bake", path, "-o", "-")
+        assert answer.exit_code == 0, answer.stderr
+        (tmp_path / "out.glb").write_bytes(answer.stdout_bytes)
+        uri = read(tmp_path / "out.glb").content["buffers"][1]["uri"]
+        if content is None:
+            assert uri == "fallback.bin"
+        else:
+            assert base64.b64decode(uri.removeprefix("data:application/octet-stream;base64,")) == content
 
 
 def test_a_hollow_first_buffer_does_not_become_the_bin_chunk(tmp_path: Path) -> None:
