@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import pickle
+import re
 import shutil
 import signal
 import subprocess
@@ -461,6 +462,33 @@ class TestProgress:
         assert "1/3" in picture
         assert "slow.glb" in picture
         assert "quick.glb" not in picture.rpartition("1/3")[2]
+
+    @pytest.mark.usefixtures("terminal")
+    @pytest.mark.parametrize(
+        ("files", "rows"),
+        [
+            (1, ["hero.glb", "hero.glb: rig", None, "hero.glb", "hero.glb: write"]),
+            (2, [*[None] * 3, "hero.glb", None]),
+        ],
+    )
+    def test_each_stage_of_a_single_file_is_drawn_at_once_and_so_is_every_end(
+        self,
+        files: int,
+        rows: list[str | None],
+        monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str],
+    ) -> None:
+        """The clock stands still, so no other picture is due."""
+        monkeypatch.setattr("skinbake.cli.progress.time", type("Time", (), {"monotonic": lambda: 5.0}))
+        found = []
+        with Progress(Console(0, color=False), files, at_once=True) as bar:
+            bar.hear(Told("art/hero.glb", "read"))
+            capsys.readouterr()
+            for told in ((), ("rig",), ("rig", 1, 9), ("rig", 9, 9), ("write",)):
+                bar.hear(Told("art/hero.glb", *told))
+                row = re.search(r"hero\.glb(: *\w*)?", capsys.readouterr().err)
+                found.append(row and row[0])
+        assert found == rows
 
 
 @pytest.fixture(scope="module")
