@@ -43,7 +43,7 @@ NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One check of a file; its problems name the place, the defect and the remedy."""
+    """One check of a file. If it failed, its problems name the place, the defect and the remedy."""
 
     name: str
     outcome: Outcome
@@ -177,11 +177,8 @@ def count(totals: Totals, verdict: FileVerdict) -> None:
 
 def first_problem(verdict: FileVerdict) -> str:
     """Return the first problem of a verdict that failed, and the number of further ones."""
-    failed = [check for check in verdict.checks if check.outcome == "failed"]
-    problems = [problem for check in failed for problem in check.problems]
+    problems = [problem for check in verdict.checks for problem in check.problems]
     more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-    if not problems:
-        return ", ".join(f"{check.name} failed" for check in failed)
     where = problems[0].place.within_file
     return f"{f'{where}: ' if where else ''}{problems[0].message}{more}"
 
@@ -384,8 +381,7 @@ def _case(suite: ElementTree.Element, file: str, check: Check) -> str:
     case = ElementTree.SubElement(suite, "testcase", name=check.name, classname=file)
     if check.outcome == "failed":
         more = f" (and {len(check.problems) - 1} more)" if len(check.problems) > 1 else ""
-        message = f"{check.problems[0]}{more}" if check.problems else check.remark
-        failure = ElementTree.SubElement(case, "failure", message=message)
+        failure = ElementTree.SubElement(case, "failure", message=f"{check.problems[0]}{more}")
         failure.text = "\n".join(str(problem) for problem in check.problems)
     elif check.outcome == "skipped":
         ElementTree.SubElement(case, "skipped", message=check.remark)
