@@ -91,7 +91,6 @@ class Progress:
             self._bar = _bar(self._say)
         if self._bar.disable:
             self._log(now)
-            self.pause()
         elif at_once or now - self._shown >= REFRESH_EVERY:
             self._shown = now
             if self._held:
