@@ -170,6 +170,16 @@ def test_text_says_not_baked_instead_of_passed(good: Path) -> None:
     assert "2 files: 2 passed (1 not baked)" in several.stderr
 
 
+def test_the_totals_count_files_that_cannot_be_read(good: Path, tmp_path: Path) -> None:
+    broken = tmp_path / "broken.glb"
+    broken.write_bytes(good.read_bytes()[:40])
+    result = run(good, broken, tmp_path / "gone.glb", "--poses", "rest", "-v")
+    assert result.exit_code == 3
+    assert "3 files: 1 passed, 2 failed, in " in result.stderr
+    again = result.stderr.partition("2 of 3 files failed:\n")[2].splitlines()[:2]
+    assert [line.partition(": ")[0] for line in again] == [f"  {broken}", f"  {tmp_path / 'gone.glb'}"]
+
+
 def test_a_limit_says_that_a_file_is_not_baked(tmp_path: Path) -> None:
     plain = source("seam.glb")
     result = run(plain, "--min-gain", "1.5", "--junit", tmp_path / "report.xml")
