@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import json
 import os
@@ -593,6 +594,19 @@ class TestInPlace:
             in result.stderr
         )
         assert contents(tmp_path) == {"seam.glb": data[-1]}
+
+    @LINUX
+    def test_an_exchange_that_fails_says_why(self, tmp_path: Path) -> None:
+        call = replacing.exchange_call()
+        assert call is not None
+        (tmp_path / "file").touch()
+        with folders.beneath(str(tmp_path), []) as folder:
+            assert folder.descriptor is not None
+            ctypes.set_errno(0)  # that of another call
+            with pytest.raises(FileNotFoundError):
+                call(folder.descriptor, "gone", "file")
+            with pytest.raises(NotADirectoryError):
+                call(folder.descriptor, "file/below", "file")
 
     @LINUX
     def test_a_file_that_is_removed_meanwhile_is_not_made_again(
