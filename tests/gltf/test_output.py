@@ -292,6 +292,21 @@ class TestTargets:
         assert "a.png: cannot be copied: Permission denied" in str(write(source, target))
         assert tree(target.parent) == before
 
+    @pytest.mark.parametrize(("count", "more"), [(2, ""), (3, ""), (4, ", …")])
+    def test_the_first_three_missing_images_are_named(self, count: int, more: str, tmp_path: Path) -> None:
+        names = [f"{number}.png" for number in range(count)]
+
+        def change(content: Any) -> None:
+            content["images"] = [{"uri": name} for name in names]
+
+        notices = bake_file(
+            str(edited("seam.glb", tmp_path, change)), str(tmp_path / "out" / "a.glb")
+        ).notices
+        message = (
+            f"{count} files that it names are missing and cannot be copied: {', '.join(names[:3])}{more}"
+        )
+        assert [one.message for one in notices if one.code == "file-missing"] == [message]
+
     def test_a_name_that_is_taken_twice_is_refused(self, source: Path, target: Path) -> None:
         """Somebody's files stand under the buffer's name and under the one made from its content."""
         folder = target.parent

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fixtures import make_fixtures
+from fixtures.builder import JsonObject
 from skinbake.choices import FrameChoice
 from skinbake.commands.inspect import inspect_file
 from skinbake.commands.strip import strip_file
@@ -160,6 +161,18 @@ def test_an_accessor_that_cannot_be_read_is_not_restored(tmp_path: Path) -> None
         read(one).primitive(0)["attributes"]["TANGENT"] for one in (broken, tmp_path / "stripped.glb")
     )
     assert now == kept
+
+
+@pytest.mark.parametrize("change", [{"digest": None}, {"digest": 7}, {"straightened": 7}])
+def test_a_broken_note_restores_no_tangents(change: JsonObject, tmp_path: Path) -> None:
+    path = leaning(SOURCE, tmp_path / "skewed.glb", 10.0, [VERTEX])
+    bake(path, tmp_path / "baked.glb")
+    file = read(tmp_path / "baked.glb")
+    file.primitive(0)["extras"]["skinbake"] |= change
+    broken = rewritten(file, tmp_path / "broken.glb")
+    result = strip_file(str(broken), str(tmp_path / "stripped.glb"))
+    assert "tangents-kept" in [notice.code for notice in result.notices]
+    assert np.array_equal(tangents_of(read(tmp_path / "stripped.glb")), tangents_of(file))
 
 
 def test_edited_tangents_stay_and_it_is_said(tmp_path: Path) -> None:
