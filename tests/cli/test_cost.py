@@ -196,7 +196,7 @@ class TestFile:
             content["meshes"].insert(0, content["meshes"][0])
             (node,) = [node for node in content["nodes"] if "mesh" in node]
             node["mesh"] = 1
-            content["nodes"] += [{"mesh": 1}, {"mesh": 0}]
+            content["nodes"] += [{"mesh": 1}, {"mesh": 0}, {"skin": 0}]
 
         found = cost(edited("seam.glb", tmp_path, change))
         assert [(entry["mesh"], entry["draws"]) for entry in found["primitives"]] == [(1, 1)]
@@ -329,6 +329,13 @@ class TestText:
         for head, part in zip(heads, (rows[:6], rows[6:12], rows[12:]), strict=True):
             assert {len(row) for row in part} == {len(head)}  # aligned
         assert DOI in text
+
+    def test_the_bytes_of_a_bake_are_stored_or_those_that_bake_would_store(self, tmp_path: Path) -> None:
+        source, written = FOLDER / "seam.glb", tmp_path / "baked.glb"
+        assert invoke("bake", source, "-o", written).exit_code == 0
+        stored = "\n    bytes stored per vertex: POSITION 12, NORMAL 12, JOINTS_0 4, WEIGHTS_0 16"
+        assert f"{stored}; α, β as bake would\n" in invoke("cost", source).stdout
+        assert f"{stored}, _SKINBAKE_ALPHA_0 12, _SKINBAKE_BETA_0 12\n" in invoke("cost", written).stdout
 
     def test_one_primitive_is_not_added_up(self) -> None:
         assert "the whole file" not in invoke("cost", FOLDER / "seam.glb").stdout

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from skinbake.cli.inputs import expanded
+from skinbake.cli.targets import in_turns
 from tests.support.command_line import document, invoke, run
 from tests.support.gltf_reading import read
 from tests.support.models import FOLDER, SHARED, copied, rewritten
@@ -245,6 +247,14 @@ def two_of_one_name(tmp_path: Path) -> list[Path]:
         path.unlink()
         made.append(rewritten(model, tmp_path / folder / name))
     return made
+
+
+def test_only_files_that_may_copy_to_one_place_take_turns(tmp_path: Path) -> None:
+    first, second = two_of_one_name(tmp_path)
+    whole = copied("seam.glb", tmp_path / "third")
+    assert in_turns(expanded([str(path) for path in (first, whole, second)])) == [0, 2]
+    assert in_turns(expanded([str(first), str(second)])) == [0, 1]
+    assert in_turns(expanded([str(tmp_path)])) == []
 
 
 @pytest.mark.parametrize("jobs", ["1", pytest.param("2", marks=pytest.mark.slow)])
