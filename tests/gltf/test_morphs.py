@@ -91,6 +91,20 @@ def test_tangents_are_read_only_for_the_tangent_frame_and_where_a_target_has_the
     assert not no_tangents.with_tangents
 
 
+def test_differences_count_as_held_once_an_accessor_and_without_the_zeros() -> None:
+    """Reading them takes more, which is let go."""
+    builder = face([{"POSITION": MOVED}, {"POSITION": -MOVED}])
+    targets = builder.json["meshes"][0]["primitives"][0]["targets"]
+    targets.append(targets[0])
+    document = builder.document()
+    ((source,), _) = skinned_sources(document)
+    before = document.budget.held
+    found = read_targets(document, source, [0, 1, 2], count=V, tangents=False)
+    assert found is not None
+    kept = [target.positions for target in found.targets[:2]]
+    assert document.budget.held - before == sum(one.rows.nbytes + one.values.nbytes for one in kept)
+
+
 def test_a_primitive_without_targets_has_none() -> None:
     assert read(face(), []) is None
     assert target_count(face().document(), 0) == 0
