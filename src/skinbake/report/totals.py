@@ -74,9 +74,11 @@ def closing_line(totals: Totals, seconds: float, *, interrupted: bool = False) -
     which = counted(totals.files, "file")
     if interrupted:
         which = f"interrupted after {totals.done:,} of {which}"
+    if not totals.done:
+        return f"{which}: none done, in {seconds:.1f} s"
     speed = totals.done / seconds if seconds > 0 else 0.0
     rate = f"{speed:,.{0 if speed >= 10 else 2}f} files/s" if speed else "at once"
-    return f"{which}: {', '.join(parts) or 'none done'}, in {seconds:.1f} s ({rate})"
+    return f"{which}: {', '.join(parts)}, in {seconds:.1f} s ({rate})"
 
 
 def totals_json(totals: Totals, seconds: float, *, schema: str, exit_code: int) -> dict[str, Any]:
