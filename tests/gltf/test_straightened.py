@@ -13,7 +13,11 @@ from skinbake.choices import FrameChoice
 from skinbake.commands.inspect import inspect_file
 from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
+from skinbake.errors import InputError
+from skinbake.format.strip import stripped
 from skinbake.geometry import frames
+from skinbake.gltf import budget
+from skinbake.gltf.document import read_document
 from skinbake.lighting.poses import PoseRequest
 from skinbake.lighting.verify_options import VerifyOptions
 from skinbake.report.bake import FileResult
@@ -161,6 +165,44 @@ def test_an_accessor_that_cannot_be_read_is_not_restored(tmp_path: Path) -> None
         read(one).primitive(0)["attributes"]["TANGENT"] for one in (broken, tmp_path / "stripped.glb")
     )
     assert now == kept
+
+
+@pytest.mark.parametrize("kind", ["tangents", "influences"])
+@pytest.mark.parametrize("twin", [None, draco_twin])
+@pytest.mark.parametrize("renumbered", [False, True])
+def test_memory_that_is_refused_is_no_reason_to_keep_the_bake(
+    renumbered: bool, twin: object, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Wherever the limit is reached: strip fails, or it does what it does without a limit."""
+    path = FOLDER / "foreign_joints.glb"
+    if kind == "tangents":
+        path = leaning(SOURCE, tmp_path / "skewed.glb", 10.0, [VERTEX])
+    if callable(twin):
+        path = twin(path, tmp_path / "twin.glb")
+    bake(path, tmp_path / "baked.glb")
+    file = read(tmp_path / "baked.glb")
+    if renumbered:  # then all accessors are searched
+        former = file.primitive(0)["extras"]["skinbake"]["straightened" if kind == "tangents" else "adopted"]
+        former.update({name: 0 for name in former if name != "digest"})
+    changed = rewritten(file, tmp_path / "changed.glb")
+    document = read_document(str(changed))
+    before = document.budget.spent
+    whole, _, told = stripped(document)
+    assert told == [] or (renumbered and callable(twin)), "accessors of streams are not searched"
+    spent, refused = document.budget.spent, 0
+    assert spent > before
+    monkeypatch.setattr(budget, "RATIO", 0)
+    for limit in np.linspace(before, spent, 30).astype(int):
+        monkeypatch.setattr(budget, "FREE", int(limit))
+        document = read_document(str(changed))
+        try:
+            found, _, notices = stripped(document)
+        except InputError as error:
+            refused += 1
+            assert "would take" in str(error)
+        else:
+            assert (found.json, notices) == (whole.json, told)
+    assert 20 < refused < 30
 
 
 @pytest.mark.parametrize("change", [{"digest": None}, {"digest": 7}, {"straightened": 7}])
