@@ -79,6 +79,19 @@ def test_strip_takes_the_set_away(extended: Path, tmp_path: Path) -> None:
     assert (tmp_path / "stripped.glb").read_bytes() == (tmp_path / "wanted.glb").read_bytes()
 
 
+def test_an_attribute_that_came_after_the_bake_outlives_strip_and_another_bake(
+    extended: Path, tmp_path: Path
+) -> None:
+    model = read(extended)
+    attributes = model.primitive(0)["attributes"]
+    attributes["_FUR"] = attributes["NORMAL"]
+    path = rewritten(model, tmp_path / "furry.glb")
+    bare = stripped(path, tmp_path / "stripped.glb")
+    assert bare.primitive(0)["attributes"].keys() == {*read(source(FULL)).primitive(0)["attributes"], "_FUR"}
+    again = baked(path, tmp_path / "again.glb", neighbours="extend")
+    assert again.primitive(0)["attributes"].keys() == attributes.keys()
+
+
 def test_a_set_that_was_edited_since_stays_with_a_notice(extended: Path, tmp_path: Path) -> None:
     file = read(extended)
     primitive: Any = file.content["meshes"][0]["primitives"][0]
