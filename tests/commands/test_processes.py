@@ -7,8 +7,9 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Sequence
-from contextlib import closing
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from itertools import islice
 from operator import length_hint
 from pathlib import Path
 from typing import Any
@@ -228,17 +229,40 @@ def test_a_worker_that_was_told_to_stop_gets_no_other_job(monkeypatch: pytest.Mo
     assert deaths[-1] == {}, "no job is suspected of having killed it"
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_fewer_workers_do_where_the_system_allows_no_more() -> None:
+def is_open(descriptor: int) -> bool:
+    try:
+        os.fstat(descriptor)
+    except OSError:
+        return False
+    return True
+
+
+@contextmanager
+def descriptors_left(count: int) -> Iterator[None]:
+    """Let this process open so many more files, and no more."""
     import resource
 
     before = resource.getrlimit(resource.RLIMIT_NOFILE)
-    free = starting.SPARE_DESCRIPTORS + 10
-    resource.setrlimit(resource.RLIMIT_NOFILE, (len(list(Path("/proc/self/fd").iterdir())) + free, before[1]))
+    free = (number for number in range(before[0]) if not is_open(number))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (1 + list(islice(free, count))[-1], before[1]))
     try:
-        found = outcomes(Work(), 200, workers=100)
+        yield
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no limit of descriptors")
+def test_no_worker_is_started_with_the_last_descriptors() -> None:
+    with descriptors_left(starting.SPARE_DESCRIPTORS):
+        starting.check_descriptors()
+    with descriptors_left(starting.SPARE_DESCRIPTORS - 1), pytest.raises(OSError, match="Too many open"):
+        starting.check_descriptors()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no limit of descriptors")
+def test_fewer_workers_do_where_the_system_allows_no_more() -> None:
+    with descriptors_left(starting.SPARE_DESCRIPTORS + 10):
+        found = outcomes(Work(), 200, workers=100)
     assert {number: result[0] for number, result in found.items()} == {n: 2 * n for n in range(200)}
     assert len({pid for _, pid in found.values()}) < 100
 
