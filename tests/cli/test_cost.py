@@ -325,7 +325,9 @@ class TestText:
         rows = [line for line in text.splitlines() if re.match(r"    [1-6]  ", line)]
         assert rows[8].split()[3:] == ["132", "68", "24", "16,632", "8,568", "3,024"]
         assert rows[14].split()[3:] == ["33,264", "17,136", "6,048"]
-        heads = [line for line in text.splitlines() if line.endswith("added")]
+        lines = text.splitlines()
+        assert rows[12] == lines[lines.index("  the whole file, per frame") + 2]
+        heads = [line for line in lines if line.endswith("added")]
         for head, part in zip(heads, (rows[:6], rows[6:12], rows[12:]), strict=True):
             assert {len(row) for row in part} == {len(head)}  # aligned
         assert DOI in text
