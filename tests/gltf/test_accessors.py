@@ -108,6 +108,25 @@ def test_a_format_is_told_with_its_bytes(
     assert described(made, 0, HERE) == (expected[0], 5 * expected[1])
 
 
+@pytest.mark.parametrize(
+    ("kind", "component"),
+    [
+        ([], 5126),
+        ({}, 5126),
+        (None, 5126),
+        (7, 5126),
+        ("VEC9", 5126),
+        ("VEC3", 1),
+        ("MAT2", None),
+        ("MAT3", []),
+    ],
+)
+def test_a_format_that_the_standard_does_not_define_is_no_format(kind: object, component: object) -> None:
+    made = document(content(b"", {"type": kind, "componentType": component, "count": 5}, []))
+    with pytest.raises(InputError, match="glTF does not define"):
+        described(made, 0, HERE)
+
+
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("normalized", [False, True, None])
 @pytest.mark.parametrize("component", FORMATS)

@@ -220,16 +220,24 @@ def test_a_view_of_a_buffer_that_is_missing_is_an_error(tmp_path: Path) -> None:
 
 
 def test_a_glb_with_buffers_in_files_gets_a_chunk(tmp_path: Path) -> None:
+    """Every second view is of a second file, in which all bytes come later."""
     model = read(FOLDER / "seam.glb")
-    model.content["buffers"][0]["uri"] = "all.bin"
+    data = model.binary_chunk or b""
+    model.content["buffers"] = [
+        {"uri": "all.bin", "byteLength": len(data)},
+        {"uri": "later.bin", "byteLength": len(data) + 8},
+    ]
+    for view in model.content["bufferViews"][::2]:
+        view.update(buffer=1, byteOffset=view.get("byteOffset", 0) + 8)
     model.content["images"] = [{"uri": "skin.png"}]
-    (tmp_path / "all.bin").write_bytes(model.binary_chunk or b"")
-    (tmp_path / "skin.png").write_bytes(ONE_PIXEL)
+    for name, content in {"all.bin": data, "later.bin": bytes(8) + data, "skin.png": ONE_PIXEL}.items():
+        (tmp_path / name).write_bytes(content)
     path = rewritten(GltfFile(tmp_path / "hero.glb", model.content, None), tmp_path / "hero.glb")
     after, notices = packed(path, tmp_path / "out.glb")
     assert notices == []
     assert [buffer.get("uri") for buffer in after.content["buffers"]] == [None]
-    assert (after.attribute("POSITION") == read(FOLDER / "seam.glb").attribute("POSITION")).all()
+    for name in ("POSITION", "NORMAL"):
+        assert (after.attribute(name) == read(FOLDER / "seam.glb").attribute(name)).all()
     assert image_data(after, 0) == ONE_PIXEL
 
 
