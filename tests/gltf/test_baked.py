@@ -18,14 +18,15 @@ import pytest
 
 from fixtures.builder import AnyArray, JsonObject
 from skinbake.choices import Encoding, FrameChoice, Layout, Neighbours, Scheme, Weighting
-from skinbake.errors import InputError
+from skinbake.errors import InputError, Place
 from skinbake.format.baked import AttributeNames
 from skinbake.format.layouts import GradientFormat
 from skinbake.gltf import additions
-from skinbake.gltf.additions import Additions
+from skinbake.gltf.additions import Additions, Packed
 from skinbake.gltf.codecs.recode import Compression
 from skinbake.gltf.document import read_document
 from skinbake.gltf.resources import encode_data_uri
+from skinbake.gltf.views import view_bytes
 from tests.support.baked_files import verify
 from tests.support.baking import bake_file, bake_settings
 from tests.support.calls import count_calls
@@ -302,6 +303,25 @@ def test_a_second_accessor_of_equal_bytes_is_made_once() -> None:
     assert added.add(values.copy(), apart_from={second}) == first
     assert added.add(values.copy(), apart_from=[first]) == second
     assert added.byte_length == length
+
+
+@pytest.mark.parametrize("packed", [None, Packed("EXT_meshopt_compression", 0, beside=False)])
+@pytest.mark.parametrize(
+    ("kind", "columns", "stride"), [("u1", 1, 4), ("i1", 3, 4), ("u2", 3, 8), ("f4", 3, 12)]
+)
+def test_elements_of_whole_arrays_begin_at_multiples_of_four(
+    kind: str, columns: int, stride: int, packed: Packed | None
+) -> None:
+    """glTF 2.0, section 3.6.2.4. Some exporters put colours of three bytes into Draco."""
+    values = np.arange(1, 7 * columns + 1).astype(kind).reshape(7, columns)
+    added = Additions(read_document(str(FOLDER / "seam.glb")))
+    number = added.add_values(values, packed)
+    document = added.applied({})
+    view = document.objects("bufferViews")[number]
+    assert view.get("byteStride", values[0].nbytes) == stride
+    data = bytes(view_bytes(document, number, Place("x")))
+    rows = np.frombuffer(data.ljust(7 * stride, b"\0"), np.uint8).reshape(7, stride)
+    assert np.array_equal(rows[:, : values[0].nbytes].copy().view(kind), values)
 
 
 class TestUnbaked:
