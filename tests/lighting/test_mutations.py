@@ -270,6 +270,55 @@ def test_one_wrong_vertex_does_not_hide_what_was_done_to_the_mesh(
     check_failure(model.write(tmp_path / HERE), Case(edit, "stale", [changed, cause]), "freshness")
 
 
+def normals_turned(model: Editable) -> None:
+    """Turn the normals about x, at each vertex by another angle."""
+    normals = model.array("NORMAL")
+    angles = np.sin(9.0 * model.array("POSITION")[:, 0])
+    y, z = normals[:, 1].copy(), normals[:, 2].copy()
+    normals[:, 1] = np.cos(angles) * y - np.sin(angles) * z
+    normals[:, 2] = np.sin(angles) * y + np.cos(angles) * z
+
+
+def joints_shifted(model: Editable) -> None:
+    joints = model.array("JOINTS_0")
+    joints[:] = (joints + 1) % 3
+
+
+@pytest.mark.parametrize(
+    ("name", "edits", "changed", "cause"),
+    [
+        (
+            "mirrored_tangent.glb",
+            (scaled("NORMAL", by=-1), scaled("TANGENT", by=-1)),
+            "NORMAL and TANGENT",
+            "its normals flipped, recomputed or edited",
+        ),
+        ("bent_tube.glb", (vertices_moved, normals_turned), "POSITION and NORMAL", "its vertices moved"),
+        ("bent_tube.glb", (joints_shifted, weights_edited), "JOINTS and WEIGHTS", "its weights edited"),
+        ("bent_tube.glb", (vertices_moved, weights_edited), "POSITION and WEIGHTS", "the mesh edited"),
+        (
+            "bent_tube.glb",
+            (triangles_lost, weights_edited),
+            "indices and WEIGHTS",
+            "the mesh simplified, quantised or edited",
+        ),
+    ],
+)
+def test_several_edits_have_the_cause_that_explains_most(
+    name: str,
+    edits: Sequence[Callable[[Editable], None]],
+    changed: str,
+    cause: str,
+    bakes: Callable[[str], Path],
+    tmp_path: Path,
+) -> None:
+    model = Editable(bakes(name))
+    for edit in edits:
+        edit(model)
+    words = [f"{changed} changed since its bake", f"this was done after the bake: {cause}. Bake last"]
+    check_failure(model.write(tmp_path / HERE), Case(edits[0], "stale", words), "freshness")
+
+
 @pytest.mark.parametrize("case", REARRANGED.values(), ids=REARRANGED.keys())
 @pytest.mark.parametrize("name", MODELS)
 def test_another_order_passes_with_a_remark(
