@@ -596,6 +596,25 @@ class TestCommand:
             "pattern": "heroes/crowd/*.glb",
         }
 
+    def test_only_what_is_not_the_default_is_told_on_request(
+        self, project: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+        (project / "skinbake.toml").write_text('[bake]\nencoding = "snorm16"\n')
+        whole = document(invoke("config", "--json"))["commands"]
+        found = document(invoke("config", "--json", "--changed"))["commands"]
+        assert {name: list(options) for name, options in found.items() if options} == {"bake": ["encoding"]}
+        assert found["bake"]["encoding"] == whole["bake"]["encoding"]
+        assert (whole["bake"]["weighting"]["value"], whole["bake"]["weighting"]["origin"]) == (
+            "max",
+            "default",
+        )
+        text = invoke("config", "--changed").stdout
+        assert [line.split() for line in text.splitlines()[1:] if line] == [
+            ["bake"],
+            ["encoding", '"snorm16"', "skinbake.toml:2"],
+        ]
+
     def test_all_tables_are_checked(self, project: Path) -> None:
         text = "[verify]\nmin-gain = true\n"
         assert refused(text, "config") == "skinbake.toml:2: verify.min-gain: true: expected a number"
