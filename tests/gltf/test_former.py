@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from skinbake.gltf.codecs import draco
 from skinbake.gltf.document import Document, read_document
 from tests.support import gltf_transform
 from tests.support.baking import bake_file
+from tests.support.compressed import draco_twin
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import FOLDER, Change, baked, copied, rewritten
 
@@ -108,6 +110,33 @@ def test_broken_digests_find_nothing(broken: object, tmp_path: Path) -> None:
     result = strip_file(str(path), str(tmp_path / "stripped.glb"))
     (told,) = (notice.message for notice in result.notices if notice.code == "adopted-kept")
     assert told.endswith("A bake takes them for the file's own: bake from the source instead")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda note: 7,
+        lambda note: {"before": 7},
+        lambda note: {**note, "accessors": 7},
+        lambda note: {**note, "accessors": dict.fromkeys(note["accessors"], 999)},
+        lambda note: {**note, "before": {**note["before"], "bufferView": 999}},
+        lambda note: {**note, "before": {**note["before"], "attributes": 7}},
+    ],
+)
+def test_a_broken_note_on_the_former_draco_stream_restores_nothing(
+    change: Callable[[JsonObject], object], tmp_path: Path
+) -> None:
+    twin = draco_twin(FOLDER / "foreign_joints.glb", tmp_path / "twin.glb")
+    model = baked(twin, tmp_path / "baked.glb")
+    before = model.primitive(0)
+    extension = before["extensions"][draco.EXTENSION]
+    extension["extras"]["skinbake"] = change(extension["extras"]["skinbake"])
+    result = strip_file(str(rewritten(model, tmp_path / "broken.glb")), str(tmp_path / "stripped.glb"))
+    assert [notice.code for notice in result.notices] == ["adopted-kept", "bytes-left"]
+    after = read(tmp_path / "stripped.glb").primitive(0)
+    names = [name for name in before["attributes"] if not name.startswith("_SKINBAKE_")]
+    assert after["attributes"] == {name: before["attributes"][name] for name in names}
+    assert after["extensions"][draco.EXTENSION]["bufferView"] == extension["bufferView"]
 
 
 def test_many_accessors_that_share_their_bytes_are_not_all_read(
