@@ -223,6 +223,15 @@ class TestFailures:
         assert tree(tmp_path) == before
 
 
+def test_a_plan_that_is_made_again_keeps_to_the_same_folder(tmp_path: Path) -> None:
+    document = read_document(str(FOLDER / SHARED))
+    first = plan_output(document, str(tmp_path / "sub" / "a.gltf"), root=str(tmp_path))
+    assert first.again is not None
+    second = first.again()
+    assert first.root == second.root == tmp_path
+    assert first.files.keys() == second.files.keys()
+
+
 class TestTargets:
     def test_a_folder_in_the_way_is_refused(self, tmp_path: Path) -> None:
         (tmp_path / "model.glb").mkdir()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -358,6 +358,46 @@ def test_what_is_missing_is_named(
     model = Editable(bakes(name))
     case.edit(model)
     check_failure(model.write(tmp_path / HERE), case, "structure")
+
+
+POSES = {"from": ["animations"], "fingerprint": [1.0], "slots": "0"}
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "words"),
+    [
+        ({"version": True}, "version", ["version True", "run skinbake bake"]),
+        ({"fit": True}, "version", ["version True of the fit", "run skinbake bake"]),
+        ({"weld": "scene"}, "metadata-broken", ["\"weld\" is 'scene'"]),
+        ({"gradients": "texture"}, "metadata-broken", ["\"gradients\" is 'texture'"]),
+        ({"weighting": None}, "metadata-broken", ['"weighting" is missing']),
+        ({"creaseAngle": 180.5}, "metadata-broken", ['"creaseAngle" is 180.5']),
+        ({"creaseAngle": -1}, "metadata-broken", ['"creaseAngle" is -1']),
+        ({"creaseAngle": True}, "metadata-broken", ['"creaseAngle" is True']),
+        ({"creaseAngle": "15"}, "metadata-broken", ["\"creaseAngle\" is '15'"]),
+        ({"gradients": "poses"}, "metadata-broken", ['"poses" is missing']),
+        *(
+            ({"gradients": "poses", "poses": {**POSES, **broken}}, "metadata-broken", ['"poses" is {'])
+            for broken in (
+                {"from": "animations"},
+                {"from": [7]},
+                {"fingerprint": 7},
+                {"fingerprint": ["1"]},
+                {"slots": None},
+            )
+        ),
+    ],
+)
+def test_metadata_that_no_bake_writes_are_told(
+    change: Mapping[str, object],
+    code: str,
+    words: Sequence[str],
+    bakes: Callable[[str], Path],
+    tmp_path: Path,
+) -> None:
+    model = Editable(bakes("bent_tube.glb"))
+    model.metadata().update(change)
+    check_failure(model.write(tmp_path / HERE), Case(metadata_removed, code, words), "structure")
 
 
 def check_failure(path: Path, case: Case, check: str) -> None:
