@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from skinbake.format.adoption import TINY_WEIGHT, UNIT, with_adopted
+from skinbake.format.metadata import array_digest
 from skinbake.gltf.accessors import StoredArray
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import StoredInfluences, skinned_sources
@@ -231,6 +232,28 @@ def test_copies_whose_payer_cannot_be_told_are_fresh(tmp_path: Path) -> None:
     assert [34, 32] in Editable(written).array("WEIGHTS_0")[:, :2].tolist()
     answer = verify(written, "--poses", "rest")
     assert answer.exit_code == 0, answer.messages
+
+
+@pytest.mark.parametrize("gradients", ["surface", "rig"])
+@pytest.mark.parametrize("kept", [True, False])
+def test_the_weights_from_before_do_not_hide_an_edit_of_those_that_paid(
+    kept: bool, gradients: str, tmp_path: Path
+) -> None:
+    """A sixth of the largest weight went to the second one or nowhere, and the digest was made anew."""
+    model = Editable(baked(source("weights_u8.glb"), tmp_path, gradients=gradients))
+    weights = model.array("WEIGHTS_0")
+    assert weights.dtype == np.uint16
+    edited = np.flatnonzero((weights == 1).any(axis=1) & (np.count_nonzero(weights > 1, axis=1) >= 2))
+    order = np.argsort(weights[edited].astype(int), axis=1)
+    step = weights[edited, order[:, -1]] // 6
+    weights[edited, order[:, -1]] -= step
+    if kept:
+        weights[edited, order[:, -2]] += step
+    model.metadata()["digest"]["WEIGHTS"] = array_digest(weights / np.float32(UNIT), "<f4")
+    answer = verify(model.write(tmp_path / "edited.glb"), "--poses", "rest")
+    assert answer.failed == ["freshness"], answer.messages
+    (problem,) = answer.problems("freshness")
+    assert problem["message"].startswith("α/β are wrong at")
 
 
 def test_float_weights_beside_integer_ones_come_back_as_they_were(tmp_path: Path) -> None:
