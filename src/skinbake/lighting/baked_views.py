@@ -135,9 +135,9 @@ def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
 
 def _other_version(metadata: JsonObject) -> str | None:
     """Return which version of the metadata or of a fit is another one, and what to do; None if none is."""
-    version, fit = metadata.get("version"), metadata.get("fit")
+    version, fit = metadata["version"], metadata.get("fit")  # ``read_metadata`` finds none without an integer
     if isinstance(version, bool) or version != VERSION:
-        remedy = "update skinbake" if isinstance(version, int) and version > VERSION else BAKE
+        remedy = "update skinbake" if version > VERSION else BAKE
         return f"its metadata has version {shown(version)}, this skinbake reads {VERSION}: {remedy}"
     fitted = metadata.get("gradients", Gradients.SURFACE) != Gradients.SURFACE
     if fitted and (isinstance(fit, bool) or fit != FIT):
