@@ -68,7 +68,7 @@ def weights_before(
     if former is None or former.shape != found.shape:
         return found
     due = np.rint(UNIT * former) - np.rint(UNIT * (np.asarray(weights, dtype=np.float64) - given))
-    paid_by_one = (due >= 0.0).all(axis=1) & (np.count_nonzero(due, axis=1) <= 1)
+    paid_by_one = np.count_nonzero(due, axis=1) <= 1
     explains = paid_by_one & (due.sum(axis=1) == np.rint(UNIT * given.sum(axis=1)))
     return np.where(explains[:, None], former, found)
 
