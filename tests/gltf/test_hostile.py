@@ -434,6 +434,17 @@ class TestJoints:
         assert "is past all numbers of float32" in text
         assert "joint" in text
 
+    def test_the_one_past_float32_is_named(self, whole: Path) -> None:
+
+        def change(content: Any) -> None:
+            self.joint(content, -2)["scale"] = [1e3] * 3
+            self.joint(content, -1)["scale"] = [1e37] * 3
+
+        code, text = self.verify(whole, change)
+        name = self.joint(read(whole).content, -1)["name"]
+        assert code == 3
+        assert f'the matrix of "{name}" of skin 0 is past all numbers of float32' in text
+
     @pytest.mark.parametrize("distance", [1e10, 1e20, 3e38])
     def test_those_too_unlike_in_size_are_blamed(self, whole: Path, distance: float) -> None:
         code, text = self.verify(
