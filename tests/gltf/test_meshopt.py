@@ -206,14 +206,16 @@ def test_on_stdout_a_fallback_buffer_is_brought_along_if_its_file_is_there(tmp_p
             assert base64.b64decode(uri.removeprefix("data:application/octet-stream;base64,")) == content
 
 
-def test_a_hollow_first_buffer_does_not_become_the_bin_chunk(tmp_path: Path) -> None:
-    """In a .gltf any buffer may be the fallback."""
+@pytest.mark.parametrize("left_out", [{}, {"uri": "fallback.bin"}])
+def test_a_hollow_first_buffer_does_not_become_the_bin_chunk(left_out: JsonObject, tmp_path: Path) -> None:
+    """In a .gltf any buffer may be the fallback. It may name a file that was left out."""
 
     def swapped(content: JsonObject) -> None:
         content["buffers"].reverse()
         for view in content["bufferViews"]:
             for holder in (view, *view.get("extensions", {}).values()):
                 holder["buffer"] = 1 - holder["buffer"]
+        content["buffers"][0].update(left_out)
         content["buffers"][1]["uri"] = "data.bin"
 
     twin = meshopt_twin(FOLDER / "foreign_joints.glb", tmp_path / "twin.glb")
@@ -222,6 +224,9 @@ def test_a_hollow_first_buffer_does_not_become_the_bin_chunk(tmp_path: Path) -> 
     bake(path, tmp_path / "baked.glb")
     assert read(tmp_path / "baked.glb").content["buffers"][0] == read(path).content["buffers"][0]
     assert read_plain(tmp_path / "baked.glb").has_attribute("_SKINBAKE_ALPHA_0")
+    for options in (["-o", "-"], ["-o", tmp_path / "packed.glb", "--pack"]):
+        answer = invoke("bake", path, *options)
+        assert answer.exit_code == 0, answer.stderr
 
 
 class TestEncoder:

@@ -72,7 +72,8 @@ def is_glb_name(target: str) -> bool:
 
 def _as_glb(document: Document) -> Document:
     buffers = document.objects("buffers")
-    if not buffers or buffers[0].get("uri") is None:  # fallback buffers of meshopt have no bytes
+    # Fallback buffers of meshopt may have no bytes.
+    if not buffers or buffers[0].get("uri") is None or _is_hollow(document, buffers[0]):
         return document.edited(is_glb=True, indent=None, former=None)
     data: Bytes = document.buffer(0)
     first = {key: value for key, value in buffers[0].items() if key != "uri"}
@@ -142,7 +143,7 @@ def _self_contained(document: Document) -> Document:
         {**buffer, "uri": resources.encode_data_uri(bytes(document.buffer(number)))}
         if isinstance(uri := buffer.get("uri"), str)
         and not resources.is_data_uri(uri)
-        and not _is_hollow(document, buffer, uri)
+        and not _is_hollow(document, buffer)
         else buffer
         for number, buffer in enumerate(buffers)
     ]
@@ -151,10 +152,14 @@ def _self_contained(document: Document) -> Document:
     return document.edited(json={**document.json, "buffers": inside})
 
 
-def _is_hollow(document: Document, buffer: JsonObject, uri: str) -> bool:
+def _is_hollow(document: Document, buffer: JsonObject) -> bool:
     """Tell whether a buffer is a fallback of meshopt whose file was left out."""
-    return meshopt.is_fallback(buffer, document.place) and not resources.is_there(
-        uri, document.folder, document.bounds
+    uri = buffer.get("uri")
+    return (
+        isinstance(uri, str)
+        and not resources.is_data_uri(uri)
+        and meshopt.is_fallback(buffer, document.place)
+        and not resources.is_there(uri, document.folder, document.bounds)
     )
 
 
