@@ -100,6 +100,21 @@ def test_a_rescaled_mesh_is_recognised_through_noise_other_slots_and_other_frame
     assert not comparison.reordered
 
 
+@pytest.mark.parametrize(
+    ("share", "edited", "resorted"), [(0.05, 0.0, False), (0.2, 0.0, True), (0.2, 0.3, False)]
+)
+def test_slots_are_re_sorted_if_that_explains_half_of_the_vertices_that_differ_and_a_tenth_of_all(
+    share: float, edited: float, resorted: bool
+) -> None:
+    wanted = entries()
+    found = [part.copy() for part in wanted]
+    swapped, others = round(200 * share), round(200 * edited)
+    for part in found:
+        part[:swapped] = part[:swapped, [1, 2, 0]]
+        part[swapped : swapped + others] *= 5.0
+    assert compared((found[0], found[1]), wanted).resorted == resorted
+
+
 def test_what_was_not_rescaled_or_re_sorted_is_not_said_to_be() -> None:
     comparison = compared(entries(seed=1), entries(seed=2))
     assert comparison.rescaled is None

@@ -20,6 +20,7 @@ from skinbake.lighting.verify_options import VerifyOptions
 from tests.support import corpus, gltf_reading
 from tests.support.baked_files import CESIUM_MAN, Editable, baked, source, verify
 from tests.support.baking import bake_settings
+from tests.support.models import sheet, write_model
 
 HERE = "here.glb"
 FEW = ("--poses", "random:2", "--method", "lbs")
@@ -330,6 +331,24 @@ def test_another_order_passes_with_a_remark(
     answer = verify(model.write(tmp_path / HERE), *FEW)
     assert (answer.exit_code, answer.failed) == (0, [])
     assert [check["remark"] for check in answer.file["checks"] if check["name"] == "freshness"] == [remark]
+
+
+@pytest.mark.parametrize("is_flat", [True, False])
+def test_another_order_of_a_rigid_part_passes_with_a_remark(is_flat: bool, tmp_path: Path) -> None:
+    """Its joints and weights are the same in any order, and so are the normals if it is flat."""
+    part = sheet()
+    arrays = part.attributes
+    arrays["WEIGHTS_0"][:] = [1, 0, 0, 0]
+    arrays["JOINTS_0"][:] = 0
+    if is_flat:
+        arrays["POSITION"][:, 2] = 0.0
+        arrays["NORMAL"][:] = [0, 0, 1]
+    model = Editable(baked(write_model(tmp_path / "rigid.glb", [part]), tmp_path / "baked"))
+    vertices_reordered(model)
+    answer = verify(model.write(tmp_path / HERE), *FEW)
+    assert (answer.exit_code, answer.failed) == (0, []), answer.messages
+    remarks = [check["remark"] for check in answer.file["checks"] if check["name"] == "freshness"]
+    assert remarks == ["vertices re-ordered, merged or split since the bake; α/β still fit"]
 
 
 @pytest.mark.parametrize(
