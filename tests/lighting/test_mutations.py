@@ -249,6 +249,17 @@ def test_an_edit_is_stale(bakes: Callable[[str], Path], tmp_path: Path, name: st
     check_failure(model.write(tmp_path / HERE), case, "freshness")
 
 
+@pytest.mark.parametrize("gradients", ["rig", "poses"])
+def test_a_skeleton_that_no_fit_can_use_any_more_has_changed(gradients: str, tmp_path: Path) -> None:
+    """Inverse bind matrices of zeros are singular, so no joint has a place at rest."""
+    model = Editable(baked(source("bent_tube.glb"), tmp_path, gradients=gradients))
+    model.stored(model.content["skins"][0]["inverseBindMatrices"])[:] = 0.0
+    answer = verify(model.write(tmp_path / HERE), *FEW)
+    assert "freshness" in answer.failed
+    (problem,) = answer.problems("freshness")
+    assert "The skeleton changed since the bake" in problem["message"]
+
+
 @pytest.mark.parametrize(
     ("edit", "changed", "cause"),
     [
