@@ -259,6 +259,19 @@ def test_equal_attributes_of_a_primitive_share_bytes_but_no_accessor_or_view(
         assert (tmp_path / "stripped.glb").read_bytes() == source.read_bytes()
 
 
+@pytest.mark.parametrize("encoding", Encoding)
+def test_equal_attributes_beside_a_draco_stream_have_their_own_accessors(
+    encoding: Encoding, tmp_path: Path
+) -> None:
+    weights = np.tile(np.array([1, 0, 0, 0], np.float32), (20, 1))
+    rigid = sheet(WEIGHTS_0=weights, JOINTS_0=np.zeros((20, 4), np.uint8))
+    source, target = write_model(tmp_path / "rigid.glb", [rigid]), tmp_path / "baked.glb"
+    storage, compression = GradientFormat(encoding), Compression(Scheme.DRACO)
+    assert bake_file(source, target, storage=storage, compression=compression).status == "baked"
+    numbers = list(attributes_of(read(target), 0, 0).values())
+    assert len(set(numbers)) == len(numbers)
+
+
 def test_equal_bytes_of_different_formats_are_not_shared() -> None:
     additions = Additions(read_document(str(FOLDER / "seam.glb")), note_key="skinbake")
     shorts = np.arange(8, dtype=np.uint16).reshape(2, 4)

@@ -316,6 +316,22 @@ class TestTargets:
         )
         assert [one.message for one in notices if one.code == "file-missing"] == [message]
 
+    @pytest.mark.parametrize(("count", "images"), [(1, "1 image is"), (2, "2 images are")])
+    def test_images_outside_are_told_and_still_found(self, count: int, images: str, tmp_path: Path) -> None:
+        names = [f"{number}.png" for number in range(count)]
+
+        def change(content: Any) -> None:
+            content["images"] = [{"uri": f"../{name}"} for name in names]
+
+        source, target = edited("seam.glb", tmp_path / "in", change), tmp_path / "deep" / "er" / "a.glb"
+        (notice,) = (
+            one for one in bake_file(str(source), str(target)).notices if one.code == "image-outside"
+        )
+        assert notice.message.startswith(f"{images} outside its folder, and neither read nor copied; ")
+        assert notice.count == count
+        found = [target.parent / image["uri"] for image in read(target).content["images"]]
+        assert [Path(os.path.normpath(path)) for path in found] == [tmp_path / name for name in names]
+
     def test_a_name_that_is_taken_twice_is_refused(self, source: Path, target: Path) -> None:
         """Somebody's files stand under the buffer's name and under the one made from its content."""
         folder = target.parent
