@@ -24,7 +24,7 @@ from skinbake.gltf.codecs import draco
 from skinbake.gltf.compaction import _Shifts
 from skinbake.gltf.document import Document, parse_glb, parse_gltf, read_document
 from skinbake.gltf.json_access import JsonObject
-from skinbake.gltf.primitives import MOST_SETS, read_primitive, skinned_sources
+from skinbake.gltf.primitives import MOST_SETS, read_indices, read_primitive, skinned_sources
 from tests.support.corpus import require_corpus
 from tests.support.models import FOLDER, baked, crowd, edited, sheet, write_model
 
@@ -124,6 +124,18 @@ def test_data_uris_are_counted() -> None:
         with pytest.raises(InputError, match=r"the data: URI of buffer \d would take"):
             for number in range(9):
                 document.buffer(number)
+
+
+def test_indices_that_are_not_in_the_file_are_counted(tmp_path: Path) -> None:
+    def change(content: JsonObject) -> None:
+        del content["meshes"][0]["primitives"][0]["indices"]
+
+    document = read_document(str(edited("seam.glb", tmp_path, change)))
+    ((source,), _) = skinned_sources(document)
+    before = document.budget.held
+    found = read_indices(document, source)
+    assert found.nbytes > 0
+    assert document.budget.held - before >= found.nbytes
 
 
 def bomb(path: Path, count: float, primitives: int) -> Path:
