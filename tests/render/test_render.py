@@ -22,7 +22,7 @@ from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.lighting.operator import GradientOperator
 from skinbake.render.studio import MODES, Look, Studio
-from skinbake.render.subject import YAW, Camera, Subject
+from skinbake.render.subject import YAW, Camera, Shot, Subject
 from skinbake.skinning.algorithms import Algorithm
 from tests.support.baked_files import Editable
 from tests.support.characters import Array, baked
@@ -328,6 +328,30 @@ def measure_errors(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) ->
     """Measure the errors that a picture of a file would show. It ends with InputError."""
     monkeypatch.setattr(render, "Studio", Undrawn)
     render.render_file(str(path), str(folder / "a.png"), render.RenderOptions(Look(64, 48, "error")))
+
+
+def test_the_errors_are_those_of_the_pose_that_bends_most(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The clip of the tube bends it by 90° at most."""
+    shots: list[Shot] = []
+
+    def kept(self: Undrawn, shot: Shot, *arguments: object) -> None:
+        shots.append(shot)
+        raise InputError("enough")
+
+    monkeypatch.setattr(Undrawn, "picture", kept)
+    with pytest.raises(InputError, match="enough"):
+        measure_errors(TUBE, tmp_path, monkeypatch)
+    ((matrices,),) = (shot.matrices for shot in shots)
+    angles = np.degrees(np.arccos((np.trace(matrices[:, :3, :3], axis1=1, axis2=2) - 1.0) / 2.0))
+    assert 88.0 < angles[1] <= 90.01
+    means = {}
+    for lighting, ((degrees, known),) in shots[0].errors.items():
+        assert known.all()
+        means[lighting] = float(np.mean(degrees))
+    assert 2.0 < means["standard"] < 30.0
+    assert 0.0 < means["accurate"] < means["standard"] / 5.0
 
 
 def test_welding_counts_to_the_memory_of_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
