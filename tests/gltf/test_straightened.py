@@ -217,6 +217,25 @@ def test_a_broken_note_restores_no_tangents(change: JsonObject, tmp_path: Path) 
     assert np.array_equal(tangents_of(read(tmp_path / "stripped.glb")), tangents_of(file))
 
 
+def test_quantised_tangents_are_left_as_they_are(tmp_path: Path) -> None:
+    """Only FLOAT tangents are straightened. KHR_mesh_quantization has others."""
+    file = read(leaning(SOURCE, tmp_path / "skewed.glb", 10.0, [VERTEX]))
+    content, data = file.content, file.binary_chunk or b""
+    shorts = np.rint(32767 * tangents_of(file)).astype("<i2")
+    content["bufferViews"].append({"buffer": 0, "byteOffset": len(data), "byteLength": shorts.nbytes})
+    view = len(content["bufferViews"]) - 1
+    content["accessors"].append(
+        {"bufferView": view, "componentType": 5122, "normalized": True, "type": "VEC4", "count": len(shorts)}
+    )
+    file.primitive(0)["attributes"]["TANGENT"] = len(content["accessors"]) - 1
+    content["buffers"][0]["byteLength"] = len(data) + shorts.nbytes
+    content["extensionsUsed"] = content["extensionsRequired"] = ["KHR_mesh_quantization"]
+    path = rewritten(GltfFile(file.path, content, data + shorts.tobytes()), tmp_path / "shorts.glb")
+    result = bake(path, tmp_path / "baked.glb")
+    assert straightening(result) == []
+    assert np.array_equal(read(tmp_path / "baked.glb").stored_attribute("TANGENT", 0, 0), shorts)
+
+
 def test_edited_tangents_stay_and_it_is_said(tmp_path: Path) -> None:
     path = leaning(SOURCE, tmp_path / "skewed.glb", 10.0, [VERTEX])
     bake(path, tmp_path / "baked.glb")
