@@ -285,7 +285,7 @@ class TestForFile:
                 "is baked: run skinbake bake --generate-normals first",
             ),
             ([sheet(POSITION=None)] * 2, "can be baked: it has no POSITION"),
-            ([sheet(JOINTS_0=None)], "can be baked: no mesh that it draws with a skin has joints"),
+            ([sheet(JOINTS_0=None)], "can be baked: the meshes that are drawn with a skin have no JOINTS_0"),
         ],
     )
     def test_a_file_that_is_not_baked_is_refused_with_what_to_do(
