@@ -141,6 +141,47 @@ for (const [name, Material] of Object.entries(MATERIALS)) {
     CHANGES[name] = ({ mesh }) => (mesh.material = new Material());
 }
 
+// What a page does to the arrays that alpha and beta belong to.
+const ALTERED = {
+    computeVertexNormals: ({ geometry }) => geometry.computeVertexNormals(),
+    'normals in place': ({ geometry }) => negated(geometry.attributes.normal).needsUpdate = true,
+    'normals replaced': ({ geometry }) => geometry.setAttribute('normal', negated(geometry.attributes.normal.clone())),
+    'a clone with other normals': (mesh) => negated((mesh.geometry = mesh.geometry.clone()).attributes.normal),
+    'interleaved normals': ({ geometry }) => {
+        const { normal } = geometry.attributes;
+        const buffer = new THREE.InterleavedBuffer(normal.array.slice(), 3);
+        geometry.setAttribute('normal', negated(new THREE.InterleavedBufferAttribute(buffer, 3, 0)));
+    },
+    scale: ({ geometry }) => geometry.scale(1, 2, 1),
+    'weights in place': ({ geometry: { attributes: { skinWeight } } }) => {
+        for (let vertex = 0; vertex < skinWeight.count; vertex++) skinWeight.setXYZW(vertex, 0.5, 0.5, 0, 0);
+        skinWeight.needsUpdate = true;
+    },
+    'alpha in place': ({ geometry }) => negated(geometry.attributes._skinbake_alpha_0).needsUpdate = true,
+};
+
+// What leaves the values as they are.
+const REWRITTEN = {
+    needsUpdate: ({ geometry }) => Object.values(geometry.attributes).forEach((one) => (one.needsUpdate = true)),
+    'normalised again': (mesh) => {
+        mesh.normalizeSkinWeights();
+        mesh.geometry.normalizeNormals();
+        mesh.geometry.attributes.skinWeight.needsUpdate = mesh.geometry.attributes.normal.needsUpdate = true;
+    },
+    'a clone': ({ geometry }) => geometry.setAttribute('normal', geometry.attributes.normal.clone()),
+    interleaved: ({ geometry }) => {
+        const buffer = new THREE.InterleavedBuffer(geometry.attributes.normal.array.slice(), 3);
+        geometry.setAttribute('normal', new THREE.InterleavedBufferAttribute(buffer, 3, 0));
+    },
+};
+
+function negated(attribute) {
+    for (let vertex = 0; vertex < attribute.count; vertex++) {
+        attribute.setXYZ(vertex, -attribute.getX(vertex), -attribute.getY(vertex), -attribute.getZ(vertex));
+    }
+    return attribute;
+}
+
 const COPIES = {
     'clone()': (geometry) => geometry.clone(),
     'copy()': (geometry) => geometry.copy(geometry.clone()),
@@ -211,6 +252,49 @@ const api = {
         skinbake.dispose(mesh);
         skinbake.dispose(original);
         return { ...result, hooked: mesh.userData.hooked ?? false, error: renderer.getContext().getError() };
+    },
+
+    // The normals and the report of a mesh that is drawn as it was, then altered or written anew, then asked for again.
+    // The first draw after the change is the first one.
+    async altered(options) {
+        const found = {};
+        for (const [name, change] of Object.entries({ ...ALTERED, ...REWRITTEN })) {
+            const { scene } = await load(options);
+            const [mesh] = skinnedMeshes(scene);
+            const original = mesh.clone();
+            await draw(scene, 1);
+            change(mesh);
+            mesh.name = name;
+            const [{ values: first }] = await draw(scene, 0);
+            const [{ values: later }] = await draw(scene);
+            const [report] = told(skinbake.applySkinbake(scene, options).meshes);
+            const [{ values: again }] = await draw(scene);
+            const draws = [first, later, again].map(base64);
+            found[name] = { draws, report, world: mesh.matrixWorld.toArray(), isAltered: name in ALTERED };
+            if (name === 'normals in place') {
+                negated(mesh.geometry.attributes.normal).needsUpdate = true;
+                skinbake.applySkinbake(scene, options);
+                const [{ values }] = await draw(scene);
+                found.undone = { ...found[name], draws: [base64(values)], isAltered: false };
+                [found.undone.report] = told(skinbake.applySkinbake(scene, options).meshes);
+            }
+            skinbake.dispose(scene);
+            skinbake.dispose(original);
+        }
+        return found;
+    },
+
+    // The same normals by three.js alone.
+    async alteredAlone(options) {
+        const found = {};
+        for (const [name, change] of Object.entries(ALTERED)) {
+            const { scene } = await load({ ...options, plugin: false });
+            const [mesh] = skinnedMeshes(scene);
+            change(mesh);
+            const [{ values }] = await draw(scene);
+            found[name] = base64(values);
+        }
+        return found;
     },
 
     // A character of VRM with expressions, as three-vrm's own examples load it: with its tools, if asked for.

@@ -151,6 +151,32 @@ const api = {
         return { draws, world, report };
     },
 
+    // The normals and the report of a mesh whose normals a page computes anew, or writes as they were. Then the same
+    // normals by three.js alone.
+    async altered({ backend, ...options }) {
+        const renderer = await rendererOf(backend);
+        const camera = new THREE.PerspectiveCamera();
+        const changes = {
+            anew: ({ geometry }) => geometry.computeVertexNormals(),
+            'as they were': ({ geometry }) => (geometry.attributes.normal.needsUpdate = true),
+        };
+        const found = {};
+        for (const [name, change] of Object.entries({ ...changes, alone: changes.anew })) {
+            const { scene: model } = await load({ ...options, plugin: name !== 'alone' });
+            const scene = new THREE.Scene();
+            scene.add(model, new THREE.DirectionalLight());
+            const [mesh] = skinnedMeshes(model);
+            await draw(renderer, scene, camera);
+            change(mesh);
+            mesh.name = name;
+            const draws = (await draw(renderer, scene, camera)).map(({ values }) => base64(values));
+            const report = name === 'alone' ? [] : skinbake.applySkinbake(scene).meshes.map((one) => [one.lighting, one.reason]);
+            found[name] = { draws, report, world: mesh.matrixWorld.toArray() };
+            if (name !== 'alone') skinbake.dispose(scene);
+        }
+        return found;
+    },
+
     // A mesh that was drawn before it is asked for, then switched, then disposed of.
     async late({ backend, ...options }) {
         const renderer = await rendererOf(backend);

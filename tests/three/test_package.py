@@ -17,7 +17,15 @@ from skinbake.skinning.algorithms import Algorithm
 from tests.support import corpus, gltf_reading, gltf_transform
 from tests.support.baked_files import Editable
 from tests.support.baking import bake_file
-from tests.support.characters import AS_USUAL, Array, Character, Placement, Pose, angles, baked
+from tests.support.characters import (
+    AS_USUAL,
+    Array,
+    Character,
+    Placement,
+    Pose,
+    angles,
+    baked,
+)
 from tests.support.node import package_folder, require_node
 from tests.support.stage import opened_page, page_of
 from tests.three.drawn import (
@@ -250,6 +258,45 @@ def test_a_copy_of_a_geometry_has_the_lighting_from_its_first_or_second_frame(
     assert largest(second, accurate) < DEGREES
     assert found["reports"] == ["accurate" if copy == "copy()" else "not drawn", "accurate"]
     assert found["disposed"] == ["standard", "applySkinbake has not been called for it"]
+
+
+ALTERED = {
+    "computeVertexNormals": "normal",
+    "normals in place": "normal",
+    "normals replaced": "normal",
+    "a clone with other normals": "normal",
+    "interleaved normals": "normal",
+    "scale": "position",
+    "weights in place": "skinWeight",
+    "alpha in place": "_skinbake_alpha_0",
+}
+
+
+@pytest.mark.parametrize("method", ["lbs", "dqs"])
+def test_a_mesh_whose_arrays_a_page_alters_is_three_s_own_from_that_frame_on(
+    stage: ThreeStage, method: str
+) -> None:
+    """Rounding does no harm, nor do the same values in another array."""
+    character = stage.character(TUBE, BENT)
+    told = {**character.told(Placement()), "method": method}
+    alone = stage.call("alteredAlone", told)
+    found = stage.page.call("altered", told)
+    reasons = {
+        name: f"a page has changed its attribute {array}: alpha and beta are for another one"
+        for name, array in ALTERED.items()
+    }
+    assert stage.messages() == [
+        f'skinbake: "{name}" has three.js\'s standard lighting: {reason}' for name, reason in reasons.items()
+    ]
+    lit = Algorithm.LBS_ACCURATE if method == "lbs" else Algorithm.DQS_EXACT
+    for name, one in found.items():
+        if one["isAltered"]:
+            assert one["report"] == ["standard", reasons[name]]
+            assert one["draws"] == [alone[name]] * 3, name
+        else:
+            assert one["report"] == ["accurate", ""]
+            wanted = expected(character, one["world"], lit)
+            assert max(largest(drawn, wanted) for drawn in one["draws"]) < DEGREES, name
 
 
 def test_without_the_module_three_has_its_own_normals(stage: ThreeStage) -> None:

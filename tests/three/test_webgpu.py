@@ -96,6 +96,21 @@ def test_every_normal_is_that_of_the_replay(
     assert found["report"] == [["accurate", ""]]
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_mesh_whose_normals_a_page_alters_is_three_s_own(stage: ThreeStage, backend: str) -> None:
+    """The others of ``ALTERED`` in test_package.py go the same way."""
+    require_backend(stage, backend)
+    character = stage.character(TUBE, BENT)
+    found = stage.page.call("altered", {**character.told(Placement()), "backend": backend})
+    reason = "a page has changed its attribute normal: alpha and beta are for another one"
+    assert stage.messages() == [f'skinbake: "anew" has three.js\'s standard lighting: {reason}']
+    assert found["anew"]["report"] == [["standard", reason]]
+    assert found["anew"]["draws"] == found["alone"]["draws"]
+    rewritten = found["as they were"]
+    assert rewritten["report"] == [["accurate", ""]]
+    assert largest(rewritten["draws"][0], expected(character, rewritten["world"])) < DEGREES
+
+
 @pytest.mark.parametrize("frame", ["normal", "tangent"])
 def test_morph_targets_come_before_skinning(stage: ThreeStage, frame: str) -> None:
     path = baked(with_morphs(stage.models, MIRRORED), stage.models, frame)

@@ -12,9 +12,10 @@ const ENCODINGS = { packed8: Int8Array, snorm16: Int16Array };
 
 // Copies of this module on one page share what they know.
 const state = (globalThis[Symbol.for('skinbake.three')] ??= {
-    geometries: new WeakMap(), // geometry -> { problem, constants, unfit }
+    geometries: new WeakMap(), // geometry -> { problem, constants, arrays, unfit }
     // metadata -> method, of geometries that were asked for; undefined after dispose(). Their clones have it too.
     methods: new WeakMap(),
+    prints: new WeakMap(), // geometry, or metadata -> { skinbake, prints }: of its arrays when it was first seen
     meshes: new WeakMap(), // mesh -> WeakMap of material -> { program, lighting, reason, repaired }
     standard: new WeakSet(), // meshes that lighting() has switched
     lit: new WeakMap(), // material (WebGLRenderer) or mesh (WebGPURenderer) -> time of its last accurate draw
@@ -184,9 +185,80 @@ function isBaked(geometry) {
     return adopted !== undefined && !adopted.problem;
 }
 
-function isIntact({ attributes }, { sources, hidden }) {
-    return Boolean(attributes[STORAGE] ?? hidden) && sources.every(([name, source]) => attributes[name] === source);
+function isIntact({ attributes }, { sources, hidden, arrays }) {
+    return (
+        Boolean(attributes[STORAGE] ?? hidden) &&
+        sources.every(([name, source]) => attributes[name] === source) &&
+        arrays.every((one) => isAsBefore(attributes[one.name], one))
+    );
 }
+
+// Alpha and beta are right for these arrays alone.
+function namesOfArrays(metadata) {
+    const tangent = metadata.frame === 'tangent' ? ['tangent'] : [];
+    return ['position', 'normal', ...tangent, 'skinWeight', ...coordinatesOf(metadata)];
+}
+
+// Return the arrays of a geometry, and the name of one that is not as it was when it was first seen.
+function takeArrays(geometry) {
+    const { attributes, userData } = geometry;
+    const names = namesOfArrays(userData.skinbake).filter((name) => attributes[name]);
+    const found = new Map(names.map((name) => [name, printOf(attributes[name])]));
+    const prints = firstPrints(geometry, found);
+    const arrays = names.map((name) => {
+        const attribute = attributes[name];
+        return { name, attribute, version: versionOf(attribute), print: prints.get(name) };
+    });
+    return { arrays, changed: names.find((name) => !isLike(found.get(name), prints.get(name))) };
+}
+
+// Those of the geometry itself, or of the one that it is a copy of. Where alpha and beta differ too, a tool has made
+// all arrays anew, as mergeVertices() does.
+function firstPrints(geometry, found) {
+    const { skinbake } = geometry.userData;
+    const own = state.prints.get(geometry);
+    if (own?.skinbake === skinbake) return own.prints;
+    const first = state.prints.get(skinbake)?.prints;
+    const isCopy = first && coordinatesOf(skinbake).every((name) => isLike(found.get(name), first.get(name)));
+    const seen = { skinbake, prints: isCopy ? first : found };
+    state.prints.set(geometry, seen);
+    if (!first) state.prints.set(skinbake, { prints: found });
+    return seen.prints;
+}
+
+// A page may write the same values anew.
+function isAsBefore(attribute, one) {
+    if (!attribute) return false;
+    const version = versionOf(attribute);
+    if (attribute === one.attribute && version === one.version) return true;
+    if (!isLike(printOf(attribute), one.print)) return false;
+    Object.assign(one, { attribute, version });
+    return true;
+}
+
+const holderOf = (attribute) => (attribute.isInterleavedBufferAttribute ? attribute.data : attribute);
+const versionOf = (attribute) => holderOf(attribute).version;
+
+// A sum of all components, by random factors from -1 to 1. Nothing is known of a buffer that only the GPU has. A page
+// may have given the array away after its upload (onUpload): then it cannot have changed it.
+function printOf(attribute) {
+    if (attribute.isGLBufferAttribute) return { sum: Infinity, length: 0 };
+    if (!holderOf(attribute).array) return undefined;
+    const { count, itemSize } = attribute;
+    let sum = 0;
+    let square = 0;
+    for (let index = 0; index < count * itemSize; index++) {
+        const value = attribute.getComponent(Math.floor(index / itemSize), index % itemSize);
+        let bits = Math.imul((index + 1) ^ (index >>> 15), 0x85ebca6b);
+        bits = Math.imul(bits ^ (bits >>> 13), 0xc2b2ae35);
+        sum += value * (bits / 2 ** 31);
+        square += value * value;
+    }
+    return { sum, length: Math.sqrt(square) };
+}
+
+// Rounding, as when a page normalises again, changes less.
+const isLike = (one, other) => !one || !other || !(Math.abs(one.sum - other.sum) > 1e-5 * other.length);
 
 // Give a geometry the attributes that the shader reads.
 function adopt(geometry, method) {
@@ -198,7 +270,8 @@ function adopt(geometry, method) {
     }
     const made = madeOf(geometry, method);
     state.geometries.set(geometry, made);
-    if (!made.problem) state.count++;
+    if (made.problem) withoutOurs(geometry); // A clone has them.
+    else state.count++;
     return made;
 }
 
@@ -207,6 +280,8 @@ function madeOf(geometry, method) {
     const { attributes } = geometry;
     const problem = problemOf(geometry, metadata);
     if (problem) return { problem };
+    const { arrays, changed } = takeArrays(geometry);
+    if (changed) return { problem: `a page has changed its attribute ${changed}: alpha and beta are for another one` };
     const names = coordinatesOf(metadata);
     const sources = names.map((name) => [name, attributes[name]]);
     const isOwn = metadata.layout === 'texcoord';
@@ -223,7 +298,7 @@ function madeOf(geometry, method) {
     // Nothing reads it: WebGPURenderer makes other programs for geometries that have attributes of other names.
     if (method === 'dqs') define(attributes, DUAL, storage, true);
     const joints = method === 'dqs' ? jointsOf(attributes) : [];
-    return { problem: '', sources, method, constants, joints, unfit: new WeakMap() };
+    return { problem: '', sources, arrays, method, constants, joints, unfit: new WeakMap() };
 }
 
 // Return the indices of the joints that move a vertex, and of those in slot 0: the shader starts from them.
@@ -320,7 +395,11 @@ function forget(geometry) {
     if (adopted.problem) return;
     state.count--;
     adopted.image?.dispose();
-    for (const name of ATTRIBUTES) delete geometry.attributes[name];
+    withoutOurs(geometry);
+}
+
+function withoutOurs({ attributes }) {
+    for (const name of ATTRIBUTES) delete attributes[name];
 }
 
 // Return the names of the attributes that hold alpha and beta, as GLTFLoader has them.
