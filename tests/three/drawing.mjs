@@ -297,6 +297,20 @@ const api = {
         return found;
     },
 
+    // The normals of a mesh whose material changes them before three.js skins them.
+    async hooked({ lines, ...options }) {
+        const { scene } = await load(options);
+        const [mesh] = skinnedMeshes(scene);
+        mesh.material.onBeforeCompile = (shader) => {
+            const chunk = '#include <beginnormal_vertex>';
+            shader.vertexShader = shader.vertexShader.replace(chunk, `${chunk}\n${lines}`);
+        };
+        const [{ values }] = await draw(scene);
+        const report = told(skinbake.applySkinbake(scene).meshes);
+        skinbake.dispose(scene);
+        return { normals: base64(values), report, world: mesh.matrixWorld.toArray() };
+    },
+
     // A character of VRM with expressions, as three-vrm's own examples load it: with its tools, if asked for.
     async vrm({ expressions, tools = false, triangles, ...options }) {
         const { scene: model, userData } = await load({ ...options, vrm: true });

@@ -5,6 +5,7 @@ The normals are the varying that three.js's own programs hand to fragment shader
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -25,6 +26,8 @@ from tests.support.characters import (
     Pose,
     angles,
     baked,
+    smallest_rotations,
+    unit,
 )
 from tests.support.node import package_folder, require_node
 from tests.support.stage import opened_page, page_of
@@ -297,6 +300,26 @@ def test_a_mesh_whose_arrays_a_page_alters_is_three_s_own_from_that_frame_on(
             assert one["report"] == ["accurate", ""]
             wanted = expected(character, one["world"], lit)
             assert max(largest(drawn, wanted) for drawn in one["draws"]) < DEGREES, name
+
+
+def test_a_hook_may_turn_normals_before_three_js_skins_them(stage: ThreeStage) -> None:
+    """As a morph target does."""
+    character = stage.character(TUBE, BENT)
+    told = {**character.told(Placement()), "lines": "objectNormal += vec3(0.5, 0.25, -0.5);"}
+    found = stage.call("hooked", told)
+    plain = expected(character, found["world"])
+    normals = unit(character.rest.normals + np.array([0.5, 0.25, -0.5]))
+    turn = smallest_rotations(character.rest.normals.astype(np.float64), normals)
+    turned = [
+        np.einsum("vij,vj->vi", turn, one) for one in (character.rest.tangents, character.rest.bitangents)
+    ]
+    character.rest = dataclasses.replace(
+        character.rest, normals=normals, tangents=turned[0], bitangents=turned[1]
+    )
+    wanted = expected(character, found["world"])
+    assert angles(wanted, plain).max() > 1000 * DEGREES
+    assert largest(found["normals"], wanted) < DEGREES
+    assert found["report"] == [["accurate", ""]]
 
 
 def test_without_the_module_three_has_its_own_normals(stage: ThreeStage) -> None:

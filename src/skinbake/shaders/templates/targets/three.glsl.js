@@ -122,9 +122,8 @@ if (skinbake_isBaked()) {
     vec2 along = vec2(dot(tangent.xyz, frame.tangent), dot(tangent.xyz, frame.bitangent));
     if (skinbake_hasTangentFrame()) along = vec2(1.0, 0.0);
 #endif
-#ifdef USE_MORPHNORMALS
-    frame = skinbake_morphed_frame(frame, skinbakeMorphedNormal);
-#endif
+    // By morph targets, or by a hook of the page.
+    if (skinbakeMorphedNormal != normal) frame = skinbake_morphed_frame(frame, skinbakeMorphedNormal);
     skinbake_Frame moved = frame;
     mat3 bind = mat3(bindMatrix);
     moved.tangent = bind * frame.tangent;
