@@ -132,10 +132,10 @@ class MeshReport {
         const unfit = adopted.unfit.get(this.mesh);
         if (unfit) return ['standard', unfit];
         const drawn = state.meshes.get(this.mesh) ?? new WeakMap();
-        const found = [this.mesh.material].flat().map((material) => drawn.get(material));
+        const found = materialsOf(this.mesh).map((material) => drawn.get(material));
         const standard = found.find((one) => one?.lighting === 'standard');
         if (standard) return ['standard', standard.reason];
-        if (!found.every((one) => one && one.lighting !== 'not drawn')) return UNDRAWN;
+        if (!found.length || !found.every((one) => one && one.lighting !== 'not drawn')) return UNDRAWN;
         if (found.every((one) => one.lighting === 'unlit')) return ['unlit', 'its materials read no normals'];
         return ['accurate', ''];
     }
@@ -161,6 +161,13 @@ function skinnedMeshes(root) {
         if (object.isSkinnedMesh) found.push(object);
     });
     return found;
+}
+
+// Of several materials, those that draw a group.
+function materialsOf({ material, geometry }) {
+    if (!Array.isArray(material)) return [material];
+    const used = new Set(geometry.groups.map(({ materialIndex }) => material[materialIndex]));
+    return [...used].filter((one) => one?.visible);
 }
 
 function kindOf({ isBatchedMesh, isInstancedMesh, type }) {

@@ -311,6 +311,25 @@ const api = {
         return { normals: base64(values), report, world: mesh.matrixWorld.toArray() };
     },
 
+    // What is reported of meshes with materials that draw nothing.
+    async idle(options) {
+        const [used, unused, hidden] = [{}, {}, { visible: false }].map((one) => new THREE.MeshPhongMaterial(one));
+        const kinds = { unused: [used, unused], hidden: [used, hidden], 'all hidden': [hidden], one: hidden };
+        const found = {};
+        for (const [name, material] of Object.entries(kinds)) {
+            const { scene } = await load(options);
+            const [mesh] = skinnedMeshes(scene);
+            mesh.geometry.clearGroups();
+            mesh.geometry.addGroup(0, 30, 0);
+            if (material[1]?.visible === false) mesh.geometry.addGroup(30, Infinity, 1);
+            mesh.material = material;
+            await draw(scene);
+            [[found[name]]] = told(skinbake.applySkinbake(scene).meshes);
+            skinbake.dispose(scene);
+        }
+        return found;
+    },
+
     // A character of VRM with expressions, as three-vrm's own examples load it: with its tools, if asked for.
     async vrm({ expressions, tools = false, triangles, ...options }) {
         const { scene: model, userData } = await load({ ...options, vrm: true });

@@ -322,6 +322,16 @@ def test_a_hook_may_turn_normals_before_three_js_skins_them(stage: ThreeStage) -
     assert found["report"] == [["accurate", ""]]
 
 
+def test_materials_that_draw_nothing_have_no_part_in_the_report(stage: ThreeStage) -> None:
+    found = stage.call("idle", stage.character(TUBE, BENT).told(Placement()))
+    assert found == {
+        "unused": "accurate",
+        "hidden": "accurate",
+        "all hidden": "not drawn",
+        "one": "not drawn",
+    }
+
+
 def test_without_the_module_three_has_its_own_normals(stage: ThreeStage) -> None:
     """Else the tests above would not see it. The page has used the module before, and disposed of it."""
     character = stage.character(TUBE, BENT)
