@@ -37,6 +37,7 @@ const state = (globalThis[Symbol.for('skinbake.babylon')] ??= {
     scenes: new WeakMap(), // scene -> { geometries, meshes } that came from baked primitives
     standard: new WeakSet(), // meshes that lighting() has switched
     told: new WeakMap(), // mesh -> messages
+    writes: new WeakMap(), // vertex buffer -> how often it has been written
 });
 
 /** Load alpha and beta with every glTF file from now on. Skinned meshes that have them are lit accurately. */
@@ -193,27 +194,55 @@ function bakedOf({ frame, encoding, scale, influences }) {
     return { problem: '', changed: '', frame: FRAMES[frame], scale: encoding ? scale : 1, sets };
 }
 
-const ATTRIBUTES = { normal: 'NORMAL', tangent: 'TANGENT' };
+const ATTRIBUTES = {
+    normal: 'NORMAL',
+    tangent: 'TANGENT',
+    position: 'POSITION',
+    matricesWeights: 'WEIGHTS_0',
+    matricesWeightsExtra: 'WEIGHTS_1',
+};
 
 // The vertex buffers that alpha and beta belong together with, and their own, as they are now.
 function loadedOf(geometry, { frame, sets }) {
-    const kinds = Object.keys(ATTRIBUTES).slice(0, frame - 1);
+    const kinds = Object.keys(ATTRIBUTES).filter((kind) => kind !== 'tangent' || frame === FRAMES.tangent);
     for (let set = 0; set < sets; set++) kinds.push(...kindsOf(set));
-    return kinds.map((kind) => {
+    const present = kinds.filter((kind) => geometry.getVertexBuffer(kind));
+    return present.map((kind) => {
         const buffer = geometry.getVertexBuffer(kind);
-        return [kind, { buffer, digest: digestOf(geometry, kind), isSame: true }];
+        watchBuffer(buffer);
+        return [kind, { buffer, writes: 0, print: printOf(geometry, kind), isSame: true }];
     });
 }
 
-function digestOf(geometry, kind) {
-    const floats = Float32Array.from(geometry.getVerticesData(kind) ?? []);
-    let digest = 0;
-    for (const bits of new Int32Array(floats.buffer)) {
-        digest = Math.imul(digest ^ bits, 0x5bd1e995);
-        digest ^= digest >>> 15; // else two signs that change would leave it as it was
+// Count how often a page writes into a buffer.
+function watchBuffer(buffer) {
+    if (!buffer || state.writes.has(buffer)) return;
+    state.writes.set(buffer, 0);
+    for (const name of ['update', 'updateDirectly']) {
+        const usual = buffer[name];
+        buffer[name] = function (...parameters) {
+            state.writes.set(buffer, state.writes.get(buffer) + 1);
+            return usual.apply(this, parameters);
+        };
     }
-    return digest;
 }
+
+// A sum of all components, by random factors from -1 to 1.
+function printOf(geometry, kind) {
+    let sum = 0;
+    let square = 0;
+    const values = geometry.getVerticesData(kind) ?? [];
+    for (let index = 0; index < values.length; index++) {
+        let bits = Math.imul((index + 1) ^ (index >>> 15), 0x85ebca6b);
+        bits = Math.imul(bits ^ (bits >>> 13), 0xc2b2ae35);
+        sum += values[index] * (bits / 2 ** 31);
+        square += values[index] ** 2;
+    }
+    return { sum, length: Math.sqrt(square) };
+}
+
+// Rounding, as when a page normalises again, changes less.
+const isLike = (one, other) => !(Math.abs(one.sum - other.sum) > 1e-5 * other.length);
 
 // Babylon.js need not hand on the texture coordinates that hold alpha and beta.
 function withoutPairs(primitive, metadata) {
@@ -974,19 +1003,23 @@ function heedChanges(geometry) {
     const baked = state.geometries.get(geometry);
     const [kind] = (baked.loaded ?? []).find((one) => !isAsLoaded(geometry, ...one)) ?? [];
     const name = ATTRIBUTES[kind] ?? kind;
-    const changed = kind ? `a page has replaced or removed its ${name}` : '';
+    const changed = kind ? `a page has changed or removed its ${name}` : '';
     if (changed === baked.changed) return;
     baked.changed = changed;
     for (const mesh of geometry.meshes) mesh.subMeshes?.forEach(renew);
 }
 
-// Babylon.js puts the same normals into another buffer when the processor no longer skins a mesh.
+// Babylon.js puts the same normals into another buffer when the processor no longer skins a mesh. Until then it writes
+// in each frame.
 function isAsLoaded(geometry, kind, known) {
     const buffer = geometry.getVertexBuffer(kind);
-    if (known.buffer !== buffer) {
-        known.buffer = buffer;
-        known.isSame = Boolean(buffer) && digestOf(geometry, kind) === known.digest;
-    }
+    const writes = state.writes.get(buffer) ?? 0;
+    if (known.buffer === buffer && known.writes === writes) return known.isSame;
+    if (geometry.meshes.every((mesh) => !mesh.computeBonesUsingShaders)) return known.isSame;
+    watchBuffer(buffer);
+    known.buffer = buffer;
+    known.writes = writes;
+    known.isSame = Boolean(buffer) && isLike(printOf(geometry, kind), known.print);
     return known.isSame;
 }
 

@@ -181,6 +181,29 @@ const CHANGES = {
 // What a page does to the attributes of a mesh that has been drawn.
 const ALTERED = {
     'normals flattened': ({ mesh }) => mesh.convertToFlatShadedMesh(),
+    'normals in place': ({ mesh, scene }) => {
+        const normals = mesh.getVerticesData('normal').slice();
+        mesh.setVerticesData('normal', normals, true);
+        frame(scene);
+        frame(scene);
+        mesh.updateVerticesData('normal', normals.map((one) => -one));
+    },
+    'a buffer of normals in place': ({ mesh, scene }) => {
+        const normals = mesh.getVerticesData('normal').slice();
+        mesh.setVerticesData('normal', normals, true);
+        frame(scene);
+        mesh.getVertexBuffer('normal').updateDirectly(normals.map((one) => -one), 0);
+    },
+    'positions stretched': ({ mesh }) =>
+        mesh.setVerticesData('position', mesh.getVerticesData('position').map((one, index) => (index % 3 ? one : 2 * one))),
+    'other weights': ({ mesh }) =>
+        mesh.setVerticesData('matricesWeights', mesh.getVerticesData('matricesWeights').map((_, index) => (index % 4 < 2 ? 0.5 : 0))),
+    'weights cleaned': ({ mesh }) => mesh.cleanMatrixWeights(),
+    'normals as they were': ({ mesh, scene }) => {
+        mesh.setVerticesData('normal', mesh.getVerticesData('normal').slice(), true);
+        frame(scene);
+        mesh.updateVerticesData('normal', mesh.getVerticesData('normal').slice());
+    },
     'tangents replaced': ({ mesh }) => mesh.setVerticesData('tangent', mesh.getVerticesData('tangent').map((one) => -one)),
     'tangents removed': ({ mesh }) => mesh.geometry.removeVerticesData('tangent'),
     'beta removed': ({ mesh }) => mesh.geometry.removeVerticesData('skinbakeBeta0'),

@@ -131,19 +131,23 @@ function heedChanges(geometry) {
     const baked = state.geometries.get(geometry);
     const [kind] = (baked.loaded ?? []).find((one) => !isAsLoaded(geometry, ...one)) ?? [];
     const name = ATTRIBUTES[kind] ?? kind;
-    const changed = kind ? `a page has replaced or removed its ${name}` : '';
+    const changed = kind ? `a page has changed or removed its ${name}` : '';
     if (changed === baked.changed) return;
     baked.changed = changed;
     for (const mesh of geometry.meshes) mesh.subMeshes?.forEach(renew);
 }
 
-// Babylon.js puts the same normals into another buffer when the processor no longer skins a mesh.
+// Babylon.js puts the same normals into another buffer when the processor no longer skins a mesh. Until then it writes
+// in each frame.
 function isAsLoaded(geometry, kind, known) {
     const buffer = geometry.getVertexBuffer(kind);
-    if (known.buffer !== buffer) {
-        known.buffer = buffer;
-        known.isSame = Boolean(buffer) && digestOf(geometry, kind) === known.digest;
-    }
+    const writes = state.writes.get(buffer) ?? 0;
+    if (known.buffer === buffer && known.writes === writes) return known.isSame;
+    if (geometry.meshes.every((mesh) => !mesh.computeBonesUsingShaders)) return known.isSame;
+    watchBuffer(buffer);
+    known.buffer = buffer;
+    known.writes = writes;
+    known.isSame = Boolean(buffer) && isLike(printOf(geometry, kind), known.print);
     return known.isSame;
 }
 
