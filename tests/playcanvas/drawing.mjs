@@ -270,6 +270,23 @@ const CHANGES = {
     'a scaled joint': (_, entity) => {
         for (const { skinInstance } of skinned(entity)) skinInstance.bones.at(-1).setLocalScale(1, 1.1, 1);
     },
+    'normals set': ({ app }, entity) => {
+        app.render();
+        for (const { mesh } of skinned(entity)) setNormals(mesh, -1);
+    },
+    'normals set, then as they were': ({ app }, entity) => {
+        for (const { mesh } of skinned(entity)) setNormals(mesh, -1);
+        app.render();
+        for (const { mesh } of skinned(entity)) setNormals(mesh, -1);
+    },
+    'the same normals': ({ app }, entity) => {
+        app.render();
+        for (const { mesh } of skinned(entity)) setNormals(mesh, 1);
+    },
+    'other weights': ({ app }, entity) => {
+        app.render();
+        for (const { mesh } of skinned(entity)) turnWeights(mesh);
+    },
     disposed: ({ app }) => {
         app.render();
         skinbake.dispose(app);
@@ -280,6 +297,26 @@ const CHANGES = {
         skinbake.skinbakeOptions(app);
     },
 };
+
+function setNormals(mesh, factor) {
+    const normals = [];
+    mesh.getNormals(normals);
+    mesh.setNormals(normals.map((one) => factor * one));
+    mesh.update();
+}
+
+// Write in place, as PlayCanvas's documentation shows it: each weight for the next slot.
+function turnWeights({ vertexBuffer }) {
+    const iterator = new pc.VertexIterator(vertexBuffer);
+    for (let vertex = 0; vertex < vertexBuffer.numVertices; vertex++) {
+        const weight = iterator.element[pc.SEMANTIC_BLENDWEIGHT];
+        const [a, b, c, d] = weight.array.slice(weight.index, weight.index + 4);
+        weight.set(b, c, d, a);
+        iterator.next();
+    }
+    iterator.end();
+}
+
 const OWN = 'mat3 dNormalMatrix; vec3 skinnedNormal() { dNormalMatrix = mat3(1.0); return vec3(0.0, 0.0, 1.0); }';
 const SHADER = {
     uniqueName: 'own',

@@ -293,11 +293,42 @@ def test_a_scaled_joint_keeps_a_mesh_from_dual_quaternions(stage: DrawingStage, 
         "and back after long",
         "a clone is standard for long",
         "disposed and again",
+        "the same normals",
     ],
 )
 def test_whatever_a_page_does_the_normals_stay_right(stage: DrawingStage, change: str) -> None:
     character = stage.character(TUBE, RANDOM)
     found = stage.draw(character, change=change)
+    assert largest(found["values"][0], expected(character, found).normals) < DEGREES
+    assert found["report"] == [["accurate", ""]]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize(
+    ("change", "array"),
+    [("normals set", "NORMAL"), ("other weights", "WEIGHTS_0")],
+    ids=["NORMAL", "WEIGHTS_0"],
+)
+def test_a_mesh_whose_arrays_a_page_changes_has_playcanvas_s_own_normals(
+    stage: DrawingStage, change: str, array: str, backend: str
+) -> None:
+    """α and β are for the arrays of the file."""
+    require_backend(stage, backend)
+    options = {**stage.character(TUBE, RANDOM).told(Placement()), "backend": backend, "change": change}
+    found = stage.page.call("draw", options)
+    reason = f"a page has changed its {array}: alpha and beta are for another one"
+    assert found["report"] == [["standard", reason]]
+    assert stage.messages() == [f'skinbake: "tube" has PlayCanvas\'s standard lighting: {reason}']
+    usual = stage.page.call("draw", {**options, "plugin": False, "url": options["url"] + "?without"})
+    assert "was loaded without skinbakeOptions()" in stage.messages()[0]
+    assert found["values"] == usual["values"]
+
+
+def test_the_old_arrays_bring_the_accurate_lighting_back(stage: DrawingStage) -> None:
+    character = stage.character(TUBE, RANDOM)
+    told = {**character.told(Placement()), "change": "normals set, then as they were"}
+    found = stage.page.call("draw", told)
+    assert [line for line in stage.messages() if "a page has changed its NORMAL" not in line] == []
     assert largest(found["values"][0], expected(character, found).normals) < DEGREES
     assert found["report"] == [["accurate", ""]]
 

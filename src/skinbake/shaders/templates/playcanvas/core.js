@@ -1,7 +1,7 @@
 // Which mesh instances are lit accurately. Before each frame the module looks at all skinned ones of the
 // application, so that clones, other materials and late entities need no further call.
 
-const bakes = new WeakMap(); // Mesh -> { problem, values, stride, method, texture, kept }
+const bakes = new WeakMap(); // Mesh -> { problem, values, stride, method, arrays, texture, kept }
 const watched = new Map(); // Application -> { stop }
 const methods = new WeakMap(); // hooks of skinbakeOptions() -> method
 const standard = new WeakSet(); // mesh instances that lighting() has switched
@@ -102,7 +102,7 @@ function found(instance) {
     if (!instance.mesh) return ['not drawn', 'it has been destroyed'];
     const bake = bakes.get(instance.mesh);
     if (!bake) return ['standard', NOT_BAKED];
-    if (bake.problem) return ['standard', bake.problem];
+    if (bake.problem || bake.arrays.change) return ['standard', bake.problem || bake.arrays.change];
     if (standard.has(instance)) return ['standard', 'lighting() has switched it'];
     const problem = problemOfMaterial(instance.material) || problems.get(instance.material);
     if (problem) return ['standard', problem];
@@ -216,7 +216,8 @@ function light(app, kept, instance) {
     const isDual = !bake.problem && bake.method === 'dqs';
     const joints = isDual ? jointsOf(instance, bake.used) : { problem: '', stretch: NO_STRETCH };
     if (isDual) uneven.set(instance, joints.problem);
-    const problem = bake.problem || problemOfMaterial(material) || prepare(app, kept, material) || joints.problem;
+    const problem = bake.problem || changeOf(instance.mesh, bake.arrays) || problemOfMaterial(material) ||
+        prepare(app, kept, material) || joints.problem;
     if (problem) tell(instance, problem);
     if (problem) {
         unlight(kept, instance);

@@ -23,14 +23,66 @@ function takeBakes(gltf, { renders }, views, method) {
         if (meshes?.length !== primitives.length) continue;
         for (const [index, primitive] of primitives.entries()) {
             const metadata = metadataOf(gltf, primitive);
-            if (metadata) bakes.set(meshes[index], bakeOf(gltf, primitive, metadata, views, method));
-            else if (primitive.attributes._SKINBAKE_ALPHA_0 !== undefined) {
-                bakes.set(meshes[index], { problem: LOST });
-            }
+            const mesh = meshes[index];
+            if (metadata) {
+                const bake = bakeOf(gltf, primitive, metadata, views, method);
+                bakes.set(mesh, { ...bake, arrays: arraysOf(mesh) });
+            } else if (primitive.attributes._SKINBAKE_ALPHA_0 !== undefined) bakes.set(mesh, { problem: LOST });
         }
     }
     for (const description of gltf.bufferViews ?? []) views.delete(description);
 }
+
+// Alpha and beta are right for these arrays alone.
+const NAMES = { [SEMANTIC_NORMAL]: 'NORMAL', [SEMANTIC_POSITION]: 'POSITION', [SEMANTIC_BLENDWEIGHT]: 'WEIGHTS_0' };
+const writes = new WeakMap(); // VertexBuffer -> how often it has been written
+
+function arraysOf(mesh) {
+    const { vertexBuffer } = mesh;
+    watchBuffer(vertexBuffer);
+    const prints = Object.keys(NAMES).map((semantic) => [semantic, printOf(mesh, semantic)]);
+    return { vertexBuffer, written: writes.get(vertexBuffer), prints, change: '' };
+}
+
+// Return which array of a mesh is not as it was loaded; empty if none. A page may write the same values anew.
+function changeOf(mesh, arrays) {
+    const { vertexBuffer } = mesh;
+    const written = writes.get(vertexBuffer);
+    if (arrays.vertexBuffer === vertexBuffer && arrays.written === written) return arrays.change;
+    watchBuffer(vertexBuffer);
+    const [semantic] = arrays.prints.find(([name, print]) => !isLike(printOf(mesh, name), print)) ?? [];
+    const change = semantic ? `a page has changed its ${NAMES[semantic]}: alpha and beta are for another one` : '';
+    Object.assign(arrays, { vertexBuffer, written: writes.get(vertexBuffer), change });
+    return change;
+}
+
+function watchBuffer(vertexBuffer) {
+    if (!vertexBuffer || writes.has(vertexBuffer)) return;
+    writes.set(vertexBuffer, 0);
+    const { unlock } = vertexBuffer;
+    vertexBuffer.unlock = function (...parameters) {
+        writes.set(vertexBuffer, writes.get(vertexBuffer) + 1);
+        return unlock.apply(this, parameters);
+    };
+}
+
+// A sum of all components, by random factors from -1 to 1.
+function printOf(mesh, semantic) {
+    const values = [];
+    if (mesh.vertexBuffer) mesh.getVertexStream(semantic, values);
+    let sum = 0;
+    let square = 0;
+    for (let index = 0; index < values.length; index++) {
+        let bits = Math.imul((index + 1) ^ (index >>> 15), 0x85ebca6b);
+        bits = Math.imul(bits ^ (bits >>> 13), 0xc2b2ae35);
+        sum += values[index] * (bits / 2 ** 31);
+        square += values[index] ** 2;
+    }
+    return { sum, length: Math.sqrt(square) };
+}
+
+// Rounding, as when a page normalises again, changes less.
+const isLike = (one, other) => !(Math.abs(one.sum - other.sum) > 1e-5 * other.length);
 
 // Where extras of the primitive were not an object, bake has put the metadata into those of alpha's accessor.
 function metadataOf({ accessors = [] }, { extras, attributes }) {
