@@ -1010,12 +1010,12 @@ function heedChanges(geometry) {
 }
 
 // Babylon.js puts the same normals into another buffer when the processor no longer skins a mesh. Until then it writes
-// in each frame.
+// in each frame. Nothing is read while no mesh is to be lit accurately.
 function isAsLoaded(geometry, kind, known) {
     const buffer = geometry.getVertexBuffer(kind);
     const writes = state.writes.get(buffer) ?? 0;
     if (known.buffer === buffer && known.writes === writes) return known.isSame;
-    if (geometry.meshes.every((mesh) => !mesh.computeBonesUsingShaders)) return known.isSame;
+    if (geometry.meshes.every((mesh) => !mesh.computeBonesUsingShaders || state.standard.has(mesh))) return known.isSame;
     watchBuffer(buffer);
     known.buffer = buffer;
     known.writes = writes;

@@ -344,6 +344,32 @@ const api = {
         return found;
     },
 
+    // How often the normals are read back in frames in which a page writes them, while the mesh is switched, and what is
+    // told of it when it is switched back.
+    async written({ url, pose }) {
+        const { scene, mesh } = await load({ url, pose });
+        const normals = mesh.getVerticesData('normal').map((one) => -one);
+        mesh.setVerticesData('normal', mesh.getVerticesData('normal').slice(), true);
+        await ready(scene);
+        frame(scene);
+        skinbake.lighting(scene, 'standard');
+        frame(scene);
+        const { getVerticesData } = mesh.geometry;
+        let count = 0;
+        mesh.geometry.getVerticesData = function (...parameters) {
+            count++;
+            return getVerticesData.apply(this, parameters);
+        };
+        for (let time = 0; time < 3; time++) {
+            mesh.updateVerticesData('normal', normals);
+            frame(scene);
+        }
+        const read = count;
+        skinbake.lighting(scene, 'accurate');
+        await draw(scene);
+        return { read, report: told(scene) };
+    },
+
     // What is told of each root, and of a mesh that has been disposed of.
     async roots({ url }) {
         const { scene, mesh } = await load({ url });

@@ -287,6 +287,13 @@ def test_a_mesh_whose_attributes_a_page_alters_has_standard_normals(stage: Stage
             assert angles(vectors(drawn), normals[: len(vectors(drawn))]).max() < DEGREES, name
 
 
+def test_arrays_are_not_read_back_while_a_mesh_is_switched(stage: Stage) -> None:
+    told = stage.character(TUBE, BENT).told(Placement())
+    found = stage.page.call("written", told)
+    assert found == {"read": 0, "report": [["standard", "a page has changed or removed its NORMAL"]]}
+    assert len(stage.messages()) == 1
+
+
 def test_roots_that_hold_no_meshes_are_refused_by_name(stage: Stage) -> None:
     character = stage.character(TUBE, BENT)
     found = stage.call("roots", character.told(Placement()))
