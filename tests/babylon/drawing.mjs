@@ -11,6 +11,7 @@ import { DirectionalLight } from '@babylonjs/core/Lights/directionalLight.js';
 import { ShadowGenerator } from '@babylonjs/core/Lights/Shadows/shadowGenerator.js';
 import '@babylonjs/core/Lights/Shadows/shadowGeneratorSceneComponent.js';
 import { ImportMeshAsync, LoadAssetContainerAsync } from '@babylonjs/core/Loading/sceneLoader.js';
+import { MaterialPluginBase } from '@babylonjs/core/Materials/materialPluginBase.js';
 import { OpenPBRMaterial } from '@babylonjs/core/Materials/PBR/openpbrMaterial.js';
 import { ShaderMaterial } from '@babylonjs/core/Materials/shaderMaterial.js';
 import { StandardMaterial } from '@babylonjs/core/Materials/standardMaterial.js';
@@ -159,6 +160,22 @@ function addBump(scene, { material }) {
     material[material instanceof OpenPBRMaterial ? 'geometryNormalTexture' : 'bumpTexture'] = texture;
 }
 
+// A page's own code, in both languages, which turns normals before Babylon.js skins them.
+class Turning extends MaterialPluginBase {
+    constructor(material) {
+        super(material, 'Turning', 100, { TURNING: true }, true, true); // Babylon.js shares programs with equal defines
+    }
+
+    isCompatible() {
+        return true;
+    }
+
+    getCustomCode(type, language = 0) {
+        const vector = language === 0 ? 'vec3' : 'vec3f';
+        return type === 'vertex' ? { CUSTOM_VERTEX_UPDATE_NORMAL: `normalUpdated += ${vector}(0.5, 0.25, -0.5);` } : null;
+    }
+}
+
 // What applications do after the first frame. Each returns the meshes that it leaves.
 const CHANGES = {
     nothing: () => {},
@@ -304,8 +321,9 @@ function limitsOf(limits) {
 const api = {
     backend: async (name) => (await engineOf(name)) && name,
 
-    async normals({ lighting, bump = false, ...options }) {
+    async normals({ lighting, bump = false, turned = false, ...options }) {
         const { scene, mesh } = await load(options);
+        if (turned) new Turning(mesh.material);
         if (lighting) skinbake.lighting(scene, lighting);
         if (bump) addBump(scene, mesh);
         const names = options.backend === 'webgpu' ? ['vTBN0', 'vTBN1', 'vTBN2'] : ['vTBN'];

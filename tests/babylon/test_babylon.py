@@ -24,7 +24,7 @@ from tests.support.baked_files import Editable
 from tests.support.baking import bake_file
 from tests.support.characters import Array, Character, Placement, Pose, angles, baked, unit
 from tests.support.stage import Stage, require_backend
-from tests.three.drawn import BENT, MIRRORED, RANDOM, TUBE, largest, vectors, with_morphs
+from tests.three.drawn import BENT, MIRRORED, RANDOM, TUBE, largest, turn_rest, vectors, with_morphs
 
 pytestmark = pytest.mark.slow
 
@@ -174,6 +174,19 @@ def test_morph_targets_with_tangents_turn_the_tangent_frame(stage: Stage, backen
     assert angles(wanted, by_normal).max() > 100 * DEGREES
     found = stage.normals(character, backend=backend, material="standard")
     assert worst(found["draws"][0], wanted) < DEGREES
+
+
+@pytest.mark.parametrize("material", ["pbr", "standard", "openpbr"])
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_page_may_turn_normals_before_babylon_skins_them(stage: Stage, material: str, backend: str) -> None:
+    require_backend(stage, backend)
+    character = stage.character(TUBE, BENT)
+    found = stage.normals(character, backend=backend, material=material, turned=True)
+    plain = expected(character)
+    turn_rest(character, (0.5, 0.25, -0.5))
+    assert angles(expected(character), plain).max() > 1000 * DEGREES
+    assert worst(found["draws"][0], expected(character)) < DEGREES
+    assert found["report"] == RIGHT
 
 
 def with_morphed_tangents(folder: Path, source: Path) -> Path:

@@ -23,6 +23,8 @@ from tests.support.characters import (
     Pose,
     angles,
     column_by_column,
+    smallest_rotations,
+    unit,
 )
 from tests.support.replay import replay
 from tests.support.stage import Stage
@@ -168,6 +170,15 @@ def largest(found: str, wanted: Array) -> float:
     normals = vectors(found)
     assert (np.linalg.norm(normals, axis=1) > 0).all()
     return float(angles(normals, wanted[: len(normals)]).max())
+
+
+def turn_rest(character: Character, offset: tuple[float, float, float]) -> None:
+    """Add a vector to all normals at rest, and turn the frames with them, as a morph target does."""
+    rest = character.rest
+    normals = unit(rest.normals + np.array(offset))
+    turn = smallest_rotations(rest.normals.astype(np.float64), normals)
+    tangents, bitangents = (np.einsum("vij,vj->vi", turn, part) for part in (rest.tangents, rest.bitangents))
+    character.rest = dataclasses.replace(rest, normals=normals, tangents=tangents, bitangents=bitangents)
 
 
 def with_morphs(folder: Path, source: Path) -> Path:

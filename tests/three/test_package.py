@@ -5,7 +5,6 @@ The normals are the varying that three.js's own programs hand to fragment shader
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -26,8 +25,6 @@ from tests.support.characters import (
     Pose,
     angles,
     baked,
-    smallest_rotations,
-    unit,
 )
 from tests.support.node import package_folder, require_node
 from tests.support.stage import opened_page, page_of
@@ -50,6 +47,7 @@ from tests.three.drawn import (
     rotation,
     scaled,
     shadow_is_of,
+    turn_rest,
     vectors,
     with_morphs,
 )
@@ -308,14 +306,7 @@ def test_a_hook_may_turn_normals_before_three_js_skins_them(stage: ThreeStage) -
     told = {**character.told(Placement()), "lines": "objectNormal += vec3(0.5, 0.25, -0.5);"}
     found = stage.call("hooked", told)
     plain = expected(character, found["world"])
-    normals = unit(character.rest.normals + np.array([0.5, 0.25, -0.5]))
-    turn = smallest_rotations(character.rest.normals.astype(np.float64), normals)
-    turned = [
-        np.einsum("vij,vj->vi", turn, one) for one in (character.rest.tangents, character.rest.bitangents)
-    ]
-    character.rest = dataclasses.replace(
-        character.rest, normals=normals, tangents=turned[0], bitangents=turned[1]
-    )
+    turn_rest(character, (0.5, 0.25, -0.5))
     wanted = expected(character, found["world"])
     assert angles(wanted, plain).max() > 1000 * DEGREES
     assert largest(found["normals"], wanted) < DEGREES

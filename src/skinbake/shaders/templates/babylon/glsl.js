@@ -93,10 +93,10 @@ skinbake_Vertex skinbake_lit(vec3 p, skinbake_Frame frame)
 skinbake_Frame skinbakeRest = skinbake_rest();
 #if SKINBAKE > 2 && defined(MORPHTARGETS) && defined(MORPHTARGETS_TANGENT)
 skinbake_Frame skinbakeFrame = skinbake_morphed_tangent_frame(skinbakeRest, normalUpdated, tangentUpdated.xyz);
-#elif defined(MORPHTARGETS) && defined(MORPHTARGETS_NORMAL)
-skinbake_Frame skinbakeFrame = skinbake_morphed_frame(skinbakeRest, normalUpdated);
 #else
 skinbake_Frame skinbakeFrame = skinbakeRest;
+// By morph targets, or by code of the page.
+if (normalUpdated != normal) skinbakeFrame = skinbake_morphed_frame(skinbakeRest, normalUpdated);
 #endif
 skinbake_Vertex skinbakeLit = skinbake_lit(positionUpdated, skinbakeFrame);
 mat3 skinbakeWorld = skinbake_world();

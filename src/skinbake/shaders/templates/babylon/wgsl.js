@@ -104,10 +104,11 @@ fn skinbake_lit(p: vec3<f32>, frame: skinbake_Frame) -> skinbake_Vertex {
 let skinbakeRest = skinbake_rest();
 #if SKINBAKE > 2 && defined(MORPHTARGETS) && defined(MORPHTARGETS_TANGENT)
 let skinbakeFrame = skinbake_morphed_tangent_frame(skinbakeRest, normalUpdated, tangentUpdated.xyz);
-#elif defined(MORPHTARGETS) && defined(MORPHTARGETS_NORMAL)
-let skinbakeFrame = skinbake_morphed_frame(skinbakeRest, normalUpdated);
 #else
-let skinbakeFrame = skinbakeRest;
+var skinbakeFrame = skinbakeRest;
+if (any(normalUpdated != vertexInputs.normal)) {
+    skinbakeFrame = skinbake_morphed_frame(skinbakeRest, normalUpdated);
+}
 #endif
 let skinbakeLit = skinbake_lit(positionUpdated, skinbakeFrame);
 let skinbakeWorld = skinbake_world();
