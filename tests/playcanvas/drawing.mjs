@@ -283,6 +283,17 @@ const CHANGES = {
         app.render();
         for (const { mesh } of skinned(entity)) setNormals(mesh, 1);
     },
+    'turned by a chunk': ({ app }, entity) => {
+        for (const { material } of skinned(entity)) {
+            for (const [language, vector] of [[pc.SHADERLANGUAGE_GLSL, 'vec3'], [pc.SHADERLANGUAGE_WGSL, 'vec3f']]) {
+                const text = pc.ShaderChunks.get(app.graphicsDevice, language).get('normalCoreVS');
+                if (!text) continue;
+                const turned = text.replace('return localNormal;', `return localNormal + ${vector}(0.5, 0.25, -0.5);`);
+                material.getShaderChunks(language).set('normalCoreVS', turned);
+            }
+            material.update();
+        }
+    },
     'other weights': ({ app }, entity) => {
         app.render();
         for (const { mesh } of skinned(entity)) turnWeights(mesh);

@@ -25,7 +25,7 @@ from tests.support.characters import AS_USUAL, Array, Character, Normals, Placem
 from tests.support.node import package_folder, require_node
 from tests.support.replay import replay
 from tests.support.stage import Stage, opened_page, page_of, require_backend
-from tests.three.drawn import vectors, with_morphs
+from tests.three.drawn import turn_rest, vectors, with_morphs
 
 PAGE = page_of(
     "/tests/drawing.mjs",
@@ -300,6 +300,19 @@ def test_whatever_a_page_does_the_normals_stay_right(stage: DrawingStage, change
     character = stage.character(TUBE, RANDOM)
     found = stage.draw(character, change=change)
     assert largest(found["values"][0], expected(character, found).normals) < DEGREES
+    assert found["report"] == [["accurate", ""]]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_chunk_may_turn_normals_before_playcanvas_skins_them(stage: DrawingStage, backend: str) -> None:
+    require_backend(stage, backend)
+    character = stage.character(TUBE, RANDOM)
+    found = stage.draw(character, backend=backend, change="turned by a chunk")
+    plain = expected(character, found).normals
+    turn_rest(character, (0.5, 0.25, -0.5))
+    wanted = expected(character, found).normals
+    assert angles(wanted, plain).max() > 1000 * DEGREES
+    assert largest(found["values"][0], wanted) < DEGREES
     assert found["report"] == [["accurate", ""]]
 
 

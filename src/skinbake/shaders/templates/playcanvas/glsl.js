@@ -116,9 +116,8 @@ vec3 skinbake_normal()
     skinbake_Frame rest = skinbake_frame(n0);
     if (skinbakeConstants.x > 2.5) rest = skinbake_frame(n0, skinbake_datum(2));
     skinbake_Frame frame = rest;
-#ifdef MORPHING_NORMAL
-    frame = skinbake_morphed_frame(rest, getLocalNormal(vertex_normal));
-#endif
+    vec3 local = getLocalNormal(vertex_normal); // morphed, or turned by a chunk normalCoreVS of the page
+    if (local != vertex_normal) frame = skinbake_morphed_frame(rest, local);
     mat4 M[4] = skinbake_joints();
     vec3 p = getLocalPosition(vertex_position.xyz);
     vec3 alpha = skinbake_datum(0).xyz;

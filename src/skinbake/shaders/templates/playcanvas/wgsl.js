@@ -125,9 +125,8 @@ fn skinbake_normal() -> vec3f {
     var rest = skinbake_frame(n0);
     if (uniform.skinbakeConstants.x > 2.5) { rest = skinbake_tangent_frame(n0, skinbake_datum(2)); }
     var frame = rest;
-#ifdef MORPHING_NORMAL
-    frame = skinbake_morphed_frame(rest, getLocalNormal(vertex_normal));
-#endif
+    let local = getLocalNormal(vertex_normal);
+    if (any(local != vertex_normal)) { frame = skinbake_morphed_frame(rest, local); }
     let M = skinbake_joints();
     let p = getLocalPosition(vertex_position.xyz);
     let alpha = skinbake_datum(0).xyz;
