@@ -196,6 +196,7 @@ class LooseSet {
 
 function watch(app) {
     if (watched.has(app)) return;
+    rememberChunks(app.graphicsDevice);
     const kept = { materials: new LooseSet(), bakes: new Set(), instances: new LooseSet() };
     const before = () => lightAll(app, kept);
     const after = (asset) => warnOf(asset);
@@ -365,7 +366,7 @@ function chunksFor(device, material) {
             const [signature, renamed] = usual;
             // The copy of a material has them already.
             const isOurs = current.includes('skinbake');
-            if (!isOurs && !signature.test(current)) return null;
+            if (!isOurs && !isUsual(current, usualChunks.get(device)[language][name], signature)) return null;
             if (isOurs) {
                 chunks[name] = current;
                 continue;
@@ -376,6 +377,34 @@ function chunksFor(device, material) {
         texts.push([language, chunks]);
     }
     return texts;
+}
+
+const usualChunks = new WeakMap(); // device -> its chunks when the module first saw it, by language and name
+
+function rememberChunks(device) {
+    if (usualChunks.has(device)) return;
+    const languages = [SHADERLANGUAGE_GLSL, SHADERLANGUAGE_WGSL].map((language) => {
+        const chunks = ShaderChunks.get(device, language);
+        return [language, Object.fromEntries(Object.keys(GLSL).map((name) => [name, chunks.get(name)]))];
+    });
+    usualChunks.set(device, Object.fromEntries(languages));
+}
+
+// Whether a chunk has PlayCanvas's own function: a baked mesh does not call what a page has in its place.
+function isUsual(text, usual, signature) {
+    return signature.test(text) && (usual === undefined || bodyOf(text, signature) === bodyOf(usual,
+            signature));
+}
+
+// The function, without comments and white space.
+function bodyOf(text, signature) {
+    const code = text.slice(text.search(signature)).replace(/\/\*[^]*?\*\/|\/\/.*|\s+/g, '');
+    let depth = 0;
+    for (let end = 0; end < code.length; end++) {
+        if (code[end] === '{') depth++;
+        if (code[end] === '}' && --depth === 0) return code.slice(0, end);
+    }
+    return code;
 }
 
 function withoutChunks(material) {

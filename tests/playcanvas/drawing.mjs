@@ -264,6 +264,9 @@ const CHANGES = {
             material.update();
         }
     },
+    'an own normal': ({ app }, entity) => changeChunk(app, entity, 'normalVS', 'return normalize(', 'return normalize(vec3(1.0) + '),
+    'an own skin': ({ app }, entity) => changeChunk(app, entity, 'skinVS', 'int width', 'int wide = 1; int width'),
+    'an own comment': ({ app }, entity) => changeChunk(app, entity, 'normalVS', 'return normalize(', '// as before\n return   normalize('),
     'a shader of its own': (_, entity) => {
         for (const instance of skinned(entity)) instance.material = new pc.ShaderMaterial(SHADER);
     },
@@ -308,6 +311,15 @@ const CHANGES = {
         skinbake.skinbakeOptions(app);
     },
 };
+
+function changeChunk(app, entity, name, from, to) {
+    const usual = pc.ShaderChunks.get(app.graphicsDevice, pc.SHADERLANGUAGE_GLSL).get(name);
+    if (!usual.includes(from)) throw new Error(usual);
+    for (const { material } of skinned(entity)) {
+        material.getShaderChunks(pc.SHADERLANGUAGE_GLSL).set(name, usual.replace(from, to));
+        material.update();
+    }
+}
 
 function setNormals(mesh, factor) {
     const normals = [];

@@ -294,6 +294,7 @@ def test_a_scaled_joint_keeps_a_mesh_from_dual_quaternions(stage: DrawingStage, 
         "a clone is standard for long",
         "disposed and again",
         "the same normals",
+        "an own comment",
     ],
 )
 def test_whatever_a_page_does_the_normals_stay_right(stage: DrawingStage, change: str) -> None:
@@ -470,6 +471,8 @@ class TestMessages:
         ("change", "reason"),
         [
             ("an own chunk", "has other chunks than PlayCanvas's"),
+            ("an own normal", "has other chunks than PlayCanvas's"),
+            ("an own skin", "has other chunks than PlayCanvas's"),
             ("a shader of its own", "is not a StandardMaterial or LitMaterial"),
         ],
     )
