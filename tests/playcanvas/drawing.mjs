@@ -265,7 +265,9 @@ const CHANGES = {
         }
     },
     'an own normal': ({ app }, entity) => changeChunk(app, entity, 'normalVS', 'return normalize(', 'return normalize(vec3(1.0) + '),
-    'an own skin': ({ app }, entity) => changeChunk(app, entity, 'skinVS', 'int width', 'int wide = 1; int width'),
+    'an own skin': ({ app }, entity) => changeChunk(app, entity, 'skinVS', 'return mat4(', 'return 1.5 * mat4('),
+    'a main function without the chunk': ({ app }, entity) => changeChunk(app, entity, 'litMainVS', '#include "normalVS"', OWN_NORMAL),
+    'a main function that does not call it': ({ app }, entity) => changeChunk(app, entity, 'litMainVS', '= getNormal()', '= getLocalNormal(vertex_normal)'),
     'an own comment': ({ app }, entity) => changeChunk(app, entity, 'normalVS', 'return normalize(', '// as before\n return   normalize('),
     'a shader of its own': (_, entity) => {
         for (const instance of skinned(entity)) instance.material = new pc.ShaderMaterial(SHADER);
@@ -340,6 +342,8 @@ function turnWeights({ vertexBuffer }) {
     iterator.end();
 }
 
+const OWN_NORMAL = `mat3 dNormalMatrix;
+    vec3 getNormal() { dNormalMatrix = getNormalMatrix(dModelMatrix); return vertex_normal; }`;
 const OWN = 'mat3 dNormalMatrix; vec3 skinnedNormal() { dNormalMatrix = mat3(1.0); return vec3(0.0, 0.0, 1.0); }';
 const SHADER = {
     uniqueName: 'own',

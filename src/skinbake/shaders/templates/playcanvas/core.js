@@ -10,6 +10,7 @@ const problems = new WeakMap(); // material -> why it cannot have the chunks, or
 const uneven = new WeakMap(); // mesh instance -> why its joints do not suit dual quaternions, or empty
 const ownChunks = new Map(); // a chunk with ours -> the material's own one, undefined if it had none
 const told = new WeakMap(); // mesh instance -> messages
+const looked = new WeakMap(); // mesh instance -> the last of its programs when it was last looked at
 
 /**
  * Make the options of a container asset whose baked skinned meshes are lit accurately wherever they are drawn.
@@ -113,8 +114,19 @@ function found(instance) {
     const isLit = instance.getParameter(CONSTANTS) !== undefined;
     if (!isLit || !programs.length) return ['not drawn', 'it has not been drawn yet'];
     if (!lit.length) return ['unlit', 'its material reads no normals'];
-    if (lit.every((text) => text.includes('skinbake_normal'))) return ['accurate', ''];
-    return ['standard', `its material "${instance.material.name}" does not use the chunk normalVS`];
+    if (lit.every((text) => text.includes('skinbake_normal') && CALL.test(text))) return ['accurate', ''];
+    return ['standard', `its material "${instance.material.name}" does not call getNormal() of the chunk normalVS`];
+}
+
+const CALL = /vNormalW\s*=\s*getNormal\s*\(/;
+
+// Tell of a program when it is new.
+function tellOfProgram(instance) {
+    const last = [...instance._shaderCache.values()].at(-1);
+    if (!last || looked.get(instance) === last) return;
+    looked.set(instance, last);
+    const [lighting, reason] = found(instance);
+    if (lighting === 'standard') tell(instance, reason);
 }
 
 function drawnBy(root) {
@@ -226,7 +238,10 @@ function light(app, kept, instance) {
     }
     lit.set(material, performance.now());
     if (isDual) instance.setParameter(STRETCH, joints.stretch);
-    if (kept.instances.has(instance) && instance.getParameter(DATA)?.data === bake.texture) return;
+    if (kept.instances.has(instance) && instance.getParameter(DATA)?.data === bake.texture) {
+        tellOfProgram(instance);
+        return;
+    }
     if (!bake.texture) {
         bake.texture = dataTexture(app.graphicsDevice, bake.values, bake.stride);
         kept.bakes.add(bake);
