@@ -1,7 +1,9 @@
-"""The recipes for bundlers and react-three-fiber: built by vite, and run in a browser."""
+"""The recipes: import maps, bundlers, and react-three-fiber, built by vite and run in a browser."""
 
 from __future__ import annotations
 
+import json
+import re
 from pathlib import Path
 
 import pytest
@@ -15,6 +17,29 @@ from tests.three.write_package import FOLDER as PACKAGE
 
 HERE = Path(__file__).resolve().parent
 PAGE = page_of("/built/app.js", scripts=["/support/capture.js"])
+
+
+def test_the_import_maps_have_what_the_modules_import() -> None:
+    """Every address is a file of a version that is tested here."""
+    require_node("three")
+    readme = (PACKAGE / "README.md").read_text(encoding="utf-8")
+    webgl = re.search(r'{"imports": ({.*?})}', readme, re.DOTALL)
+    webgpu = re.search(r"```json\n(.*?)```", readme, re.DOTALL)
+    assert webgl
+    assert webgpu
+    maps = [json.loads(webgl[1]), json.loads(webgl[1]) | json.loads(webgpu[1])]
+    for name, found in zip(("index.js", "webgpu.js"), maps, strict=True):
+        text = (PACKAGE / name).read_text(encoding="utf-8")
+        bare = set(re.findall(r"^(?:import|export|}) .*from '([^.].*)';$", text, re.MULTILINE))
+        assert bare
+        assert bare <= set(found)
+    for address in maps[1].values():
+        matched = re.fullmatch(r"https://cdn\.jsdelivr\.net/npm/(.*)@(.*?)/(.*)", address)
+        assert matched
+        package, version, path = matched.groups()
+        folder = PACKAGE if package == "skinbake-three" else package_folder(package)
+        assert json.loads((folder / "package.json").read_text(encoding="utf-8"))["version"] == version
+        assert (folder / path).exists()
 
 
 @pytest.mark.slow
