@@ -284,6 +284,32 @@ const api = {
         return found;
     },
 
+    // How often components of normals are read in frames in which a page writes them, while the mesh is switched, and
+    // what is reported when it is switched back.
+    async written(options) {
+        const { scene } = await load(options);
+        const [mesh] = skinnedMeshes(scene);
+        const { normal } = mesh.geometry.attributes;
+        await draw(scene);
+        skinbake.lighting(scene, 'standard');
+        await draw(scene);
+        let read = 0;
+        normal.getComponent = function (...parameters) {
+            read++;
+            return THREE.BufferAttribute.prototype.getComponent.apply(this, parameters);
+        };
+        for (let frame = 0; frame < 3; frame++) {
+            negated(normal).needsUpdate = true;
+            await draw(scene, 0);
+        }
+        const found = { read };
+        skinbake.lighting(scene, 'accurate');
+        await draw(scene);
+        [[found.lighting]] = told(skinbake.applySkinbake(scene).meshes);
+        skinbake.dispose(scene);
+        return found;
+    },
+
     // The same normals by three.js alone.
     async alteredAlone(options) {
         const found = {};

@@ -300,6 +300,13 @@ def test_a_mesh_whose_arrays_a_page_alters_is_three_s_own_from_that_frame_on(
             assert max(largest(drawn, wanted) for drawn in one["draws"]) < DEGREES, name
 
 
+def test_arrays_are_not_read_back_while_a_mesh_is_switched(stage: ThreeStage) -> None:
+    """A page that writes them in each frame pays nothing for accurate lighting that is off."""
+    told = stage.character(TUBE, BENT).told(Placement())
+    assert stage.page.call("written", told) == {"read": 0, "lighting": "standard"}
+    assert len(stage.messages()) == 1
+
+
 def test_a_hook_may_turn_normals_before_three_js_skins_them(stage: ThreeStage) -> None:
     """As a morph target does."""
     character = stage.character(TUBE, BENT)

@@ -546,7 +546,8 @@ function beforeDraw(renderer, scene, camera, geometry, material) {
 // Look whether a geometry has what the shader reads. A new one has not, and one that was changed.
 function meet(renderer, mesh, geometry) {
     const adopted = state.geometries.get(geometry);
-    if (adopted && (adopted.problem || isIntact(geometry, adopted))) return;
+    // A mesh that is switched reads nothing of it.
+    if (adopted && (adopted.problem || state.standard.has(mesh) || isIntact(geometry, adopted))) return;
     forget(geometry);
     const method = adopted?.method ?? methodOf(geometry);
     if (method) adoptDrawn(renderer, mesh, geometry, method);
