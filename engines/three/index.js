@@ -456,9 +456,12 @@ function renew(material) {
     material.needsUpdate = true;
 }
 
+const failed = new WeakSet(); // materials whose program does not link with alpha and beta
+
 // With this define, the program of a material is three.js's own.
-function choose(mesh, material, isPlain) {
+function choose(mesh, material, isSettled) {
     const { defines = {}, isRawShaderMaterial, isNodeMaterial } = material;
+    const isPlain = isSettled || failed.has(material);
     if ((defines.SKINBAKE_STANDARD !== undefined) === isPlain || isRawShaderMaterial || isNodeMaterial) return;
     const { SKINBAKE_STANDARD, ...others } = defines;
     material.defines = isPlain ? { ...others, SKINBAKE_STANDARD: '' } : others;
@@ -473,6 +476,11 @@ function verifyProgram(renderer, mesh, material, before) {
     const attributes = program?.getAttributes() ?? {};
     const found = { program, isDual, lighting: 'accurate', reason: '', repaired: before?.repaired };
     if (attributes.morphSkinbakeAlpha) return found;
+    if (program && !Object.keys(attributes).length && !isLinked(renderer, program)) failed.add(material);
+    if (failed.has(material)) {
+        const reason = `its ${material.type} "${material.name}" does not link with alpha and beta: see the error above`;
+        return { ...found, lighting: 'standard', reason };
+    }
     // Dual quaternions move the positions of unlit meshes too.
     const isUpToDate = !isDual || attributes.morphSkinbakeStorage;
     if (!attributes.normal && isUpToDate) return { ...found, lighting: 'unlit' };
@@ -483,6 +491,12 @@ function verifyProgram(renderer, mesh, material, before) {
     const remedy = material.isNodeMaterial ? ": call applySkinbake of 'skinbake-three/webgpu' too" : '';
     const reason = `its ${material.type} "${material.name}" does not skin by three.js's chunks${remedy}`;
     return { ...found, lighting: 'standard', reason };
+}
+
+// A program may need more attributes than the device has.
+function isLinked(renderer, { program }) {
+    const context = renderer.getContext();
+    return context.isContextLost() || context.getProgramParameter(program, context.LINK_STATUS);
 }
 
 function serveWebGL() {

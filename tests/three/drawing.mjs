@@ -337,6 +337,27 @@ const api = {
         return { normals: base64(values), report, world: mesh.matrixWorld.toArray() };
     },
 
+    // The normals and the report of a mesh whose material has so many attributes of its own that none are left.
+    async crowded(options) {
+        const { scene } = await load(options);
+        const [mesh] = skinnedMeshes(scene);
+        const { geometry } = mesh;
+        const names = Array.from({ length: renderer.capabilities.maxAttributes - 5 }, (_, index) => `own${index}`);
+        const values = new THREE.BufferAttribute(new Float32Array(geometry.attributes.position.count), 1);
+        for (const name of names) geometry.setAttribute(name, values);
+        mesh.name = 'crowded';
+        mesh.material = new THREE.MeshNormalMaterial({ name: 'many' });
+        mesh.material.onBeforeCompile = (shader) => {
+            const declared = names.map((name) => `attribute float ${name};`).join('\n');
+            const moved = `transformed += ${names.join(' + ')};`;
+            shader.vertexShader = `${declared}\n${shader.vertexShader}`.replace('#include <project_vertex>', `${moved}\n#include <project_vertex>`);
+        };
+        const draws = (await draw(scene)).map(({ values: found }) => base64(found));
+        const report = told(skinbake.applySkinbake(scene).meshes);
+        skinbake.dispose(scene);
+        return { draws, report, world: mesh.matrixWorld.toArray() };
+    },
+
     // What is reported of meshes with materials that draw nothing.
     async idle(options) {
         const [used, unused, hidden] = [{}, {}, { visible: false }].map((one) => new THREE.MeshPhongMaterial(one));

@@ -320,6 +320,21 @@ def test_a_hook_may_turn_normals_before_three_js_skins_them(stage: ThreeStage) -
     assert found["report"] == [["accurate", ""]]
 
 
+def test_a_program_without_room_for_alpha_and_beta_is_three_s_own(stage: ThreeStage) -> None:
+    """WebGL 2 promises 16 attributes. three.js needs five of them here."""
+    character = stage.character(TUBE, BENT)
+    found = stage.page.call("crowded", character.told(Placement()))
+    reason = 'its MeshNormalMaterial "many" does not link with alpha and beta: see the error above'
+    assert found["report"] == [["standard", reason]]
+    wanted = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+    assert largest(found["draws"][0], wanted) < DEGREES
+    said = stage.messages()
+    assert [line for line in said if line.startswith("skinbake")] == [
+        f'skinbake: "crowded" has three.js\'s standard lighting: {reason}'
+    ]
+    assert any("THREE.WebGLProgram: Shader Error" in line for line in said)
+
+
 def test_materials_that_draw_nothing_have_no_part_in_the_report(stage: ThreeStage) -> None:
     found = stage.call("idle", stage.character(TUBE, BENT).told(Placement()))
     assert found == {
