@@ -45,10 +45,6 @@ PAIRS = GradientFormat(layout=Layout.TEXCOORD)
 class DrawingStage(Stage):
     """The page, and the models that it can load."""
 
-    def messages(self) -> list[str]:
-        """Return the lines of the console that fail a test: not those on the speed of reading pixels."""
-        return [line for line in super().messages() if "GPU stall due to ReadPixels" not in line]
-
     def draw(self, character: Character, **options: object) -> dict[str, Any]:
         """Draw a character; whatever the console says of it fails the test."""
         return dict(self.call("draw", {**character.told(Placement()), **options}))

@@ -44,8 +44,12 @@ class Stage:
         return value
 
     def messages(self) -> list[str]:
-        """Return the lines of the console since the last time, without those that fail no test."""
-        return [line for line in self.page.messages() if not line.startswith(self.unasked)]
+        """Return the lines of the console since the last time, without those that fail no test.
+
+        The browser may say once that reading pixels is slow.
+        """
+        said = [line for line in self.page.messages() if "GPU stall due to ReadPixels" not in line]
+        return [line for line in said if not line.startswith(self.unasked)]
 
     def normals(self, character: Character, **options: object) -> dict[str, Any]:
         """Draw a character, and return its normals and what the page reports of it."""
