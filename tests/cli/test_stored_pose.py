@@ -75,6 +75,13 @@ def test_surface_gradients_know_no_pose(_model: Path, tmp_path: Path) -> None:
     assert verify(turned(path, 10.0, "other.glb")).failed == []
 
 
+def test_a_pose_that_comes_later_does_not_matter_to_a_bake_without_one(_model: Path, tmp_path: Path) -> None:
+    path = turned(baked(_model, tmp_path), 40.0, "later.glb")
+    answer = verify(path)
+    assert (answer.exit_code, answer.failed) == (0, [])
+    assert "stored in another pose" not in invoke("verify", path).stdout
+
+
 @corpus.needed
 def test_it_lights_the_stored_pose_better(tmp_path: Path) -> None:
     path = baked(corpus.model(POSED), tmp_path)

@@ -111,11 +111,11 @@ def _can_be_fitted(presence: Float64Array) -> BoolArray:
 class _Pairs:
     """The pairs (N,) of a vertex and a joint whose turn parts the fitted joints of the vertex.
 
-    vertices (N,) are indices of the vertices, and levers (N, 3) go from the joint's pivot to the vertex. arms,
-    spins (N, 2, 3) are the sums over all joints that the turning joint carries. carries (N, K) tells
-    which slots it carries. chains (N,) is the long chain of the turning joint, −1 for none. named (V, K) are
-    the fitted joints of the slots, −1 for the others, and last (V,) is the last slot of them, which takes
-    minus the sum of the others.
+    vertices (N,) are indices of the vertices. levers (N, 3) go from the joint's pivot to the vertex. arms,
+    spins (N, 2, 3) are the sums over all joints that the turning joint carries. carries (N, K) tells which
+    slots it carries. chains (N,) is the long chain of the turning joint, −1 for none. named (V, K) are the
+    fitted joints of the slots, −1 for the others, and last (V,) is the last slot of them, which takes minus
+    the sum of the others.
     """
 
     vertices: IntArray
