@@ -10,6 +10,7 @@ import pytest
 from skinbake.geometry.frames import (
     frame_from_normal,
     frame_from_tangent,
+    parts_along,
     tangent_deviation,
     unit_normals,
     unit_vectors,
@@ -170,3 +171,11 @@ def test_a_tangent_that_spans_no_frame_deviates_by_180_degrees(tangent: list[flo
     # Without length, without a handedness, along the normal.
     normals = np.array([[0, 0, 1]], dtype=np.float32)
     assert tangent_deviation(normals, np.array([tangent], dtype=np.float32)).tolist() == [180.0]
+
+
+def test_parts_along_two_vectors_add_up_to_a_vector() -> None:
+    random = np.random.default_rng(7)
+    a, b, vectors = random.normal(size=(3, 20, 3))
+    across = np.cross(a, b)
+    wanted = np.linalg.solve(np.stack([a, b, across], axis=2), vectors[..., None])[..., 0]
+    assert np.allclose(parts_along(vectors, a, b), wanted[:, :2], rtol=1e-9)

@@ -133,7 +133,7 @@ def test_slots_in_another_order_are_found_and_told(tmp_path: Path) -> None:
     [
         (metadata(scale=None), '"scale" is missing'),
         (metadata(scale=-1.0), '"scale" is -1.0'),
-        (metadata(scale=True), '"scale" is True'),
+        (metadata(scale=True), '"scale" is true'),
         (metadata(scale="1"), "\"scale\" is '1'"),
         (metadata(encoding="packed9"), "\"encoding\" is 'packed9'"),
         (metadata(encoding=8), '"encoding" is 8'),

@@ -396,14 +396,14 @@ POSES = {"from": ["animations"], "fingerprint": [1.0], "slots": "0"}
 @pytest.mark.parametrize(
     ("change", "code", "words"),
     [
-        ({"version": True}, "version", ["version True", "run skinbake bake"]),
-        ({"fit": True}, "version", ["version True of the fit", "run skinbake bake"]),
+        ({"version": True}, "version", ["version true", "run skinbake bake"]),
+        ({"fit": True}, "version", ["version true of the fit", "run skinbake bake"]),
         ({"weld": "scene"}, "metadata-broken", ["\"weld\" is 'scene'"]),
         ({"gradients": "texture"}, "metadata-broken", ["\"gradients\" is 'texture'"]),
         ({"weighting": None}, "metadata-broken", ['"weighting" is missing']),
         ({"creaseAngle": 180.5}, "metadata-broken", ['"creaseAngle" is 180.5']),
         ({"creaseAngle": -1}, "metadata-broken", ['"creaseAngle" is -1']),
-        ({"creaseAngle": True}, "metadata-broken", ['"creaseAngle" is True']),
+        ({"creaseAngle": True}, "metadata-broken", ['"creaseAngle" is true']),
         ({"creaseAngle": "15"}, "metadata-broken", ["\"creaseAngle\" is '15'"]),
         ({"gradients": "poses"}, "metadata-broken", ['"poses" is missing']),
         *(

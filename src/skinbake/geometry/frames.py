@@ -43,6 +43,19 @@ def _squared_lengths(vectors: Float64Array) -> Float64Array:
         return np.asarray(x * x + y * y + z * z)
 
 
+def parts_along(vectors: Float64Array, a: Float64Array, b: Float64Array) -> Float64Array:
+    """Return the parts (C, 2) of vectors along a and b, all (C, 3). NaN where a × b is 0.
+
+    With a part along a × b, the vector is their sum.
+    """
+    across = np.cross(a, b)
+    found = np.empty((len(vectors), 2))
+    found[:, 0] = np.einsum("ci,ci->c", np.cross(vectors, b), across)
+    found[:, 1] = np.einsum("ci,ci->c", np.cross(a, vectors), across)
+    found /= np.square(np.linalg.norm(across, axis=1, keepdims=True))
+    return found
+
+
 def has_direction(vectors: FloatArray) -> BoolArray:
     """Tell which vectors (V, 3) have finite components and a length other than zero."""
     x, y, z = vectors.T

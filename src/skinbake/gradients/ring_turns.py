@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skinbake.geometry.frames import frame_from_normal, has_direction, unit_normals
+from skinbake.geometry.frames import frame_from_normal, has_direction, parts_along, unit_normals
 from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray
 from skinbake.gradients.corner import ROOT
 from skinbake.gradients.fit_rules import DOUBT, FLAT, MOST_DOUBT, SMOOTH
@@ -173,8 +173,7 @@ def _leverage(
     found = np.empty((len(a), 2, 2, 3))
     for number in range(2):
         t = tangents[:, number]
-        t_a = np.einsum("ci,ci->c", np.cross(t, b), c) / area**2
-        t_b = np.einsum("ci,ci->c", np.cross(a, t), c) / area**2
+        t_a, t_b = parts_along(t, a, b).T
         q = (np.einsum("ci,ci->c", t, unit) / area)[:, None] * lean
         found[:, number, 0] = t_a[:, None] * normals + np.cross(b, q)
         found[:, number, 1] = t_b[:, None] * normals + np.cross(q, a)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skinbake.geometry.frames import parts_along
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
 from skinbake.gradients.fit_rules import STRETCHED
 from skinbake.gradients.surface import Surface
@@ -131,19 +132,13 @@ def _mapped(derivatives: Float64Array, posed: Float64Array, tangents: Float64Arr
     across, posed_across = (np.cross(both[:, 0], both[:, 1]) for both in (derivatives, posed))
     area, posed_area = (np.linalg.norm(vectors, axis=1)[:, None] for vectors in (across, posed_across))
     third = posed_across / posed_area * np.sqrt(posed_area / area)
-    a, b = derivatives[:, 0], derivatives[:, 1]
     found = np.empty_like(tangents)
     for number in range(2):
         t = tangents[:, number]
-        along_a = _dots(np.cross(t, b), across) / area**2
-        along_b = _dots(np.cross(a, t), across) / area**2
-        found[:, number] = along_a * posed[:, 0] + along_b * posed[:, 1] + _dots(t, across) / area * third
+        parts = parts_along(t, derivatives[:, 0], derivatives[:, 1])
+        along_third = np.einsum("ci,ci->c", t, across / area)
+        found[:, number] = np.einsum("ct,cti->ci", parts, posed) + along_third[:, None] * third
     return found
-
-
-def _dots(left: Float64Array, right: Float64Array) -> Float64Array:
-    """Return the products of rows (C, 3) as a column (C, 1)."""
-    return np.asarray(np.einsum("ci,ci->c", left, right))[:, None]
 
 
 def _moved(matrices: Float64Array, positions: Float64Array) -> Float64Array:

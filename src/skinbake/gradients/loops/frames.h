@@ -22,6 +22,18 @@ static ALWAYS_INLINE int unit_normal(Vector normal, Vector *unit)
     return sound;
 }
 
+/* The parts of two vectors along a and b. With the vector across = a x b, of length `area`, these are a basis. */
+typedef struct {
+    Pair a, b;
+} Parts;
+static ALWAYS_INLINE Parts parts_along(Vectors v, Vector a, Vector b, Vector across, double area)
+{
+    const Vectors normal = both_vectors(across);
+    const Pair squared = both(area * area);
+    return (Parts){divide_pairs(dots(crosses(v, both_vectors(b)), normal), squared),
+                   divide_pairs(dots(crosses(both_vectors(a), v), normal), squared)};
+}
+
 /* The normal of a vertex as the shader normalises it. Most vertices are asked for twice in a row. */
 static ALWAYS_INLINE Vector unit_of(const Surface *s, size_t vertex, Latest *latest)
 {

@@ -17,11 +17,9 @@ static ALWAYS_INLINE void find_leverage(RingFrame *f, const Vector derivatives[2
     const Vector unit = times(c, 1.0 / area), lean = minus(f->normal, times(unit, 0.5 * dot(unit, f->normal)));
     const Vectors t = f->along, normal = both_vectors(f->normal);
     const Vectors q = times_each(both_vectors(lean), divide_pairs(dots(t, both_vectors(unit)), both(area)));
-    const Pair squared_area = both(area * area);
-    const Pair t_a = divide_pairs(dots(crosses(t, both_vectors(b)), both_vectors(c)), squared_area);
-    const Pair t_b = divide_pairs(dots(crosses(both_vectors(a), t), both_vectors(c)), squared_area);
-    f->leverage[0] = plus_each(times_each(normal, t_a), crosses(both_vectors(b), q));
-    f->leverage[1] = plus_each(times_each(normal, t_b), crosses(q, both_vectors(a)));
+    const Parts parts = parts_along(t, a, b, c, area);
+    f->leverage[0] = plus_each(times_each(normal, parts.a), crosses(both_vectors(b), q));
+    f->leverage[1] = plus_each(times_each(normal, parts.b), crosses(q, both_vectors(a)));
 }
 
 /* The sum of the unit normals at the corners of a class, of any length. It depends neither on the order of the

@@ -73,11 +73,9 @@ static Vectors mapped_tangents(Vectors tangents, Vectors derivatives, Vectors po
     const Vector posed_a = one_of(posed, 0), posed_b = one_of(posed, 1), posed_across = cross(posed_a, posed_b);
     const double area = sqrt(dot(across, across)), posed_area = sqrt(dot(posed_across, posed_across));
     const Vector third = times(posed_across, sqrt(posed_area / area) / posed_area);
-    const Pair squared_area = both(area * area);
-    const Pair along_a = divide_pairs(dots(crosses(tangents, both_vectors(b)), both_vectors(across)), squared_area);
-    const Pair along_b = divide_pairs(dots(crosses(both_vectors(a), tangents), both_vectors(across)), squared_area);
+    const Parts parts = parts_along(tangents, a, b, across, area);
     const Pair along_third = divide_pairs(dots(tangents, both_vectors(across)), both(area));
-    return plus_each(plus_each(times_each(both_vectors(posed_a), along_a), times_each(both_vectors(posed_b), along_b)),
+    return plus_each(plus_each(times_each(both_vectors(posed_a), parts.a), times_each(both_vectors(posed_b), parts.b)),
                      times_each(both_vectors(third), along_third));
 }
 
