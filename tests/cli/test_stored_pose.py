@@ -118,3 +118,14 @@ def test_a_damaged_note_is_told(_model: Path, tmp_path: Path, broken: Any) -> No
     answer = verify(rewritten(file, tmp_path / "broken.glb"))
     assert answer.exit_code == exit_codes.VERIFICATION
     assert '"storedPose" is' in answer.messages
+
+
+@pytest.mark.parametrize("later", [40.0, 25.0])
+def test_a_note_that_one_primitive_of_a_mesh_lost_is_told(tmp_path: Path, later: float) -> None:
+    copy = tmp_path / "model.glb"
+    copy.write_bytes(source("two_primitives.glb").read_bytes())
+    file = read(turned(baked(turned(copy, 40.0, "turned.glb"), tmp_path), later, "later.glb"))
+    del file.content["meshes"][0]["primitives"][1]["extras"]["skinbake"]["storedPose"]
+    answer = verify(rewritten(file, tmp_path / "lost.glb"))
+    assert (answer.exit_code, answer.failed) == (exit_codes.VERIFICATION, ["structure"])
+    assert '"storedPose" is missing, and [' in answer.messages

@@ -241,5 +241,6 @@ def _gathering(view: BakedView) -> dict[str, Any]:
     return {
         "weld": _weld(view),
         "gradients": kind,
+        STORED_POSE: view.metadata.get(STORED_POSE, {}).get("fingerprint"),
         **{key: view.metadata[key] for key in ("weighting", "creaseAngle")},
     }
