@@ -39,6 +39,14 @@ def fitted(primitive: SkinnedPrimitive, rig: Rig | None, settings: BakeSettings 
     return baked
 
 
+def wider(primitive: SkinnedPrimitive, width: int, naming: int = 0) -> SkinnedPrimitive:
+    """Return a primitive with empty slots up to ``width``, which name a joint."""
+    more = (0, 0), (0, width - primitive.joints.shape[1])
+    return primitive.with_influences(
+        np.pad(primitive.joints, more, constant_values=naming), np.pad(primitive.weights, more)
+    )
+
+
 @pytest.fixture(params=["loops", "numpy"])
 def _kernel(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     if request.param == "numpy":
@@ -138,6 +146,29 @@ class TestStoredPose:
         assert not around.all()
         assert np.array_equal(part[around], none[around])
         assert np.array_equal(part[~around], whole[~around])
+
+    def test_a_joint_without_a_matrix_may_stand_in_an_empty_slot(self) -> None:
+        primitive, rig = tube(slots=2)
+        rig = bent(rig, np.radians(20.0))
+        assert rig.stored is not None
+        rig.stored[3] = np.nan
+        zeros, threes = (fitted(wider(primitive, 4, naming=joint), rig).alpha for joint in (0, 3))
+        assert np.abs(zeros - fitted(wider(primitive, 4), replace(rig, stored=None)).alpha).max() > 0.01
+        assert np.array_equal(zeros, threes)
+
+    @pytest.mark.parametrize("width", [4, 8])
+    def test_a_surface_whose_weights_do_not_change_needs_no_gradients(self, width: int) -> None:
+        primitive, rig = tube()
+        random = np.random.default_rng(1)
+        leaning = primitive.normals + 0.3 * random.normal(size=primitive.normals.shape).astype(np.float32)
+        primitive = replace(primitive, normals=leaning)
+        same = primitive.with_influences(
+            np.tile(np.arange(4, dtype=np.uint16), (len(leaning), 1)),
+            np.tile([0.5, 0.25, 0.25, 0.0], (len(leaning), 1)),
+        )
+        baked = fitted(wider(same, width), bent(rig, np.radians(20.0)))
+        assert not baked.alpha.any()
+        assert not baked.beta.any()
 
 
 @pytest.mark.usefixtures("_kernel")

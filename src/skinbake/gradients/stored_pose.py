@@ -32,6 +32,12 @@ class WeightChanges:
     coefficients: Float64Array
     edges: Float64Array
 
+    @property
+    def only_changing(self) -> WeightChanges:
+        """Return the entries that are not all zeros."""
+        kept = np.flatnonzero(self.coefficients.any(axis=1) | self.edges.any(axis=(1, 2)))
+        return WeightChanges(self.classes[kept], self.joints[kept], self.coefficients[kept], self.edges[kept])
+
 
 @dataclass(frozen=True, slots=True)
 class StoredTilts:
@@ -40,7 +46,7 @@ class StoredTilts:
     matrices (J, 3, 4) are the upper rows of the joint matrices. normals (C, 3) are n', unit vectors. points
     (C, 3) are where the classes are. tilts (C, 2) are n' · Σ w_i M_i (t, 0) for both tangents t of a class.
     weights (C,) are v = 2 / (|F t|² + |F b|²), in which F t and F b are the tangents that the mesh has. They
-    are 0 where the pose does not count.
+    are 0 where the pose does not count: where it stretches the surface too much, or no weight changes.
     """
 
     matrices: Float64Array
@@ -81,7 +87,7 @@ def _tilts(
     derivatives: Float64Array,
     tangents: Float64Array,
 ) -> StoredTilts:
-    count = len(derivatives)
+    count, changes = len(derivatives), changes.only_changing
     first = np.zeros(count, dtype=np.int64)
     first[surface.classes[::-1]] = np.arange(len(surface.classes))[::-1]
     positions = surface.positions[first].astype(np.float64)
@@ -100,6 +106,7 @@ def _tilts(
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     tilts = np.einsum("cij,cnj,ci->cn", blended[:, :, :3], tangents, normals)
     counts = (lengths <= STRETCHED * unstretched) & (unstretched <= STRETCHED * lengths)
+    counts &= np.bincount(changes.classes, minlength=count) > 0
     counts &= np.isfinite(normals).all(axis=1) & np.isfinite(tilts).all(axis=1)
     return StoredTilts(
         matrices,

@@ -26,6 +26,20 @@ static ALWAYS_INLINE Vector moved_by(const double matrix[MATRIX], Vector positio
     return (Vector){moved[0], moved[1], moved[2]};
 }
 
+/* Whether a turn, or the sums of which it is made, is anything but zeros. Their bits are zeros but for the sign. */
+static ALWAYS_INLINE int turns_at_all(const double turn[TURN])
+{
+#if defined(__GNUC__)
+    Words any = (Words)load(turn) | (Words)load(turn + AT_ONCE) | (Words)load(turn + 2 * AT_ONCE);
+    return (uint64_t)(any[0] | any[1] | any[2] | any[3]) << 1 != 0;
+#else
+    int turns = 0;
+    for (int m = 0; m < TURN; m++)
+        turns |= turn[m] != 0.0;
+    return turns;
+#endif
+}
+
 static ALWAYS_INLINE const double *stored_matrix(const Surface *s, int32_t joint)
 {
     return s->stored + MATRIX * (size_t)joint;
@@ -49,21 +63,24 @@ static double blend_stored(const Surface *s, const Scratch *w, double blended[MA
     return unstretched;
 }
 
-/* The derivatives of the posed positions of a class, whose products are summed up but not yet made into turns. */
-static Vectors posed_derivatives(const Surface *s, Vector position, const double blended[MATRIX], Vectors derivatives,
-                                 double shrink, int32_t used, const Scratch *w)
+/* Add what changes of weights add to the posed derivatives of a class, whose products are summed up but not yet made
+   into turns. Return whether any weight changes. The matrix of a joint whose weight does not may hold NaN. */
+static int add_changes(const Surface *s, Vector position, double shrink, int32_t used, const Scratch *w,
+                       Vectors *posed)
 {
-    Vectors posed = turned_by(blended, derivatives);
+    int changes = 0;
     for (int32_t n = 0; n < used; n++) {
-        if (w->met[n] < 0)
+        const double *products = w->turns + n * TURN;
+        if (w->met[n] < 0 || !turns_at_all(products))
             continue;
-        const double *matrix = stored_matrix(s, w->met[n]), *products = w->turns + n * TURN;
+        changes = 1;
+        const double *matrix = stored_matrix(s, w->met[n]);
         const Vectors edges = times_each(load_vectors(products + BY_EDGE), both(shrink));
         const Pair along = scaled(shrink, load_pair(products + BY_ITSELF));
         const Vector over = minus(moved_by(matrix, position), w->frame.stored.point);
-        posed = plus_each(posed, plus_each(turned_by(matrix, edges), times_each(both_vectors(over), along)));
+        *posed = plus_each(*posed, plus_each(turned_by(matrix, edges), times_each(both_vectors(over), along)));
     }
-    return posed;
+    return changes;
 }
 
 /* The tangents that the mesh has in the pose, from its derivatives at rest and there. */
@@ -87,7 +104,8 @@ static void find_stored_tilt(const Surface *s, Vector position, Vectors derivati
     double blended[MATRIX];
     const double unstretched = blend_stored(s, w, blended);
     stored->point = moved_by(blended, position);
-    const Vectors posed = posed_derivatives(s, position, blended, derivatives, shrink, used, w);
+    Vectors posed = turned_by(blended, derivatives);
+    const int changes = add_changes(s, position, shrink, used, w, &posed);
     const Vectors mapped = mapped_tangents(w->frame.along, derivatives, posed);
     const Pair squares = dots(mapped, mapped);
     const double lengths = part(squares, 0) + part(squares, 1), most = s->fit.stretched;
@@ -95,6 +113,6 @@ static void find_stored_tilt(const Surface *s, Vector position, Vectors derivati
     stored->normal = times(normal, 1.0 / sqrt(dot(normal, normal)));
     stored->tilts = dots(both_vectors(stored->normal), turned_by(blended, w->frame.along));
     const double sum = part(stored->tilts, 0) + part(stored->tilts, 1) + dot(stored->normal, stored->normal);
-    const int counts = lengths <= most * unstretched && unstretched <= most * lengths && isfinite(sum);
+    const int counts = changes && lengths <= most * unstretched && unstretched <= most * lengths && isfinite(sum);
     stored->weight = counts ? 2.0 / lengths : 0.0; /* lengths of 0 do not count: the normal is not finite */
 }

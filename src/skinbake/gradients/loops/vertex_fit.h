@@ -32,20 +32,6 @@ static void close_nodes(const Surface *s, Scratch *w)
     w->node_count = 0;
 }
 
-/* Whether a turn is anything but zeros. Their bits are zeros but for the sign. */
-static ALWAYS_INLINE int turns_at_all(const double turn[TURN])
-{
-#if defined(__GNUC__)
-    Words any = (Words)load(turn) | (Words)load(turn + AT_ONCE) | (Words)load(turn + 2 * AT_ONCE);
-    return (uint64_t)(any[0] | any[1] | any[2] | any[3]) << 1 != 0;
-#else
-    int turns = 0;
-    for (int m = 0; m < TURN; m++)
-        turns |= turn[m] != 0.0;
-    return turns;
-#endif
-}
-
 /* List the joints around a class that turn. Tell whether the way begins with them. Return their number. */
 static ALWAYS_INLINE size_t find_turning(int32_t used, Scratch *w)
 {
