@@ -170,6 +170,20 @@ class TestStoredPose:
         assert not baked.alpha.any()
         assert not baked.beta.any()
 
+    def test_a_joint_that_is_very_far_away_leaves_numbers(self) -> None:
+        primitive, rig = tube()
+        rig = bent(rig, np.radians(20.0))
+        assert rig.stored is not None
+        rig.stored[3, :, 3] += 1e9
+        order = np.argsort(primitive.joints, axis=1)
+        weights = np.take_along_axis(primitive.weights, order, axis=1)
+        weights[:, :3] *= (1.0 - 2.0**-9) / weights[:, :3].sum(axis=1, keepdims=True)
+        weights[:, 3] = 2.0**-9
+        joints = np.take_along_axis(primitive.joints, order, axis=1)
+        baked = fitted(primitive.with_influences(joints, weights), rig)
+        assert np.isfinite(baked.alpha).all()
+        assert baked.alpha.any()
+
 
 @pytest.mark.usefixtures("_kernel")
 def test_a_mesh_without_an_area_has_no_gradients() -> None:

@@ -8,6 +8,7 @@ turn then. ``loops/vertex_fit.h`` does the same in its pass over the vertices; t
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -68,7 +69,7 @@ def fitted(
         slots = np.nonzero(system.unknowns[rows])[1].reshape(len(rows), count)
         here = rows[:, None]
         matrix = system.matrix[here[:, :, None], slots[:, :, None], slots[:, None, :]]
-        values = np.linalg.solve(matrix, system.right[here, slots])
+        values = _solved(matrix, system.right[here, slots])
         fits = np.isfinite(values).all(axis=(1, 2))
         change[here[fits], slots[fits]] = (values - given[here, slots])[fits]
         last = rows[fits], pairs.last[rows[fits]]
@@ -79,6 +80,21 @@ def fitted(
     moved = np.einsum("vkt,vti->vki", change, turns.tangents[vertices.classes])
     along = [np.einsum("vki,vi->vk", moved, axis) for axis in vertices.frame]
     return vertices.alpha + along[0], vertices.beta + along[1]
+
+
+def _solved(matrix: Float64Array, right: Float64Array) -> Float64Array:
+    """Return the solutions (V, U, 2) of V systems of U unknowns, NaN for one that has none in float64.
+
+    Such a system is that of a vertex with a joint which the stored pose moves very far.
+    """
+    try:
+        return np.asarray(np.linalg.solve(matrix, right))
+    except np.linalg.LinAlgError:
+        found = np.full_like(right, np.nan)
+        for row in range(len(right)):
+            with suppress(np.linalg.LinAlgError):
+                found[row] = np.linalg.solve(matrix[row], right[row])
+        return found
 
 
 def _presence(vertices: FittedVertices, gradients: VertexGradients) -> tuple[Float64Array, Float64Array]:
