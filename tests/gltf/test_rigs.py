@@ -39,6 +39,14 @@ def test_a_joint_turned_by_over_a_degree_is_a_stored_pose(
     assert (rig(path).stored is not None) == counts
 
 
+@pytest.mark.parametrize(("scale", "counts"), [(1.013, False), (1.016, True), (-1.0, True)])
+def test_a_joint_scaled_by_over_1_4_percent_is_a_stored_pose(
+    scale: float, counts: bool, tmp_path: Path
+) -> None:
+    path = edited(MODEL, tmp_path, lambda content: joint(content, 1).update(scale=[scale] * 3))
+    assert (rig(path).stored is not None) == counts
+
+
 def test_all_joints_turned_and_scaled_together_are_none(tmp_path: Path) -> None:
     def change(content: JsonObject) -> None:
         joint(content, 0).update(rotation=turn(70.0), scale=[3.0, 3.0, 3.0], translation=[1.0, 2.0, 3.0])

@@ -29,7 +29,7 @@ class Rig:
     parents (J,) int32 is the joint that carries each joint, −1 for none. Nodes between two joints are left
     out. pivots (J, 3) is the point about which each joint turns, NaN if it has none. stored (J, 3, 4) are the
     upper rows of the joint matrices in the stored pose, NaN for a joint that has none. stored is None if that
-    pose is the bind pose: no joint is turned against the joint that carries it.
+    pose is the bind pose: no joint is turned or scaled against the joint that carries it.
     """
 
     parents: npt.NDArray[np.int32]

@@ -54,7 +54,8 @@ def rig_of_mesh(document: Document, mesh: int) -> tuple[Rig, int]:
 TURNED = float(np.radians(1.0))
 """The turn of a joint against the one that carries it, in radians, from which on the stored pose counts.
 
-Exporters round inverse bind matrices. The stored pose of a file that rests in its bind pose is off by less.
+Exporters round inverse bind matrices. The stored pose of a file that rests in its bind pose is off by less. A
+scale that changes the norm of a matrix as much counts too: one by 1.4 % in all directions.
 """
 
 
@@ -106,7 +107,7 @@ def _pivots(inverse_bind: Float64Array) -> Float64Array:
 def _stored_pose(skeleton: Skeleton, parents: npt.NDArray[np.int32]) -> Float64Array | None:
     """Return the upper rows of the joint matrices (J, 3, 4) of the nodes as stored, NaN where there is none.
 
-    Return None if no joint is turned against the joint that carries it.
+    Return None if no joint is turned or scaled against the joint that carries it.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # scales may be past all floats
         stored = rest_pose(skeleton)[0, :, :3]
