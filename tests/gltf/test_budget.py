@@ -263,6 +263,21 @@ def test_max_memory_bounds_what_a_child_takes(
 
 
 @LINUX
+def test_one_node_that_is_listed_as_many_joints_is_counted(tmp_path: Path) -> None:
+    def spoil(root: JsonObject) -> None:
+        joints = root["skins"][0]["joints"]
+        root["nodes"][joints[1]]["rotation"] = [0.6, 0.0, 0.0, 0.8]
+        del root["skins"][0]["inverseBindMatrices"]
+        joints += joints[-1:] * 500_000
+
+    path = edited("bent_tube.glb", tmp_path, spoil)
+    code, peak, said = taken("bake", path, "-o", tmp_path / "out.glb", "--max-memory", "200M")
+    assert code == 3
+    assert "the stored pose of 3 nodes and 500,003 joints would take" in said
+    assert peak < 200 * MIB
+
+
+@LINUX
 @pytest.mark.slow
 def test_what_fits_is_baked_within_what_it_claims(tmp_path: Path) -> None:
     path = crowd(tmp_path / "crowd.glb", 150, 20)

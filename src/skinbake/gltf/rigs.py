@@ -18,11 +18,14 @@ from skinbake.wording import counted
 def fitting_rig(document: Document, source: PrimitiveSource) -> tuple[Rig | None, list[Notice]]:
     """Return the rig of the skin that draws a primitive, None if no joint of it can turn, and notices.
 
-    Nothing is fitted, and nothing is said, for a skin of one joint.
+    Nothing is fitted, and nothing is said, for a skin of one joint. Raises InputError if the rig would take
+    more memory than the file may have.
     """
     try:
         rig, others = rig_of_mesh(document, source.mesh)
     except InputError as error:
+        if error is document.budget.refusal:
+            raise
         return None, [_no_rig(f"the skeleton cannot be read ({error.message})", source)]
     if len(rig.parents) == 1:
         return None, []
@@ -59,8 +62,14 @@ scale that changes the norm of a matrix as much counts too: one by 1.4 % in all 
 """
 
 
-BYTES_A_POSED_NODE = 640
-"""The memory that a node takes while its pose is made."""
+BYTES_A_POSED_NODE, BYTES_A_POSED_JOINT = 640, 640
+"""The memory that a node, and a joint, take while the stored pose and its fingerprint are made.
+
+A file of two bytes for each joint can list one node as many joints.
+"""
+
+BYTES_A_JOINT = 160
+"""The memory that a joint of a rig takes."""
 
 
 def _rig_of(document: Document, skeleton: Skeleton) -> Rig:
@@ -70,9 +79,14 @@ def _rig_of(document: Document, skeleton: Skeleton) -> Rig:
     if key not in known:
         parents = _joint_parents(skeleton)
         with document.budget.passing():
-            what = f"the stored pose of {counted(len(skeleton.nodes), 'node')}"
-            document.budget.claim(BYTES_A_POSED_NODE * len(skeleton.nodes), what, document.place)
+            nodes, joints = len(skeleton.nodes), len(skeleton.joints)
+            what = f"the stored pose of {counted(nodes, 'node')} and {counted(joints, 'joint')}"
+            size = BYTES_A_POSED_NODE * nodes + BYTES_A_POSED_JOINT * joints
+            document.budget.claim(size, what, document.place)
             known[key] = Rig(parents, _pivots(skeleton.inverse_bind), _stored_pose(skeleton, parents))
+        document.budget.claim(
+            BYTES_A_JOINT * joints, f"the rig of {counted(joints, 'joint')}", document.place
+        )
     return known[key]
 
 
