@@ -11,7 +11,6 @@ from skinbake.errors import Notice
 from skinbake.format.baked import Baked
 from skinbake.format.encodings import vertex_bytes
 from skinbake.format.metadata import STORED_POSE
-from skinbake.geometry.poses import fingerprint
 from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gltf.document import Document
@@ -77,8 +76,8 @@ class FitTarget:
         noted: JsonObject = {}
         if self.rig is not None:
             noted = {"gradients": "rig", "fit": FIT, "rig": self.rig.digest}
-            if self.rig.stored is not None:
-                noted[STORED_POSE] = {"fingerprint": list(fingerprint([self.rig.stored]))}
+            if self.rig.fingerprint is not None:
+                noted[STORED_POSE] = {"fingerprint": list(self.rig.fingerprint)}
         if self.poses is not None:
             noted |= {
                 "gradients": "poses",

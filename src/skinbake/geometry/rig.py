@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from skinbake.geometry.poses import fingerprint
 from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray
 
 NO_PARENT = -1
@@ -80,6 +81,11 @@ class Rig:
             pivots = self.pivots.astype("<f4")
         state.update((pivots + np.float32(0.0)).tobytes())
         return state.hexdigest()[:16]
+
+    @cached_property
+    def fingerprint(self) -> tuple[float, ...] | None:
+        """Return the fingerprint of the stored pose, None if there is no such pose."""
+        return None if self.stored is None else fingerprint([self.stored])
 
     def with_joints(self, count: int) -> Rig:
         """Return the rig with at least so many joints. Further joints stand apart, and do not turn."""

@@ -12,7 +12,7 @@ import numpy as np
 from skinbake.choices import Gradients
 from skinbake.errors import Notice
 from skinbake.format.metadata import POSES, STORED_POSE, slot_names, slots_digest
-from skinbake.geometry.poses import fingerprint, is_fingerprint_of
+from skinbake.geometry.poses import is_fingerprint_of
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import integer
@@ -52,9 +52,9 @@ def is_stored_as_noted(document: Document, view: BakedView) -> bool:
     if noted_kind(view) is Gradients.SURFACE or STORED_POSE not in view.metadata:
         return True
     rig, _ = fitting_rig(document, view.source)
-    if rig is None or rig.stored is None:
+    if rig is None or rig.fingerprint is None:
         return False
-    return is_fingerprint_of(fingerprint([rig.stored]), view.metadata[STORED_POSE]["fingerprint"])
+    return is_fingerprint_of(rig.fingerprint, view.metadata[STORED_POSE]["fingerprint"])
 
 
 def rig_changed(document: Document, view: BakedView) -> bool:
