@@ -96,6 +96,18 @@ def test_a_pose_that_changes_later_is_told_and_passes_by_the_digest(_model: Path
     assert "the nodes are stored in another pose than at the bake" in invoke("verify", path).stdout
 
 
+@pytest.mark.parametrize(("factor", "failed"), [(1.0, []), (1.01, ["freshness"])])
+def test_a_character_that_is_placed_elsewhere_keeps_its_pose(
+    _model: Path, tmp_path: Path, factor: float, failed: list[str]
+) -> None:
+    file = read(baked(turned(_model, 40.0, "turned.glb"), tmp_path))
+    root = file.content["nodes"][file.content["skins"][0]["joints"][0]]
+    root |= {"translation": [5.0, 0.0, -3.0], "rotation": [0.0, 0.6, 0.0, 0.8], "scale": [2.0, 2.0, 2.0]}
+    path = scaled(rewritten(file, tmp_path / "placed.glb"), "_SKINBAKE_ALPHA_0", factor, "scaled.glb")
+    assert verify(path).failed == failed
+    assert "stored in another pose than at the bake" not in invoke("verify", path).stdout
+
+
 def test_a_pose_that_becomes_the_bind_pose_passes_too(_model: Path, tmp_path: Path) -> None:
     path = baked(turned(_model, 40.0, "turned.glb"), tmp_path)
     file = read(path)

@@ -110,8 +110,7 @@ def freshness_check(
     If α/β fit, and the arrays have changed only in a way that keeps related values together, the check passes
     with a remark. If α/β were fitted to poses that are not in the file any more, or to another stored pose,
     they must be the ones that bake wrote, and light the present poses better than the gradients of the
-    surface. fits is the result of
-    ``fits_begun``, if there is one.
+    surface. fits is the result of ``fits_begun``, if there is one.
     """
     problems: list[Notice] = []
     moved: list[BakedView] = []
@@ -119,11 +118,13 @@ def freshness_check(
     for views, operator, fit in zip(surfaces, operators, fits or [None] * len(surfaces), strict=True):
         gone = [] if is_stored_as_noted(document, views[0]) else [STORED_OTHERWISE]
         gone += [] if has_poses(document, views[0]) else [WITHOUT_POSES]
-        if gone:
+        compared = [] if WITHOUT_POSES in gone else _comparisons(document, views, operator, fit)
+        # In another pose α/β may still agree: the nodes may only stand elsewhere, all together.
+        if gone and not (compared and all(comparison.agrees for comparison in compared)):
             problems += problems_without_poses(document, views, operator)
             unchecked.add(gone[0])
             continue
-        surface = _Surface(document, views, _comparisons(document, views, operator, fit))
+        surface = _Surface(document, views, compared)
         for number, view in enumerate(views):
             if not surface.compared[number].agrees or not (view.changed == () or _is_rearranged(view)):
                 problems.append(_staleness_notice(surface, number))
