@@ -310,7 +310,23 @@ const api = {
         return found;
     },
 
-    // The same normals by three.js alone.
+    // The normals and the report of a character whose unused vertices a tool of three-vrm has removed after a draw.
+    async trimmed({ triangles, ...options }) {
+        const { scene } = await load(options);
+        const [mesh] = skinnedMeshes(scene);
+        const original = mesh.clone();
+        const { index } = mesh.geometry;
+        await draw(scene, 1);
+        mesh.geometry.setIndex(new THREE.BufferAttribute(index.array.slice(0, 3 * triangles), 1));
+        VRMUtils.removeUnnecessaryVertices(scene);
+        const [{ values }] = await draw(scene);
+        const report = told(skinbake.applySkinbake(scene).meshes);
+        skinbake.dispose(scene);
+        skinbake.dispose(original);
+        return { normals: base64(values), report, world: mesh.matrixWorld.toArray() };
+    },
+
+    // The normals of altered meshes by three.js alone.
     async alteredAlone(options) {
         const found = {};
         for (const [name, change] of Object.entries(ALTERED)) {

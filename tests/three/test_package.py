@@ -300,6 +300,21 @@ def test_a_mesh_whose_arrays_a_page_alters_is_three_s_own_from_that_frame_on(
             assert max(largest(drawn, wanted) for drawn in one["draws"]) < DEGREES, name
 
 
+@pytest.mark.parametrize("part", ["bending", "rigid"])
+def test_a_tool_may_remove_vertices_of_a_mesh_that_was_drawn(stage: ThreeStage, part: str) -> None:
+    """Alpha and beta of a rigid part are 0, and stay so, wherever its vertices are."""
+    file = Editable(TUBE)
+    if part == "rigid":
+        file.array("WEIGHTS_0")[:] = (1, 0, 0, 0)
+    source = file.write(stage.models / f"trimmed-{part}.glb")
+    character = Character(baked(source, stage.models), BENT)
+    triangles = 500
+    found = stage.call("trimmed", {**character.told(Placement()), "triangles": triangles})
+    assert found["report"] == [["accurate", ""]]
+    kept = np.unique(gltf_reading.read(source).triangles()[:triangles])
+    assert largest(found["normals"], expected(character, found["world"])[kept]) < DEGREES
+
+
 def test_arrays_are_not_read_back_while_a_mesh_is_switched(stage: ThreeStage) -> None:
     """A page that writes them in each frame pays nothing for accurate lighting that is off."""
     told = stage.character(TUBE, BENT).told(Placement())

@@ -249,23 +249,29 @@ const versionOf = (attribute) => holderOf(attribute).version;
 // A sum of all components, by random factors from -1 to 1. Nothing is known of a buffer that only the GPU has. A page
 // may have given the array away after its upload (onUpload): then it cannot have changed it.
 function printOf(attribute) {
-    if (attribute.isGLBufferAttribute) return { sum: Infinity, length: 0 };
-    if (!holderOf(attribute).array) return undefined;
     const { count, itemSize } = attribute;
+    if (attribute.isGLBufferAttribute) return { count, sum: Infinity, length: 0 };
+    if (!holderOf(attribute).array) return undefined;
+    let index = 0;
     let sum = 0;
     let square = 0;
-    for (let index = 0; index < count * itemSize; index++) {
-        const value = attribute.getComponent(Math.floor(index / itemSize), index % itemSize);
-        let bits = Math.imul((index + 1) ^ (index >>> 15), 0x85ebca6b);
-        bits = Math.imul(bits ^ (bits >>> 13), 0xc2b2ae35);
-        sum += value * (bits / 2 ** 31);
-        square += value * value;
+    for (let vertex = 0; vertex < count; vertex++) {
+        for (let component = 0; component < itemSize; component++) {
+            const value = attribute.getComponent(vertex, component);
+            let bits = Math.imul(++index ^ (index >>> 15), 0x85ebca6b);
+            bits = Math.imul(bits ^ (bits >>> 13), 0xc2b2ae35);
+            sum += value * (bits / 2 ** 31);
+            square += value * value;
+        }
     }
-    return { sum, length: Math.sqrt(square) };
+    return { count, sum, length: Math.sqrt(square) };
 }
 
-// Rounding, as when a page normalises again, changes less.
-const isLike = (one, other) => !one || !other || !(Math.abs(one.sum - other.sum) > 1e-5 * other.length);
+// Rounding, as when a page normalises again, changes less. Arrays of zeros, as alpha of a rigid part, differ by count.
+function isLike(one, other) {
+    if (!one || !other) return true;
+    return one.count === other.count && !(Math.abs(one.sum - other.sum) > 1e-5 * other.length);
+}
 
 // Give a geometry the attributes that the shader reads.
 function adopt(geometry, method) {
