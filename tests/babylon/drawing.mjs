@@ -221,6 +221,7 @@ const ALTERED = {
         frame(scene);
         mesh.updateVerticesData('normal', mesh.getVerticesData('normal').slice());
     },
+    'arrays freed': ({ scene }) => scene.clearCachedVertexData(),
     'tangents replaced': ({ mesh }) => mesh.setVerticesData('tangent', mesh.getVerticesData('tangent').map((one) => -one)),
     'tangents removed': ({ mesh }) => mesh.geometry.removeVerticesData('tangent'),
     'beta removed': ({ mesh }) => mesh.geometry.removeVerticesData('skinbakeBeta0'),

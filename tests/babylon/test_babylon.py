@@ -284,7 +284,7 @@ def test_a_mesh_whose_attributes_a_page_alters_has_standard_normals(stage: Stage
     }
     reasons = {name: f"a page has changed or removed its {kind}" for name, kind in altered.items()}
     wanted = {name: [["standard", reason]] for name, reason in reasons.items()}
-    unaltered = ["weights cleaned", "normals as they were", "processor and back"]
+    unaltered = ["weights cleaned", "normals as they were", "arrays freed", "processor and back"]
     wanted |= dict.fromkeys(unaltered, RIGHT)
     assert {name: one["report"] for name, one in found.items()} == wanted
     said = "\n".join(stage.messages())

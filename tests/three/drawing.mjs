@@ -169,6 +169,19 @@ const REWRITTEN = {
         mesh.geometry.attributes.skinWeight.needsUpdate = mesh.geometry.attributes.normal.needsUpdate = true;
     },
     'a clone': ({ geometry }) => geometry.setAttribute('normal', geometry.attributes.normal.clone()),
+    'arrays given away while it is switched': (mesh) => {
+        let scene = mesh;
+        while (scene.parent) scene = scene.parent;
+        skinbake.lighting(mesh, 'standard');
+        for (const attribute of Object.values(mesh.geometry.attributes)) {
+            attribute.onUpload(function () {
+                this.array = null;
+            });
+            attribute.needsUpdate = true;
+        }
+        renderer.render(scene, camera);
+        skinbake.lighting(mesh, 'accurate');
+    },
     interleaved: ({ geometry }) => {
         const buffer = new THREE.InterleavedBuffer(geometry.attributes.normal.array.slice(), 3);
         geometry.setAttribute('normal', new THREE.InterleavedBufferAttribute(buffer, 3, 0));
