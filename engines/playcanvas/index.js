@@ -570,7 +570,7 @@ function changeOf(mesh, arrays) {
     if (arrays.vertexBuffer === vertexBuffer && arrays.written === written) return arrays.change;
     watchBuffer(vertexBuffer);
     const [semantic] = arrays.prints.find(([name, print]) => !isLike(printOf(mesh, name), print)) ?? [];
-    const change = semantic ? `a page has changed its ${NAMES[semantic]}: alpha and beta are for another one` : '';
+    const change = semantic ? `a page has changed its ${NAMES[semantic]}: its bake is for the old values` : '';
     Object.assign(arrays, { vertexBuffer, written: writes.get(vertexBuffer), change });
     return change;
 }

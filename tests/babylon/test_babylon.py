@@ -266,6 +266,9 @@ def test_whatever_a_page_does_the_normals_stay_right(stage: Stage) -> None:
     assert {name: one["report"] for name, one in found.items()} == dict.fromkeys(found, RIGHT)
 
 
+CHANGED = "a page has changed or removed its {}: its bake is for the old values"
+
+
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_a_mesh_whose_attributes_a_page_alters_has_standard_normals(stage: Stage, backend: str) -> None:
     """α and β are for the arrays of the file. The same values in another buffer do no harm."""
@@ -282,7 +285,7 @@ def test_a_mesh_whose_attributes_a_page_alters_has_standard_normals(stage: Stage
         "tangents removed": "TANGENT",
         "beta removed": "skinbakeBeta0",
     }
-    reasons = {name: f"a page has changed or removed its {kind}" for name, kind in altered.items()}
+    reasons = {name: CHANGED.format(kind) for name, kind in altered.items()}
     wanted = {name: [["standard", reason]] for name, reason in reasons.items()}
     unaltered = ["weights cleaned", "normals as they were", "arrays freed", "processor and back"]
     wanted |= dict.fromkeys(unaltered, RIGHT)
@@ -303,7 +306,7 @@ def test_a_mesh_whose_attributes_a_page_alters_has_standard_normals(stage: Stage
 def test_arrays_are_not_read_back_while_a_mesh_is_switched(stage: Stage) -> None:
     told = stage.character(TUBE, BENT).told(Placement())
     found = stage.page.call("written", told)
-    assert found == {"read": 0, "report": [["standard", "a page has changed or removed its NORMAL"]]}
+    assert found == {"read": 0, "report": [["standard", CHANGED.format("NORMAL")]]}
     assert len(stage.messages()) == 1
 
 

@@ -326,7 +326,7 @@ def test_a_mesh_whose_arrays_a_page_changes_has_playcanvas_s_own_normals(
     require_backend(stage, backend)
     options = {**stage.character(TUBE, RANDOM).told(Placement()), "backend": backend, "change": change}
     found = stage.page.call("draw", options)
-    reason = f"a page has changed its {array}: alpha and beta are for another one"
+    reason = f"a page has changed its {array}: its bake is for the old values"
     assert found["report"] == [["standard", reason]]
     assert stage.messages() == [f'skinbake: "tube" has PlayCanvas\'s standard lighting: {reason}']
     usual = stage.page.call("draw", {**options, "plugin": False, "url": options["url"] + "?without"})

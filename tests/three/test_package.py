@@ -283,7 +283,7 @@ def test_a_mesh_whose_arrays_a_page_alters_is_three_s_own_from_that_frame_on(
     alone = stage.call("alteredAlone", told)
     found = stage.page.call("altered", told)
     reasons = {
-        name: f"a page has changed its attribute {array}: alpha and beta are for another one"
+        name: f"a page has changed its attribute {array}: its bake is for the old values"
         for name, array in ALTERED.items()
     }
     assert stage.messages() == [

@@ -102,7 +102,7 @@ def test_a_mesh_whose_normals_a_page_alters_is_three_s_own(stage: ThreeStage, ba
     require_backend(stage, backend)
     character = stage.character(TUBE, BENT)
     found = stage.page.call("altered", {**character.told(Placement()), "backend": backend})
-    reason = "a page has changed its attribute normal: alpha and beta are for another one"
+    reason = "a page has changed its attribute normal: its bake is for the old values"
     assert stage.messages() == [f'skinbake: "anew" has three.js\'s standard lighting: {reason}']
     assert found["anew"]["report"] == [["standard", reason]]
     assert found["anew"]["draws"] == found["alone"]["draws"]

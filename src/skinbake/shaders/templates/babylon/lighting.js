@@ -131,7 +131,7 @@ function heedChanges(geometry) {
     const baked = state.geometries.get(geometry);
     const [kind] = (baked.loaded ?? []).find((one) => !isAsLoaded(geometry, ...one)) ?? [];
     const name = ATTRIBUTES[kind] ?? kind;
-    const changed = kind ? `a page has changed or removed its ${name}` : '';
+    const changed = kind ? `a page has changed or removed its ${name}: its bake is for the old values` : '';
     if (changed === baked.changed) return;
     baked.changed = changed;
     for (const mesh of geometry.meshes) mesh.subMeshes?.forEach(renew);

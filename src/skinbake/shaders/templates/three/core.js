@@ -294,7 +294,7 @@ function madeOf(geometry, method) {
     const problem = problemOf(geometry, metadata);
     if (problem) return { problem };
     const { arrays, changed } = takeArrays(geometry);
-    if (changed) return { problem: `a page has changed its attribute ${changed}: alpha and beta are for another one` };
+    if (changed) return { problem: `a page has changed its attribute ${changed}: its bake is for the old values` };
     const names = coordinatesOf(metadata);
     const sources = names.map((name) => [name, attributes[name]]);
     const isOwn = metadata.layout === 'texcoord';
