@@ -339,6 +339,25 @@ const api = {
         return { normals: base64(values), report, world: mesh.matrixWorld.toArray() };
     },
 
+    // The reports of a mesh whose arrays a page gives away after their upload: after a draw, and after another method
+    // has been asked for.
+    async freed(options) {
+        const { scene } = await load(options);
+        const [mesh] = skinnedMeshes(scene);
+        mesh.computeBoundingSphere(); // three.js would read the positions after their upload.
+        for (const attribute of Object.values(mesh.geometry.attributes)) {
+            attribute.onUpload(function () {
+                this.array = null;
+            });
+        }
+        await draw(scene);
+        const reports = told(skinbake.applySkinbake(scene).meshes);
+        mesh.name = 'freed';
+        reports.push(...told(skinbake.applySkinbake(scene, { method: 'dqs' }).meshes));
+        skinbake.dispose(scene);
+        return reports;
+    },
+
     // The normals of altered meshes by three.js alone.
     async alteredAlone(options) {
         const found = {};

@@ -315,6 +315,16 @@ def test_a_tool_may_remove_vertices_of_a_mesh_that_was_drawn(stage: ThreeStage, 
     assert largest(found["normals"], expected(character, found["world"])[kept]) < DEGREES
 
 
+def test_another_method_needs_the_arrays_that_a_page_has_given_away(stage: ThreeStage) -> None:
+    told = stage.character(TUBE, BENT).told(Placement())
+    accurate, other = stage.page.call("freed", told)
+    assert accurate == ["accurate", ""]
+    kept = "bake last, or keep attributes as they are"
+    reason = f"its attribute _skinbake_alpha_0 has no array any more: {kept}"
+    assert other == ["standard", reason]
+    assert stage.messages() == [f'skinbake: "freed" has three.js\'s standard lighting: {reason}']
+
+
 def test_arrays_are_not_read_back_while_a_mesh_is_switched(stage: ThreeStage) -> None:
     """A page that writes them in each frame pays nothing for accurate lighting that is off."""
     told = stage.character(TUBE, BENT).told(Placement())

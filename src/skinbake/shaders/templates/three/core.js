@@ -454,7 +454,8 @@ function misfit(attribute, encoding, layout) {
     if (!attribute) return 'is missing';
     const size = layout === 'texcoord' ? 2 : encoding ? 4 : 3;
     if (attribute.itemSize !== size) return `is VEC${attribute.itemSize}, not VEC${size}`;
-    const { array } = attribute.isInterleavedBufferAttribute ? attribute.data : attribute;
+    const { array } = holderOf(attribute);
+    if (!array) return 'has no array any more';
     if (!encoding) return array instanceof Float32Array ? '' : 'is not of floats';
     return array instanceof ENCODINGS[encoding] && attribute.normalized ? '' : `is not encoded as ${encoding}`;
 }
