@@ -87,6 +87,7 @@ def _tilts(
     derivatives: Float64Array,
     tangents: Float64Array,
 ) -> StoredTilts:
+    """Measure the classes in the stored pose, whose matrices are (J, 3, 4); see ``stored_tilts``."""
     count, changes = len(derivatives), changes.only_changing
     first = np.zeros(count, dtype=np.int64)
     first[surface.classes[::-1]] = np.arange(len(surface.classes))[::-1]
