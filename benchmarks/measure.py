@@ -15,11 +15,12 @@ from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 
-from benchmarks import peers
+from benchmarks import peers, truth_cost
 from benchmarks.corpus_table import corpus_folders
 from benchmarks.our_gradients import mesh_of, write_mesh
 from benchmarks.processes import SKINBAKE, Command, Json, Rounds, figures, in_turn, run
 from benchmarks.skinned_grid import grid_of, write_grid
+from skinbake.choices import Method, Truth
 from skinbake.threads import usable_cores
 
 CHARACTER = Path("CesiumMan", "CesiumMan.glb")
@@ -161,6 +162,18 @@ def verify(plan: Plan, folder: Path) -> Json:
         "both methods": both,
         "LBS": [*both, "--method", "lbs"],
         "libigl": [*SCRIPT, "benchmarks.libigl_normals", str(plan.verified), poses],
+    }
+    return {"vertices": plan.verified, "poses": plan.poses, "runs": in_turn(commands, plan.rounds)}
+
+
+def truths(plan: Plan, folder: Path) -> Json:
+    """Verify the same grid by both truths, against the one of them that takes less time."""
+    baked = folder / "baked.glb"
+    run([*SKINBAKE, "bake", "-q", new_grid(plan.verified, folder), "-o", baked])
+    commands = {
+        f"{method}, {choice}": truth_cost.whole_process(choice, method, plan.poses, baked)
+        for method in Method
+        for choice in (Truth.TANGENTS, truth_cost.BOTH)
     }
     return {"vertices": plan.verified, "poses": plan.poses, "runs": in_turn(commands, plan.rounds)}
 
@@ -312,6 +325,7 @@ ROWS: dict[str, Callable[[Plan, Path], Json]] = {
     "gradients": gradients,
     "scaling": scaling,
     "verify": verify,
+    "truths": truths,
     "speedup": speedup,
     "files": files,
     "payload": payload,

@@ -10,6 +10,7 @@ import numpy as np
 
 from benchmarks import speedup_chart
 from benchmarks.processes import MIB, Json, median
+from skinbake.choices import Method, Truth
 
 NONE = "—"
 FREE_MEMORY = 100 * MIB
@@ -88,6 +89,7 @@ def lines(rows: Json) -> Iterator[Line]:
     yield from gradients_lines(rows["gradients"])
     yield from scaling_lines(rows["scaling"])
     yield from verify_lines(rows["verify"])
+    yield from truth_lines(rows["truths"])
     yield files_line(rows["files"])
     yield payload_line(rows["payload"])
 
@@ -178,6 +180,18 @@ def verify_lines(row: Json) -> Iterator[Line]:
             "libigl: positions, averaged normals",
             row["runs"]["libigl"],
             ("no slower", 1.0),
+        )
+
+
+def truth_lines(row: Json) -> Iterator[Line]:
+    """Yield the verification by both truths, against that by one, by each method."""
+    for method in Method:
+        yield compared(
+            f"verify, {row['vertices']:,} vertices, {row['poses']} poses, {method.upper()}, by both truths",
+            row["runs"][f"{method}, both"],
+            "the same by tangents alone",
+            row["runs"][f"{method}, {Truth.TANGENTS}"],
+            ("1.3 of its time", 1.3),
         )
 
 

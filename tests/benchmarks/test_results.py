@@ -38,6 +38,8 @@ WHAT = (
     "memory from 1,000 to 10,000 vertices: (peak − 100 MiB) / file",
     "verify, 2,500 vertices, 10 poses, both methods",
     "verify, 2,500 vertices, 10 poses, LBS",
+    "verify, 2,500 vertices, 10 poses, LBS, by both truths",
+    "verify, 2,500 vertices, 10 poses, DQS, by both truths",
     "bake 8 files of 400 vertices in one call",
     "bake 400 vertices with 1 MB of textures",
 )
@@ -147,6 +149,16 @@ def sample() -> Results:
         "gradients": {"vertices": 9, "runs": {"skinbake": half, "authors' loop": whole}},
         "scaling": {"sizes": sizes, "left_out": []},
         "verify": {"vertices": 9, "poses": 9, "runs": {"both methods": whole, "LBS": half, "libigl": whole}},
+        "truths": {
+            "vertices": 9,
+            "poses": 9,
+            "runs": {
+                "lbs, both": {"seconds": [1.29]},
+                "lbs, tangents": {"seconds": [1.0]},
+                "dqs, both": {"seconds": [1.31]},
+                "dqs, tangents": {"seconds": [1.0]},
+            },
+        },
         "files": {
             "files": 1_000,
             "vertices": 2_000,
@@ -187,6 +199,8 @@ class TestPage:
             (None, True),
             (1.0, True),
             (0.5, True),
+            (1.29, True),
+            (1.31, False),
             (pytest.approx(15.01 / 200), True),
             (None, None),
         ]

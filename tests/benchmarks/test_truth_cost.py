@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
 from pathlib import Path
 from typing import Any
 
 import skinbake
+from benchmarks.peers import REPOSITORY
 from benchmarks.skinned_grid import grid_of, write_grid
-from benchmarks.truth_cost import only, timed
+from benchmarks.truth_cost import CHOICES, only, timed, whole_process
 from skinbake.choices import Truth
 
 FIGURES = {Truth.TANGENTS: "normals", Truth.TRIANGLES: "normals_by_triangles"}
@@ -30,3 +33,14 @@ def test_one_truth_is_taken_out_and_the_other_measures_the_same(tmp_path: Path) 
         assert len(spent) == 1
         assert spent[0] > 0
     assert verified() == whole
+
+
+def test_a_whole_process_measures_by_the_truths_that_it_names(tmp_path: Path) -> None:
+    grid, baked = tmp_path / "grid.glb", tmp_path / "baked.glb"
+    write_grid(grid, grid_of(64))
+    skinbake.bake(grid, baked)
+    for choice, truths in CHOICES.items():
+        command = [*whole_process(choice, "lbs", 3, baked), "--json"]
+        done = subprocess.run(command, capture_output=True, check=True, cwd=REPOSITORY)
+        (file,) = json.loads(done.stdout)["files"]
+        assert [truth for truth in Truth if file[FIGURES[truth]]] == list(truths)
