@@ -10,6 +10,7 @@ import pytest
 
 import skinbake
 from skinbake.cli import exit_codes
+from skinbake.lighting import without_poses
 from tests.support import corpus
 from tests.support.baked_files import CESIUM_MAN, source, verify
 from tests.support.command_line import document, invoke, run
@@ -116,6 +117,14 @@ def test_alpha_that_fits_no_poses_fails_although_its_digest_holds(tmp_path: Path
     answer = verify(rewritten(file, path))
     assert answer.failed == ["freshness"]
     assert "times the error of the gradients of the surface" in answer.messages
+
+
+@pytest.mark.parametrize(
+    ("error", "usual", "told"),
+    [(3.0, 2.0, "1.5 times"), (5e17, 1.0, "over 1,000 times"), (1e-9, 0.0, "over 1,000 times")],
+)
+def test_times_that_say_nothing_are_not_told(error: float, usual: float, told: str) -> None:
+    assert without_poses._times(error, usual) == told
 
 
 def digest_of(arrays: dict[str, Any]) -> str:

@@ -39,6 +39,9 @@ NO_BETTER = 1.02
 A fit to other poses than the present ones left at most 0.9 of it on all models of the corpus.
 """
 
+MANY_TIMES = 1000
+"""Beyond it, a message gives no number of times: the error that it is measured against is rounding."""
+
 
 def has_poses(document: Document, view: BakedView) -> bool:
     """Tell whether the poses of a fit follow from the file as it is now."""
@@ -120,8 +123,15 @@ def _without_effect(
         fitted, usual = (float(np.nansum(areas * found[number])) for found in both)
         if fitted > NO_BETTER * usual:
             yield (
-                f"α/β leave {fitted / usual:.3g} times the error of the gradients of the surface, "
+                f"α/β leave {_times(fitted, usual)} the error of the gradients of the surface, "
                 f"although they are noted as fitted to {what}: {BAKE_AGAIN}"
             )
         else:
             yield None
+
+
+def _times(error: float, usual: float) -> str:
+    """Return in words how many times another error one error is. On a flat mesh the other one is near 0."""
+    if error > MANY_TIMES * usual:
+        return f"over {MANY_TIMES:,} times"
+    return f"{error / usual:.3g} times"
