@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +50,25 @@ def test_the_bake_of_a_later_version_stays(command: str, tmp_path: Path) -> None
         )
     assert not (tmp_path / "out.glb").exists()
     assert (tmp_path / "later.glb").read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["bent_tube.glb", "two_primitives.glb"])
+def test_a_bake_is_known_after_a_tool_has_written_1_as_1_0(name: str, tmp_path: Path) -> None:
+    """As writers in languages without integers do, with every number of the file."""
+    bake(FOLDER / name, tmp_path / "baked.glb")
+    model = read(tmp_path / "baked.glb")
+    content = json.loads(json.dumps(model.content), parse_int=float)
+    floats = rewritten(replace(model, content=content), tmp_path / "floats.glb")
+    assert '"version":1.0' in floats.read_bytes().decode("latin-1").replace(" ", "")
+    assert invoke("verify", floats).exit_code == 0
+    assert "up to date" in invoke("inspect", floats).stdout
+    assert invoke("strip", floats, "-o", tmp_path / "stripped.glb").exit_code == 0
+    source, found = read(FOLDER / name), read(tmp_path / "stripped.glb")
+    assert found.content == source.content
+    assert found.binary_chunk == source.binary_chunk
+    assert invoke("bake", floats, "-o", tmp_path / "again.glb").exit_code == 0
+    again, before = read(tmp_path / "again.glb"), read(tmp_path / "baked.glb")
+    assert (again.content, again.binary_chunk) == (before.content, before.binary_chunk)
 
 
 class TestInspect:

@@ -13,7 +13,7 @@ from skinbake.choices import Frame
 from skinbake.geometry.blocks import blocks
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, entries_inside, is_deeper, reference
+from skinbake.gltf.json_access import JsonObject, entries_inside, is_deeper, reference, with_integers
 from skinbake.threads import Threads, thread_count
 from skinbake.version import FILE_FORMAT
 
@@ -165,6 +165,8 @@ def slot_names(note: JsonObject) -> list[str]:
 def _noted(holder: JsonObject) -> JsonObject | None:
     extras = holder.get("extras")
     note = extras.get(KEY) if isinstance(extras, dict) else None
-    if not isinstance(note, dict) or not isinstance(note.get("version"), int):
+    if not isinstance(note, dict) or is_deeper(note, DEEPEST_NOTE):
         return None
-    return None if is_deeper(note, DEEPEST_NOTE) else note
+    if isinstance(note.get("version"), float):
+        note = with_integers(note)  # some tools write all numbers anew, 1 as 1.0
+    return note if isinstance(note.get("version"), int) else None

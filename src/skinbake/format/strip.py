@@ -13,7 +13,7 @@ from skinbake.gltf import json_access
 from skinbake.gltf.additions import BUFFER_ADDED, BUFFER_LENGTH, FALLBACK_ADDED
 from skinbake.gltf.codecs import draco, meshopt
 from skinbake.gltf.document import Document, joined
-from skinbake.gltf.json_access import JsonObject, integer, objects, text
+from skinbake.gltf.json_access import JsonObject, integer, objects, reference, text
 
 
 def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
@@ -112,7 +112,7 @@ def _restored(
             document, primitive, ours, former is not None and tangent is not None, place
         )
     extras = primitive.get("extras")
-    if isinstance(extras, dict) and extras.get(KEY) is note:
+    if isinstance(extras, dict) and extras.get(KEY) == note:  # else it is that of an accessor
         left = {key: value for key, value in extras.items() if key != KEY}
         written["extras"] = left
         if not left and not note.get("keepExtras"):
@@ -265,12 +265,12 @@ def _at_the_end(document: Document, first: int, undo: JsonObject) -> _Tail | Non
         return None
     if undo.get(BUFFER_ADDED):
         return _Tail(first, undo, 0, fallbacks) if all(buffer >= whole for buffer, _, _ in added) else None
-    length = undo.get(BUFFER_LENGTH)
+    length = reference(undo.get(BUFFER_LENGTH))
     starts = [begin for buffer, begin, _ in added if buffer == 0]
     if not starts or any(0 < buffer < last for buffer, _, _ in added) or not document.has_binary_buffer:
         return None
     start = min(starts)
-    if not isinstance(length, int) or not 0 < length <= start <= len(joined(document.binary or ())):
+    if length is None or not 0 < length <= start <= len(joined(document.binary or ())):
         return None
     # Views may have moved. The buffer gets its former length, and must hold all views that stay.
     is_free = all(end <= length for buffer, _, end in kept if buffer == 0)
@@ -312,6 +312,6 @@ def _shrunk(document: Document, root: JsonObject, tail: _Tail) -> Document:
         _put_back(root, "buffers", buffers)
         new_files = {name: pieces for name, pieces in document.new_files.items() if name != uri}
         return document.edited(json=root, new_files=new_files)
-    root["buffers"] = [{**buffers[0], "byteLength": tail.undo[BUFFER_LENGTH]}, *buffers[1:]]
+    root["buffers"] = [{**buffers[0], "byteLength": reference(tail.undo[BUFFER_LENGTH])}, *buffers[1:]]
     binary = memoryview(joined(document.binary or ()))
     return document.edited(json=root, binary=(binary[: tail.start],))

@@ -155,6 +155,18 @@ def reference(value: object) -> int | None:
     return value if isinstance(value, int) and not isinstance(value, bool) else None
 
 
+def with_integers(value: Any) -> Any:
+    """Return a copy of a value of the JSON, in which 3.0 is 3 wherever it stands.
+
+    The depth of the value is the caller's to check.
+    """
+    if isinstance(value, dict):
+        return {key: with_integers(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [with_integers(entry) for entry in value]
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
 MOST = 3.4028234663852886e38
 """The largest valid number in a file, that of FLOAT; sums and products stay finite in float64."""
 
