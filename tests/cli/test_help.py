@@ -75,6 +75,20 @@ def test_a_group_names_no_parameter_twice() -> None:
     assert len(names) == len(set(names))
 
 
+@pytest.mark.parametrize(
+    ("name", "option", "heading"),
+    [
+        ("verify", "--cap X", "Measurement"),
+        ("shader", "--cap [X]", "Shader"),
+        ("shader", "--influences N", "Shader"),
+        ("cost", "--influences N", "Reports"),
+    ],
+)
+def test_an_option_stands_where_its_command_needs_it(name: str, option: str, heading: str) -> None:
+    found = [title for title, rows in grouped(*command_of(name)) if option in dict(rows)]
+    assert found == [heading]
+
+
 def completions(line: str, word: str) -> list[str]:
     words = f"{line} {word}"
     result = invoke(

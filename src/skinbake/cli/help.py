@@ -62,6 +62,9 @@ GROUPS = {
 }
 """The names of the parameters of all commands, by the heading under which help shows them."""
 
+ELSEWHERE = {("shader", "cap"): "Shader", ("cost", "influences"): "Reports"}
+"""Parameters that mean something else in one command, with their heading there. They come last under it."""
+
 PATHS = {"INPUT", "FILE", "BAKED_FILE", "PAGE", "PICTURE", "DIR"}
 """The metavars of parameters that are paths."""
 
@@ -220,8 +223,11 @@ def grouped(command: click.Command, ctx: click.Context) -> Iterator[tuple[str, l
     others = [row for name, row in left.items() if name not in known]
     if others:
         yield "Options", others
+    elsewhere = {name: heading for (of, name), heading in ELSEWHERE.items() if of == command.name}
     for heading, names in GROUPS.items():
-        rows = [left[name] for name in names if name in left]
+        here = [name for name in names if elsewhere.get(name, heading) == heading]
+        here += [name for name, place in elsewhere.items() if place == heading and name not in names]
+        rows = [left[name] for name in here if name in left]
         if rows:
             yield heading, rows
 
