@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -40,9 +41,10 @@ def verified(model: Path, folder: Path, *options: str) -> Answer:
 
 @pytest.fixture
 def _without_rig(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With fitted gradients, no model of the corpus is lit worse."""
+    """Leave no fitted gradients among the options. With them, none of these models is lit worse."""
     others = [remedy for remedy in remedies.REMEDIES if remedy.gradients is not Gradients.RIG]
     monkeypatch.setattr(remedies, "REMEDIES", others)
+    monkeypatch.setattr(remedies, "LAST", remedies.Remedy("--gradients surface", Gradients.SURFACE))
 
 
 def worse(answer: Answer) -> list[str]:
@@ -59,7 +61,7 @@ def test_remedies_are_tried_where_normals_were_generated(tmp_path: Path) -> None
     """Strip takes the normals away with the bake, and without them nothing is baked."""
     answer = verified(corpus.model("Fox/fox.glb"), tmp_path, *SURFACE, "--generate-normals")
     [message] = worse(answer)
-    assert "With --gradients rig it is 1." in message
+    assert re.search(r"With --gradients (rig|poses) it is 1\.", message)
 
 
 @corpus.needed
@@ -75,6 +77,15 @@ def test_what_helps_is_named_and_helps(tmp_path: Path, name: str) -> None:
     assert worse(better) == []
     assert gain(better) > 1
     assert message.endswith(": bake so" if float(best) >= 1.2 else "lighting(mesh, 'standard'))")
+
+
+@corpus.needed
+def test_a_fit_to_poses_is_named_where_nothing_else_helps(tmp_path: Path) -> None:
+    target = tmp_path / "baked.glb"
+    assert invoke("bake", corpus.model("BathDay/bath_day.glb"), "-o", target, "-q").exit_code == 0
+    [message] = worse(verify(target, "--poses", "animation", "--samples", "12"))
+    assert "DQS gain is 0." in message
+    assert "With --gradients poses it is 1." in message
 
 
 @corpus.needed
@@ -95,17 +106,17 @@ def test_what_was_baked_so_already_is_not_tried_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("gradients", "expected"),
+    ("gradients", "expected", "last"),
     [
-        ("rig", "--gradients surface"),
-        ("surface", "--gradients rig"),
-        ("poses", "--gradients rig, --gradients surface"),
+        ("rig", "--gradients surface", ", --gradients poses"),
+        ("surface", "--gradients rig", ", --gradients poses"),
+        ("poses", "--gradients rig, --gradients surface", ""),
     ],
 )
 def test_the_other_kinds_are_tried(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gradients: str, expected: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gradients: str, expected: str, last: str
 ) -> None:
-    """The others are baked with the noted kind."""
+    """The others are baked with the noted kind, and gradients fitted to poses come last."""
     tried = []
     original = Baker.bake_document
 
@@ -117,11 +128,17 @@ def test_the_other_kinds_are_tried(
     source = FOLDER / "foreign_joints.glb"
     assert invoke("bake", source, "-o", target, "-q", "--gradients", gradients).exit_code == 0
     monkeypatch.setattr(remedies, "WORSE", 1e9)
+    monkeypatch.setattr(remedies, "LITTLE", 1e9)
     monkeypatch.setattr(Baker, "bake_document", watched)
     [message] = worse(verify(target, *FEW))
-    assert f"({expected}, --neighbours drop, --crease-angle 180, " in message
+    options = f"{expected}, --neighbours drop, --crease-angle 180, --neighbours drop --crease-angle 180{last}"
+    assert f"({options})" in message
     others = [False] * (1 + expected.count(","))
-    assert [baker.gradients == gradients for baker in tried] == [*others, True, True, True]
+    assert [baker.gradients == gradients for baker in tried] == [
+        *others,
+        *(True, True, True),
+        *([False] if last else []),
+    ]
 
 
 def wrung(content: JsonObject) -> None:
@@ -197,10 +214,11 @@ def told(
 ) -> list[str]:
     """Return the messages for a verdict, if remedies lead to others."""
 
-    def tried(*_: object) -> Iterator[object]:
+    def tried(*arguments: Any) -> Iterator[object]:
         return (
             remedies._Trial(remedy, remedies._gains(then), remedies._all_in_all(then))
             for remedy, then in others.items()
+            if (remedy == remedies.LAST) == (arguments[-1] == [remedies.LAST])
         )
 
     monkeypatch.setattr(remedies, "_tried", tried)

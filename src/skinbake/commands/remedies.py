@@ -61,7 +61,13 @@ REMEDIES = (
     Remedy(NO_CREASE, crease_angle=180.0),
     Remedy(f"{DROP} {NO_CREASE}", neighbours=Neighbours.DROP, crease_angle=180.0),
 )
-"""The options that help on primitives of real models that a bake lights worse. No other one did."""
+"""The options that help on primitives of real models that a bake lights worse."""
+
+LAST = Remedy("--gradients poses", Gradients.POSES)
+"""The remedy that takes the longest to try, so only where no other one helps much.
+
+``--weld skin`` and ``--neighbours extend`` help on none of these primitives.
+"""
 
 
 def worse_lighting(
@@ -72,15 +78,17 @@ def worse_lighting(
     Accurate and exact lighting of dual quaternions read the same α and β: the better one counts. A remedy is
     named if it brings the gain to 1 at that primitive, by all methods and truths. It is advised if it brings
     ``LITTLE``, and if the meshes with such primitives keep their gain all in all. The file is baked once more
-    for each remedy that differs from its own settings, so at most five times, and these meshes are measured.
+    for each remedy that differs from its own settings, so at most six times, and these meshes are measured.
     A file without such primitives takes no extra time.
     """
     found = _gains(verdict)
     worse = {place: gains for place, gains in found.items() if gains.least < WORSE}
     meshes = {place.mesh for place in worse}
-    tried = list(_tried(document, views, options, meshes)) if worse else []
+    tried = list(_tried(document, views, options, meshes, REMEDIES)) if worse else []
+    if not all(any(trial.helps(place) for trial in tried) for place in worse):
+        tried += _tried(document, views, options, meshes, [LAST])
     now = math.nan
-    if any(trial.gains[place].least >= LITTLE for trial in tried for place in worse if place in trial.gains):
+    if any(trial.helps(place) for trial in tried for place in worse):
         with document.budget.passing():
             alone = meshes == {place.mesh for place in found}
             now = _all_in_all(verdict if alone else _measured(document, options, meshes))
@@ -138,6 +146,10 @@ class _Trial(NamedTuple):
     gains: dict[Place, _Gains]
     all_in_all: float
 
+    def helps(self, place: Place) -> bool:
+        """Tell whether a primitive gains more than little."""
+        return place in self.gains and self.gains[place].least >= LITTLE
+
 
 def _gains(verdict: FileVerdict) -> dict[Place, _Gains]:
     """Return the gains of the primitives that have any."""
@@ -156,14 +168,18 @@ def _all_in_all(verdict: FileVerdict) -> float:
 
 
 def _tried(
-    document: Document, views: Sequence[BakedView], options: VerifyOptions, meshes: Container[int | None]
+    document: Document,
+    views: Sequence[BakedView],
+    options: VerifyOptions,
+    meshes: Container[int | None],
+    some: Sequence[Remedy],
 ) -> Iterator[_Trial]:
-    """Yield each remedy that can be tried on the surfaces of some meshes."""
+    """Yield each of some remedies that can be tried on the surfaces of some meshes."""
     from skinbake.format.strip import stripped  # most files need no remedy
 
     baker = noted_baker(views[0])
     plain, _, _ = stripped(document)
-    for remedy in REMEDIES:
+    for remedy in some:
         changed = remedy.applied(baker)
         if changed == baker:
             continue
