@@ -41,3 +41,17 @@ def test_only_sound_primitives_with_a_bake_have_views(tmp_path: Path) -> None:
     del model.primitive(0, 0)["attributes"]["NORMAL"], model.primitive(0, 1)["extras"]
     document = read_document(str(rewritten(model, path)))
     assert [one.source.place.primitive for one in view.sound_views(document)] == [2]
+
+
+def test_a_broken_primitive_without_a_bake_does_not_hide_a_baked_one(tmp_path: Path) -> None:
+    """glTF knows the modes 0 to 6."""
+    path = tmp_path / "two.glb"
+    bake_file(str(write_model(tmp_path / "plain.glb", [sheet(), sheet()])), str(path))
+    model = read(path)
+    broken = model.primitive(0, 0)
+    del broken["extras"]
+    broken["mode"] = 7
+    for name in [name for name in broken["attributes"] if name.startswith("_SKINBAKE_")]:
+        del broken["attributes"][name]
+    document = read_document(str(rewritten(model, path)))
+    assert [one.source.place.primitive for one in view.sound_views(document)] == [1]
