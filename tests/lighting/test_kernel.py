@@ -280,21 +280,6 @@ def test_sums_at_weld_classes_are_those_of_numpy(poses: int) -> None:
         assert np.allclose(wide, expected, rtol=1e-12, atol=1e-13, equal_nan=True)
 
 
-@pytest.mark.parametrize("scale", [1e-15, 1e-6, 1.0, 1e6, 1e15])
-@pytest.mark.parametrize("stretch", [1.0, 1e2, 1e5])
-def test_sums_of_floats_are_precise_at_any_scale_and_for_narrow_triangles(
-    scale: float, stretch: float
-) -> None:
-    """Floats hold areas of some scales only, and narrow triangles only if their edges have more digits."""
-    mesh = Mesh(9)
-    mesh.deformed *= scale
-    mesh.deformed[0] *= stretch
-    block = ClassBlock.of(mesh.operator, slice(0, len(mesh.operator.ends) - 1))
-    found, expected = sums_of_block(mesh, block, by_loops), sums_of_block(mesh, block, by_numpy)
-    assert np.abs(expected).max() > 1
-    assert np.allclose(found, expected, rtol=2e-7, atol=2e-6, equal_nan=True)
-
-
 def sums_of_block(
     mesh: Mesh, block: ClassBlock, twin: ModuleType, dtype: DTypeLike = np.float32
 ) -> FloatArray:

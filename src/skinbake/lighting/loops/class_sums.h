@@ -2,7 +2,8 @@
 
 #pragma once
 
-#include "faces.h"
+#include "arctangents.h"
+#include "vectors.h"
 
 enum { POSITIONS, TRIANGLES, MET, MESH_CLASSES, SUMS, SUM_ARRAYS };
 
@@ -14,94 +15,126 @@ static const Requirement sum_arrays[SUM_ARRAYS] = {
     [SUMS] = {"sums", "fd", "3KP", WRITTEN},
 };
 
+/* The poses in work at a time here: the sums of a block of classes stay in the processor's second cache. */
+enum { FACE_STRIP = 32 };
+
+typedef double FaceStrip[FACE_STRIP];
+
 typedef struct {
     const double *positions;
     const int32_t *triangles, *met, *classes;
-    void *totals; /* (3, C, width) of the C classes in work, of the type of the sums */
-    void *sums;   /* (3, K, P) of all classes: float, or double if it is wide */
+    double *totals; /* (3, C, width) of the C classes in work */
+    void *sums;     /* (3, K, P) of all classes: float, or double if it is wide */
     int is_wide;
     Py_ssize_t vertices, poses, width, triangle_count, met_count, first_class, class_count, all_classes;
     double flat; /* a triangle with a larger cotangent is a line or a point */
 } Sums;
 
-/* The bytes of one sum. */
-static ALWAYS_INLINE size_t size_of_sum(int is_wide) { return is_wide ? sizeof(double) : sizeof(float); }
-
-/* The corners of a triangle: positions in some poses, and the rows of their classes among the totals, −1 for a class
-   that is not in work. */
+/* A triangle in up to FACE_STRIP poses: its unit normal, and its angles. One without an area has a normal of zero,
+   and any angles. The cotangents are those of the first two angles. */
 typedef struct {
+    FaceStrip x, y, z, cotangents[2], angles[3];
+} Face;
+
+/* Return the angle of a cotangent. */
+static ALWAYS_INLINE double angle_of(double signed_cotangent)
+{
+    const double cotangent = fabs(signed_cotangent);
+    const int steep = cotangent < 1.0;
+    const double acute = arctangent(steep ? cotangent : 1.0, steep ? 1.0 : cotangent);
+    const double upright = steep ? HALF - acute : acute;
+    return signed_cotangent < 0.0 ? 2.0 * HALF - upright : upright;
+}
+
+/* Return the angle of a cotangent, to a few units of the last place of a float. */
+static ALWAYS_INLINE float angle_of_float(float signed_cotangent)
+{
+    const float cotangent = fabsf(signed_cotangent);
+    const int steep = cotangent < 1.0f;
+    const float acute = float_arctangent(steep ? cotangent : 1.0f, steep ? 1.0f : cotangent);
+    const float upright = steep ? (float)HALF - acute : acute;
+    return signed_cotangent < 0.0f ? (float)(2.0 * HALF) - upright : upright;
+}
+
+/* Find the normal and two cotangents of a triangle. */
+static ALWAYS_INLINE void measure_face(Components origin, Components second, Components third, double flat,
+                                       Py_ssize_t count, Face *face)
+{
+    for (Py_ssize_t p = 0; p < count; p++) {
+        const Vector here = vector_at(origin, p);
+        const Vector e1 = minus(vector_at(second, p), here), e2 = minus(vector_at(third, p), here);
+        const Vector normal = cross(e1, e2);
+        const double aa = dot(e1, e1), ab = dot(e1, e2);
+        const double reciprocal = 1.0 / sqrt(dot(normal, normal));
+        const int sound = (fabs(ab * reciprocal) < flat) & (fabs((aa - ab) * reciprocal) < flat);
+        face->cotangents[0][p] = sound ? ab * reciprocal : 0.0;
+        face->cotangents[1][p] = sound ? (aa - ab) * reciprocal : 0.0;
+        face->x[p] = sound ? normal.x * reciprocal : 0.0;
+        face->y[p] = sound ? normal.y * reciprocal : 0.0;
+        face->z[p] = sound ? normal.z * reciprocal : 0.0;
+    }
+}
+
+/* Find the angles of a triangle. The third is what the other two leave of π, to the same absolute rounding. */
+static ALWAYS_INLINE void find_corners(Face *face, Py_ssize_t count)
+{
+    for (Py_ssize_t p = 0; p < count; p++) {
+        const double at_first = angle_of(face->cotangents[0][p]), at_second = angle_of(face->cotangents[1][p]);
+        face->angles[0][p] = at_first;
+        face->angles[1][p] = at_second;
+        face->angles[2][p] = 2.0 * HALF - at_first - at_second;
+    }
+}
+
+/* Find the angles as floats, which is enough where sums are stored as floats. */
+static ALWAYS_INLINE void find_corners_of_floats(Face *face, Py_ssize_t count)
+{
+    for (Py_ssize_t p = 0; p < count; p++) {
+        const float at_first = angle_of_float((float)face->cotangents[0][p]);
+        const float at_second = angle_of_float((float)face->cotangents[1][p]);
+        face->angles[0][p] = at_first;
+        face->angles[1][p] = at_second;
+        face->angles[2][p] = (float)(2.0 * HALF) - at_first - at_second;
+    }
+}
+
+/* Add angle × unit normal of a triangle at one of its corners. */
+static ALWAYS_INLINE void add_corner(const Face *face, const double *angles, Py_ssize_t count, double *restrict x,
+                                     double *restrict y, double *restrict z)
+{
+    for (Py_ssize_t p = 0; p < count; p++) {
+        x[p] += angles[p] * face->x[p];
+        y[p] += angles[p] * face->y[p];
+        z[p] += angles[p] * face->z[p];
+    }
+}
+
+/* Add one triangle, in some poses, at those of its corners that belong to the classes in work. */
+static ALWAYS_INLINE int add_face(const Sums *s, int32_t triangle, Py_ssize_t first, Py_ssize_t count)
+{
+    Face face;
     Components at[3];
     Py_ssize_t rows[3];
-} FaceCorners;
-
-/* Find the corners of a triangle. Return 1 if it names what is not there. */
-static ALWAYS_INLINE int find_face_corners(const Sums *s, int32_t triangle, Py_ssize_t first, FaceCorners *corners)
-{
     if (triangle < 0 || triangle >= s->triangle_count)
         return 1;
     for (int corner = 0; corner < 3; corner++) {
         const int32_t vertex = s->triangles[3 * (Py_ssize_t)triangle + corner];
         if (vertex < 0 || vertex >= s->vertices)
             return 1;
-        corners->at[corner] = components(s->positions, s->vertices * s->poses, vertex * s->poses + first);
-        const Py_ssize_t row = s->classes[vertex] - s->first_class;
-        corners->rows[corner] = row >= 0 && row < s->class_count ? row : -1;
+        at[corner] = components(s->positions, s->vertices * s->poses, vertex * s->poses + first);
+        rows[corner] = s->classes[vertex] - s->first_class;
     }
-    return 0;
-}
-
-/* Add angle × unit normal of a triangle at its corners. */
-static ALWAYS_INLINE void add_face(const Sums *s, const Face *face, const FaceCorners *corners, Py_ssize_t count)
-{
+    measure_face(at[0], at[1], at[2], s->flat, count, &face);
+    if (s->is_wide)
+        find_corners(&face, count);
+    else
+        find_corners_of_floats(&face, count);
     const Py_ssize_t apart = s->class_count * s->width;
-    for (int corner = 0; corner < 3; corner++) {
-        if (corners->rows[corner] < 0)
-            continue;
-        double *x = (double *)s->totals + corners->rows[corner] * s->width, *y = x + apart, *z = y + apart;
-        for (Py_ssize_t p = 0; p < count; p++) {
-            x[p] += face->angles[corner][p] * face->x[p];
-            y[p] += face->angles[corner][p] * face->y[p];
-            z[p] += face->angles[corner][p] * face->z[p];
+    for (int corner = 0; corner < 3; corner++)
+        if (rows[corner] >= 0 && rows[corner] < s->class_count) {
+            double *total = s->totals + rows[corner] * s->width;
+            add_corner(&face, face.angles[corner], count, total, total + apart, total + 2 * apart);
         }
-    }
-}
-
-static ALWAYS_INLINE void add_float_face(const Sums *s, const FloatFace *face, const FaceCorners *corners,
-                                         Py_ssize_t count)
-{
-    const Py_ssize_t apart = s->class_count * s->width;
-    for (int corner = 0; corner < 3; corner++) {
-        if (corners->rows[corner] < 0)
-            continue;
-        float *x = (float *)s->totals + corners->rows[corner] * s->width, *y = x + apart, *z = y + apart;
-        for (Py_ssize_t p = 0; p < count; p++) {
-            x[p] += face->angles[corner][p] * face->x[p];
-            y[p] += face->angles[corner][p] * face->y[p];
-            z[p] += face->angles[corner][p] * face->z[p];
-        }
-    }
-}
-
-/* Measure one triangle in some poses, and add it at those of its corners that belong to the classes in work. */
-static ALWAYS_INLINE int take_triangle(const Sums *s, int32_t triangle, Py_ssize_t first, Py_ssize_t count)
-{
-    FaceCorners corners;
-    Face face;
-    FloatFace rounded;
-    if (find_face_corners(s, triangle, first, &corners))
-        return 1;
-    if (s->is_wide) {
-        measure_face(corners.at, s->flat, count, &face);
-        find_angles_of_face(&face, count);
-        add_face(s, &face, &corners, count);
-        return 0;
-    }
-    if (!measure_face_in_floats(corners.at, (float)s->flat, count, &rounded)) {
-        measure_face(corners.at, s->flat, count, &face);
-        round_face(&face, count, &rounded);
-    }
-    find_angles_of_float_face(&rounded, count);
-    add_float_face(s, &rounded, &corners, count);
     return 0;
 }
 
@@ -110,8 +143,12 @@ static ALWAYS_INLINE void store_totals(const Sums *s, Py_ssize_t row, Py_ssize_t
 {
     const Py_ssize_t axis = row / s->class_count, class = s->first_class + row % s->class_count;
     const Py_ssize_t at = (axis * s->all_classes + class) * s->poses + first;
-    const Py_ssize_t size = (Py_ssize_t)size_of_sum(s->is_wide);
-    memcpy((char *)s->sums + at * size, (const char *)s->totals + row * s->width * size, (size_t)(count * size));
+    const double *totals = s->totals + row * s->width;
+    for (Py_ssize_t p = 0; p < count; p++)
+        if (s->is_wide)
+            ((double *)s->sums)[at + p] = totals[p];
+        else
+            ((float *)s->sums)[at + p] = (float)totals[p];
 }
 
 /* Sum up the triangles that the classes in work meet, which are given in ascending order. So each class has its
@@ -122,9 +159,9 @@ static int sum_classes(const Sums *s)
     const Py_ssize_t rows = 3 * s->class_count;
     for (Py_ssize_t first = 0; first < s->poses; first += s->width) {
         const Py_ssize_t count = least(s->width, s->poses - first);
-        memset(s->totals, 0, (size_t)(rows * s->width) * size_of_sum(s->is_wide));
+        memset(s->totals, 0, (size_t)(rows * s->width) * sizeof(double));
         for (Py_ssize_t n = 0; n < s->met_count; n++)
-            if (take_triangle(s, s->met[n], first, count))
+            if (add_face(s, s->met[n], first, count))
                 return 1;
         for (Py_ssize_t row = 0; row < rows; row++)
             store_totals(s, row, first, count);
@@ -137,8 +174,7 @@ static PyObject *class_sums(PyObject *Py_UNUSED(module), PyObject *args)
     PyObject *o[SUM_ARRAYS], *result = NULL;
     Array a[SUM_ARRAYS];
     Py_ssize_t sizes[26], first_class, class_count;
-    double flat;
-    void *totals = NULL;
+    double flat, *totals = NULL;
     memset(a, 0, sizeof a);
     if (!PyArg_ParseTuple(args, "OOOOOnnd", &o[POSITIONS], &o[TRIANGLES], &o[MET], &o[MESH_CLASSES], &o[SUMS],
                           &first_class, &class_count, &flat))
@@ -149,9 +185,8 @@ static PyObject *class_sums(PyObject *Py_UNUSED(module), PyObject *args)
         PyErr_Format(PyExc_ValueError, "the sums have no %zd classes from %zd on", class_count, first_class);
         goto done;
     }
-    const int is_wide = kind_of(&a[SUMS].buffer) == 'd';
-    const Py_ssize_t width = least(STRIP, SIZE('P'));
-    totals = malloc((size_t)(3 * class_count * width + 1) * size_of_sum(is_wide));
+    const Py_ssize_t width = least(FACE_STRIP, SIZE('P'));
+    totals = malloc((size_t)(3 * class_count * width + 1) * sizeof *totals);
     if (totals == NULL) {
         PyErr_NoMemory();
         goto done;
@@ -163,7 +198,7 @@ static PyObject *class_sums(PyObject *Py_UNUSED(module), PyObject *args)
         .classes = DATA(MESH_CLASSES),
         .totals = totals,
         .sums = DATA(SUMS),
-        .is_wide = is_wide,
+        .is_wide = kind_of(&a[SUMS].buffer) == 'd',
         .vertices = SIZE('V'),
         .poses = SIZE('P'),
         .width = width,
