@@ -99,7 +99,7 @@ def test_json_is_as_the_schema_has_it() -> None:
         (1.0, "1.00x", GREEN),
         (1.004, "1.00x", GREEN),
         (0.996, "0.996x", RED),
-        (0.99996, "0.99996x", RED),
+        (0.99996, "0.9999x", RED),
         (0.994, "0.99x", RED),
     ],
 )
