@@ -15,7 +15,7 @@ static const Requirement angle_arrays[ANGLE_ARRAYS] = {
     [ANGLES] = {"angles", "f", "UBP", WRITTEN},
 };
 
-FOR_PROCESSORS
+FOR_WIDE_PROCESSORS
 static void find_angles(Components measured, const double *expected, float *angles, Py_ssize_t truths, Py_ssize_t size)
 {
     Strip x, y, z;
@@ -30,13 +30,21 @@ static void find_angles(Components measured, const double *expected, float *angl
         }
         for (Py_ssize_t truth = 0; truth < truths; truth++) {
             const Components wanted = components(expected + 3 * truth * size, size, first);
+            int large = 0;
             for (Py_ssize_t p = 0; p < count; p++) {
                 const Vector apart = minus((Vector){x[p], y[p], z[p]}, vector_at(wanted, p));
                 const double chord = dot(apart, apart);
-                ratios[p] = (float)(chord / (4.0 - chord));
+                ratios[p] = (float)chord / (float)(4.0 - chord);
             }
             for (Py_ssize_t p = 0; p < count; p++)
-                angles[truth * size + first + p] = degrees_of(ratios[p]);
+                large |= !(ratios[p] <= SMALL_RATIO);
+            float *found = angles + truth * size + first;
+            if (large)
+                for (Py_ssize_t p = 0; p < count; p++)
+                    found[p] = degrees_of(ratios[p]);
+            else /* as nearly always */
+                for (Py_ssize_t p = 0; p < count; p++)
+                    found[p] = degrees_of_small(ratios[p]);
         }
     }
 }

@@ -29,18 +29,33 @@ static ALWAYS_INLINE double arctangent(double y, double x)
     return (beyond ? QUARTER : 0.0) + t * sum;
 }
 
-/* Return the same arctangent to a few units of the last place of a float. */
-static ALWAYS_INLINE float float_arctangent(float y, float x)
+/* Return the arctangent of t, at most tan(π/8), to a few units of the last place of a float. */
+static ALWAYS_INLINE float small_arctangent(float t)
 {
-    const int beyond = y > (float)TAN_EIGHTH * x;
-    const float t = (beyond ? y - x : y) / (beyond ? y + x : x), s = t * t;
+    const float s = t * t;
     float sum = -0.0602630523f;
     sum = sum * s + 0.105698288f;
     sum = sum * s - 0.142395327f;
     sum = sum * s + 0.19998183f;
     sum = sum * s - 0.333333069f;
     sum = sum * s + 0.999999999f;
-    return (beyond ? (float)QUARTER : 0.0f) + t * sum;
+    return t * sum;
+}
+
+/* Return the arctangent of y / x, as above, to the same digits. */
+static ALWAYS_INLINE float float_arctangent(float y, float x)
+{
+    const int beyond = y > (float)TAN_EIGHTH * x;
+    return (beyond ? (float)QUARTER : 0.0f) + small_arctangent((beyond ? y - x : y) / (beyond ? y + x : x));
+}
+
+/* A little less than the square of tan(π/8). */
+#define SMALL_RATIO 0.1715728f
+
+/* Return twice the arctangent of the root of a ratio of at most SMALL_RATIO, in degrees: the same as below. */
+static ALWAYS_INLINE float degrees_of_small(float ratio)
+{
+    return small_arctangent(sqrtf(fabsf(ratio))) * (float)(180.0 / HALF);
 }
 
 /* Return twice the arctangent of the root of a ratio, in degrees. */

@@ -15,10 +15,11 @@ static const Requirement sum_arrays[SUM_ARRAYS] = {
     [SUMS] = {"sums", "fd", "3KP", WRITTEN},
 };
 
-/* The poses in work at a time here: the sums of a block of classes stay in the processor's second cache. */
-enum { FACE_STRIP = 32 };
+/* The poses in work at a time here: as many as a chunk of poses often has. */
+enum { FACE_STRIP = 64 };
 
 typedef double FaceStrip[FACE_STRIP];
+typedef float FloatStrip[FACE_STRIP];
 
 typedef struct {
     const double *positions;
@@ -30,11 +31,20 @@ typedef struct {
     double flat; /* a triangle with a larger cotangent is a line or a point */
 } Sums;
 
-/* A triangle in up to FACE_STRIP poses: its unit normal, and its angles. One without an area has a normal of zero,
-   and any angles. The cotangents are those of the first two angles. */
+/* The unit normal of a triangle in up to FACE_STRIP poses: zero where it has no area. */
 typedef struct {
-    FaceStrip x, y, z, cotangents[2], angles[3];
-} Face;
+    FaceStrip x, y, z;
+} FaceNormal;
+
+/* The angles of a triangle, and the cotangents of the first two. They are arbitrary where it has no area. */
+typedef struct {
+    FaceStrip cotangents[2], angles[3];
+} Corners;
+
+/* The same as floats, which is enough where sums are stored as floats. */
+typedef struct {
+    FloatStrip cotangents[2], angles[3];
+} FloatCorners;
 
 /* Return the angle of a cotangent. */
 static ALWAYS_INLINE double angle_of(double signed_cotangent)
@@ -56,19 +66,22 @@ static ALWAYS_INLINE float angle_of_float(float signed_cotangent)
     return signed_cotangent < 0.0f ? (float)(2.0 * HALF) - upright : upright;
 }
 
-/* Find the normal and two cotangents of a triangle. */
-static ALWAYS_INLINE void measure_face(Components origin, Components second, Components third, double flat,
-                                       Py_ssize_t count, Face *face)
+/* Find the normal and two cotangents of a triangle, these as floats if wide is NULL. */
+static ALWAYS_INLINE void measure_face(const Components at[3], double flat, Py_ssize_t count, FaceNormal *face,
+                                       Corners *wide, FloatCorners *narrow)
 {
     for (Py_ssize_t p = 0; p < count; p++) {
-        const Vector here = vector_at(origin, p);
-        const Vector e1 = minus(vector_at(second, p), here), e2 = minus(vector_at(third, p), here);
+        const Vector here = vector_at(at[0], p);
+        const Vector e1 = minus(vector_at(at[1], p), here), e2 = minus(vector_at(at[2], p), here);
         const Vector normal = cross(e1, e2);
         const double aa = dot(e1, e1), ab = dot(e1, e2);
         const double reciprocal = 1.0 / sqrt(dot(normal, normal));
         const int sound = (fabs(ab * reciprocal) < flat) & (fabs((aa - ab) * reciprocal) < flat);
-        face->cotangents[0][p] = sound ? ab * reciprocal : 0.0;
-        face->cotangents[1][p] = sound ? (aa - ab) * reciprocal : 0.0;
+        const double at_first = sound ? ab * reciprocal : 0.0, at_second = sound ? (aa - ab) * reciprocal : 0.0;
+        if (wide)
+            wide->cotangents[0][p] = at_first, wide->cotangents[1][p] = at_second;
+        else
+            narrow->cotangents[0][p] = (float)at_first, narrow->cotangents[1][p] = (float)at_second;
         face->x[p] = sound ? normal.x * reciprocal : 0.0;
         face->y[p] = sound ? normal.y * reciprocal : 0.0;
         face->z[p] = sound ? normal.z * reciprocal : 0.0;
@@ -76,7 +89,7 @@ static ALWAYS_INLINE void measure_face(Components origin, Components second, Com
 }
 
 /* Find the angles of a triangle. The third is what the other two leave of π, to the same absolute rounding. */
-static ALWAYS_INLINE void find_corners(Face *face, Py_ssize_t count)
+static ALWAYS_INLINE void find_corners(Corners *face, Py_ssize_t count)
 {
     for (Py_ssize_t p = 0; p < count; p++) {
         const double at_first = angle_of(face->cotangents[0][p]), at_second = angle_of(face->cotangents[1][p]);
@@ -86,33 +99,36 @@ static ALWAYS_INLINE void find_corners(Face *face, Py_ssize_t count)
     }
 }
 
-/* Find the angles as floats, which is enough where sums are stored as floats. */
-static ALWAYS_INLINE void find_corners_of_floats(Face *face, Py_ssize_t count)
+/* Find the angles as floats. */
+static ALWAYS_INLINE void find_float_corners(FloatCorners *face, Py_ssize_t count)
 {
     for (Py_ssize_t p = 0; p < count; p++) {
-        const float at_first = angle_of_float((float)face->cotangents[0][p]);
-        const float at_second = angle_of_float((float)face->cotangents[1][p]);
+        const float at_first = angle_of_float(face->cotangents[0][p]);
+        const float at_second = angle_of_float(face->cotangents[1][p]);
         face->angles[0][p] = at_first;
         face->angles[1][p] = at_second;
         face->angles[2][p] = (float)(2.0 * HALF) - at_first - at_second;
     }
 }
 
-/* Add angle × unit normal of a triangle at one of its corners. */
-static ALWAYS_INLINE void add_corner(const Face *face, const double *angles, Py_ssize_t count, double *restrict x,
-                                     double *restrict y, double *restrict z)
+/* Add angle × unit normal of a triangle at one of its corners. The angles are floats if wide is NULL. */
+static ALWAYS_INLINE void add_corner(const FaceNormal *face, const double *wide, const float *narrow, Py_ssize_t count,
+                                     double *restrict x, double *restrict y, double *restrict z)
 {
     for (Py_ssize_t p = 0; p < count; p++) {
-        x[p] += angles[p] * face->x[p];
-        y[p] += angles[p] * face->y[p];
-        z[p] += angles[p] * face->z[p];
+        const double angle = wide ? wide[p] : narrow[p];
+        x[p] += angle * face->x[p];
+        y[p] += angle * face->y[p];
+        z[p] += angle * face->z[p];
     }
 }
 
 /* Add one triangle, in some poses, at those of its corners that belong to the classes in work. */
-static ALWAYS_INLINE int add_face(const Sums *s, int32_t triangle, Py_ssize_t first, Py_ssize_t count)
+static ALWAYS_INLINE int add_face(const Sums *s, int32_t triangle, Py_ssize_t first, Py_ssize_t count, int is_wide)
 {
-    Face face;
+    FaceNormal face;
+    Corners wide;
+    FloatCorners narrow;
     Components at[3];
     Py_ssize_t rows[3];
     if (triangle < 0 || triangle >= s->triangle_count)
@@ -124,16 +140,17 @@ static ALWAYS_INLINE int add_face(const Sums *s, int32_t triangle, Py_ssize_t fi
         at[corner] = components(s->positions, s->vertices * s->poses, vertex * s->poses + first);
         rows[corner] = s->classes[vertex] - s->first_class;
     }
-    measure_face(at[0], at[1], at[2], s->flat, count, &face);
-    if (s->is_wide)
-        find_corners(&face, count);
+    measure_face(at, s->flat, count, &face, is_wide ? &wide : NULL, &narrow);
+    if (is_wide)
+        find_corners(&wide, count);
     else
-        find_corners_of_floats(&face, count);
+        find_float_corners(&narrow, count);
     const Py_ssize_t apart = s->class_count * s->width;
     for (int corner = 0; corner < 3; corner++)
         if (rows[corner] >= 0 && rows[corner] < s->class_count) {
             double *total = s->totals + rows[corner] * s->width;
-            add_corner(&face, face.angles[corner], count, total, total + apart, total + 2 * apart);
+            add_corner(&face, is_wide ? wide.angles[corner] : NULL, narrow.angles[corner], count, total,
+                       total + apart, total + 2 * apart);
         }
     return 0;
 }
@@ -153,7 +170,7 @@ static ALWAYS_INLINE void store_totals(const Sums *s, Py_ssize_t row, Py_ssize_t
 
 /* Sum up the triangles that the classes in work meet, which are given in ascending order. So each class has its
    terms in the same order, no matter which other classes are in work. */
-FOR_PROCESSORS
+FOR_WIDE_PROCESSORS
 static int sum_classes(const Sums *s)
 {
     const Py_ssize_t rows = 3 * s->class_count;
@@ -161,7 +178,7 @@ static int sum_classes(const Sums *s)
         const Py_ssize_t count = least(s->width, s->poses - first);
         memset(s->totals, 0, (size_t)(rows * s->width) * sizeof(double));
         for (Py_ssize_t n = 0; n < s->met_count; n++)
-            if (add_face(s, s->met[n], first, count))
+            if (s->is_wide ? add_face(s, s->met[n], first, count, 1) : add_face(s, s->met[n], first, count, 0))
                 return 1;
         for (Py_ssize_t row = 0; row < rows; row++)
             store_totals(s, row, first, count);

@@ -280,7 +280,7 @@ static ALWAYS_INLINE void put_normals(const Dqs *s, const Posing *at, Mix mixes,
     }
 }
 
-FOR_PROCESSORS
+FOR_WIDE_PROCESSORS
 static int move_by_dqs(const Dqs *s)
 {
     Mix mix;
@@ -303,7 +303,7 @@ static int move_by_dqs(const Dqs *s)
     return 0;
 }
 
-FOR_PROCESSORS
+FOR_WIDE_PROCESSORS
 static int turn_by_dqs(const Dqs *s)
 {
     Mix mix;
