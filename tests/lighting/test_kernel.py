@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import runpy
 import subprocess
 import sys
@@ -22,7 +23,7 @@ from skinbake.choices import Weighting
 from skinbake.errors import ChoiceError
 from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.lighting import by_numpy, kernel, triangle_normals
-from skinbake.lighting.counted import BIN_SHIFT, BINS
+from skinbake.lighting.counted import BIN_SHIFT, BINS, Place, WeightedRuns
 from skinbake.lighting.forms import Forms
 from skinbake.lighting.influences import Int32Array
 from skinbake.lighting.operator import GradientOperator, gradient_operator
@@ -383,6 +384,18 @@ def test_angles_are_those_of_numpy(truths: int) -> None:
     assert found[0][sane] == pytest.approx(by_arctangent[sane], rel=1e-5, abs=2e-6)
 
 
+@pytest.mark.parametrize("largest", [1.0, 44.9, 45.1, 60.0])
+def test_angles_below_45_degrees_are_those_of_larger_ones(largest: float) -> None:
+    """Strips of small angles alone take a shorter way."""
+    wanted = np.linspace(0.0, largest, 3 * 200).reshape(3, 200)
+    angles = np.radians(wanted)
+    turned = np.cos(angles), np.sin(angles), np.zeros_like(angles)
+    expected = np.zeros((1, 3, 3, 200))
+    expected[0, 0] = 1.0
+    found = by_loops.angles(tuple(component.T for component in turned), expected)
+    assert found[0] == pytest.approx(wanted, rel=3e-7, abs=1e-12)
+
+
 def errors_to_count(seed: int) -> tuple[Any, Any, Any]:
     """Few values, so that there are ties; some missing, some not valid, some without weight."""
     rng = np.random.default_rng(seed)
@@ -405,8 +418,10 @@ def test_counts_of_errors_are_those_of_numpy(seed: int) -> None:
             assert getattr(found, name) == getattr(expected, name), name
         assert found.weight == pytest.approx(expected.weight, rel=1e-12)
         assert found.total == pytest.approx(expected.total, rel=1e-12)
-        assert np.array_equal(found.tail, expected.tail)
-        assert np.array_equal(found.tail_weights, expected.tail_weights)
+        for name in ("values", "weights", "lengths"):
+            assert np.array_equal(getattr(found.tail, name), getattr(expected.tail, name)), name
+        assert found.tail.lengths.sum() == len(found.tail.values)
+        assert found.tail.lengths.all()
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -425,33 +440,41 @@ def test_the_tail_is_that_of_numpy(dtype: type[np.floating]) -> None:
     values = rng.gamma(1.0, 3.0, 500).astype(dtype)
     values[::50] = np.nan
     values[7], values[8], values[9] = np.inf, 1e-30, 0.0
-    weights = rng.random(500)
-    for least in (0.0, 2.0, float(values[3]), 1e9):
-        found, plain = ((values.copy(), weights.copy()) for _ in range(2))
-        kept = by_loops.keep_at_least(*found, least)
-        assert kept == by_numpy.keep_at_least(*plain, least) == np.count_nonzero(values >= least)
-        for ours, numpys, whole in zip(found, plain, (values, weights), strict=True):
-            assert np.array_equal(ours[:kept], numpys[:kept])
-            assert np.array_equal(ours[:kept], whole[values >= least])
-    sound = np.isfinite(values)
+    lengths = np.array([0, *[7] * 40, 0, 0, 1, 219, 0], dtype=np.int32)
+    weights = rng.random(len(lengths))
+    for least, in_place in itertools.product((0.0, 2.0, float(values[3]), 1e9), (True, False)):
+        for keep in (by_loops.keep_at_least, by_numpy.keep_at_least):
+            found = WeightedRuns(values.copy(), weights.copy(), lengths.copy())
+            room = found if in_place else WeightedRuns.room(501, 48, dtype)
+            kept = room.part(Place(0, 0), keep(found, room, least))
+            assert kept.values.tolist() == values[values >= least].tolist()
+            assert (
+                np.repeat(kept.weights, kept.lengths).tolist()
+                == np.repeat(weights, lengths)[values >= least].tolist()
+            )
+            assert kept.lengths.all()
+    finite = WeightedRuns(np.where(np.isfinite(values), values, dtype(9.5)), weights, lengths)
     bins, expected = np.zeros(BINS), np.zeros(BINS)
-    by_loops.add_to_bins(values[sound], weights[sound], bins)
-    by_numpy.add_to_bins(values[sound], weights[sound], expected)
+    by_loops.add_to_bins(finite, bins)
+    by_numpy.add_to_bins(finite, expected)
     assert np.array_equal(bins, expected)
-    assert bins.sum() == pytest.approx(weights[sound].sum())
+    assert bins.sum() == pytest.approx(weights @ lengths)
+    assert finite.weights_at(np.array([0, 7, 279, 280, 281, 499])).tolist() == [
+        weights[run] for run in (1, 2, 40, 43, 44, 44)
+    ]
 
 
 def test_errors_of_float64_are_counted_too() -> None:
     errors, weights, _ = errors_to_count(0)
     wide = by_loops.count_errors(errors.T.astype(np.float64), weights, None, 1.0)
-    assert wide.tail.dtype == np.float64
+    assert wide.tail.values.dtype == np.float64
     assert wide.total == pytest.approx(by_loops.count_errors(errors.T, weights, None, 1.0).total)
 
 
 def test_no_vertices_and_no_poses_are_no_errors() -> None:
     for shape in ((0, 5), (5, 0)):
         found = by_loops.count_errors(np.zeros(shape, dtype=np.float32).T, np.ones(shape[0]), None, 0.0)
-        assert (found.samples, found.largest, len(found.tail)) == (0, -1.0, 0)
+        assert (found.samples, found.largest, found.tail.end) == (0, -1.0, (0, 0))
     nothing = Forms(np.zeros((0, 4), dtype=np.int32), np.zeros((0, 4)), np.zeros((0, 3)), np.zeros((2, 0, 3)))
     assert by_loops.blended_normals(nothing, np.zeros((4, 3, 5))).shape == (3, 0, 5)
 
@@ -530,7 +553,7 @@ def test_without_any_optimisation_the_bits_are_the_same(
         turned = by_loops.dqs_normals(*here)
         forms, table = random_forms(2, 4), random_table(67)
         linear = [blended(by_loops, forms, 2, table), by_loops.blended_normals(forms, table)]
-        figures = counted.tail, counted.total, counted.largest
+        figures = *counted.tail.arrays, counted.total, counted.largest
         return [posed, turned, *linear, normals, exist, errors, sums, *figures]
 
     expected = results()
@@ -634,11 +657,13 @@ class TestArguments:
         np.ones(2),
         np.ones((2, 7), np.bool_),
         np.zeros(14, np.float32),
-        np.zeros(14),
+        np.zeros(2),
+        np.zeros(2, np.int32),
         0.0,
     )
-    KEPT: tuple[Any, ...] = (np.zeros(5, np.float32), np.ones(5), 0.5)
-    BINNED: tuple[Any, ...] = (np.ones(5, np.float32), np.ones(5), np.zeros(BINS), BIN_SHIFT)
+    RUNS: tuple[Any, ...] = (np.ones(5, np.float32), np.ones(3), int32(2, 0, 3))
+    KEPT: tuple[Any, ...] = (*RUNS, np.zeros(5, np.float32), np.ones(3), int32(0, 0, 0), 0.5)
+    BINNED: tuple[Any, ...] = (*RUNS, np.zeros(BINS), BIN_SHIFT)
 
     CASES: tuple[tuple[Callable[..., Any], tuple[Any, ...], int, Any, type[Exception]], ...] = (
         (_loops.blend, BLEND, 0, np.full((5, 2), 2, np.int32), IndexError),
@@ -742,17 +767,26 @@ class TestArguments:
         (_loops.count_errors, COUNT, 1, np.ones(3), ValueError),
         (_loops.count_errors, COUNT, 2, np.ones((7, 2), np.bool_), ValueError),
         (_loops.count_errors, COUNT, 3, np.zeros(13, np.float32), ValueError),
-        (_loops.count_errors, COUNT, 4, np.zeros(15), ValueError),
+        (_loops.count_errors, COUNT, 4, np.zeros(1), ValueError),
+        (_loops.count_errors, COUNT, 5, np.zeros(3, np.int32), ValueError),
         (_loops.count_errors, COUNT, 0, np.zeros((2, 7)), TypeError),
         (_loops.keep_at_least, KEPT, 0, np.zeros(4, np.float32), ValueError),
         (_loops.keep_at_least, KEPT, 0, np.zeros(5), TypeError),
-        (_loops.keep_at_least, KEPT, 1, np.zeros(10)[::2], ValueError),
+        (_loops.keep_at_least, KEPT, 1, np.zeros(6)[::2], ValueError),
+        (_loops.keep_at_least, KEPT, 2, int32(2, 0, 2), ValueError),
+        (_loops.keep_at_least, KEPT, 2, int32(2, 4, -1), ValueError),
+        (_loops.keep_at_least, KEPT, 2, int32(2, 3), ValueError),
+        (_loops.keep_at_least, KEPT, 3, np.zeros(4, np.float32), ValueError),
+        (_loops.keep_at_least, KEPT, 4, np.ones(2), ValueError),
+        (_loops.keep_at_least, KEPT, 5, int32(0, 0), ValueError),
         (_loops.add_to_bins, BINNED, 0, np.zeros(4, np.float32), ValueError),
         (_loops.add_to_bins, BINNED, 0, np.zeros(5), TypeError),
-        (_loops.add_to_bins, BINNED, 2, np.zeros(9), IndexError),
-        (_loops.add_to_bins, BINNED, 2, np.zeros(BINS, np.float32), TypeError),
-        (_loops.add_to_bins, BINNED, 3, 32, ValueError),
-        (_loops.add_to_bins, BINNED, 3, -1, ValueError),
+        (_loops.add_to_bins, BINNED, 2, int32(2, 0, 4), ValueError),
+        (_loops.add_to_bins, BINNED, 2, int32(6, -2, 1), ValueError),
+        (_loops.add_to_bins, BINNED, 3, np.zeros(9), IndexError),
+        (_loops.add_to_bins, BINNED, 3, np.zeros(BINS, np.float32), TypeError),
+        (_loops.add_to_bins, BINNED, 4, 32, ValueError),
+        (_loops.add_to_bins, BINNED, 4, -1, ValueError),
     )
 
     def test_these_are_right(self) -> None:
@@ -797,6 +831,8 @@ met = np.arange(2 * V, dtype=np.int32)
 columns, starts = chance.integers(0, V, 7 * V).astype(np.int32), np.arange(0, 7 * V + 1, 7, dtype=np.int32)
 classes = np.arange(V, dtype=np.int32)
 changing = [triangles, met, corners, ends, columns, starts, classes]
+lengths = np.full(V, 7, np.int32)
+changing += [lengths]
 kept = [array.copy() for array in changing]
 going = True
 
@@ -813,6 +849,10 @@ for turn in range(12):
     going, other = True, threading.Timer(0.0005 * turn, spoil)
     other.start()
     try:
+        runs = np.ones(7 * V, np.float32), np.ones(V), lengths
+        for _ in range(20 * (turn % 3)):
+            _loops.keep_at_least(*runs, np.zeros(7 * V, np.float32), np.ones(V), np.zeros(V, np.int32), 0.5)
+            _loops.add_to_bins(*runs, np.zeros(1 << 14), 17)
         _loops.gradient_rows(
             np.ones((V, 3)), triangles, corners, ends, classes, np.ones(V), np.ones((2, V, 3)),
             np.zeros(V + 1, np.int32), np.zeros(18 * V, np.int32), np.zeros((2, 18 * V)), 0)

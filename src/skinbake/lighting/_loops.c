@@ -37,7 +37,7 @@ static PyMethodDef functions[] = {
     {"count_errors", count_errors, METH_VARARGS,
      "count_errors(errors, weights, valid, tail, tail_weights, least): fill the tail; return counts and sums."},
     {"keep_at_least", keep_at_least, METH_VARARGS,
-     "keep_at_least(values, weights, least): move the values of at least least to the front; return how many."},
+     "keep_at_least(values, weights, kept, kept_weights, least): fill kept with large values; return how many."},
     {"add_to_bins", add_to_bins, METH_VARARGS, "add_to_bins(values, weights, bins, shift): add the weights to bins."},
     {NULL, NULL, 0, NULL},
 };

@@ -157,18 +157,39 @@ def count_errors(
     weights: Float64Array,
     valid: BoolArray | None,
     tail: Float32Array,
-    tail_weights: Float64Array,
+    run_weights: Float64Array,
+    run_lengths: npt.NDArray[np.int32],
     least: float,
     /,
-) -> tuple[int, int, int, float, float, float, int, int]:
-    """Count errors (B, P) with weights (B,), and fill tail and its weights with those of at least ``least``.
+) -> tuple[int, int, int, int, float, float, float, int, int]:
+    """Count errors (P, B) with weights (B,), and fill the tail with those of at least ``least``, in runs.
 
-    Return samples, undefined ones, the length of the tail, the counted weight, the weighted sum, the largest
-    error (−1: none), its pose and its row.
+    Return samples, undefined ones, the length of the tail and the number of its runs, the counted weight, the
+    weighted sum, the largest error (−1: none), its pose and its row.
     """
 
-def keep_at_least(values: Float32Array, weights: Float64Array, least: float, /) -> int:
-    """Move values (N,) of at least ``least`` to the front, and their weights. Return their number."""
+def keep_at_least(
+    values: Float32Array,
+    weights: Float64Array,
+    lengths: npt.NDArray[np.int32],
+    kept: Float32Array,
+    kept_weights: Float64Array,
+    kept_lengths: npt.NDArray[np.int32],
+    least: float,
+    /,
+) -> tuple[int, int]:
+    """Fill kept (M,) with those of N values in R runs that are at least ``least``, and their S runs.
 
-def add_to_bins(values: Float32Array, weights: Float64Array, bins: Float64Array, shift: int, /) -> None:
-    """Add weights (N,) to the bins that the bits of values (N,), without their sign, name after a shift."""
+    M is at least N, S at least R. kept may begin where values begin. Return the numbers of values and of runs
+    that are kept.
+    """
+
+def add_to_bins(
+    values: Float32Array,
+    weights: Float64Array,
+    lengths: npt.NDArray[np.int32],
+    bins: Float64Array,
+    shift: int,
+    /,
+) -> None:
+    """Add the weights of N values in R runs to bins. Bits without the sign, after a shift, name them."""

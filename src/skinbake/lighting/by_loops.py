@@ -14,7 +14,7 @@ import numpy.typing as npt
 from skinbake.choices import Weighting
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray
 from skinbake.lighting import _loops, by_numpy
-from skinbake.lighting.counted import BIN_SHIFT, CountedErrors
+from skinbake.lighting.counted import BIN_SHIFT, CountedErrors, Place, WeightedRuns
 from skinbake.lighting.forms import Forms
 from skinbake.lighting.sparse_rows import SparseRows
 from skinbake.lighting.tangent_normals import FLAT_FRAME, RestFrames
@@ -190,10 +190,10 @@ def count_errors(
     if errors.dtype != np.float32:
         return by_numpy.count_errors(errors, weights, valid, least)
     rows = np.ascontiguousarray(errors.T)
-    tail, tail_weights = np.empty(rows.size, dtype=np.float32), np.empty(rows.size)
+    room = WeightedRuns.room(rows.size, len(rows))
     exist = None if valid is None else np.ascontiguousarray(valid.T)
-    samples, undefined, kept, weight, total, largest, pose, row = _loops.count_errors(
-        rows, weights, exist, tail, tail_weights, least
+    samples, undefined, kept, runs, weight, total, largest, pose, row = _loops.count_errors(
+        rows, weights, exist, *room.arrays, least
     )
     return CountedErrors(
         samples=samples,
@@ -203,18 +203,18 @@ def count_errors(
         largest=largest,
         pose=pose,
         vertex=row,
-        tail=tail[:kept].copy(),
-        tail_weights=tail_weights[:kept].copy(),
+        tail=room.copied(Place(kept, runs)),
     )
 
 
-def keep_at_least(values: FloatArray, weights: Float64Array, least: float) -> int:
-    """Move values (N,) of at least ``least`` to the front, with their weights. Return their number."""
-    if values.dtype != np.float32:
-        return by_numpy.keep_at_least(values, weights, least)
-    return _loops.keep_at_least(values, weights, least)
+def keep_at_least(found: WeightedRuns, room: WeightedRuns, least: float) -> Place:
+    """Fill room with those of the values found that are at least ``least``, and return their end."""
+    if not found.values.dtype == room.values.dtype == np.float32:
+        return by_numpy.keep_at_least(found, room, least)
+    return Place(*_loops.keep_at_least(*found.arrays, *room.arrays, least))
 
 
-def add_to_bins(values: FloatArray, weights: Float64Array, bins: Float64Array) -> None:
-    """Add the weights (N,) of values (N,) to their bins."""
-    _loops.add_to_bins(np.asarray(values, dtype=np.float32), weights, bins, BIN_SHIFT)
+def add_to_bins(found: WeightedRuns, bins: Float64Array) -> None:
+    """Add the weight of each value to its bin."""
+    values, weights, lengths = found.arrays
+    _loops.add_to_bins(np.asarray(values, dtype=np.float32), weights, lengths, bins, BIN_SHIFT)

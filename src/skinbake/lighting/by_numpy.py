@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
-from skinbake.lighting.counted import CountedErrors, bin_of
+from skinbake.lighting.counted import CountedErrors, Place, WeightedRuns, bin_of
 from skinbake.lighting.forms import Forms
 from skinbake.lighting.metrics import angles_of_units, units_or_nan
 from skinbake.lighting.sparse_rows import SparseRows
@@ -223,8 +223,9 @@ def count_errors(
     positive = np.where(weights > 0.0, weights, 0.0)
     largest = float(values.max(initial=-1.0))
     pose, vertex = divmod(int(values.argmax()) if values.size else 0, max(1, errors.shape[1]))
-    by_vertex = np.ascontiguousarray(values.T)
-    kept = np.flatnonzero(by_vertex.ravel() >= max(least, 0.0))
+    kept = max(least, 0.0) <= values.T
+    lengths = np.count_nonzero(kept, axis=1).astype(np.int32)
+    some = np.flatnonzero(lengths)
     return CountedErrors(
         samples=int(np.count_nonzero(counted)),
         undefined=int(np.count_nonzero(undefined)),
@@ -233,18 +234,26 @@ def count_errors(
         largest=largest,
         pose=pose,
         vertex=vertex,
-        tail=by_vertex.ravel()[kept],
-        tail_weights=positive[kept // max(1, len(errors))],
+        tail=WeightedRuns(values.T[kept], positive[some], lengths[some]),
     )
 
 
-def keep_at_least(values: FloatArray, weights: Float64Array, least: float) -> int:
-    """Move values (N,) of at least ``least`` to the front, with their weights. Return their number."""
-    chosen = np.flatnonzero(values >= least)
-    values[: len(chosen)], weights[: len(chosen)] = values[chosen], weights[chosen]
-    return len(chosen)
+def keep_at_least(found: WeightedRuns, room: WeightedRuns, least: float) -> Place:
+    """Fill room with those of the values found that are at least ``least``, and return their end.
+
+    room has the size of found at least, and may begin where found begins.
+    """
+    chosen = found.values >= least
+    owners = np.repeat(np.arange(len(found.lengths)), found.lengths)[chosen]
+    lengths = np.bincount(owners, minlength=len(found.lengths))
+    some = np.flatnonzero(lengths)
+    end = Place(len(owners), len(some))
+    filled = room.part(Place(0, 0), end)
+    filled.values[:], filled.weights[:] = found.values[chosen], found.weights[some]
+    filled.lengths[:] = lengths[some]
+    return end
 
 
-def add_to_bins(values: FloatArray, weights: Float64Array, bins: Float64Array) -> None:
-    """Add the weights (N,) of values (N,) to their bins."""
-    bins += np.bincount(bin_of(values), weights, minlength=len(bins))
+def add_to_bins(found: WeightedRuns, bins: Float64Array) -> None:
+    """Add the weight of each value to its bin."""
+    bins += np.bincount(bin_of(found.values), np.repeat(found.weights, found.lengths), minlength=len(bins))

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import DTypeLike
 
-from skinbake.geometry.skinned import Float64Array, FloatArray
+from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
 from skinbake.lighting.influences import Int32Array
 
 BIN_SHIFT = 17
@@ -23,13 +25,62 @@ FINE_BINS = 1 << FINE_BITS
 
 
 @dataclass(frozen=True, slots=True)
+class WeightedRuns:
+    """Values in runs of one weight, such as the errors of a vertex in several poses.
+
+    values (N,) are float32 or float64. weights (R,) and lengths (R,) int32 are those of the runs. The lengths
+    add up to N. In half the memory of one weight for each value, such runs also take half the time.
+    """
+
+    values: FloatArray
+    weights: Float64Array
+    lengths: Int32Array
+
+    @classmethod
+    def room(cls, values: int, runs: int, dtype: DTypeLike = np.float32) -> WeightedRuns:
+        """Return arrays of these lengths, to be filled."""
+        return cls(np.empty(values, dtype=dtype), np.empty(runs), np.empty(runs, dtype=np.int32))
+
+    def part(self, first: Place, end: Place) -> WeightedRuns:
+        """Return the runs between two places, without a copy."""
+        values, runs = (slice(*bounds) for bounds in zip(first, end, strict=True))
+        return WeightedRuns(self.values[values], self.weights[runs], self.lengths[runs])
+
+    def copied(self, end: Place) -> WeightedRuns:
+        """Return a copy of what stands before a place."""
+        part = self.part(Place(0, 0), end)
+        return WeightedRuns(part.values.copy(), part.weights.copy(), part.lengths.copy())
+
+    @property
+    def arrays(self) -> tuple[FloatArray, Float64Array, Int32Array]:
+        """The values, weights and lengths."""
+        return self.values, self.weights, self.lengths
+
+    @property
+    def end(self) -> Place:
+        """The place behind the last run."""
+        return Place(len(self.values), len(self.lengths))
+
+    def weights_at(self, places: IntArray) -> Float64Array:
+        """Return the weights of the values at some places (M,) among N."""
+        return self.weights[np.searchsorted(np.cumsum(self.lengths), places, side="right")]
+
+
+class Place(NamedTuple):
+    """A place among runs: the number of values before it, and of runs."""
+
+    values: int
+    runs: int
+
+
+@dataclass(frozen=True, slots=True)
 class CountedErrors:
     """A block of errors in degrees, counted.
 
     samples are counted, among them undefined ones without a measured normal. weight is the weight of the
     samples, total the weighted sum of their errors. largest is the largest error, −1 if there are no samples.
-    pose and vertex are the first place of it in the block, by pose. tail and tail_weights (N,) are the errors
-    that are large enough to be kept.
+    pose and vertex are the first place of it in the block, by pose. tail has the errors that are large enough
+    to be kept.
     """
 
     samples: int
@@ -39,13 +90,17 @@ class CountedErrors:
     largest: float
     pose: int
     vertex: int
-    tail: FloatArray
-    tail_weights: Float64Array
+    tail: WeightedRuns
 
 
 def bin_of(values: FloatArray) -> Int32Array:
     """Return the bin of each value: the exponent and the first bits of its float32."""
     return _bits_of(values) >> BIN_SHIFT
+
+
+def least_of_bin(place: int) -> float:
+    """Return the smallest value of a bin."""
+    return float(np.array([place << BIN_SHIFT], dtype=np.int32).view(np.float32)[0])
 
 
 def fine_bin_of(values: FloatArray) -> Int32Array:

@@ -71,12 +71,14 @@ class FileTallies:
         whole, own = (tallies[block.truth, method][block.lighting] for tallies in (self._whole, by_place))
         tallies = [whole] if own is whole else [whole, own]
         with stage("figures"):
-            counts = [tally.counted(block.errors, areas, valid=block.valid) for tally in tallies]
+            # A tally that keeps more serves the other one, too.
+            keeps_most = min(tallies, key=lambda tally: tally.least)
+            counted = keeps_most.counted(block.errors, areas, valid=block.valid)
 
         def add() -> None:
             with stage("figures"):
-                for tally, count in zip(tallies, counts, strict=True):
-                    tally.take(count, start)
+                for tally in tallies:
+                    tally.take(counted, start)
 
         return add
 

@@ -8,7 +8,16 @@ import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
 from skinbake.lighting import kernel
-from skinbake.lighting.counted import BIN_SHIFT, BINS, FINE_BINS, CountedErrors, bin_of, fine_bin_of
+from skinbake.lighting.counted import (
+    BINS,
+    FINE_BINS,
+    CountedErrors,
+    Place,
+    WeightedRuns,
+    bin_of,
+    fine_bin_of,
+    least_of_bin,
+)
 
 _SHARES = (0.95, 0.99)
 
@@ -18,8 +27,9 @@ _TAIL = 1 << 16
 # The number of samples below which it takes less time to sort all of them than to fill their bins.
 _FEW = 1 << 12
 
-# The room of a tail, in multiples of the values that are needed. Less room takes more time.
-_ROOM = 1.25
+# The number of values up to which a tail gathers as many as it has before it is shortened again. Larger ones
+# gather a quarter: less room takes more time, and more room more memory.
+_ROOM = 1 << 20
 
 # The number of samples that wait for their bins: to sum up the bins takes as long as to fill in so many.
 _WAITING = 1 << 15
@@ -64,6 +74,11 @@ class ErrorTally:
         self._tail = _Tail(self._needed)
         self._summary: ErrorSummary | None = None
 
+    @property
+    def least(self) -> float:
+        """The error below which none is kept for the percentiles, so far."""
+        return self._tail.least
+
     def add(self, errors: FloatArray, areas: FloatArray, *, valid: BoolArray | None = None) -> None:
         """Count a block of errors (P, V) that begins with the first pose and vertex, as ``counted`` does."""
         self.take(self.counted(errors, areas, valid=valid), (0, 0, 0))
@@ -78,7 +93,7 @@ class ErrorTally:
         counts as 180°: a method that yields no normal must not look better for it. Several threads may count
         at a time, while another one takes.
         """
-        return kernel.count_errors(errors, np.asarray(areas, dtype=np.float64), valid, self._tail.least)
+        return kernel.count_errors(errors, np.asarray(areas, dtype=np.float64), valid, self.least)
 
     def take(self, found: CountedErrors, start: tuple[int, int, int]) -> None:
         """Add a counted block. The order of the blocks matters for the last bits of the summary.
@@ -97,7 +112,7 @@ class ErrorTally:
             if self._worst is None or found.largest > self._worst[0] or worst[1:] < self._worst[1:]:
                 self._worst = worst
         # Fewer errors are needed now than when the block was counted, which several threads may do early.
-        self._tail.add(found.tail, found.tail_weights)
+        self._tail.add(found.tail)
 
     def summary(self) -> ErrorSummary | None:
         """Summarise the counted errors; None if there are none. No more can be added afterwards."""
@@ -129,76 +144,83 @@ class _Tail:
     def __init__(self, needed: float) -> None:
         self._needed = needed
         self.least = 0.0
-        self._values: FloatArray = np.empty(0, dtype=np.float32)
-        self._weights: Float64Array = np.empty(0)
-        self._count, self._limit = 0, _TAIL
+        self._room = WeightedRuns.room(0, 0)
+        self._end = self._noted = Place(0, 0)
+        self._limit = _TAIL
         self._bins: Float64Array | None = None
-        self._noted = 0
+        self._first_bin = 0
 
-    def add(self, errors: FloatArray, weights: Float64Array) -> None:
-        """Take errors (N,) that may be in the tail, and their weights."""
-        first, end = self._count, self._count + len(errors)
-        self._make_room(end, errors.dtype)
-        self._values[first:end], self._weights[first:end] = errors, weights
-        self._count += self._kept(first, end)
-        if self._count > self._limit or (self._bins is not None and self._count - self._noted > _WAITING):
+    def add(self, found: WeightedRuns) -> None:
+        """Take values that may be in the tail."""
+        free = self._free_room(found.end, found.values.dtype)
+        kept = kernel.keep_at_least(found, free, self.least)
+        self._end = Place(self._end.values + kept.values, self._end.runs + kept.runs)
+        count = self._end.values
+        if count > self._limit or (self._bins is not None and count - self._noted.values > _WAITING):
             self._note()
-        if self._count > self._limit:
+        if count > self._limit:
             self._shorten()
 
-    def _make_room(self, count: int, dtype: np.dtype[np.floating]) -> None:
-        """Have room for so many values of a type."""
-        dtype = np.result_type(self._values, dtype) if self._count else dtype
-        if count <= len(self._values) and dtype == self._values.dtype:
-            return
-        room = max(count, int(_ROOM * len(self._values)))
-        values, weights = np.empty(room, dtype=dtype), np.empty(room)
-        values[: self._count] = self._values[: self._count]
-        weights[: self._count] = self._weights[: self._count]
-        self._values, self._weights = values, weights
+    def _free_room(self, wanted: Place, dtype: np.dtype[np.floating]) -> WeightedRuns:
+        """Return the free room behind the values: for so many more of a type, and so many runs of them."""
+        end, dtype = self._end, np.result_type(self._room.values, dtype) if self._end.values else dtype
+        sizes = self._room.end
+        needed = Place(end.values + wanted.values, end.runs + wanted.runs)
+        if needed.values > sizes.values or needed.runs > sizes.runs or dtype != self._room.values.dtype:
+            # Twice as much: the system gives memory only where something is written.
+            sizes = Place(*(b if a <= b else max(a, 2 * b) for a, b in zip(needed, sizes, strict=True)))
+            kept, self._room = self._values(), WeightedRuns.room(*sizes, dtype)
+            copied = self._values()
+            copied.values[:], copied.weights[:], copied.lengths[:] = kept.arrays
+        return self._room.part(end, sizes)
 
-    def _kept(self, first: int, end: int) -> int:
-        """Drop the values below ``least`` from a part, and return how many are left."""
-        return kernel.keep_at_least(self._values[first:end], self._weights[first:end], self.least)
+    def _values(self) -> WeightedRuns:
+        """Return all values that are kept."""
+        return self._room.part(Place(0, 0), self._end)
 
-    def _note(self) -> None:
-        """Add the new values to their bins, and raise ``least`` while enough weight stays above it."""
+    def _note(self) -> Float64Array:
+        """Add the new values to their bins, and raise ``least`` while enough weight stays above it.
+
+        Return the weight of each bin.
+        """
         if self._bins is None:
             self._bins = np.zeros(BINS)
-        new = slice(self._noted, self._count)
-        kernel.add_to_bins(self._values[new], self._weights[new], self._bins)
-        self._noted = self._count
-        above = np.cumsum(self._bins[::-1])
+        kernel.add_to_bins(self._room.part(self._noted, self._end), self._bins)
+        self._noted = self._end
+        above = np.cumsum(self._bins[self._first_bin :][::-1])
         place = int(np.searchsorted(above, self._needed))
-        if place < BINS:
+        if place < len(above):
+            self._first_bin = BINS - 1 - place
             # float64 values may be a little below the float32 that named their bin.
-            edge = np.array([(BINS - 1 - place) << BIN_SHIFT], dtype=np.int32).view(np.float32)[0]
-            self.least = float(edge) * (1.0 - 1e-6)
+            self.least = least_of_bin(self._first_bin) * (1.0 - 1e-6)
+        return self._bins
 
     def _shorten(self) -> None:
         """Drop the values below ``least``."""
-        self._count = self._noted = self._kept(0, self._count)
-        self._limit = max(_TAIL, int(_ROOM * self._count))
+        self._end = self._noted = kernel.keep_at_least(self._values(), self._room, self.least)
+        count = self._end.values
+        self._limit = max(_TAIL, min(2 * count, _ROOM), count + count // 4)
 
     def percentiles(self, weight: float) -> list[float]:
         """Invert the cumulative weight of all values that were added, ``weight`` in total."""
-        if self._bins is not None:
-            self._note()
-        values, weights = self._values[: self._count], self._weights[: self._count]
+        kept = self._values()
+        values = kept.values
         if self._bins is None and len(values) < _FEW:
             order = np.argsort(values)
-            sums = np.cumsum(weights[order], dtype=np.float64)
+            sums = np.cumsum(kept.weights_at(order))
             sums += max(0.0, weight - float(sums[-1]))
             return [_at(values[order], sums, share * weight) for share in _SHARES]
-        places = bin_of(values)
-        in_bins = np.bincount(places, weights, minlength=BINS) if self._bins is None else self._bins
+        in_bins = self._note()
         below = max(0.0, weight - float(in_bins.sum()))
-        cumulative = below + np.cumsum(in_bins, dtype=np.float64)
+        cumulative = below + np.cumsum(in_bins)
+        binned = values.astype(np.float32, copy=False)
+        last = int(bin_of(binned.max()))
         found = []
         for wanted in (share * weight for share in _SHARES):
-            own = min(_place_of(cumulative, wanted), int(places.max()))
-            inside, start = np.flatnonzero(places == own), float(cumulative[own - 1]) if own else below
-            found.append(_in_bin(values[inside], weights[inside], start, wanted))
+            own = min(_place_of(cumulative, wanted), last)
+            inside = np.flatnonzero((binned >= least_of_bin(own)) & (binned < least_of_bin(own + 1)))
+            start = float(cumulative[own - 1]) if own else below
+            found.append(_in_bin(values[inside], kept.weights_at(inside), start, wanted))
         return found
 
 
