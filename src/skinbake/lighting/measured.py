@@ -20,6 +20,7 @@ from skinbake.lighting.baked_views import BakedView
 from skinbake.lighting.draws import Draw, draws, true_surfaces
 from skinbake.lighting.error_limits import limits_check
 from skinbake.lighting.file_tallies import FileTallies
+from skinbake.lighting.freed_memory import give_back_freed_memory
 from skinbake.lighting.joint_checks import identity_check, joints_without_dqs, mirrored, without_dqs
 from skinbake.lighting.morphing import Morphing, morph_count, morphing_of
 from skinbake.lighting.operator import GradientOperator
@@ -32,6 +33,9 @@ from skinbake.timing import stage, tell_steps
 
 MORPHED_BYTES = 64 << 20
 """The memory in which morphed primitives wait for the second method. Those that need more are made again."""
+
+MANY_VERTICES = 1 << 18
+"""From so many vertices on, freed memory is given back before a measurement. It takes some milliseconds."""
 
 
 def lighting_verdict(
@@ -94,6 +98,8 @@ class _Measurement:
 
     def _measure(self, method: str, draw: Draw, *, again: bool) -> None:
         """Measure a draw by a method; ``again``: another method follows."""
+        if len(draw.operator.positions) >= MANY_VERTICES:
+            give_back_freed_memory()
         morphing = self._morphing(draw, again=again)
         identity = lighting_errors(
             draw.operator,
