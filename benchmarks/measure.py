@@ -20,7 +20,7 @@ from benchmarks.corpus_table import corpus_folders
 from benchmarks.our_gradients import mesh_of, write_mesh
 from benchmarks.processes import SKINBAKE, Command, Json, Rounds, figures, in_turn, run
 from benchmarks.skinned_grid import grid_of, write_grid
-from skinbake.choices import Method, Truth
+from skinbake.choices import Truth
 from skinbake.threads import usable_cores
 
 CHARACTER = Path("CesiumMan", "CesiumMan.glb")
@@ -171,8 +171,8 @@ def truths(plan: Plan, folder: Path) -> Json:
     baked = folder / "baked.glb"
     run([*SKINBAKE, "bake", "-q", new_grid(plan.verified, folder), "-o", baked])
     commands = {
-        f"{method}, {choice}": truth_cost.whole_process(choice, method, plan.poses, baked)
-        for method in Method
+        f"{methods}, {choice}": truth_cost.whole_process(choice, methods, plan.poses, baked)
+        for methods in truth_cost.METHODS
         for choice in (Truth.TANGENTS, truth_cost.BOTH)
     }
     return {"vertices": plan.verified, "poses": plan.poses, "runs": in_turn(commands, plan.rounds)}

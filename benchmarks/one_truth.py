@@ -8,8 +8,11 @@ processes can be compared.
 
 from __future__ import annotations
 
+import os
 import sys
 from functools import partial
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does before it imports numpy
 
 from skinbake.__main__ import run
 from skinbake.choices import Truth

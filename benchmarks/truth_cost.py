@@ -27,6 +27,9 @@ from skinbake.choices import Method, Truth
 from skinbake.lighting.angles import lighting_errors, truths_at_rest
 
 BOTH = "both"
+METHODS = {"both methods": [], **{method.upper(): ["--method", str(method)] for method in Method}}
+"""The options of verify by the name of its methods: without one, by both."""
+
 CHOICES: dict[str, Sequence[Truth]] = {**{str(truth): (truth,) for truth in Truth}, BOTH: tuple(Truth)}
 
 
@@ -41,12 +44,13 @@ def main() -> None:
         grid, baked = Path(folder, "grid.glb"), Path(folder, "baked.glb")
         write_grid(grid, grid_of(options.vertices))
         skinbake.bake(grid, baked)
-        for method in Method:
-            commands = {name: whole_process(name, method, options.poses, baked) for name in CHOICES}
+        for methods in METHODS:
+            commands = {name: whole_process(name, methods, options.poses, baked) for name in CHOICES}
             runs = in_turn(commands, Rounds(least=options.runs, most=options.runs))
-            print(f"{method}, whole processes: {told({name: median(runs[name]) for name in CHOICES})}")
+            print(f"{methods}, whole processes: {told({name: median(runs[name]) for name in CHOICES})}")
         for method in Method:
-            print(f"{method}, measuring alone: {told(measuring(baked, method, options.poses, options.runs))}")
+            measured = measuring(baked, method, options.poses, options.runs)
+            print(f"{method.upper()}, measuring alone: {told(measured)}")
 
 
 def told(seconds: Mapping[str, float]) -> str:
@@ -56,9 +60,12 @@ def told(seconds: Mapping[str, float]) -> str:
     return f"{taken}; both are {ratios}"
 
 
-def whole_process(truths: str, method: str, poses: int, baked: Path) -> Command:
-    """Return the command that verifies a baked file by one truth or by both, in random poses."""
-    arguments: Command = ["verify", "-q", baked, "--poses", f"random:{poses}", "--method", method]
+def whole_process(truths: str, methods: str, poses: int, baked: Path) -> Command:
+    """Return the command that verifies a baked file by one truth or by both, in random poses.
+
+    methods is a name of ``METHODS``.
+    """
+    arguments: Command = ["verify", "-q", baked, "--poses", f"random:{poses}", *METHODS[methods]]
     if truths == BOTH:
         return [*SKINBAKE, *arguments]
     return [sys.executable, "-m", "benchmarks.one_truth", truths, *arguments]

@@ -40,7 +40,7 @@ def test_a_whole_process_measures_by_the_truths_that_it_names(tmp_path: Path) ->
     write_grid(grid, grid_of(64))
     skinbake.bake(grid, baked)
     for choice, truths in CHOICES.items():
-        command = [*whole_process(choice, "lbs", 3, baked), "--json"]
+        command = [*whole_process(choice, "LBS", 3, baked), "--json"]
         done = subprocess.run(command, capture_output=True, check=True, cwd=REPOSITORY)
         (file,) = json.loads(done.stdout)["files"]
         assert [truth for truth in Truth if file[FIGURES[truth]]] == list(truths)
