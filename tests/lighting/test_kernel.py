@@ -523,15 +523,22 @@ def test_the_environment_cannot_ask_for_anything_else(monkeypatch: pytest.Monkey
         runpy.run_path(kernel.__file__)
 
 
+# Only a processor that has AVX2 runs what is compiled for it.
+OPTIMISED = ["-O3", "-fno-math-errno", "-fno-trapping-math"]
+HAS_AVX2 = " avx2 " in (Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else "")
+PROCESSORS = [["-O0"], OPTIMISED, *([[*OPTIMISED, "-mavx2"]] if HAS_AVX2 else [])]
+
+
 @pytest.mark.slow
-def test_without_any_optimisation_the_bits_are_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("options", PROCESSORS, ids=" ".join)
+def test_for_other_processors_and_unoptimised_the_bits_are_the_same(
+    options: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     compiler = required_program("cc")
     library = tmp_path / "_loops.so"
     headers = f"-I{sysconfig.get_path('include')}"
-    plain = [compiler, "-std=c11", "-O0", "-ffp-contract=off", "-w", "-shared", "-fPIC", headers]
-    subprocess.run([*plain, str(SOURCE), "-o", str(library), "-lm"], check=True)
+    plain = [compiler, "-std=c11", "-ffp-contract=off", "-w", "-shared", "-fPIC", "-DONE_PROCESSOR", headers]
+    subprocess.run([*plain, *options, str(SOURCE), "-o", str(library), "-lm"], check=True)
     loader = ExtensionFileLoader("_loops", str(library))
     specification = spec_from_loader("_loops", loader)
     assert specification is not None
