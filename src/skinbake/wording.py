@@ -45,8 +45,10 @@ def told_apart(value: float, limit: float, decimals: int) -> str:
 
 
 def gain_in_words(gain: float) -> str:
-    """Return a gain like ``2.20``. A loss is never ``1.00``: up to four decimals keep it under 1."""
-    return told_apart(min(gain, 0.9999), 1.0, 2) if gain < 1.0 else f"{gain:.2f}"
+    """Return a gain like ``2.20`` or ``1,234``. A loss has up to four decimals, and is never ``1.00``."""
+    if gain < 1.0:
+        return told_apart(min(gain, 0.9999), 1.0, 2)
+    return f"{gain:.2f}" if gain < 100.0 else f"{gain:,.0f}"
 
 
 def one_or_many(count: int, one: str, many: str) -> str:

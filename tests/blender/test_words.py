@@ -137,6 +137,9 @@ def test_an_exact_correction_has_errors_and_no_gain() -> None:
 @pytest.mark.parametrize(
     ("gain", "shown"),
     [
+        (28920.71, "28,921"),
+        (100.0, "100"),
+        (99.99, "99.99"),
         (2.204, "2.20"),
         (1.004, "1.00"),
         (1.0, "1.00"),

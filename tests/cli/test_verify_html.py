@@ -194,7 +194,7 @@ def test_the_index_shows_the_figures_of_the_smaller_gain_with_two_decimals(tmp_p
 
 @pytest.mark.parametrize(
     ("gain", "shown"),
-    [(2.2, "2.20×"), (12.345, "12.35×"), (1234.5, "1234.50×"), (0.996, "0.996×"), (0.99, "0.99×")],
+    [(2.2, "2.20×"), (12.345, "12.35×"), (1234.4, "1,234×"), (0.996, "0.996×"), (0.99, "0.99×")],
 )
 def test_the_index_rounds_gains_as_the_text_of_verify_does(gain: float, shown: str, tmp_path: Path) -> None:
     (tmp_path / "all.html").write_bytes(

@@ -103,7 +103,14 @@ def test_the_headline_of_dual_quaternions_has_its_degrees_in_the_table(tmp_path:
 
 
 @pytest.mark.parametrize(
-    ("gain", "shown", "colour"), [(1.2, "1.20×", "rig"), (0.8, "0.80×", "bad"), (0.996, "0.996×", "bad")]
+    ("gain", "shown", "colour"),
+    [
+        (28920.71, "28,921×", "rig"),
+        (1.2, "1.20×", "rig"),
+        (0.99999999, "0.9999×", "bad"),
+        (0.996, "0.996×", "bad"),
+        (0.8, "0.80×", "bad"),
+    ],
 )
 def test_a_gain_below_one_has_the_colour_of_failures(
     gain: float, shown: str, colour: str, tmp_path: Path

@@ -192,7 +192,7 @@ def _figures(verdict: Mapping[str, Any]) -> tuple[tuple[Line, ...], float | None
 def _gain_in_words(gain: float) -> str:
     """Return a gain as ``skinbake verify`` shows it. A loss has up to four decimals that keep it under 1."""
     if gain >= 1.0:
-        return f"{gain:.2f}"
+        return f"{gain:.2f}" if gain < 100.0 else f"{gain:,.0f}"
     texts = [f"{min(gain, 0.9999):.{decimals}f}" for decimals in (2, 3, 4)]
     return next(text for text in texts if float(text) < 1.0)
 

@@ -116,9 +116,11 @@ export const isolated = (name) => `\u2068${name}\u2069`;
 
 // A loss is never 1.00: it has the decimals that keep it under 1, as in the text of skinbake verify.
 function times(gain) {
+    if (gain >= 100) return `${Math.round(gain).toLocaleString('en')}×`;
+    const shown = gain < 1 ? Math.min(gain, 0.9999) : gain;
     let decimals = 2;
-    while (gain < 1 && Number(gain.toFixed(decimals)) === 1) decimals += 1;
-    return `${gain.toFixed(decimals)}×`;
+    while (gain < 1 && Number(shown.toFixed(decimals)) === 1) decimals += 1;
+    return `${shown.toFixed(decimals)}×`;
 }
 
 export const degrees = (value) => (value < 10 ? `${value.toFixed(2)}°` : `${value.toFixed(1)}°`);
