@@ -23,7 +23,7 @@ from skinbake.choices import Weighting
 from skinbake.errors import ChoiceError
 from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.lighting import by_numpy, kernel, triangle_normals
-from skinbake.lighting.counted import BIN_SHIFT, BINS, Place, WeightedRuns
+from skinbake.lighting.counted import BIN_SHIFT, BINS, Extent, WeightedRuns
 from skinbake.lighting.forms import Forms
 from skinbake.lighting.influences import Int32Array
 from skinbake.lighting.operator import GradientOperator, gradient_operator
@@ -446,7 +446,7 @@ def test_the_tail_is_that_of_numpy(dtype: type[np.floating]) -> None:
         for keep in (by_loops.keep_at_least, by_numpy.keep_at_least):
             found = WeightedRuns(values.copy(), weights.copy(), lengths.copy())
             room = found if in_place else WeightedRuns.room(501, 48, dtype)
-            kept = room.part(Place(0, 0), keep(found, room, least))
+            kept = room.part(Extent(0, 0), keep(found, room, least))
             assert kept.values.tolist() == values[values >= least].tolist()
             assert (
                 np.repeat(kept.weights, kept.lengths).tolist()

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from skinbake.choices import Weighting
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray
 from skinbake.lighting import _loops, by_numpy
-from skinbake.lighting.counted import BIN_SHIFT, CountedErrors, Place, WeightedRuns
+from skinbake.lighting.counted import BIN_SHIFT, CountedErrors, Extent, WeightedRuns
 from skinbake.lighting.forms import Forms
 from skinbake.lighting.sparse_rows import SparseRows
 from skinbake.lighting.tangent_normals import FLAT_FRAME, RestFrames
@@ -203,15 +203,15 @@ def count_errors(
         largest=largest,
         pose=pose,
         vertex=row,
-        tail=room.copied(Place(kept, runs)),
+        tail=room.copied(Extent(kept, runs)),
     )
 
 
-def keep_at_least(found: WeightedRuns, room: WeightedRuns, least: float) -> Place:
+def keep_at_least(found: WeightedRuns, room: WeightedRuns, least: float) -> Extent:
     """Fill room with those of the values found that are at least ``least``, and return their end."""
     if not found.values.dtype == room.values.dtype == np.float32:
         return by_numpy.keep_at_least(found, room, least)
-    return Place(*_loops.keep_at_least(*found.arrays, *room.arrays, least))
+    return Extent(*_loops.keep_at_least(*found.arrays, *room.arrays, least))
 
 
 def add_to_bins(found: WeightedRuns, bins: Float64Array) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
-from skinbake.lighting.counted import CountedErrors, Place, WeightedRuns, bin_of
+from skinbake.lighting.counted import CountedErrors, Extent, WeightedRuns, bin_of
 from skinbake.lighting.forms import Forms
 from skinbake.lighting.metrics import angles_of_units, units_or_nan
 from skinbake.lighting.sparse_rows import SparseRows
@@ -238,7 +238,7 @@ def count_errors(
     )
 
 
-def keep_at_least(found: WeightedRuns, room: WeightedRuns, least: float) -> Place:
+def keep_at_least(found: WeightedRuns, room: WeightedRuns, least: float) -> Extent:
     """Fill room with those of the values found that are at least ``least``, and return their end.
 
     room has the size of found at least, and may begin where found begins.
@@ -247,8 +247,8 @@ def keep_at_least(found: WeightedRuns, room: WeightedRuns, least: float) -> Plac
     owners = np.repeat(np.arange(len(found.lengths)), found.lengths)[chosen]
     lengths = np.bincount(owners, minlength=len(found.lengths))
     some = np.flatnonzero(lengths)
-    end = Place(len(owners), len(some))
-    filled = room.part(Place(0, 0), end)
+    end = Extent(len(owners), len(some))
+    filled = room.part(Extent(0, 0), end)
     filled.values[:], filled.weights[:] = found.values[chosen], found.weights[some]
     filled.lengths[:] = lengths[some]
     return end

@@ -41,14 +41,14 @@ class WeightedRuns:
         """Return arrays of these lengths, to be filled."""
         return cls(np.empty(values, dtype=dtype), np.empty(runs), np.empty(runs, dtype=np.int32))
 
-    def part(self, first: Place, end: Place) -> WeightedRuns:
+    def part(self, first: Extent, end: Extent) -> WeightedRuns:
         """Return the runs between two places, without a copy."""
         values, runs = (slice(*bounds) for bounds in zip(first, end, strict=True))
         return WeightedRuns(self.values[values], self.weights[runs], self.lengths[runs])
 
-    def copied(self, end: Place) -> WeightedRuns:
+    def copied(self, end: Extent) -> WeightedRuns:
         """Return a copy of what stands before a place."""
-        part = self.part(Place(0, 0), end)
+        part = self.part(Extent(0, 0), end)
         return WeightedRuns(part.values.copy(), part.weights.copy(), part.lengths.copy())
 
     @property
@@ -57,17 +57,17 @@ class WeightedRuns:
         return self.values, self.weights, self.lengths
 
     @property
-    def end(self) -> Place:
+    def end(self) -> Extent:
         """The place behind the last run."""
-        return Place(len(self.values), len(self.lengths))
+        return Extent(len(self.values), len(self.lengths))
 
     def weights_at(self, places: IntArray) -> Float64Array:
         """Return the weights of the values at some places (M,) among N."""
         return self.weights[np.searchsorted(np.cumsum(self.lengths), places, side="right")]
 
 
-class Place(NamedTuple):
-    """A place among runs: the number of values before it, and of runs."""
+class Extent(NamedTuple):
+    """A number of values, and of the runs that they are in: all of them, or those before a place."""
 
     values: int
     runs: int

@@ -12,7 +12,7 @@ from skinbake.lighting.counted import (
     BINS,
     FINE_BINS,
     CountedErrors,
-    Place,
+    Extent,
     WeightedRuns,
     bin_of,
     fine_bin_of,
@@ -145,7 +145,7 @@ class _Tail:
         self._needed = needed
         self.least = 0.0
         self._room = WeightedRuns.room(0, 0)
-        self._end = self._noted = Place(0, 0)
+        self._end = self._noted = Extent(0, 0)
         self._limit = _TAIL
         self._bins: Float64Array | None = None
         self._first_bin = 0
@@ -154,21 +154,22 @@ class _Tail:
         """Take values that may be in the tail."""
         free = self._free_room(found.end, found.values.dtype)
         kept = kernel.keep_at_least(found, free, self.least)
-        self._end = Place(self._end.values + kept.values, self._end.runs + kept.runs)
+        self._end = Extent(self._end.values + kept.values, self._end.runs + kept.runs)
         count = self._end.values
         if count > self._limit or (self._bins is not None and count - self._noted.values > _WAITING):
             self._note()
         if count > self._limit:
             self._shorten()
 
-    def _free_room(self, wanted: Place, dtype: np.dtype[np.floating]) -> WeightedRuns:
+    def _free_room(self, wanted: Extent, dtype: np.dtype[np.floating]) -> WeightedRuns:
         """Return the free room behind the values: for so many more of a type, and so many runs of them."""
-        end, dtype = self._end, np.result_type(self._room.values, dtype) if self._end.values else dtype
-        sizes = self._room.end
-        needed = Place(end.values + wanted.values, end.runs + wanted.runs)
+        end, sizes = self._end, self._room.end
+        if end.values:
+            dtype = np.result_type(self._room.values, dtype)
+        needed = Extent(end.values + wanted.values, end.runs + wanted.runs)
         if needed.values > sizes.values or needed.runs > sizes.runs or dtype != self._room.values.dtype:
             # Twice as much: the system gives memory only where something is written.
-            sizes = Place(*(b if a <= b else max(a, 2 * b) for a, b in zip(needed, sizes, strict=True)))
+            sizes = Extent(*(b if a <= b else max(a, 2 * b) for a, b in zip(needed, sizes, strict=True)))
             kept, self._room = self._values(), WeightedRuns.room(*sizes, dtype)
             copied = self._values()
             copied.values[:], copied.weights[:], copied.lengths[:] = kept.arrays
@@ -176,7 +177,7 @@ class _Tail:
 
     def _values(self) -> WeightedRuns:
         """Return all values that are kept."""
-        return self._room.part(Place(0, 0), self._end)
+        return self._room.part(Extent(0, 0), self._end)
 
     def _note(self) -> Float64Array:
         """Add the new values to their bins, and raise ``least`` while enough weight stays above it.
