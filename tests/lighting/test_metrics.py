@@ -163,6 +163,23 @@ def test_a_tally_of_blocks_is_exact(seed: int, monkeypatch: pytest.MonkeyPatch) 
     assert summary.undefined == (np.isnan(errors) & counted).sum()
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_percentiles_of_errors_on_the_edges_of_bins_are_exact(dtype: type) -> None:
+    """From 4 to 8 a bin is a sixteenth wide. Every second value is on an edge."""
+    rng = np.random.default_rng(9)
+    errors: npt.NDArray[np.floating] = (rng.integers(128, 256, (50, 2000)) / 32).astype(dtype)
+    areas = rng.exponential(1.0, 2000)
+    tally = ErrorTally(50 * float(areas.sum()))
+    tally.add(errors, areas)
+    summary = tally.summary()
+    assert summary is not None
+    weights = np.broadcast_to(areas, errors.shape)
+    values = errors.ravel().astype(np.float64)
+    for found, share in ((summary.p95, 0.95), (summary.p99, 0.99)):
+        reached = [weights[errors <= value].sum() / weights.sum() for value in np.unique(values)]
+        assert found == np.unique(values)[np.argmax(np.array(reached) >= share)]
+
+
 @pytest.mark.parametrize("width", [0.003, 0.3, 3.0])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_percentiles_of_many_errors_that_differ_little_are_exact(width: float, dtype: type) -> None:
