@@ -180,6 +180,19 @@ def test_percentiles_of_errors_on_the_edges_of_bins_are_exact(dtype: type) -> No
         assert found == np.unique(values)[np.argmax(np.array(reached) >= share)]
 
 
+@pytest.mark.parametrize("order", [(np.float32, np.float64), (np.float64, np.float32)])
+def test_errors_of_two_precisions_keep_all_digits(order: tuple[type, type]) -> None:
+    exact = 2.0 + 2.0**-40
+    tally = ErrorTally(4.0)
+    for dtype in order:
+        value = exact if dtype is np.float64 else 1.0
+        errors: npt.NDArray[np.floating] = np.full((1, 2), value, dtype=dtype)
+        tally.add(errors, np.ones(2))
+    summary = tally.summary()
+    assert summary is not None
+    assert summary.p95 == exact
+
+
 @pytest.mark.parametrize("width", [0.003, 0.3, 3.0])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_percentiles_of_many_errors_that_differ_little_are_exact(width: float, dtype: type) -> None:

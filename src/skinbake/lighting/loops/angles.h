@@ -37,7 +37,7 @@ static void find_angles(Components measured, const double *expected, float *angl
                 ratios[p] = (float)chord / (float)(4.0 - chord);
             }
             for (Py_ssize_t p = 0; p < count; p++)
-                large |= !(ratios[p] <= SMALL_RATIO);
+                large |= ratios[p] > SMALL_RATIO;
             float *found = angles + truth * size + first;
             if (large)
                 for (Py_ssize_t p = 0; p < count; p++)
