@@ -75,6 +75,20 @@ def test_a_note_that_names_the_adopted_accessors_themselves_is_not_believed(tmp_
     assert_influences_of_source(tmp_path / "stripped.glb")
 
 
+def test_a_note_on_former_influences_puts_back_nothing_else(tmp_path: Path) -> None:
+    def change(content: JsonObject) -> None:
+        primitive = content["meshes"][0]["primitives"][0]
+        noted = primitive["extras"]["skinbake"]["adopted"]
+        noted |= {"POSITION": primitive["attributes"]["NORMAL"], "JOINTS_3": noted["JOINTS_0"]}
+
+    path = edited("foreign_joints.glb", tmp_path, change)
+    assert strip_file(str(path), str(tmp_path / "stripped.glb")).notices == ()
+    assert_influences_of_source(tmp_path / "stripped.glb")
+    source, after = read(FOLDER / "foreign_joints.glb"), read(tmp_path / "stripped.glb")
+    assert set(after.primitive(0)["attributes"]) == set(source.primitive(0)["attributes"])
+    assert np.array_equal(after.stored_attribute("POSITION"), source.stored_attribute("POSITION"))
+
+
 def assert_influences_of_source(path: Path) -> None:
     for name in ("JOINTS_0", "WEIGHTS_0"):
         found, wanted = (read(file).stored_attribute(name) for file in (path, FOLDER / "foreign_joints.glb"))

@@ -277,6 +277,37 @@ def test_a_mangled_note_crashes_nothing(member: str, value: Any, tmp_path: Path)
             assert str(error).startswith(path)
 
 
+@pytest.mark.parametrize(
+    ("member", "value"),
+    [
+        ("alpha", ["POSITION", "_SKINBAKE_ALPHA_0"]),
+        ("beta", ["WEIGHTS_0", "_SKINBAKE_BETA_0"]),
+        ("generated", ["POSITION", "JOINTS_0"]),
+        ("formerAttributes", []),
+        ("formerAttributes", None),
+    ],
+)
+def test_a_damaged_note_costs_no_attribute_that_no_bake_adds(member: str, value: Any, tmp_path: Path) -> None:
+    model = baked(FOLDER / "seam.glb", tmp_path / "baked.glb")
+    note = model.primitive(0)["extras"][KEY]
+    assert "adopted" not in note
+    note[member] = value
+    strip_file(str(rewritten(model, tmp_path / "damaged.glb")), str(tmp_path / "stripped.glb"))
+    source, stripped = read(FOLDER / "seam.glb"), read(tmp_path / "stripped.glb")
+    assert set(stripped.primitive(0)["attributes"]) == set(source.primitive(0)["attributes"])
+    for name in source.primitive(0)["attributes"]:
+        assert np.array_equal(stripped.stored_attribute(name), source.stored_attribute(name)), name
+
+
+def test_texture_coordinates_stay_if_the_note_does_not_name_their_layout(tmp_path: Path) -> None:
+    model = baked(FOLDER / "seam.glb", tmp_path / "baked.glb", storage=GradientFormat(layout=Layout.TEXCOORD))
+    del model.primitive(0)["extras"][KEY]["layout"]
+    strip_file(str(rewritten(model, tmp_path / "damaged.glb")), str(tmp_path / "stripped.glb"))
+    assert set(read(tmp_path / "stripped.glb").primitive(0)["attributes"]) == set(
+        model.primitive(0)["attributes"]
+    )
+
+
 def test_a_noted_primitive_without_attributes_crashes_nothing(tmp_path: Path) -> None:
     def change(content: JsonObject) -> None:
         primitive = content["meshes"][0]["primitives"][0]

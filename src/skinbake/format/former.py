@@ -69,7 +69,7 @@ def former_attributes(
     the adopted ones have been edited since and the edits would be lost.
     """
     former, digest = note.get("adopted"), note.get("digest")
-    if former is None:
+    if former is None and FORMER_ATTRIBUTES not in note:
         return {}
     if not isinstance(former, dict) or not isinstance(digest, dict):
         return None
@@ -85,12 +85,13 @@ def former_attributes(
     for find in (_as_noted, _found_again):
         try:
             found = find(document, attributes, note, place)
-            before = _influence_digests(document, former_sets({**attributes, **found}, note), place)
+            restored = former_sets({**attributes, **found}, note)
+            before = _influence_digests(document, restored, place)
         except InputError as error:
             if error is document.budget.refusal:
                 raise
             continue
-        if before == note.get("formerDigest"):
+        if before == note.get("formerDigest") and found.keys() <= _digested(restored):
             return found
     return None
 
@@ -218,6 +219,14 @@ def former_sets(attributes: JsonObject, note: JsonObject) -> JsonObject:
         for name, number in attributes.items()
         if name in noted or not name.startswith(("JOINTS_", "WEIGHTS_"))
     }
+
+
+def _digested(attributes: JsonObject) -> set[str]:
+    """Return the names of the influence sets that digests cover: JOINTS_0, WEIGHTS_0, and so on, unbroken."""
+    names: set[str] = set()
+    while (joints := f"JOINTS_{len(names) // 2}") in attributes:
+        names |= {joints, f"WEIGHTS_{len(names) // 2}"}
+    return names
 
 
 def _influence_digests(document: Document, attributes: JsonObject, place: Place) -> dict[str, str]:

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.choices import Encoding, Layout
+from skinbake.format.metadata import slot_names
 from skinbake.gltf.json_access import JsonObject
 
 TEXCOORD = re.compile(r"TEXCOORD_(\d+)")
@@ -51,6 +52,13 @@ def free_texcoords(attributes: Iterable[str], count: int) -> list[str]:
     taken = (int(found[1]) for name in attributes if (found := TEXCOORD.fullmatch(name)))
     first = max(taken, default=-1) + 1
     return [f"TEXCOORD_{number}" for number in range(first, first + count)]
+
+
+def added_slot_names(note: JsonObject) -> list[str]:
+    """Return the attributes that hold α or β by the metadata, without names that no bake gives them."""
+    if note.get("layout") == Layout.TEXCOORD:
+        return [name for name in slot_names(note) if TEXCOORD.fullmatch(name)]
+    return [name for name in slot_names(note) if name.startswith("_")]
 
 
 def of_alpha_and_beta(names: Sequence[str]) -> tuple[list[str], list[str]]:

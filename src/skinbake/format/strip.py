@@ -8,7 +8,8 @@ from typing import NamedTuple
 from skinbake.choices import Layout
 from skinbake.errors import Notice, Place, UnsupportedFeatureError
 from skinbake.format.former import former_attributes, former_sets, former_tangent, with_former_stream
-from skinbake.format.metadata import FORMER_ATTRIBUTES, KEY, VERSION, noted_names, read_metadata, slot_names
+from skinbake.format.layouts import added_slot_names
+from skinbake.format.metadata import FORMER_ATTRIBUTES, KEY, VERSION, noted_names, read_metadata
 from skinbake.gltf import json_access
 from skinbake.gltf.additions import BUFFER_ADDED, BUFFER_LENGTH, FALLBACK_ADDED
 from skinbake.gltf.codecs import draco, meshopt
@@ -149,11 +150,15 @@ def _who_changed(attributes: JsonObject, note: JsonObject) -> str:
 
 
 def _removed(attributes: JsonObject, note: JsonObject, place: Place) -> list[Notice]:
-    """Remove bake's additions from the attributes; return a notice if some can no longer be recognised."""
-    names = slot_names(note)
+    """Remove bake's additions from the attributes; return a notice if some can no longer be recognised.
+
+    A damaged note may name any attribute. One that no bake adds stays.
+    """
+    names = added_slot_names(note)
     missing = [name for name in names if name not in attributes]
     doubtful = note.get("layout") == Layout.TEXCOORD and missing and len(missing) < len(names)
-    for name in [*(() if doubtful else names), *noted_names(note, "generated")]:
+    generated = [name for name in noted_names(note, "generated") if name == "NORMAL"]
+    for name in [*(() if doubtful else names), *generated]:
         attributes.pop(name, None)
     if not doubtful:
         return []
