@@ -35,10 +35,11 @@ static PyMethodDef functions[] = {
     {"true_normals", true_normals, METH_VARARGS, "true_normals(...): fill normals and exist; see _loops.pyi."},
     {"angles", angles, METH_VARARGS, "angles(x, y, z, expected, angles): fill angles, in degrees."},
     {"count_errors", count_errors, METH_VARARGS,
-     "count_errors(errors, weights, valid, tail, tail_weights, least): fill the tail; return counts and sums."},
+     "count_errors(errors, weights, valid, tail, ..., least): fill the tail; return counts; see _loops.pyi."},
     {"keep_at_least", keep_at_least, METH_VARARGS,
-     "keep_at_least(values, weights, kept, kept_weights, least): fill kept with large values; return how many."},
-    {"add_to_bins", add_to_bins, METH_VARARGS, "add_to_bins(values, weights, bins, shift): add the weights to bins."},
+     "keep_at_least(values, weights, lengths, kept, ..., least): fill kept with large values; see _loops.pyi."},
+    {"add_to_bins", add_to_bins, METH_VARARGS,
+     "add_to_bins(values, weights, lengths, bins, shift): add the weight of each value to its bin."},
     {NULL, NULL, 0, NULL},
 };
 

@@ -162,7 +162,7 @@ def count_errors(
     least: float,
     /,
 ) -> tuple[int, int, int, int, float, float, float, int, int]:
-    """Count errors (P, B) with weights (B,), and fill the tail with those of at least ``least``, in runs.
+    """Count errors (B, P) with weights (B,), and fill the tail with those of at least ``least``, in runs.
 
     Return samples, undefined ones, the length of the tail and the number of its runs, the counted weight, the
     weighted sum, the largest error (−1: none), its pose and its row.
@@ -192,4 +192,4 @@ def add_to_bins(
     shift: int,
     /,
 ) -> None:
-    """Add the weights of N values in R runs to bins. Bits without the sign, after a shift, name them."""
+    """Add the weight of each of N values, in R runs, to its bin: its bits without sign after a shift."""

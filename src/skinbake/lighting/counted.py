@@ -29,7 +29,7 @@ class WeightedRuns:
     """Values in runs of one weight, such as the errors of a vertex in several poses.
 
     values (N,) are float32 or float64. weights (R,) and lengths (R,) int32 are those of the runs. The lengths
-    add up to N. In half the memory of one weight for each value, such runs also take half the time.
+    add up to N. Runs take half the memory, and so half the time, of values that have a weight each.
     """
 
     values: FloatArray

@@ -114,7 +114,7 @@ function showPrimitives(byId, primitives) {
 // A name in a sentence. Its letters may run from right to left, and do not turn the words after it around.
 export const isolated = (name) => `\u2068${name}\u2069`;
 
-// A loss is never 1.00: it has the decimals that keep it under 1, as in the text of skinbake verify.
+// A loss has up to four decimals, and is never 1.00: as in the text of skinbake verify.
 function times(gain) {
     if (gain >= 100) return `${Math.round(gain).toLocaleString('en')}×`;
     const shown = gain < 1 ? Math.min(gain, 0.9999) : gain;
