@@ -67,10 +67,7 @@ picture: $(DEV) $(NODE_MODULES) ## Draw bend.png, shaders.png, view.gif (need a 
 table: $(DEV) ## Write the tables of docs/ that models and tubes yield anew, from the models of SKINBAKE_CORPUS or ../shared/corpus
 	$(BIN)/python -m benchmarks.corpus_table
 	$(BIN)/python -m benchmarks.analytic_truth
-	$(BIN)/python -m benchmarks.fitted_gradients
 	$(BIN)/python -m benchmarks.fitted_poses
-	$(BIN)/python -m benchmarks.fit_rules
-	$(BIN)/python -m benchmarks.leaning_tangents
 	$(BIN)/python -m benchmarks.welded_meshes
 	$(BIN)/python -m benchmarks.extended_influences
 	$(BIN)/python -m benchmarks.encoding_table

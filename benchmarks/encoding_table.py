@@ -41,20 +41,12 @@ SCALED = (Encoding.SNORM16, Encoding.PACKED8)
 
 HEAD = """# The cost of smaller α and β
 
-α and β are two numbers for each influence of a vertex: the slopes of its skin weight along the two tangent
-directions. `bake --encoding` stores them in fewer bytes. [The reference](reference/file-format.md#encodings)
-defines the formats. This page measures the effect on the lighting, in degrees.
+`bake --encoding` stores α and β in fewer bytes ([formats](reference/file-format.md#encodings)). `snorm16`
+cannot be told from floats. `packed8`, the smallest, turns normals by under 0.1° on average.
 
-**Reading it.** All figures are over the model's own animations (random poses if it has none), weighted by
-rest area.
-
-- *Bytes*: the size of α and β at a vertex.
-- *Error*: the mean angle between the accurate normals (algorithm 3) with `float32` and the true normals, as
-  `skinbake verify` measures it.
-- *Turned*: the angle by which the encoding turns the accurate normals, mean and 99th percentile.
-  `skinbake bake` prints the same.
-- *Added*: the growth of the mean error. It is smaller than *turned*, because some normals turn towards the
-  true ones.
+Degrees over the model's own clips (random poses if it has none), weighted by rest area. *Error*: of accurate
+normals by `float32`, as `verify` measures it. *Turned*: by the encoding, mean / 99th percentile, as `bake`
+prints it. *Added*: the growth of the mean error.
 """
 
 

@@ -19,7 +19,7 @@ from PIL import Image, ImageDraw
 from benchmarks.bend_picture import BACKGROUND, GREY, INK, INSIDE, Array, font, heat, rasterise, unit
 from benchmarks.bend_picture import SCALE_TOP as FULL_HEAT
 from benchmarks.corpus_table import REPOSITORY, corpus_folders
-from benchmarks.edge_noise import error_fields
+from benchmarks.lit_errors import error_fields
 from skinbake.choices import Gradients, PoseKind, Truth
 from skinbake.commands.bake import Baker
 from skinbake.geometry.skinned import IntArray

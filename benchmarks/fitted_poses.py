@@ -17,17 +17,31 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.corpus_table import SUFFIXES, corpus_folders, told_apart
-from benchmarks.edge_noise import Lit, measured
-from benchmarks.fitted_gradients import BENDS, CLIPS, DEFAULT_OUTPUT, FEWEST, POSES, mean_of
+from benchmarks.corpus_table import REPOSITORY, SUFFIXES, corpus_folders, told_apart
+from benchmarks.lit_errors import Lit, measured
 from benchmarks.marked import write_between
-from skinbake.choices import Gradients, Neighbours, Truth
+from skinbake.choices import Gradients, Neighbours, PoseKind, Truth
 from skinbake.commands.bake import Baker
 from skinbake.errors import SkinbakeError
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document, read_document
+from skinbake.lighting.poses import PoseRequest
 
+DEFAULT_OUTPUT = REPOSITORY / "docs" / "fitted.md"
 START, END = "<!-- pose figures: begin -->", "<!-- pose figures: end -->"
+
+CLIPS = "clips"
+POSES = {
+    CLIPS: PoseRequest(),
+    "±30°": PoseRequest(PoseKind.RANDOM, 20, float(np.radians(30.0)), 77),
+    "±60°": PoseRequest(PoseKind.RANDOM, 20, float(np.radians(60.0)), 5),
+}
+
+BENDS = 0.02
+"""The mean error of standard lighting in degrees below which a model does not bend in some poses."""
+
+FEWEST = 20
+"""A model with fewer vertices is a test of a file format. It has no surface on which a normal is known."""
 
 KINDS = {
     "surface": (Gradients.SURFACE, Neighbours.ADOPT),
@@ -46,11 +60,9 @@ HELD_BACK = 47
 
 @dataclass(frozen=True)
 class Model:
-    """One model: its name, its vertices, those that extend serves, and its lighting by poses and kind."""
+    """One model: its vertices, and its lighting by poses and kind."""
 
-    name: str
     vertices: int
-    extended: int
     lit: dict[str, dict[str, Lit]]
 
 
@@ -76,7 +88,7 @@ def models_of(paths: Sequence[Path]) -> Iterator[Model]:
     for path, name in zip(paths, told_apart(list(paths)), strict=True):
         print(f"{name} ...", file=sys.stderr, flush=True)
         try:
-            model = lit_by_kinds(path, name)
+            model = lit_by_kinds(path)
         except SkinbakeError as error:
             print(f"  left out: {error.message}", file=sys.stderr)
             continue
@@ -89,84 +101,77 @@ def models_of(paths: Sequence[Path]) -> Iterator[Model]:
             yield model
 
 
-def lit_by_kinds(path: Path, name: str) -> Model | None:
+def lit_by_kinds(path: Path) -> Model | None:
     """Bake a model in all ways and light it in all sets of poses. None if it has none, or does not bend."""
     baked: dict[str, Document] = {}
-    vertices = extended = 0
+    vertices = 0
     for kind, (gradients, neighbours) in KINDS.items():
         baker = Baker(gradients=gradients, neighbours=neighbours, generate_normals=True)
         made = baker.bake_document(read_document(str(path)))
         baked[kind] = made.document
         vertices = sum(counts.vertices for _, counts in made.primitives)
-        extended = sum(counts.extended.vertices for _, counts in made.primitives if counts.extended)
     lit: dict[str, dict[str, Lit]] = {}
     clips = len(read_clips(baked["surface"]))
     for poses, usual in POSES.items():
         held_back = replace(usual, samples=max(4, HELD_BACK // max(clips, 1)))
         request = held_back if poses == CLIPS else usual
-        surface = measured(baked["surface"], request, with_dqs=False)
-        bends = surface.mean(Truth.TANGENTS, lighting="approximated") > BENDS
+        surface = measured(baked["surface"], request)
+        bends = surface.mean(Truth.TANGENTS, "approximated") > BENDS
         if bends and (poses != CLIPS or surface.from_clips):
-            others = {
-                kind: measured(baked[kind], request, with_dqs=False) for kind in KINDS if kind != "surface"
-            }
+            others = {kind: measured(baked[kind], request) for kind in KINDS if kind != "surface"}
             lit[poses] = {"surface": surface, **others}
-    return Model(name, vertices, extended, lit) if lit else None
+    return Model(vertices, lit) if lit else None
 
 
 def figures(models: Sequence[Model]) -> Iterator[str]:
     """Yield the lines of the page's part."""
-    yield "What each way leaves of the error of `surface`: mean / median over the models, LBS.\n"
+    yield "Error left of that of `surface`, by tangents / by triangles: the mean over the models.\n"
     others = [kind for kind in KINDS if kind != "surface"]
-    yield (
-        "| poses | models | " + " | ".join(f"`{kind}`, by tangents | by triangles" for kind in others) + " |"
-    )
-    yield "|---|--:|" + "--:|" * (2 * len(others))
+    yield f"| poses | models | {' | '.join(f'`{kind}`'.replace(', ', '`, `') for kind in others)} |"
+    yield "|---|--:|" + "--:|" * len(others)
     for poses in POSES:
         chosen = [model.lit[poses] for model in models if poses in model.lit]
-        cells = [mean_of(ratio(lit, kind, truth) for lit in chosen) for kind in others for truth in Truth]
+        cells = [
+            " / ".join(f"{np.mean([ratio(lit, kind, truth) for lit in chosen]):.3f}" for truth in Truth)
+            for kind in others
+        ]
         yield f"| {poses} | {len(chosen)} | {' | '.join(cells)} |"
-    yield f"\nMean errors in degrees in the {CLIPS}, by tangents / by triangles:\n"
-    yield "| model | vertices | extended for | standard | " + " | ".join(KINDS) + " |"
-    yield "|---|--:|--:|" + "--:|" * (len(KINDS) + 1)
-    for model in models:
-        if CLIPS in model.lit:
-            lit = model.lit[CLIPS]
-            cells = [
-                degrees(lit["surface"], "approximated"),
-                *(degrees(lit[kind], "accurate") for kind in KINDS),
-            ]
-            yield f"| {model.name} | {model.vertices:,} | {model.extended:,} | {' | '.join(cells)} |"
     yield ""
-    worst = worse(models, "poses", "surface")
-    listed = "; ".join(f"{where}: {100 * (found - 1):.0f} %)" for where, found in worst)
-    yield f"- `poses` worse than `surface` by more than 2 %: {listed or 'never'}."
     cases = sum(len(model.lit) for model in models) * len(Truth)
-    than_rig = list(worse(models, "poses", "rig"))
-    in_clips = sum(f"({CLIPS}" in where for where, _ in than_rig)
-    counted = f"in {len(than_rig)} of {cases} cases, {in_clips} of them in {CLIPS}"
-    yield f"- `poses` worse than `rig` by more than 2 %: {counted}."
+    rig, poses_ = (worse(models, kind) for kind in ("rig", "poses"))
+    in_clips = sum(poses == CLIPS for poses in poses_) or "none"
+    yield (
+        f"- Worse than `surface` by over 2 %, of {cases} cases: `rig` {len(rig)}, `poses` {len(poses_)}, "
+        f"{in_clips} of them in {CLIPS}."
+    )
+    lost = {
+        kind: sum(
+            lit[kind].mean(truth) > lit["surface"].mean(truth, "approximated")
+            for model in models
+            for lit in model.lit.values()
+            for truth in Truth
+        )
+        for kind in ("surface", "rig")
+    }
+    counts = ", ".join(f"`{kind}` {count}" for kind, count in lost.items())
+    yield f"- Worse than standard lighting, of {cases} cases: {counts}."
 
 
-def ratio(lit: dict[str, Lit], kind: str, truth: str, other: str = "surface") -> float:
-    """Return the mean error of one way over that of another, NaN where the other has none."""
-    before = lit[other].mean(truth)
-    return lit[kind].mean(truth) / before if before else np.nan
+def ratio(lit: dict[str, Lit], kind: str, truth: str) -> float:
+    """Return the mean error of one way over that of ``surface``, 1 where that has none."""
+    before = lit["surface"].mean(truth)
+    return lit[kind].mean(truth) / before if before else 1.0
 
 
-def degrees(lit: Lit, lighting: str) -> str:
-    """Return the mean errors by both truths."""
-    return " / ".join(f"{lit.mean(truth, lighting=lighting):.2f}" for truth in Truth)
-
-
-def worse(models: Sequence[Model], kind: str, other: str) -> Iterator[tuple[str, float]]:
-    """Yield the cases in which one way leaves over 2 % more error than another, with the ratio."""
-    for model in models:
-        for poses, lit in model.lit.items():
-            for truth in Truth:
-                found = ratio(lit, kind, truth, other)
-                if found > 1.02:
-                    yield f"{model.name} ({poses}, by {truth}", found
+def worse(models: Sequence[Model], kind: str) -> list[str]:
+    """Return the poses of each case in which a way leaves over 2 % more error than ``surface``."""
+    return [
+        poses
+        for model in models
+        for poses, lit in model.lit.items()
+        for truth in Truth
+        if ratio(lit, kind, truth) > 1.02
+    ]
 
 
 if __name__ == "__main__":

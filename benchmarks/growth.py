@@ -1,11 +1,12 @@
 """Show that time and memory grow with a file's bytes: hostile families, each at four doubling sizes.
 
-Usage: python -m benchmarks.growth [--markdown FILE] [--family NAME]... [--kib SIZE]
+Usage: python -m benchmarks.growth [--family NAME]... [--kib SIZE]
 
 Each family makes one thing as numerous as a file of so many bytes can have it: primitives that share their
 accessors, buffer views of one Draco stream, channels of one sampler. Every command runs in a child, whose
 processor time and peak memory are taken; "refused" is exit 3. The last column is the largest factor by which
-a doubling of the bytes multiplies the memory, or a time of more than 0.5 s: 2 is linear.
+a doubling of the bytes multiplies the memory, or a time of more than 0.5 s: 2 is linear. Up to the bounds of
+docs/reference/limits.md some families grow faster than their bytes. Beyond them they are refused at once.
 """
 
 from __future__ import annotations
@@ -49,20 +50,6 @@ PNG_MAGIC, NAMED_BYTES = b"\x89PNG\r\n\x1a\n", 1 << 16
 
 PATIENCE = 60
 """Seconds of a processor after which a child is given up."""
-
-EXPLAINED = (
-    "the time and memory of bake, verify, strip and inspect on hostile families at four sizes. The "
-    "seconds are those of the processors, or those of the clock if they are fewer. `refused` is exit 3, "
-    "before the memory is allocated. The last column is the largest factor by which a doubling of the "
-    "bytes multiplies the memory, or the time of a step that takes over 0.5 s. A command may take 2,048 "
-    "bytes of memory for each byte of its file, and always a gibibyte. Work that small files could ask "
-    "for without bytes has bounds of its own ([Bounds](reference/limits.md#bounds)). Primitives that "
-    "share vertices or metadata (`shared_accessors`, `draco_views`, `shared_note`, `former_influences`, "
-    "`former_streams`) count at each use, copies of a vertex (`fan`, `crowd`, `own_triangles`) with the "
-    "neighbours of all copies, and clips (`many_clips`) with all vertices. Up to these bounds, such a "
-    "file may grow faster than its bytes; beyond them it is refused at once. The images of `named_images`"
-    " all name one file of 64 KiB beside the model, which `bake --pack` brings in once."
-)
 
 Content = dict[str, Any]
 COMPONENTS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
@@ -487,20 +474,13 @@ def growth(runs: list[Run]) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--markdown", metavar="FILE", help="also write the table here")
     parser.add_argument("--family", action="append", choices=list(FAMILIES))
     parser.add_argument("--kib", type=int, default=SMALLEST, help="the smallest size")
     chosen = parser.parse_args()
-    lines = []
     for module in WARM:
         importlib.import_module(module)
     for line in table(chosen.family or list(FAMILIES), chosen.kib):
         print(line, flush=True)
-        lines.append(line)
-    if chosen.markdown:
-        made = "Made by `python -m benchmarks.growth --markdown docs/growth.md`"
-        intro = f"# How time and memory grow\n\n{made}: {EXPLAINED}\n\n"
-        Path(chosen.markdown).write_text(intro + "\n".join(lines) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

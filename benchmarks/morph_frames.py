@@ -1,4 +1,4 @@
-"""Measure how a frame should follow morph targets, and write docs/morphs.md.
+"""Measure how well a frame follows morph targets: the tables of docs/morphs.md, between marks.
 
 ``python -m benchmarks.morph_frames [--output FILE]``. The first table is of an analytic surface whose
 differential is known; the second of characters of the corpus (SKINBAKE_CORPUS, or ../shared/corpus), which
@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.marked import write_between
 from skinbake.commands.bake import Baker
 from skinbake.commands.verify import verify_file
 from skinbake.geometry.frames import frame_from_normal, unit_vectors
@@ -44,61 +45,8 @@ CHARACTERS = (
     "RiggedElf/RiggedElf.gltf",
 )
 
-HEAD = """# The cost of morph targets
-
-α and β are the slopes of a vertex's skin weights along its two tangent directions, t0 and b0. With the normal
-n0 these directions are the *frame* of the vertex. α and β are derivatives along curves on the surface whose
-tangents are t0 and b0 at rest.
-
-A morph changes the surface. α and β stay exact if t and b are the images of t0 and b0 under the differential
-of the morph, not renormalised. A glTF file holds no differential. It holds a morphed NORMAL, and seldom a
-morphed TANGENT. These are directions, without the stretch and the shear. So t and b are approximations
-([the rules](reference/frame.md#morph-targets)). This page measures how large an error each one makes.
-
-## On a surface whose differential is known
-The surface is the bumpy tube of the tests, with three joints. It is morphed, then bent. Each figure is the
-mean over a medium and a strong bend. It is an angle in degrees, weighted by area, between the computed
-normals and the normals that the exact differential gives to the morphed normal of the file.
-
-- *turn*: the angle by which the target turns the normals.
-- *file*: the angle between the morphed normal of the file and the true one. At weight ½ a file has only the
-  sum of differences. No lighting can do better, and no other column counts this error.
-- *standard*: linear blend skinning of the morphed normal, as in common engines.
-- *exact*: the images under the differential, compared with finite differences of the skinned surface.
-- *by normal*: the smallest rotation of n0 to n.
-- *by tangent*: t0 + Σ w ΔTANGENT, with exact targets of TANGENT.
-
-Four rules were rejected:
-
-- *rest*: t0 and b0 as without a morph.
-- *anew*: the normal frame of n.
-- *length*: the smallest rotation, with the part across its axis as long as n0 + Σ w ΔNORMAL.
-- *along n0*: t0 and b0 pushed along n0 until they touch the morphed surface.
-
-"""
-
-BETWEEN = """
-**By normal** is the rule. It is cheap (some 25 multiply-adds), it turns the frame no further than the normal
-has turned, and it needs only data that every engine has. *Length* and *along n0* use no more data. They are
-better on some targets and worse on others: *length* by up to a tenth, *along n0* by up to two fifths where a
-target turns instead of pushing.
-
-**By tangent** is better where the surface turns within itself (a jaw). It is worse where the surface is wrung
-or stretched, because b = n × t cannot shear. It is the rule for a file with targets of TANGENT, because
-normal maps then expect this tangent.
-
-**Exact** would need more data. D = I + Σ w ∇Δp is linear in the weights. So the derivatives of Δp along t0
-and b0, six numbers for each vertex and target, give the images at every weight. Then t × b is the true normal
-between weights too. Targets of NORMAL and TANGENT are as large, and hold less.
-
-## On characters
-These are models of the corpus in their own animations. The animations also move the weight of one target from
-0 to 1 and back. The corpus has no character with real targets, so the targets are made for this test, with
-exact normals at weight 1. *Wave* adds bumps of 1 % of the model's size that stretch it by up to 60 %. *Bend*
-bends it by 60° over its greatest extent. The figures are for linear blend skinning: mean and 95th percentile
-of the angle to the reference of `skinbake verify`.
-
-"""
+SURFACE = "<!-- surface: begin -->", "<!-- surface: end -->"
+MODELS = "<!-- characters: begin -->", "<!-- characters: end -->"
 KEY_WEIGHTS = np.array([[0.0], [1.0], [0.0]], np.float32)
 
 
@@ -107,10 +55,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--output", type=Path, default=REPOSITORY / "docs" / "morphs.md")
     options = parser.parse_args()
-    lines = [*surface_table(), BETWEEN.rstrip("\n"), "", *character_table()]
-    options.output.write_text(
-        HEAD + "\n".join(lines) + "\n\n---\nMade by `python -m benchmarks.morph_frames`.\n"
-    )
+    for (start, end), lines in ((SURFACE, surface_table()), (MODELS, character_table())):
+        write_between(options.output, start, end, "\n".join(lines))
     return 0
 
 
@@ -118,62 +64,42 @@ def main() -> int:
 
 
 def surface_table() -> Iterator[str]:
-    """Yield a row for each target and weight."""
-    names = (
-        "turn",
-        "file",
-        "standard",
-        "exact",
-        "by normal",
-        "by tangent",
-        "rest",
-        "anew",
-        "length",
-        "along n0",
-    )
-    yield "| target | weight | " + " | ".join(names) + " |"
-    yield "|---|" + "--:|" * (len(names) + 1)
+    """Yield a row for each target, at its whole weight."""
+    yield "| target | turn | standard | by normal | by tangent |"
+    yield "|---|--:|--:|--:|--:|"
     u, v = analytic.grid(60, 40, jitter=0.3, seed=3)
     points = analytic.sample(u, v)
     for name, displacement in morphing.DISPLACEMENTS.items():
-        for weight in (0.5, 1.0):
-            found = figures(points, displacement, weight)
-            yield f"| {name} | {weight:g} | " + " | ".join(f"{value:.2f}°" for value in found) + " |"
+        found = figures(points, displacement)
+        yield f"| {name} | " + " | ".join(f"{value:.2f}" for value in found) + " |"
 
 
-def figures(points: analytic.Sample, displacement: morphing.Displacement, weight: float) -> list[float]:
+def figures(points: analytic.Sample, displacement: morphing.Displacement) -> list[float]:
     """Return the means that a row shows."""
     area = np.linalg.norm(np.cross(*analytic.derivatives(points.u, points.v)), axis=1)
 
     def mean(first: Any, second: Any) -> float:
         return float(np.average(analytic.degrees_between(first, second), weights=area))
 
-    shape = morphing.morphed_surface(displacement, weight)
-    by_normal = morphed(surface(points), morphing.target(points, displacement), np.array([weight]))
+    weight = np.ones(1)
+    shape = morphing.morphed_surface(displacement, 1.0)
+    by_normal = morphed(surface(points), morphing.target(points, displacement), weight)
     target = morphing.target(points, displacement, tangents=True)
-    by_tangent = morphed(surface(points, tangents=True), target, np.array([weight]))
-    true = morphing.normals(points, shape)
-    shown = [mean(by_normal.normals, points.normals), mean(by_normal.normals, true)]
-    candidates = [
-        by_normal,
-        by_tangent,
-        *(
-            replace(by_normal, tangents=t, bitangents=b)
-            for t, b in rejected(points, displacement, weight, by_normal)
-        ),
-    ]
+    by_tangent = morphed(surface(points, tangents=True), target, weight)
+    image = exact(points, shape, by_normal)
     rows = []
     for bend in BENDS:
-        image = exact(points, shape, by_normal)
         expected = true_image(image, by_normal.normals, bend)
         rows.append(
             [
                 mean(posed(by_normal, Algorithm.LBS_APPROXIMATED, bend), expected),
-                mean(posed(image, Algorithm.LBS_ACCURATE, bend), morphing.true_normals(points, shape, bend)),
-                *(mean(posed(one, Algorithm.LBS_ACCURATE, bend), expected) for one in candidates),
+                *(
+                    mean(posed(one, Algorithm.LBS_ACCURATE, bend), expected)
+                    for one in (by_normal, by_tangent)
+                ),
             ]
         )
-    return [*shown, *np.mean(rows, axis=0).tolist()]
+    return [mean(by_normal.normals, points.normals), *np.mean(rows, axis=0).tolist()]
 
 
 def surface(points: analytic.Sample, *, tangents: bool = False) -> RestPrimitive:
@@ -225,27 +151,6 @@ def columns(a: Any, b: Any, before: tuple[Any, Any] | None) -> Float64Array:
     return np.stack([a, b, c / area * np.sqrt(area / rest)], axis=2)
 
 
-def rejected(
-    points: analytic.Sample, displacement: morphing.Displacement, weight: float, moved: RestPrimitive
-) -> Iterator[tuple[Any, Any]]:
-    """Yield t and b of the ways that are not taken."""
-    rest = surface(points)
-    n0, n = points.normals, moved.normals
-    yield rest.tangents, rest.bitangents
-    yield frame_from_normal(n.astype(np.float32))
-    target = morphing.target(points, displacement)
-    total = n0 + target.summed("normals", np.array([weight]), len(n0))
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    axis = unit_vectors(np.cross(n0, n))
-    t, b = (
-        length * vector + (1 - length) * axis * np.sum(axis * vector, axis=1, keepdims=True)
-        for vector in (moved.tangents, moved.bitangents)
-    )
-    yield t, b
-    share = [np.sum(n * v, axis=1) / np.sum(n * n0, axis=1) for v in (rest.tangents, rest.bitangents)]
-    yield rest.tangents - share[0][:, None] * n0, rest.bitangents - share[1][:, None] * n0
-
-
 # Characters
 
 
@@ -257,13 +162,13 @@ def character_table() -> Iterator[str]:
     if not found:
         yield "(The corpus was not there.)"
         return
-    yield "| model | | standard mean / p95 | accurate mean / p95 | gain |"
+    yield "| model | target | standard | accurate | gain |"
     yield "|---|---|--:|--:|--:|"
     for path in found:
         with TemporaryDirectory() as folder:
             target = Path(folder) / "baked" / f"{path.stem}.glb"
             Baker(generate_normals=True).bake_file(str(path), str(target), Writing())
-            yield f"| {path.name} | as it is | {verdict_row(target)} |"
+            yield f"| {path.name} | none | {verdict_row(target)} |"
             for name, warp in (("wave", wave), ("bend", bend)):
                 moved = Path(folder) / f"{name}.glb"
                 with_target(target, moved, warp)
@@ -275,10 +180,7 @@ def verdict_row(path: Path) -> str:
     verdict: FileVerdict = verify_file(str(path), VerifyOptions(methods=("lbs",)))
     lbs = (verdict.normals or {})["lbs"]
     standard, accurate = lbs["approximated"], lbs["accurate"]
-    return (
-        f"{standard.mean:.2f}° / {standard.p95:.2f}° | {accurate.mean:.2f}° / {accurate.p95:.2f}° | "
-        f"{standard.mean / accurate.mean:.1f} ×"
-    )
+    return f"{standard.mean:.2f} | {accurate.mean:.2f} | {standard.mean / accurate.mean:.1f}"
 
 
 Warp = Callable[[Float64Array, Float64Array], Float64Array]

@@ -210,8 +210,7 @@ def test_the_script_measures_and_writes(tmp_path: Path) -> None:
     assert len(record.times) == 3 * (len(VARIANTS) + len(SHADERS))
     assert all(len(entry.seconds) == 1 for entry in record.times)
     assert {entry.stage for entry in record.times} == {COMPUTE, DRAWN}
-    text = page.read_text(encoding="utf-8")
-    assert record.adapter in text and "not measured on a GPU" in text
+    assert "No GPU has been measured yet" in page.read_text(encoding="utf-8")
     ElementTree.parse(page.with_suffix(".svg"))
     assert_like_verify(json.loads(next(results.iterdir()).read_text(encoding="utf-8"))["errors"], tmp_path)
 

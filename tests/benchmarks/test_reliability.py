@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from benchmarks.reliability import page, read_logs
+from benchmarks.reliability import finds, page, read_logs
 
 LINES = [
     {"date": "2026-01-02T00:00:00Z", "kind": "commands", "executions": 1500, "seconds": 1800, "seed": 1,
@@ -29,14 +29,17 @@ def test_the_page_adds_up_what_the_logs_have(tmp_path: Path) -> None:
     logs = [tmp_path / "a.jsonl", tmp_path / "b.jsonl"]
     logs[0].write_text("".join(json.dumps(line) + "\n" for line in LINES[:2]))
     logs[1].write_text("".join(json.dumps(line) + "\n" for line in LINES[2:]))
-    text = page(read_logs(logs))
-    assert "by every command and `--compress` way | 2,000 | 1.00 | 2 | 2 |" in text
-    assert "| bake | 1,500 | 400 |" in text
-    assert "194 of 200 branches of src/skinbake/files and src/skinbake/gltf (97.0 %)" in text
-    assert "91 runs of commands from seed 4 and 1,200 faults. For each of 6 others" in text
-    assert "| a/m.glb | 3 3 0 | 0.4 | 60 | 3 3 1 |" in text
-    assert "| kill | 4 |" in text
-    assert "| defect-A | 3 | 2026-01-03 |" in text
+    lines = read_logs(logs)
+    text = page(lines)
+    assert "| every command on damaged models | 2,000 | 1.00 | 2 |" in text
+    assert "**Finds**: 2 in all. Open: defect-A, hang-B." in text
+    assert "kill 4, eio+ 3." in text
+    assert "194 of 200 of `src/skinbake/files` and `src/skinbake/gltf` (97.0 %)" in text
+    assert (
+        "every command on 1 files that once broke a promise ends with exit code 0 or 1 or 3, after 0.4 s"
+        in text
+    )
+    assert next(iter(finds(lines))) == "defect-A  3 ×, last on 2026-01-03: open"
 
 
 def test_a_page_without_runs_says_so() -> None:

@@ -1,10 +1,28 @@
-"""The constants of the fit to a rig, with the letters of docs/fitted.md. The compiled loops get them, too."""
+"""The constants of the fit to a rig, with the letters of docs/fitted.md. The compiled loops get them, too.
+
+They were chosen on 22 real characters and on tubes that have a formula, in clips and in random poses of ±30°
+and ±60°, by one rule: no model may be worse than with the surface's gradients by over 2 %, by either truth.
+What was tried besides, and was no better:
+
+- the weights of triangles of either truth, in place of those between both, or the mean of both true normals;
+- turns about the stored pose, in place of those about the bind pose;
+- a pull of each slot by itself: it depends on the slot that is left out, and an adopted joint changed it;
+- a pull to 0, or one that grows with the length of bones: both helped some files and harmed others;
+- twists that count less than bends: 0.01 better in clips, and as much worse in random poses.
+"""
 
 STIFFNESS = 0.12
-"""λ where no joint is missing: the share of a turn's squared lever that pulls to the surface's gradients."""
+"""λ where no joint is missing: the share of a turn's squared lever that pulls to the surface's gradients.
+
+With 0.06 a model breaks the rule; 0.24 leaves more error.
+"""
 
 TOGETHER = 10.0
-"""How much more it counts that all joints of a long chain C turn alike than that one joint j turns."""
+"""How much more it counts that all joints of a long chain C turn alike than that one joint j turns.
+
+Animators curl tails and tentacles. Single turns alone leave a tentacle with three times the error of the
+surface's gradients.
+"""
 
 MISSING = 15.0
 """How much λ grows with m, the share of a vertex's gradients whose joints have no slot there.
