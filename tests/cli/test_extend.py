@@ -44,6 +44,30 @@ def test_all_joints_of_neighbours_find_a_slot(extended: Path, tmp_path: Path) ->
     assert counts["extended"]["multiply_adds"] == work[1] - work[0]
 
 
+@pytest.mark.parametrize("little", [0.0, 2e-4])
+def test_no_set_is_advised_or_added_for_vertices_with_too_little_weight(
+    tmp_path: Path, little: float
+) -> None:
+    """They may not adopt, however many slots they have."""
+    joints = (np.arange(80).reshape(20, 4) % 40).astype(np.uint8)
+
+    def written(few: float) -> Path:
+        weights = np.tile(np.float32([0.25] * 4), (20, 1))
+        weights[3:] = few
+        return write_model(tmp_path / "few.glb", [sheet(JOINTS_0=joints, WEIGHTS_0=weights)], joints=40)
+
+    assert "try --neighbours extend" in invoke("bake", written(0.25), "--dry-run").stdout
+    path = written(little)
+    # Vertices 0 to 2 and their neighbours of full weight are few: the others count for nothing.
+    advised = document(invoke("bake", path, "--dry-run", "--json"))["files"][0]["primitives"][0]
+    assert advised["overflowing_vertices"] <= 3
+    weights = np.full((20, 4), little, dtype=np.float32)
+    path = write_model(tmp_path / "none.glb", [sheet(JOINTS_0=joints, WEIGHTS_0=weights)], joints=40)
+    result = invoke("bake", path, "-o", tmp_path / "out.glb", "--neighbours", "extend")
+    assert "influence set" not in result.stdout
+    assert "JOINTS_1" not in read(tmp_path / "out.glb").content["meshes"][0]["primitives"][0]["attributes"]
+
+
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float32])
 def test_the_bytes_are_those_of_the_types_in_the_file(tmp_path: Path, kind: type[np.generic]) -> None:
     """Weights in 8 bits are stored in 16 where a slot adopts a joint, as one of the new set does."""

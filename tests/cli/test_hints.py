@@ -292,7 +292,7 @@ def test_counts_are_singular_and_plural() -> None:
     ("change", "one", "two"),
     [
         ({0: [0.5, 0, 0, 0]}, "of 1 vertex do not sum to 1 (0.5)", "of 2 vertices do not sum"),
-        ({0: [0, 0, 0, 0]}, "1 vertex has no weight at all", "2 vertices have no weight at all"),
+        ({0: [0, 0, 0, 0]}, "1 vertex has no weight at all", "bound to slot 0's joint; give them weights"),
         ({0: [1.5, -0.5, 0, 0]}, "1 vertex has negative weights", "2 vertices have negative weights"),
     ],
 )

@@ -84,7 +84,8 @@ def _of_influences(weights: WeightDefects, outside: int, joint_count: int) -> li
         (
             "weights-zero",
             weights.all_zero,
-            "{vertices} {have} no weight at all: taken as bound to slot 0's joint",
+            "{vertices} {have} no weight at all: taken as bound to slot 0's joint; give them weights in the "
+            "modelling tool",
         ),
         (
             "joints-repeated",

@@ -5,6 +5,7 @@ A surface is one mesh, or all meshes that the same skins draw.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,10 +14,17 @@ import numpy as np
 from skinbake.choices import Frame, FrameChoice, Neighbours, Weighting
 from skinbake.geometry import frames
 from skinbake.geometry.rig import Rig
-from skinbake.geometry.skinned import BakedPrimitive, BoolArray, FloatArray, IntArray, SkinnedPrimitive
+from skinbake.geometry.skinned import (
+    BakedPrimitive,
+    BoolArray,
+    Float64Array,
+    FloatArray,
+    IntArray,
+    SkinnedPrimitive,
+)
 from skinbake.gradients import kernel
 from skinbake.gradients.field import WeightDefects, WeightField, concatenate_fields
-from skinbake.gradients.influences import weight_field
+from skinbake.gradients.influences import ADOPTING_SUM, weight_field
 from skinbake.gradients.surface import Surface, SurfaceSlots
 from skinbake.gradients.tangents import ChosenFrame, chosen_frame, frame_vectors
 from skinbake.gradients.weld import weld
@@ -40,7 +48,8 @@ class BakeFindings:
     tangent_deviation is the largest angle in degrees between t0 × b0 and n0, 0 without TANGENT. bad_tangents
     is the number of vertices that exceed TANGENT_TOLERANCE, unhanded that of those among them at which
     TANGENT.w is neither 1 nor −1. magnitude is the summed length of the gradients, in 1 / length unit. lost
-    is the share of it that no slot holds.
+    is the share of it that no slot holds. Vertices with too little weight to adopt count in neither
+    overflowing_vertices nor lost: no further slot would help them.
     """
 
     weights: WeightDefects
@@ -78,10 +87,41 @@ def bake_primitives(
         surface = gathered.surface(frame, rig)
         adopt = settings.neighbours != Neighbours.DROP
         slots = kernel.bake_surface(surface, weighting=settings.weighting, adopt=adopt)
+        if any(defects.all_zero or defects.not_normalised for defects in gathered.defects):
+            slots.sums[:, [1, 3]] -= _unadoptable(primitives, gathered, settings.weighting)
     return [
         _of_primitive(number, primitive, choice, gathered, slots)
         for number, (primitive, choice) in enumerate(zip(primitives, chosen, strict=True))
     ]
+
+
+def _unadoptable(
+    primitives: Sequence[SkinnedPrimitive], gathered: _Gathered, weighting: Weighting
+) -> Float64Array:
+    """Return what copies of vertices with too little weight to adopt leave out, for each primitive (P, 2).
+
+    The columns are the number of such vertices that leave out joints of neighbours, and the summed length of
+    the gradients left out, in 1 / length unit.
+    """
+    field, classes, found = gathered.field, gathered.classes, np.zeros((len(primitives), 2))
+    sums = np.concatenate([part.weights.clip(0.0).sum(axis=1, dtype=np.float64) for part in primitives])
+    closed = np.zeros(int(classes.max(initial=-1)) + 1, dtype=np.bool_)
+    closed[classes[(sums <= ADOPTING_SUM) & ~field.free.any(axis=1)]] = True
+    if not closed.any():
+        return found
+    from skinbake.gradients.slots import assign  # in most files all vertices have weights
+    from skinbake.gradients.weight_gradients import weight_gradients
+
+    near = closed[classes[gathered.triangles]].any(axis=1)
+    gradients = weight_gradients(
+        gathered.positions, gathered.triangles[near], field, classes, weighting=weighting
+    )
+    for number, (start, end) in enumerate(itertools.pairwise([0, *gathered.ends])):
+        rows = start + np.flatnonzero(closed[classes[start:end]])
+        no_frame = np.zeros((len(rows), 3))
+        left = assign(gradients, classes[rows], field.rows(rows), (no_frame, no_frame), None)
+        found[number] = left.overflowing, left.unheld
+    return found
 
 
 def _of_primitive(
