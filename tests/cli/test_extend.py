@@ -52,7 +52,7 @@ def test_no_set_is_advised_or_added_for_vertices_with_too_little_weight(
     joints = (np.arange(80).reshape(20, 4) % 40).astype(np.uint8)
 
     def written(few: float) -> Path:
-        weights = np.tile(np.float32([0.25] * 4), (20, 1))
+        weights = np.full((20, 4), 0.25, dtype=np.float32)
         weights[3:] = few
         return write_model(tmp_path / "few.glb", [sheet(JOINTS_0=joints, WEIGHTS_0=weights)], joints=40)
 

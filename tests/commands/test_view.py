@@ -10,6 +10,7 @@ from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Gradients
 from skinbake.commands import view
 from skinbake.gltf.document import read_document
+from skinbake.lighting.baked_views import sound_views
 from tests.support.baking import bake_file
 from tests.support.gltf_reading import read
 from tests.support.models import rewritten, sheet, write_model
@@ -28,7 +29,7 @@ TUBE = FOLDER / "bent_tube.glb"
 def test_a_page_has_the_gradients_of_another_kind(tmp_path: Path, kind: Gradients, other: Gradients) -> None:
     assert bake_file(TUBE, tmp_path / "baked.glb", gradients=kind).status == "baked"
     document = read_document(str(tmp_path / "baked.glb"))
-    (found,) = view._other_gradients(document, view.sound_views(document))
+    (found,) = view._other_gradients(document, sound_views(document))
     assert found.kind == other
     assert found.alpha.any()
 
@@ -40,7 +41,7 @@ def test_only_sound_primitives_with_a_bake_have_views(tmp_path: Path) -> None:
     model = read(path)
     del model.primitive(0, 0)["attributes"]["NORMAL"], model.primitive(0, 1)["extras"]
     document = read_document(str(rewritten(model, path)))
-    assert [one.source.place.primitive for one in view.sound_views(document)] == [2]
+    assert [one.source.place.primitive for one in sound_views(document)] == [2]
 
 
 def test_a_broken_primitive_without_a_bake_does_not_hide_a_baked_one(tmp_path: Path) -> None:
@@ -54,4 +55,4 @@ def test_a_broken_primitive_without_a_bake_does_not_hide_a_baked_one(tmp_path: P
     for name in [name for name in broken["attributes"] if name.startswith("_SKINBAKE_")]:
         del broken["attributes"][name]
     document = read_document(str(rewritten(model, path)))
-    assert [one.source.place.primitive for one in view.sound_views(document)] == [1]
+    assert [one.source.place.primitive for one in sound_views(document)] == [1]

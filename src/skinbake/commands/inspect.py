@@ -49,10 +49,12 @@ def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
         reason = reason_to_skip(document, entry, generate_normals=False)
         if reason is not None:
             notices.append(reason)
-        if reason is None or reason.code == "no-normals":
+        if reason is None or reason.code in ("no-normals", "unlit"):
             with document.budget.passing():
                 primitive = read_primitive(document, entry)
                 primitives.append(_summary(document, entry, primitive))
+                if reason is not None and reason.code == "unlit":
+                    continue  # no light reaches its normals
                 notices += weight_sum_notices(primitive, entry.place)
                 read.setdefault(entry.mesh, []).append(entry)
                 if lean_notices([(primitive, entry.place)]):

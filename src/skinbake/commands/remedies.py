@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from skinbake.choices import FrameChoice, Gradients, Neighbours, Weld
 from skinbake.errors import InputError, Notice, Place
 from skinbake.gltf.document import Document
-from skinbake.gltf.primitives import skinned_sources
-from skinbake.lighting.baked_views import BakedView, baked_views, gathered_together, is_baked
+from skinbake.lighting.baked_views import BakedView, gathered_together, sound_views
 from skinbake.lighting.expected import noted_kind, noted_sources
 from skinbake.lighting.measured import lighting_verdict
 from skinbake.lighting.staleness import surface_operator
@@ -216,11 +215,9 @@ def _noted_neighbours(noted: Mapping[str, Any]) -> Neighbours:
 
 def _measured(document: Document, options: VerifyOptions, meshes: Container[int | None]) -> FileVerdict:
     """Measure the surfaces that some meshes belong to."""
-    sources = [source for source in skinned_sources(document)[0] if is_baked(document, source)]
-    views, _ = baked_views(document, sources)
     surfaces = [
         surface
-        for surface in gathered_together(document, views)
+        for surface in gathered_together(document, sound_views(document))
         if any(view.source.mesh in meshes for view in surface)
     ]
     operators = [surface_operator(document, surface) for surface in surfaces]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from skinbake.choices import Frame, Truth
-from skinbake.commands.view import baked_in_memory, sound_views, unplaced
+from skinbake.commands.view import baked_in_memory, unplaced
 from skinbake.errors import ChoiceError, InputError, Notice, SkinbakeError, printable
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.writing import write_file
@@ -30,9 +30,10 @@ from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import reference
 from skinbake.gltf.morphs import resting_weights, target_count
 from skinbake.gltf.output import refuse_own_input
+from skinbake.gltf.primitives import reason_to_skip, skinned_sources
 from skinbake.gltf.scenes import shown_nodes
 from skinbake.lighting.angles import MeasuredBlock, lighting_errors, truths_at_rest
-from skinbake.lighting.baked_views import BakedView, whole_surfaces
+from skinbake.lighting.baked_views import BakedView, sound_views, whole_surfaces
 from skinbake.lighting.before_adoption import true_operator_of
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.morphing import Morphing, morphing_of
@@ -149,7 +150,8 @@ def render_file(
         pictures, pose, missing = _pictures(document, views, options, moves=suffix in MOVING)
     data = encoded(pictures, suffix)
     write_file([data], target, sync=sync)
-    return RenderResult(data, len(pictures), pose, was_baked, (*notices, *missing, *_not_skinned(document)))
+    told = tuple(dict.fromkeys((*notices, *missing, *_not_drawn(document))))  # a bake tells of unlit ones too
+    return RenderResult(data, len(pictures), pose, was_baked, told)
 
 
 def _check_influences(views: Sequence[BakedView]) -> None:
@@ -164,15 +166,19 @@ def _check_influences(views: Sequence[BakedView]) -> None:
             )
 
 
-def _not_skinned(document: Document) -> list[Notice]:
-    """Return a notice if nodes draw meshes without a skin: no picture has them."""
+def _not_drawn(document: Document) -> list[Notice]:
+    """Return notices on what no picture has: unlit primitives, and meshes that nodes draw without a skin."""
+    reasons = (
+        reason_to_skip(document, source, generate_normals=True) for source in skinned_sources(document)[0]
+    )
+    unlit = [reason for reason in reasons if reason is not None and reason.code == "unlit"]
     nodes = [node for node in document.objects("nodes") if "mesh" in node]
     skinned = {node["mesh"] for node in nodes if "skin" in node}
     count = len({node["mesh"] for node in nodes} - skinned)
     if not count:
-        return []
+        return unlit
     message = one_or_many(count, "1 mesh without a skin is", "{} meshes without a skin are")
-    return [Notice("not-skinned", f"{message} left out of the picture", document.place, count)]
+    return [*unlit, Notice("not-skinned", f"{message} left out of the picture", document.place, count)]
 
 
 def _pictures(

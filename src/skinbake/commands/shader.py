@@ -239,10 +239,14 @@ def _nothing_baked(document: Document, sources: Sequence[PrimitiveSource]) -> In
 def _views(document: Document) -> list[BakedView]:
     """Return the baked primitives. Raises InputError if there are none, or one is damaged or stale."""
     sources, _ = skinned_sources(document)
-    baked = [source for source in sources if is_baked(document, source)]
-    for source in baked:
+    baked = []
+    for source in sources:
+        if not is_baked(document, source):
+            continue
         reason = reason_to_skip(document, source, generate_normals=False)
-        if reason is not None:
+        if reason is None:
+            baked.append(source)
+        elif reason.code != "unlit":
             raise InputError(f"it has lost what α/β are for ({reason.message}): bake it anew", reason.place)
     if not baked:
         raise _nothing_baked(document, sources)

@@ -77,7 +77,7 @@ def _operators_and_freshness(
 def _sorted_out(document: Document) -> tuple[list[PrimitiveSource], list[Notice], list[Notice]]:
     """Return the skinned primitives that can be baked, problems, and notices on the primitives left out.
 
-    A primitive that is baked, but can no longer be baked, is a problem.
+    A primitive that is baked, but can no longer be baked, is a problem, unless no light reaches it.
     """
     sources, notices = skinned_sources(document)
     wanted: list[PrimitiveSource] = []
@@ -88,7 +88,7 @@ def _sorted_out(document: Document) -> tuple[list[PrimitiveSource], list[Notice]
             wanted.append(entry)
         else:
             notices.append(reason)
-            skipped.append(reason)
+            skipped += [] if reason.code == "unlit" else [reason]
     lost = [_lost(notice) for notice in skipped if _has_metadata(document, notice)]
     baked_ones = {(notice.code, notice.place) for notice in lost}
     return wanted, lost, [notice for notice in notices if (notice.code, notice.place) not in baked_ones]
@@ -111,7 +111,9 @@ def _unbaked(
     document: Document, options: VerifyOptions, notices: list[Notice], wanted: Sequence[PrimitiveSource]
 ) -> FileVerdict:
     """Return the verdict for a file without a bake. Limits are for those that draw a skinned surface."""
-    missing = Notice("not-baked", "nothing in it is baked", document.place)
+    unlit = not wanted and any(notice.code == "unlit" for notice in notices)
+    nothing = "nothing that light reaches is baked in it" if unlit else "nothing in it is baked"
+    missing = Notice("not-baked", nothing, document.place)
     command = "skinbake bake" if wanted else ""
     if not wanted and any(notice.code == "no-normals" for notice in notices):
         command = "skinbake bake --generate-normals"
@@ -119,9 +121,9 @@ def _unbaked(
         advice = (
             f"run {command}" if command else "nothing in it can be baked; --require-baked is for characters"
         )
-        problem = replace(missing, message=f"nothing in it is baked: {advice}")
+        problem = replace(missing, message=f"{nothing}: {advice}")
         return FileVerdict(document.name, (Check("structure", "failed", (problem,)),), notices=tuple(notices))
-    check = Check("structure", "skipped", (), "nothing in it is baked")
+    check = Check("structure", "skipped", (), nothing)
     if options.limits and command:
         limits = " and ".join(options.limits)
         message = f"it is not baked, so it cannot meet {limits}: run {command} first"

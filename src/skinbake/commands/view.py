@@ -26,7 +26,7 @@ from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.output import plan_output, refuse_own_input
 from skinbake.gltf.primitives import reason_to_skip, skinned_sources, why_nothing
 from skinbake.gltf.resources import is_data_uri, read_resource
-from skinbake.lighting.baked_views import BakedView, baked_views, is_baked
+from skinbake.lighting.baked_views import BakedView, is_baked, sound_views
 from skinbake.lighting.expected import noted_kind
 from skinbake.lighting.verify_options import VerifyOptions
 from skinbake.report.verify import FileVerdict, file_json, remarks
@@ -116,18 +116,6 @@ def write_page(result: ViewResult, target: str, *, sync: bool = True) -> None:
         write_stdout([result.page])
     else:
         write_file([result.page], target, sync=sync)
-
-
-def sound_views(document: Document) -> list[BakedView]:
-    """Return the baked primitives of a document whose structure is sound."""
-    sources, _ = skinned_sources(document)
-    sound = [
-        source
-        for source in sources
-        if is_baked(document, source) and reason_to_skip(document, source, generate_normals=False) is None
-    ]
-    views, _ = baked_views(document, sound)
-    return views
 
 
 def baked_in_memory(document: Document) -> tuple[Document, tuple[Notice, ...]]:

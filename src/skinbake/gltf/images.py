@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Container, Sequence
-from typing import Any
 
 from skinbake.errors import InputError, Notice, Place
 from skinbake.files import Bytes
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, index, member, reference, text
+from skinbake.gltf.json_access import JsonObject, index, listed, member, object_of, reference, text
 from skinbake.gltf.resources import decode_data_uri, is_data_uri, read_resource
 from skinbake.gltf.views import view_bytes
 
@@ -21,17 +20,17 @@ def shown_textures(material: JsonObject) -> dict[str, JsonObject]:
 
     Members of other types are as if they were not there.
     """
-    pbr = _object(material.get("pbrMetallicRoughness"))
+    pbr = object_of(material.get("pbrMetallicRoughness"))
     return {
-        "base": _object(pbr.get("baseColorTexture")),
-        "normal": _object(material.get("normalTexture")),
-        "emissive": _object(material.get("emissiveTexture")),
+        "base": object_of(pbr.get("baseColorTexture")),
+        "normal": object_of(material.get("normalTexture")),
+        "emissive": object_of(material.get("emissiveTexture")),
     }
 
 
 def texcoord_set(info: JsonObject) -> int:
     """Return the number of the texture coordinates on which a texture info puts its image."""
-    told = _object(_object(info.get("extensions")).get(TRANSFORM))
+    told = object_of(object_of(info.get("extensions")).get(TRANSFORM))
     sets = (reference(holder.get("texCoord")) for holder in (told, info))
     return next((number for number in sets if number is not None and number >= 0), 0)
 
@@ -43,10 +42,10 @@ def images_unplaced(
 
     has are the names of its texture coordinates.
     """
-    number, materials = reference(primitive.get("material")), document.json.get("materials")
-    if number is None or not isinstance(materials, list) or not 0 <= number < len(materials):
+    material = listed(document.json, "materials", primitive.get("material"))
+    if material is None:
         return []
-    infos = shown_textures(_object(materials[number])).values()
+    infos = shown_textures(material).values()
     named = {f"TEXCOORD_{texcoord_set(info)}" for info in infos if reference(info.get("index")) is not None}
     missing = sorted(name for name in named if name not in has)
     if not missing:
@@ -100,7 +99,3 @@ def images_missing(reasons: Sequence[str], made: str, place: Place) -> list[Noti
     if len(reasons) > 1:
         message = f"{len(reasons)} images are left out of the {made}. Of the first: {reasons[0]}"
     return [Notice("images-missing", message, place, len(reasons))]
-
-
-def _object(value: object) -> dict[str, Any]:
-    return value if isinstance(value, dict) else {}

@@ -176,6 +176,19 @@ def is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= MOST
 
 
+def object_of(value: object) -> JsonObject:
+    """Return a value that is an object, else an empty one."""
+    return value if isinstance(value, dict) else {}
+
+
+def listed(parent: JsonObject, key: str, number: object) -> JsonObject | None:
+    """Return the object in a place of a list of ``parent``, None if the list has no such place."""
+    objects, place = parent.get(key), reference(number)
+    if not isinstance(objects, list) or place is None or not 0 <= place < len(objects):
+        return None
+    return object_of(objects[place])
+
+
 def entries_of(value: object) -> list[JsonObject]:
     """Return the objects in any value, for a search that must not stop at a broken entry."""
     return [entry for entry in value if isinstance(entry, dict)] if isinstance(value, list) else []

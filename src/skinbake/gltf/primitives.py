@@ -20,10 +20,13 @@ from skinbake.gltf.formats import component_dtype
 from skinbake.gltf.json_access import (
     LARGEST_INTEGER,
     JsonObject,
+    entries_of,
     index,
     integer,
     joints_of,
+    listed,
     member,
+    object_of,
     objects,
     text,
 )
@@ -51,6 +54,8 @@ EXPECTED = {
     "JOINTS": "joints must be unsigned bytes or shorts",
 }
 
+
+UNLIT = "KHR_materials_unlit"
 
 SET = re.compile(r"(?:JOINTS|WEIGHTS)_(0|[1-9]\d{0,8})", re.ASCII)
 """The name of an attribute that holds influences."""
@@ -194,7 +199,7 @@ def _all_sources(document: Document, joint_counts: dict[int, int]) -> Iterator[P
 
 
 def reason_to_skip(document: Document, source: PrimitiveSource, *, generate_normals: bool) -> Notice | None:
-    """Return the reason why a skinned primitive cannot be baked, None if it can.
+    """Return the reason why a skinned primitive is not baked, None if it is.
 
     Raises InputError if its JSON refers to missing accessors, or is not valid glTF.
     """
@@ -207,13 +212,36 @@ def reason_to_skip(document: Document, source: PrimitiveSource, *, generate_norm
         return Notice("no-surface", f"skipped: it draws {kind}, which have no surface", source.place)
     if "POSITION" not in source.attributes:
         return Notice("no-positions", "skipped: it has no POSITION", source.place)
-    if "NORMAL" not in source.attributes and not generate_normals:
+    unlit = is_unlit(document, source)
+    if "NORMAL" not in source.attributes and not generate_normals and not unlit:
         return Notice(
             "no-normals", "skipped: it has no NORMAL; bake --generate-normals adds smooth ones", source.place
         )
     if _triangle_count(document, source, mode) == 0:
         return Notice("no-triangles", "skipped: it has no whole triangle", source.place)
+    if unlit:
+        message = f"skipped: no light reaches it, because its material is unlit ({UNLIT})"
+        return Notice("unlit", message, source.place)
     return None
+
+
+def is_unlit(document: Document, source: PrimitiveSource) -> bool:
+    """Tell whether no light reaches a primitive in any of its materials. A broken material counts as lit.
+
+    KHR_materials_variants may give it several. The toon materials of VRM name KHR_materials_unlit for
+    viewers that do not know them, and are lit.
+    """
+    variants = object_of(object_of(source.json.get("extensions")).get("KHR_materials_variants"))
+    vrm = object_of(object_of(document.json.get("extensions")).get("VRM"))
+    for user in (source.json, *entries_of(variants.get("mappings"))):
+        number = user.get("material")
+        material = listed(document.json, "materials", number)
+        named = object_of((material or {}).get("extensions"))
+        if UNLIT not in named or "VRMC_materials_mtoon" in named:
+            return False
+        if (listed(vrm, "materialProperties", number) or {}).get("shader") == "VRM/MToon":
+            return False
+    return True
 
 
 def _check_references(document: Document, source: PrimitiveSource) -> None:

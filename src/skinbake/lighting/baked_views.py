@@ -18,7 +18,7 @@ from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, is_number
 from skinbake.gltf.morphs import target_count
-from skinbake.gltf.primitives import PrimitiveSource, read_primitive
+from skinbake.gltf.primitives import PrimitiveSource, read_primitive, reason_to_skip, skinned_sources
 from skinbake.gltf.skin_groups import meshes_of_one_skin
 from skinbake.gradients.tangents import TANGENT_TOLERANCE, frame_vectors
 from skinbake.timing import stage
@@ -70,6 +70,18 @@ def baked_views(
         else:
             problems.append(found)
     return views, [*problems, *_contradictions(document, views)]
+
+
+def sound_views(document: Document) -> list[BakedView]:
+    """Return the baked primitives of a document whose structure is sound, and that light reaches."""
+    sources, _ = skinned_sources(document)
+    sound = [
+        source
+        for source in sources
+        if is_baked(document, source) and reason_to_skip(document, source, generate_normals=False) is None
+    ]
+    views, _ = baked_views(document, sound)
+    return views
 
 
 def gathered_together(document: Document, views: Sequence[BakedView]) -> list[list[BakedView]]:

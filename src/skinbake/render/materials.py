@@ -23,7 +23,7 @@ from skinbake.gltf.images import (
     texcoord_set,
     texture_image,
 )
-from skinbake.gltf.json_access import JsonObject, is_number, reference
+from skinbake.gltf.json_access import JsonObject, is_number, listed, object_of, reference
 
 if TYPE_CHECKING:
     from PIL.Image import Image as Picture
@@ -122,7 +122,7 @@ class Materials:
     def of(self, primitive: JsonObject, *, in_clay: bool) -> Material:
         """Return a primitive's material; in clay only its sides count. A missing or broken one is clay."""
         number = reference(primitive.get("material"))
-        content = _listed(self._document.json, "materials", number)
+        content = listed(self._document.json, "materials", number)
         if number is None or content is None:
             return Material(is_plain=in_clay)
         if in_clay:
@@ -136,7 +136,7 @@ class Materials:
         return images_missing(self._lost, "picture", self._document.place)
 
     def _read(self, content: dict[str, Any]) -> Material:
-        pbr = _object(content.get("pbrMetallicRoughness"))
+        pbr = object_of(content.get("pbrMetallicRoughness"))
         named = shown_textures(content)
         images = {use: levels for use, info in named.items() if (levels := self._image(info)) is not None}
         base = _numbers(pbr, "baseColorFactor", WHITE if "base" in images else CLAY)
@@ -173,8 +173,8 @@ class Materials:
 
     def _sampling(self, info: dict[str, Any]) -> Sampling:
         """Return how the image of a texture info is read. What is no number of glTF is as usual."""
-        texture = _listed(self._document.json, "textures", info.get("index")) or {}
-        sampler = _listed(self._document.json, "samplers", texture.get("sampler")) or {}
+        texture = listed(self._document.json, "textures", info.get("index")) or {}
+        sampler = listed(self._document.json, "samplers", texture.get("sampler")) or {}
         wrap_u, wrap_v = (WRAPS.get(reference(sampler.get(key)) or 0, "repeat") for key in ("wrapS", "wrapT"))
         is_nearest = reference(sampler.get("magFilter")) == NEAREST
         return Sampling((wrap_u, wrap_v), "nearest" if is_nearest else "linear")
@@ -182,7 +182,7 @@ class Materials:
 
 def _placement(info: dict[str, Any]) -> Placement:
     """Return where a texture info puts its image. Values of other types are as if they were not there."""
-    told = _object(_object(info.get("extensions")).get(TRANSFORM))
+    told = object_of(object_of(info.get("extensions")).get(TRANSFORM))
     return Placement(
         texcoord=texcoord_set(info),
         offset=_numbers(told, "offset", (0.0, 0.0)),
@@ -241,18 +241,6 @@ def _shallow(image: Picture) -> Picture:
     grey = Image.fromarray(scaled[samples])
     alpha = Image.fromarray(np.where(samples == key, np.uint8(0), np.uint8(255)))
     return Image.merge("RGBA", (grey, grey, grey, alpha))
-
-
-def _listed(parent: JsonObject, key: str, number: object) -> dict[str, Any] | None:
-    """Return an object of a list of the file, None if there is no such place in it."""
-    objects, place = parent.get(key), reference(number)
-    if not isinstance(objects, list) or place is None or not 0 <= place < len(objects):
-        return None
-    return _object(objects[place])
-
-
-def _object(value: object) -> dict[str, Any]:
-    return value if isinstance(value, dict) else {}
 
 
 def _number(parent: dict[str, Any], key: str, default: float) -> float:
