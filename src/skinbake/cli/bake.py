@@ -24,7 +24,7 @@ from skinbake.choices import (
 )
 from skinbake.cli import exit_codes
 from skinbake.cli.chosen_config import config_files, option_sets
-from skinbake.cli.console import console, in_range, message_options, one_of, outside_option
+from skinbake.cli.console import console, ended_by_errors, in_range, message_options, one_of, outside_option
 from skinbake.cli.depfile import OPTION, check_depfile, clip_files_read, depfile_option, depfile_writer
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import expanded
@@ -216,23 +216,25 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[Given])
     targets, notes_at = targets_of(found, given), state_path(given)
     _check_pack(given, [target for _, target in targets])
     output = given.get("output")
-    depfile_at = check_depfile(given, ((entry.source, target) for entry, target in targets), say)
     reports = {"--summary": given["summary"], "--state": notes_at, OPTION: given.get("depfile")}
     clip_files = [source for source in given.get("fit_poses", ()) if Path(source).is_file()]
     check_reports(reports, output, [*(entry.source for entry in found), *clip_files])
     sets = option_sets(ctx, given, [entry.source for entry, _ in targets])
     bakers = sets.each(baker_of)
     check_read("--fit-poses", clip_files, (target for _, target in targets))
+    with ended_by_errors(say):
+        also_read = clip_files_read(clip_files) if given.get("depfile") else []
+    pairs, configuration = [(entry.source, target) for entry, target in targets], config_files(ctx)
+    depfile_at = check_depfile(given, pairs, say, also_read, configuration)
     from skinbake.jobs.bake import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Bake, BakeOptions
 
     options = [BakeOptions(baker, pack=given.get("pack", False)) for baker in bakers]
     notes = notes_of("bake", options[0], notes_at, found, say, sync=not given["no_sync"])
     jobs = jobs_of(targets, given, notes.known)
-    also_read = clip_files_read(clip_files) if depfile_at else []
     reporting = _reporting(
         given,
         say,
-        depfile_writer(depfile_at, given, say, also_read, config_files(ctx)),
+        depfile_writer(depfile_at, given, say, also_read, configuration),
         is_one=len(targets) == 1,
     )
     clock.imports_done()

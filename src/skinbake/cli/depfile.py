@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -13,7 +11,7 @@ from skinbake.cli import exit_codes
 from skinbake.cli.console import Command, ended_by_errors
 from skinbake.cli.names import STDIO
 from skinbake.cli.writing import write_report
-from skinbake.errors import InputError, SkinbakeError
+from skinbake.errors import InputError
 from skinbake.files.urls import is_url
 
 if TYPE_CHECKING:
@@ -34,18 +32,25 @@ def depfile_option(command: Command) -> Command:
     )(command)
 
 
-def check_depfile(given: Given, targets: Iterable[tuple[str, str | None]], say: Console) -> str | None:
+def check_depfile(
+    given: Given,
+    targets: Iterable[tuple[str, str | None]],
+    say: Console,
+    also_read: Sequence[str] = (),
+    configuration: Sequence[str] = (),
+) -> str | None:
     """Return the path of the depfile, None if there is none to write.
 
-    ``targets`` are the sources and the targets. Raises click.UsageError if a rule would not name two files of
-    this machine. Ends the run if a name cannot stand in a rule: nothing is written yet.
+    ``targets`` are the sources and the targets, the rest as in ``depfile_writer``. Raises click.UsageError if
+    a rule would not name two files of this machine. Ends the run if a name cannot stand in a rule: nothing is
+    written yet.
     """
     path = given.get("depfile")
     if path is None:
         return None
     if given["dask"]:
         raise click.UsageError(f"{OPTION} names files of this machine, --dask uses a cluster: give only one")
-    from skinbake.report.depfile import depfile
+    from skinbake.report.depfile import depfile, prerequisites
 
     for source, target in targets:
         if STDIO in {source, target} or is_url(source) or is_url(target or ""):
@@ -55,7 +60,8 @@ def check_depfile(given: Given, targets: Iterable[tuple[str, str | None]], say: 
                 f"{OPTION}: with --in-place each file would depend on itself; name an output"
             )
         with ended_by_errors(say):
-            depfile([] if target is None else [(target, [source])])
+            read = [source, *prerequisites(source, configuration), *also_read]
+            depfile([] if target is None else [(target, read)])
     return None if given.get("dry_run") else path
 
 
@@ -78,7 +84,7 @@ def depfile_writer(
         return None
 
     def write(results: Sequence[FileResult | StripResult]) -> int:
-        from skinbake.report.depfile import depfile
+        from skinbake.report.depfile import depfile, prerequisites
 
         if any(result.error is not None for result in results):
             return exit_codes.OK
@@ -87,27 +93,25 @@ def depfile_writer(
                 result.output,
                 [
                     result.input,
-                    *(_like(result.input, file) for file in (*result.read, *configuration)),
+                    *result.read,
+                    *prerequisites(result.input, configuration),
                     *also_read,
                 ],
             )
             for result in results
             if result.output is not None
         ]
-        try:
-            text = depfile(rules)
-        except SkinbakeError as error:
-            say.error(error)
-            return exit_codes.of_error(error)
+        text = depfile(rules)  # no name is refused by now
         return write_report(path, text, say, sync=not given["no_sync"])
 
     return write
 
 
 def clip_files_read(paths: Iterable[str]) -> list[str]:
-    """Return the files of poses, and the buffers beside them."""
+    """Return the files of poses, and the buffers beside them. Raises OutputError, see ``prerequisites``."""
     from skinbake.gltf.beside import files_read
     from skinbake.gltf.document import read_document
+    from skinbake.report.depfile import prerequisites
 
     found = []
     for path in paths:
@@ -115,15 +119,5 @@ def clip_files_read(paths: Iterable[str]) -> list[str]:
             buffers = files_read(read_document(path), None, pack=False)
         except InputError:
             buffers = ()  # the bake reports it
-        found += [path, *(_like(path, buffer) for buffer in buffers)]
+        found += [path, *prerequisites(path, buffers)]
     return found
-
-
-def _like(given: str, path: str) -> str:
-    """Return an absolute path relative to the current folder, if the given path is relative."""
-    if Path(given).is_absolute():
-        return path
-    try:
-        return os.path.relpath(path)
-    except ValueError:  # another drive of Windows
-        return path

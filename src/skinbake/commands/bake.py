@@ -32,6 +32,7 @@ from skinbake.gltf.primitives import (
 from skinbake.gradients.baker import BakeSettings
 from skinbake.gradients.normal_lean import lean_notices
 from skinbake.report.bake import BakedCounts, EncodingCost, FileResult
+from skinbake.report.depfile import prerequisites
 from skinbake.timing import stage
 
 
@@ -58,6 +59,10 @@ class Baker(CheckedOptions):
             refuse_own_input(document, source, target)
         made, result, notices = self._rebaked(document, target, pack=writing.pack)
         untouched = result is document and target == source and source != STDIO
+        read: tuple[str, ...] = ()
+        if writing.lists_read:
+            with noticed(notices):
+                read = prerequisites(source, files_read(document, target, pack=writing.pack))
         planned = None
         if target is not None and not untouched:
             with noticed(notices), stage("write"):
@@ -83,7 +88,7 @@ class Baker(CheckedOptions):
             tuple(notices),
             encoding=made.encoding,
             written=written,
-            read=files_read(document, target, pack=writing.pack) if writing.lists_read else (),
+            read=read,
         )
 
     def _rebaked(

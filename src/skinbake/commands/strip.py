@@ -12,6 +12,7 @@ from skinbake.gltf.beside import files_read
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import STDIO, read_document
 from skinbake.gltf.output import plan_output, refuse_own_input
+from skinbake.report.depfile import prerequisites
 from skinbake.report.strip import StripResult
 from skinbake.timing import stage
 
@@ -42,6 +43,7 @@ def strip_file(
     if count == 0:
         notices.append(Notice("nothing-baked", "passed through unchanged: it holds no bake", Place(source)))
     document, found = for_target(document, target)
+    read = prerequisites(source, files_read(given, target, pack=False)) if lists_read else ()
     with stage("write"):
         planned = None if in_place and count == 0 else plan_output(document, target, root=root)
     notices += [*found, *(planned.notices if planned else ())]
@@ -53,5 +55,4 @@ def strip_file(
     if planned is not None:
         with noticed(notices), stage("write"):
             replace(planned, replaces=replaced).write(sync=sync)
-    read = files_read(given, target, pack=False) if lists_read else ()
     return StripResult(source, target, count, tuple(notices), read=read)

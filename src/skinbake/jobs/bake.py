@@ -14,6 +14,7 @@ from skinbake.gltf.output import AS_USUAL, Writing
 from skinbake.jobs.elsewhere import elsewhere_of
 from skinbake.jobs.work import Job
 from skinbake.report.bake import FileResult
+from skinbake.report.depfile import prerequisites
 
 if TYPE_CHECKING:
     from skinbake.jobs import state
@@ -58,7 +59,7 @@ class Bake:
         read: tuple[str, ...] = ()
         if self.writing.lists_read:
             document = read_document(job.source, job.within.bounds)
-            read = files_read(document, job.target, pack=self.writing.pack)
+            read = prerequisites(job.source, files_read(document, job.target, pack=self.writing.pack))
         return FileResult(job.source, job.target, "up-to-date", read=read)
 
     def is_noted(self, job: Job) -> bool:
