@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 from unittest.mock import Mock
 
@@ -14,7 +15,7 @@ from PIL import Image
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.cli import exit_codes
-from skinbake.commands import render
+from skinbake.commands import posed_scene, render
 from skinbake.errors import ChoiceError, InputError
 from skinbake.gltf import budget
 from skinbake.gltf.animation import Skeleton, read_skeleton
@@ -192,7 +193,7 @@ def test_the_scene_with_a_character_is_drawn(
         found.append(skin)
         return read_skeleton(document, skin)
 
-    monkeypatch.setattr(render, "read_skeleton", kept)
+    monkeypatch.setattr(posed_scene, "read_skeleton", kept)
     assert render.small_picture(read_document(str(file.write(tmp_path / "scenes.glb")))) is not None
     assert found == drawn
 
@@ -380,7 +381,7 @@ def test_slots_that_integer_weights_adopt_tear_no_surface_apart(
     def kept(operator: GradientOperator, *arguments: object, **others: object) -> None:
         operators.append(operator)
 
-    monkeypatch.setattr(render, "lighting_errors", kept)
+    monkeypatch.setattr(posed_scene, "lighting_errors", kept)
     cut = cut_into_meshes(halved(FOLDER / name, tmp_path / "half.glb"), tmp_path / "cut.glb")
     with pytest.raises(InputError, match="enough"):
         measure_errors(cut, tmp_path, monkeypatch)
@@ -390,10 +391,15 @@ def test_slots_that_integer_weights_adopt_tear_no_surface_apart(
     assert len(np.unique(operator.classes)) == vertices
 
 
-def test_without_its_extra_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "wgpu", None)
+@pytest.mark.parametrize(("module", "package"), [("wgpu", "wgpu"), ("PIL.Image", "Pillow")])
+def test_without_its_extra_it_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, package: str
+) -> None:
+    monkeypatch.setitem(sys.modules, "wgpu", ModuleType("wgpu"))
+    monkeypatch.setitem(sys.modules, module, None)
     result = invoke("render", TUBE, "-o", tmp_path / "picture.png")
     assert result.exit_code == exit_codes.INPUT
+    assert f"pictures need {package}, which is missing" in result.stderr
     assert "pip install 'skinbake[render]'" in result.stderr
     assert list(tmp_path.iterdir()) == []
 

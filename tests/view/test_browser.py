@@ -22,6 +22,7 @@ from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser, corpus
 from tests.support.baking import bake_file
 from tests.support.characters import Array, Character, Placement, Pose, angles
+from tests.support.models import edited
 from tests.view.pages import DEGREES, normals, picture, shown
 
 TUBE = FOLDER / "bent_tube.glb"
@@ -203,3 +204,31 @@ def test_pointing_at_the_chart_shows_the_pose_and_leaving_it_goes_back(browsing:
     assert 0.5 < (pointed - start) / (end - start) < 0.8
     page.move_mouse(5, 5)
     assert page.call("(() => application.time)") == pytest.approx(start)
+
+
+def test_the_page_opens_where_standard_lighting_is_worst(tmp_path: Path) -> None:
+    """A clip in which nothing moves comes first."""
+
+    def change(content: dict[str, Any]) -> None:
+        clip = content["animations"][0]
+        nothing = {"name": "RESET", "channels": [], "samplers": []}
+        content["animations"] = [nothing, {**clip, "channels": clip["channels"][1:], "name": "wrist"}, clip]
+
+    with shown(edited("bent_tube.glb", tmp_path, change)) as page:
+        page.call("(() => application.play(false))")
+        name, time = page.call("(() => [application.clip.name, application.time])")
+    assert name == "bend"
+    assert time >= 0.4  # it plays from there
+
+
+@pytest.mark.parametrize(
+    ("extensions", "side"), [({"VRM": {}}, -1), ({"VRM": {}, "VRMC_vrm": {}}, 1), ({}, 1)]
+)
+def test_the_camera_stands_before_the_character(
+    tmp_path: Path, extensions: dict[str, Any], side: int
+) -> None:
+    """Characters of VRM 0 look along -Z."""
+    path = edited("bent_tube.glb", tmp_path, lambda content: content.update(extensions=extensions))
+    with shown(path) as page:
+        eye, target = page.call("(() => [application.camera.eye, application.camera.target])")
+    assert np.sign(eye[2] - target[2]) == side

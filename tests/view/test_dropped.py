@@ -312,3 +312,49 @@ def test_what_changes_while_it_plays_is_not_read_aloud(browsing: browser.Page) -
         "(() => [...document.querySelectorAll('output')].map((one) => one.getAttribute('aria-live')))"
     )
     assert live == ["off"] * len(live) and len(live) == 3
+
+
+INHERITED = ["__proto__", "constructor", "toString", "hasOwnProperty"]
+
+
+@pytest.mark.parametrize("name", INHERITED)
+def test_names_that_every_object_has_are_names_like_any_other(
+    browsing: browser.Page, tmp_path: Path, name: str
+) -> None:
+    """α in an attribute of such a name is read, and so is a file in which everything is named so."""
+    before = normals_of_drop(browsing, baked(TUBE, tmp_path))
+    model = Editable(baked(TUBE, tmp_path))
+    for kind in ("nodes", "meshes", "skins", "animations", "materials", "accessors", "scenes"):
+        for entry in model.content.get(kind, []):
+            entry |= {"name": name, "extras": {name: {"skinbake": {"version": 7}}, **entry.get("extras", {})}}
+    primitive = model.primitive()
+    primitive["extras"] |= {name: {"alpha": 1}}
+    primitive["extras"]["skinbake"] |= {name: name, "alpha": [name]}
+    primitive["attributes"][name] = primitive["attributes"].pop("_SKINBAKE_ALPHA_0")
+    path = model.write(tmp_path / "renamed.glb")
+    assert name.encode() in path.read_bytes()
+    assert np.array_equal(normals_of_drop(browsing, path), before)
+    assert browsing.call("(() => application.clip.name)") == name
+
+
+def normals_of_drop(page: browser.Page, path: Path) -> Array:
+    """Return the accurate normals of a file that is dropped on the page."""
+    take(page, path)
+    assert page.call("(() => document.getElementById('message').textContent)") == ""
+    return normals(page, "rig", clip=0, time=0.4)
+
+
+@pytest.mark.parametrize("name", INHERITED)
+@pytest.mark.parametrize("where", ["alpha", "type", "componentType"])
+def test_what_every_object_has_is_not_in_the_file(
+    browsing: browser.Page, tmp_path: Path, name: str, where: str
+) -> None:
+    model = Editable(baked(TUBE, tmp_path))
+    if where == "alpha":
+        model.content["meshes"][0]["primitives"][0]["extras"]["skinbake"]["alpha"] = [name]
+    else:
+        model.content["accessors"][0][where] = name
+    take(browsing, model.write(tmp_path / "damaged.glb"))
+    told = browsing.call("(() => document.getElementById('message').textContent)")
+    expected = "has lost attributes of its bake" if where == "alpha" else "its accessor 0 is damaged"
+    assert expected in told

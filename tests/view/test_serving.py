@@ -9,6 +9,7 @@ import struct
 import threading
 import time
 from collections.abc import Iterator
+from unittest.mock import Mock
 
 import pytest
 
@@ -51,23 +52,84 @@ def answer(port: int, host: str) -> tuple[int, bytes]:
     return result
 
 
-@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "127.0.0.1:80", "localhost:8000"])
-def test_it_answers_under_its_own_names_with_and_without_a_port(port: int, host: str) -> None:
-    # Browsers leave the port out of the name if it is 80.
-    assert answer(port, host) == (200, PAGE)
+@pytest.mark.parametrize("host", ["127.0.0.1:{}", "localhost:{}", "LocalHost:{}"])
+def test_it_answers_under_its_own_names_and_port(port: int, host: str) -> None:
+    assert answer(port, host.format(port)) == (200, PAGE)
 
 
 @pytest.mark.parametrize(
-    "host", ["evil.example", "evil.example:8000", "localhost.evil.example", "", ":80", "[::1]", "[::1]:8000"]
+    "host",
+    [
+        *(
+            "127.0.0.1",
+            "localhost",
+            "localhost:",
+            "localhost:80",
+            "localhost:1",
+            "localhost:0{}",
+            "localhost.:{}",
+        ),
+        *("evil.example", "evil.example:{}", "localhost.evil.example:{}", "evil@localhost:{}", "", ":{}"),
+        *(
+            "127.1:{}",
+            "0.0.0.0:{}",
+            "2130706433:{}",
+            "localhost:{0}:{0}",
+            "localhost:{},evil.example",
+            "localhost.:{}",
+        ),
+        *("[::1]", "[::1]:{}"),
+    ],
 )
 def test_it_answers_under_no_other_name(port: int, host: str) -> None:
     # It listens on the IPv4 address alone: [::1] never leads to it.
-    assert answer(port, host)[0] == 404
+    assert answer(port, host.format(port))[0] == 404
+
+
+def test_a_browser_leaves_port_80_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only the administrator may listen there, so the handler meets a connection of its own."""
+    ours, theirs = socket.socketpair()
+    named = Mock(wraps=ours, getsockname=lambda: ("127.0.0.1", 80))
+    theirs.sendall(b"GET / HTTP/1.0\r\nHost: localhost\r\n\r\n")
+    serving.page_handler(b"a page")(named, ("127.0.0.1", 5), Mock())
+    ours.close()
+    assert theirs.makefile("rb").read().endswith(b"\r\n\r\na page")
+    theirs.close()
+
+
+@pytest.mark.parametrize(
+    "head", ["", "Host: localhost:{0}\r\nHost: localhost:{0}\r\n", "Host: localhost:{0}\r\nHost: a\r\n"]
+)
+def test_it_answers_to_exactly_one_name(port: int, head: str) -> None:
+    with socket.create_connection(("127.0.0.1", port), timeout=20) as connection:
+        connection.sendall(f"GET / HTTP/1.1\r\n{head}\r\n".encode())
+        assert connection.recv(12) == b"HTTP/1.0 404"
+
+
+@pytest.mark.parametrize("said", [b"", b"GET / HT", b"GET / HTTP/1.1\r\nHost: local"])
+def test_a_client_that_does_not_ask_is_dropped(
+    port: int, monkeypatch: pytest.MonkeyPatch, said: bytes
+) -> None:
+    monkeypatch.setattr(serving, "PATIENCE", 0.05)
+    with socket.create_connection(("127.0.0.1", port), timeout=20) as connection:
+        connection.sendall(said)
+        assert connection.recv(1) == b""
+
+
+def test_a_client_that_takes_no_page_is_dropped(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serving, "SENDING", 0.05)
+    with socket.create_connection(("127.0.0.1", port), timeout=20) as connection:
+        connection.sendall(f"GET / HTTP/1.1\r\nHost: localhost:{port}\r\n\r\n".encode())
+        assert connection.recv(12) == b"HTTP/1.0 200"
+        deadline = time.monotonic() + 20
+        while any("process_request" in thread.name for thread in threading.enumerate()):
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
 
 
 def test_a_browser_that_leaves_too_early_is_no_error(port: int, capfd: pytest.CaptureFixture[str]) -> None:
     with socket.create_connection(("127.0.0.1", port), timeout=20) as connection:
-        connection.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        connection.sendall(f"GET / HTTP/1.1\r\nHost: localhost:{port}\r\n\r\n".encode())
         assert connection.recv(100).startswith(b"HTTP/1.0 200")
         # Close without the rest: the server's next bytes meet a reset.
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
@@ -76,4 +138,4 @@ def test_a_browser_that_leaves_too_early_is_no_error(port: int, capfd: pytest.Ca
         assert time.monotonic() < deadline
         time.sleep(0.01)
     assert capfd.readouterr().err == ""
-    assert answer(port, "localhost")[0] == 200
+    assert answer(port, f"localhost:{port}")[0] == 200

@@ -48,7 +48,11 @@ def _finite(ctx: click.Context, param: click.Parameter, value: float | None) -> 
 @click.option(
     "-o", "--output", required=True, metavar="PICTURE", help="Output file: .png, or .webp or .gif that move."
 )
-@click.option("--clip", metavar="NAME", help="Name or number of a clip; by default the first.")
+@click.option(
+    "--clip",
+    metavar="NAME",
+    help="Name or number of a clip; by default the one in which standard lighting is worst.",
+)
 @click.option(
     "--time",
     type=float,

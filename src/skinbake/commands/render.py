@@ -2,48 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from skinbake.choices import Frame, Truth
+from skinbake.choices import Frame
+from skinbake.commands.posed_scene import (
+    NAMES,
+    Draw,
+    PosedDraw,
+    lighting_errors_of,
+    posed_draw,
+    posed_primitives,
+    shown_draws,
+    telling_moment,
+)
 from skinbake.commands.view import baked_in_memory, unplaced
 from skinbake.errors import ChoiceError, InputError, Notice, SkinbakeError, printable
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.writing import write_file
-from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray
+from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.animation import (
     Clip,
-    Skeleton,
-    clip_poses,
-    clip_weights,
-    random_poses,
     read_clips,
-    read_skeleton,
 )
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import reference
-from skinbake.gltf.morphs import resting_weights, target_count
 from skinbake.gltf.output import refuse_own_input
 from skinbake.gltf.primitives import reason_to_skip, skinned_sources
-from skinbake.gltf.scenes import shown_nodes
-from skinbake.lighting.angles import MeasuredBlock, lighting_errors, truths_at_rest
-from skinbake.lighting.baked_views import BakedView, sound_views, whole_surfaces
-from skinbake.lighting.before_adoption import true_operator_of
-from skinbake.lighting.metrics import vertex_areas
-from skinbake.lighting.morphing import Morphing, morphing_of
-from skinbake.lighting.operator import GradientOperator
-from skinbake.lighting.poses import PoseSet, draws_of
+from skinbake.lighting.baked_views import BakedView, sound_views
 from skinbake.lighting.rest_primitives import rest_primitive
 from skinbake.render.captions import captioned
 from skinbake.render.files import MILLISECONDS, MOVING, encoded
 from skinbake.render.materials import CLAY, WHITE, Material, Materials
-from skinbake.render.studio import Look, Picture, Studio, placed
+from skinbake.render.studio import Look, Picture, Studio, placed, require_packages
 from skinbake.render.subject import YAW, Shot, Subject
 from skinbake.render.thumbnail import Posed, thumbnail
 from skinbake.skinning.algorithms import Algorithm
@@ -54,9 +50,6 @@ from skinbake.wording import one_or_many
 MOST = 1e15
 """The largest coordinate of a picture: squares of lengths then stay floats, as on the page."""
 
-SEARCHED = 25
-"""The poses of a clip among which the one with the worst standard lighting is chosen."""
-
 MOST_INFLUENCES = 64
 """The most influences of a vertex that are drawn. Drivers compile a shader of 256 for a minute."""
 
@@ -64,17 +57,14 @@ MOST_PICTURES = 120
 LISTED = 20
 """The names of clips that a message lists."""
 
-RANDOM_ANGLE = float(np.radians(30.0))
-NAMES = {"standard": "approximated", "accurate": "accurate"}
-
 
 @dataclass(frozen=True, slots=True)
 class RenderOptions:
     """The options of ``skinbake render``.
 
-    clip is a name or a number, None for the first. time is in seconds, None for the pose in which standard
-    lighting is worst, or, in an animation, for the whole clip. sides are one or two lightings. in_clay draws
-    no images and no colours.
+    clip is a name or a number, None for the one in which standard lighting is worst. time is in seconds, None
+    for the pose in which it is worst, or, in an animation, for the whole clip. sides are one or two
+    lightings. in_clay draws no images and no colours.
     """
 
     look: Look
@@ -99,33 +89,6 @@ class RenderResult:
     notices: tuple[Notice, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class _Draw:
-    """A surface as one skin draws it: its primitives; with morph targets, the node that has their weights.
-
-    operator builds the operator of the truths at its first call, once for all draws of the surface.
-    """
-
-    views: Sequence[BakedView]
-    rest: Sequence[RestPrimitive]
-    skeleton: Skeleton
-    node: int | None
-    operator: Callable[[], GradientOperator]
-
-
-@dataclass(frozen=True, slots=True)
-class _Posed:
-    """Joint matrices (P, J, 4, 4) of a draw, and the morph targets that move it in these poses, if any."""
-
-    matrices: Float64Array
-    morphing: Morphing | None = None
-
-    def every(self, step: int) -> _Posed:
-        """Return every so many poses."""
-        some = self.morphing and replace(self.morphing, weights=self.morphing.weights[::step])
-        return _Posed(self.matrices[::step], some)
-
-
 def render_file(
     source: str, target: str, options: RenderOptions, *, sync: bool = True, bounds: Bounds = BESIDE
 ) -> RenderResult:
@@ -145,6 +108,7 @@ def render_file(
         raise InputError("nothing in it is baked soundly: run skinbake verify", document.place)
     _check_influences(views)
     suffix = Path(target).suffix.lower()
+    require_packages()
     # What is too large is refused, and what is no number is not drawn.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         pictures, pose, missing = _pictures(document, views, options, moves=suffix in MOVING)
@@ -185,10 +149,10 @@ def _pictures(
     document: Document, views: Sequence[BakedView], options: RenderOptions, *, moves: bool
 ) -> tuple[list[Picture], str, list[Notice]]:
     """Return the pictures, the first pose in words, and notices on what is missing in them."""
-    draws = list(_draws(document, views))
-    clip = _clip(document, options.clip)
-    times, pose = _times(document, draws, clip, options, moves=moves)
-    posed = [_posed(document, draw, clip, times) for draw in draws]
+    draws = list(shown_draws(document, views))
+    clip, worst = _clip_and_moment(document, draws, options)
+    times, pose = _times(clip, worst, options, moves=moves)
+    posed = [posed_draw(document, draw, clip, times) for draw in draws]
     materials = Materials(document)
     in_clay = options.in_clay or options.look.mode != "shaded"
     subjects = [
@@ -201,7 +165,7 @@ def _pictures(
         raise InputError("its positions are too large for a renderer: scale the model down", document.place)
     yaws = np.linspace(YAW, YAW + 2 * np.pi, 12) if options.turntable else [YAW]
     studio = Studio(subjects, placed(some, list(map(float, yaws))))
-    errors = _errors(draws, posed) if options.look.mode == "error" else None
+    errors = lighting_errors_of(draws, posed) if options.look.mode == "error" else None
     shots = _shots(draws, posed, errors, options, len(times))
     pictures = [
         captioned(studio.picture(shot, options.sides, options.look), options.sides, options.look)
@@ -220,11 +184,11 @@ def small_picture(document: Document) -> bytes | None:
     It needs no device and no extra.
     """
     try:
-        draws = list(_draws(document, sound_views(document)))
-        clip = _clip(document, None)
+        draws = list(shown_draws(document, sound_views(document)))
+        clip = next(iter(read_clips(document)), None)
         times = np.zeros(1) if clip is None else np.array([(clip.start + clip.duration) / 2])
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what is no number is not drawn
-            found = [part for draw in draws for part in _still(draw, _posed(document, draw, clip, times))]
+            found = [part for draw in draws for part in _still(draw, posed_draw(document, draw, clip, times))]
     except SkinbakeError:
         return None
     sound = [part.positions[(np.abs(part.positions) < MOST).all(axis=1)] for part in found]
@@ -233,9 +197,9 @@ def small_picture(document: Document) -> bytes | None:
     return thumbnail(found, placed(sound, [YAW]))
 
 
-def _still(draw: _Draw, posed: _Posed) -> Iterator[Posed]:
+def _still(draw: Draw, posed: PosedDraw) -> Iterator[Posed]:
     """Yield the primitives of a draw in its only pose, with accurate normals."""
-    for view, (rest, matrices) in zip(draw.views, _primitives(draw, posed), strict=True):
+    for view, (rest, matrices) in zip(draw.views, posed_primitives(draw, posed), strict=True):
         skinning = Skinning.of(rest, matrices, dual_quaternions=False, options=Options())
         (found,) = skinning.run((Algorithm.LBS_ACCURATE,), slice(0, 1), slice(0, len(rest.positions)))
         positions, normals = (
@@ -245,43 +209,32 @@ def _still(draw: _Draw, posed: _Posed) -> Iterator[Posed]:
         yield Posed(positions, normals, view.now.triangles)
 
 
-def _draws(document: Document, views: Sequence[BakedView]) -> Iterator[_Draw]:
-    """Yield what the nodes of the shown scene draw."""
-    clips = read_clips(document)
-    nodes = document.objects("nodes")
-    shown = {
-        (reference(nodes[number].get("mesh")), reference(nodes[number].get("skin")))
-        for number in shown_nodes(document)
-    }
-    meshes = {mesh for mesh, skin in shown if skin is not None}
-    for group in whole_surfaces(document, [view for view in views if view.source.mesh in meshes]):
-        operator = cache(partial(true_operator_of, document, group))
-        for skin, node in draws_of(document, group[0].source.mesh, clips):
-            if not any((view.source.mesh, skin) in shown for view in group):
-                continue
-            rest = [rest_primitive(view) for view in group]
-            yield _Draw(group, rest, read_skeleton(document, skin), node, operator)
+def _clip_and_moment(
+    document: Document, draws: Sequence[Draw], options: RenderOptions
+) -> tuple[Clip | None, float]:
+    """Return the clip to draw, None if there is none, and the time in it at which standard lighting is worst.
 
-
-def _clip(document: Document, asked: str | None) -> Clip | None:
-    """Return the clip of a name or number, the first one if none is asked for, None if there is none."""
-    clips = read_clips(document)
-    if asked is None:
-        return next((clip for clip in clips if clip.channels), None)
-    named = [clip for clip in clips if clip.name == asked]
-    if not named and asked.isdecimal() and int(asked) < len(clips):
-        named = [clips[int(asked)]]
-    if not named:
-        listed = [printable(clip.name) for clip in clips[:LISTED]] or ["none"]
-        more = [f"{len(clips) - LISTED} more"] if len(clips) > LISTED else []
-        raise ChoiceError(
-            f"--clip {printable(asked)}: the file has no such clip; it has {', '.join(listed + more)}"
-        )
-    return named[0]
+    Raises ChoiceError for a clip that does not exist.
+    """
+    clips, asked = read_clips(document), options.clip
+    if asked is not None:
+        named = [clip for clip in clips if clip.name == asked]
+        if not named and asked.isdecimal() and int(asked) < len(clips):
+            named = [clips[int(asked)]]
+        if not named:
+            listed = [printable(clip.name) for clip in clips[:LISTED]] or ["none"]
+            more = [f"{len(clips) - LISTED} more"] if len(clips) > LISTED else []
+            raise ChoiceError(
+                f"--clip {printable(asked)}: the file has no such clip; it has {', '.join(listed + more)}"
+            )
+        clips = named[:1]
+    if len(clips) == 1 and options.time is not None:
+        return clips[0], options.time
+    return telling_moment(document, draws, clips) if clips else (None, 0.0)
 
 
 def _times(
-    document: Document, draws: Sequence[_Draw], clip: Clip | None, options: RenderOptions, *, moves: bool
+    clip: Clip | None, worst: float, options: RenderOptions, *, moves: bool
 ) -> tuple[Float64Array, str]:
     """Return the time of each picture, and the first pose in words. Raises ChoiceError for another time."""
     _check_time(clip, options.time)
@@ -289,11 +242,7 @@ def _times(
         count = MOST_PICTURES // 2 if options.turntable else 1
         return np.zeros(count), "a random pose, because it has no clip"
     if options.time is not None or (not moves and not options.turntable):
-        time = options.time
-        if time is None:
-            searched = _spread(clip, SEARCHED)
-            worst = _worst(draws, [_posed(document, draw, clip, searched) for draw in draws])
-            time = float(searched[worst])
+        time = worst if options.time is None else options.time
         count = MOST_PICTURES // 2 if options.turntable else 1
         return np.full(count, time), f'clip "{clip.name}" at {time:.2f} s'
     count = max(2, min(MOST_PICTURES, round(1000 * (clip.duration - clip.start) / MILLISECONDS)))
@@ -312,29 +261,7 @@ def _check_time(clip: Clip | None, time: float | None) -> None:
         )
 
 
-def _spread(clip: Clip | None, count: int) -> Float64Array:
-    return np.zeros(1) if clip is None else np.linspace(clip.start, clip.duration, count)
-
-
-def _posed(document: Document, draw: _Draw, clip: Clip | None, times: Float64Array) -> _Posed:
-    """Return a draw at times of a clip, or in one random pose for all of them."""
-    if clip is None:
-        pose = random_poses(draw.skeleton, 1, angle=RANDOM_ANGLE, seed=0)
-        matrices = np.repeat(pose, len(times), axis=0)
-    else:
-        matrices = clip_poses(draw.skeleton, clip, times)
-    if draw.node is None:
-        return _Posed(matrices)
-    weights = np.broadcast_to(
-        resting_weights(document, draw.node), (len(times), target_count(document, draw.views[0].source.mesh))
-    )
-    if clip is not None:
-        weights = clip_weights(draw.node, clip, times, weights[0])
-    poses = PoseSet((), matrices, (), (), weights)
-    return _Posed(matrices, morphing_of(document, draw.views, poses))
-
-
-def _subject(document: Document, number: int, draw: _Draw, view: BakedView, material: Material) -> Subject:
+def _subject(document: Document, number: int, draw: Draw, view: BakedView, material: Material) -> Subject:
     at_rest = draw.skeleton.joint_matrices({}, None, 1)[0, :, :3, :3]
     count = len(view.now.positions)
     texcoords = _texcoords(document, view, material, count)
@@ -380,67 +307,19 @@ def _attribute(
     return np.pad(sound, ((0, 0), (0, widths[-1] - found.shape[1])), constant_values=1.0)
 
 
-def _positions(draws: Sequence[_Draw], posed: Sequence[_Posed]) -> Iterator[Float64Array]:
+def _positions(draws: Sequence[Draw], posed: Sequence[PosedDraw]) -> Iterator[Float64Array]:
     """Yield positions (P, V, 3) of each primitive: all poses, or one at a time if targets move it."""
     for draw, one in zip(draws, posed, strict=True):
-        for rest, matrices in _primitives(draw, one):
+        for rest, matrices in posed_primitives(draw, one):
             skinning = Skinning.of(rest, matrices, dual_quaternions=False, options=Options())
             every = slice(0, len(matrices)), slice(0, len(rest.positions))
             (found,) = skinning.run((Algorithm.LBS_APPROXIMATED,), *every)
             yield np.stack([np.asarray(component, np.float64) for component in found.position], axis=-1)
 
 
-def _primitives(draw: _Draw, posed: _Posed) -> Iterator[tuple[RestPrimitive, Float64Array]]:
-    """Yield each primitive before skinning, with the joint matrices of the poses in which it is that."""
-    if posed.morphing is None:
-        yield from ((rest, posed.matrices) for rest in draw.rest)
-        return
-    for pose in range(len(posed.matrices)):
-        for rest in posed.morphing.primitives(draw.rest, pose):
-            yield rest, posed.matrices[pose : pose + 1]
-
-
-def _errors(draws: Sequence[_Draw], posed: Sequence[_Posed]) -> list[dict[str, Float32Array]]:
-    """Return, for each primitive by lighting, errors in degrees and where they are known: (2, P, V)."""
-    found: list[dict[str, Float32Array]] = []
-    for draw, one in zip(draws, posed, strict=True):
-        count = len(one.matrices)
-        operator = draw.operator()
-        own = [
-            {name: np.zeros((2, count, len(rest.positions)), np.float32) for name in NAMES}
-            for rest in draw.rest
-        ]
-
-        def record(block: MeasuredBlock, own: Any = own) -> None:
-            for name, lighting in NAMES.items():
-                if block.lighting == lighting:
-                    poses = slice(block.pose, block.pose + block.errors.shape[0])
-                    rows = slice(block.vertex, block.vertex + block.errors.shape[1])
-                    own[block.primitive][name][0, poses, rows] = np.where(block.valid, block.errors, 0.0)
-                    own[block.primitive][name][1, poses, rows] = block.valid
-
-        truths = truths_at_rest(operator, draw.rest, count, one.morphing, (Truth.TRIANGLES,))
-        lighting_errors(
-            operator, draw.rest, one.matrices, "lbs", record, morphing=one.morphing, at_rest=truths
-        )
-        found += own
-    return found
-
-
-def _worst(draws: Sequence[_Draw], posed: Sequence[_Posed]) -> int:
-    """Return the pose with the largest mean error of standard lighting."""
-    errors = _errors(draws, posed)
-    views = [view for draw in draws for view in draw.views]
-    total = np.zeros(len(posed[0].matrices))
-    for view, own in zip(views, errors, strict=True):
-        degrees, known = own["standard"]
-        total += (degrees * known) @ vertex_areas(view.now.positions, view.now.triangles)
-    return int(np.argmax(total))
-
-
 def _shots(
-    draws: Sequence[_Draw],
-    posed: Sequence[_Posed],
+    draws: Sequence[Draw],
+    posed: Sequence[PosedDraw],
     errors: Sequence[Any] | None,
     options: RenderOptions,
     count: int,
@@ -458,7 +337,7 @@ def _shots(
         )
 
 
-def _morphed(draws: Sequence[_Draw], posed: Sequence[_Posed], pose: int) -> dict[int, RestPrimitive]:
+def _morphed(draws: Sequence[Draw], posed: Sequence[PosedDraw], pose: int) -> dict[int, RestPrimitive]:
     """Return the primitives that morph targets move, by their number among all, as they are in a pose."""
     found: dict[int, RestPrimitive] = {}
     first = 0

@@ -11,12 +11,14 @@ import numpy as np
 
 from skinbake.choices import Gradients, Scheme
 from skinbake.commands.bake import Baker
+from skinbake.commands.posed_scene import shown_draws, telling_moment
 from skinbake.commands.remedies import noted_baker
 from skinbake.commands.verify import verify_document
 from skinbake.errors import InputError, Notice
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.writing import write_file, write_stdout
 from skinbake.format.strip import stripped
+from skinbake.gltf.animation import read_clips
 from skinbake.gltf.codecs.recode import Compression, recoded
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import STDIO, Document, read_document
@@ -96,7 +98,12 @@ def page_of(
         missing += _not_drawn(document, views)
         told = [*notes, *remarks(verdict), *map(_sentence, (*missing, *verdict.notices))]
         name = "stdin" if document.place.file == STDIN else PurePath(document.name).name
-        findings = {**_findings(verdict), "notes": told, "limits": limits}
+        findings = {
+            **_findings(verdict),
+            "notes": told,
+            "limits": limits,
+            "opening": _opening(document, views),
+        }
         return page(Shown(name=name, glb=glb, others=others, findings=findings)), missing
 
 
@@ -245,6 +252,22 @@ def unplaced(document: Document, view: BakedView, made: str) -> list[Notice]:
     return images_unplaced(
         document, view.source.json, set(view.source.attributes) - ours, made, view.source.place
     )
+
+
+def _opening(document: Document, views: Sequence[BakedView]) -> JsonObject | None:
+    """Return the number of the animation and the time in seconds on which the page opens, None for its first.
+
+    There standard lighting is worst.
+    """
+    try:
+        draws, clips = list(shown_draws(document, views)), read_clips(document)
+        if not draws or not clips:
+            return None
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            clip, time = telling_moment(document, draws, clips)
+    except InputError:
+        return None  # a part of it cannot be posed, as the figures say
+    return {"clip": clip.number, "time": time}
 
 
 def _not_drawn(document: Document, views: Sequence[BakedView]) -> list[Notice]:

@@ -67,13 +67,15 @@ class Clip:
     """One animation: its name, and the channels that move nodes or morph skinned meshes.
 
     start and duration are in seconds, from the first key to the last. glTF clips usually begin at 0, but
-    exporters also cut clips from a longer take, and these begin later.
+    exporters also cut clips from a longer take, and these begin later. number is that of the animation in the
+    file.
     """
 
     name: str
     duration: float
     channels: tuple[Channel, ...]
     start: float = 0.0
+    number: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,7 +342,7 @@ def read_clips(document: Document) -> list[Clip]:
         if channels:
             start = min(float(channel.times[0]) for channel in channels)
             duration = max(float(channel.times[-1]) for channel in channels)
-            clips.append(Clip(name, duration, tuple(channels), start))
+            clips.append(Clip(name, duration, tuple(channels), start, number))
     return clips
 
 

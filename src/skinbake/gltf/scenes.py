@@ -1,9 +1,9 @@
-"""The nodes of the scene that a picture shows."""
+"""The nodes of the scene that a picture shows, and the side from which it shows them."""
 
 from __future__ import annotations
 
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, entries_of, reference
+from skinbake.gltf.json_access import JsonObject, entries_of, object_of, reference
 
 
 def shown_nodes(document: Document) -> set[int]:
@@ -20,6 +20,12 @@ def shown_nodes(document: Document) -> set[int]:
         if any("mesh" in nodes[number] and "skin" in nodes[number] for number in found):
             return found
     return set(range(len(nodes)))
+
+
+def faces_backward(document: Document) -> bool:
+    """Tell whether the characters of a file look along −Z, as those of VRM 0 do. Others look along +Z."""
+    extensions = object_of(document.json.get("extensions"))
+    return isinstance(extensions.get("VRM"), dict) and "VRMC_vrm" not in extensions
 
 
 def _below(nodes: list[JsonObject], roots: object) -> set[int]:

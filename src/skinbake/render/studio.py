@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 from tempfile import gettempdir
@@ -259,16 +260,23 @@ def _usage(name: str) -> int:
     return int(getattr(wgpu.BufferUsage, name))
 
 
+def require_packages() -> None:
+    """Raise UnsupportedFeatureError if a package of the extra ``render`` cannot be imported."""
+    for module, package in (("wgpu", "wgpu"), ("PIL.Image", "Pillow")):
+        try:
+            import_module(module)
+        except ImportError as error:
+            message = f"pictures need {package}, which is missing ({error}): pip install 'skinbake[render]'"
+            raise UnsupportedFeatureError(message, Place("render")) from error
+
+
 def _device() -> Any:
     """Return a device of any kind, a software driver too. Raises UnsupportedFeatureError without one."""
+    import wgpu
+
     place = Place("render")
     # Without a desktop some drivers complain on stderr that there is no such folder. No window is opened.
     os.environ.setdefault("XDG_RUNTIME_DIR", gettempdir())
-    try:
-        import wgpu
-    except ImportError as error:
-        message = "pictures need wgpu and Pillow: pip install 'skinbake[render]'"
-        raise UnsupportedFeatureError(message, place) from error
     try:
         return wgpu.gpu.request_adapter_sync().request_device_sync()
     except RuntimeError as error:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import http.server
+import socket
+import threading
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
@@ -10,6 +12,12 @@ from typing import Any
 from skinbake.errors import OutputError, Place
 
 HOST = "127.0.0.1"
+
+PATIENCE = 10.0
+"""The seconds in which a client must have asked. One that says nothing, or too slowly, is dropped."""
+
+SENDING = 60.0
+"""The seconds in which a client must have taken the page."""
 
 
 def serve(page: bytes, port: int, started: Callable[[str], None]) -> None:
@@ -19,7 +27,7 @@ def serve(page: bytes, port: int, started: Callable[[str], None]) -> None:
     the port cannot be had.
     """
     try:
-        server = http.server.ThreadingHTTPServer((HOST, port), _handler(page))
+        server = http.server.ThreadingHTTPServer((HOST, port), page_handler(page))
     except OSError as error:
         raise OutputError(
             f"port {port} cannot be used ({error.strerror}): choose another --port", Place("view")
@@ -29,17 +37,34 @@ def serve(page: bytes, port: int, started: Callable[[str], None]) -> None:
         server.serve_forever()
 
 
-def _handler(page: bytes) -> type[http.server.BaseHTTPRequestHandler]:
+def page_handler(page: bytes) -> type[http.server.BaseHTTPRequestHandler]:
+    """Return a handler of requests that gives the page to browsers of this machine, and nothing to others."""
+
     class Handler(http.server.BaseHTTPRequestHandler):
         def handle(self) -> None:
-            with suppress(ConnectionError):  # the browser may leave before it has the page
-                super().handle()
+            self.late = threading.Timer(PATIENCE, self._drop)
+            self.late.daemon = True
+            self.late.start()
+            try:
+                with suppress(ConnectionError):  # the browser may leave before it has the page
+                    super().handle()
+            finally:
+                self.late.cancel()
+
+        def _drop(self) -> None:
+            with suppress(OSError):  # it has left
+                self.connection.shutdown(socket.SHUT_RDWR)
 
         def do_GET(self) -> None:
+            self.late.cancel()
+            self.connection.settimeout(SENDING)
             # Another site may let its name point here. Its pages then ask with that name.
-            # Browsers leave the port out if it is 80.
-            host = self.headers.get("Host", "").partition(":")[0]
-            if self.path != "/" or host not in {HOST, "localhost"}:
+            port = self.connection.getsockname()[1]
+            names = {f"{name}:{port}" for name in (HOST, "localhost")}
+            if port == 80:  # browsers leave it out
+                names |= {HOST, "localhost"}
+            hosts = [host.lower() for host in self.headers.get_all("Host", [])]
+            if self.path != "/" or len(hosts) != 1 or hosts[0] not in names:
                 self.send_error(404)
                 return
             self.send_response(200)

@@ -171,8 +171,10 @@ class Application {
         this.ground = [middle[0], low, middle[2], 2.4 * radius];
         this.marked = null;
         this.measures = new Map();
-        this.camera.frame(middle, radius, isMixed ? this.scene.bounds(skinned) : undefined);
-        this.choose(this.scene.clips[0]);
+        this.camera.frame(middle, radius, isMixed ? this.scene.bounds(skinned) : undefined, model.facesBackward ? Math.PI : 0);
+        const opening = given.opening && this.scene.clips.find(({ number }) => number === given.opening.clip);
+        this.choose(opening ?? this.scene.clips[0]);
+        if (opening) this.seek(given.opening.time);
         await Promise.race([loading, pause(PATIENCE)]);
         if (this.showing !== own) return;
         this.draw();
@@ -414,7 +416,8 @@ class Application {
         }
         const { canvas } = byId;
         const projected = this.camera.projected(canvas.width / canvas.height || 1);
-        const light = [Math.sin(this.turn) * 0.75, 0.6, Math.cos(this.turn) * 0.75];
+        const turn = this.turn + this.camera.facing;
+        const light = [Math.sin(turn) * 0.75, 0.6, Math.cos(turn) * 0.75];
         const size = Math.hypot(...light);
         this.renderer.draw({
             sides: [[this.sides[0], 0, this.split], [this.sides[1], this.split, 1]],

@@ -7,7 +7,7 @@ const STEEPEST = 1.5;
 
 export class Camera {
     constructor(element, changed) {
-        Object.assign(this, { element, changed, yaw: 0.45, pitch: 0.16, target: [0, 0, 0], distance: 3, radius: 1, closest: 1 });
+        Object.assign(this, { element, changed, yaw: 0.45, pitch: 0.16, target: [0, 0, 0], facing: 0, distance: 3, radius: 1, closest: 1 });
         this.pointers = new Map();
         element.addEventListener('pointerdown', (event) => this.press(event));
         element.addEventListener('pointermove', (event) => this.move(event));
@@ -19,9 +19,9 @@ export class Camera {
     }
 
     // Take the box around all, its middle and half its diagonal, and that of a subject in it. Show the subject.
-    // Without a subject, or if it has no size, show all.
-    frame(middle, radius, subject) {
-        Object.assign(this, { middle, radius: radius || 1 });
+    // Without a subject, or if it has no size, show all. facing is the direction in which it looks, an angle from +Z.
+    frame(middle, radius, subject, facing) {
+        Object.assign(this, { middle, radius: radius || 1, facing });
         const seen = subject?.radius > 0 && Number.isFinite(subject.radius) ? subject : this;
         this.closest = seen.radius;
         this.show(seen.middle, seen.radius);
@@ -33,7 +33,7 @@ export class Camera {
     }
 
     show(target, radius) {
-        Object.assign(this, { target, yaw: 0.45, pitch: 0.16, distance: this.fitting(radius) });
+        Object.assign(this, { target, yaw: 0.45 + this.facing, pitch: 0.16, distance: this.fitting(radius) });
         this.changed();
     }
 

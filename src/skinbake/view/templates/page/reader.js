@@ -2,10 +2,11 @@
 
 import { IDENTITY } from './matrices.js';
 
+// Tables without a prototype: a file may call anything "__proto__" or "constructor".
 const COMPONENTS = {
-    5120: Int8Array, 5121: Uint8Array, 5122: Int16Array, 5123: Uint16Array, 5125: Uint32Array, 5126: Float32Array,
+    __proto__: null, 5120: Int8Array, 5121: Uint8Array, 5122: Int16Array, 5123: Uint16Array, 5125: Uint32Array, 5126: Float32Array,
 };
-const SIZES = { SCALAR: 1, VEC2: 2, VEC3: 3, VEC4: 4, MAT2: 4, MAT3: 9, MAT4: 16 };
+const SIZES = { __proto__: null, SCALAR: 1, VEC2: 2, VEC3: 3, VEC4: 4, MAT2: 4, MAT3: 9, MAT4: 16 };
 const LARGEST = { 5120: 127, 5121: 255, 5122: 32767, 5123: 65535 };
 const MOST = 1e15; // Squares of lengths then stay floats.
 const UNREAD = ['KHR_draco_mesh_compression', 'EXT_meshopt_compression', 'KHR_meshopt_compression'];
@@ -28,7 +29,9 @@ export async function readModel(bytes, name, files = new Map()) {
     await source.load();
     const nodes = readNodes(json);
     const skins = list(json.skins).map((skin) => readSkin(source, skin));
-    const model = { name, json, source, nodes, skins, order: parentsFirst(nodes) };
+    // Characters of VRM 0 look along −Z, all others along +Z.
+    const facesBackward = Boolean(json.extensions?.VRM && !json.extensions.VRMC_vrm);
+    const model = { name, json, source, nodes, skins, order: parentsFirst(nodes), facesBackward };
     model.primitives = new Map();
     model.draws = [];
     nodes.forEach((node, number) => {
@@ -340,7 +343,7 @@ function readGradients(source, json, one, primitive) {
     const metadata = one.extras?.skinbake ?? metadataOfAccessor(json, one);
     if (!Number.isInteger(metadata?.version)) return;
     if (metadata.version !== 1) throw new ReadError(`its bake has version ${metadata.version}: make the page with a newer skinbake`);
-    const number = (name) => one.attributes[name];
+    const number = (name) => (Object.hasOwn(one.attributes, name) ? one.attributes[name] : undefined);
     if (![...metadata.alpha, ...metadata.beta].every((name) => number(name) !== undefined)) {
         throw new ReadError('it has lost attributes of its bake: bake it again');
     }
@@ -440,6 +443,7 @@ function readClip(source, animation, number, nodes) {
     }
     const ends = channels.map(({ times }) => times[times.length - 1]);
     return {
+        number,
         name: String(animation.name ?? `animation ${number}`),
         channels,
         start: Math.min(...channels.map(({ times }) => times[0])),

@@ -1,0 +1,184 @@
+"""The shown scene of a document in poses of its clips: what is drawn, and how wrong its lighting is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+
+from skinbake.choices import Truth
+from skinbake.geometry.skinned import Float32Array, Float64Array
+from skinbake.gltf.animation import (
+    Clip,
+    Skeleton,
+    clip_poses,
+    clip_weights,
+    random_poses,
+    read_clips,
+    read_skeleton,
+)
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import reference
+from skinbake.gltf.morphs import resting_weights, target_count
+from skinbake.gltf.scenes import faces_backward, shown_nodes
+from skinbake.lighting.angles import MeasuredBlock, lighting_errors, truths_at_rest
+from skinbake.lighting.baked_views import BakedView, whole_surfaces
+from skinbake.lighting.before_adoption import true_operator_of
+from skinbake.lighting.metrics import vertex_areas
+from skinbake.lighting.morphing import Morphing, morphing_of
+from skinbake.lighting.operator import GradientOperator
+from skinbake.lighting.poses import PoseSet, draws_of
+from skinbake.lighting.rest_primitives import rest_primitive
+from skinbake.skinning.rest import RestPrimitive
+
+SEARCHED = 25
+"""The poses of a clip among which the one with the worst standard lighting is chosen."""
+
+MOST_SEARCHED = 100
+"""The poses by which one of several clips is chosen, two or more for each. Further clips are not searched."""
+
+HALF_TURN = np.diag([-1.0, 1.0, -1.0, 1.0])
+"""A turn of the whole scene around the vertical."""
+
+RANDOM_ANGLE = float(np.radians(30.0))
+NAMES = {"standard": "approximated", "accurate": "accurate"}
+
+
+@dataclass(frozen=True, slots=True)
+class Draw:
+    """A surface as one skin draws it: its primitives; with morph targets, the node that has their weights.
+
+    operator builds the operator of the truths at its first call, once for all draws of the surface.
+    """
+
+    views: Sequence[BakedView]
+    rest: Sequence[RestPrimitive]
+    skeleton: Skeleton
+    node: int | None
+    operator: Callable[[], GradientOperator]
+
+
+@dataclass(frozen=True, slots=True)
+class PosedDraw:
+    """Joint matrices (P, J, 4, 4) of a draw, and the morph targets that move it in these poses, if any."""
+
+    matrices: Float64Array
+    morphing: Morphing | None = None
+
+    def every(self, step: int) -> PosedDraw:
+        """Return every so many poses."""
+        some = self.morphing and replace(self.morphing, weights=self.morphing.weights[::step])
+        return PosedDraw(self.matrices[::step], some)
+
+
+def shown_draws(document: Document, views: Sequence[BakedView]) -> Iterator[Draw]:
+    """Yield what the nodes of the shown scene draw."""
+    clips = read_clips(document)
+    nodes = document.objects("nodes")
+    shown = {
+        (reference(nodes[number].get("mesh")), reference(nodes[number].get("skin")))
+        for number in shown_nodes(document)
+    }
+    meshes = {mesh for mesh, skin in shown if skin is not None}
+    for group in whole_surfaces(document, [view for view in views if view.source.mesh in meshes]):
+        operator = cache(partial(true_operator_of, document, group))
+        for skin, node in draws_of(document, group[0].source.mesh, clips):
+            if not any((view.source.mesh, skin) in shown for view in group):
+                continue
+            rest = [rest_primitive(view) for view in group]
+            yield Draw(group, rest, read_skeleton(document, skin), node, operator)
+
+
+def posed_draw(document: Document, draw: Draw, clip: Clip | None, times: Float64Array) -> PosedDraw:
+    """Return a draw at times of a clip, or in one random pose for all of them. It faces along +Z."""
+    if clip is None:
+        pose = random_poses(draw.skeleton, 1, angle=RANDOM_ANGLE, seed=0)
+        matrices = np.repeat(pose, len(times), axis=0)
+    else:
+        matrices = clip_poses(draw.skeleton, clip, times)
+    if faces_backward(document):
+        matrices = HALF_TURN @ matrices
+    if draw.node is None:
+        return PosedDraw(matrices)
+    weights = np.broadcast_to(
+        resting_weights(document, draw.node), (len(times), target_count(document, draw.views[0].source.mesh))
+    )
+    if clip is not None:
+        weights = clip_weights(draw.node, clip, times, weights[0])
+    poses = PoseSet((), matrices, (), (), weights)
+    return PosedDraw(matrices, morphing_of(document, draw.views, poses))
+
+
+def posed_primitives(draw: Draw, posed: PosedDraw) -> Iterator[tuple[RestPrimitive, Float64Array]]:
+    """Yield each primitive before skinning, with the joint matrices of the poses in which it is that."""
+    if posed.morphing is None:
+        yield from ((rest, posed.matrices) for rest in draw.rest)
+        return
+    for pose in range(len(posed.matrices)):
+        for rest in posed.morphing.primitives(draw.rest, pose):
+            yield rest, posed.matrices[pose : pose + 1]
+
+
+def lighting_errors_of(draws: Sequence[Draw], posed: Sequence[PosedDraw]) -> list[dict[str, Float32Array]]:
+    """Return, for each primitive by lighting, errors in degrees and where they are known: (2, P, V)."""
+    found: list[dict[str, Float32Array]] = []
+    for draw, one in zip(draws, posed, strict=True):
+        count = len(one.matrices)
+        own = [
+            {name: np.zeros((2, count, len(rest.positions)), np.float32) for name in NAMES}
+            for rest in draw.rest
+        ]
+
+        def record(block: MeasuredBlock, own: Any = own) -> None:
+            for name, lighting in NAMES.items():
+                if block.lighting == lighting:
+                    poses = slice(block.pose, block.pose + block.errors.shape[0])
+                    rows = slice(block.vertex, block.vertex + block.errors.shape[1])
+                    own[block.primitive][name][0, poses, rows] = np.where(block.valid, block.errors, 0.0)
+                    own[block.primitive][name][1, poses, rows] = block.valid
+
+        _measure(draw, one, record)
+        found += own
+    return found
+
+
+def telling_moment(document: Document, draws: Sequence[Draw], clips: Sequence[Clip]) -> tuple[Clip, float]:
+    """Return the clip and the time in seconds at which standard lighting is worst on average over the area.
+
+    Each clip is searched at a few times, and the chosen one at ``SEARCHED``. Of equal ones the first counts.
+    """
+    some = clips[: MOST_SEARCHED // 2]
+    each = min(SEARCHED, MOST_SEARCHED // len(some))
+    chosen = max(some, key=lambda clip: _worst(document, draws, clip, each)[0]) if len(some) > 1 else some[0]
+    return chosen, _worst(document, draws, chosen, SEARCHED)[1]
+
+
+def _worst(document: Document, draws: Sequence[Draw], clip: Clip, count: int) -> tuple[float, float]:
+    """Return the largest sum of errors of standard lighting times area in a clip, and its time."""
+    times = np.linspace(clip.start, clip.duration, count)
+    total = np.zeros(count)
+    for draw in draws:
+        areas = [vertex_areas(view.now.positions, view.now.triangles) for view in draw.views]
+
+        def record(block: MeasuredBlock, areas: Any = areas) -> None:
+            if block.lighting == NAMES["standard"]:
+                poses, vertices = block.errors.shape
+                of_block = areas[block.primitive][block.vertex : block.vertex + vertices]
+                errors = np.where(block.valid, block.errors, 0.0)
+                total[block.pose : block.pose + poses] += errors @ of_block
+
+        _measure(draw, posed_draw(document, draw, clip, times), record)
+    number = int(np.argmax(total))
+    return float(total[number]), float(times[number])
+
+
+def _measure(draw: Draw, posed: PosedDraw, record: Callable[[MeasuredBlock], None]) -> None:
+    """Measure the errors of lighting by linear blend skinning against the truth by triangles."""
+    operator = draw.operator()
+    truths = truths_at_rest(operator, draw.rest, len(posed.matrices), posed.morphing, (Truth.TRIANGLES,))
+    lighting_errors(
+        operator, draw.rest, posed.matrices, "lbs", record, morphing=posed.morphing, at_rest=truths
+    )
