@@ -42,6 +42,9 @@ UNPROCESSED = ("draco", "meshopt", "bath_day.glb")
 FIXTURES = ["bent_tube.glb", "two_sets.glb", "two_primitives.glb", "mirrored_tangent.glb", "hard_edge.glb"]
 
 
+Array = npt.NDArray[np.float64]
+
+
 def figures(path: Path, *options: str) -> dict[str, Any]:
     answer = verify(path, *options)
     assert answer.exit_code == 0, answer.messages
@@ -69,6 +72,44 @@ def test_the_figures_are_those_of_a_straightforward_computation(tmp_path: Path) 
             above = weights[each > 1.001 * found[lighting_name][key]].sum() / weights.sum()
             assert 0.9 * share < above <= share
     assert found["gain"] == pytest.approx(found["approximated"]["mean"] / found["accurate"]["mean"])
+
+
+def turned(path: Path, turn: Array, target: Path) -> Path:
+    """Write a model whose rest pose is turned in the axes of its mesh. All poses stay where they are."""
+    file = Editable(path)
+    for primitive in (one for mesh in file.content["meshes"] for one in mesh["primitives"]):
+        for name in {"POSITION", "NORMAL", "TANGENT"} & primitive["attributes"].keys():
+            values = file.stored(primitive["attributes"][name])
+            values[:, :3] = values[:, :3] @ turn.T
+            if name == "POSITION":
+                ends = {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
+                file.content["accessors"][primitive["attributes"][name]] |= ends
+    for skin in file.content["skins"]:
+        matrices = file.stored(skin["inverseBindMatrices"])
+        matrices[:, :12] = (turn @ matrices[:, :12].reshape(-1, 3, 4)).reshape(-1, 12)
+    return file.write(target)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["bent_tube.glb", pytest.param(CESIUM_MAN, marks=corpus.needed)])
+@pytest.mark.parametrize("axes", ["permuted", "arbitrary"])
+def test_the_axes_of_a_model_do_not_change_its_figures(name: str, axes: str, tmp_path: Path) -> None:
+    """Its normals lean from the surface by up to 40°, which no truth may take for a matter of axes."""
+    rng = np.random.default_rng(4)
+    file = Editable(source(name))
+    normals = file.array("NORMAL")
+    normals += rng.uniform(-0.5, 0.5, normals.shape)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    leaning = file.write(tmp_path / "leaning.glb")
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0] if axes == "arbitrary" else np.eye(3)[[1, 2, 0]]
+    done = tmp_path / "done"
+    done.mkdir()
+    models = [leaning, turned(leaning, turn * np.linalg.det(turn), tmp_path / "turned.glb")]
+    found = [verify(baked(one, done), "--samples", "12", "--method", "lbs").file for one in models]
+    for truth in ("normals", "normals_by_triangles"):
+        before, after = (one[truth]["lbs"] for one in found)
+        for lighting_name in ("approximated", "accurate"):
+            assert after[lighting_name]["mean"] == pytest.approx(before[lighting_name]["mean"], rel=2e-3)
 
 
 @pytest.mark.slow
@@ -221,7 +262,7 @@ def failing(verdict: FileVerdict) -> Iterator[tuple[str, str, str]]:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"max_mean_error": 0.05}, "LBS accurate: the mean of the error is 0.133° by triangles, over"),
+        ({"max_mean_error": 0.05}, "LBS accurate: the mean of the error is 0.132° by triangles, over"),
         pytest.param(
             {"max_p95_error": 0.2},
             "LBS accurate: the 95th percentile of the error is 0.43",
@@ -229,7 +270,7 @@ def failing(verdict: FileVerdict) -> Iterator[tuple[str, str, str]]:
         ),
         ({"min_gain": 100.0}, "LBS: the gain is 24.38 by triangles, below 100"),
         # Of two truths the worse counts: these keep the limit by tangents.
-        ({"max_mean_error": 0.1}, "LBS accurate: the mean of the error is 0.133° by triangles, over"),
+        ({"max_mean_error": 0.1}, "LBS accurate: the mean of the error is 0.132° by triangles, over"),
         pytest.param(
             {"min_gain": 30.0}, "LBS: the gain is 24.38 by triangles, below 30", marks=pytest.mark.slow
         ),

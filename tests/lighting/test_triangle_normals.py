@@ -52,6 +52,40 @@ def test_at_rest_it_returns_the_stored_normals_authored_ones_included() -> None:
         assert np.abs(np.linalg.norm(found, axis=2) - 1.0).max() < 1e-12
 
 
+def test_a_stretched_plane_carries_leaning_normals_as_covectors() -> None:
+    """On a flat grid the map is known: S in the plane, √det S across it. n0 goes to its inverse transpose."""
+    x, y = np.meshgrid(np.linspace(0.0, 1.0, 6), np.linspace(0.0, 2.0, 7), indexing="ij")
+    points = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
+    points[:, :2] += np.random.default_rng(5).uniform(-0.04, 0.04, (len(points), 2))
+    corners = np.arange(42).reshape(6, 7)
+    a, b, c, d = corners[:-1, :-1], corners[1:, :-1], corners[1:, 1:], corners[:-1, 1:]
+    triangles = np.stack([a, b, c, a, c, d], axis=2).reshape(-1, 3)
+    joints, weights = np.zeros((42, 4), np.int64), np.tile([1.0, 0.0, 0.0, 0.0], (42, 1))
+    lean = np.random.default_rng(6).uniform(-1.2, 1.2, (42, 2))
+    n0 = np.concatenate([lean, np.ones((42, 1))], axis=1)
+    grid = SkinnedPrimitive(points, n0, None, joints, weights, triangles)
+    turn = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))[0]
+    turn *= np.linalg.det(turn)
+    plane = np.array([[1.7, 0.6], [-0.3, 0.5]])
+    carry = np.zeros((3, 3))
+    carry[:2, :2], carry[2, 2] = plane, np.sqrt(np.linalg.det(plane))
+    carry = turn @ carry
+    found = true_normals(grid, (points @ carry.T)[None])[0]
+    assert angular_errors(found, n0 @ np.linalg.inv(carry)).max() < 1e-6
+
+
+def test_axes_of_the_model_do_not_matter() -> None:
+    surface = analytic_surface(500, "random")
+    primitive, deformed = surface.primitive, surface.deformed(bends([STRONG]))
+    n0 = authored(primitive.normals)
+    found = true_normals(primitive, deformed, n0)[0]
+    for matrix in (np.eye(3)[[1, 2, 0]], np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]):
+        turn = matrix * np.linalg.det(matrix)
+        turned = replace(primitive, positions=primitive.positions @ turn.T)
+        again = true_normals(turned, deformed @ turn.T, n0 @ turn.T)[0]
+        assert angular_errors(again, found @ turn.T).max() < 1e-3
+
+
 @pytest.mark.parametrize("scale", [1.0, 0.01, 300.0])
 def test_rigid_motion_and_uniform_scale_rotate_authored_normals(scale: float) -> None:
     primitive = analytic_surface(400, "random").primitive
@@ -100,14 +134,20 @@ def roof(angle: float) -> SkinnedPrimitive:
 
 
 def test_hard_edges_stay_hard() -> None:
-    """Bent about its edge, each side turns for itself; where copies are one point, it is their mean."""
+    """Bent about its edge, each side turns for itself; where copies are one point, they keep their mean.
+
+    Then each copy leans from the mean by half the roof's angle, in a plane that the bend narrows by c. Its
+    slope, a covector, grows by 1 / c, beside a normal that shrinks by 1 / √c.
+    """
     for angle, joined in ((60.0, False), (10.0, True)):
+        half, after = np.radians(angle) / 2.0, np.radians(angle + 20.0) / 2.0
+        lean = np.degrees(np.arctan(np.tan(half) * np.sqrt(np.cos(half) / np.cos(after))) - half)
         primitive = roof(angle)
         bent = roof(angle + 20.0)
         found = true_normals(primitive, bent.positions[None].astype(np.float64))[0]
         turned = angular_errors(found, primitive.normals)
         on_edge = [0, 1, 4, 5]
-        assert turned[on_edge] == pytest.approx([0.0 if joined else 10.0] * 4, abs=1e-6)
+        assert turned[on_edge] == pytest.approx([lean if joined else 10.0] * 4, abs=1e-6)
         assert turned[[2, 3, 6, 7]] == pytest.approx([10.0] * 4, abs=1e-6)
 
 

@@ -26,9 +26,9 @@ def true_normals(
     found = np.empty(deformed.shape)
     for part, derivatives in zip(rest.parts, rest.derivatives, strict=True):
         side = None if sides is None else sides[:, part]
-        tangent = posed_tangents(derivatives, posed)[0]
+        tangents = posed_tangents(derivatives, posed)
         vectors, valid = triangle_normals(
-            carried, part, tangent, block_sums(operator.classes, sums, part), side
+            carried, part, tangents, block_sums(operator.classes, sums, part), side
         )
         found[:, part] = np.stack(vectors, axis=2)
         assert (np.isfinite(found[:, part, 0]) == valid).all()

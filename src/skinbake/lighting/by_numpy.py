@@ -193,7 +193,7 @@ def true_normals(
     found = [tangent_normals(rest, part, tangents, sides)]
     if by_triangles is not None:
         sums = block_sums(by_triangles.classes, by_triangles.sums, part)
-        found.append(triangle_normals(by_triangles.carried, part, tangents[0], sums, sides))
+        found.append(triangle_normals(by_triangles.carried, part, tangents, sums, sides))
     normals = np.stack([np.stack([component.T for component in vector]) for vector, _ in found])
     return normals, np.stack([exist.T for _, exist in found])
 

@@ -10,10 +10,16 @@ from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.lighting import kernel
 from skinbake.lighting.operator import GradientOperator
 from skinbake.lighting.sparse_rows import SparseRows
-from skinbake.lighting.tangent_normals import RestFrames, measured_frames, posed_tangent
-from skinbake.lighting.triangle_normals import CarriedNormals, ClassBlock, block_sums, class_blocks, frame_of
+from skinbake.lighting.tangent_normals import RestFrames, measured_frames, posed_tangents
+from skinbake.lighting.triangle_normals import (
+    CarriedNormals,
+    ClassBlock,
+    block_sums,
+    class_blocks,
+    triangle_frame,
+)
 from skinbake.lighting.welded_mesh import WeldedMesh
-from skinbake.skinning.components import dot
+from skinbake.skinning.components import dot, scaled
 
 CANCELLED = 1e-9
 """Radians. Triangles that sum to less at a point cancel out. The direction of what is left is rounding.
@@ -111,9 +117,11 @@ def carried_normals(
     coefficients = np.full((3, len(positions)), np.nan)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no frame gets NaN
         for part, derivatives in zip(rest.parts, rest.derivatives, strict=True):
-            tangent = posed_tangent(derivatives[0], components)
-            frame = frame_of(tangent, block_sums(mesh.classes, sums, part))
+            a, b = posed_tangents(derivatives, components)
+            n, area, flat = triangle_frame(a, b, block_sums(mesh.classes, sums, part))
             n0 = tuple(np.asarray(normals[part], dtype=np.float64).T[:, None])
-            found = np.concatenate([dot(axis, n0) for axis in frame])
-            coefficients[:, part] = found / np.sqrt((found * found).sum(axis=0))
+            n0 = scaled(1.0 / np.sqrt(dot(n0, n0)), n0)
+            up, root = dot(n, n0), np.sqrt(np.abs(area))
+            lean = [(dot(tangent, n0) - dot(tangent, n) * up) / root for tangent in (a, b)]
+            coefficients[:, part] = np.where(flat, np.nan, np.concatenate([*lean, up]))
     return CarriedNormals(coefficients)

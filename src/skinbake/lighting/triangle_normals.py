@@ -3,8 +3,9 @@
 Source: Thürmer, Wüthrich, *Computing vertex normals from polygonal facets*, Journal of Graphics Tools 3(1),
 1998. The normal of a vertex is the mean of the unit normals of its triangles. Each is weighted by the
 triangle's angle at the vertex. The mean runs over the corners of its weld class, so not across hard edges.
-The authored normal keeps its coordinates in the frame of that normal and of a tangent, from the rest pose to
-the deformed mesh.
+The authored normal n0 may lean away from that normal. It is carried to the deformed mesh by the cofactor of
+the map that the triangles measure, as in ``tangent_normals``: F maps two tangents in the triangles' plane
+onto those after deformation, and their normal n̂ onto n̂' times the root of the change of area.
 """
 
 from __future__ import annotations
@@ -15,8 +16,9 @@ import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
 from skinbake.lighting.influences import Int32Array
+from skinbake.lighting.tangent_normals import FLAT_FRAME, unit_or_nan
 from skinbake.lighting.welded_mesh import WeldedMesh
-from skinbake.skinning.components import Vector, cross, dot, minus_scaled, scaled
+from skinbake.skinning.components import Vector, cross, dot, scaled
 
 FLAT_TRIANGLE = 1e10
 """A deformed triangle with a corner of a larger cotangent is a line or a point, and has no normal."""
@@ -94,9 +96,10 @@ def _corner_normals(mesh: WeldedMesh, positions: Float64Array, corners: IntArray
 
 @dataclass(frozen=True, slots=True)
 class CarriedNormals:
-    """The coordinates (3, V) of unit n0 in the frame t̂, n̂ × t̂, n̂ at rest, NaN if there is no frame.
+    """The coordinates (3, V) of unit n0 at rest, NaN if a vertex has no frame.
 
-    n̂ is the normal by triangles. t̂ is the part of the first tangent at right angles to n̂.
+    n̂ is the normal by triangles, a and b are the two tangents of the operator, laid into the plane at right
+    angles to n̂, and A is the area of a and b. The coordinates are a · n0 / √A, b · n0 / √A and n̂ · n0.
     """
 
     coefficients: Float64Array
@@ -120,26 +123,36 @@ def block_sums(classes: IntArray, sums: FloatArray, part: slice) -> Vector:
 
 
 def triangle_normals(
-    carried: CarriedNormals, part: slice, tangent: Vector, sums: Vector, sides: FloatArray | None = None
+    carried: CarriedNormals,
+    part: slice,
+    tangents: tuple[Vector, Vector],
+    sums: Vector,
+    sides: FloatArray | None = None,
 ) -> tuple[Vector, BoolArray]:
     """Return the true normals of a block of vertices by triangles, components (P, B), and a mask of them.
 
-    tangent is the block's first tangent after deformation (``posed_tangents``). sums are its ``block_sums``.
-    sides (P, B) is −1 if the joints mirror a vertex, because the triangles' normals point inside there.
+    tangents are a' and b', the block's tangents after deformation (``posed_tangents``). sums are its
+    ``block_sums``. sides (P, B) is −1 if the joints mirror a vertex, because the triangles' normals point
+    inside there.
     """
-    by_t, by_s, by_n = carried.coefficients[:, part]
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # likewise
-        t, s, n = frame_of(tangent, sums)
+    by_a, by_b, by_n = carried.coefficients[:, part]
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what is not finite is not sound
+        a, b = tangents
+        n, area, flat = triangle_frame(a, b, sums)
         if sides is not None:
             by_n = by_n * sides
-        # The coordinates are unit in an orthonormal frame, so the result is already unit.
-        found = tuple(by_t * t[i] + by_s * s[i] + by_n * n[i] for i in range(3))
-    return found, np.isfinite(found[0])
+        # The columns of cof([a' b' n̂' √(A' / A)]), divided by A' / A, are b' × n̂' and n̂' × a' over √(A A'),
+        # and n̂'. What a' and b' have along n̂' does not enter. Where they turn over, so does the first pair.
+        reciprocal = np.sign(area) / np.sqrt(np.abs(area))
+        across_a, across_b = cross(b, n), cross(n, a)
+        lean_a, lean_b = by_a * reciprocal, by_b * reciprocal
+        found = tuple(lean_a * across_a[i] + lean_b * across_b[i] + by_n * n[i] for i in range(3))
+    return unit_or_nan(found, ~flat)
 
 
-def frame_of(tangent: Vector, normal: Vector) -> tuple[Vector, Vector, Vector]:
-    """Return the orthonormal frame t̂, n̂ × t̂, n̂; NaN if there is none."""
-    n = scaled(1.0 / np.sqrt(dot(normal, normal)), normal)
-    t = minus_scaled(tangent, dot(tangent, n), n)
-    t = scaled(1.0 / np.sqrt(dot(t, t)), t)
-    return t, cross(n, t), n
+def triangle_frame(a: Vector, b: Vector, sums: Vector) -> tuple[Vector, FloatArray, BoolArray]:
+    """Return n̂, the signed area of two tangents in the plane of the triangles, and where it is flat."""
+    n = scaled(1.0 / np.sqrt(dot(sums, sums)), sums)
+    area = dot(cross(a, b), n)
+    # A comparison with NaN is false, so a broken position counts as flat.
+    return n, area, ~(area * area > FLAT_FRAME**2 * dot(a, a) * dot(b, b))

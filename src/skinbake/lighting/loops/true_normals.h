@@ -73,16 +73,21 @@ static ALWAYS_INLINE Vector by_tangents(Vector a, Vector b, Vector rest, double 
     return scaled(sound ? 1.0 : NAN, unit);
 }
 
-/* Return the carried normal in the frame t̂, n̂ × t̂, n̂ (triangle_normals.triangle_normals). */
-static ALWAYS_INLINE Vector by_triangles(Vector tangent, Vector sum, Vector carried, double side)
+/* Return the carried normal of unit length, NaN if there is none (triangle_normals.triangle_normals). carried: the
+   coordinates of n0 on the triangles at rest. */
+static ALWAYS_INLINE Vector by_triangles(Vector a, Vector b, Vector sum, Vector carried, double side, double flat)
 {
     const Vector n = scaled(1.0 / sqrt(dot(sum, sum)), sum);
-    const double lean = dot(tangent, n);
-    const Vector level = {tangent.x - lean * n.x, tangent.y - lean * n.y, tangent.z - lean * n.z};
-    const Vector t = scaled(1.0 / sqrt(dot(level, level)), level), s = cross(n, t);
-    const double up = carried.z * side;
-    return (Vector){carried.x * t.x + carried.y * s.x + up * n.x, carried.x * t.y + carried.y * s.y + up * n.y,
-                    carried.x * t.z + carried.y * s.z + up * n.z};
+    const double area = dot(cross(a, b), n);
+    const double root = copysign(1.0 / sqrt(fabs(area)), area);
+    const double lean_a = carried.x * root, lean_b = carried.y * root, up = carried.z * side;
+    const Vector across_a = cross(b, n), across_b = cross(n, a);
+    const Vector found = {lean_a * across_a.x + lean_b * across_b.x + up * n.x,
+                          lean_a * across_a.y + lean_b * across_b.y + up * n.y,
+                          lean_a * across_a.z + lean_b * across_b.z + up * n.z};
+    const Vector unit = scaled(1.0 / sqrt(dot(found, found)), found);
+    const int sound = (area * area > flat * flat * dot(a, a) * dot(b, b)) & (fabs(unit.x) <= DBL_MAX);
+    return scaled(sound ? 1.0 : NAN, unit);
 }
 
 /* Store the normals of a vertex by one truth in up to STRIP poses, and tell which of them exist. */
@@ -123,7 +128,8 @@ static ALWAYS_INLINE int normals_of_strip(const TrueNormals *w, Py_ssize_t row, 
     const float *sums = w->sums + class * w->poses + first;
     for (Py_ssize_t p = 0; p < count; p++) {
         const Vector sum = {sums[p], sums[apart + p], sums[2 * apart + p]};
-        const Vector normal = by_triangles((Vector){a.x[p], a.y[p], a.z[p]}, sum, carried, sides[p]);
+        const Vector normal = by_triangles((Vector){a.x[p], a.y[p], a.z[p]}, (Vector){b.x[p], b.y[p], b.z[p]}, sum,
+                                           carried, sides[p], w->flat);
         found.x[p] = normal.x, found.y[p] = normal.y, found.z[p] = normal.z;
     }
     store_normals(w, 1, at, count, &found);

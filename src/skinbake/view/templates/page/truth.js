@@ -1,14 +1,15 @@
 // The true normals of a deformed mesh by its triangles, as skinbake verify measures them (docs/lighting.md).
 //
 // The normal of a vertex is the mean of its triangles' normals, weighted by their angles (Thürmer and Wüthrich
-// 1998). The authored normal keeps its place beside it, in the frame of that normal and of a tangent that is
-// measured on the triangles with the weights of Max 1999. Nothing here reads α or β, or runs on the GPU.
+// 1998). The authored normal leans from it. It is carried by the cofactor of the map that two tangents show, which
+// are measured on the triangles with the weights of Max 1999. Nothing here reads α or β, or runs on the GPU.
 
 import { determinant } from './matrices.js';
 
 const CREASE = (15 * Math.PI) / 180;
 const DEGENERATE = 1e-10;
 const FLAT = 1e10;
+const FLAT_FRAME = 1e-6; // The sine between two tangents below which they span no plane.
 const CANCELLED = 1e-9; // Radians. Triangles that sum to less cancel out: each is there twice, once for each side.
 const CROWDED = 4096; // As in bake: of more different normals at one place, only equal ones are one.
 const TINY_WEIGHT = 1.5 * 2 ** -30; // The weight of an adopted joint does not tell copies of a vertex apart.
@@ -48,7 +49,7 @@ export class Surface {
         this.ends = ends;
     }
 
-    // The derivative along a tangent of each vertex, as factors of the two edges of each triangle around it.
+    // The derivatives along two tangents of each vertex, as factors of the two edges of each triangle around it.
     measureTangents() {
         const { normals, triangles, classes, ends, corners, count } = this;
         const { weights, along } = measuredTriangles(this.rest, triangles);
@@ -59,16 +60,18 @@ export class Surface {
             const own = classes[vertex];
             starts[vertex + 1] = starts[vertex] + ends[own + 1] - ends[own];
         }
-        const factors = new Float64Array(2 * starts[count]);
+        const factors = new Float64Array(4 * starts[count]);
         for (let vertex = 0; vertex < count; vertex++) {
-            const [x, y, z] = perpendicular(normals, 3 * vertex);
+            const tangents = perpendicular(normals, 3 * vertex);
             const own = classes[vertex];
-            for (let i = ends[own], at = 2 * starts[vertex]; i < ends[own + 1]; i++, at += 2) {
+            for (let i = ends[own], at = 4 * starts[vertex]; i < ends[own + 1]; i++) {
                 const corner = corners[i];
                 const share = weights[corner] / totals[own];
                 const from = 2 * (corner - (corner % 3));
-                factors[at] = share * (along[from] * x + along[from + 1] * y + along[from + 2] * z);
-                factors[at + 1] = share * (along[from + 3] * x + along[from + 4] * y + along[from + 5] * z);
+                for (const [x, y, z] of tangents) {
+                    factors[at++] = share * (along[from] * x + along[from + 1] * y + along[from + 2] * z);
+                    factors[at++] = share * (along[from + 3] * x + along[from + 4] * y + along[from + 5] * z);
+                }
             }
         }
         Object.assign(this, { factors, factorStarts: starts });
@@ -82,18 +85,18 @@ export class Surface {
         for (let i = 0; i < sums.length; i += 3) {
             if (Math.hypot(sums[i], sums[i + 1], sums[i + 2]) < CANCELLED) sums.fill(0, i, i + 3);
         }
-        const frame = new Float64Array(9);
+        const frame = new Float64Array(10);
         for (let vertex = 0; vertex < count; vertex++) {
-            this.frameOf(vertex, frame);
+            this.measureFrame(vertex, frame);
             const at = 3 * vertex;
-            const [x, y, z] = [normals[at], normals[at + 1], normals[at + 2]];
-            const t = frame[0] * x + frame[1] * y + frame[2] * z;
-            const s = frame[3] * x + frame[4] * y + frame[5] * z;
-            const n = frame[6] * x + frame[7] * y + frame[8] * z;
-            const length = Math.sqrt(t * t + s * s + n * n);
-            carried[at] = t / length;
-            carried[at + 1] = s / length;
-            carried[at + 2] = n / length;
+            const length = Math.hypot(normals[at], normals[at + 1], normals[at + 2]);
+            const [x, y, z] = [normals[at] / length, normals[at + 1] / length, normals[at + 2] / length];
+            const [ax, ay, az, bx, by, bz, nx, ny, nz, area] = frame;
+            const up = nx * x + ny * y + nz * z;
+            const root = Math.sqrt(Math.abs(area));
+            carried[at] = (ax * x + ay * y + az * z - (ax * nx + ay * ny + az * nz) * up) / root;
+            carried[at + 1] = (bx * x + by * y + bz * z - (bx * nx + by * ny + bz * nz) * up) / root;
+            carried[at + 2] = up;
         }
     }
 
@@ -123,28 +126,29 @@ export class Surface {
         }
     }
 
-    // Put t, n × t and n of a vertex into frame; not a number where there is none.
-    frameOf(vertex, frame) {
+    // Put two tangents a and b of a vertex, the triangles' normal n, and the signed area of a and b at right angles
+    // to n into frame; the area is not a number where there is none.
+    measureFrame(vertex, frame) {
         const { sums, edges, factors, factorStarts: starts, classes, ends, corners } = this;
         const own = classes[vertex];
         let nx = sums[3 * own], ny = sums[3 * own + 1], nz = sums[3 * own + 2];
         const length = Math.sqrt(nx * nx + ny * ny + nz * nz);
         nx /= length; ny /= length; nz /= length;
-        let x = 0, y = 0, z = 0;
-        for (let i = ends[own], at = 2 * starts[vertex]; i < ends[own + 1]; i++, at += 2) {
+        let ax = 0, ay = 0, az = 0, bx = 0, by = 0, bz = 0;
+        for (let i = ends[own], at = 4 * starts[vertex]; i < ends[own + 1]; i++, at += 4) {
             const edge = 2 * (corners[i] - (corners[i] % 3));
-            const e = factors[at], f = factors[at + 1];
-            x += e * edges[edge] + f * edges[edge + 3];
-            y += e * edges[edge + 1] + f * edges[edge + 4];
-            z += e * edges[edge + 2] + f * edges[edge + 5];
+            const ex = edges[edge], ey = edges[edge + 1], ez = edges[edge + 2];
+            const fx = edges[edge + 3], fy = edges[edge + 4], fz = edges[edge + 5];
+            const ae = factors[at], af = factors[at + 1], be = factors[at + 2], bf = factors[at + 3];
+            ax += ae * ex + af * fx; ay += ae * ey + af * fy; az += ae * ez + af * fz;
+            bx += be * ex + bf * fx; by += be * ey + bf * fy; bz += be * ez + bf * fz;
         }
-        const part = x * nx + y * ny + z * nz;
-        x -= part * nx; y -= part * ny; z -= part * nz;
-        const size = Math.sqrt(x * x + y * y + z * z);
-        x /= size; y /= size; z /= size;
-        frame[0] = x; frame[1] = y; frame[2] = z;
-        frame[3] = ny * z - nz * y; frame[4] = nz * x - nx * z; frame[5] = nx * y - ny * x;
+        frame[0] = ax; frame[1] = ay; frame[2] = az;
+        frame[3] = bx; frame[4] = by; frame[5] = bz;
         frame[6] = nx; frame[7] = ny; frame[8] = nz;
+        const area = (ay * bz - az * by) * nx + (az * bx - ax * bz) * ny + (ax * by - ay * bx) * nz;
+        const size = (ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz);
+        frame[9] = area * area > FLAT_FRAME * FLAT_FRAME * size ? area : NaN;
     }
 
     // True unit normals (x, y, z, 1) of all vertices; 0 where there is none.
@@ -153,15 +157,23 @@ export class Surface {
         const { carried, found, count, dominant } = this;
         const mirrors = matrices.map((matrix) => determinant(matrix) < 0);
         const isMirrored = mirrors.some(Boolean);
-        const frame = new Float64Array(9);
+        const frame = new Float64Array(10);
         for (let vertex = 0; vertex < count; vertex++) {
-            this.frameOf(vertex, frame);
-            const a = carried[3 * vertex], b = carried[3 * vertex + 1];
-            const c = (isMirrored && mirrors[dominant[vertex]] ? -1 : 1) * carried[3 * vertex + 2];
+            this.measureFrame(vertex, frame);
+            const ax = frame[0], ay = frame[1], az = frame[2], bx = frame[3], by = frame[4], bz = frame[5];
+            const nx = frame[6], ny = frame[7], nz = frame[8], area = frame[9];
+            // b × n and n × a over the root of the area, as the columns of a cofactor. The side of a mirror turns n.
+            const root = Math.sign(area) / Math.sqrt(Math.abs(area));
+            const a = root * carried[3 * vertex], b = root * carried[3 * vertex + 1];
+            const up = (isMirrored && mirrors[dominant[vertex]] ? -1 : 1) * carried[3 * vertex + 2];
+            const x = a * (by * nz - bz * ny) + b * (ny * az - nz * ay) + up * nx;
+            const y = a * (bz * nx - bx * nz) + b * (nz * ax - nx * az) + up * ny;
+            const z = a * (bx * ny - by * nx) + b * (nx * ay - ny * ax) + up * nz;
+            const length = Math.sqrt(x * x + y * y + z * z);
             const at = 4 * vertex;
-            found[at] = a * frame[0] + b * frame[3] + c * frame[6];
-            found[at + 1] = a * frame[1] + b * frame[4] + c * frame[7];
-            found[at + 2] = a * frame[2] + b * frame[5] + c * frame[8];
+            found[at] = x / length;
+            found[at + 1] = y / length;
+            found[at + 2] = z / length;
             found[at + 3] = 1;
             if (!Number.isFinite(found[at])) found.fill(0, at, at + 4);
         }
@@ -286,13 +298,18 @@ function measuredTriangles(positions, triangles) {
     return { weights, along };
 }
 
-// A unit vector at right angles to a normal: its product with the axis that it is the farthest from.
+// Two unit vectors at right angles to a normal: its product with the axis that it is the farthest from, and the
+// product of both.
 function perpendicular(normals, at) {
     const [x, y, z] = [normals[at], normals[at + 1], normals[at + 2]];
     const [ax, ay, az] = [Math.abs(x), Math.abs(y), Math.abs(z)];
-    const found = ax <= ay && ax <= az ? [0, -z, y] : ay <= az ? [z, 0, -x] : [-y, x, 0];
-    const length = Math.sqrt(found[0] * found[0] + found[1] * found[1] + found[2] * found[2]);
-    return [found[0] / length, found[1] / length, found[2] / length];
+    const t = unit(ax <= ay && ax <= az ? [0, -z, y] : ay <= az ? [z, 0, -x] : [-y, x, 0]);
+    return [t, unit([y * t[2] - z * t[1], z * t[0] - x * t[2], x * t[1] - y * t[0]])];
+}
+
+function unit(vector) {
+    const length = Math.hypot(...vector);
+    return vector.map((value) => value / length);
 }
 
 function restAreas(positions, triangles, count) {
