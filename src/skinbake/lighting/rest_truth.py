@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.lighting import kernel
@@ -88,13 +89,16 @@ def perpendicular(normals: FloatArray) -> tuple[Float64Array, Float64Array]:
 
 
 def vertex_normals(
-    mesh: WeldedMesh, positions: Float64Array, classes: Sequence[ClassBlock] | None = None
-) -> Float64Array:
+    mesh: WeldedMesh,
+    positions: Float64Array,
+    classes: Sequence[ClassBlock] | None = None,
+    dtype: DTypeLike = np.float64,
+) -> FloatArray:
     """Return the angle-weighted sums of the weld classes: (3, C, P), from positions (3, V, P).
 
-    classes are the ``class_blocks``, if they are there already.
+    classes are the ``class_blocks``, if they are there already. dtype is float32 or float64.
     """
-    total = np.empty((3, len(mesh.ends) - 1, positions.shape[2]))
+    total = np.empty((3, len(mesh.ends) - 1, positions.shape[2]), dtype)
     for block in class_blocks(mesh) if classes is None else classes:
         kernel.class_sums(mesh, positions, block, total)
     return total
@@ -106,14 +110,17 @@ def carried_normals(
     positions: FloatArray,
     normals: FloatArray,
     classes: Sequence[ClassBlock] | None = None,
+    dtype: DTypeLike = np.float64,
 ) -> CarriedNormals:
     """Return the coordinates of the normals n0 (V, 3) on the mesh before skinning, with positions (V, 3).
 
-    A vertex whose triangles cancel out has none. classes are as in ``vertex_normals``.
+    A vertex whose triangles cancel out has none. classes are as in ``vertex_normals``. dtype is that of the
+    sums of the poses: only sums of the same rounding give back n0 where the pose is the rest pose.
     """
     components = np.ascontiguousarray(np.asarray(positions, dtype=np.float64).T)[:, :, None]
-    sums = vertex_normals(mesh, components, classes)
-    sums[:, np.einsum("icp,icp->cp", sums, sums) < CANCELLED**2] = 0.0
+    wide = vertex_normals(mesh, components, classes)
+    sums = vertex_normals(mesh, components, classes, dtype)
+    sums[:, np.einsum("icp,icp->cp", wide, wide) < CANCELLED**2] = 0.0
     coefficients = np.full((3, len(positions)), np.nan)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no frame gets NaN
         for part, derivatives in zip(rest.parts, rest.derivatives, strict=True):
