@@ -51,12 +51,8 @@ lint: $(DEV)
 fixtures: $(DEV) ## Write fixtures/ anew
 	$(BIN)/python -m fixtures.make_fixtures
 
-golden: $(DEV) ## Write tests/shaders/golden and the modules of engines/ anew, after a change of templates: review the diff
+golden: $(DEV) ## Write tests/shaders/golden and the shader text in engines/ anew, after a change of templates: review the diff
 	$(BIN)/python -m tests.shaders.write_golden
-	$(BIN)/python -m tests.three.write_package
-	$(BIN)/python -m tests.godot.write_addon
-	$(BIN)/python -m tests.babylon.write_package
-	$(BIN)/python -m tests.playcanvas.write_package
 
 picture: $(DEV) $(NODE_MODULES) ## Draw bend.png, shaders.png, view.gif (need a Vulkan driver) and three-*.png (Chromium) of docs/ anew
 	$(BIN)/python -m benchmarks.bend_picture docs/bend.png

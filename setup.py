@@ -1,4 +1,4 @@
-"""The compiled loops, which pyproject.toml cannot describe: their flags differ by compiler.
+"""What pyproject.toml cannot describe: compiled loops, whose flags differ by compiler, and files beside src/.
 
 Without a compiler the package installs all the same, and `bake` and `verify` run on numpy alone. With
 `SKINBAKE_PURE=1` in the environment the loops are left out on purpose: the wheel then fits every platform.
@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 from setuptools import Extension, setup
+from setuptools.command.build_py import build_py
 
 # No fast-math and no fused multiply-adds: the same input gives the same bytes on every machine. The last two
 # switches let compilers use vectors and change no result, since the loops ask for neither errno nor traps.
@@ -29,10 +30,27 @@ def loops(name: str, source: str) -> Extension:
     )
 
 
+class WithEngines(build_py):
+    """Put the JavaScript of engines/ into the package. An editable install reads it where it is."""
+
+    def run(self) -> None:
+        """Build as usual, then copy the files."""
+        super().run()
+        if self.editable_mode:
+            return
+        for source in sorted(Path("engines").glob("*/*.js")):
+            target = Path(self.build_lib, "skinbake", source)
+            self.mkpath(str(target.parent))
+            self.copy_file(str(source), str(target))
+
+
+COMMANDS = {"build_py": WithEngines}
+
 if os.environ.get("SKINBAKE_PURE") == "1":
-    setup()
+    setup(cmdclass=COMMANDS)
 else:
     setup(
+        cmdclass=COMMANDS,
         ext_modules=[
             loops("skinbake.gradients._kernel", "src/skinbake/gradients/_kernel.c"),
             loops("skinbake.lighting._loops", "src/skinbake/lighting/_loops.c"),

@@ -1,4 +1,4 @@
-"""Hold the files in an sdist or a wheel against those of the package's folder."""
+"""Hold the files in an sdist or a wheel against the package's folder and the JavaScript of engines/."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import tarfile
 import zipfile
 from pathlib import Path, PurePosixPath
 
-PACKAGE = Path(__file__).resolve().parents[1] / "src" / "skinbake"
+REPOSITORY = Path(__file__).resolve().parents[1]
+PACKAGE = REPOSITORY / "src" / "skinbake"
 
 LOOPS = ("gradients/_kernel", "lighting/_loops")
 """The compiled loops: C in the sdist, libraries in a wheel that has a platform."""
@@ -18,6 +19,8 @@ def faults(path: Path) -> list[str]:
     """Return what an sdist or a wheel lacks, and what it should not have."""
     held = _names(path)
     wanted = {f"skinbake/{name}" for name in _sources(with_c=path.suffix != ".whl")}
+    engines = {module.relative_to(REPOSITORY).as_posix() for module in REPOSITORY.glob("engines/*/*.js")}
+    wanted |= {f"skinbake/{name}" for name in engines} if path.suffix == ".whl" else engines
     if path.suffix == ".whl" and not path.name.endswith("-any.whl"):
         loops = {name for name in held if name.endswith((".abi3.so", ".pyd"))}
         missing = [name for name in LOOPS if not any(loop.startswith(f"skinbake/{name}.") for loop in loops)]
@@ -25,7 +28,8 @@ def faults(path: Path) -> list[str]:
         loops, missing = set(), []
     package = {name for name in held if name.startswith("skinbake/")}
     extra = sorted(package - wanted - loops)
-    extra += sorted(name for name in held - package if UNWANTED & set(PurePosixPath(name).parts))
+    others = held - package - wanted
+    extra += sorted(name for name in others if UNWANTED & set(PurePosixPath(name).parts))
     return [f"lacks {name}" for name in sorted(wanted - held) + missing] + [f"has {name}" for name in extra]
 
 

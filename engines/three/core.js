@@ -4,19 +4,18 @@
 // clone(), copy(), another material, a hook that is set later, a mesh that is written anew around it.
 
 // GLTFExporter leaves out attributes whose names begin with "morph".
-const ATTRIBUTES = ['Alpha', 'Beta', 'Tangent', 'Storage', 'Dual'].map((name) => `morphSkinbake${name}`);
-const [ALPHA, BETA, TANGENT, STORAGE, DUAL] = ATTRIBUTES;
+export const ATTRIBUTES = ['Alpha', 'Beta', 'Tangent', 'Storage', 'Dual'].map((name) => `morphSkinbake${name}`);
+export const [ALPHA, BETA, TANGENT, STORAGE, DUAL] = ATTRIBUTES;
 const FRAMES = { normal: 2, tangent: 3 }; // An attribute that is missing reads as 0 or 1.
 const METHODS = { lbs: 0, dqs: 1 };
 const ENCODINGS = { packed8: Int8Array, snorm16: Int16Array };
 
 // Copies of this module on one page share what they know.
-const state = (globalThis[Symbol.for('skinbake.three')] ??= {
+export const state = (globalThis[Symbol.for('skinbake.three')] ??= {
     geometries: new WeakMap(), // geometry -> { problem, constants, arrays, unfit }
     // metadata -> method, of geometries that were asked for; undefined after dispose(). Their clones have it too.
     methods: new WeakMap(),
-    prints: new WeakMap(),
-            // geometry, or metadata -> { skinbake, prints }: of its arrays when it was first seen
+    prints: new WeakMap(), // geometry, or metadata -> { skinbake, prints }: of its arrays when it was first seen
     meshes: new WeakMap(), // mesh -> WeakMap of material -> { program, lighting, reason, repaired }
     standard: new WeakSet(), // meshes that lighting() has switched
     lit: new WeakMap(), // material (WebGLRenderer) or mesh (WebGPURenderer) -> time of its last accurate draw
@@ -26,7 +25,7 @@ const state = (globalThis[Symbol.for('skinbake.three')] ??= {
     count: 0,
 });
 
-function apply(root, method) {
+export function apply(root, method) {
     if (METHODS[method] === undefined) throw new Error(`skinbake: method ${method} is neither lbs nor dqs`);
     install();
     const meshes = skinnedMeshes(root);
@@ -56,7 +55,7 @@ function takeUp(mesh, method) {
  * @param {Object3D} root - A scene, a model, or a mesh.
  * @param {'standard' | 'accurate'} which - The lighting.
  */
-function lighting(root, which) {
+export function lighting(root, which) {
     if (which !== 'standard' && which !== 'accurate') {
         throw new Error(`skinbake: lighting ${which} is neither standard nor accurate`);
     }
@@ -75,7 +74,7 @@ function lighting(root, which) {
  *
  * @param {Object3D} root - A scene, a model, or a mesh.
  */
-function dispose(root) {
+export function dispose(root) {
     for (const mesh of skinnedMeshes(root)) {
         state.standard.delete(mesh);
         state.meshes.delete(mesh);
@@ -90,7 +89,7 @@ function dispose(root) {
 }
 
 // What GLTFLoader has loaded.
-function applyToAll(gltf, parser, method) {
+export function applyToAll(gltf, parser, method) {
     const reports = gltf.scenes.map((scene) => {
         skinnedMeshes(scene).forEach((mesh) => takeMetadata(mesh, parser));
         return apply(scene, method);
@@ -99,7 +98,7 @@ function applyToAll(gltf, parser, method) {
 }
 
 // Add a renderer that this page may use. classes are those of three.js.
-function serve(name, backend, classes) {
+export function serve(name, backend, classes) {
     state.three ??= classes;
     const other = state.backends.get(name);
     if (!other) state.backends.set(name, backend);
@@ -188,7 +187,7 @@ function takeMetadata(mesh, { json, associations }) {
     }
 }
 
-function isBaked(geometry) {
+export function isBaked(geometry) {
     const adopted = state.geometries.get(geometry);
     return adopted !== undefined && !adopted.problem;
 }
@@ -330,7 +329,7 @@ function jointsOf({ skinIndex, skinWeight }) {
 
 // Whether a mesh with a baked geometry is drawn as three.js does. Once a pose does not suit dual quaternions, it
 // stays so until applySkinbake is called again.
-function isStandard(mesh, { joints, unfit }) {
+export function isStandard(mesh, { joints, unfit }) {
     if (state.standard.has(mesh) || unfit.has(mesh)) return true;
     const bone = firstDistorted(mesh.skeleton, joints);
     if (!bone) return false;
@@ -383,8 +382,7 @@ const FOR_ALL = 1 << 30; // instances
 function hasStorage({ attributes, userData, isInstancedBufferGeometry }, method) {
     const { array, meshPerAttribute } = attributes[STORAGE] ?? {};
     if (isInstancedBufferGeometry || meshPerAttribute !== FOR_ALL) return false;
-    return constantsOf(userData.skinbake, method).every((value,
-            index) => Math.fround(value) === array[index]);
+    return constantsOf(userData.skinbake, method).every((value, index) => Math.fround(value) === array[index]);
 }
 
 // One element for all vertices and instances. Where the attributes say how many instances there are, one for each
@@ -395,8 +393,7 @@ function storageOf(geometry, constants) {
         return new InstancedBufferAttribute(new Float32Array(constants), 4, false, FOR_ALL);
     }
     const { count } = geometry.attributes.position;
-    return new BufferAttribute(Float32Array.from({ length: 4 * count }, (_, index) => constants[index % 4]),
-            4);
+    return new BufferAttribute(Float32Array.from({ length: 4 * count }, (_, index) => constants[index % 4]), 4);
 }
 
 // Only enumerable attributes are uploaded and cloned. Another name for the same attribute needs neither.
@@ -419,7 +416,7 @@ function withoutOurs({ attributes }) {
 }
 
 // Return the names of the attributes that hold alpha and beta, as GLTFLoader has them.
-function coordinatesOf({ alpha, beta }) {
+export function coordinatesOf({ alpha, beta }) {
     const renamed = { texcoord_0: 'uv', texcoord_1: 'uv1', texcoord_2: 'uv2', texcoord_3: 'uv3' };
     return [...new Set([...alpha, ...beta])].map((name) => renamed[name.toLowerCase()] ?? name.toLowerCase());
 }
@@ -493,8 +490,7 @@ function install() {
     const { prototype } = state.three.SkinnedMesh;
     if (Object.hasOwn(prototype, 'onBeforeRender')) return;
     // They stay after dispose(), because they hold what is assigned to meshes.
-    for (const name of Object.keys(HOOKS)) Object.defineProperty(prototype, name, hook(name,
-            prototype[name]));
+    for (const name of Object.keys(HOOKS)) Object.defineProperty(prototype, name, hook(name, prototype[name]));
 }
 
 const HOOKS = {
@@ -630,8 +626,7 @@ function prepare(renderer, mesh, geometry, material) {
     const adopted = state.geometries.get(geometry);
     if (!adopted || adopted.problem) return;
     const { isWebGLRenderer } = renderer;
-    const isOff = isWebGLRenderer ? isStandard(mesh,
-            adopted) : state.standard.has(mesh) || adopted.unfit.has(mesh);
+    const isOff = isWebGLRenderer ? isStandard(mesh, adopted) : state.standard.has(mesh) || adopted.unfit.has(mesh);
     const isPlain = isSettled(isWebGLRenderer ? material : mesh, isOff);
     state.backends.get(isWebGLRenderer ? 'webgl' : 'webgpu')?.choose(mesh, material, isPlain);
     show(geometry, adopted);
@@ -659,5 +654,3 @@ function show(geometry, adopted) {
     define(geometry.attributes, STORAGE, adopted.hidden, true);
     adopted.hidden = undefined;
 }
-export { ALPHA, apply, applyToAll, ATTRIBUTES, BETA, coordinatesOf, dispose, DUAL, isBaked, isStandard,
-        lighting, serve, state };

@@ -1,7 +1,7 @@
 // Accurate lighting in three.js for skinned meshes that skinbake has baked. For its WebGPURenderer, with both its
 // backends, and for node materials.
 //
-// Written by skinbake 0.1.0. Use:
+// Use:
 //
 //     import { SkinbakePlugin } from 'skinbake-three/webgpu';
 //
@@ -275,8 +275,7 @@ function morphed(rest, morphedNormal) {
 function boneMatrices(builder) {
     const { skeleton } = builder.object;
     const count = skeleton.bones.length;
-    if (count * 64 <= builder.getUniformBufferLimit()) return referenceBuffer('skeleton.boneMatrices',
-            'mat4', count);
+    if (count * 64 <= builder.getUniformBufferLimit()) return referenceBuffer('skeleton.boneMatrices', 'mat4', count);
     if (skeleton.boneTexture === null) skeleton.computeBoneTexture();
     const matrices = texture(skeleton.boneTexture);
     OnObjectUpdate(({ object }) => {

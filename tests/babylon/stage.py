@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from skinbake.shaders.engines import engines_folder
 from skinbake.skinning.algorithms import Algorithm
-from tests.babylon.write_package import FOLDER as PACKAGE
 from tests.support.characters import Array, Character, Placement
 from tests.support.node import build_page, package_folder, require_node
 from tests.support.stage import Stage, opened_page, page_of
@@ -34,7 +34,11 @@ def opened_stage(folder: Path) -> Iterator[Stage]:
     project.mkdir()
     # Babylon.js's modules are too many to be fetched one by one.
     packages = {name: str(package_folder(name)) for name in ("@babylonjs/core", "@babylonjs/loaders")}
-    build_page(project, HERE / "drawing.mjs", {"skinbake-babylon": str(PACKAGE / "index.js"), **packages})
+    build_page(
+        project,
+        HERE / "drawing.mjs",
+        {"skinbake-babylon": str(engines_folder() / "babylon" / "index.js"), **packages},
+    )
     folders = {"built": project / "dist", "three": HERE.parent / "three"}
     folders |= {"draco": package_folder("draco3dgltf"), "meshopt": package_folder("meshoptimizer")}
     with opened_page(PAGE, folder, folders) as found:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.babylon.write_package import FOLDER
+from skinbake.shaders.engines import engines_folder
 from tests.support.node import package_folder, require_node, run_program
 
 pytestmark = pytest.mark.slow
@@ -18,7 +18,7 @@ def test_they_are_right(tmp_path: Path) -> None:
     require_node("typescript", "@babylonjs/core", "@babylonjs/loaders")
     shutil.copy(Path(__file__).parent / "usage.ts", tmp_path / "usage.ts")
     names = {"@babylonjs/*": str(package_folder("@babylonjs") / "*")}
-    names |= {"skinbake-babylon": str(FOLDER / "index.d.ts")}
+    names |= {"skinbake-babylon": str(engines_folder() / "babylon" / "index.d.ts")}
     options = {"strict": True, "noEmit": True, "module": "nodenext", "target": "es2022", "types": []}
     # Babylon.js's own declarations are large: they are believed.
     options |= {"lib": ["es2022", "dom"], "skipLibCheck": True}

@@ -20,9 +20,9 @@ import pytest
 from fixtures.make_fixtures import FOLDER as FIXTURES
 from skinbake.choices import Encoding, Frame, Layout
 from skinbake.format.layouts import GradientFormat
+from skinbake.shaders.engines import engines_folder
 from skinbake.skinning.algorithms import Algorithm
 from tests.godot.storage import as_stored
-from tests.godot.write_addon import FOLDER
 from tests.support import browser, corpus
 from tests.support.baked_files import Editable
 from tests.support.characters import AS_USUAL, Array, Character, Placement, Pose, angles, baked
@@ -156,7 +156,7 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
 def write_project(path: Path) -> None:
     """Pack the project of the tests and the add-on, as Godot exports them."""
     with zipfile.ZipFile(path, "w") as packed:
-        for folder in (HERE / "project", FOLDER):
+        for folder in (HERE / "project", engines_folder() / "godot"):
             for file in sorted(folder.rglob("*")):
                 if file.is_file():
                     packed.write(file, file.relative_to(folder).as_posix())

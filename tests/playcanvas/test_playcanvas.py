@@ -16,8 +16,8 @@ import pytest
 from fixtures.make_fixtures import FOLDER as FIXTURES
 from skinbake.choices import Encoding, Layout, Scheme
 from skinbake.format.layouts import GradientFormat
+from skinbake.shaders.engines import engines_folder
 from skinbake.skinning.algorithms import Algorithm
-from tests.playcanvas.write_package import FOLDER as PACKAGE
 from tests.support import browser, corpus, gltf_reading
 from tests.support.baked_files import Editable
 from tests.support.baking import bake_file
@@ -80,7 +80,7 @@ def largest(values: str, wanted: Array | None) -> float:
 def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DrawingStage]:
     require_node("playcanvas", "draco3dgltf")
     folders = {"playcanvas": package_folder("playcanvas"), "draco": package_folder("draco3dgltf")}
-    folders |= {"tests": Path(__file__).resolve().parent, "package": PACKAGE}
+    folders |= {"tests": Path(__file__).resolve().parent, "package": engines_folder() / "playcanvas"}
     folder = tmp_path_factory.mktemp("playcanvas")
     arguments = [*browser.PRESENTING, "--js-flags=--expose-gc"]
     with opened_page(PAGE, folder, folders, arguments) as (page, models):

@@ -11,17 +11,17 @@ from pathlib import Path
 
 import pytest
 
-from release.contents import PACKAGE, faults
+from release.contents import PACKAGE, REPOSITORY, faults
 
-REPOSITORY = PACKAGE.parents[1]
-LEFT = shutil.ignore_patterns("*.so", "*.pyd", "*.egg-info", "__pycache__")
+LEFT = shutil.ignore_patterns("*.so", "*.pyd", "*.egg-info", "__pycache__", "node_modules")
 
 
 @pytest.mark.slow
 def test_a_wheel_holds_the_package_and_nothing_else(tmp_path: Path) -> None:
     copy = tmp_path / "copy"
     shutil.copytree(PACKAGE.parent, copy / "src", ignore=LEFT)
-    shutil.copytree(REPOSITORY / "tests" / "release", copy / "tests" / "release", ignore=LEFT)
+    for folder in ("engines", "tests/release"):
+        shutil.copytree(REPOSITORY / folder, copy / folder, ignore=LEFT)
     for name in (
         "pyproject.toml",
         "setup.py",
@@ -39,6 +39,13 @@ def test_a_wheel_holds_the_package_and_nothing_else(tmp_path: Path) -> None:
     [made] = tmp_path.glob("skinbake-*.whl")
     assert made.name.endswith("-py3-none-any.whl")
     assert faults(made) == []
+    installed = tmp_path / "installed"
+    with zipfile.ZipFile(made) as archive:
+        archive.extractall(installed)
+    command = [sys.executable, "-m", "skinbake", "shader", "--target", "three"]
+    variables = {**os.environ, "PYTHONPATH": str(installed), "PYTHONDONTWRITEBYTECODE": "1"}
+    shader = subprocess.run(command, check=True, env=variables, cwd=tmp_path, capture_output=True)
+    assert shader.stdout.startswith(b"// Accurate lighting in three.js")
 
 
 def test_a_wheel_of_other_files_has_faults(tmp_path: Path) -> None:
@@ -50,6 +57,7 @@ def test_a_wheel_of_other_files_has_faults(tmp_path: Path) -> None:
         archive.writestr("skinbake/__pycache__/api.pyc", "")
     found = faults(wheel)
     assert "lacks skinbake/view/templates/page/page.html" in found
+    assert "lacks skinbake/engines/three/core.js" in found
     assert "has skinbake/__pycache__/api.pyc" in found
     assert "has tests/test_api.py" in found
     assert not any("api.py" in fault for fault in found if fault.startswith("lacks"))

@@ -1,4 +1,4 @@
-"""Write tests/shaders/golden anew, after a change of the templates that is meant: then read the difference.
+"""Write tests/shaders/golden and the shader text in engines/ anew, after a change of templates.
 
 Usage: python -m tests.shaders.write_golden
 """
@@ -9,10 +9,19 @@ from pathlib import Path
 
 from skinbake.choices import Frame, Language
 from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
+from skinbake.shaders.engines import engines_folder
+from skinbake.shaders.text import shader_made
 from tests.shaders.combinations import label
 from tests.support.whole_fields import shader_text
 
 FOLDER = Path(__file__).parent / "golden"
+IN_ENGINES = {
+    "three": "three/shaders.js",
+    "babylon": "babylon/shaders.js",
+    "playcanvas": "playcanvas/shaders.js",
+    "godot": "godot/addons/skinbake/skinbake.gdshaderinc",
+}
+"""The generated file of each target that has a package in engines/. All else there is written by hand."""
 FRAMES = [Frame.NORMAL, Frame.TANGENT] * 3
 
 
@@ -28,9 +37,13 @@ def golden_choices() -> list[ShaderChoices]:
     ]
 
 
-def golden_files() -> dict[str, str]:
-    """Return every file's name and the text that it should hold."""
-    return {f"{label(choices)}.{choices.language}": shader_text(choices) for choices in golden_choices()}
+def golden_files() -> dict[Path, str]:
+    """Return every file and the text that it should hold."""
+    files = {FOLDER / f"{label(one)}.{one.language}": shader_text(one) for one in golden_choices()}
+    for target, name in IN_ENGINES.items():
+        choices = ShaderChoices(Language.GLSL, target=target)
+        files[engines_folder() / name] = shader_made(choices, package=True)[0]
+    return files
 
 
 def main() -> None:
@@ -38,10 +51,10 @@ def main() -> None:
     files = golden_files()
     FOLDER.mkdir(exist_ok=True)
     for path in FOLDER.iterdir():
-        if path.name not in files:
+        if path not in files:
             path.unlink()
-    for name, text in files.items():
-        (FOLDER / name).write_bytes(text.encode("ascii"))
+    for path, text in files.items():
+        path.write_bytes(text.encode("ascii"))
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ import pytest
 
 from skinbake.choices import Encoding, Scheme
 from skinbake.format.layouts import GradientFormat
+from skinbake.shaders.engines import engines_folder
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import corpus, gltf_reading, gltf_transform
 from tests.support.baked_files import Editable
@@ -52,7 +53,6 @@ from tests.three.drawn import (
     with_morphs,
 )
 from tests.three.vrm import EXPRESSIONS, as_vrm
-from tests.three.write_package import FOLDER as PACKAGE
 
 PAGE = page_of(
     "/tests/drawing.mjs",
@@ -70,7 +70,7 @@ PAGE = page_of(
 def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ThreeStage]:
     require_node("three", "@pixiv/three-vrm")
     folders = {"three": package_folder("three"), "vrm": package_folder("@pixiv/three-vrm")}
-    folders |= {"tests": Path(__file__).resolve().parent, "package": PACKAGE}
+    folders |= {"tests": Path(__file__).resolve().parent, "package": engines_folder() / "three"}
     folder, arguments = tmp_path_factory.mktemp("package"), ["--js-flags=--expose-gc"]
     with opened_page(PAGE, folder, folders, arguments) as (page, models):
         yield ThreeStage(page, models)

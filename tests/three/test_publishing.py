@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from skinbake.shaders.engines import engines_folder
 from tests.support.node import package_folder, require_node, run_program
 from tests.support.tools import required_program
-from tests.three.write_package import FOLDER
 
+FOLDER = engines_folder() / "three"
 USE = """
 import * as THREE from 'three';
 import { applySkinbake, dispose } from 'skinbake-three';

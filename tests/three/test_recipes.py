@@ -8,14 +8,15 @@ from pathlib import Path
 
 import pytest
 
+from skinbake.shaders.engines import engines_folder
 from skinbake.skinning.algorithms import Algorithm
 from tests.support.characters import Placement
 from tests.support.node import build_page, package_folder, require_node
 from tests.support.stage import opened_page, page_of
 from tests.three.drawn import BENT, DEGREES, TUBE, ThreeStage, expected, largest
-from tests.three.write_package import FOLDER as PACKAGE
 
 HERE = Path(__file__).resolve().parent
+PACKAGE = engines_folder() / "three"
 PAGE = page_of("/built/app.js", scripts=["/support/capture.js"])
 
 

@@ -15,6 +15,7 @@ import numpy.typing as npt
 import pytest
 
 from skinbake.format.layouts import GradientFormat
+from skinbake.shaders.engines import engines_folder
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import corpus
 from tests.support.characters import Array, Character, Placement, Pose, angles, baked
@@ -40,7 +41,6 @@ from tests.three.drawn import (
     shadow_is_of,
     with_morphs,
 )
-from tests.three.write_package import FOLDER as PACKAGE
 
 PAGE = page_of(
     "/tests/drawing_webgpu.mjs",
@@ -69,7 +69,7 @@ KINDS += ["clone", "copy", "hook", "positioned"]
 def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ThreeStage]:
     require_node("three", "@pixiv/three-vrm")
     folders = {"three": package_folder("three"), "vrm": package_folder("@pixiv/three-vrm")}
-    folders |= {"tests": Path(__file__).resolve().parent, "package": PACKAGE}
+    folders |= {"tests": Path(__file__).resolve().parent, "package": engines_folder() / "three"}
     with opened_page(PAGE, tmp_path_factory.mktemp("webgpu"), folders) as (page, models):
         yield ThreeStage(page, models)
 

@@ -1,9 +1,10 @@
 """Render the templates: one text for one set of choices, the same text every time.
 
-A target is a file ``templates/targets/NAME.LANGUAGE[.SUFFIX]``. It may ``refuse`` choices that its engine
-cannot serve. It gets its parts from ``text_for``, and tells this function the storage that it can read: see
-``_text_for``. Lines that begin with ``//%`` are statements and ``@{ }`` holds values, so that a template
-reads like its own language.
+A target is a file ``templates/targets/NAME.LANGUAGE[.SUFFIX]``. With the suffix ``.js`` it is the
+``shaders.js`` that the hand-written modules of ``engines/NAME`` import. A target may ``refuse`` choices that
+its engine cannot serve. It gets its parts from ``text_for``, and tells this function the storage that it can
+read: see ``_text_for``. Lines that begin with ``//%`` are statements and ``@{ }`` holds values, so that a
+template reads like its own language.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from skinbake.choices import SLOTS_PER_SET, Encoding, Frame, Language, Layout, Lighting, Method, Morphs
 from skinbake.errors import ChoiceError
 from skinbake.shaders.choices import ShaderChoices
+from skinbake.shaders.engines import single_module
 from skinbake.shaders.storage import ascii_name, storage_context, storage_parts
 from skinbake.version import __version__
 
@@ -76,7 +78,7 @@ def targets() -> dict[str, tuple[Language, ...]]:
 def shader_made(choices: ShaderChoices, *, package: bool = False) -> tuple[str, ShaderChoices]:
     """Return the text and its choices; the target decides which direction the frame follows.
 
-    With ``package``, the text imports what it shares with other modules of the engine's package.
+    With the text are the hand-written modules of an engine's package, without them if ``package`` is set.
     """
     made = choices
 
@@ -88,31 +90,12 @@ def shader_made(choices: ShaderChoices, *, package: bool = False) -> tuple[str, 
         kinds = {name: ENUMERATIONS[name](word) for name, word in changes.items() if name in ENUMERATIONS}
         return _text_for(replace(made, **{**changes, **kinds}), reads, also)
 
-    context = {**_context(choices), "text_for": text_for, "package": package}
-    return _tidy(_rendered(_target_file(choices), context)), made
-
-
-def three_package() -> dict[str, str]:
-    """Return the modules of the npm package: core.js, and an entry for each renderer."""
-    choices = ShaderChoices(Language.GLSL, target="three")
-    context = {**_context(choices), "package": True}
-    found = {name: _tidy(_rendered(f"three/{name}", context)) for name in ("core.js", "webgpu.js")}
-    return {**found, "index.js": shader_made(choices, package=True)[0]}
-
-
-def godot_include() -> str:
-    """Return the include of the Godot add-on."""
-    return shader_made(ShaderChoices(Language.GLSL, target="godot"))[0]
-
-
-def babylon_package() -> dict[str, str]:
-    """Return the module of the npm package: the text of ``--target babylon``."""
-    return {"index.js": shader_made(ShaderChoices(Language.GLSL, target="babylon"))[0]}
-
-
-def playcanvas_package() -> dict[str, str]:
-    """Return the module of the npm package: the text of ``--target playcanvas``."""
-    return {"index.js": shader_made(ShaderChoices(Language.GLSL, target="playcanvas"))[0]}
+    template = _target_file(choices)
+    rendered = _rendered(template, {**_context(choices), "text_for": text_for})
+    text = "".join(f"{line.rstrip()}\n" for line in rendered.splitlines())
+    if template.endswith(".js") and not package:
+        text = single_module(choices.target, text)
+    return text, made
 
 
 def _text_for(choices: ShaderChoices, reads: Sequence[str], also: Sequence[str] = ()) -> dict[str, Any]:
@@ -133,7 +116,8 @@ def _text_for(choices: ShaderChoices, reads: Sequence[str], also: Sequence[str] 
     context = _context(choices)
     language = choices.language
     names = ["vertex", f"frame_{choices.frame}", *also, *_parts(choices), choices.stem]
-    parts = {name: _rendered(f"{language}/{name}.{language}", context) for name in names}
+    texts = {name: _rendered(f"{language}/{name}.{language}", context) for name in names}
+    parts = {name: "\n".join(map(_broken, text.splitlines())) for name, text in texts.items()}
     return {
         **context,
         "header": _rendered("header.txt", context),
@@ -175,13 +159,8 @@ def _target_file(choices: ShaderChoices) -> str:
     return "targets/" + next(name for name in names if name == pattern or name.startswith(f"{pattern}."))
 
 
-def _tidy(text: str) -> str:
-    """Return text with long lines of code broken, and one newline at its end."""
-    return "\n".join(_broken(line.rstrip()) for line in text.splitlines()) + "\n"
-
-
 def _broken(line: str) -> str:
-    """Break a line of code at the end of a term or an argument, so that it is not too wide."""
+    """Break a line of code at the end of a term or an argument: its length follows the influences."""
     stripped = line.lstrip()
     indent = " " * (len(line) - len(stripped) + 8)
     lines = []

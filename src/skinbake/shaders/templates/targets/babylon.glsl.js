@@ -14,36 +14,279 @@
 //% set glsl_four = text_for(language="glsl", influences=4, **common)
 //% set wgsl = text_for(language="wgsl", influences=8, also=["frame_normal", "morphed_tangent"], **common)
 //% set wgsl_four = text_for(language="wgsl", influences=4, **common)
-// Accurate lighting in Babylon.js for skinned meshes that skinbake has baked, under WebGL 2 and WebGPU.
-//
-// Written by skinbake @{ version }:
+// Shader text, written by skinbake @{ version }:
 //     @{ command }
-//
-// One module serves all characters: frame, encoding, scale, layout, names and influences come from their
-// files. Use:
-//
-//     import { registerSkinbake } from './skinbake.js'; // npm: 'skinbake-babylon'
-//
-//     registerSkinbake(); // once, before the first file is loaded
 //
 // Algorithm @{ glsl.algorithm } of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned Models",
 // Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. Frame: T. Duff et al., "Building an Orthonormal
 // Basis, Revisited", JCGT 6(1), 2017.
 
-import { Buffer, VertexBuffer } from '@babylonjs/core/Buffers/buffer.js';
-import { Material } from '@babylonjs/core/Materials/material.js';
-import { MaterialPluginBase } from '@babylonjs/core/Materials/materialPluginBase.js';
-import { PushMaterial } from '@babylonjs/core/Materials/pushMaterial.js';
-import { DracoDecoder } from '@babylonjs/core/Meshes/Compression/dracoDecoder.js';
-import {
-    registerGLTFExtension,
-    unregisterGLTFExtension,
-} from '@babylonjs/loaders/glTF/2.0/glTFLoaderExtensionRegistry.js';
+export const GLSL = {
+    CUSTOM_VERTEX_DEFINITIONS: /* glsl */ `
+#if SKINBAKE > 0
+attribute vec4 skinbakeAlpha0;
+attribute vec4 skinbakeBeta0;
+#if NUM_BONE_INFLUENCERS > 4
+attribute vec4 skinbakeAlpha1;
+attribute vec4 skinbakeBeta1;
+#endif
+uniform float skinbakeScale;
 
-//% include "babylon/loading.js"
-@{ "" }
-//% include "babylon/glsl.js"
-@{ "" }
-//% include "babylon/wgsl.js"
-@{ "" }
-//% include "babylon/lighting.js"
+//% for name, part in glsl.parts.items() if name not in [glsl.stem, "morphed_tangent"]
+@{ part }
+
+//% endfor
+@{ glsl.parts.morphed_tangent }
+
+#if NUM_BONE_INFLUENCERS > 4
+@{ glsl.parts[glsl.stem] }
+#else
+@{ glsl_four.parts[glsl.stem] }
+#endif
+
+mat4 skinbake_joint(float index)
+{
+#ifdef BONETEXTURE
+    return readMatrixFromRawSampler(boneSampler, index);
+#else
+    return mBones[int(index)];
+#endif
+}
+
+// The world matrix of the mesh or of its instance, without the joints.
+mat3 skinbake_world()
+{
+#ifdef INSTANCES
+    mat3 instance = mat3(world0.xyz, world1.xyz, world2.xyz);
+#ifdef THIN_INSTANCES
+    return mat3(world) * instance;
+#else
+    return instance;
+#endif
+#else
+    return mat3(world);
+#endif
+}
+
+skinbake_Frame skinbake_rest()
+{
+    vec3 n0 = dot(normal, normal) > 0.0 ? normalize(normal) : vec3(0.0, 0.0, 1.0);
+#if SKINBAKE > 2
+    return skinbake_frame(n0, tangent);
+#else
+    return skinbake_frame(n0);
+#endif
+}
+
+skinbake_Vertex skinbake_lit(vec3 p, skinbake_Frame frame)
+{
+    vec3 alpha_0 = skinbake_decoded(skinbakeAlpha0, skinbakeScale);
+    vec3 beta_0 = skinbake_decoded(skinbakeBeta0, skinbakeScale);
+    // Alpha and beta are for weights that sum to 1. Babylon.js does not divide them.
+    vec4 weights_0 = matricesWeights;
+    float total = dot(weights_0, vec4(1.0));
+#if NUM_BONE_INFLUENCERS > 4
+    vec4 weights_1 = matricesWeightsExtra;
+    total += dot(weights_1, vec4(1.0));
+    weights_1 = total > 0.0 ? weights_1 / total : vec4(0.0);
+    mat4 M[8];
+#else
+    mat4 M[4];
+#endif
+    weights_0 = total > 0.0 ? weights_0 / total : vec4(1.0, 0.0, 0.0, 0.0);
+//% for component in "xyzw"
+    M[@{ loop.index0 }] = skinbake_joint(matricesIndices.@{ component });
+//% endfor
+#if NUM_BONE_INFLUENCERS > 4
+//% for component in "xyzw"
+    M[@{ loop.index0 + 4 }] = skinbake_joint(matricesIndicesExtra.@{ component });
+//% endfor
+    vec4 alpha_1 = skinbake_decoded_further(skinbakeAlpha1, skinbakeAlpha0, skinbakeScale);
+    vec4 beta_1 = skinbake_decoded_further(skinbakeBeta1, skinbakeBeta0, skinbakeScale);
+    return skinbake_@{ glsl.stem }(p, frame, M, weights_0, weights_1, alpha_0, alpha_1, beta_0, beta_1);
+#else
+    return skinbake_@{ glsl.stem }(p, frame, M, weights_0, alpha_0, beta_0);
+#endif
+}
+#endif
+`,
+    // After Babylon.js's own lines, whose results are overwritten.
+    CUSTOM_VERTEX_UPDATE_WORLDPOS: /* glsl */ `
+#if SKINBAKE > 0
+skinbake_Frame skinbakeRest = skinbake_rest();
+#if SKINBAKE > 2 && defined(MORPHTARGETS) && defined(MORPHTARGETS_TANGENT)
+skinbake_Frame skinbakeFrame = skinbake_morphed_tangent_frame(skinbakeRest, normalUpdated, tangentUpdated.xyz);
+#else
+skinbake_Frame skinbakeFrame = skinbakeRest;
+// By morph targets, or by code of the page.
+if (normalUpdated != normal) skinbakeFrame = skinbake_morphed_frame(skinbakeRest, normalUpdated);
+#endif
+skinbake_Vertex skinbakeLit = skinbake_lit(positionUpdated, skinbakeFrame);
+mat3 skinbakeWorld = skinbake_world();
+float skinbakeSide = determinant(skinbakeWorld) < 0.0 ? -1.0 : 1.0;
+mat3 skinbakeCofactors = mat3(
+    cross(skinbakeWorld[1], skinbakeWorld[2]),
+    cross(skinbakeWorld[2], skinbakeWorld[0]),
+    cross(skinbakeWorld[0], skinbakeWorld[1]));
+vNormalW = skinbakeSide * normalize(skinbakeCofactors * skinbakeLit.normal);
+#endif
+`,
+    CUSTOM_VERTEX_MAIN_END: /* glsl */ `
+#if SKINBAKE > 0 && defined(TANGENT)
+#if defined(BUMP) || defined(PARALLAX) || defined(CLEARCOAT_BUMP) || defined(ANISOTROPIC) || defined(GEOMETRY_NORMAL) || defined(GEOMETRY_COAT_NORMAL) || defined(FUZZ)
+#if SKINBAKE > 2
+vec3 skinbakeTangent = skinbakeLit.tangent;
+#else
+vec3 skinbakeTangent = dot(tangent.xyz, skinbakeRest.tangent) * skinbakeLit.tangent
+    + dot(tangent.xyz, skinbakeRest.bitangent) * skinbakeLit.bitangent;
+#endif
+skinbakeTangent = normalize(skinbakeWorld * skinbakeTangent);
+skinbakeSide *= sign(dot(cross(skinbakeLit.tangent, skinbakeLit.bitangent), skinbakeLit.normal));
+skinbakeSide *= skinbakeFrame.handedness; // a joint that mirrors turns it round
+vTBN = mat3(skinbakeTangent, skinbakeSide * tangent.w * cross(vNormalW, skinbakeTangent), vNormalW);
+#endif
+#endif
+`,
+};
+
+export const WGSL = {
+    CUSTOM_VERTEX_DEFINITIONS: /* wgsl */ `
+#if SKINBAKE > 0
+attribute skinbakeAlpha0: vec4f;
+attribute skinbakeBeta0: vec4f;
+#if NUM_BONE_INFLUENCERS > 4
+attribute skinbakeAlpha1: vec4f;
+attribute skinbakeBeta1: vec4f;
+#endif
+uniform skinbakeScale: f32;
+
+//% for name, part in wgsl.parts.items() if name not in [wgsl.stem, "morphed_tangent", "frame_tangent", "frame_normal"]
+@{ part }
+
+//% endfor
+@{ wgsl.parts.morphed_tangent }
+
+#if SKINBAKE > 2
+@{ wgsl.parts.frame_tangent }
+#else
+@{ wgsl.parts.frame_normal }
+#endif
+
+#if NUM_BONE_INFLUENCERS > 4
+@{ wgsl.parts[wgsl.stem] }
+#else
+@{ wgsl_four.parts[wgsl.stem] }
+#endif
+
+fn skinbake_joint(index: f32) -> mat4x4<f32> {
+#ifdef BONETEXTURE
+    return readMatrixFromRawSampler(boneSampler, index);
+#else
+    return uniforms.mBones[i32(index)];
+#endif
+}
+
+// The world matrix of the mesh or of its instance, without the joints.
+fn skinbake_world() -> mat3x3<f32> {
+#ifdef INSTANCES
+    let instance = mat3x3<f32>(vertexInputs.world0.xyz, vertexInputs.world1.xyz, vertexInputs.world2.xyz);
+#ifdef THIN_INSTANCES
+#ifdef WORLD_UBO
+    return skinbake_upper(mesh.world) * instance;
+#else
+    return skinbake_upper(uniforms.world) * instance;
+#endif
+#else
+    return instance;
+#endif
+#else
+#ifdef WORLD_UBO
+    return skinbake_upper(mesh.world);
+#else
+    return skinbake_upper(uniforms.world);
+#endif
+#endif
+}
+
+fn skinbake_rest() -> skinbake_Frame {
+    let given = vertexInputs.normal;
+    let n0 = select(vec3<f32>(0.0, 0.0, 1.0), normalize(given), dot(given, given) > 0.0);
+#if SKINBAKE > 2
+    return skinbake_frame(n0, vertexInputs.tangent);
+#else
+    return skinbake_frame(n0);
+#endif
+}
+
+fn skinbake_lit(p: vec3<f32>, frame: skinbake_Frame) -> skinbake_Vertex {
+    let scale = uniforms.skinbakeScale;
+    let alpha_0 = skinbake_decoded(vertexInputs.skinbakeAlpha0, scale);
+    let beta_0 = skinbake_decoded(vertexInputs.skinbakeBeta0, scale);
+    // Alpha and beta are for weights that sum to 1. Babylon.js does not divide them.
+    var weights_0 = vertexInputs.matricesWeights;
+    var total = dot(weights_0, vec4<f32>(1.0));
+#if NUM_BONE_INFLUENCERS > 4
+    var weights_1 = vertexInputs.matricesWeightsExtra;
+    total += dot(weights_1, vec4<f32>(1.0));
+    weights_1 = select(vec4<f32>(0.0), weights_1 / total, total > 0.0);
+    var M: array<mat4x4<f32>, 8>;
+#else
+    var M: array<mat4x4<f32>, 4>;
+#endif
+    weights_0 = select(vec4<f32>(1.0, 0.0, 0.0, 0.0), weights_0 / total, total > 0.0);
+//% for component in "xyzw"
+    M[@{ loop.index0 }] = skinbake_joint(vertexInputs.matricesIndices.@{ component });
+//% endfor
+#if NUM_BONE_INFLUENCERS > 4
+//% for component in "xyzw"
+    M[@{ loop.index0 + 4 }] = skinbake_joint(vertexInputs.matricesIndicesExtra.@{ component });
+//% endfor
+    let alpha_1 = skinbake_decoded_further(vertexInputs.skinbakeAlpha1, vertexInputs.skinbakeAlpha0, scale);
+    let beta_1 = skinbake_decoded_further(vertexInputs.skinbakeBeta1, vertexInputs.skinbakeBeta0, scale);
+    return skinbake_@{ wgsl.stem }(p, frame, M, weights_0, weights_1, alpha_0, alpha_1, beta_0, beta_1);
+#else
+    return skinbake_@{ wgsl.stem }(p, frame, M, weights_0, alpha_0, beta_0);
+#endif
+}
+#endif
+`,
+    CUSTOM_VERTEX_UPDATE_WORLDPOS: /* wgsl */ `
+#if SKINBAKE > 0
+let skinbakeRest = skinbake_rest();
+#if SKINBAKE > 2 && defined(MORPHTARGETS) && defined(MORPHTARGETS_TANGENT)
+let skinbakeFrame = skinbake_morphed_tangent_frame(skinbakeRest, normalUpdated, tangentUpdated.xyz);
+#else
+var skinbakeFrame = skinbakeRest;
+if (any(normalUpdated != vertexInputs.normal)) {
+    skinbakeFrame = skinbake_morphed_frame(skinbakeRest, normalUpdated);
+}
+#endif
+let skinbakeLit = skinbake_lit(positionUpdated, skinbakeFrame);
+let skinbakeWorld = skinbake_world();
+var skinbakeSide = select(1.0, -1.0, determinant(skinbakeWorld) < 0.0);
+let skinbakeCofactors = mat3x3<f32>(
+    cross(skinbakeWorld[1], skinbakeWorld[2]),
+    cross(skinbakeWorld[2], skinbakeWorld[0]),
+    cross(skinbakeWorld[0], skinbakeWorld[1]));
+vertexOutputs.vNormalW = skinbakeSide * normalize(skinbakeCofactors * skinbakeLit.normal);
+#endif
+`,
+    CUSTOM_VERTEX_MAIN_END: /* wgsl */ `
+#if SKINBAKE > 0 && defined(TANGENT)
+#if defined(BUMP) || defined(PARALLAX) || defined(CLEARCOAT_BUMP) || defined(ANISOTROPIC) || defined(GEOMETRY_NORMAL) || defined(FUZZ)
+#if SKINBAKE > 2
+let skinbakeAlong = skinbakeLit.tangent;
+#else
+let skinbakeAlong = dot(vertexInputs.tangent.xyz, skinbakeRest.tangent) * skinbakeLit.tangent
+    + dot(vertexInputs.tangent.xyz, skinbakeRest.bitangent) * skinbakeLit.bitangent;
+#endif
+skinbakeSide *= sign(dot(cross(skinbakeLit.tangent, skinbakeLit.bitangent), skinbakeLit.normal));
+skinbakeSide *= skinbakeFrame.handedness; // a joint that mirrors turns it round
+vertexOutputs.vTBN0 = normalize(skinbakeWorld * skinbakeAlong);
+skinbakeSide *= vertexInputs.tangent.w;
+vertexOutputs.vTBN1 = skinbakeSide * cross(vertexOutputs.vNormalW, vertexOutputs.vTBN0);
+vertexOutputs.vTBN2 = vertexOutputs.vNormalW;
+#endif
+#endif
+`,
+};

@@ -10,40 +10,17 @@
 //% set blended = lighting if method == "lbs" else "accurate"
 //% set lbs = text_for(reads=["packed8"], morphs="normal", frame="tangent", encoding="packed8", layout="attributes", attributes=None, method="lbs", lighting=blended, also=["frame_normal"])
 //% set dqs = text_for(reads=["packed8"], morphs="normal", frame="tangent", encoding="packed8", layout="attributes", attributes=None, method="dqs", lighting="exact", mirrored_joints=False)
-//% set escaped = (lbs.snippet ~ "\n\n" ~ dqs.snippet) | replace("\\", "\\\\") | replace("`", "\\`") | replace("${", "\\${")
-// Accurate lighting in three.js for skinned meshes that skinbake has baked. For its WebGLRenderer.
-//
-// Written by skinbake @{ version }:
+// Shader text, written by skinbake @{ version }:
 //     @{ command }
-//
-// One module serves all characters: frame, encoding, scale, layout and names come from the file, in
-// geometry.userData.skinbake. Use:
-//
-//     import { SkinbakePlugin } from '@{ "skinbake-three" if package else "./skinbake.js" }';
-//
-//     loader.register((parser) => new SkinbakePlugin(parser)); // GLTFLoader; or applySkinbake(scene)
 //
 // Linear blending: algorithm @{ lbs.algorithm } of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient
 // Lighting for Skinned Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. Dual quaternions:
 // algorithm 6 of skinbake, the exact derivative of their blend. Frame: T. Duff et al., "Building an Orthonormal
 // Basis, Revisited", JCGT 6(1), 2017.
 
-import { BufferAttribute, InstancedBufferAttribute, ShaderChunk, SkinnedMesh } from 'three';
-//% if package
-import { apply, applyToAll, DUAL, serve } from './core.js';
+export const METHOD = '@{ method }';
 
-export { dispose, lighting } from './core.js';
-
-//% else
-
-//%   include "three/core.js"
-
-//% endif
-
-//% include "three/entry.js"
-@{ "" }
-
-const DECLARATIONS = /* glsl */ `
+export const DECLARATIONS = /* glsl */ `
 #if defined(USE_SKINNING) && !defined(SKINBAKE_STANDARD)
 
 attribute vec4 morphSkinbakeAlpha;
@@ -66,13 +43,16 @@ bool skinbake_hasDualQuaternions()
     return morphSkinbakeStorage.z > 0.5;
 }
 
-@{ escaped }
+@{ lbs.snippet }
+
+@{ dqs.snippet }
 
 mat2x4 skinbake_motion(mat4 M, mat3 back, vec3 origin)
 {
     mat3 turn = back * mat3(M);
     vec3 shift = back * (M[3].xyz - origin);
-    return skinbake_dual_quaternion(mat4(vec4(turn[0], 0.0), vec4(turn[1], 0.0), vec4(turn[2], 0.0), vec4(shift, 1.0)));
+    return skinbake_dual_quaternion(
+        mat4(vec4(turn[0], 0.0), vec4(turn[1], 0.0), vec4(turn[2], 0.0), vec4(shift, 1.0)));
 }
 
 // A parent of the skeleton may scale, shear or mirror all joints alike. The motions that inverse(M[0]) leaves are
@@ -96,7 +76,7 @@ skinbake_Vertex skinbake_turned(vec3 p, skinbake_Frame frame, mat4 M[4], vec3 al
 #endif
 `;
 
-const BEFORE_NORMAL = /* glsl */ `
+export const BEFORE_NORMAL = /* glsl */ `
 #if defined(USE_SKINNING) && !defined(SKINBAKE_STANDARD)
 vec3 skinbakeMorphedNormal = objectNormal;
 #endif
@@ -104,7 +84,7 @@ vec3 skinbakeMorphedNormal = objectNormal;
 
 // After three.js's own chunk, whose results are overwritten. three.js has M[s] = bindMatrixInverse * bone *
 // bindMatrix; the outer two act on vectors here, which is cheaper.
-const AFTER_NORMAL = /* glsl */ `
+export const AFTER_NORMAL = /* glsl */ `
 #if defined(USE_SKINNING) && !defined(SKINBAKE_STANDARD)
 if (skinbake_isBaked()) {
     vec3 p;
@@ -162,13 +142,13 @@ if (skinbake_isBaked()) {
 #endif
 `;
 
-const BEFORE_POSITION = /* glsl */ `
+export const BEFORE_POSITION = /* glsl */ `
 #if defined(USE_SKINNING) && !defined(SKINBAKE_STANDARD)
 vec3 skinbakeUnskinned = transformed;
 #endif
 `;
 
-const AFTER_POSITION = /* glsl */ `
+export const AFTER_POSITION = /* glsl */ `
 #if defined(USE_SKINNING) && !defined(SKINBAKE_STANDARD)
 if (skinbake_isBaked() && skinbake_hasDualQuaternions()) {
     skinbake_Frame frame = skinbake_frame(vec3(0.0, 0.0, 1.0));
@@ -178,91 +158,3 @@ if (skinbake_isBaked() && skinbake_hasDualQuaternions()) {
 }
 #endif
 `;
-
-const CHUNKS = {
-    // A ShaderMaterial that skins may lack this one.
-    morphtarget_pars_vertex: ['', '\n#define SKINBAKE_HAS_MORPHS\n'],
-    skinning_pars_vertex: ['', DECLARATIONS],
-    skinnormal_vertex: [BEFORE_NORMAL, AFTER_NORMAL],
-    skinning_vertex: [BEFORE_POSITION, AFTER_POSITION],
-};
-const CHUNKED = Object.values(CHUNKS).join();
-const usual = {};
-let changes = 0;
-
-// three.js puts its chunks together when it compiles a program, after all hooks of the material. So the hooks
-// may come and go. Meshes without the constants of a bake run three.js's own lines alone.
-function changeChunks() {
-    if (ShaderChunk.skinnormal_vertex.includes('skinbake')) return;
-    changes++;
-    for (const [name, [before, after]] of Object.entries(CHUNKS)) {
-        usual[name] = ShaderChunk[name];
-        ShaderChunk[name] = `${before}${ShaderChunk[name]}${after}`;
-    }
-}
-
-function restoreChunks() {
-    Object.assign(ShaderChunk, usual);
-}
-
-// The program of a material may be from before the chunks were changed. Then this define gives it another one.
-function renew(material) {
-    if (material.defines?.SKINBAKE === changes) return;
-    material.defines = { ...material.defines, SKINBAKE: changes };
-    material.needsUpdate = true;
-}
-
-const failed = new WeakSet(); // materials whose program does not link with alpha and beta
-
-// With this define, the program of a material is three.js's own.
-function choose(mesh, material, isSettled) {
-    const { defines = {}, isRawShaderMaterial, isNodeMaterial } = material;
-    const isPlain = isSettled || failed.has(material);
-    if ((defines.SKINBAKE_STANDARD !== undefined) === isPlain || isRawShaderMaterial || isNodeMaterial) return;
-    const { SKINBAKE_STANDARD, ...others } = defines;
-    material.defines = isPlain ? { ...others, SKINBAKE_STANDARD: '' } : others;
-    material.needsUpdate = true;
-}
-
-// Look at the program that drew a mesh: the compiler drops attributes that nothing reads.
-function verifyProgram(renderer, mesh, material, before) {
-    const program = renderer.properties.get(material).currentProgram;
-    const isDual = mesh.geometry.hasAttribute(DUAL);
-    if (before?.program === program && before.isDual === isDual) return before;
-    const attributes = program?.getAttributes() ?? {};
-    const found = { program, isDual, lighting: 'accurate', reason: '', repaired: before?.repaired };
-    if (attributes.morphSkinbakeAlpha) return found;
-    if (program && !Object.keys(attributes).length && !isLinked(renderer, program)) failed.add(material);
-    if (failed.has(material)) {
-        const reason = `its ${material.type} "${material.name}" does not link with alpha and beta: see the error above`;
-        return { ...found, lighting: 'standard', reason };
-    }
-    // Dual quaternions move the positions of unlit meshes too.
-    const isUpToDate = !isDual || attributes.morphSkinbakeStorage;
-    if (!attributes.normal && isUpToDate) return { ...found, lighting: 'unlit' };
-    if (!before?.repaired && !material.isRawShaderMaterial) {
-        renew(material);
-        return { ...found, lighting: 'not drawn', repaired: true };
-    }
-    const remedy = material.isNodeMaterial ? ": call applySkinbake of 'skinbake-three/webgpu' too" : '';
-    const reason = `its ${material.type} "${material.name}" does not skin by three.js's chunks${remedy}`;
-    return { ...found, lighting: 'standard', reason };
-}
-
-// A program may need more attributes than the device has.
-function isLinked(renderer, { program }) {
-    const context = renderer.getContext();
-    return context.isContextLost() || context.getProgramParameter(program, context.LINK_STATUS);
-}
-
-function serveWebGL() {
-    const backend = {
-        text: CHUNKED,
-        install: changeChunks,
-        uninstall: restoreChunks,
-        choose,
-        verify: verifyProgram,
-        renew,
-    };
-    serve('webgl', backend, { BufferAttribute, InstancedBufferAttribute, SkinnedMesh });
-}

@@ -1,6 +1,10 @@
 // PlayCanvas gives shaders no attributes of other names. So alpha, beta and TANGENT are read from the buffer views
 // when the file is loaded, decoded, and put into a texture.
 
+import { SEMANTIC_BLENDWEIGHT, SEMANTIC_NORMAL, SEMANTIC_POSITION } from 'playcanvas';
+
+export const bakes = new WeakMap(); // Mesh -> { problem, values, stride, method, arrays, texture, kept }
+
 const FRAMES = { normal: 2, tangent: 3 }; // texels of each vertex
 const ENCODINGS = { packed8: 5120, snorm16: 5122 };
 const COMPONENTS = {
@@ -17,7 +21,7 @@ const LOST = 'it has lost the metadata of its bake: keep the extras of primitive
 
 const isObject = (value) => typeof value === 'object' && value !== null;
 
-function takeBakes(gltf, { renders }, views, method) {
+export function takeBakes(gltf, { renders }, views, method) {
     for (const [number, { primitives }] of (gltf.meshes ?? []).entries()) {
         const meshes = renders[number]?.meshes; // none with the option skipMeshes
         if (meshes?.length !== primitives.length) continue;
@@ -45,7 +49,7 @@ function arraysOf(mesh) {
 }
 
 // Return which array of a mesh is not as it was loaded; empty if none. A page may write the same values anew.
-function changeOf(mesh, arrays) {
+export function changeOf(mesh, arrays) {
     const { vertexBuffer } = mesh;
     const written = writes.get(vertexBuffer);
     if (arrays.vertexBuffer === vertexBuffer && arrays.written === written) return arrays.change;
@@ -85,7 +89,7 @@ function printOf(mesh, semantic) {
 const isLike = (one, other) => !(Math.abs(one.sum - other.sum) > 1e-5 * other.length);
 
 // Where extras of the primitive were not an object, bake has put the metadata into those of alpha's accessor.
-function metadataOf({ accessors = [] }, { extras, attributes }) {
+export function metadataOf({ accessors = [] }, { extras, attributes }) {
     const places = [extras, ...Object.values(attributes).map((number) => accessors[number]?.extras)];
     const notes = places.map((place) => place?.skinbake);
     return notes.find((note) => isObject(note) && Number.isInteger(note.version));

@@ -1,3 +1,12 @@
+// Which meshes are lit accurately. Before each frame the materials of baked meshes get a plugin.
+
+import { VertexBuffer } from '@babylonjs/core/Buffers/buffer.js';
+import { Material } from '@babylonjs/core/Materials/material.js';
+import { MaterialPluginBase } from '@babylonjs/core/Materials/materialPluginBase.js';
+import { PushMaterial } from '@babylonjs/core/Materials/pushMaterial.js';
+import { ATTRIBUTES, isLike, kindsOf, printOf, state, tell, watchBuffer } from './loading.js';
+import { GLSL, WGSL } from './shaders.js';
+
 const PLUGIN = 'Skinbake';
 const HOOKS = [GLSL, WGSL]; // by Babylon.js's numbers of the languages
 
@@ -101,7 +110,7 @@ const KINDS = { NORMAL: 'normal', TANGENT: 'tangent', VERTEXCOLOR: 'color', INST
 for (let number = 1; number <= 6; number++) KINDS[`UV${number}`] = number === 1 ? 'uv' : `uv${number}`;
 
 // Look after the baked meshes of a scene, of whatever origin: clone() makes new ones, and materials change.
-function watch(scene) {
+export function watch(scene) {
     const known = state.scenes.get(scene);
     if (known) return known;
     const watched = { geometries: new Set(), meshes: new Set() };
@@ -143,7 +152,8 @@ function isAsLoaded(geometry, kind, known) {
     const buffer = geometry.getVertexBuffer(kind);
     const writes = state.writes.get(buffer) ?? 0;
     if (known.buffer === buffer && known.writes === writes) return known.isSame;
-    if (geometry.meshes.every((mesh) => !mesh.computeBonesUsingShaders || state.standard.has(mesh))) return known.isSame;
+    const isStill = (mesh) => !mesh.computeBonesUsingShaders || state.standard.has(mesh);
+    if (geometry.meshes.every(isStill)) return known.isSame;
     watchBuffer(buffer);
     known.buffer = buffer;
     known.writes = writes;

@@ -1,12 +1,17 @@
-const NAME = 'SKINBAKE';
+// What the loader reads: alpha and beta of each baked primitive, into vertex buffers of Babylon.js.
+
+import { Buffer, VertexBuffer } from '@babylonjs/core/Buffers/buffer.js';
+import { DracoDecoder } from '@babylonjs/core/Meshes/Compression/dracoDecoder.js';
+
+export const NAME = 'SKINBAKE';
 const SETS = 2; // Babylon.js reads eight influences for each vertex.
 const FRAMES = { normal: 2, tangent: 3 };
 const ENCODINGS = { packed8: 5120, snorm16: 5122 }; // BYTE, SHORT
 const FLOAT = 5126;
-const kindsOf = (set) => [`skinbakeAlpha${set}`, `skinbakeBeta${set}`];
+export const kindsOf = (set) => [`skinbakeAlpha${set}`, `skinbakeBeta${set}`];
 
 // Copies of this module on one page share what they know.
-const state = (globalThis[Symbol.for('skinbake.babylon')] ??= {
+export const state = (globalThis[Symbol.for('skinbake.babylon')] ??= {
     geometries: new WeakMap(), // geometry -> { problem, changed, frame, scale, sets, loaded }
     scenes: new WeakMap(), // scene -> { geometries, meshes } that came from baked primitives
     standard: new WeakSet(), // meshes that lighting() has switched
@@ -14,24 +19,15 @@ const state = (globalThis[Symbol.for('skinbake.babylon')] ??= {
     writes: new WeakMap(), // vertex buffer -> how often it has been written
 });
 
-/** Load alpha and beta with every glTF file from now on. Skinned meshes that have them are lit accurately. */
-export function registerSkinbake() {
-    unregisterGLTFExtension(NAME);
-    registerGLTFExtension(NAME, false, (loader) => new Loading(loader));
-}
-
-/** Load files as before. What is loaded stays as it is. */
-export function unregisterSkinbake() {
-    unregisterGLTFExtension(NAME);
-}
-
 // An extension of Babylon.js's glTF loader, which drops attributes with a leading underscore.
-class Loading {
-    constructor(loader) {
+export class Loading {
+    // watch takes a scene, and returns what was loaded into it: { geometries, meshes }.
+    constructor(loader, watch) {
         this.name = NAME;
         this.enabled = true;
         this.order = 50; // before extensions that load the other attributes of a primitive, as Draco's does
         this.loader = loader;
+        this.watch = watch;
     }
 
     dispose() {
@@ -68,7 +64,7 @@ class Loading {
     async #with(scene, baked, loading) {
         const geometry = await loading;
         state.geometries.set(geometry, baked);
-        watch(scene).geometries.add(geometry);
+        this.watch(scene).geometries.add(geometry);
         return geometry;
     }
 
@@ -168,7 +164,7 @@ function bakedOf({ frame, encoding, scale, influences }) {
     return { problem: '', changed: '', frame: FRAMES[frame], scale: encoding ? scale : 1, sets };
 }
 
-const ATTRIBUTES = {
+export const ATTRIBUTES = {
     normal: 'NORMAL',
     tangent: 'TANGENT',
     position: 'POSITION',
@@ -189,7 +185,7 @@ function loadedOf(geometry, { frame, sets }) {
 }
 
 // Count how often a page writes into a buffer.
-function watchBuffer(buffer) {
+export function watchBuffer(buffer) {
     if (!buffer || state.writes.has(buffer)) return;
     state.writes.set(buffer, 0);
     for (const name of ['update', 'updateDirectly']) {
@@ -202,7 +198,7 @@ function watchBuffer(buffer) {
 }
 
 // A sum of all components, by random factors from -1 to 1.
-function printOf(geometry, kind) {
+export function printOf(geometry, kind) {
     let sum = 0;
     let square = 0;
     const values = geometry.getVerticesData(kind) ?? [];
@@ -216,7 +212,7 @@ function printOf(geometry, kind) {
 }
 
 // Rounding, as when a page normalises again, changes less.
-const isLike = (one, other) => !(Math.abs(one.sum - other.sum) > 1e-5 * other.length);
+export const isLike = (one, other) => !(Math.abs(one.sum - other.sum) > 1e-5 * other.length);
 
 // Babylon.js need not hand on the texture coordinates that hold alpha and beta.
 function withoutPairs(primitive, metadata) {
@@ -272,7 +268,7 @@ function misfit(accessor, index, { encoding, layout, alpha }) {
     return fits ? '' : `is not encoded as ${encoding}`;
 }
 
-function tell(mesh, reason) {
+export function tell(mesh, reason) {
     const messages = state.told.get(mesh) ?? state.told.set(mesh, new Set()).get(mesh);
     if (messages.has(reason)) return;
     messages.add(reason);

@@ -1,7 +1,11 @@
 // Dual quaternions need rigid joints. In the space of the skeleton's parent, a joint's matrix may be a rigid motion
 // after a linear map that all joints have in common, for example a scale or a mirror. The map is the stretch.
 
+import { Mat4, Vec3 } from 'playcanvas';
+
 const RIGID = 1e-3; // the largest entry of |Q^T Q - 1|, as in skinbake
+
+export const NO_STRETCH = [1, 0, 0, 0, 1, 0, 0, 0, 1];
 
 const matrix = new Mat4();
 const toParent = new Mat4();
@@ -10,7 +14,7 @@ const axes = [new Vec3(), new Vec3(), new Vec3()];
 const normal = new Vec3();
 
 // Return the stretch of the joints in use, nine numbers column by column, or why they are not rigid.
-function jointsOf({ skinInstance: { bones, skin } }, used) {
+export function jointsOf({ skinInstance: { bones, skin } }, used) {
     const joints = (used ?? [...bones.keys()]).filter((joint) => joint < bones.length);
     if (!joints.length) return { problem: '', stretch: NO_STRETCH }; // the skeleton is not there yet
     const { parent } = topOf(bones, bones[joints[0]]);

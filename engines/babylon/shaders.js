@@ -1,0 +1,571 @@
+// Shader text, written by skinbake 0.1.0:
+//     skinbake shader --lang glsl --method lbs --lighting accurate --influences 4 --frame normal --target babylon
+//
+// Algorithm 3 of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned Models",
+// Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. Frame: T. Duff et al., "Building an Orthonormal
+// Basis, Revisited", JCGT 6(1), 2017.
+
+export const GLSL = {
+    CUSTOM_VERTEX_DEFINITIONS: /* glsl */ `
+#if SKINBAKE > 0
+attribute vec4 skinbakeAlpha0;
+attribute vec4 skinbakeBeta0;
+#if NUM_BONE_INFLUENCERS > 4
+attribute vec4 skinbakeAlpha1;
+attribute vec4 skinbakeBeta1;
+#endif
+uniform float skinbakeScale;
+
+#ifndef SKINBAKE_VERTEX
+#define SKINBAKE_VERTEX
+// A skinned vertex. Its vectors have any length. tangent and bitangent are the images of t0 and b0.
+struct skinbake_Vertex {
+    vec3 position;
+    vec3 normal;
+    vec3 tangent;
+    vec3 bitangent;
+};
+
+// The tangent frame at rest.
+struct skinbake_Frame {
+    vec3 normal;
+    vec3 tangent;
+    vec3 bitangent;
+    float handedness; // n0 = handedness * cross(t0, b0) / |t0|^2
+};
+#endif
+
+#ifndef SKINBAKE_FRAME_FROM_TANGENT
+#define SKINBAKE_FRAME_FROM_TANGENT
+// The frame of NORMAL, which must have length 1, and TANGENT.
+skinbake_Frame skinbake_frame(vec3 n, vec4 tangent)
+{
+    return skinbake_Frame(n, tangent.xyz, cross(n, tangent.xyz) * tangent.w, tangent.w);
+}
+#endif
+
+#ifndef SKINBAKE_FRAME_FROM_NORMAL
+#define SKINBAKE_FRAME_FROM_NORMAL
+// The frame that bake took from NORMAL alone. n must have length 1. Every product in a sum is exact, so a compiler
+// that fuses multiply-adds gets the same bits. side is the last factor, because Mesa turns side * ((x * x) * a)
+// into side * (x * (x * a)).
+skinbake_Frame skinbake_frame(vec3 n)
+{
+    float side = n.z >= 0.0 ? 1.0 : -1.0; // 1 also at -0.0
+    float a = -1.0 / (side + n.z);
+    float b = (n.x * n.y) * a;
+    vec3 t0 = vec3(1.0 + ((n.x * n.x) * a) * side, side * b, -side * n.x);
+    vec3 b0 = vec3(b, side * (1.0 + ((n.y * n.y) * a) * side), -n.y);
+    return skinbake_Frame(n, t0, b0, 1.0);
+}
+#endif
+
+#ifndef SKINBAKE_DECODED
+#define SKINBAKE_DECODED
+// alpha or beta of slots 1 to 3, from set 0. xyz are relative to the scale of the vertex. w is the square root of
+// that scale, relative to the scale of the file.
+vec3 skinbake_decoded(vec4 stored, float scale)
+{
+    return (scale * stored.w * stored.w) * stored.xyz;
+}
+#endif
+
+#ifndef SKINBAKE_DECODED_FURTHER
+#define SKINBAKE_DECODED_FURTHER
+// alpha or beta of the four slots of a further set. first is set 0, whose w counts for all sets.
+vec4 skinbake_decoded_further(vec4 stored, vec4 first, float scale)
+{
+    return (scale * first.w * first.w) * stored;
+}
+#endif
+
+#ifndef SKINBAKE_MORPHED
+#define SKINBAKE_MORPHED
+// The frame under morph targets, by the morphed normal n: NORMAL plus the weighted sum of its targets, of any
+// length. The frame at rest turns by the smallest rotation that takes its normal to n. Do not use
+// skinbake_frame(n): alpha and beta belong to the frame at rest.
+skinbake_Frame skinbake_morphed_frame(skinbake_Frame rest, vec3 n)
+{
+    float square = dot(n, n);
+    vec3 normal = square > 0.0 ? n * inversesqrt(square) : rest.normal;
+    vec3 s = rest.normal + normal;
+    vec3 d = normal - rest.normal;
+    bool opposite = dot(s, s) < 1e-4; // then every half turn is the smallest: take the one about t0
+    float k = opposite ? 0.0 : 2.0 / dot(s, s);
+    vec3 tangent = rest.tangent - s * (k * dot(d, rest.tangent));
+    vec3 bitangent = rest.bitangent - s * (k * dot(d, rest.bitangent));
+    return skinbake_Frame(normal, tangent, opposite ? -bitangent : bitangent, rest.handedness);
+}
+#endif
+
+#ifndef SKINBAKE_MOVED
+#define SKINBAKE_MOVED
+// M p: the position p moved by the joint matrix M alone.
+vec3 skinbake_moved(mat4 M, vec3 p)
+{
+    return M[0].xyz * p.x + (M[1].xyz * p.y + (M[2].xyz * p.z + M[3].xyz));
+}
+#endif
+
+#ifndef SKINBAKE_MORPHED_TANGENT
+#define SKINBAKE_MORPHED_TANGENT
+// The frame under morph targets that move TANGENT too. tangent is TANGENT.xyz plus the weighted sum of its targets.
+// Do not normalise it. If the sum is 0, the frame follows the normal. If the targets of a primitive have no
+// TANGENT, use skinbake_morphed_frame().
+skinbake_Frame skinbake_morphed_tangent_frame(skinbake_Frame rest, vec3 n, vec3 tangent)
+{
+    skinbake_Frame frame = skinbake_morphed_frame(rest, n);
+    vec3 t = tangent - frame.normal * (dot(frame.normal, tangent) - dot(rest.normal, rest.tangent));
+    bool cancelled = dot(t, t) < 1e-4 * dot(rest.tangent, rest.tangent);
+    frame.tangent = cancelled ? frame.tangent : t;
+    frame.bitangent = cancelled ? frame.bitangent : cross(frame.normal, t) * rest.handedness;
+    return frame;
+}
+#endif
+
+#if NUM_BONE_INFLUENCERS > 4
+// The frame moves by the derivative of the skinned position along t0 and b0.
+// M: the joint matrices of slots 0 to 7.
+skinbake_Vertex skinbake_lbs_accurate(vec3 p, skinbake_Frame frame, mat4 M[8], vec4 weights_0,
+        vec4 weights_1, vec3 alpha_0, vec4 alpha_1, vec3 beta_0, vec4 beta_1)
+{
+    mat3 T = weights_0.x * mat3(M[0]) // 1
+            + weights_0.y * mat3(M[1])
+            + weights_0.z * mat3(M[2])
+            + weights_0.w * mat3(M[3])
+            + weights_1.x * mat3(M[4])
+            + weights_1.y * mat3(M[5])
+            + weights_1.z * mat3(M[6])
+            + weights_1.w * mat3(M[7]);
+    vec3 q0 = skinbake_moved(M[0], p); // 2
+    vec3 q1 = skinbake_moved(M[1], p);
+    vec3 q2 = skinbake_moved(M[2], p);
+    vec3 q3 = skinbake_moved(M[3], p);
+    vec3 q4 = skinbake_moved(M[4], p);
+    vec3 q5 = skinbake_moved(M[5], p);
+    vec3 q6 = skinbake_moved(M[6], p);
+    vec3 q7 = skinbake_moved(M[7], p);
+    vec3 d1 = q1 - q0; // 3
+    vec3 d2 = q2 - q0;
+    vec3 d3 = q3 - q0;
+    vec3 d4 = q4 - q0;
+    vec3 d5 = q5 - q0;
+    vec3 d6 = q6 - q0;
+    vec3 d7 = q7 - q0;
+    skinbake_Vertex v;
+    v.tangent = T * frame.tangent + alpha_0.x * d1 + alpha_0.y * d2 + alpha_0.z * d3 + alpha_1.x * d4
+            + alpha_1.y * d5 + alpha_1.z * d6 + alpha_1.w * d7; // 4
+    v.bitangent = T * frame.bitangent + beta_0.x * d1 + beta_0.y * d2 + beta_0.z * d3 + beta_1.x * d4
+            + beta_1.y * d5 + beta_1.z * d6 + beta_1.w * d7; // 5
+    v.normal = frame.handedness * cross(v.tangent, v.bitangent); // 6
+    v.normal *= determinant(T) < 0.0 ? -1.0 : 1.0; // a joint that mirrors turns t x b to the inside
+    v.position = q0 + weights_0.y * d1 + weights_0.z * d2 + weights_0.w * d3 + weights_1.x * d4
+            + weights_1.y * d5 + weights_1.z * d6 + weights_1.w * d7; // 7
+    return v;
+}
+#else
+// The frame moves by the derivative of the skinned position along t0 and b0.
+// M: the joint matrices of slots 0 to 3.
+skinbake_Vertex skinbake_lbs_accurate(vec3 p, skinbake_Frame frame, mat4 M[4], vec4 weights_0, vec3 alpha_0,
+        vec3 beta_0)
+{
+    mat3 T = weights_0.x * mat3(M[0]) // 1
+            + weights_0.y * mat3(M[1])
+            + weights_0.z * mat3(M[2])
+            + weights_0.w * mat3(M[3]);
+    vec3 q0 = skinbake_moved(M[0], p); // 2
+    vec3 q1 = skinbake_moved(M[1], p);
+    vec3 q2 = skinbake_moved(M[2], p);
+    vec3 q3 = skinbake_moved(M[3], p);
+    vec3 d1 = q1 - q0; // 3
+    vec3 d2 = q2 - q0;
+    vec3 d3 = q3 - q0;
+    skinbake_Vertex v;
+    v.tangent = T * frame.tangent + alpha_0.x * d1 + alpha_0.y * d2 + alpha_0.z * d3; // 4
+    v.bitangent = T * frame.bitangent + beta_0.x * d1 + beta_0.y * d2 + beta_0.z * d3; // 5
+    v.normal = frame.handedness * cross(v.tangent, v.bitangent); // 6
+    v.normal *= determinant(T) < 0.0 ? -1.0 : 1.0; // a joint that mirrors turns t x b to the inside
+    v.position = q0 + weights_0.y * d1 + weights_0.z * d2 + weights_0.w * d3; // 7
+    return v;
+}
+#endif
+
+mat4 skinbake_joint(float index)
+{
+#ifdef BONETEXTURE
+    return readMatrixFromRawSampler(boneSampler, index);
+#else
+    return mBones[int(index)];
+#endif
+}
+
+// The world matrix of the mesh or of its instance, without the joints.
+mat3 skinbake_world()
+{
+#ifdef INSTANCES
+    mat3 instance = mat3(world0.xyz, world1.xyz, world2.xyz);
+#ifdef THIN_INSTANCES
+    return mat3(world) * instance;
+#else
+    return instance;
+#endif
+#else
+    return mat3(world);
+#endif
+}
+
+skinbake_Frame skinbake_rest()
+{
+    vec3 n0 = dot(normal, normal) > 0.0 ? normalize(normal) : vec3(0.0, 0.0, 1.0);
+#if SKINBAKE > 2
+    return skinbake_frame(n0, tangent);
+#else
+    return skinbake_frame(n0);
+#endif
+}
+
+skinbake_Vertex skinbake_lit(vec3 p, skinbake_Frame frame)
+{
+    vec3 alpha_0 = skinbake_decoded(skinbakeAlpha0, skinbakeScale);
+    vec3 beta_0 = skinbake_decoded(skinbakeBeta0, skinbakeScale);
+    // Alpha and beta are for weights that sum to 1. Babylon.js does not divide them.
+    vec4 weights_0 = matricesWeights;
+    float total = dot(weights_0, vec4(1.0));
+#if NUM_BONE_INFLUENCERS > 4
+    vec4 weights_1 = matricesWeightsExtra;
+    total += dot(weights_1, vec4(1.0));
+    weights_1 = total > 0.0 ? weights_1 / total : vec4(0.0);
+    mat4 M[8];
+#else
+    mat4 M[4];
+#endif
+    weights_0 = total > 0.0 ? weights_0 / total : vec4(1.0, 0.0, 0.0, 0.0);
+    M[0] = skinbake_joint(matricesIndices.x);
+    M[1] = skinbake_joint(matricesIndices.y);
+    M[2] = skinbake_joint(matricesIndices.z);
+    M[3] = skinbake_joint(matricesIndices.w);
+#if NUM_BONE_INFLUENCERS > 4
+    M[4] = skinbake_joint(matricesIndicesExtra.x);
+    M[5] = skinbake_joint(matricesIndicesExtra.y);
+    M[6] = skinbake_joint(matricesIndicesExtra.z);
+    M[7] = skinbake_joint(matricesIndicesExtra.w);
+    vec4 alpha_1 = skinbake_decoded_further(skinbakeAlpha1, skinbakeAlpha0, skinbakeScale);
+    vec4 beta_1 = skinbake_decoded_further(skinbakeBeta1, skinbakeBeta0, skinbakeScale);
+    return skinbake_lbs_accurate(p, frame, M, weights_0, weights_1, alpha_0, alpha_1, beta_0, beta_1);
+#else
+    return skinbake_lbs_accurate(p, frame, M, weights_0, alpha_0, beta_0);
+#endif
+}
+#endif
+`,
+    // After Babylon.js's own lines, whose results are overwritten.
+    CUSTOM_VERTEX_UPDATE_WORLDPOS: /* glsl */ `
+#if SKINBAKE > 0
+skinbake_Frame skinbakeRest = skinbake_rest();
+#if SKINBAKE > 2 && defined(MORPHTARGETS) && defined(MORPHTARGETS_TANGENT)
+skinbake_Frame skinbakeFrame = skinbake_morphed_tangent_frame(skinbakeRest, normalUpdated, tangentUpdated.xyz);
+#else
+skinbake_Frame skinbakeFrame = skinbakeRest;
+// By morph targets, or by code of the page.
+if (normalUpdated != normal) skinbakeFrame = skinbake_morphed_frame(skinbakeRest, normalUpdated);
+#endif
+skinbake_Vertex skinbakeLit = skinbake_lit(positionUpdated, skinbakeFrame);
+mat3 skinbakeWorld = skinbake_world();
+float skinbakeSide = determinant(skinbakeWorld) < 0.0 ? -1.0 : 1.0;
+mat3 skinbakeCofactors = mat3(
+    cross(skinbakeWorld[1], skinbakeWorld[2]),
+    cross(skinbakeWorld[2], skinbakeWorld[0]),
+    cross(skinbakeWorld[0], skinbakeWorld[1]));
+vNormalW = skinbakeSide * normalize(skinbakeCofactors * skinbakeLit.normal);
+#endif
+`,
+    CUSTOM_VERTEX_MAIN_END: /* glsl */ `
+#if SKINBAKE > 0 && defined(TANGENT)
+#if defined(BUMP) || defined(PARALLAX) || defined(CLEARCOAT_BUMP) || defined(ANISOTROPIC) || defined(GEOMETRY_NORMAL) || defined(GEOMETRY_COAT_NORMAL) || defined(FUZZ)
+#if SKINBAKE > 2
+vec3 skinbakeTangent = skinbakeLit.tangent;
+#else
+vec3 skinbakeTangent = dot(tangent.xyz, skinbakeRest.tangent) * skinbakeLit.tangent
+    + dot(tangent.xyz, skinbakeRest.bitangent) * skinbakeLit.bitangent;
+#endif
+skinbakeTangent = normalize(skinbakeWorld * skinbakeTangent);
+skinbakeSide *= sign(dot(cross(skinbakeLit.tangent, skinbakeLit.bitangent), skinbakeLit.normal));
+skinbakeSide *= skinbakeFrame.handedness; // a joint that mirrors turns it round
+vTBN = mat3(skinbakeTangent, skinbakeSide * tangent.w * cross(vNormalW, skinbakeTangent), vNormalW);
+#endif
+#endif
+`,
+};
+
+export const WGSL = {
+    CUSTOM_VERTEX_DEFINITIONS: /* wgsl */ `
+#if SKINBAKE > 0
+attribute skinbakeAlpha0: vec4f;
+attribute skinbakeBeta0: vec4f;
+#if NUM_BONE_INFLUENCERS > 4
+attribute skinbakeAlpha1: vec4f;
+attribute skinbakeBeta1: vec4f;
+#endif
+uniform skinbakeScale: f32;
+
+// A skinned vertex. Its vectors have any length. tangent and bitangent are the images of t0 and b0.
+struct skinbake_Vertex {
+    position: vec3<f32>,
+    normal: vec3<f32>,
+    tangent: vec3<f32>,
+    bitangent: vec3<f32>,
+}
+
+// The tangent frame at rest.
+struct skinbake_Frame {
+    normal: vec3<f32>,
+    tangent: vec3<f32>,
+    bitangent: vec3<f32>,
+    handedness: f32, // n0 = handedness * cross(t0, b0) / |t0|^2
+}
+
+// alpha or beta of slots 1 to 3, from set 0. xyz are relative to the scale of the vertex. w is the square root of
+// that scale, relative to the scale of the file.
+fn skinbake_decoded(stored: vec4<f32>, scale: f32) -> vec3<f32> {
+    return (scale * stored.w * stored.w) * stored.xyz;
+}
+
+// alpha or beta of the four slots of a further set. first is set 0, whose w counts for all sets.
+fn skinbake_decoded_further(stored: vec4<f32>, first: vec4<f32>, scale: f32) -> vec4<f32> {
+    return (scale * first.w * first.w) * stored;
+}
+
+// The frame under morph targets, by the morphed normal n: NORMAL plus the weighted sum of its targets, of any
+// length. The frame at rest turns by the smallest rotation that takes its normal to n. Do not use
+// skinbake_frame(n): alpha and beta belong to the frame at rest.
+fn skinbake_morphed_frame(rest: skinbake_Frame, n: vec3<f32>) -> skinbake_Frame {
+    let square = dot(n, n);
+    let normal = select(rest.normal, n * inverseSqrt(square), square > 0.0);
+    let s = rest.normal + normal;
+    let d = normal - rest.normal;
+    let opposite = dot(s, s) < 1e-4; // then every half turn is the smallest: take the one about t0
+    let k = select(2.0 / dot(s, s), 0.0, opposite);
+    let tangent = rest.tangent - s * (k * dot(d, rest.tangent));
+    let bitangent = rest.bitangent - s * (k * dot(d, rest.bitangent));
+    return skinbake_Frame(normal, tangent, select(bitangent, -bitangent, opposite), rest.handedness);
+}
+
+// The upper 3x3 part of M.
+fn skinbake_upper(M: mat4x4<f32>) -> mat3x3<f32> {
+    return mat3x3<f32>(M[0].xyz, M[1].xyz, M[2].xyz);
+}
+
+// M p: the position p moved by the joint matrix M alone.
+fn skinbake_moved(M: mat4x4<f32>, p: vec3<f32>) -> vec3<f32> {
+    return M[0].xyz * p.x + (M[1].xyz * p.y + (M[2].xyz * p.z + M[3].xyz));
+}
+
+// The frame under morph targets that move TANGENT too. tangent is TANGENT.xyz plus the weighted sum of its targets.
+// Do not normalise it. If the sum is 0, the frame follows the normal. If the targets of a primitive have no
+// TANGENT, use skinbake_morphed_frame().
+fn skinbake_morphed_tangent_frame(rest: skinbake_Frame, n: vec3<f32>, tangent: vec3<f32>) -> skinbake_Frame {
+    var frame = skinbake_morphed_frame(rest, n);
+    let t = tangent - frame.normal * (dot(frame.normal, tangent) - dot(rest.normal, rest.tangent));
+    let cancelled = dot(t, t) < 1e-4 * dot(rest.tangent, rest.tangent);
+    frame.tangent = select(t, frame.tangent, cancelled);
+    frame.bitangent = select(cross(frame.normal, t) * rest.handedness, frame.bitangent, cancelled);
+    return frame;
+}
+
+#if SKINBAKE > 2
+// The frame of NORMAL, which must have length 1, and TANGENT.
+fn skinbake_frame(n: vec3<f32>, tangent: vec4<f32>) -> skinbake_Frame {
+    return skinbake_Frame(n, tangent.xyz, cross(n, tangent.xyz) * tangent.w, tangent.w);
+}
+#else
+// The frame that bake took from NORMAL alone. n must have length 1. Every product in a sum is exact, so a compiler
+// that fuses multiply-adds gets the same bits. side is the last factor, because Mesa turns side * ((x * x) * a)
+// into side * (x * (x * a)).
+fn skinbake_frame(n: vec3<f32>) -> skinbake_Frame {
+    let side = select(-1.0, 1.0, n.z >= 0.0); // 1 also at -0.0
+    let a = -1.0 / (side + n.z);
+    let b = (n.x * n.y) * a;
+    let t0 = vec3<f32>(1.0 + ((n.x * n.x) * a) * side, side * b, -side * n.x);
+    let b0 = vec3<f32>(b, side * (1.0 + ((n.y * n.y) * a) * side), -n.y);
+    return skinbake_Frame(n, t0, b0, 1.0);
+}
+#endif
+
+#if NUM_BONE_INFLUENCERS > 4
+// The frame moves by the derivative of the skinned position along t0 and b0.
+// M: the joint matrices of slots 0 to 7.
+fn skinbake_lbs_accurate(p: vec3<f32>, frame: skinbake_Frame, M: array<mat4x4<f32>, 8>, weights_0: vec4<f32>,
+        weights_1: vec4<f32>, alpha_0: vec3<f32>, alpha_1: vec4<f32>, beta_0: vec3<f32>,
+        beta_1: vec4<f32>) -> skinbake_Vertex {
+    let T = weights_0.x * skinbake_upper(M[0]) // 1
+          + weights_0.y * skinbake_upper(M[1])
+          + weights_0.z * skinbake_upper(M[2])
+          + weights_0.w * skinbake_upper(M[3])
+          + weights_1.x * skinbake_upper(M[4])
+          + weights_1.y * skinbake_upper(M[5])
+          + weights_1.z * skinbake_upper(M[6])
+          + weights_1.w * skinbake_upper(M[7]);
+    let q0 = skinbake_moved(M[0], p); // 2
+    let q1 = skinbake_moved(M[1], p);
+    let q2 = skinbake_moved(M[2], p);
+    let q3 = skinbake_moved(M[3], p);
+    let q4 = skinbake_moved(M[4], p);
+    let q5 = skinbake_moved(M[5], p);
+    let q6 = skinbake_moved(M[6], p);
+    let q7 = skinbake_moved(M[7], p);
+    let d1 = q1 - q0; // 3
+    let d2 = q2 - q0;
+    let d3 = q3 - q0;
+    let d4 = q4 - q0;
+    let d5 = q5 - q0;
+    let d6 = q6 - q0;
+    let d7 = q7 - q0;
+    let tangent = T * frame.tangent + alpha_0.x * d1 + alpha_0.y * d2 + alpha_0.z * d3 + alpha_1.x * d4
+            + alpha_1.y * d5 + alpha_1.z * d6 + alpha_1.w * d7; // 4
+    let bitangent = T * frame.bitangent + beta_0.x * d1 + beta_0.y * d2 + beta_0.z * d3 + beta_1.x * d4
+            + beta_1.y * d5 + beta_1.z * d6 + beta_1.w * d7; // 5
+    let outside = select(1.0, -1.0, determinant(T) < 0.0); // a joint that mirrors turns t x b to the inside
+    let normal = outside * frame.handedness * cross(tangent, bitangent); // 6
+    let position = q0 + weights_0.y * d1 + weights_0.z * d2 + weights_0.w * d3 + weights_1.x * d4
+            + weights_1.y * d5 + weights_1.z * d6 + weights_1.w * d7; // 7
+    return skinbake_Vertex(position, normal, tangent, bitangent);
+}
+#else
+// The frame moves by the derivative of the skinned position along t0 and b0.
+// M: the joint matrices of slots 0 to 3.
+fn skinbake_lbs_accurate(p: vec3<f32>, frame: skinbake_Frame, M: array<mat4x4<f32>, 4>, weights_0: vec4<f32>,
+        alpha_0: vec3<f32>, beta_0: vec3<f32>) -> skinbake_Vertex {
+    let T = weights_0.x * skinbake_upper(M[0]) // 1
+          + weights_0.y * skinbake_upper(M[1])
+          + weights_0.z * skinbake_upper(M[2])
+          + weights_0.w * skinbake_upper(M[3]);
+    let q0 = skinbake_moved(M[0], p); // 2
+    let q1 = skinbake_moved(M[1], p);
+    let q2 = skinbake_moved(M[2], p);
+    let q3 = skinbake_moved(M[3], p);
+    let d1 = q1 - q0; // 3
+    let d2 = q2 - q0;
+    let d3 = q3 - q0;
+    let tangent = T * frame.tangent + alpha_0.x * d1 + alpha_0.y * d2 + alpha_0.z * d3; // 4
+    let bitangent = T * frame.bitangent + beta_0.x * d1 + beta_0.y * d2 + beta_0.z * d3; // 5
+    let outside = select(1.0, -1.0, determinant(T) < 0.0); // a joint that mirrors turns t x b to the inside
+    let normal = outside * frame.handedness * cross(tangent, bitangent); // 6
+    let position = q0 + weights_0.y * d1 + weights_0.z * d2 + weights_0.w * d3; // 7
+    return skinbake_Vertex(position, normal, tangent, bitangent);
+}
+#endif
+
+fn skinbake_joint(index: f32) -> mat4x4<f32> {
+#ifdef BONETEXTURE
+    return readMatrixFromRawSampler(boneSampler, index);
+#else
+    return uniforms.mBones[i32(index)];
+#endif
+}
+
+// The world matrix of the mesh or of its instance, without the joints.
+fn skinbake_world() -> mat3x3<f32> {
+#ifdef INSTANCES
+    let instance = mat3x3<f32>(vertexInputs.world0.xyz, vertexInputs.world1.xyz, vertexInputs.world2.xyz);
+#ifdef THIN_INSTANCES
+#ifdef WORLD_UBO
+    return skinbake_upper(mesh.world) * instance;
+#else
+    return skinbake_upper(uniforms.world) * instance;
+#endif
+#else
+    return instance;
+#endif
+#else
+#ifdef WORLD_UBO
+    return skinbake_upper(mesh.world);
+#else
+    return skinbake_upper(uniforms.world);
+#endif
+#endif
+}
+
+fn skinbake_rest() -> skinbake_Frame {
+    let given = vertexInputs.normal;
+    let n0 = select(vec3<f32>(0.0, 0.0, 1.0), normalize(given), dot(given, given) > 0.0);
+#if SKINBAKE > 2
+    return skinbake_frame(n0, vertexInputs.tangent);
+#else
+    return skinbake_frame(n0);
+#endif
+}
+
+fn skinbake_lit(p: vec3<f32>, frame: skinbake_Frame) -> skinbake_Vertex {
+    let scale = uniforms.skinbakeScale;
+    let alpha_0 = skinbake_decoded(vertexInputs.skinbakeAlpha0, scale);
+    let beta_0 = skinbake_decoded(vertexInputs.skinbakeBeta0, scale);
+    // Alpha and beta are for weights that sum to 1. Babylon.js does not divide them.
+    var weights_0 = vertexInputs.matricesWeights;
+    var total = dot(weights_0, vec4<f32>(1.0));
+#if NUM_BONE_INFLUENCERS > 4
+    var weights_1 = vertexInputs.matricesWeightsExtra;
+    total += dot(weights_1, vec4<f32>(1.0));
+    weights_1 = select(vec4<f32>(0.0), weights_1 / total, total > 0.0);
+    var M: array<mat4x4<f32>, 8>;
+#else
+    var M: array<mat4x4<f32>, 4>;
+#endif
+    weights_0 = select(vec4<f32>(1.0, 0.0, 0.0, 0.0), weights_0 / total, total > 0.0);
+    M[0] = skinbake_joint(vertexInputs.matricesIndices.x);
+    M[1] = skinbake_joint(vertexInputs.matricesIndices.y);
+    M[2] = skinbake_joint(vertexInputs.matricesIndices.z);
+    M[3] = skinbake_joint(vertexInputs.matricesIndices.w);
+#if NUM_BONE_INFLUENCERS > 4
+    M[4] = skinbake_joint(vertexInputs.matricesIndicesExtra.x);
+    M[5] = skinbake_joint(vertexInputs.matricesIndicesExtra.y);
+    M[6] = skinbake_joint(vertexInputs.matricesIndicesExtra.z);
+    M[7] = skinbake_joint(vertexInputs.matricesIndicesExtra.w);
+    let alpha_1 = skinbake_decoded_further(vertexInputs.skinbakeAlpha1, vertexInputs.skinbakeAlpha0, scale);
+    let beta_1 = skinbake_decoded_further(vertexInputs.skinbakeBeta1, vertexInputs.skinbakeBeta0, scale);
+    return skinbake_lbs_accurate(p, frame, M, weights_0, weights_1, alpha_0, alpha_1, beta_0, beta_1);
+#else
+    return skinbake_lbs_accurate(p, frame, M, weights_0, alpha_0, beta_0);
+#endif
+}
+#endif
+`,
+    CUSTOM_VERTEX_UPDATE_WORLDPOS: /* wgsl */ `
+#if SKINBAKE > 0
+let skinbakeRest = skinbake_rest();
+#if SKINBAKE > 2 && defined(MORPHTARGETS) && defined(MORPHTARGETS_TANGENT)
+let skinbakeFrame = skinbake_morphed_tangent_frame(skinbakeRest, normalUpdated, tangentUpdated.xyz);
+#else
+var skinbakeFrame = skinbakeRest;
+if (any(normalUpdated != vertexInputs.normal)) {
+    skinbakeFrame = skinbake_morphed_frame(skinbakeRest, normalUpdated);
+}
+#endif
+let skinbakeLit = skinbake_lit(positionUpdated, skinbakeFrame);
+let skinbakeWorld = skinbake_world();
+var skinbakeSide = select(1.0, -1.0, determinant(skinbakeWorld) < 0.0);
+let skinbakeCofactors = mat3x3<f32>(
+    cross(skinbakeWorld[1], skinbakeWorld[2]),
+    cross(skinbakeWorld[2], skinbakeWorld[0]),
+    cross(skinbakeWorld[0], skinbakeWorld[1]));
+vertexOutputs.vNormalW = skinbakeSide * normalize(skinbakeCofactors * skinbakeLit.normal);
+#endif
+`,
+    CUSTOM_VERTEX_MAIN_END: /* wgsl */ `
+#if SKINBAKE > 0 && defined(TANGENT)
+#if defined(BUMP) || defined(PARALLAX) || defined(CLEARCOAT_BUMP) || defined(ANISOTROPIC) || defined(GEOMETRY_NORMAL) || defined(FUZZ)
+#if SKINBAKE > 2
+let skinbakeAlong = skinbakeLit.tangent;
+#else
+let skinbakeAlong = dot(vertexInputs.tangent.xyz, skinbakeRest.tangent) * skinbakeLit.tangent
+    + dot(vertexInputs.tangent.xyz, skinbakeRest.bitangent) * skinbakeLit.bitangent;
+#endif
+skinbakeSide *= sign(dot(cross(skinbakeLit.tangent, skinbakeLit.bitangent), skinbakeLit.normal));
+skinbakeSide *= skinbakeFrame.handedness; // a joint that mirrors turns it round
+vertexOutputs.vTBN0 = normalize(skinbakeWorld * skinbakeAlong);
+skinbakeSide *= vertexInputs.tangent.w;
+vertexOutputs.vTBN1 = skinbakeSide * cross(vertexOutputs.vNormalW, vertexOutputs.vTBN0);
+vertexOutputs.vTBN2 = vertexOutputs.vNormalW;
+#endif
+#endif
+`,
+};
