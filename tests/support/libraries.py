@@ -83,9 +83,11 @@ def _crate(folder: Path) -> str:
 
 
 def tree(folder: Path) -> Tree:
-    """Return all files in a folder."""
+    """Return all files in a folder, without the notes of copies, which only a disk has."""
     return {
-        path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and path.name != ".skinbake-copies.json"
     }
 
 

@@ -66,7 +66,7 @@ class Baker(CheckedOptions):
         planned = None
         if target is not None and not untouched:
             with noticed(notices), stage("write"):
-                planned = plan_output(result, target, root=within.output)
+                planned = plan_output(result, target, root=within.output, keeps_notes=writing.keeps_notes)
             notices = [*notices, *planned.notices]
         with noticed(notices):
             if self.warnings_as_errors and notices:

@@ -26,12 +26,14 @@ def strip_file(
     bounds: Bounds = BESIDE,
     root: str | None = None,
     lists_read: bool = False,
+    keeps_notes: bool = True,
 ) -> StripResult:
     """Write a document without the additions of bake. Raises SkinbakeError; then nothing is written.
 
     With ``sync``, it waits until the file is on the disk. Nothing is written outside ``root``, which is the
     target's own folder by default. A file that holds no bake is not replaced by itself.
-    With ``lists_read``, the result names the files that were read beside the source.
+    With ``lists_read``, the result names the files that were read beside the source. See
+    ``Writing`` for ``keeps_notes``.
     """
     in_place = target == source != STDIO
     replaced = version_of(source) if in_place else None
@@ -45,7 +47,8 @@ def strip_file(
     document, found = for_target(document, target)
     read = prerequisites(source, files_read(given, target, pack=False)) if lists_read else ()
     with stage("write"):
-        planned = None if in_place and count == 0 else plan_output(document, target, root=root)
+        untouched = in_place and count == 0
+        planned = None if untouched else plan_output(document, target, root=root, keeps_notes=keeps_notes)
     notices += [*found, *(planned.notices if planned else ())]
     if warnings_as_errors and notices:
         raise InputError(

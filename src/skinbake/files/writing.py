@@ -17,10 +17,11 @@ from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from skinbake.errors import OutputError, Place, ReaderGoneError
 from skinbake.files import Bytes
+from skinbake.files.bounds import Spot
 from skinbake.files.folders import BY_DESCRIPTOR, Folder, beneath, check_regular, flush
 from skinbake.files.temporary import remove_abandoned, temporary_name
 from skinbake.files.versions import Signature, Version, signature_of
@@ -101,6 +102,16 @@ def write_file(pieces: Iterable[Bytes], target: str, *, sync: bool = True) -> No
     write_files(path.parent, {path: pieces}, target, sync=sync)
 
 
+class Noting(Protocol):
+    """Notes of files beside a target, which hold if they get their names."""
+
+    def note(self, written: Mapping[Path, Spot]) -> None:
+        """Note the files that are at these temporary places. Raises OSError."""
+
+    def forget(self) -> None:
+        """Make the notes as they were before ``note``."""
+
+
 def write_files(
     root: Path,
     files: Mapping[Path, Iterable[Bytes]],
@@ -109,13 +120,14 @@ def write_files(
     serving: Mapping[Path, Signature] | None = None,
     replaces: Version | None = None,
     sync: bool = True,
+    notes: Noting | None = None,
 ) -> None:
     """Write files below ``root`` under temporary names, then rename them, the last one last.
 
     ``serving`` are existing files that the last one names, as they were. ``replaces`` is the source of the
-    last one, if it replaces its source. ``sync`` waits until all is on the disk. Raises OutputError that
-    names ``target``, and TakenError if the names must be planned again. In both cases everything is as it
-    was.
+    last one, if it replaces its source. ``sync`` waits until all is on the disk. ``notes`` are taken
+    before the files get their names, while no other run names files there. Raises OutputError that names
+    ``target``, and TakenError if the names must be planned again. In both cases everything is as it was.
     """
     place = Place(target)
     begun = _Begun(os.path.realpath(root), str(root))
@@ -128,8 +140,11 @@ def write_files(
                 begun.written.append(_written(path, pieces, begun, stack, place, sync=sync))
             for path in serving or ():  # files that ended runs left beside these are removed too
                 _opened(tuple(_parts(path, (begun.root, begun.given), place)[:-1]), begun, stack)
-            with _locked(begun.open.values()) if is_shared else nullcontext(), interrupts_put_off():
+            with locked(begun.open.values()) if is_shared else nullcontext(), interrupts_put_off():
                 _check_still_so(serving or {}, replaces, place)
+                if notes is not None:
+                    begun.notes = notes
+                    notes.note({path: one.spot for path, one in zip(files, begun.written, strict=True)})
                 try:
                     _rename(begun, replaces, place)
                 except BaseException:
@@ -150,6 +165,11 @@ class _Written(NamedTuple):
     name: str
     pieces: Iterable[Bytes]
 
+    @property
+    def spot(self) -> Spot:
+        """The place of the temporary file."""
+        return Spot(self.folder.path, self.temporary)
+
 
 @dataclass(slots=True)
 class _Begun:
@@ -167,6 +187,7 @@ class _Begun:
     temporary: list[tuple[Folder, str]] = field(default_factory=list)
     created: list[tuple[Folder, str]] = field(default_factory=list)
     written: list[_Written] = field(default_factory=list)
+    notes: Noting | None = None
     is_done: bool = False
     is_new: bool = False
 
@@ -194,6 +215,9 @@ class _Begun:
             with suppress(OSError):  # another process has removed it
                 os.unlink(folder.name(name), dir_fd=folder.descriptor)
         self.created.clear()
+        if self.notes is not None:
+            self.notes.forget()
+            self.notes = None
 
 
 def _make_root(begun: _Begun) -> None:
@@ -391,7 +415,7 @@ def _sync_folders(begun: _Begun) -> None:
 
 
 @contextmanager
-def _locked(folders: Iterable[Folder]) -> Iterator[None]:
+def locked(folders: Iterable[Folder]) -> Iterator[None]:
     """Keep other runs from naming files in these folders, if the system has locks for this.
 
     The order of the locks is the same everywhere, so that two runs never wait for each other.

@@ -24,6 +24,7 @@ from skinbake.files.bounds import (
 )
 from skinbake.files.versions import Signature, signature_of
 from skinbake.gltf.additions import content_digest
+from skinbake.gltf.copies import Copies
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.resources import FileContent, find, is_data_uri, listed, outside, shortened
@@ -45,11 +46,15 @@ class _LinkedOutError(Exception):
 class Beside:
     """The files that a document names, on their way to the folder of the target.
 
-    ``target`` is a path without links. No file gets the name of the target.
+    ``target`` is a path without links. No file gets the name of the target. ``copies`` are notes of earlier
+    copies. They get to know which ones are used, and which ones can be replaced.
     """
 
-    def __init__(self, document: Document, target: Path, root: Path) -> None:
+    def __init__(self, document: Document, target: Path, root: Path, copies: Copies | None = None) -> None:
         self._document, self._target, self._folder, self._root = document, target, target.parent, root
+        self._copies = copies
+        self._uris: dict[str, str] = {}
+        self._final_uris: dict[str, str] = {}
         self._home = Path(os.path.realpath(document.folder))
         self._files: dict[Path, Iterable[Bytes]] = {}
         self._serving: dict[Path, Signature] = {}
@@ -69,15 +74,28 @@ class Beside:
         named = list(named_files(self._document))
         is_buffer = {resource.uri: resource.array == "buffers" for resource in reversed(named)}
         uris = {uri: self._placed(uri, is_buffer=is_buffer[uri]) for uri in {r.uri: None for r in named}}
+        self._uris = uris
         renamed = [(resource, uris[resource.uri]) for resource in named if uris[resource.uri] != resource.uri]
         document = _with_uris(self._document, renamed) if renamed else self._document
         return document, self._files, self._serving, self._notices()
+
+    def final(self) -> Document | None:
+        """Return the document as it is when earlier copies are replaced, None if none will be.
+
+        Call it after ``planned``.
+        """
+        if not self._final_uris:
+            return None
+        uris = {**self._uris, **self._final_uris}
+        named = named_files(self._document)
+        renamed = [(resource, uris[resource.uri]) for resource in named if uris[resource.uri] != resource.uri]
+        return _with_uris(self._document, renamed) if renamed else self._document
 
     def _placed(self, uri: str, *, is_buffer: bool) -> str:
         """Return a URI relative to the target's folder, and note the file if it must be copied."""
         new = self._document.new_files.get(uri)
         if new is not None:
-            return self._copied(uri, relative_names(uri)[0], new)
+            return self._copied(uri, relative_names(uri)[0], new, is_buffer=is_buffer)
         if self._home == self._folder:
             return uri
         try:
@@ -89,7 +107,7 @@ class Beside:
         name = Path(os.path.relpath(spot.path, self._home)).as_posix()
         if not (spot.is_own and below(self._path(name), os.fspath(self._root))):
             return path_uri(Path(os.path.relpath(spot.path, self._folder)).as_posix())
-        return self._copied(uri, name, FileContent(spot))
+        return self._copied(uri, name, FileContent(spot), is_buffer=is_buffer)
 
     def _found(self, uri: str) -> Spot | None:
         """Return the place of a file; None, with a note, if it is missing or its URI is refused."""
@@ -127,17 +145,20 @@ class Beside:
         self._outside.append(uri)
         return uri if relative_names(moved)[0] == relative_names(uri)[0] else moved
 
-    def _copied(self, uri: str, name: str, pieces: Iterable[Bytes]) -> str:
+    def _copied(self, uri: str, name: str, pieces: Iterable[Bytes], *, is_buffer: bool) -> str:
         """Return the URI of a copied file: its own name, or another one if that is taken."""
         key = name, pieces if isinstance(pieces, FileContent) else id(pieces)
         if key not in self._names:  # many URIs may be spellings of one name
-            self._names[key] = self._planned_name(name, pieces)
+            self._names[key] = self._planned_name(name, pieces, is_buffer=is_buffer)
         free = self._names[key]
         meant = relative_names(uri)[0]  # the literal name is tried if this one does not exist
-        stays = free == name and (name == meant or not self._will_exist(meant))
-        return uri if stays else path_uri(free)
+        would_stay = name == meant or not self._will_exist(meant)
+        replacing = {} if self._copies is None else self._copies.replacing
+        if replacing.get(Path(self._path(name))) == Path(self._path(free)):
+            self._final_uris[uri] = uri if would_stay else path_uri(name)
+        return uri if free == name and would_stay else path_uri(free)
 
-    def _planned_name(self, name: str, pieces: Iterable[Bytes]) -> str:
+    def _planned_name(self, name: str, pieces: Iterable[Bytes], *, is_buffer: bool) -> str:
         """Return the name of a copy, and note the file that will be written or serves."""
         before = signature_of(self._path(name))  # read before the content, so that a later change shows
         free = self._free_name(name, pieces)
@@ -146,6 +167,12 @@ class Beside:
             self._files[path] = pieces
         else:
             self._serving[path] = before if free == name else signature_of(path)
+        if self._copies is not None and isinstance(pieces, FileContent):
+            source, plain = pieces.spot.path, Path(self._path(name))
+            self._copies.used[path] = source
+            taken = free == name or plain in self._files or plain in self._copies.replacing
+            if not taken and self._copies.is_replaceable(plain, source, is_buffer=is_buffer):
+                self._copies.replacing[plain] = path
         return free
 
     def _free_name(self, name: str, pieces: Iterable[Bytes]) -> str:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from skinbake.errors import InputError, Notice, OutputError, Place
@@ -14,6 +15,7 @@ from skinbake.files.versions import Signature, Version
 from skinbake.files.writing import TakenError, check_target, write_files, write_stdout
 from skinbake.gltf import json_text
 from skinbake.gltf.beside import Beside, named_files
+from skinbake.gltf.copies import Copies, named_paths
 from skinbake.gltf.document import STDIO, Document, refuse_buffers_outside
 from skinbake.gltf.glb import join_glb
 from skinbake.gltf.json_rewriting import FormerText, rewritten
@@ -29,7 +31,8 @@ class Writing:
 
     A ``dry_run`` does everything except writing. ``traced`` requests digests of the written files. ``sync``
     waits until they are on the disk. ``pack`` brings the files of buffers and images into a GLB's BIN chunk.
-    ``lists_read`` requests the paths of the files that were read.
+    ``lists_read`` requests the paths of the files that were read. ``keeps_notes`` is false in a folder that
+    is gone after the work: files beside the target are not noted there, and no earlier ones are replaced.
     """
 
     dry_run: bool = False
@@ -37,6 +40,7 @@ class Writing:
     sync: bool = True
     pack: bool = False
     lists_read: bool = False
+    keeps_notes: bool = True
 
 
 AS_USUAL = Writing()
@@ -46,6 +50,7 @@ AS_USUAL = Writing()
 class PlannedOutput:
     """All that writing a document will do: the pieces of each file, the target last, and notices.
 
+    ``copies`` are the copies that earlier outputs left, ``needed`` the files that the document names at last.
     Nothing is written outside ``root``. ``serving`` are existing files that the document names, as they were.
     ``replaces`` is the source file, if it will be replaced. ``again`` makes a new plan if another run has
     taken a name meanwhile.
@@ -58,6 +63,8 @@ class PlannedOutput:
     serving: dict[Path, Signature] = field(default_factory=dict)
     replaces: Version | None = None
     again: Callable[[], PlannedOutput] | None = None
+    copies: Copies | None = None
+    needed: frozenset[Path] = frozenset()
 
     def write(self, *, sync: bool = True) -> PlannedOutput:
         """Write all files, or raise OutputError and leave everything as it was; return the written paths.
@@ -78,24 +85,41 @@ class PlannedOutput:
                     serving=planned.serving,
                     replaces=self.replaces,
                     sync=sync,
+                    notes=planned.copies,
                 )
             except TakenError:
                 if planned.again is None:
                     raise
                 planned = planned.again()
             else:
-                return planned
+                return planned.settled(sync=sync)
         raise OutputError("cannot be written: the files beside it keep changing", Place(self.target))
 
+    def settled(self, *, sync: bool) -> PlannedOutput:
+        """Replace and remove earlier copies, as far as that succeeds: the output is whole without it."""
+        copies, final = self.copies, self
+        if copies is None:
+            return self
+        with suppress(OSError, OutputError):
+            if copies.final is None:
+                copies.tidy(self.needed)
+            elif copies.settle(sync=sync):
+                copies.tidy(self.needed)
+                final = replace(self, files={**self.files, copies.target: copies.final})
+        return final
 
-def plan_output(document: Document, target: str, *, root: str | None = None) -> PlannedOutput:
+
+def plan_output(
+    document: Document, target: str, *, root: str | None = None, keeps_notes: bool = True
+) -> PlannedOutput:
     """Return the plan of writing a document to ``target``, or to stdout for ``-``.
 
     The suffix of the target must match the container. ``root`` is the folder that nothing is written outside
     of; the default is the folder of the target. Files that a relative URI names are copied under their
     relative path, if the target is in another folder and that path is below the root. An existing file is not
-    changed: if it has the same content it serves, otherwise the copy has another name and the URI follows. A
-    copy that would have the name of the target has another name too.
+    changed: if it has the same content it serves, otherwise the copy has another name and the URI follows. It
+    is replaced only if it is noted as an earlier copy (``copies``), unless not ``keeps_notes``. A copy that
+    would have the name of the target has another name too.
     Other URIs are rewritten so that they still lead to the same file. A document that was not edited is
     written with the bytes that were read. The folder of the target is made if it is missing. Raises
     OutputError if the target cannot be written, and InputError if a buffer is outside the bounds of the
@@ -106,17 +130,32 @@ def plan_output(document: Document, target: str, *, root: str | None = None) -> 
         return PlannedOutput(target, {Path(STDIO): _serialised(document)}, [])
 
     def again() -> PlannedOutput:
-        return plan_output(document, target, root=root)
+        return plan_output(document, target, root=root, keeps_notes=keeps_notes)
 
     try:
         path, base = _place_of(target, root)
         check_target(path, target)
-        written, beside, serving, notices = Beside(document, path, base).planned()
+        copies = Copies(path, base) if keeps_notes else None
+        placed = Beside(document, path, base, copies)
+        written, beside, serving, notices = placed.planned()
+        last = placed.final()
+        if copies is not None:
+            copies.read_target()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise OutputError(f"cannot be written: {reason}", Place(target)) from error
-    files = {**beside, path: _serialised(written)}
-    return PlannedOutput(target, files, notices, root=base, serving=serving, again=again)
+    if copies is not None and last is not None:
+        copies.final = _serialised(last)
+    return PlannedOutput(
+        target,
+        {**beside, path: _serialised(written)},
+        notices,
+        root=base,
+        serving=serving,
+        again=again,
+        copies=copies,
+        needed=named_paths(last or written, path.parent),
+    )
 
 
 def _place_of(target: str, root: str | None) -> tuple[Path, Path]:

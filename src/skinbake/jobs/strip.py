@@ -48,4 +48,5 @@ class Strip:
             bounds=within.bounds,
             root=within.output,
             lists_read=how.lists_read,
+            keeps_notes=how.keeps_notes,
         )

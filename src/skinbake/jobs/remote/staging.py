@@ -173,7 +173,7 @@ def _attempt(
     as_read = folder.kept(path) if target is not None and _one_file(source, target) else None
     is_stored = target is not None and target.storage is not None
     output = within.output if target is None else folder.output_of(target, within.output)
-    how = replace(how, sync=how.sync and not is_stored)
+    how = replace(how, sync=how.sync and not is_stored, keeps_notes=False)
     naming = folder.naming((source, path), (target, goal))
     result = with_names(lambda: makes(path, goal, how, Within(bounds, output)), naming)
     written = [name for name, state in folder.files_of(target).items() if before.get(name) != state]
