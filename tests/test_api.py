@@ -6,13 +6,16 @@ import doctest
 import inspect
 import json
 import math
+import os
 import pathlib
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields
+from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pygltflib
@@ -21,10 +24,10 @@ import pytest
 import skinbake
 from fixtures.make_fixtures import FOLDER
 from skinbake import api
-from skinbake.choices import BAKE_RANGES, VERIFY_RANGES
+from skinbake.choices import PoseKind
 from skinbake.cli import bake, verify
-from skinbake.cli.configured import OF_A_BAKE, OF_A_CHECK
 from skinbake.commands.bake import Baker
+from skinbake.options import BAKE, OPTIONS, POSES, THREADS, VERIFY, By, Option, Range, defaults
 from tests.support import corpus
 from tests.support.command_line import document, invoke
 from tests.support.gltf_reading import read
@@ -91,7 +94,9 @@ def test_results_are_the_entries_of_json(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("truth", "passes"), [("tangents", True), ("triangles", False), (None, False)])
-def test_limits_hold_by_the_truth_that_is_named(truth: str | None, passes: bool, tmp_path: Path) -> None:
+def test_limits_hold_by_the_truth_that_is_named(
+    truth: api.TruthName | None, passes: bool, tmp_path: Path
+) -> None:
     """The tube gains 38 times by tangents and 24 times by triangles; without a name the worse counts."""
     skinbake.bake(TUBE, tmp_path / "tube.glb", gradients="surface")
     verdict = skinbake.verify(tmp_path / "tube.glb", samples=4, methods=["lbs"], min_gain=30.0, truth=truth)
@@ -120,18 +125,24 @@ def test_options_reach_the_bake(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"weighting": "maximal"}, "--weighting maximal: expected one of max, angle, area, angle-area"),
-        ({"crease_angle": 181.0}, "--crease-angle 181.0: expected a number from 0 to 180"),
-        ({"crease_angle": float("nan")}, "--crease-angle nan: expected a number from 0 to 180"),
-        ({"limit_influences": 6}, "--limit-influences 6: expected a multiple of 4"),
-        ({"limit_influences": 0}, "--limit-influences 0: expected a whole number of at least 4"),
-        ({"limit_influences": 4.0}, "--limit-influences 4.0: expected a whole number of at least 4"),
-        ({"alpha_name": "ALPHA_{set}"}, "--alpha-name ALPHA_{set}: expected a name that begins with"),
-        ({"layout": "custom", "beta_name": "_B{set}"}, "--beta-name needs --layout attributes"),
-        ({"layout": "texcoord", "encoding": "packed8"}, "--layout texcoord needs --encoding float32"),
-        ({"position_bits": 12}, "need --compress draco"),
-        ({"compress": "draco", "normal_bits": 1}, "--normal-bits 1: expected a whole number from 2 to 24"),
-        ({"compress": "meshopt", "compress_level": 4}, "--compress-level of meshopt is at most 3"),
+        ({"weighting": "maximal"}, "weighting='maximal': expected one of max, angle, area, angle-area"),
+        ({"crease_angle": 181.0}, "crease_angle=181.0: expected a number from 0 to 180"),
+        ({"crease_angle": float("nan")}, "crease_angle=nan: expected a number from 0 to 180"),
+        ({"limit_influences": 6}, "limit_influences=6: expected a multiple of 4"),
+        ({"limit_influences": 0}, "limit_influences=0: expected a whole number of at least 4"),
+        ({"limit_influences": 4.0}, "limit_influences=4.0: expected a whole number of at least 4"),
+        ({"alpha_name": "ALPHA_{set}"}, "alpha_name='ALPHA_{set}': expected a name that begins with"),
+        ({"layout": "custom", "beta_name": "_B{set}"}, "beta_name needs layout='attributes'"),
+        (
+            {"layout": "texcoord", "encoding": "packed8"},
+            "layout='texcoord' needs encoding='float32', not packed8: only",
+        ),
+        ({"position_bits": 12}, "position_bits needs compress='draco'"),
+        ({"compress": "draco", "normal_bits": 1}, "normal_bits=1: expected a whole number from 2 to 24"),
+        (
+            {"compress": "meshopt", "compress_level": 4},
+            "compress_level=4: expected at most 3 with compress='meshopt'",
+        ),
     ],
 )
 def test_options_that_make_no_sense_are_refused(
@@ -146,21 +157,21 @@ def test_options_that_make_no_sense_are_refused(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"min_gain": math.nan}, "--min-gain nan: expected a number of at least 0"),
-        ({"min_gain": -1}, "--min-gain -1: expected a number of at least 0"),
-        ({"max_mean_error": math.inf}, "--max-mean-error inf: expected a number of at least 0"),
-        ({"max_p95_error": "1"}, "--max-p95-error 1: expected a number of at least 0"),
-        ({"cap": 0}, "--cap 0: expected a number above 0"),
-        ({"cap": math.nan}, "--cap nan: expected a number above 0"),
-        ({"samples": 0}, "--samples 0: expected a whole number of at least 1"),
-        ({"samples": 2.5}, "--samples 2.5: expected a whole number of at least 1"),
-        ({"seed": -1}, "--seed -1: expected a whole number of at least 0"),
-        ({"angle": math.nan}, "--angle nan: expected a number from 0 to 180"),
-        ({"angle": 181}, "--angle 181: expected a number from 0 to 180"),
-        ({"poses": "dance"}, "--poses dance: expected animation, random, random:N with N of at least 1, or"),
-        ({"poses": "random:0"}, "--poses random:0: expected animation"),
-        ({"poses": "rest:3"}, "--poses rest:3: expected animation"),
-        ({"truth": "mine"}, "--truth mine: expected one of tangents, triangles"),
+        ({"min_gain": math.nan}, "min_gain=nan: expected a number of at least 0"),
+        ({"min_gain": -1}, "min_gain=-1: expected a number of at least 0"),
+        ({"max_mean_error": math.inf}, "max_mean_error=inf: expected a number of at least 0"),
+        ({"max_p95_error": "1"}, "max_p95_error='1': expected a number of at least 0"),
+        ({"cap": 0}, "cap=0: expected a number above 0"),
+        ({"cap": math.nan}, "cap=nan: expected a number above 0"),
+        ({"samples": 0}, "samples=0: expected a whole number of at least 1"),
+        ({"samples": 2.5}, "samples=2.5: expected a whole number of at least 1"),
+        ({"seed": -1}, "seed=-1: expected a whole number of at least 0"),
+        ({"angle": math.nan}, "angle=nan: expected a number from 0 to 180"),
+        ({"angle": 181}, "angle=181: expected a number from 0 to 180"),
+        ({"poses": "dance"}, "poses='dance': expected animation, random, random:N with N of at least 1, or"),
+        ({"poses": "random:0"}, "poses='random:0': expected animation"),
+        ({"poses": "rest:3"}, "poses='rest:3': expected animation"),
+        ({"truth": "mine"}, "truth='mine': expected one of tangents, triangles"),
     ],
 )
 def test_verify_refuses_values_that_do_not_exist(options: dict[str, Any], message: str) -> None:
@@ -196,24 +207,70 @@ def test_arrays_have_the_same_crease_angles_as_files(angle: float) -> None:
         )
 
 
-def test_every_list_of_options_names_the_same() -> None:
-    """The options of a bake and of a check stand in several places, and their defaults in two."""
+def kinds(hint: Any) -> set[Any]:
+    """Return the types that a type joins, words of a Literal as they are, and those of a list as a set."""
+    if get_origin(hint) in {Union, UnionType}:
+        return set().union(*map(kinds, get_args(hint)))
+    if get_origin(hint) is Literal:
+        return set(get_args(hint))
+    return {frozenset(kinds(get_args(hint)[0]))} if get_origin(hint) is Sequence else {hint}
+
+
+def declared_kinds(option: Option) -> set[Any]:
+    """Return the types that the keyword of an option should have."""
+    values, found = option.values, set[Any]()
+    if isinstance(values, Range):
+        found = {int if values.is_whole else float}
+    elif isinstance(values, type) and issubclass(values, StrEnum):
+        found = {values, *map(str, values)}
+    elif values in (POSES, THREADS):
+        found = {str, PoseKind} if values is POSES else {int, "auto"}
+    elif option.is_path:
+        found = {str, os.PathLike[str]}
+    else:
+        found = {values}
+    return ({frozenset(found)} if option.is_many else found) | (
+        {NoneType} if option.default is None else set()
+    )
+
+
+@pytest.mark.parametrize("name", ["bake", "verify", "inspect", "strip"])
+def test_the_keywords_of_python_are_the_declared_options(name: str) -> None:
+    """Signatures are the one other place that has names, types and defaults."""
+    function = getattr(skinbake, name)
+    hints = get_type_hints(function, localns={"GLTF2": object})
+    hints |= get_type_hints(api.BakeOptions) if name == "bake" else {}
+    declared = {one.keyword: one for one in OPTIONS[name] if By.PYTHON in one.by}
+    assert hints.keys() - {"source", "target", "options", "return"} == declared.keys()
+    for keyword, option in declared.items():
+        assert kinds(hints[keyword]) == declared_kinds(option), keyword
+        parameter = inspect.signature(function).parameters.get(keyword)
+        if parameter is not None:
+            is_opposite = keyword != option.name
+            assert parameter.default == (not option.default if is_opposite else option.default), keyword
+
+
+def test_the_options_of_files_have_one_default() -> None:
+    """The class of a bake's options, and click, take theirs from the declarations."""
     baker = {entry.name: entry.default for entry in fields(Baker)}
-    assert set(baker) == OF_A_BAKE == set(api.BakeOptions.__annotations__)
-    assert set(BAKE_RANGES) <= set(baker)
-    checks = {
-        name: entry.default
-        for name, entry in inspect.signature(skinbake.verify).parameters.items()
-        if name not in {"source", "allow_outside", "threads"}
-    }
-    assert set(checks) == OF_A_CHECK
-    assert set(VERIFY_RANGES) <= set(checks)
-    for command, defaults in ((bake.command, baker), (verify.command, checks)):
+    assert baker == defaults(BAKE, By.OVERRIDE)
+    for command, options in ((bake.command, BAKE), (verify.command, VERIFY)):
+        wanted = defaults(options, By.OVERRIDE)
         given = command.make_context("skinbake", ["a.glb"], resilient_parsing=True).params
-        assert {name: given[name] for name in defaults} == defaults
+        assert {name: given[name] for name in wanted} == wanted
+
+
+def test_a_type_checker_and_python_refuse_a_word_that_does_not_exist(tmp_path: Path) -> None:
+    with pytest.raises(skinbake.ChoiceError) as caught:
+        skinbake.bake(TUBE, tmp_path / "out.glb", encoding="snorm17")  # type: ignore[call-overload]  # on purpose
+    error = caught.value
+    assert (error.option, error.value) == ("encoding", "snorm17")
+    assert error.expected == "one of float32, snorm16, packed8; did you mean 'snorm16'?"
 
 
 def test_an_unknown_keyword_is_a_type_error(tmp_path: Path) -> None:
+    with pytest.raises(TypeError, match=r"'neighbors'; did you mean 'neighbours'\?"):
+        skinbake.bake(TUBE, tmp_path / "out.glb", **{"neighbors": "drop"})  # type: ignore[call-overload]  # on purpose
     with pytest.raises(TypeError, match="wieghting"):
         skinbake.bake(TUBE, tmp_path / "out.glb", **{"wieghting": "max"})  # type: ignore[call-overload]  # on purpose
     with pytest.raises(TypeError, match="needs a target"):
@@ -222,14 +279,14 @@ def test_an_unknown_keyword_is_a_type_error(tmp_path: Path) -> None:
 
 def test_one_text_in_the_place_of_a_list_is_refused(tmp_path: Path) -> None:
     """Its letters would be names: the first of /textures allows every folder."""
-    with pytest.raises(skinbake.ChoiceError, match="--allow-outside '/textures': expected a list of names"):
+    with pytest.raises(skinbake.ChoiceError, match="allow_outside='/textures': expected a list of names"):
         skinbake.bake(TUBE, tmp_path / "out.glb", allow_outside="/textures")
-    with pytest.raises(skinbake.ChoiceError, match="--allow-outside '/textures'"):
+    with pytest.raises(skinbake.ChoiceError, match="allow_outside='/textures'"):
         skinbake.inspect(TUBE, allow_outside="/textures")
-    with pytest.raises(skinbake.ChoiceError, match="--fit-poses 'animations': expected a list of names"):
+    with pytest.raises(skinbake.ChoiceError, match="fit_poses='animations': expected a list of names"):
         skinbake.bake(TUBE, tmp_path / "out.glb", gradients="poses", fit_poses="animations")
-    with pytest.raises(skinbake.ChoiceError, match="--methods 'lbs': expected a list of names"):
-        skinbake.verify(TUBE, methods="lbs")
+    with pytest.raises(skinbake.ChoiceError, match="methods='lbs': expected a list of names"):
+        skinbake.verify(TUBE, methods="lbs")  # type: ignore[arg-type]  # on purpose
     assert not list(tmp_path.iterdir())
 
 
@@ -266,22 +323,26 @@ def test_a_value_of_another_type_is_refused_by_the_name_of_its_option(
             try:
                 function(*given, **{option: value})
             except skinbake.ChoiceError as error:
-                assert f"--{option.replace('_', '-').removesuffix('s')}" in str(error)
-                assert "expected" in str(error) or " need" in str(error) or "contradicts" in str(error)
+                assert option in error.options and option in str(error)
+                assert "expected" in str(error) or " needs" in str(error) or "contradicts" in str(error)
 
 
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        ("bake", {"alpha_name": 3}, "--alpha-name 3: expected a text"),
-        ("bake", {"crease_angle": None}, "--crease-angle None: expected a number from 0 to 180"),
-        ("bake", {"dry_run": "no"}, "--dry-run 'no': expected True or False"),
-        ("bake", {"allow_outside": None}, "--allow-outside None: expected a list of names"),
-        ("verify", {"angle": None}, "--angle None: expected a number from 0 to 180"),
-        ("verify", {"poses": 3}, "--poses 3: expected one of animation, random, rest"),
-        ("verify", {"methods": None}, "--methods None: expected a list of names"),
-        ("strip", {"sync": 1}, "--sync 1: expected True or False"),
-        ("weight_gradients", {"crease_angle": None}, "--crease-angle None: expected a number from 0 to 180"),
+        ("bake", {"alpha_name": 3}, "alpha_name=3: expected a text"),
+        ("bake", {"crease_angle": None}, "crease_angle=None: expected a number from 0 to 180"),
+        ("bake", {"dry_run": "no"}, "dry_run='no': expected True or False"),
+        ("bake", {"allow_outside": None}, "allow_outside=None: expected a list of names"),
+        ("verify", {"angle": None}, "angle=None: expected a number from 0 to 180"),
+        (
+            "verify",
+            {"poses": 3},
+            "poses=3: expected animation, random, random:N with N of at least 1, or rest",
+        ),
+        ("verify", {"methods": None}, "methods=None: expected a list of names"),
+        ("strip", {"sync": 1}, "sync=1: expected True or False"),
+        ("weight_gradients", {"crease_angle": None}, "crease_angle=None: expected a number from 0 to 180"),
     ],
 )
 def test_a_value_of_another_type_is_told_what_fits(name: str, options: dict[str, Any], message: str) -> None:
@@ -422,7 +483,9 @@ class TestArrays:
 
     @pytest.mark.parametrize("neighbours", ["drop", "adopt"])
     @pytest.mark.parametrize("name", ["seam.glb", "foreign_joints.glb", "mirrored_tangent.glb"])
-    def test_arrays_give_what_a_file_gives(self, name: str, neighbours: str, tmp_path: Path) -> None:
+    def test_arrays_give_what_a_file_gives(
+        self, name: str, neighbours: api.NeighboursName, tmp_path: Path
+    ) -> None:
         skinbake.bake(FOLDER / name, tmp_path / "out.glb", neighbours=neighbours, gradients="surface")
         before, after = read(FOLDER / name), read(tmp_path / "out.glb")
         attributes = before.primitive(0, 0)["attributes"]

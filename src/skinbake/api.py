@@ -9,13 +9,12 @@ import math
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, Unpack, overload
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, Unpack, overload
 
 import numpy as np
 import numpy.typing as npt
 
 from skinbake.choices import (
-    BAKE_RANGES,
     Baseline,
     Encoding,
     FrameChoice,
@@ -28,20 +27,30 @@ from skinbake.choices import (
     Truth,
     Weighting,
     Weld,
-    check_range,
-    member_of,
 )
-from skinbake.errors import ChoiceError, InputError, OutputError, Place
+from skinbake.errors import InputError, OutputError, Place
 from skinbake.files.bounds import Bounds, Within
 from skinbake.files.urls import SUFFIXES, is_url
 from skinbake.geometry.skinned import Float32Array, IntArray, SkinnedPrimitive
-from skinbake.option_types import check_types
-from skinbake.threads import LARGEST, threads_limited
+from skinbake.options import BAKE, INSPECT, STRIP, VERIFY, checked
+from skinbake.threads import threads_limited
+from skinbake.wording import did_you_mean
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2
 
 FilePath: TypeAlias = str | os.PathLike[str]
+BaselineName: TypeAlias = Baseline | Literal["blended", "inverse-transpose", "cofactor"]
+EncodingName: TypeAlias = Encoding | Literal["float32", "snorm16", "packed8"]
+FrameName: TypeAlias = FrameChoice | Literal["auto", "tangent", "normal"]
+GradientsName: TypeAlias = Gradients | Literal["surface", "rig", "poses"]
+LayoutName: TypeAlias = Layout | Literal["attributes", "texcoord", "custom"]
+MethodName: TypeAlias = Method | Literal["lbs", "dqs"]
+NeighboursName: TypeAlias = Neighbours | Literal["adopt", "extend", "drop"]
+SchemeName: TypeAlias = Scheme | Literal["keep", "none", "draco", "meshopt"]
+TruthName: TypeAlias = Truth | Literal["tangents", "triangles"]
+WeightingName: TypeAlias = Weighting | Literal["max", "angle", "area", "angle-area"]
+WeldName: TypeAlias = Weld | Literal["mesh", "skin"]
 
 
 class BakeOptions(TypedDict, total=False):
@@ -52,24 +61,24 @@ class BakeOptions(TypedDict, total=False):
     ``crease_angle`` is in degrees.
     """
 
-    gradients: Gradients | str
+    gradients: GradientsName
     fit_poses: Sequence[str]
-    weighting: Weighting | str
+    weighting: WeightingName
     crease_angle: float
-    weld: Weld | str
-    neighbours: Neighbours | str
-    frame: FrameChoice | str
+    weld: WeldName
+    neighbours: NeighboursName
+    frame: FrameName
     limit_influences: int | None
     generate_normals: bool
     alpha_name: str | None
     beta_name: str | None
-    compress: Scheme | str
+    compress: SchemeName
     compress_level: int | None
     position_bits: int | None
     normal_bits: int | None
     texcoord_bits: int | None
-    encoding: Encoding | str
-    layout: Layout | str
+    encoding: EncodingName
+    layout: LayoutName
     require_baked: bool
     warnings_as_errors: bool
 
@@ -83,13 +92,15 @@ def bake(
     dry_run: bool = False,
     pack: bool = False,
     sync: bool = True,
-    threads: int | str = "auto",
+    threads: int | Literal["auto"] = "auto",
     **options: Unpack[BakeOptions],
 ) -> dict[str, Any]: ...
 
 
 @overload
-def bake(source: GLTF2, *, threads: int | str = "auto", **options: Unpack[BakeOptions]) -> GLTF2: ...
+def bake(
+    source: GLTF2, *, threads: int | Literal["auto"] = "auto", **options: Unpack[BakeOptions]
+) -> GLTF2: ...
 
 
 def bake(
@@ -100,7 +111,7 @@ def bake(
     dry_run: bool = False,
     pack: bool = False,
     sync: bool = True,
-    threads: int | str = "auto",
+    threads: int | Literal["auto"] = "auto",
     **options: Unpack[BakeOptions],
 ) -> dict[str, Any] | GLTF2:
     """Add α and β, the skin-weight gradients, to every skinned primitive of a file or a model.
@@ -150,10 +161,14 @@ def bake(
     from skinbake.commands.bake import Baker
     from skinbake.gltf.output import Writing
 
-    check_types(BakeOptions, options)
-    check_types(bake, {"allow_outside": allow_outside, "dry_run": dry_run, "pack": pack, "sync": sync})
+    for name in options.keys() - BakeOptions.__annotations__.keys():
+        meant = did_you_mean(name, BakeOptions.__annotations__)
+        question = f"; {meant}" if meant else ""
+        raise TypeError(f"bake() got an unexpected keyword argument {name!r}{question}")
+    given = {"allow_outside": allow_outside, "dry_run": dry_run, "pack": pack, "sync": sync}
+    count = checked(BAKE, {**given, "threads": threads})["threads"]
     baker = Baker(**options)  # type: ignore[arg-type]  # it takes the values of enumerations too
-    with threads_limited(_thread_count(threads)):
+    with threads_limited(count):
         if not isinstance(source, str | os.PathLike):
             from skinbake.pygltflib_models import baked_model
 
@@ -174,21 +189,21 @@ def bake(
 def verify(
     source: FilePath,
     *,
-    methods: Sequence[Method | str] = (),
+    methods: Sequence[MethodName] = (),
     poses: PoseKind | str = PoseKind.ANIMATION,
     samples: int | None = None,
     angle: float = 30.0,
     seed: int = 0,
-    baseline: Baseline | str = Baseline.BLENDED,
+    baseline: BaselineName = Baseline.BLENDED,
     cap: float | None = None,
     max_mean_error: float | None = None,
     max_p95_error: float | None = None,
     min_gain: float | None = None,
-    truth: Truth | str | None = None,
+    truth: TruthName | None = None,
     require_baked: bool = False,
     warnings_as_errors: bool = False,
     allow_outside: Sequence[FilePath] = (),
-    threads: int | str = "auto",
+    threads: int | Literal["auto"] = "auto",
 ) -> dict[str, Any]:
     """Check that a file still carries the right α and β, and measure its lighting in degrees.
 
@@ -241,7 +256,7 @@ def verify(
     from skinbake.lighting.verify_options import VerifyOptions
     from skinbake.report.verify import file_json
 
-    given: dict[str, Any] = {
+    given = {
         "methods": methods,
         "poses": poses,
         "samples": samples,
@@ -256,9 +271,9 @@ def verify(
         "require_baked": require_baked,
         "warnings_as_errors": warnings_as_errors,
     }
-    check_types(verify, {**given, "allow_outside": allow_outside})
+    count = checked(VERIFY, {"allow_outside": allow_outside, "threads": threads})["threads"]
     options = VerifyOptions.of(**given)
-    with threads_limited(_thread_count(threads)):
+    with threads_limited(count):
         return file_json(verify_file(_source(source), options, bounds=_bounds(allow_outside)))
 
 
@@ -291,7 +306,7 @@ def inspect(source: FilePath, *, allow_outside: Sequence[FilePath] = ()) -> dict
     from skinbake.commands.inspect import inspect_file
     from skinbake.report.inspect import as_json
 
-    check_types(inspect, {"allow_outside": allow_outside})
+    checked(INSPECT, {"allow_outside": allow_outside})
     return as_json(inspect_file(_source(source), _bounds(allow_outside)))
 
 
@@ -340,19 +355,10 @@ def strip(
     from skinbake.report.strip import as_json
 
     given = {"warnings_as_errors": warnings_as_errors, "sync": sync, "allow_outside": allow_outside}
-    check_types(strip, given)
+    checked(STRIP, given)
     bounds = _bounds(allow_outside)
     paths = _source(source), _target(target)
     return as_json(strip_file(*paths, warnings_as_errors=warnings_as_errors, sync=sync, bounds=bounds))
-
-
-def _thread_count(threads: int | str) -> int | None:
-    """Return the number of threads asked for, or None for ``auto``. Raises ChoiceError."""
-    if isinstance(threads, int) and 1 <= threads <= LARGEST:
-        return threads
-    if isinstance(threads, str) and threads == "auto":
-        return None
-    raise ChoiceError(f"--threads {threads}: expected a number from 1 to {LARGEST}, or auto")
 
 
 def _source(path: FilePath) -> str:
@@ -420,10 +426,10 @@ def weight_gradients(
     weights: npt.ArrayLike,
     *,
     tangents: npt.ArrayLike | None = None,
-    weighting: Weighting | str = Weighting.MAX,
+    weighting: WeightingName = Weighting.MAX,
     crease_angle: float = 15.0,
-    neighbours: Neighbours | str = Neighbours.DROP,
-    frame: FrameChoice | str = FrameChoice.AUTO,
+    neighbours: NeighboursName = Neighbours.DROP,
+    frame: FrameName = FrameChoice.AUTO,
 ) -> WeightGradients:
     """Return α and β of one skinned surface: arrays in, arrays out, no file.
 
@@ -490,13 +496,10 @@ def weight_gradients(
     from skinbake.gradients.baker import BakeSettings, bake_primitives
     from skinbake.gradients.tangents import frame_vectors
 
-    check_types(weight_gradients, {"crease_angle": crease_angle})
-    check_range("crease_angle", crease_angle, BAKE_RANGES["crease_angle"])
+    given = {"weighting": weighting, "crease_angle": crease_angle, "neighbours": neighbours, "frame": frame}
+    words = checked(BAKE, given)
     settings = BakeSettings(
-        member_of(Weighting, weighting, "weighting"),
-        math.radians(crease_angle),
-        member_of(Neighbours, neighbours, "neighbours"),
-        member_of(FrameChoice, frame, "frame"),
+        words["weighting"], math.radians(crease_angle), words["neighbours"], words["frame"]
     )
     if settings.neighbours is Neighbours.EXTEND:
         raise ValueError('neighbours is "extend", which works on files only: expected adopt or drop')

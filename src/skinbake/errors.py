@@ -7,16 +7,18 @@ The tree::
     │   └── UnsupportedFeatureError it is valid, and this version cannot process it      exit 3
     ├── OutputError                 the result cannot be written                         exit 4
     │   └── ReaderGoneError         its reader has left                                  exit 141
-    └── ChoiceError                 options that exclude each other                      exit 2
+    └── ChoiceError                 an option has a value that it does not take          exit 2
 
 A file that was read and does not pass verification is no error: it is a verdict (exit 1).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import copyreg
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 
 def printable(text: str) -> str:
@@ -130,5 +132,49 @@ class ReaderGoneError(OutputError):
     """The reader of the output has left."""
 
 
+class Chosen(NamedTuple):
+    """An option in a message, by its declared name, and the value that it has or needs there, if any."""
+
+    option: str
+    value: object = ...
+
+
+def in_python(chosen: Chosen) -> str:
+    """Return ``encoding='float32'``, or the name of an option without a value."""
+    option, value = chosen
+    if value is ...:
+        return option
+    return f"{option}={(str(value) if isinstance(value, str) else value)!r}"
+
+
 class ChoiceError(SkinbakeError):
-    """The chosen options do not exist, or contradict each other."""
+    """An option has a value that it does not take, or that contradicts another option.
+
+    ``option``, ``value`` and ``expected`` are the data of it. The value is ``...`` if it does not matter. For
+    a contradiction, ``reason`` follows the option in the message, and ``expected`` is empty. ``options`` are
+    all that the message is about, ``also`` those that it does not name. The message names options as Python
+    does; ``worded`` names them in another way.
+    """
+
+    def __init__(
+        self,
+        option: str,
+        value: object = ...,
+        expected: str = "",
+        *,
+        reason: Sequence[str | Chosen] = (),
+        also: Sequence[str] = (),
+        place: Place | None = None,
+    ) -> None:
+        self.option, self.value, self.expected = option, value, expected
+        self.parts = (Chosen(option, value), *(reason or (f": expected {expected}",)))
+        self.options = [*(part.option for part in self.parts if isinstance(part, Chosen)), *also]
+        super().__init__(self.worded(in_python), place)
+
+    def worded(self, words_of: Callable[[Chosen], str]) -> str:
+        """Return the message with the words that a front end has for options."""
+        return "".join(part if isinstance(part, str) else words_of(part) for part in self.parts)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Let another process have the error as it is."""
+        return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]

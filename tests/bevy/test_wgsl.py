@@ -284,7 +284,7 @@ def test_a_mesh_that_is_not_baked_is_lit_as_bevy_does(name: str, seen: dict[str,
         ({"lighting": Lighting.APPROXIMATED}, "Bevy's own"),
         ({"influences": 5}, "four influences per vertex, not 5"),
         ({"influences": 1}, "one influence"),
-        ({"language": Language.GLSL}, "needs --lang wgsl"),
+        ({"language": Language.GLSL}, "needs language='wgsl'"),
         ({"layout": "texcoord"}, "two sets of texture coordinates"),
         ({"encoding": "packed8"}, "packed8 needs .*; give --for BAKED_FILE"),
         ({"encoding": "snorm16"}, "snorm16 needs .*; give --for BAKED_FILE"),
@@ -292,7 +292,7 @@ def test_a_mesh_that_is_not_baked_is_lit_as_bevy_does(name: str, seen: dict[str,
 )
 @pytest.mark.parametrize("target", ["bevy", WESL])
 def test_what_bevy_cannot_use_is_refused(choices: dict[str, Any], reason: str, target: str) -> None:
-    with pytest.raises(ChoiceError, match=f"--target {target}[: ].*{reason}"):
+    with pytest.raises(ChoiceError, match=f"target='{target}'[: ].*{reason}"):
         shader_text(chosen(Frame.NORMAL, **choices, target=target))
 
 

@@ -6,7 +6,6 @@ import re
 import shutil
 import tomllib
 import zipfile
-from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -16,24 +15,13 @@ import pytest
 import skinbake
 from engines.blender import build
 from fixtures.make_fixtures import FOLDER
-from skinbake import choices
-from skinbake.commands.bake import Baker
+from skinbake.options import BAKE
 from skinbake.wording import gain_in_words
 from tests.blender.running import addon_module
 from tests.support.baked_files import Editable
 
 baking = addon_module("baking")
 options = addon_module("options")
-
-ENUMERATIONS = {
-    "gradients": choices.Gradients,
-    "frame": choices.FrameChoice,
-    "encoding": choices.Encoding,
-    "layout": choices.Layout,
-    "neighbours": choices.Neighbours,
-    "weld": choices.Weld,
-}
-
 
 SAVED = {
     "gradients": {"rig": 0, "surface": 1, "poses": 2},
@@ -54,25 +42,18 @@ def baked(name: str, folder: Path, measure: bool = False, **chosen: Any) -> Any:
     return baking.bake_export(str(copy), chosen, measure=measure)
 
 
-def test_the_panel_offers_the_values_of_the_python_api() -> None:
+def test_the_panel_offers_the_declared_values() -> None:
     offered = {name: [item[0] for item in items] for name, (_, items) in options.CHOICES.items()}
     assert [int(value) for value in offered.pop("limit_influences")] == [0, 4, 8]
+    declared: dict[str, Any] = {one.name: one.values for one in BAKE}
     assert {name: set(values) for name, values in offered.items()} == {
-        name: set(kind) for name, kind in ENUMERATIONS.items()
+        name: set(declared[name]) for name in offered
     }
 
 
 def test_a_saved_option_keeps_its_meaning() -> None:
     numbers = {name: {item[0]: item[3] for item in items} for name, (_, items) in options.CHOICES.items()}
     assert numbers == SAVED
-
-
-def test_the_defaults_are_those_of_bake() -> None:
-    defaults = {name: parameter.default for name, parameter in signature(Baker).parameters.items()}
-    for name in ENUMERATIONS:
-        assert options.CHOICES[name][1][0][0] == defaults[name], name
-    assert defaults["crease_angle"] == options.CREASE_ANGLE
-    assert defaults["limit_influences"] is None
 
 
 def test_a_limit_of_influences_says_what_it_costs(tmp_path: Path) -> None:

@@ -14,12 +14,13 @@ import click
 import pytest
 
 from skinbake.choices import Encoding
-from skinbake.cli.configured import PER_FILE, SETTABLE, matches, options_of
+from skinbake.cli.configuration import PER_FILE, matches, options_of
 from skinbake.cli.main import COMMANDS, main
 from skinbake.commands.bake import Baker
 from skinbake.jobs.bake import Bake
 from skinbake.jobs.file_work import ByVariant, FileWork
 from skinbake.jobs.work import Job
+from skinbake.options import By
 from tests.support.command_line import document, invoke, run
 from tests.support.models import FOLDER
 from tests.support.schemas import CONFIG, checked
@@ -147,7 +148,7 @@ class TestSearch:
         code = (
             "import sys\nfrom skinbake.cli.main import main\n"
             "main(['cost', '-q'], standalone_mode=False)\n"
-            "print([name for name in sys.modules if 'tomllib' in name or 'configur' in name])"
+            "print([name for name in sys.modules if 'tomllib' in name])"
         )
         (project / "pyproject.toml").write_text('[tool.other]\nskin = "bake"\n')
         assert run(command=("-c", code)).stdout == b"[]\n"
@@ -199,8 +200,8 @@ class TestValues:
             ("require-baked = 1", "bake.require-baked: 1: expected true or false"),
             ('gradients = ["rig"]', "bake.gradients: ['rig']: expected a text in quotes"),
             ('fit-poses = "animations"', "bake.fit-poses: 'animations': expected an array of texts"),
-            ("jobs = -1", "bake.jobs: must be a number of processes up to 256, or auto"),
-            ("jobs = 100000", "bake.jobs: must be a number of processes up to 256, or auto"),
+            ("jobs = -1", "bake.jobs: expected a number of processes up to 256, or auto, found "),
+            ("jobs = 100000", "bake.jobs: expected a number of processes up to 256, or auto, found "),
             ("jobs = 1.5", "bake.jobs: 1.5: expected an integer, or a text in quotes"),
             (
                 "encodng = 1",
@@ -306,6 +307,15 @@ class TestValues:
         assert "--skip-unchanged needs --state FILE" in result.stderr
         assert "skinbake.toml:3 sets skip-unchanged;" in result.stderr
 
+    @pytest.mark.parametrize(("typed", "is_told"), [([], True), (["--encoding", "packed8"], False)])
+    def test_an_option_that_was_typed_is_not_blamed_on_the_file(
+        self, typed: list[str], is_told: bool, project: Path
+    ) -> None:
+        (project / "skinbake.toml").write_text('[bake]\nencoding = "snorm16"\n')
+        result = invoke("bake", "a.glb", "--dry-run", "--layout", "texcoord", *typed)
+        assert "--layout texcoord needs --encoding float32" in result.stderr
+        assert ("skinbake.toml" in result.stderr) is is_told
+
     def test_an_output_is_made_of_the_file_too(self, project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (project / "skinbake.toml").write_text('[bake]\nencoding = "snorm16"\n')
         monkeypatch.chdir("heroes")
@@ -367,14 +377,16 @@ class TestTrust:
             assert command is not None
             dangerous = set(DANGEROUS.get(name, ("", {}))[0].split())
             for key, option in options_of(command).items():
-                assert (key in dangerous) != (option.name in SETTABLE), f"{name} --{key}"
+                assert (key in dangerous) != (By.TABLE in option.declared.by), f"{name} --{key}"
 
     def test_the_options_that_differ_by_file_exist(self) -> None:
         top = click.Context(main)
-        for name, names in PER_FILE.items():
+        for name in PER_FILE:
             command = main.get_command(top, name)
             assert command is not None
-            assert names <= {option.name for option in options_of(command).values()}
+            options = options_of(command).values()
+            assert any(By.OVERRIDE in option.declared.by for option in options)
+            assert all(By.TABLE in one.declared.by for one in options if By.OVERRIDE in one.declared.by)
 
     @pytest.mark.parametrize(
         "value", ["clips.glb", "/dev/zero", "s3://a/b.glb", "random", "http:random:1.glb"]
@@ -625,18 +637,24 @@ class TestCommand:
         [
             (
                 '[bake]\nlimit-influences = 4\nneighbours = "extend"\n',
-                "skinbake.toml:2: bake.limit-influences: --limit-influences contradicts --neighbours extend",
+                'skinbake.toml:2: bake.limit-influences: limit-influences contradicts neighbours = "extend"',
             ),
-            ("[bake]\nposition-bits = 12\n", "skinbake.toml:2: bake.position-bits: --position-bits, "),
+            (
+                "[bake]\nposition-bits = 12\n",
+                'skinbake.toml:2: bake.position-bits: position-bits needs compress = "draco"',
+            ),
             (
                 '[bake]\nneighbours = "extend"\n[[overrides]]\nfiles = ["none/*"]\n'
                 "bake.limit-influences = 4\n",
-                "skinbake.toml:4: overrides[0]: --limit-influences contradicts --neighbours extend",
+                'skinbake.toml:4: overrides[0]: limit-influences contradicts neighbours = "extend"',
             ),
-            ('[shader]\nlighting = "exact"\n', "skinbake.toml:1: shader: --method lbs has no exact lighting"),
+            (
+                '[shader]\nlighting = "exact"\n',
+                'skinbake.toml:2: shader.lighting: method = "lbs" has no exact lighting',
+            ),
             (
                 '[shader]\nmorphs = "tangent"\nframe = "normal"\n',
-                "skinbake.toml:2: shader.morphs: --morphs tangent needs --frame tangent",
+                'skinbake.toml:2: shader.morphs: morphs = "tangent" needs frame = "tangent"',
             ),
         ],
     )
@@ -648,7 +666,7 @@ class TestCommand:
             '[[overrides]]\nfiles = ["a.*"]\nbake.neighbours = "extend"\n'
             '[[overrides]]\nfiles = ["*.glb"]\nbake.limit-influences = 4\n'
         )
-        said = "skinbake.toml:2: overrides[0], skinbake.toml:5: overrides[1]: --limit-influences contradicts"
+        said = "skinbake.toml:2: overrides[0], skinbake.toml:5: overrides[1]: limit-influences contradicts"
         assert refused(text, "config", "a.glb").startswith(said)
         assert invoke("config").exit_code == 0
         assert invoke("config", "heroes/knight.glb").exit_code == 0

@@ -12,7 +12,7 @@ from pathlib import Path
 import click
 import pytest
 
-from skinbake.cli.help import GROUPS, Helpful, grouped, manual
+from skinbake.cli.help import Helpful, grouped, manual
 from skinbake.cli.main import COMMANDS, main
 from tests.support.command_line import invoke
 from tests.support.tools import required_program
@@ -30,7 +30,6 @@ def command_of(name: str) -> tuple[Helpful, click.Context]:
 def test_every_option_is_in_one_group_and_examples_end_the_help(name: str) -> None:
     command, ctx = command_of(name)
     shown = list(grouped(command, ctx))
-    assert {heading for heading, _ in shown} <= GROUPS.keys()
     options = [param for param in command.get_params(ctx) if isinstance(param, click.Option)]
     assert sum(len(rows) for _, rows in shown) == len(options)
     text = invoke(name, "--help").stdout
@@ -68,11 +67,6 @@ def test_the_examples_are_commands(name: str) -> None:
         program, asked, *arguments = shlex.split(line)
         assert (program, asked) == ("skinbake", name)
         command.make_context(name, arguments, parent=TOP)
-
-
-def test_a_group_names_no_parameter_twice() -> None:
-    names = [name for group in GROUPS.values() for name in group]
-    assert len(names) == len(set(names))
 
 
 @pytest.mark.parametrize(

@@ -119,7 +119,7 @@ def test_few_small_files_start_no_process(
 def test_jobs_is_a_number_or_auto(value: str) -> None:
     result = invoke("bake", FOLDER / "seam.glb", "--dry-run", "--jobs", value)
     assert result.exit_code == 2
-    assert "must be a number of processes up to 256, or auto" in result.stderr
+    assert "expected a number of processes up to 256, or auto, found " in result.stderr
 
 
 @pytest.mark.parametrize(

@@ -175,7 +175,10 @@ def test_a_target_that_is_text_is_replaced(tmp_path: Path, content: str) -> None
         (["--lang", "glsl", "--cap", "1e-30"], "--cap 1e-30 is not in the range 1e-06 to 1e+06 of a shader"),
         (["--lang", "glsl", "--influences", "0"], "expected a whole number from 1 to 64, found 0"),
         (["--lang", "glsl", "-o", ""], "--output: the name is empty"),
-        (["--lang", "glsl", "--layout", "custom", "--influences", "9"], "--layout custom holds 8 influences"),
+        (
+            ["--lang", "glsl", "--layout", "custom", "--influences", "9"],
+            "--layout custom: it holds 8 influences",
+        ),
         (["--lang", "glsl", "--for", "hero.fbx"], "hero.fbx"),
     ],
 )
@@ -303,7 +306,7 @@ class TestForFile:
         file = baked(TWO_SETS, tmp_path)
         result = invoke("shader", "--target", target, "--for", file)
         assert result.exit_code == 3
-        assert f"{file}: this file does not fit target {target}" in result.stderr
+        assert f"{file}: this file does not fit --target {target}" in result.stderr
         assert "four influences per vertex, not 8; bake with --limit-influences 4" in result.stderr
         asked = invoke("shader", "--target", target, "--for", file, "--lighting", "approximated")
         assert asked.exit_code == 2

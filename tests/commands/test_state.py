@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
-from skinbake.cli.many import STATE_NAME
 from skinbake.jobs import state
 from skinbake.jobs.file_work import FileWork
 from skinbake.jobs.state import HEADER, NAME, Recipe, State, recipe
 from skinbake.jobs.work import Job
+from skinbake.options import STATE_NAME
 from tests.support.baking import bake_work, baker_of
 from tests.support.models import copied
 

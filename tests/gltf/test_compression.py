@@ -492,7 +492,7 @@ class TestQuantising:
 
     def test_more_bits_than_a_float_has_are_refused(self) -> None:
         """At 30 Draco's tables took gigabytes and many seconds for any model."""
-        with pytest.raises(ChoiceError, match=r"--normal-bits 25: expected a whole number from 2 to 24"):
+        with pytest.raises(ChoiceError, match=r"normal_bits=25: expected a whole number from 2 to 24"):
             Baker(compress=Scheme.DRACO, position_bits=12, normal_bits=25)
 
     def test_the_gradients_fit_the_quantised_mesh(self, tmp_path: Path) -> None:

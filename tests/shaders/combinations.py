@@ -9,7 +9,7 @@ from itertools import product
 from typing import Any
 
 from skinbake.choices import Frame, Language, Method, Morphs
-from skinbake.cli.shader import PUBLISHED_CAP
+from skinbake.options import PUBLISHED_CAP
 from skinbake.shaders.choices import ALGORITHMS, BEST, ShaderChoices
 from tests.support.whole_fields import shader_text
 

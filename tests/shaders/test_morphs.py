@@ -365,7 +365,7 @@ def test_the_command_line_in_the_header_writes_the_text_again() -> None:
 
 
 def test_morphed_tangents_need_the_tangent_frame() -> None:
-    with pytest.raises(ChoiceError, match="--morphs tangent needs --frame tangent"):
+    with pytest.raises(ChoiceError, match="morphs='tangent' needs frame='tangent'"):
         ShaderChoices(Language.GLSL, frame=Frame.NORMAL, morphs=Morphs.TANGENT)
     result = CliRunner().invoke(
         main, ["shader", "--lang", "glsl", "--frame", "normal", "--morphs", "tangent"]

@@ -281,11 +281,11 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("changes", "words"),
         [
-            ({"encoding": "half"}, "--encoding half is not one of float32, snorm16, packed8"),
-            ({"layout": "uv"}, "--layout uv is not one of attributes, texcoord, custom"),
+            ({"encoding": "half"}, "encoding='half': expected one of float32, snorm16, packed8"),
+            ({"layout": "uv"}, "layout='uv': expected one of attributes, texcoord, custom"),
             (
                 {"layout": "texcoord", "encoding": "packed8"},
-                "--layout texcoord needs --encoding float32, not packed8",
+                "layout='texcoord' needs encoding='float32', not packed8",
             ),
         ],
     )
@@ -302,7 +302,7 @@ class TestRefusals:
         (tmp_path / "templates" / "targets" / "bare.glsl").write_text("@{ text_for().snippet }\n")
         monkeypatch.setattr(shader_texts, "TEMPLATES", tmp_path / "templates")
         monkeypatch.setattr(shader_texts, "_environment", shader_texts._environment.__wrapped__)
-        with pytest.raises(ChoiceError, match="--target bare reads alpha and beta as floats"):
+        with pytest.raises(ChoiceError, match="target='bare': it reads alpha and beta as floats"):
             shader_text(ShaderChoices(GLSL, target="bare", **storage))
         approximated = ShaderChoices(GLSL, lighting=Lighting.APPROXIMATED, target="bare", **storage)
         assert "skinbake_lbs_approximated" in shader_text(approximated)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from skinbake.choices import Baseline
-from skinbake.cli.shader import PUBLISHED_CAP
+from skinbake.options import PUBLISHED_CAP
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.rest import RestPrimitive
 from tests.support import analytic

@@ -521,7 +521,7 @@ class TestMisfits:
             ({"lighting": Lighting.APPROXIMATED}, "three.js's own"),
             ({"influences": 5}, "four influences"),
             ({"influences": 1}, "use --influences 4"),
-            ({"language": Language.WGSL}, "--lang glsl"),
+            ({"language": Language.WGSL}, "language='glsl'"),
         ],
     )
     def test_choices_that_three_cannot_serve_are_refused(self, changes: dict[str, Any], words: str) -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from .options import CHOICES, CREASE_LABEL
+from .options import CHOICES, CREASE_LABEL, NO_SKINBAKE
 
 Level = Literal["INFO", "WARNING", "ERROR"]
 """The levels of Blender's reports."""
@@ -20,10 +20,6 @@ Status = Literal["baked", "unchanged", "failed"]
 
 KEPT = "the plain export was kept"
 
-NO_SKINBAKE = (
-    "this Blender has no skinbake ({reason}). Install the zip that holds it, "
-    "or install it with pip into Blender's Python"
-)
 NOTHING_SKINNED = (
     "nothing is skinned. To bake a character, turn on Data > Skinning, and export its mesh with its armature"
 )
@@ -87,7 +83,10 @@ def bake_export(path: str, options: Mapping[str, Any], *, measure: bool) -> Outc
         result = skinbake.bake(path, path, **options)
     except skinbake.SkinbakeError as error:
         place = error.place.within_file if error.place else ""
-        message = _in_panel_words(error.message)
+        if isinstance(error, skinbake.ChoiceError):
+            message = error.worded(_in_panel)
+        else:
+            message = _in_panel_words(error.message)
         return _failed(path, f"{place}: {message}" if place else message)
     except Exception as error:  # a defect of skinbake must not cost the export
         traceback.print_exc()
@@ -142,13 +141,13 @@ def _loss(primitives: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     lost = sum(primitive["lost_gradient"] * primitive["gradient"] for primitive in primitives)
     if lost < BAD_LOSS * whole or not lost:
         return
-    remedy = "; try --neighbours extend"
+    remedy = f"; try {_named('neighbours', 'extend')}"
     if any(primitive["limited"] for primitive in primitives):
         remedy = "; try a larger limit of influences"
     elif any(primitive["extended"] for primitive in primitives):
         remedy = ""
     share = f"{lost / whole:.1%}".replace("%", " %")
-    yield _in_panel_words(f"joints of neighbours left out: {share} of the gradient{remedy}")
+    yield f"joints of neighbours left out: {share} of the gradient{remedy}"
 
 
 def _measured(path: str) -> tuple[tuple[Line, ...], float | None]:
@@ -218,16 +217,22 @@ def _said(notice: Mapping[str, Any]) -> str:
 
 
 def _in_panel_words(text: str) -> str:
-    """Return a sentence of skinbake with the names that the panel gives to options and their values."""
-    return OPTION.sub(_in_panel, text)
+    """Return a notice of skinbake with the names that the panel gives to options and their values."""
+    return OPTION.sub(lambda found: _named(found[1].replace("-", "_"), found[2]) or found[0], text)
 
 
-def _in_panel(option: re.Match[str]) -> str:
-    name, word = option[1].replace("-", "_"), option[2] or ""
-    if name == "crease_angle" and word.isdecimal():
+def _in_panel(chosen: tuple[str, object]) -> str:
+    """Return the name that the panel gives to an option, and to its value if it has one."""
+    name, value = chosen
+    return _named(name, None if value is ... else str(value)) or name
+
+
+def _named(name: str, word: str | None) -> str:
+    """Return an option and its value, or the word after it, as the panel shows them; empty if it does not."""
+    if name == "crease_angle" and word and word.isdecimal():
         return f'"{CREASE_LABEL}: {word}°"'
     if name not in CHOICES:
-        return option[0]
+        return ""
     label, items = CHOICES[name]
-    shown = {item[0]: item[1] for item in items}.get(word)
-    return f'"{label}: {shown}"' if shown else f'"{label}" {word}'.rstrip()
+    shown = {item[0]: item[1] for item in items}.get(word or "")
+    return f'"{label}: {shown}"' if shown else f'"{label}" {word or ""}'.rstrip()

@@ -1,6 +1,19 @@
-"""The options of ``skinbake bake`` in the panel, with the names and the values of the Python API."""
+"""The options of ``skinbake bake`` in the panel: their declarations, and Blender's words for them."""
 
 from __future__ import annotations
+
+NO_SKINBAKE = (
+    "this Blender has no skinbake ({reason}). Install the zip that holds it, "
+    "or install it with pip into Blender's Python"
+)
+
+try:
+    from skinbake.options import BAKE  # it imports no numpy
+except ImportError as missing:
+    raise ImportError(NO_SKINBAKE.format(reason=missing)) from missing
+
+DECLARED = {option.name: option for option in BAKE}
+"""Defaults and ranges."""
 
 Item = tuple[str, str, str, int]
 """A value, its label, its description, and its number. Scenes save the number, so it keeps its meaning."""
@@ -72,10 +85,7 @@ CHOICES: dict[str, tuple[str, tuple[Item, ...]]] = {
         ),
     ),
 }
-"""By name: the label, and the values. The first value is the default."""
-
-CREASE_ANGLE = 15.0
-"""The default of the crease angle, in degrees."""
+"""By name: the label, and the values. Where the declared default is none, it is the first."""
 
 CREASE_LABEL = "Crease angle"
 """The name of the crease angle, which is a number."""

@@ -7,12 +7,12 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, PointerProperty, StringProperty
 
 from .baking import Outcome
-from .options import CHOICES, CREASE_ANGLE, CREASE_LABEL
+from .options import CHOICES, CREASE_LABEL, DECLARED
 
 
 def _choice(name: str) -> Any:
     label, items = CHOICES[name]
-    return EnumProperty(name=label, items=items, default=items[0][0])
+    return EnumProperty(name=label, items=items, default=str(DECLARED[name].default or items[0][0]))
 
 
 class BakeSettings(bpy.types.PropertyGroup):
@@ -38,9 +38,9 @@ class BakeSettings(bpy.types.PropertyGroup):
         name=CREASE_LABEL,
         description="A larger angle between normals is a hard edge",
         subtype="ANGLE",
-        min=0.0,
-        max=math.pi,
-        default=math.radians(CREASE_ANGLE),
+        min=math.radians(DECLARED["crease_angle"].values.least),
+        max=math.radians(DECLARED["crease_angle"].values.most),
+        default=math.radians(DECLARED["crease_angle"].default),
     )
     limit_influences: _choice("limit_influences")
 

@@ -4,46 +4,31 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from skinbake.choices import (
-    BAKE_RANGES,
-    Encoding,
-    FrameChoice,
-    Gradients,
-    Layout,
-    Neighbours,
-    Scheme,
-    Weighting,
-    Weld,
-)
 from skinbake.cli import exit_codes
-from skinbake.cli.chosen_config import config_files, option_sets
-from skinbake.cli.console import console, ended_by_errors, in_range, message_options, one_of, outside_option
-from skinbake.cli.depfile import OPTION, check_depfile, clip_files_read, depfile_option, depfile_writer
+from skinbake.cli.configuration import config_files, option_sets
+from skinbake.cli.console import console, ended_by_errors
+from skinbake.cli.depfile import OPTION, check_depfile, clip_files_read, depfile_writer
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import expanded
-from skinbake.cli.limits import limit_options
 from skinbake.cli.many import (
-    STATE_NAME,
     Clock,
     Reporting,
-    many_options,
     notes_of,
     run_of,
     state_path,
     work_through,
 )
 from skinbake.cli.names import STDIO
-from skinbake.cli.remote import cluster_option
-from skinbake.cli.targets import check_read, check_reports, in_turns, jobs_of, target_options, targets_of
+from skinbake.cli.targets import check_read, check_reports, in_turns, jobs_of, targets_of
 from skinbake.cli.writing import writing_of
 from skinbake.errors import ChoiceError
+from skinbake.options import BAKE, By, defaults
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -63,143 +48,7 @@ if TYPE_CHECKING:
         "skinbake bake hero.glb --dry-run -v",
     ),
 )
-@target_options
-@click.option("--in-place", is_flag=True, help="Replace each input by its baked version.")
-@click.option(
-    "--pack",
-    is_flag=True,
-    help="Bring the files of images and buffers into the output, which must be a .glb or .vrm.",
-)
-@click.option("--dry-run", is_flag=True, help="Do everything except writing.")
-@click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
-@click.option(
-    "--gradients",
-    type=one_of(Gradients),
-    default="rig",
-    show_default=True,
-    help="α and β: the paper's gradients of the weights on the surface; fitted to the turns of the rig, "
-    "which lights coarse meshes better; or fitted to poses too, which lights these best and takes longer.",
-)
-@click.option(
-    "--fit-poses",
-    multiple=True,
-    metavar="FILE|animations|random:N",
-    help="Poses for --gradients poses: the file's own animations (default), those of another file whose "
-    "nodes have the same names, or random poses. May be given several times.",
-)
-@click.option(
-    "--weighting",
-    type=one_of(Weighting),
-    default="max",
-    show_default=True,
-    help="Weight of the triangles at a vertex (Max 1999 is the most accurate).",
-)
-@click.option(
-    "--crease-angle",
-    type=in_range(BAKE_RANGES["crease_angle"]),
-    default=15.0,
-    show_default=True,
-    metavar="DEG",
-    help="Copies of a vertex form a hard edge if their normals differ by more than this angle.",
-)
-@click.option(
-    "--weld",
-    type=one_of(Weld),
-    default="mesh",
-    show_default=True,
-    help="Compute gradients over one mesh, or over all meshes that the same skins draw. The latter is "
-    "for characters cut into several meshes.",
-)
-@click.option(
-    "--neighbours",
-    type=one_of(Neighbours),
-    default="adopt",
-    show_default=True,
-    help="Joints that only the neighbours of a vertex have: put them into free slots, add an influence set "
-    "where these are too few, or drop them.",
-)
-@click.option(
-    "--frame",
-    type=one_of(FrameChoice),
-    default="auto",
-    show_default=True,
-    help="Compute the tangent frame from TANGENT, or from NORMAL alone; auto prefers TANGENT.",
-)
-@click.option(
-    "--limit-influences",
-    type=in_range(BAKE_RANGES["limit_influences"]),
-    metavar="N",
-    help="Keep the N largest influences of each vertex, N a multiple of 4, and print the cost.",
-)
-@click.option("--generate-normals", is_flag=True, help="Add smooth NORMALs to primitives without NORMAL.")
-@click.option(
-    "--alpha-name",
-    show_default="_SKINBAKE_ALPHA_{set}",
-    metavar="PATTERN",
-    help="Name of the α attributes; {set} is the number of the influence set.",
-)
-@click.option(
-    "--beta-name",
-    show_default="_SKINBAKE_BETA_{set}",
-    metavar="PATTERN",
-    help="Name of the β attributes.",
-)
-@click.option(
-    "--compress",
-    type=one_of(Scheme),
-    default="keep",
-    show_default=True,
-    help="Keep geometry compressed as it is, decompress it, or compress skinned primitives without loss.",
-)
-@click.option(
-    "--compress-level",
-    type=in_range(BAKE_RANGES["compress_level"]),
-    metavar="N",
-    help="Effort: 0 (fast) to 10 (small), for meshopt 0 to 3. It changes little in Draco. Each codec "
-    "has its own default. Without --compress it is for α and β of compressed files.",
-)
-@click.option(
-    "--position-bits",
-    type=in_range(BAKE_RANGES["position_bits"]),
-    metavar="N",
-    help="Quantise POSITION before baking, with --compress draco.",
-)
-@click.option(
-    "--normal-bits",
-    type=in_range(BAKE_RANGES["normal_bits"]),
-    metavar="N",
-    help="Quantise NORMAL in the same way.",
-)
-@click.option(
-    "--texcoord-bits",
-    type=in_range(BAKE_RANGES["texcoord_bits"]),
-    metavar="N",
-    help="Quantise TEXCOORD_0 in the same way.",
-)
-@click.option(
-    "--encoding",
-    type=one_of(Encoding),
-    default="float32",
-    show_default=True,
-    help="Number type of α and β: 24, 16 or 8 bytes for a vertex with four influences.",
-)
-@click.option(
-    "--layout",
-    type=one_of(Layout),
-    default="attributes",
-    show_default=True,
-    help="Attributes of α and β: their own, free TEXCOORD_n, or _CUSTOM0 and _CUSTOM1.",
-)
-@click.option("--require-baked", is_flag=True, help="Fail (exit 3) if nothing in a file can be baked.")
-@click.option(
-    "--warnings-as-errors", is_flag=True, help="Fail (exit 3) and write nothing if there are warnings."
-)
-@depfile_option
-@many_options(f"The file for the notes of --skip-unchanged; by default {STATE_NAME} in --out-dir.")
-@limit_options
-@cluster_option
-@outside_option
-@message_options
+@click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")
 @click.pass_context
 def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[Given]) -> None:
     """Add α/β, the skin-weight gradients along tangent and bitangent, to every skinned primitive.
@@ -290,21 +139,15 @@ def _reporting(
 
 
 def _check_pack(given: Given, targets: Sequence[str | None]) -> None:
-    """Raise click.UsageError if --pack meets an output that has no binary chunk."""
-    if not given.get("pack"):
-        return
+    """Raise ChoiceError if --pack meets an output that has no binary chunk."""
     for target in targets:
-        if target is not None and target != STDIO and target.lower().endswith(".gltf"):
-            raise click.UsageError(
-                f"{target}: --pack needs a .glb or .vrm as output, because a .gltf has no binary chunk"
-            )
+        if given.get("pack") and target is not None and target.lower().endswith(".gltf"):
+            reason = f" needs a .glb or .vrm as output, because a .gltf has no binary chunk: {target}"
+            raise ChoiceError("pack", reason=(reason,))
 
 
 def baker_of(given: Mapping[str, Any]) -> Baker:
-    """Return a baker with the options of the command line. Raises click.UsageError if they contradict."""
+    """Return a baker with the options of the command line. Raises ChoiceError if they contradict."""
     from skinbake.commands.bake import Baker
 
-    try:
-        return Baker(**{entry.name: given[entry.name] for entry in fields(Baker)})
-    except ChoiceError as error:
-        raise click.UsageError(error.message) from error
+    return Baker(**{name: given[name] for name in defaults(BAKE, By.OVERRIDE)})

@@ -10,19 +10,21 @@ from typing import Any
 import click
 
 from skinbake.cli import exit_codes
-from skinbake.cli.chosen_config import configured_in, searched_folders
-from skinbake.cli.configuration import ConfigurationError
-from skinbake.cli.configured import (
+from skinbake.cli.configuration import (
     PER_FILE,
+    ConfigurationError,
     Configured,
     Settings,
+    configured_in,
     configured_options,
     options_of,
+    searched_folders,
 )
-from skinbake.cli.console import console, message_options
+from skinbake.cli.console import console
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import expanded
 from skinbake.errors import ChoiceError, InputError, Place
+from skinbake.options import in_toml
 from skinbake.report.config import ConfigResult, Options, OptionValue, as_json, as_text
 
 VARIABLES = {"threads": "OMP_NUM_THREADS", "color": "NO_COLOR"}
@@ -38,9 +40,6 @@ VARIABLES = {"threads": "OMP_NUM_THREADS", "color": "NO_COLOR"}
     ),
 )
 @click.argument("inputs", nargs=-1, metavar="[INPUT]...")
-@click.option("--changed", is_flag=True, help="Leave out the options that have their default.")
-@click.option("--json", "as_json", is_flag=True, help="Print the options as JSON.")
-@message_options
 @click.pass_context
 def command(ctx: click.Context, /, inputs: tuple[str, ...], **given: Any) -> None:
     """Show the value of each option, and where it comes from: the default, or a line of a configuration file.
@@ -101,15 +100,16 @@ def _refuse_contradictions(
         if configured is None:
             continue
         refusal = _Refusal(configured, contexts[name], check)
-        if configured.settings and (message := refusal.of(())):
-            configured.configuration.refuse(configured.keys_in(message) or (name,), message)
+        if configured.settings and (error := refusal.of(())):
+            keys = [configured.settings[one].keys for one in error.options if one in configured.settings]
+            configured.configuration.refuse(keys[0] if keys else (name,), error.worded(in_toml))
         chosen = {configured.overrides_of(source) for source in sources}
         alone = {(number,) for number, one in enumerate(configured.overrides) if one.settings}
         for numbers in sorted(chosen | alone):
-            message = refusal.of(numbers)
+            error = refusal.of(numbers)
             # An override may rely on those before it, which often are for its files too.
-            if message and (numbers in chosen or refusal.of(range(numbers[0] + 1))):
-                raise ConfigurationError(f"{configured.origin_of(numbers)}: {message}")
+            if error and (numbers in chosen or refusal.of(range(numbers[0] + 1))):
+                raise ConfigurationError(f"{configured.origin_of(numbers)}: {error.worded(in_toml)}")
 
 
 class _Refusal:
@@ -124,13 +124,13 @@ class _Refusal:
         )
         self._configured, self._given, self._check = configured, command.params, check
 
-    def of(self, overrides: Iterable[int]) -> str:
-        """Return why the options are refused with those of overrides, empty if they are not."""
+    def of(self, overrides: Iterable[int]) -> ChoiceError | None:
+        """Return why the options are refused with those of overrides, None if they are not."""
         try:
             self._check({**self._given, **self._configured.given_by(overrides)})
-        except (ChoiceError, click.UsageError) as error:
-            return error.message
-        return ""
+        except ChoiceError as error:
+            return error
+        return None
 
 
 def _contexts(ctx: click.Context) -> Iterator[click.Context]:

@@ -6,15 +6,13 @@ import errno
 import json
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from enum import StrEnum
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 
-from skinbake.choices import Range
 from skinbake.cli import exit_codes
 from skinbake.cli.terminal import fitted, width_of, with_colours
 from skinbake.errors import (
@@ -34,8 +32,6 @@ ALIKE = 3
 NUMBER = re.compile(r"\d[\d.,]*(?:e[+-]?\d+)?")
 
 NOT_ASCII = re.compile("[^\\x00-\\x7e]")
-
-Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,106 +158,13 @@ def _echo(text: str, *, err: bool, color: bool | None) -> None:
         raise OutputError(f"cannot be written: {error.strerror}", Place("<stdout>")) from error
 
 
-class Words(click.Choice[str]):
-    """The type of an option whose values are words. It asks about a word that is nearly one of them."""
-
-    def get_invalid_choice_message(self, value: Any, ctx: click.Context | None) -> str:
-        """Return the message for a value that is none of the words."""
-        from skinbake.wording import did_you_mean
-
-        message = super().get_invalid_choice_message(value, ctx)
-        meant = did_you_mean(str(value), map(str, self.choices))
-        return f"{message} {meant[0].upper()}{meant[1:]}" if meant else message
-
-
-def _checked(kind: Number | WholeNumber, value: Any, number: type[int] | type[float]) -> str | None:
-    """Return what is wrong with the value of an option that is a number, None if it is as it should be."""
-    try:
-        found = number(value)
-    except ValueError:
-        return (
-            f"expected {'a whole number like 4' if number is int else 'a number like 1.5'}, found {value!r}"
-        )
-    return None if found in kind.numbers else f"expected {kind.numbers}, found {value}"
-
-
-class Number(click.FloatRange):
-    """The type of an option that takes finite numbers. It says how a number is written, and which fit."""
-
-    def __init__(self, numbers: Range) -> None:
-        """Take the numbers that fit."""
-        super().__init__(numbers.least, numbers.most, min_open=numbers.is_open)
-        self.numbers = numbers
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the number, or fail."""
-        wrong = _checked(self, value, float)
-        if wrong is not None:
-            self.fail(wrong, param, ctx)
-        return super().convert(value, param, ctx)
-
-
-class WholeNumber(click.IntRange):
-    """The type of an option that takes whole numbers. It says so, and which fit."""
-
-    def __init__(self, numbers: Range) -> None:
-        """Take the numbers that fit."""
-        super().__init__(numbers.least, numbers.most)
-        self.numbers = numbers
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the number, or fail."""
-        wrong = _checked(self, value, int)
-        if wrong is not None:
-            self.fail(wrong, param, ctx)
-        return super().convert(value, param, ctx)
-
-
-def in_range(numbers: Range) -> Number | WholeNumber:
-    """Return the type of an option whose values are these numbers."""
-    return WholeNumber(numbers) if numbers.is_whole else Number(numbers)
-
-
-def one_of(choices: type[StrEnum]) -> Words:
-    """Return the type of an option whose values are the members of an enumeration."""
-    return Words([choice.value for choice in choices])
-
-
-def message_options(command: Command) -> Command:
-    """Add the options for the amount of output: -v, -q, --color."""
-    for option in (
-        click.option(
-            "--color",
-            type=Words(["auto", "always", "never"]),
-            default="auto",
-            help="Colour of messages; auto uses colours on a terminal if NO_COLOR is not set.",
-        ),
-        click.option("-q", "--quiet", is_flag=True, help="Print errors only."),
-        click.option("-v", "--verbose", count=True, help="Print more; give it twice for debugging."),
-    ):
-        command = option(command)
-    return command
-
-
-def outside_option(command: Command) -> Command:
-    """Add the option for further folders that may hold files of a document."""
-    return click.option(
-        "--allow-outside",
-        metavar="DIR",
-        multiple=True,
-        help="Also read files of this folder that a document names. Without it, only files in the "
-        "document's own folder, or in the folder given as INPUT, are read. May be given several "
-        "times.",
-    )(command)
-
-
 @contextmanager
 def ended_by_errors(say: Console) -> Iterator[None]:
-    """Print an error of the block, and end with its exit code. Options that contradict are a usage error."""
+    """Print an error of the block, and end with its exit code. Errors about options leave it."""
     try:
         yield
-    except ChoiceError as error:
-        raise click.UsageError(error.message) from error
+    except ChoiceError:
+        raise
     except SkinbakeError as error:
         say.error(error)
         sys.exit(exit_codes.of_error(error))

@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from skinbake.choices import Range
-from skinbake.cli.console import console, ended_by_errors, in_range, message_options, outside_option
+from skinbake.cli.console import console, ended_by_errors
 from skinbake.cli.help import Helpful
-from skinbake.cli.limits import memory_option
 from skinbake.cli.names import check_readable_suffix
+from skinbake.errors import ChoiceError
 from skinbake.files.bounds import Bounds
 
 if TYPE_CHECKING:
@@ -26,16 +25,6 @@ if TYPE_CHECKING:
     ),
 )
 @click.argument("source", required=False, metavar="[FILE]")
-@click.option(
-    "--influences",
-    type=in_range(Range(1, 64, is_whole=True)),
-    metavar="N",
-    help="Print line by line for N influences per vertex, 1 to 64, instead of a table for 1 to 8.",
-)
-@click.option("--json", "as_json", is_flag=True, help="Print the costs as JSON.")
-@outside_option
-@memory_option
-@message_options
 def command(source: str | None, influences: int | None, **given: Any) -> None:
     """Count multiply-adds and bytes per vertex of the paper's algorithms 1 to 5, and of 6.
 
@@ -43,7 +32,8 @@ def command(source: str | None, influences: int | None, **given: Any) -> None:
     that it stores, per vertex, per frame, and for the whole file.
     """
     if source is not None and influences is not None:
-        raise click.UsageError("--influences N and FILE exclude each other: a file has its own influences")
+        why = " N and FILE exclude each other: a file has its own influences"
+        raise ChoiceError("influences", reason=(why,))
     if source is not None:
         check_readable_suffix(source)
     say = console(given)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from skinbake.cli import exit_codes
-from skinbake.cli.console import Command, ended_by_errors
+from skinbake.cli.console import ended_by_errors
 from skinbake.cli.names import STDIO
 from skinbake.cli.writing import write_report
 from skinbake.errors import InputError
@@ -21,15 +21,6 @@ if TYPE_CHECKING:
     from skinbake.report.strip import StripResult
 
 OPTION = "--depfile"
-
-
-def depfile_option(command: Command) -> Command:
-    """Add the option that writes the dependencies of the outputs."""
-    return click.option(
-        OPTION,
-        metavar="FILE",
-        help="Also write the files that each output was made of, as rules for Make and Ninja.",
-    )(command)
 
 
 def check_depfile(

@@ -7,10 +7,10 @@ from typing import Any
 
 import click
 
-from skinbake.cli.console import console, ended_by_errors, message_options
+from skinbake.cli.console import console, ended_by_errors
 from skinbake.cli.help import Helpful
 from skinbake.cli.names import STDIO
-from skinbake.cli.targets import check_named, sync_option
+from skinbake.cli.targets import check_named
 from skinbake.errors import printable
 
 
@@ -19,9 +19,6 @@ from skinbake.errors import printable
     cls=Helpful,
     examples=("skinbake example -o hero.glb",),
 )
-@click.option("-o", "--output", required=True, metavar="FILE", help="Output file, a .glb; - is stdout.")
-@sync_option
-@message_options
 def command(output: str, **given: Any) -> None:
     """Write a small model to try the other commands on: an arm that bends, with an animation."""
     check_named(output)

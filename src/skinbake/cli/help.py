@@ -3,117 +3,54 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import click
 from click.core import ParameterSource
-from click.shell_completion import CompletionItem
 
-from skinbake.cli.chosen_config import config_options, configured_in
+from skinbake.cli.configuration import CALLBACKS, configured_in, explained
+from skinbake.cli.options import DeclaredOption, PathName
 from skinbake.cli.terminal import stdout_told
-from skinbake.errors import printable
+from skinbake.errors import ChoiceError, printable
 from skinbake.files.urls import SUFFIXES
+from skinbake.options import OPTIONS, PATHS
 from skinbake.version import __version__
-
-GROUPS = {
-    "Output": ("output", "out_dir", "in_place", "pack", "dry_run", "port", "no_browser"),
-    "α and β": (
-        "gradients",
-        "fit_poses",
-        "weighting",
-        "crease_angle",
-        "weld",
-        "neighbours",
-        "frame",
-        "limit_influences",
-        "generate_normals",
-    ),
-    "Storage": (
-        "encoding",
-        "layout",
-        "alpha_name",
-        "beta_name",
-        "compress",
-        "compress_level",
-        "position_bits",
-        "normal_bits",
-        "texcoord_bits",
-    ),
-    "Shader": (
-        "language",
-        "target",
-        "source",
-        "method",
-        "lighting",
-        "influences",
-        "morphs",
-        "mirrored_joints",
-    ),
-    "Poses": ("poses", "samples", "angle", "seed", "clip", "time"),
-    "Measurement": ("methods", "baseline", "cap", "truth"),
-    "Picture": ("mode", "split", "clay", "turntable", "size"),
-    "Conditions": ("max_mean_error", "max_p95_error", "min_gain", "require_baked", "warnings_as_errors"),
-    "Reports": ("as_json", "changed", "junit", "html", "summary", "depfile", "timings"),
-    "Many files": ("jobs", "threads", "skip_unchanged", "state", "dask"),
-    "Limits and safety": ("max_memory", "timeout", "isolate", "allow_outside", "no_sync"),
-    "Configuration": ("config", "no_config"),
-    "Messages": ("verbose", "quiet", "color", "help"),
-}
-"""The names of the parameters of all commands, by the heading under which help shows them."""
-
-ELSEWHERE = {("shader", "cap"): "Shader", ("cost", "influences"): "Reports"}
-"""Parameters that mean something else in one command, with their heading there. They come last under it."""
-
-PATHS = {"INPUT", "FILE", "BAKED_FILE", "PAGE", "PICTURE", "DIR"}
-"""The metavars of parameters that are paths."""
 
 PAGE = "skinbake"
 
-
-class PathName(click.types.StringParamType):
-    """Text that a shell completes as a path. It may be a URL or ``-``, unlike that of click.Path."""
-
-    def __init__(self, kind: str) -> None:
-        """Take ``file`` or ``dir``."""
-        self._kind = kind
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the path. Raises click.UsageError if it is empty, because a script's variable may be."""
-        if not value:
-            option = f"{param.opts[-1]}: " if isinstance(param, click.Option) else ""
-            name = "the name" if option else "the name of an input"
-            raise click.UsageError(f"{option}{name} is empty; is a variable of your script not set?", ctx)
-        return super().convert(value, param, ctx)
-
-    def shell_complete(
-        self, ctx: click.Context, param: click.Parameter, incomplete: str
-    ) -> list[CompletionItem]:
-        """Have the shell complete the path."""
-        return [CompletionItem(incomplete, type=self._kind)]
+LAST = "Messages"
+"""The heading of --help, which is click's."""
 
 
 class Helpful(click.Command):
     """A command whose help has its options in groups, and whose options a configuration file can set.
 
-    ``examples`` end the help, one a line. ``second`` is the option that a user means by a name more than the
-    command takes, and the suffixes of such names.
+    ``words`` are those that are known only at run time, by option. ``examples`` end the help, one a line.
+    ``second`` is the option that a user means by a name more than the command takes, and the suffixes of
+    such names.
     """
 
     def __init__(
         self,
+        name: str,
         *arguments: Any,
+        words: Mapping[str, Sequence[str]] | None = None,
         examples: tuple[str, ...] = (),
         second: tuple[str, tuple[str, ...]] | None = None,
-        **options: Any,
+        **of_click: Any,
     ) -> None:
-        """Take the examples and the option of a second name besides the parameters of click."""
+        """Take the words, the examples, and the option of a second name besides the parameters of click."""
         self.examples, self._second = examples, second
-        super().__init__(*arguments, **options)
-        self.params += config_options()
+        super().__init__(name, *arguments, **of_click)
         for param in self.params:
-            if param.type is click.STRING and (param.metavar or "").strip("[].") in PATHS:
-                param.type = PathName("dir" if param.metavar == "DIR" else "file")
+            if (param.metavar or "").strip("[].") in PATHS:
+                param.type = PathName("file")
+        for declared in OPTIONS[name]:
+            option = DeclaredOption(declared, (words or {}).get(declared.name))
+            if option.name in CALLBACKS:
+                option.callback, option.is_eager, option.expose_value = CALLBACKS[option.name], True, False
+            self.params.append(option)
 
     def make_context(self, *arguments: Any, **options: Any) -> click.Context:
         """Make the context. --help prints and ends in this method."""
@@ -178,15 +115,16 @@ class Helpful(click.Command):
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command. -v and errors tell of the options that come from a configuration file."""
         configured = configured_in(ctx)
-        if configured is None:
-            return super().invoke(ctx)
-        _let_the_command_line_win(ctx)
-        if ctx.params.get("verbose") and not ctx.params.get("quiet"):
-            click.echo(printable(configured.in_words()), err=True)
+        if configured is not None:
+            _let_the_command_line_win(ctx)
+            if ctx.params.get("verbose") and not ctx.params.get("quiet"):
+                click.echo(printable(configured.in_words()), err=True)
         try:
             return super().invoke(ctx)
-        except click.UsageError as error:
-            raise click.UsageError(configured.explained(error.message), error.ctx) from error
+        except ChoiceError as error:
+            if error.option not in {param.name for param in self.params}:
+                raise  # a variable of the environment
+            raise click.UsageError(explained(ctx, error), ctx) from error
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, one group after the other."""
@@ -213,23 +151,14 @@ def _let_the_command_line_win(ctx: click.Context) -> None:
 
 
 def grouped(command: click.Command, ctx: click.Context) -> Iterator[tuple[str, list[tuple[str, str]]]]:
-    """Yield each heading with its options and their help. Options of no group come first."""
-    left: dict[str | None, tuple[str, str]] = {}
+    """Yield each heading with its options and their help, as they are declared."""
+    headings: dict[str, list[tuple[str, str]]] = {}
     for param in command.get_params(ctx):
         row = param.get_help_record(ctx) if isinstance(param, click.Option) else None
         if row:
-            left["help" if "--help" in param.opts else param.name] = row
-    known = {name for names in GROUPS.values() for name in names}
-    others = [row for name, row in left.items() if name not in known]
-    if others:
-        yield "Options", others
-    elsewhere = {name: heading for (of, name), heading in ELSEWHERE.items() if of == command.name}
-    for heading, names in GROUPS.items():
-        here = [name for name in names if elsewhere.get(name, heading) == heading]
-        here += [name for name, place in elsewhere.items() if place == heading and name not in names]
-        rows = [left[name] for name in here if name in left]
-        if rows:
-            yield heading, rows
+            declared = param.declared.heading if isinstance(param, DeclaredOption) else LAST
+            headings.setdefault(declared, []).append(row)
+    yield from headings.items()
 
 
 def manual(main: click.Group) -> str:

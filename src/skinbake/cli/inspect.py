@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 import click
 
 from skinbake.cli import exit_codes
-from skinbake.cli.console import Console, console, message_options, outside_option
+from skinbake.cli.console import Console, console
 from skinbake.cli.given import alone
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import expanded, is_one_file
-from skinbake.cli.limits import limit_options
-from skinbake.cli.many import Clock, Notes, Reporting, jobs_options, of_one, run_of, work_through
+from skinbake.cli.many import Clock, Notes, Reporting, of_one, run_of, work_through
 from skinbake.cli.targets import check_reports
 from skinbake.files.bounds import Bounds, Within
 
@@ -34,11 +33,6 @@ if TYPE_CHECKING:
     ),
 )
 @click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")
-@click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
-@jobs_options
-@limit_options
-@outside_option
-@message_options
 def command(inputs: tuple[str, ...], **some: Unpack[Given]) -> None:
     """Show the skinned primitives: how influences and frames are stored, and the bakes with their sizes.
 

@@ -11,18 +11,15 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
-import click
-
 from skinbake.cli import exit_codes
-from skinbake.cli.console import Command, Console, json_text
+from skinbake.cli.console import Console, json_text
 from skinbake.cli.limits import memory_of_each
 from skinbake.cli.progress import Progress
 from skinbake.cli.runners import LONG, runner_of, seconds_of, threads_of_each
-from skinbake.cli.targets import sync_option
 from skinbake.cli.writing import tell_of_report
-from skinbake.errors import OutputError, Place
+from skinbake.errors import ChoiceError, Chosen, OutputError, Place
 from skinbake.files.folders import flush
-from skinbake.threads import LARGEST
+from skinbake.options import STATE_NAME
 from skinbake.timing import heard
 
 if TYPE_CHECKING:
@@ -35,91 +32,18 @@ if TYPE_CHECKING:
     from skinbake.jobs.work import Job, Result, Runner, Work
     from skinbake.report.totals import Totals
 
-STATE_NAME = ".skinbake-state.jsonl"
-
 FEW = 5
 """The number of files whose lines tell enough. If there are more, a last line has the totals."""
-
-MOST_PROCESSES = 256
-"""The largest number for --jobs. A configuration file of a stranger may ask for any number."""
 
 ResultT = TypeVar("ResultT", bound="Result")
 ResultT_contra = TypeVar("ResultT_contra", bound="Result", contravariant=True)
 
 
-def _jobs(ctx: click.Context, param: click.Parameter, value: str) -> int:
-    if value == "auto":
-        return 0
-    if not (value.isdecimal() and len(value) < 9 and int(value) <= MOST_PROCESSES):
-        raise click.BadParameter(f"must be a number of processes up to {MOST_PROCESSES}, or auto")
-    return int(value)
-
-
-def _threads(ctx: click.Context, param: click.Parameter, value: str) -> int | None:
-    if value == "auto":
-        return None
-    if not (value.isdecimal() and len(value) < 9 and 1 <= int(value) <= LARGEST):
-        raise click.BadParameter(f"must be a number of threads from 1 to {LARGEST}, or auto")
-    return int(value)
-
-
-def many_options(state: str) -> Callable[[Command], Command]:
-    """Return what adds the options for many files. ``state`` is the help of --state."""
-    options = (
-        click.option("--state", metavar="FILE", help=state),
-        click.option(
-            "--skip-unchanged",
-            is_flag=True,
-            help="Pass over files whose input, options and output have not changed, by digest.",
-        ),
-        click.option(
-            "--threads",
-            default="auto",
-            show_default=True,
-            callback=_threads,
-            metavar="N",
-            help="Threads for the work on a file; auto: the usable cores, divided by --jobs.",
-        ),
-    )
-
-    def add(command: Command) -> Command:
-        for option in options:
-            command = option(command)
-        return jobs_options(command)
-
-    return add
-
-
-def jobs_options(command: Command) -> Command:
-    """Add the options for many files that even a command of little work has."""
-    for option in (
-        click.option(
-            "--timings", is_flag=True, help="Say where the time goes, by stage; in --json and --summary too."
-        ),
-        click.option(
-            "--summary",
-            metavar="FILE",
-            help="Also write JSON lines: each file's result as soon as it is there, totals at the end.",
-        ),
-        click.option(
-            "-j",
-            "--jobs",
-            default="1",
-            show_default=True,
-            callback=_jobs,
-            metavar="N",
-            help="Processes to work in; 0 or auto: one for each usable core.",
-        ),
-    ):
-        command = option(command)
-    return sync_option(command)
-
-
 def state_path(given: Given) -> str | None:
-    """Return the path of the state file, None if unwanted. Raises click.UsageError if it has no place."""
+    """Return the path of the state file, None if unwanted. Raises ChoiceError if it has no place."""
     if not given["skip_unchanged"]:
         if given["state"]:
-            raise click.UsageError("--state is for --skip-unchanged")
+            raise ChoiceError("state", reason=(" is for ", Chosen("skip_unchanged")))
         return None
     if given["state"]:
         return given["state"]
@@ -127,7 +51,9 @@ def state_path(given: Given) -> str | None:
     if out_dir:
         return str(Path(out_dir, STATE_NAME))
     instead = "; with --out-dir it needs none" if "out_dir" in given else ""
-    raise click.UsageError(f"--skip-unchanged needs --state FILE, to keep its notes in{instead}")
+    raise ChoiceError(
+        "skip_unchanged", reason=(" needs ", Chosen("state"), f" FILE, to keep its notes in{instead}")
+    )
 
 
 class Clock:
@@ -304,7 +230,7 @@ def run_of(
     """Return the run of a command on jobs, as the options ask for. Parameters are as for ``runner_of``.
 
     ``commands`` and ``recipes`` are those of each set of options, in the order of the jobs' ``variant``.
-    Raises click.UsageError for options that do not go together, and InputError if a cluster cannot be used.
+    Raises ChoiceError for options that do not go together, and InputError if a cluster cannot be used.
     """
     from skinbake.jobs.file_work import ByVariant, FileWork
 

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, TypeVar
 
 import click
 
-from skinbake.cli.console import Command, Console
+from skinbake.cli.console import Console
+from skinbake.cli.limits import OR_CLUSTER
 from skinbake.cli.names import STDIO
 from skinbake.cli.writing import writing_of
-from skinbake.errors import InputError, Place
+from skinbake.errors import ChoiceError, Chosen, InputError, Place
 from skinbake.files.urls import is_url, join_url
 
 if TYPE_CHECKING:
@@ -21,15 +22,6 @@ if TYPE_CHECKING:
 ResultT = TypeVar("ResultT", bound="Result")
 
 ADDRESS = re.compile(r"((tcp|tls|ucx|wss?)://)?[^/\s]+:\d+/?|inproc://.+")
-
-
-def cluster_option(command: Command) -> Command:
-    """Add the option that names a cluster."""
-    return click.option(
-        "--dask",
-        metavar="ADDRESS",
-        help="Work on the machines of a running Dask scheduler, like tcp://host:8786.",
-    )(command)
 
 
 def behind(url: str, but: str | None) -> list[tuple[str, str]]:
@@ -51,21 +43,23 @@ def cluster_runner(
 ) -> Runner[Job, ResultT] | None:
     """Return the runner of the cluster, connected until the command ends, or None if none is asked for.
 
-    ``turns`` are the numbers of the sources that must be done in order. Raises click.UsageError for options
-    that do not fit a cluster, or URLs, and InputError if the cluster cannot be used.
+    ``turns`` are the numbers of the sources that must be done in order. Raises ChoiceError for options that
+    do not fit a cluster, or URLs, and InputError if the cluster cannot be used.
     """
     address = given["dask"]
     if address is not None and not ADDRESS.fullmatch(address):
-        raise click.UsageError("--dask needs the address that a scheduler prints, like tcp://host:8786")
-    if address and given["jobs"] != 1:
-        raise click.UsageError(
-            "--jobs controls processes of this machine, --dask uses a cluster: give only one"
+        raise ChoiceError(
+            "dask", reason=(" needs the address that a scheduler prints, like tcp://host:8786",)
         )
+    if address and given["jobs"] != 1:
+        raise ChoiceError("jobs", reason=OR_CLUSTER)
     if address and STDIO in {*sources, given.get("output")}:
-        raise click.UsageError("--dask needs files or URLs, not - for stdin or stdout")
+        raise ChoiceError("dask", reason=(" needs files or URLs, not - for stdin or stdout",))
     named = [*sources, given.get("out_dir") or "", given.get("output") or ""]
     if given["skip_unchanged"] and (address or any(map(is_url, named))):
-        raise click.UsageError("--skip-unchanged needs files on this disk, without --dask and URLs")
+        raise ChoiceError(
+            "skip_unchanged", reason=(" needs files on this disk, without ", Chosen("dask"), " and URLs")
+        )
     if not address:
         return None
     from skinbake.jobs.elsewhere import dask_runner

@@ -2,38 +2,20 @@
 
 from __future__ import annotations
 
-import math
-import re
 from pathlib import Path
 from typing import Any
 
 import click
 
-from skinbake.cli.console import Words, console, ended_by_errors, message_options, outside_option
+from skinbake.cli.console import console, ended_by_errors
 from skinbake.cli.help import Helpful
-from skinbake.cli.limits import memory_option
 from skinbake.cli.names import check_readable_suffix
-from skinbake.cli.targets import check_named, check_picture_target, sync_option
-from skinbake.errors import printable
+from skinbake.cli.targets import check_named, check_picture_target
+from skinbake.errors import ChoiceError, Chosen, printable
 from skinbake.files.bounds import Bounds
 
 SUFFIXES = (".png", ".webp", ".gif")
 MOVING = (".webp", ".gif")
-SMALLEST, LARGEST = 16, 2048
-
-
-def _size(ctx: click.Context, param: click.Parameter, value: str) -> tuple[int, int]:
-    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", value)
-    size = (int(found[1]), int(found[2])) if found else (0, 0)
-    if not all(SMALLEST <= side <= LARGEST for side in size):
-        raise click.BadParameter(f"must be like 960x600, each side from {SMALLEST} to {LARGEST}")
-    return size
-
-
-def _finite(ctx: click.Context, param: click.Parameter, value: float | None) -> float | None:
-    if value is not None and not math.isfinite(value):
-        raise click.BadParameter("must be a finite number")
-    return value
 
 
 @click.command(
@@ -45,49 +27,6 @@ def _finite(ctx: click.Context, param: click.Parameter, value: float | None) -> 
     ),
 )
 @click.argument("source", metavar="FILE")
-@click.option(
-    "-o", "--output", required=True, metavar="PICTURE", help="Output file: .png, or .webp or .gif that move."
-)
-@click.option(
-    "--clip",
-    metavar="NAME",
-    help="Name or number of a clip; by default the one in which standard lighting is worst.",
-)
-@click.option(
-    "--time",
-    type=float,
-    callback=_finite,
-    metavar="SECONDS",
-    help="Time in the clip. By default the pose in which standard lighting is worst, or, in .webp and .gif, "
-    "the whole clip.",
-)
-@click.option(
-    "--mode",
-    type=Words(["shaded", "reflections", "error", "normals"]),
-    default="shaded",
-    show_default=True,
-    help="Shading, stripes mirrored in the surface, angle to the true normals as colour, or normals.",
-)
-@click.option(
-    "--lighting",
-    type=Words(["standard", "accurate"]),
-    help="Lighting without --split, accurate by default.",
-)
-@click.option("--split", is_flag=True, help="Standard lighting on the left, accurate lighting on the right.")
-@click.option("--clay", is_flag=True, help="Without the colours and images of the materials.")
-@click.option("--turntable", is_flag=True, help="Turn the camera once around the model (.webp, .gif).")
-@click.option(
-    "--size",
-    default="960x600",
-    show_default=True,
-    callback=_size,
-    metavar="WxH",
-    help=f"Width and height in pixels, each from {SMALLEST} to {LARGEST}.",
-)
-@outside_option
-@sync_option
-@memory_option
-@message_options
 def command(source: str, output: str, **given: Any) -> None:
     """Draw pictures of a file without a browser, on a GPU or on a software device.
 
@@ -100,9 +39,9 @@ def command(source: str, output: str, **given: Any) -> None:
         raise click.UsageError(f"{output}: expected a name that ends in {', '.join(SUFFIXES)}")
     check_picture_target(output)
     if given["turntable"] and suffix not in MOVING:
-        raise click.UsageError(f"--turntable needs a name that ends in {' or '.join(MOVING)}")
+        raise ChoiceError("turntable", reason=(f" needs a name that ends in {' or '.join(MOVING)}",))
     if given["split"] and given["lighting"]:
-        raise click.UsageError("--split shows both lightings: leave out --lighting")
+        raise ChoiceError("split", reason=(" shows both lightings: leave out ", Chosen("lighting")))
     say = console(given)
     from skinbake.commands.render import RenderOptions, render_file
     from skinbake.gltf.budget import memory_limited

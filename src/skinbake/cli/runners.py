@@ -43,7 +43,7 @@ def runner_of(
 ) -> Runner[Job, ResultT]:
     """Return the runner for some sources. Parameters are as for ``chosen_runner`` and ``cluster_runner``.
 
-    Raises click.UsageError for options that do not go together, and InputError if a cluster cannot be used.
+    Raises ChoiceError for options that do not go together, and InputError if a cluster cannot be used.
     """
     limits = worker_limits(given, sources)
     cluster: Runner[Job, ResultT] | None = cluster_runner(given, sources, turns, say)

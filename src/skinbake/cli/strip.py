@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING
 import click
 
 from skinbake.cli import exit_codes
-from skinbake.cli.console import Console, console, message_options, outside_option
-from skinbake.cli.depfile import OPTION, check_depfile, depfile_option, depfile_writer
+from skinbake.cli.console import Console, console
+from skinbake.cli.depfile import OPTION, check_depfile, depfile_writer
 from skinbake.cli.given import alone
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import expanded
-from skinbake.cli.limits import limit_options
-from skinbake.cli.many import Clock, Notes, Reporting, jobs_options, of_one, run_of, work_through
+from skinbake.cli.many import Clock, Notes, Reporting, of_one, run_of, work_through
 from skinbake.cli.names import STDIO
-from skinbake.cli.targets import check_reports, in_turns, jobs_of, target_options, targets_of
+from skinbake.cli.targets import check_reports, in_turns, jobs_of, targets_of
 from skinbake.cli.writing import writing_of
 
 if TYPE_CHECKING:
@@ -35,17 +34,7 @@ if TYPE_CHECKING:
         "skinbake strip build --out-dir unbaked",
     ),
 )
-@target_options
-@click.option("--in-place", is_flag=True, help="Replace each input by its version before bake.")
-@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-@click.option(
-    "--warnings-as-errors", is_flag=True, help="Fail (exit 3) and write nothing if there are warnings."
-)
-@depfile_option
-@jobs_options
-@limit_options
-@outside_option
-@message_options
+@click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")
 def command(inputs: tuple[str, ...], **some: Unpack[Given]) -> None:
     """Write the document as it was before bake: equal JSON, and the original influences.
 

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from skinbake.cli.console import Command
 from skinbake.cli.inputs import MAGIC, Input
 from skinbake.cli.names import STDIO
+from skinbake.errors import ChoiceError
 from skinbake.files.bounds import Bounds, Within
 from skinbake.files.urls import SUFFIXES, canonical, is_url, join_url, on_disk
 
@@ -125,7 +125,8 @@ def targets_of(inputs: list[Input], given: Mapping[str, Any]) -> list[tuple[Inpu
         if len(inputs) > 1:
             raise click.UsageError("-o takes one input; use --out-dir for several")
         if given["output"] == STDIO and given["as_json"]:
-            raise click.UsageError("stdout cannot take both the GLB and --json")
+            why = " prints to stdout, and so does -o -: name the file of the GLB"
+            raise ChoiceError("as_json", reason=(why,))
         check_named(given["output"], f"use --out-dir {given['output']}, or name the file")
         check_target(inputs[0].source, given["output"])
         return [(inputs[0], given["output"])]
@@ -299,31 +300,6 @@ def _head(path: str) -> bytes:
             return file.read(4096)
     except OSError:
         return b""
-
-
-def target_options(command: Command) -> Command:
-    """Add the inputs and the two options that name outputs."""
-    for add in (
-        click.option(
-            "--out-dir",
-            metavar="DIR",
-            help="Output folder, made if it is missing. A named input keeps its name. A file found in a "
-            "folder or by a pattern keeps its path from there.",
-        ),
-        click.option("-o", "--output", metavar="FILE", help="Output file; - is a GLB on stdout."),
-        click.argument("inputs", nargs=-1, required=True, metavar="INPUT..."),
-    ):
-        command = add(command)
-    return command
-
-
-def sync_option(command: Command) -> Command:
-    """Add the option that does not wait for the disk."""
-    return click.option(
-        "--no-sync",
-        is_flag=True,
-        help="Do not wait until files are on the disk. This is faster, but a power cut may leave them empty.",
-    )(command)
 
 
 def once(inputs: Sequence[Input]) -> list[Input]:

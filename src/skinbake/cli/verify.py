@@ -8,30 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from skinbake.choices import POSES_EXPECTED, VERIFY_RANGES, Baseline, Method, PoseKind, Truth, pose_choice
 from skinbake.cli import exit_codes
-from skinbake.cli.chosen_config import option_sets
-from skinbake.cli.configured import OF_A_CHECK
-from skinbake.cli.console import (
-    Console,
-    console,
-    in_range,
-    message_options,
-    one_of,
-    outside_option,
-)
+from skinbake.cli.configuration import option_sets
+from skinbake.cli.console import Console, console
 from skinbake.cli.given import Given
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import expanded
-from skinbake.cli.limits import limit_options
-from skinbake.cli.many import Clock, Reporting, many_options, notes_of, run_of, state_path, work_through
+from skinbake.cli.many import Clock, Reporting, notes_of, run_of, state_path, work_through
 from skinbake.cli.names import STDIO
-from skinbake.cli.remote import cluster_option
 from skinbake.cli.targets import check_earlier, check_reports, is_page
 from skinbake.cli.writing import tell_of_report, write_report
-from skinbake.errors import ChoiceError, SkinbakeError
+from skinbake.errors import SkinbakeError
 from skinbake.files.bounds import Bounds, Within
 from skinbake.files.urls import is_url
+from skinbake.options import VERIFY, By, defaults
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -41,30 +31,10 @@ if TYPE_CHECKING:
 
 
 class VerifyGiven(Given):
-    """The options of verify, as click gives them."""
+    """The options of verify that its report needs, as click gives them."""
 
-    methods: tuple[str, ...]
-    poses: str
-    samples: int | None
-    angle: float
-    seed: int
-    baseline: str
-    cap: float | None
-    max_mean_error: float | None
-    max_p95_error: float | None
-    min_gain: float | None
-    require_baked: bool
     junit: str | None
     html: str | None
-    truth: str | None
-
-
-def _poses(ctx: click.Context, param: click.Parameter, value: str) -> str:
-    try:
-        pose_choice(value)
-    except ChoiceError as error:
-        raise click.BadParameter(f"expected {POSES_EXPECTED}, found {value!r}") from error
-    return value
 
 
 @click.command(
@@ -76,96 +46,6 @@ def _poses(ctx: click.Context, param: click.Parameter, value: str) -> str:
     ),
 )
 @click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")
-@click.option(
-    "--method",
-    "methods",
-    type=one_of(Method),
-    multiple=True,
-    help="Skinning to measure; by default both, DQS only if all joints are rigid.",
-)
-@click.option(
-    "--poses",
-    default=str(PoseKind.ANIMATION),
-    show_default=True,
-    callback=_poses,
-    metavar="WHICH",
-    help="animation (the file's own clips), random or random:N, or rest.",
-)
-@click.option(
-    "--samples",
-    type=in_range(VERIFY_RANGES["samples"]),
-    metavar="N",
-    help="Poses of each clip, evenly from its first moment to its last, which are the same pose in a loop: "
-    "take 3 or more. By default about 60 in all, at least 3 for each clip. A file without clips has 24 "
-    "random poses; --poses random:N gives another number.",
-)
-@click.option(
-    "--angle",
-    type=in_range(VERIFY_RANGES["angle"]),
-    default=30.0,
-    show_default=True,
-    metavar="DEG",
-    help="Largest rotation of a joint in random poses.",
-)
-@click.option(
-    "--seed",
-    type=in_range(VERIFY_RANGES["seed"]),
-    default=0,
-    show_default=True,
-    metavar="N",
-    help="Seed of random poses.",
-)
-@click.option(
-    "--baseline",
-    type=one_of(Baseline),
-    default="blended",
-    show_default=True,
-    help="Standard LBS lighting to compare with: that of three.js, Bevy or Filament.",
-)
-@click.option(
-    "--cap",
-    type=in_range(VERIFY_RANGES["cap"]),
-    metavar="X",
-    help="Limit a tangent's correction to X times its length (0.9 in the authors' demo); off by default.",
-)
-@click.option(
-    "--max-mean-error",
-    type=in_range(VERIFY_RANGES["max_mean_error"]),
-    metavar="DEG",
-    help="Fail if the mean error is larger.",
-)
-@click.option(
-    "--max-p95-error",
-    type=in_range(VERIFY_RANGES["max_p95_error"]),
-    metavar="DEG",
-    help="Fail if the 95th percentile of the error is larger.",
-)
-@click.option(
-    "--min-gain",
-    type=in_range(VERIFY_RANGES["min_gain"]),
-    metavar="X",
-    help="Fail if the gain over standard lighting is smaller.",
-)
-@click.option(
-    "--truth",
-    type=one_of(Truth),
-    help="True normals that limits are held by: measured along tangents or on triangles; by default both.",
-)
-@click.option("--require-baked", is_flag=True, help="Fail if a file holds no bake.")
-@click.option("--warnings-as-errors", is_flag=True, help="Fail if there are warnings.")
-@click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
-@click.option("--junit", metavar="FILE", help="Also write the results as JUnit XML.")
-@click.option(
-    "--html",
-    metavar="PAGE",
-    help="Also write a page that shows the file and its results; for several files an index, and their "
-    "pages in a folder of its name.",
-)
-@many_options("The file for the notes of --skip-unchanged.")
-@limit_options
-@cluster_option
-@outside_option
-@message_options
 @click.pass_context
 def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[VerifyGiven]) -> None:
     """Check that files still carry the right α/β, and measure how much they improve the lighting.
@@ -295,4 +175,4 @@ def _options(given: Mapping[str, Any]) -> VerifyOptions:
     """Return the VerifyOptions of the command line."""
     from skinbake.lighting.verify_options import VerifyOptions
 
-    return VerifyOptions.of(**{name: given[name] for name in OF_A_CHECK})
+    return VerifyOptions.of(**{name: given[name] for name in defaults(VERIFY, By.OVERRIDE)})

@@ -6,12 +6,10 @@ from typing import Any
 
 import click
 
-from skinbake.choices import Range
-from skinbake.cli.console import console, ended_by_errors, in_range, message_options, outside_option
+from skinbake.cli.console import console, ended_by_errors
 from skinbake.cli.help import Helpful
-from skinbake.cli.limits import memory_option
 from skinbake.cli.names import STDIO, check_readable_suffix
-from skinbake.cli.targets import check_earlier, check_named, is_model_name, is_page, sync_option
+from skinbake.cli.targets import check_earlier, check_named, is_model_name, is_page
 from skinbake.errors import printable
 from skinbake.files.bounds import Bounds
 from skinbake.wording import counted
@@ -30,24 +28,6 @@ PAGES = (".html", ".htm")
     ),
 )
 @click.argument("source", metavar="FILE")
-@click.option(
-    "-o",
-    "--output",
-    metavar="PAGE",
-    help="Write the page to a file (.html or .htm), or - for stdout, and end.",
-)
-@click.option(
-    "--port",
-    type=in_range(Range(0, 65535, is_whole=True)),
-    default=0,
-    metavar="P",
-    help="Port on this machine; by default any free one.",
-)
-@click.option("--no-browser", is_flag=True, help="Print the address, but do not open the browser.")
-@outside_option
-@sync_option
-@memory_option
-@message_options
 def command(source: str, output: str | None, **given: Any) -> None:
     """Show a file in the browser: standard and accurate lighting side by side, over its own animations.
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from skinbake.choices import (
-    BAKE_RANGES,
     SLOTS_PER_SET,
     Encoding,
     FrameChoice,
@@ -16,26 +16,15 @@ from skinbake.choices import (
     Scheme,
     Weighting,
     Weld,
-    check_range,
-    member_of,
-    option_of,
 )
-from skinbake.errors import ChoiceError
+from skinbake.errors import ChoiceError, Chosen
 from skinbake.format.baked import AttributeNames
+from skinbake.options import BAKE, By, checked, defaults
 
 if TYPE_CHECKING:
     from skinbake.lighting.poses_to_fit import PoseSource
 
-ENUMERATIONS = {
-    "gradients": Gradients,
-    "weighting": Weighting,
-    "weld": Weld,
-    "neighbours": Neighbours,
-    "frame": FrameChoice,
-    "compress": Scheme,
-    "encoding": Encoding,
-    "layout": Layout,
-}
+USUAL = defaults(BAKE, By.OVERRIDE)
 
 HIGHEST_MESHOPT_LEVEL = 3
 
@@ -49,32 +38,36 @@ class CheckedOptions:
     options that contradict each other, and InputError for a file that cannot be read.
     """
 
-    gradients: Gradients = Gradients.RIG
-    fit_poses: tuple[PoseSource, ...] = ()
-    weighting: Weighting = Weighting.MAX
-    crease_angle: float = 15.0
-    weld: Weld = Weld.MESH
-    neighbours: Neighbours = Neighbours.ADOPT
-    frame: FrameChoice = FrameChoice.AUTO
-    limit_influences: int | None = None
-    generate_normals: bool = False
-    alpha_name: str | None = None
-    beta_name: str | None = None
-    compress: Scheme = Scheme.KEEP
-    compress_level: int | None = None
-    position_bits: int | None = None
-    normal_bits: int | None = None
-    texcoord_bits: int | None = None
-    encoding: Encoding = Encoding.FLOAT32
-    layout: Layout = Layout.ATTRIBUTES
-    require_baked: bool = False
-    warnings_as_errors: bool = False
+    gradients: Gradients = USUAL["gradients"]
+    fit_poses: tuple[PoseSource, ...] = USUAL["fit_poses"]
+    weighting: Weighting = USUAL["weighting"]
+    crease_angle: float = USUAL["crease_angle"]
+    weld: Weld = USUAL["weld"]
+    neighbours: Neighbours = USUAL["neighbours"]
+    frame: FrameChoice = USUAL["frame"]
+    limit_influences: int | None = USUAL["limit_influences"]
+    generate_normals: bool = USUAL["generate_normals"]
+    alpha_name: str | None = USUAL["alpha_name"]
+    beta_name: str | None = USUAL["beta_name"]
+    compress: Scheme = USUAL["compress"]
+    compress_level: int | None = USUAL["compress_level"]
+    position_bits: int | None = USUAL["position_bits"]
+    normal_bits: int | None = USUAL["normal_bits"]
+    texcoord_bits: int | None = USUAL["texcoord_bits"]
+    encoding: Encoding = USUAL["encoding"]
+    layout: Layout = USUAL["layout"]
+    require_baked: bool = USUAL["require_baked"]
+    warnings_as_errors: bool = USUAL["warnings_as_errors"]
 
     def __post_init__(self) -> None:
-        for name, kind in ENUMERATIONS.items():
-            object.__setattr__(self, name, member_of(kind, getattr(self, name), name))
+        # The sources of poses may have been read already.
+        given = {name: getattr(self, name) for name in USUAL if name != "fit_poses"}
+        for name, value in checked(BAKE, given).items():
+            object.__setattr__(self, name, value)
         object.__setattr__(self, "fit_poses", _pose_sources(self))
-        _check(self)
+        _check_influences(self)
+        _check_names(self)
+        _check_compression(self)
 
     @property
     def attribute_names(self) -> AttributeNames:
@@ -85,64 +78,56 @@ class CheckedOptions:
 
 def _pose_sources(options: CheckedOptions) -> tuple[PoseSource, ...]:
     """Return the sources of the poses, the file's own clips if none is named."""
+    given = options.fit_poses
+    if isinstance(given, str | bytes) or not isinstance(given, Collection):
+        raise ChoiceError("fit_poses", given, "a list of names")
     if options.gradients is not Gradients.POSES:
-        if options.fit_poses:
-            raise ChoiceError("--fit-poses needs --gradients poses")
+        if len(given):
+            raise ChoiceError("fit_poses", reason=(" needs ", Chosen("gradients", Gradients.POSES)))
         return ()
     from skinbake.lighting.poses_to_fit import ANIMATIONS, pose_source  # it poses: half a second of imports
 
-    return tuple(map(pose_source, options.fit_poses or (ANIMATIONS,)))
+    return tuple(map(pose_source, given)) or (ANIMATIONS,)
 
 
-def _check(options: CheckedOptions) -> None:
-    """Raise ChoiceError for a number that an option cannot be, and for options that contradict each other."""
-    _check_ranges(options)
-    _check_names(options)
-    _check_compression(options)
-
-
-def _check_ranges(options: CheckedOptions) -> None:
-    for name, numbers in BAKE_RANGES.items():
-        check_range(name, getattr(options, name), numbers)
-    if options.limit_influences is not None and options.neighbours is Neighbours.EXTEND:
-        raise ChoiceError("--limit-influences contradicts --neighbours extend, which adds influences")
-    if (options.limit_influences or 0) % SLOTS_PER_SET:
-        raise ChoiceError(
-            f"--limit-influences {options.limit_influences}: expected a multiple of 4, "
-            "because glTF stores influences in sets of 4"
-        )
+def _check_influences(options: CheckedOptions) -> None:
+    limit = options.limit_influences
+    if limit is None:
+        return
+    if options.neighbours is Neighbours.EXTEND:
+        extend = Chosen("neighbours", Neighbours.EXTEND)
+        raise ChoiceError("limit_influences", reason=(" contradicts ", extend, ", which adds influences"))
+    if limit % SLOTS_PER_SET:
+        expected = f"a multiple of {SLOTS_PER_SET}, because glTF stores influences in sets of {SLOTS_PER_SET}"
+        raise ChoiceError("limit_influences", limit, expected)
 
 
 def _check_names(options: CheckedOptions) -> None:
-    for name in ("alpha_name", "beta_name"):
-        pattern = getattr(options, name)
+    for name, pattern in (("alpha_name", options.alpha_name), ("beta_name", options.beta_name)):
         if pattern is None:
             continue
         if not pattern.startswith("_") or "{set}" not in pattern:
-            raise ChoiceError(
-                f"{option_of(name)} {pattern}: expected a name that begins with an underscore, as glTF "
-                "wants, and contains {set}"
-            )
+            expected = "a name that begins with an underscore, as glTF wants, and contains {set}"
+            raise ChoiceError(name, pattern, expected)
         if options.layout is not Layout.ATTRIBUTES:
-            raise ChoiceError(
-                f"{option_of(name)} needs --layout attributes; {options.layout} has fixed names"
-            )
+            needed = Chosen("layout", Layout.ATTRIBUTES)
+            raise ChoiceError(name, reason=(" needs ", needed, f"; {options.layout} has fixed names"))
     if options.attribute_names.alpha == options.attribute_names.beta:
-        raise ChoiceError("--alpha-name and --beta-name must differ")
+        raise ChoiceError("alpha_name", reason=(" and ", Chosen("beta_name"), " must differ"))
 
 
 def _check_compression(options: CheckedOptions) -> None:
     """Raise ChoiceError for bits, a level or a layout that the compression cannot use."""
-    bits = (options.position_bits, options.normal_bits, options.texcoord_bits)
-    if any(count is not None for count in bits) and options.compress is not Scheme.DRACO:
-        raise ChoiceError("--position-bits, --normal-bits and --texcoord-bits need --compress draco")
-    level = options.compress_level
+    for name in ("position_bits", "normal_bits", "texcoord_bits"):
+        if getattr(options, name) is not None and options.compress is not Scheme.DRACO:
+            raise ChoiceError(name, reason=(" needs ", Chosen("compress", Scheme.DRACO)))
+    level, scheme = options.compress_level, Chosen("compress", options.compress)
     if level is not None and options.compress is Scheme.NONE:
-        raise ChoiceError("--compress-level contradicts --compress none, which compresses nothing")
+        raise ChoiceError("compress_level", reason=(" contradicts ", scheme, ", which compresses nothing"))
     if options.compress is Scheme.MESHOPT and level is not None and level > HIGHEST_MESHOPT_LEVEL:
-        raise ChoiceError(f"--compress-level of meshopt is at most {HIGHEST_MESHOPT_LEVEL}")
+        reason = (f": expected at most {HIGHEST_MESHOPT_LEVEL} with ", scheme)
+        raise ChoiceError("compress_level", level, reason=reason)
     if options.layout is Layout.TEXCOORD and options.encoding is not Encoding.FLOAT32:
-        raise ChoiceError(
-            f"--layout texcoord needs --encoding float32, not {options.encoding}: only float texture "
-            "coordinates of glTF may be negative"
-        )
+        why = f", not {options.encoding}: only float texture coordinates of glTF may be negative"
+        needed = Chosen("encoding", Encoding.FLOAT32)
+        raise ChoiceError("layout", options.layout, reason=(" needs ", needed, why))

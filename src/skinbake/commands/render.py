@@ -224,9 +224,8 @@ def _clip_and_moment(
         if not named:
             listed = [printable(clip.name) for clip in clips[:LISTED]] or ["none"]
             more = [f"{len(clips) - LISTED} more"] if len(clips) > LISTED else []
-            raise ChoiceError(
-                f"--clip {printable(asked)}: the file has no such clip; it has {', '.join(listed + more)}"
-            )
+            reason = f": the file has no such clip; it has {', '.join(listed + more)}"
+            raise ChoiceError("clip", printable(asked), reason=(reason,))
         clips = named[:1]
     if len(clips) == 1 and options.time is not None:
         return clips[0], options.time
@@ -254,11 +253,10 @@ def _check_time(clip: Clip | None, time: float | None) -> None:
     if time is None:
         return
     if clip is None:
-        raise ChoiceError(f"--time {time:g}: the file has no clip")
+        raise ChoiceError("time", time, reason=(": the file has no clip",))
     if not clip.start <= time <= clip.duration:
-        raise ChoiceError(
-            f'--time {time:g}: clip "{printable(clip.name)}" goes from {clip.start:g} to {clip.duration:g} s'
-        )
+        reason = f': clip "{printable(clip.name)}" goes from {clip.start:g} to {clip.duration:g} s'
+        raise ChoiceError("time", time, reason=(reason,))
 
 
 def _subject(document: Document, number: int, draw: Draw, view: BakedView, material: Material) -> Subject:

@@ -25,6 +25,7 @@ from skinbake.lighting.morphing import carrier
 from skinbake.lighting.poses import PoseRequest, PoseSet, pose_set
 from skinbake.lighting.rest_primitives import rest_primitive
 from skinbake.lighting.staleness import refuse_stale
+from skinbake.options import on_command_line
 from skinbake.shaders.choices import AT_RUN_TIME, BEST, AttributeText, ShaderChoices
 from skinbake.shaders.text import shader_made
 from skinbake.wording import counted
@@ -78,9 +79,8 @@ def shader(
     except ChoiceError as error:
         if _contradicts_itself(request):
             raise
-        raise InputError(
-            f"this file does not fit {error.message.removeprefix('--')}", Place(source)
-        ) from error
+        message = f"this file does not fit {error.worded(on_command_line)}"
+        raise InputError(message, Place(source)) from error
     return ShaderResult(text, choices, tuple(notices))
 
 

@@ -120,16 +120,19 @@ def pose_source(value: PoseSource) -> PoseSource:
     """Return what a value of ``--fit-poses`` stands for. Raises ChoiceError, and InputError for a file."""
     if isinstance(value, ClipFile):
         return value
+    if not isinstance(value, str):
+        raise ChoiceError("fit_poses", value, "a list of names")
     if value in {ANIMATIONS, PoseKind.ANIMATION}:
         return ANIMATIONS
     kind, colon, count = value.partition(":")
     if kind != RANDOM and Path(value).suffix:
         return _clip_file(value)
     if kind != RANDOM or not colon or not count.isdecimal() or not 1 <= int(count) <= MOST_RANDOM:
-        raise ChoiceError(
-            f"--fit-poses {value}: expected {RANDOM}:N with N from 1 to {MOST_RANDOM:,}, {ANIMATIONS}, "
-            "or a .glb, .gltf or .vrm file with animations"
+        expected = (
+            f"{RANDOM}:N with N from 1 to {MOST_RANDOM:,}, {ANIMATIONS}, or a .glb, .gltf or .vrm file with "
+            "animations"
         )
+        raise ChoiceError("fit_poses", value, expected)
     return f"{RANDOM}:{int(count)}"
 
 

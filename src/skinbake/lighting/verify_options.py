@@ -3,21 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
-from skinbake.choices import (
-    VERIFY_RANGES,
-    Baseline,
-    Method,
-    PoseKind,
-    Truth,
-    check_range,
-    member_of,
-    pose_choice,
-)
+from skinbake.choices import Baseline, Truth, pose_choice
 from skinbake.lighting.poses import PoseRequest
+from skinbake.options import VERIFY, By, checked, defaults
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,33 +32,19 @@ class VerifyOptions:
     truth: Truth | None = None
 
     @classmethod
-    def of(
-        cls,
-        *,
-        methods: Iterable[Method | str] = (),
-        poses: str = PoseKind.ANIMATION,
-        samples: int | None = None,
-        angle: float = 30.0,
-        seed: int = 0,
-        baseline: Baseline | str = Baseline.BLENDED,
-        truth: Truth | str | None = None,
-        **others: Any,
-    ) -> VerifyOptions:
-        """Return the options that the words and numbers of a user stand for; others are fields.
+    def of(cls, **given: Any) -> VerifyOptions:
+        """Return the options that the words and numbers of a user stand for, under the names of verify's.
 
         poses is ``animation``, ``random``, ``random:N`` or ``rest``. angle is in degrees. Raises ChoiceError
         for a value that does not exist.
         """
-        numbers = {"samples": samples, "angle": angle, "seed": seed, **others}
-        for name, allowed in VERIFY_RANGES.items():
-            check_range(name, numbers.get(name), allowed)
-        kind, count = pose_choice(poses)
+        words = checked(VERIFY, {**defaults(VERIFY, By.OVERRIDE), **given})
+        kind, count = pose_choice(words.pop("poses"))
+        samples, angle = words.pop("samples"), math.radians(words.pop("angle"))
         return cls(
-            methods=tuple(dict.fromkeys(member_of(Method, method, "method") for method in methods)),
-            poses=PoseRequest(kind, count or samples, math.radians(angle), seed),
-            baseline=member_of(Baseline, baseline, "baseline"),
-            truth=None if truth is None else member_of(Truth, truth, "truth"),
-            **others,
+            methods=tuple(dict.fromkeys(words.pop("methods"))),
+            poses=PoseRequest(kind, count or samples, angle, words.pop("seed")),
+            **words,
         )
 
     @property

@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from skinbake.choices import SLOTS_PER_SET, Encoding, Frame, Language, Layout, Lighting, Method, Morphs
-from skinbake.errors import ChoiceError
+from skinbake.errors import ChoiceError, Chosen
+from skinbake.options import SHADER
+
+OPTIONS = [one for one in SHADER if one.name in {"frame", "encoding", "layout"}]
 
 CUSTOM_SETS = 2
 """The number of influence sets of the custom layout: Godot after 4.6 reads `_CUSTOM0` to `_CUSTOM3`."""
@@ -71,40 +74,35 @@ class ShaderChoices:
     def __post_init__(self) -> None:
         if (self.method, self.lighting) not in ALGORITHMS:
             legal = [light for method, light in ALGORITHMS if method is self.method]
-            raise ChoiceError(
-                f"--method {self.method} has no {self.lighting} lighting; take {', '.join(legal[:-1])} or "
-                f"{legal[-1]}"
-            )
+            why = f" has no {self.lighting} lighting; take {', '.join(legal[:-1])} or {legal[-1]}"
+            raise ChoiceError("method", self.method, reason=(why,), also=("lighting",))
         if self.influences < 1:
-            raise ChoiceError(f"--influences {self.influences}: a vertex needs at least one")
-        if self.frame not in list(Frame):
-            raise ChoiceError(f"--frame {self.frame} is neither {' nor '.join(Frame)}")
-        for option, value, known in (
-            ("--encoding", self.encoding, list(Encoding)),
-            ("--layout", self.layout, list(Layout)),
-        ):
-            if value not in known:
-                raise ChoiceError(f"{option} {value} is not one of {', '.join(known)}")
+            raise self._refusal("influences", ": a vertex needs at least one")
+        for option in OPTIONS:
+            option.checked(getattr(self, option.name))
         if self.layout == Layout.CUSTOM and self.influence_sets > CUSTOM_SETS:
-            raise ChoiceError(
-                f"--layout custom holds {CUSTOM_SETS * SLOTS_PER_SET} influences, not {self.influences}"
-            )
+            why = f": it holds {CUSTOM_SETS * SLOTS_PER_SET} influences, not {self.influences}"
+            raise self._refusal("layout", why)
         if self.layout == Layout.TEXCOORD and self.encoding != Encoding.FLOAT32:
-            raise ChoiceError(f"--layout texcoord needs --encoding float32, not {self.encoding}")
+            needed = Chosen("encoding", Encoding.FLOAT32)
+            raise self._refusal("layout", " needs ", needed, f", not {self.encoding}")
         if self.cap is not None and not self.is_corrected:
-            raise ChoiceError(f"--cap is for accurate and exact lighting; {self.lighting} has no correction")
+            why = f" is for accurate and exact lighting; {self.lighting} has no correction"
+            raise ChoiceError("cap", reason=(why,), also=("lighting",))
         if self.cap is not None and not CAPS[0] <= self.cap <= CAPS[1]:
-            raise ChoiceError(
-                f"--cap {self.cap:g} is not in the range {CAPS[0]:g} to {CAPS[1]:g} of a shader"
-            )
+            raise self._refusal("cap", f" is not in the range {CAPS[0]:g} to {CAPS[1]:g} of a shader")
         if self.morphs is Morphs.TANGENT and self.frame != Frame.TANGENT:
-            raise ChoiceError(
-                f"--morphs tangent needs --frame tangent; --frame {self.frame} needs --morphs normal"
-            )
+            frame, needed = Chosen("frame", self.frame), Chosen("morphs", Morphs.NORMAL)
+            wanted = Chosen("frame", Frame.TANGENT)
+            raise self._refusal("morphs", " needs ", wanted, "; ", frame, " needs ", needed)
         if self.mirrored_joints and not self.crosses:
-            raise ChoiceError(
-                f"--mirrored-joints needs --method lbs --lighting accurate, not {self.method} {self.lighting}"
-            )
+            method, lighting = Chosen("method", Method.LBS), Chosen("lighting", Lighting.ACCURATE)
+            why = f", not {self.method} {self.lighting}"
+            raise ChoiceError("mirrored_joints", reason=(" needs ", method, " ", lighting, why))
+
+    def _refusal(self, option: str, *reason: str | Chosen) -> ChoiceError:
+        """Return the error about the value of an option."""
+        return ChoiceError(option, getattr(self, option), reason=reason)
 
     @property
     def algorithm(self) -> int:

@@ -12,12 +12,12 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from skinbake.choices import SLOTS_PER_SET, Encoding, Frame, Language, Layout, Lighting, Method, Morphs
-from skinbake.errors import ChoiceError
+from skinbake.errors import ChoiceError, Chosen
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.shaders.engines import single_module
 from skinbake.shaders.storage import ascii_name, storage_context, storage_parts
@@ -108,11 +108,9 @@ def _text_for(choices: ShaderChoices, reads: Sequence[str], also: Sequence[str] 
     needed = [str(choices.encoding)] if choices.decodes else []
     needed += [str(choices.layout)] if choices.assembles else []
     if not set(needed) <= set(reads):
-        raise ChoiceError(
-            f"--target {choices.target} reads alpha and beta as floats in their own attributes, "
-            f"not{choices.storage_words.removeprefix(',')}: use --target plain, or bake with the "
-            "defaults"
-        )
+        why = f"it reads alpha and beta as floats in their own attributes, not {choices.storage_words[2:]}"
+        reason = (f": {why}; use ", Chosen("target", "plain"), ", or bake with the defaults")
+        raise ChoiceError("target", choices.target, reason=reason, also=("encoding", "layout"))
     context = _context(choices)
     language = choices.language
     names = ["vertex", f"frame_{choices.frame}", *also, *_parts(choices), choices.stem]
@@ -153,7 +151,8 @@ def _target_file(choices: ShaderChoices) -> str:
     languages = targets().get(choices.target, ())
     if choices.language not in languages:
         legal = " or ".join(languages) or "none"
-        raise ChoiceError(f"--target {choices.target} needs --lang {legal}, not {choices.language}")
+        needed = Chosen("language", legal)
+        raise ChoiceError("target", choices.target, reason=(" needs ", needed, f", not {choices.language}"))
     pattern = f"{choices.target}.{choices.language}"
     names = [path.name for path in (TEMPLATES / "targets").iterdir()]
     return "targets/" + next(name for name in names if name == pattern or name.startswith(f"{pattern}."))
@@ -237,7 +236,7 @@ def _context(choices: ShaderChoices) -> dict[str, Any]:
         "ascii_name": ascii_name,
         "rust_string": _rust_string,
         "count": lambda n, noun: f"{n} {noun}{'' if n == 1 else 's'}",
-        "refuse": _refuse,
+        "refuse": partial(_refuse, choices),
         **storage_context(choices),
     }
 
@@ -380,5 +379,6 @@ def _rust_string(text: str) -> str:
     return f'"{"".join(plain)}"'
 
 
-def _refuse(reason: str) -> NoReturn:
-    raise ChoiceError(reason)
+def _refuse(choices: ShaderChoices, option: str, why: str) -> NoReturn:
+    """Raise ChoiceError about a target, because of another option. ``why`` has words of the command line."""
+    raise ChoiceError("target", choices.target, reason=(f": {why}",), also=(option,))

@@ -217,7 +217,8 @@ def _sent_files(job: Job, *, pack: bool) -> SentFiles | None:
     """
     source, target, within = job.source, job.target, job.within
     if STDIO in {source, target}:
-        raise ChoiceError("standard input and output cannot be sent to a cluster", Place(source))
+        reason = (" cannot send standard input and output to a cluster",)
+        raise ChoiceError("dask", reason=reason, place=Place(source))
     disk = SentFiles("", {}, {})
     roots = [root for root in (within.bounds.root, *within.bounds.allowed, within.output) if root is not None]
     tops = {root: Path(os.path.realpath(root)).as_posix() for root in roots if not is_url(root)}

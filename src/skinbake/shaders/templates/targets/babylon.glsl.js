@@ -1,13 +1,13 @@
 //% if method != "lbs"
-//%   set _ = refuse("--target babylon: Babylon.js blends joint matrices; use --method lbs")
+//%   set _ = refuse("method", "Babylon.js blends joint matrices; use --method lbs")
 //% elif lighting == "direct"
-//%   set _ = refuse("--target babylon: its module corrects normals by the accurate algorithm only; use --lighting accurate")
+//%   set _ = refuse("lighting", "its module corrects normals by the accurate algorithm only; use --lighting accurate")
 //% elif lighting != "accurate"
-//%   set _ = refuse("--target babylon: use --lighting accurate; approximated lighting is Babylon.js's own")
+//%   set _ = refuse("lighting", "use --lighting accurate; approximated lighting is Babylon.js's own")
 //% elif influences > 8
-//%   set _ = refuse("--target babylon: Babylon.js reads eight influences per vertex, not " ~ influences ~ "; bake with --limit-influences 8")
+//%   set _ = refuse("influences", "Babylon.js reads eight influences per vertex, not " ~ influences ~ "; bake with --limit-influences 8")
 //% elif influences < 4
-//%   set _ = refuse("--target babylon: Babylon.js always reads four or eight influences per vertex; use --influences 4")
+//%   set _ = refuse("influences", "Babylon.js always reads four or eight influences per vertex; use --influences 4")
 //% endif
 //% set common = {"reads": ["packed8"], "morphs": "normal", "frame": "tangent", "encoding": "packed8", "layout": "attributes", "attributes": None, "mirrored_joints": True}
 //% set glsl = text_for(language="glsl", influences=8, also=["frame_normal", "morphed_tangent"], **common)

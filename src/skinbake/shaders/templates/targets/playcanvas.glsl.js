@@ -1,11 +1,11 @@
 //% if lighting == "approximated"
-//%   set _ = refuse("--target playcanvas: approximated lighting is PlayCanvas's own; use --lighting accurate or direct")
+//%   set _ = refuse("lighting", "approximated lighting is PlayCanvas's own; use --lighting accurate or direct")
 //% elif method == "dqs" and lighting != "exact"
-//%   set _ = refuse("--target playcanvas: use --lighting exact with --method dqs")
+//%   set _ = refuse("method", "use --lighting exact with --method dqs")
 //% elif influences > 4
-//%   set _ = refuse("--target playcanvas: PlayCanvas reads four influences per vertex, not " ~ influences ~ "; bake with --limit-influences 4")
+//%   set _ = refuse("influences", "PlayCanvas reads four influences per vertex, not " ~ influences ~ "; bake with --limit-influences 4")
 //% elif influences < 4
-//%   set _ = refuse("--target playcanvas: PlayCanvas always reads four influences per vertex; use --influences 4")
+//%   set _ = refuse("influences", "PlayCanvas always reads four influences per vertex; use --influences 4")
 //% endif
 //% set blended = lighting if method == "lbs" else "accurate"
 //% set common = {"morphs": "normal", "frame": "tangent", "encoding": "float32", "layout": "attributes", "attributes": None, "also": ["frame_normal"]}

@@ -1,11 +1,11 @@
 //% if lighting == "approximated"
-//%   set _ = refuse("--target three: approximated lighting is three.js's own; use --lighting accurate or direct")
+//%   set _ = refuse("lighting", "approximated lighting is three.js's own; use --lighting accurate or direct")
 //% elif method == "dqs" and lighting != "exact"
-//%   set _ = refuse("--target three: use --lighting exact with --method dqs")
+//%   set _ = refuse("method", "use --lighting exact with --method dqs")
 //% elif influences > 4
-//%   set _ = refuse("--target three: three.js reads four influences per vertex, not " ~ influences ~ "; bake with --limit-influences 4")
+//%   set _ = refuse("influences", "three.js reads four influences per vertex, not " ~ influences ~ "; bake with --limit-influences 4")
 //% elif influences < 4
-//%   set _ = refuse("--target three: three.js always reads four influences per vertex; use --influences 4")
+//%   set _ = refuse("influences", "three.js always reads four influences per vertex; use --influences 4")
 //% endif
 //% set blended = lighting if method == "lbs" else "accurate"
 //% set lbs = text_for(reads=["packed8"], morphs="normal", frame="tangent", encoding="packed8", layout="attributes", attributes=None, method="lbs", lighting=blended, also=["frame_normal"])
