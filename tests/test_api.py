@@ -511,7 +511,16 @@ class TestArrays:
             ({"triangles": [[0, 1, 4]]}, "triangles hold 0 to 4: expected 0 to 3"),
             ({"triangles": [[0.0, 1.0, 2.0]]}, "triangles are float64: expected integers"),
             ({"joints": [[0, -1]] * 4}, "joints hold -1 to 0"),
-            ({"weights": [[1]] * 4}, "a vertex needs at least 2 slots"),
+            ({"weights": [[1]] * 4}, "expected 2 to 256 slots for a vertex"),
+            ({"weights": np.ones((4, 257))}, "expected 2 to 256 slots for a vertex"),
+            ({"weights": np.ones((4, 100_000))}, "expected 2 to 256 slots for a vertex"),
+            ({"positions": np.ones((4, 3), complex)}, "positions are complex128: expected numbers"),
+            ({"positions": np.zeros((4, 3), "M8[s]")}, "positions are datetime64.s.: expected numbers"),
+            ({"positions": [["0", "0", "0"]] * 4}, "positions are <U1: expected numbers"),
+            ({"positions": [[None] * 3] * 4}, "positions are object: expected numbers"),
+            ({"positions": [[0, 0, 0], [1]]}, "positions are not an array"),
+            ({"positions": np.broadcast_to(np.zeros(3), (2**40, 3))}, "repeat few numbers in memory"),
+            ({"triangles": np.broadcast_to([0, 1, 2], (2**34, 3))}, "repeat few numbers in memory"),
             ({"weights": [[np.nan, 1]] * 4}, "weights hold numbers that are not finite"),
             ({"tangents": [[1, 0, 0]] * 4}, r"tangents have shape \(4, 3\): expected \(4, 4\)"),
             ({"frame": "tangent"}, "there are no tangents"),
@@ -526,3 +535,37 @@ class TestArrays:
         tiny = 1e-39 * np.array(SQUARE["positions"], dtype=np.float64)
         with pytest.raises(skinbake.InputError, match="α or β of 4 vertices are not finite numbers"):
             skinbake.weight_gradients(**{**SQUARE, "positions": tiny})
+
+
+def deep(levels: int) -> dict[str, Any]:
+    """Return objects in objects."""
+    found: dict[str, Any] = {}
+    for _ in range(levels):
+        found = {"a": found}
+    return found
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda model: setattr(model, "extras", deep(100_000)), "cannot be written as JSON"),
+        (lambda model: model.extras.update(a=model.extras), "cannot be written as JSON"),
+        (lambda model: model.extras.update(a=object()), "cannot be written as JSON"),
+        (lambda model: model.extras.update(a=float("nan")), "cannot be written as JSON"),
+        (lambda model: setattr(model.accessors[0], "count", 10**5000), "cannot be written as JSON"),
+        (lambda model: setattr(model.accessors[0], "count", 2**60), '"count" must be'),
+        (lambda model: setattr(model, "nodes", [1]), '"nodes" must be an array of objects'),
+        (lambda model: model.set_binary_blob("text"), "its binary blob is of type str"),
+        (lambda model: model.set_binary_blob(10**12), "its binary blob is of type int"),
+        (lambda model: model.set_binary_blob([1, 300]), "its binary blob is of type list"),
+        (lambda model: setattr(model, "_path", object()), "expected the folder of its files"),
+        (lambda model: setattr(model, "_path", "\0"), "expected the folder of its files"),
+    ],
+)
+def test_a_hostile_model_of_pygltflib_ends_in_an_error_of_ours(change: Any, message: str) -> None:
+    model = pygltflib.GLTF2().load(str(FOLDER / "bent_tube.glb"))
+    assert model is not None
+    model.extras = {}
+    change(model)
+    with pytest.raises(skinbake.InputError, match=message):
+        skinbake.bake(model)

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.choices import (
+    SLOTS_PER_SET,
     Baseline,
     Encoding,
     FrameChoice,
@@ -521,6 +522,10 @@ def weight_gradients(
     )
 
 
+MOST_REPEATED = 1 << 22
+"""The most numbers of an array that repeats itself in memory. Such an array may have any size."""
+
+
 def _surface(
     positions: npt.ArrayLike,
     normals: npt.ArrayLike,
@@ -530,12 +535,15 @@ def _surface(
     tangents: npt.ArrayLike | None,
 ) -> SkinnedPrimitive:
     """Return the arrays as a primitive. Raises ValueError if they do not fit together."""
+    from skinbake.gltf.primitives import MOST_SETS
+
+    most = SLOTS_PER_SET * MOST_SETS
     points = _floats("positions", positions, (None, 3))
     count = len(points)
     weighed = _floats("weights", weights, (count, None))
     slots = weighed.shape[1]
-    if slots < 2:
-        raise ValueError(f"weights have shape {weighed.shape}: a vertex needs at least 2 slots")
+    if not 2 <= slots <= most:
+        raise ValueError(f"weights have shape {weighed.shape}: expected 2 to {most} slots for a vertex")
     return SkinnedPrimitive(
         positions=points,
         normals=_floats("normals", normals, (count, 3)),
@@ -547,29 +555,39 @@ def _surface(
 
 
 def _floats(name: str, values: npt.ArrayLike, shape: tuple[int | None, int | None]) -> npt.NDArray[Any]:
-    array = np.asarray(values)
+    array = _array(name, values, shape)
+    if array.dtype.kind not in "fiub":
+        raise ValueError(f"{name} are {array.dtype}: expected numbers")
     if array.dtype != np.float32:
         array = array.astype(np.float64)
-    _check_shape(name, array, shape)
     if not np.isfinite(array).all():
         raise ValueError(f"{name} hold numbers that are not finite")
     return np.ascontiguousarray(array)
 
 
 def _indices(name: str, values: npt.ArrayLike, shape: tuple[int | None, int | None], end: int) -> IntArray:
-    array = np.asarray(values)
+    array = _array(name, values, shape)
     if array.dtype.kind not in "iu":
         raise ValueError(f"{name} are {array.dtype}: expected integers")
-    _check_shape(name, array, shape)
     if not 0 <= int(array.min()) <= int(array.max()) < end:
         raise ValueError(f"{name} hold {array.min()} to {array.max()}: expected 0 to {end - 1}")
     return np.ascontiguousarray(array.astype(np.uint32))
 
 
-def _check_shape(name: str, array: npt.NDArray[Any], shape: tuple[int | None, int | None]) -> None:
+def _array(name: str, values: npt.ArrayLike, shape: tuple[int | None, int | None]) -> npt.NDArray[Any]:
+    """Return values as an array of a shape. Raises ValueError if they are none."""
+    try:
+        array = np.asarray(values)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise ValueError(f"{name} are not an array: {error}") from error
     fits = array.ndim == len(shape) and all(
         wanted is None or found == wanted for found, wanted in zip(array.shape, shape, strict=True)
     )
     if not fits or len(array) == 0:
         wanted = ", ".join("any" if size is None else str(size) for size in shape)
         raise ValueError(f"{name} have shape {array.shape}: expected ({wanted})")
+    if array.size > MOST_REPEATED and 0 in array.strides:
+        raise ValueError(
+            f"{name} have shape {array.shape}, and repeat few numbers in memory: expected a copy"
+        )
+    return array

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import copy
 import json
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from skinbake.errors import InputError
+from skinbake.errors import InputError, Place
 from skinbake.format.strip import stripped
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import Document, joined, parse_gltf
+from skinbake.gltf.json_access import shown
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2
@@ -42,16 +44,30 @@ def baked_model(model: GLTF2, baker: Baker) -> GLTF2:
 
 
 def document_of(model: GLTF2) -> Document:
-    """Return a model as a document that reads its files from the folder that the model was loaded from."""
+    """Return a model as a document that reads its files from the folder that the model was loaded from.
+
+    Raises InputError if a member holds what glTF cannot, and TypeError for an object that is no model.
+    """
     if not hasattr(model, "gltf_to_json") or not hasattr(model, "binary_blob"):
         raise TypeError(f"bake() takes a path or a GLTF2 of pygltflib, not {type(model).__name__}")
     name = str(getattr(model, "_name", None) or "GLTF2")
-    text = model.gltf_to_json(separators=(",", ":"), indent=None).encode("utf-8")
-    document = parse_gltf(text, name, Path(getattr(model, "_path", None) or "."))
+    try:
+        text = model.gltf_to_json(separators=(",", ":"), indent=None).encode("utf-8")
+    except (TypeError, ValueError, AttributeError, RecursionError) as error:
+        raise InputError(f"the model cannot be written as JSON ({error})", Place(name)) from error
+    folder = getattr(model, "_path", None) or "."
+    if not isinstance(folder, str | PathLike) or "\0" in str(folder):
+        raise InputError(f"its _path is {shown(folder)}: expected the folder of its files", Place(name))
+    document = parse_gltf(text, name, Path(folder))
     blob = model.binary_blob()
     if blob is None:
         return document.edited()
-    return document.edited(is_glb=True, indent=None, binary=(bytes(blob),))
+    try:
+        data = bytes(memoryview(blob))
+    except TypeError as error:
+        kind = type(blob).__name__
+        raise InputError(f"its binary blob is of type {kind}: expected bytes", Place(name)) from error
+    return document.edited(is_glb=True, indent=None, binary=(data,))
 
 
 def model_of(document: Document, like: GLTF2) -> GLTF2:

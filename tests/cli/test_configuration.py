@@ -14,7 +14,13 @@ import click
 import pytest
 
 from skinbake.choices import Encoding
-from skinbake.cli.configuration import PER_FILE, matches, options_of
+from skinbake.cli.configuration import (
+    PER_FILE,
+    ConfigurationError,
+    matches,
+    options_of,
+    read_configuration,
+)
 from skinbake.cli.main import COMMANDS, main
 from skinbake.commands.bake import Baker
 from skinbake.jobs.bake import Bake
@@ -699,3 +705,38 @@ class TestCommand:
         monkeypatch.chdir("heroes/crowd")
         text = invoke("config", "--changed").stdout
         assert text == f"no configuration file from {project}/heroes/crowd up to {project}\n"
+
+
+PARTS = ["a", '"a.b"', "'x y'", "-_9"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        ".".join(PARTS * 5000) + " = 1",
+        "[bake." + " . ".join(PARTS * 5000) + "]\nx = 1",
+        "[[bake." + ".".join(["a"] * 200_000) + "]]\nx = 1",
+        "[bake]\nx = {" + ".".join(PARTS * 16) + " = 1}",
+    ],
+)
+def test_a_deep_key_is_refused_before_it_is_read(tmp_path: Path, text: str) -> None:
+    """tomllib takes minutes for a key of a million parts."""
+    path = tmp_path / "skinbake.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigurationError, match="a key of 64 parts or more, too many for options"):
+        read_configuration(str(path))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        ".".join(["a"] * 63) + " = 1",
+        "x = [" + "1.5, " * 500 + "]",
+        "x" * 500_000 + " = 1",
+        "[bake]\n" + "\n".join(f"k{number}.a = 1.5" for number in range(500)),
+    ],
+)
+def test_other_long_texts_are_read(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "skinbake.toml"
+    path.write_text(text, encoding="utf-8")
+    assert read_configuration(str(path)) is not None

@@ -34,6 +34,14 @@ MENTION = re.compile(rb"""tool["']?\s*\.\s*["']?skinbake""")
 
 META = "skinbake.configured"
 
+MOST_PARTS = 64
+_PART = rb"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+"""
+DEEP_KEY = re.compile(rb"(?<![\w-])(?:%s){%d}" % (_PART, MOST_PARTS - 1))
+"""A key of so many parts between dots, wherever it stands: ``a.b.c``."""
+
+LONGEST_PATTERN = 4096
+"""The characters of a pattern. No path is longer."""
+
 MOST_TRIES = 100
 """The number of lines that are tried to find the one of a message."""
 
@@ -326,6 +334,8 @@ def read_configuration(path: str) -> Configuration | None:
     data = _content(path)
     import tomllib
 
+    if DEEP_KEY.search(data):  # tomllib takes the square of its parts to read it
+        raise ConfigurationError(f"{path} has a key of {MOST_PARTS} parts or more, too many for options")
     try:
         text = data.decode("utf-8-sig").replace("\r\n", "\n")
         tables = tomllib.loads(text)
@@ -441,6 +451,8 @@ def _patterns(configuration: Configuration, keys: Keys, value: object) -> tuple[
     if not isinstance(value, list) or not value or not all(isinstance(one, str) for one in value):
         configuration.refuse(keys, "expected an array of patterns")
     for pattern in value:
+        if len(pattern) > LONGEST_PATTERN:
+            configuration.refuse(keys, f"a pattern has {len(pattern):,} characters: expected a path")
         if not pattern or "\\" in pattern or {"", ".", ".."} & {*pattern.split("/")}:
             configuration.refuse(
                 keys,
