@@ -44,12 +44,6 @@ from skinbake.wording import counted
 
 BAKE_LAST = "Bake last: run skinbake bake on the file that the last tool wrote"
 
-FITTED_PAYMENT = 4.0
-"""The factor by which a fit may enlarge the effect of the weight that adopted slots took.
-
-No file of the corpus needs more than 1.
-"""
-
 EDITED_ALONE = {
     "POSITION": "its vertices moved",
     "NORMAL": "its normals flipped, recomputed or edited",
@@ -304,7 +298,6 @@ def _roundings(
         np.concatenate([view.bitangents for view in views]),
     ]
     forgiven = operator.reach_along(frames, paid).T.copy()
-    forgiven *= 1.0 if noted_kind(views[0]) is Gradients.SURFACE else FITTED_PAYMENT
     return [view.rounding + forgiven[rows] for view, rows in zip(views, operator.slices, strict=True)]
 
 
