@@ -6,16 +6,19 @@ import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, ClassVar
 from zipfile import ZipFile
 
 import pytest
+from fsspec.implementations.memory import MemoryFileSystem
 
 from skinbake.cli import exit_codes
 from skinbake.errors import InputError
 from skinbake.jobs.remote import dask_runner
+from skinbake.jobs.remote.storages import expand_url
 from tests.support.command_line import document, invoke
 from tests.support.libraries import filesystem, stored, tree, upload, write_library
-from tests.support.models import FOLDER, edited
+from tests.support.models import FOLDER, copied, edited
 
 
 @pytest.fixture(autouse=True)
@@ -242,3 +245,74 @@ def test_what_is_no_address_is_no_cluster(address: str, tmp_path: Path) -> None:
     assert result.exit_code == 2
     assert "--dask needs the address" in result.stderr
     assert not (tmp_path / "out.glb").exists()
+
+
+class WebServer(MemoryFileSystem):  # type: ignore[misc]  # fsspec is untyped
+    """A folder of a web server, as fsspec lists it: whole URLs, percent-encoded."""
+
+    protocol = ("http", "https")
+    store: ClassVar[dict[str, Any]] = {}
+    pseudo_dirs: ClassVar[list[str]] = [""]
+
+    @classmethod
+    def _strip_protocol(cls, path: str) -> str:
+        return path
+
+    def find(self, path: str, **_: Any) -> list[str]:
+        names = ["a%20b.glb", "%c3%bc/c%231.glb", "%2e%2e%2fd.glb", "%2e%2e/e.glb", "a%5Cf.glb", "plain.glb"]
+        return [f"{path.rstrip('/')}/{name}" for name in names]
+
+
+def test_names_of_a_web_server_are_decoded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A name that would lead elsewhere keeps its encoding."""
+    monkeypatch.setattr("fsspec.core.url_to_fs", lambda url: (WebServer(), url))
+    found = dict(expand_url("https://host/art"))
+    assert found == {
+        "https://host/art/a%20b.glb": "a b.glb",
+        "https://host/art/%c3%bc/c%231.glb": "ü/c#1.glb",
+        "https://host/art/%2e%2e%2fd.glb": "%2e%2e%2fd.glb",
+        "https://host/art/%2e%2e/e.glb": "%2e%2e/e.glb",
+        "https://host/art/a%5Cf.glb": "a%5Cf.glb",
+        "https://host/art/plain.glb": "plain.glb",
+    }
+    assert expand_url("https://host/my%20hero.glb") == [("https://host/my%20hero.glb", "my hero.glb")]
+    assert expand_url("s3://host/my%20hero.glb") == [("s3://host/my%20hero.glb", "my%20hero.glb")]
+
+
+@pytest.mark.parametrize("chain", ["simplecache", "filecache", "blockcache", "cached", "simplecache::cached"])
+def test_a_chained_url_of_this_disk_follows_no_link_out(chain: str, tmp_path: Path) -> None:
+    source = edited("seam.glb", tmp_path / "in", lambda content: content.update(images=[{"uri": "key.png"}]))
+    (tmp_path / "key.png").write_bytes(b"secret")
+    (source.parent / "key.png").symlink_to("../key.png")
+    result = invoke("bake", f"{chain}::file://{source}", "-o", tmp_path / "out" / "a.glb")
+    alone = invoke("bake", source, "-o", tmp_path / "alone" / "a.glb")
+    assert result.exit_code == alone.exit_code
+    assert "secret" not in (result.stdout + result.stderr)
+    assert tree(tmp_path / "out") == tree(tmp_path / "alone")
+    assert not (tmp_path / "out" / "key.png").exists()
+    result = invoke("bake", f"{chain}::file://{source}", "-o", tmp_path / "packed.glb", "--pack")
+    assert b"secret" not in (tmp_path / "packed.glb").read_bytes()
+
+
+@pytest.mark.parametrize("chain", ["dir", "asyncwrapper", "simplecache::dir"])
+def test_another_chained_url_of_this_disk_is_refused(chain: str, tmp_path: Path) -> None:
+    source = copied("seam.glb", tmp_path)
+    result = invoke("bake", f"{chain}::file://{source}", "-o", tmp_path / "a.glb")
+    assert result.exit_code == 3
+    assert "name its path instead of a chained URL" in " ".join(result.stderr.split())
+
+
+@pytest.mark.parametrize(
+    "command", [["view"], ["render", "-o", "a.png"], ["cost"], ["shader", "-o", "a", "--for"]]
+)
+def test_commands_that_read_no_urls_say_so(command: list[str], tmp_path: Path) -> None:
+    result = invoke(*command, "s3://bucket/hero.glb")
+    assert result.exit_code == 2
+    assert "this command reads no URLs. Copy the file" in " ".join(result.stderr.split())
+
+
+def test_the_url_of_a_file_of_this_disk_can_be_viewed(tmp_path: Path) -> None:
+    source = copied("seam.glb", tmp_path)
+    for number, name in enumerate((str(source), f"file://{source}")):
+        assert invoke("view", name, "-o", tmp_path / f"{number}.html").exit_code == 0
+    assert (tmp_path / "0.html").read_bytes() == (tmp_path / "1.html").read_bytes()

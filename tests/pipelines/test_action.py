@@ -156,6 +156,37 @@ def test_a_file_that_is_not_there_fails_the_step(runner: Runner) -> None:
 
 
 @pytest.mark.slow
+def test_the_summary_has_the_reason_of_a_failure(runner: Runner) -> None:
+    (runner.workspace / "art" / "broken.glb").write_bytes(b"glTF, but no more than that")
+    for command in ("verify", "bake"):
+        ran = runner.step("Run skinbake", command=command, files="art/broken.glb\nart/two.glb", html="false")
+        (line,) = [one for one in ran.process.stderr.splitlines() if "broken.glb" in one]
+        assert ran.process.returncode != 0
+        assert line in ran.summary
+        assert "art/two.glb" in ran.summary
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["bake", "verify"])
+def test_names_of_files_are_no_commands_to_the_runner(command: str, runner: Runner) -> None:
+    """A runner obeys lines that begin with ::, on stdout and on stderr, unless it was told to stop."""
+    for name in ("::error::mine.glb", "::set-output name=a::b.glb", "::add-mask::e.glb"):
+        shutil.copyfile(FOLDER / "seam.glb", runner.workspace / name)
+        (runner.workspace / f"{name[:-4]}2.glb").write_bytes(b"glTF, but no more than that")
+    tokens = set()
+    for _ in range(2):
+        ran = runner.step("Run skinbake", command=command, files="*.glb", html="false")
+        lines = ran.process.stdout.splitlines()
+        first, *_, last = [number for number, line in enumerate(lines) if line.startswith("::")]
+        token = lines[first].removeprefix("::stop-commands::")
+        assert len(token) == 32
+        assert lines[last] == f"::{token}::"
+        assert "::error::mine2.glb: " in ran.process.stderr
+        tokens.add(token)
+    assert len(tokens) == 2
+
+
+@pytest.mark.slow
 def test_an_input_is_not_run_by_the_shell(runner: Runner) -> None:
     ran = runner.step(
         "Run skinbake", files="$(touch taken)`touch taken`.glb", options="$(touch${IFS}taken) *", html="no"

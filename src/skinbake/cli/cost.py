@@ -8,7 +8,7 @@ import click
 
 from skinbake.cli.console import console, ended_by_errors
 from skinbake.cli.help import Helpful
-from skinbake.cli.names import check_readable_suffix
+from skinbake.cli.names import path_on_disk
 from skinbake.errors import ChoiceError
 from skinbake.files.bounds import Bounds
 
@@ -35,7 +35,7 @@ def command(source: str | None, influences: int | None, **given: Any) -> None:
         why = " N and FILE exclude each other: a file has its own influences"
         raise ChoiceError("influences", reason=(why,))
     if source is not None:
-        check_readable_suffix(source)
+        source = path_on_disk(source)
     say = console(given)
     from skinbake.gltf.budget import memory_limited
     from skinbake.report.cost import FileCosts, as_json, as_text

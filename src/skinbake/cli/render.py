@@ -9,7 +9,7 @@ import click
 
 from skinbake.cli.console import console, ended_by_errors
 from skinbake.cli.help import Helpful
-from skinbake.cli.names import check_readable_suffix
+from skinbake.cli.names import path_on_disk
 from skinbake.cli.targets import check_named, check_picture_target
 from skinbake.errors import ChoiceError, Chosen, printable
 from skinbake.files.bounds import Bounds
@@ -32,7 +32,7 @@ def command(source: str, output: str, **given: Any) -> None:
 
     It needs the extra skinbake[render]. A file that is not baked is baked in memory.
     """
-    check_readable_suffix(source)
+    source = path_on_disk(source)
     check_named(output)
     suffix = Path(output).suffix.lower()
     if suffix not in SUFFIXES:

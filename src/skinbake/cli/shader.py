@@ -12,7 +12,7 @@ import click
 from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs
 from skinbake.cli.console import console, ended_by_errors
 from skinbake.cli.help import Helpful
-from skinbake.cli.names import STDIO, check_readable_suffix
+from skinbake.cli.names import STDIO, path_on_disk
 from skinbake.cli.targets import check_named, check_text_target
 from skinbake.errors import ChoiceError, printable
 from skinbake.files.bounds import Bounds
@@ -41,7 +41,7 @@ def command(source: str | None, output: str, **given: Any) -> None:
     """
     check_named(output)
     if source is not None:
-        check_readable_suffix(source)
+        source = path_on_disk(source)
         if STDIO not in {output, source} and _is(source, output):
             raise click.UsageError(f"{output} is the baked file itself")
     check_text_target(output)

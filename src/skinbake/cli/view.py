@@ -8,7 +8,7 @@ import click
 
 from skinbake.cli.console import console, ended_by_errors
 from skinbake.cli.help import Helpful
-from skinbake.cli.names import STDIO, check_readable_suffix
+from skinbake.cli.names import STDIO, path_on_disk
 from skinbake.cli.targets import check_earlier, check_named, is_model_name, is_page
 from skinbake.errors import printable
 from skinbake.files.bounds import Bounds
@@ -34,7 +34,7 @@ def command(source: str, output: str | None, **given: Any) -> None:
     The page is one HTML file that loads nothing from the network. A file that is not baked is baked in
     memory. Without -o the page is served to this machine only, until Ctrl-C.
     """
-    check_readable_suffix(source)
+    source = path_on_disk(source)
     if output is not None:
         _check_page(output)
     if output is not None and (given["port"] or given["no_browser"]):

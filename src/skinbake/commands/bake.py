@@ -22,7 +22,7 @@ from skinbake.gltf.codecs import draco
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import STDIO, Document, read_document
 from skinbake.gltf.json_access import JsonObject
-from skinbake.gltf.output import AS_USUAL, Writing, plan_output, refuse_own_input
+from skinbake.gltf.output import AS_USUAL, Writing, other_names, plan_output, refuse_own_input
 from skinbake.gltf.primitives import (
     PrimitiveSource,
     reason_to_skip,
@@ -67,7 +67,7 @@ class Baker(CheckedOptions):
         if target is not None and not untouched:
             with noticed(notices), stage("write"):
                 planned = plan_output(result, target, root=within.output, keeps_notes=writing.keeps_notes)
-            notices = [*notices, *planned.notices]
+            notices = [*notices, *planned.notices, *(other_names(source) if target == source else ())]
         with noticed(notices):
             if self.warnings_as_errors and notices:
                 raise InputError("not written: there are warnings (--warnings-as-errors)", document.place)

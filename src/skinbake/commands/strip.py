@@ -11,7 +11,7 @@ from skinbake.format.strip import stripped
 from skinbake.gltf.beside import files_read
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import STDIO, read_document
-from skinbake.gltf.output import plan_output, refuse_own_input
+from skinbake.gltf.output import other_names, plan_output, refuse_own_input
 from skinbake.report.depfile import prerequisites
 from skinbake.report.strip import StripResult
 from skinbake.timing import stage
@@ -50,6 +50,8 @@ def strip_file(
         untouched = in_place and count == 0
         planned = None if untouched else plan_output(document, target, root=root, keeps_notes=keeps_notes)
     notices += [*found, *(planned.notices if planned else ())]
+    if in_place and planned:
+        notices += other_names(source)
     if warnings_as_errors and notices:
         raise InputError(
             f"not written: {'; '.join(notice.message for notice in notices)} (--warnings-as-errors)",

@@ -137,7 +137,9 @@ def write_files(
         with interrupts_put_off() if is_short else nullcontext(), ExitStack() as stack, begun:
             _make_root(begun)
             for path, pieces in files.items():
-                begun.written.append(_written(path, pieces, begun, stack, place, sync=sync))
+                is_itself = replaces is not None and len(begun.written) == len(files) - 1
+                one = _written(path, pieces, begun, stack, place, sync=sync, is_itself=is_itself)
+                begun.written.append(one)
             for path in serving or ():  # files that ended runs left beside these are removed too
                 _opened(tuple(_parts(path, (begun.root, begun.given), place)[:-1]), begun, stack)
             with locked(begun.open.values()) if is_shared else nullcontext(), interrupts_put_off():
@@ -233,9 +235,19 @@ def _make_root(begun: _Begun) -> None:
 
 
 def _written(
-    path: Path, pieces: Iterable[Bytes], begun: _Begun, stack: ExitStack, place: Place, *, sync: bool
+    path: Path,
+    pieces: Iterable[Bytes],
+    begun: _Begun,
+    stack: ExitStack,
+    place: Place,
+    *,
+    sync: bool,
+    is_itself: bool,
 ) -> _Written:
-    """Write one file under a temporary name, with the mode of its target, or the mode of a new file."""
+    """Write one file under a temporary name, with the mode of its target, or the mode of a new file.
+
+    If it replaces itself, it keeps its owner and its extended attributes too, as far as the system lets it.
+    """
     *parts, name = _parts(path, (begun.root, begun.given), place)
     folder = _opened(tuple(parts), begun, stack)
     temporary = temporary_name()
@@ -245,6 +257,9 @@ def _written(
     try:
         before = _there(folder, name)
         if before is not None and stat.S_ISREG(before.st_mode):
+            if is_itself and BY_DESCRIPTOR:
+                _keep_owner(descriptor, before)
+                _keep_attributes(descriptor, folder, name)
             mode = stat.S_IMODE(before.st_mode)
             os.chmod(descriptor if BY_DESCRIPTOR else folder.name(temporary), mode)
         _write_pieces(descriptor, pieces)
@@ -253,6 +268,31 @@ def _written(
     finally:
         os.close(descriptor)
     return _Written(folder, temporary, name, pieces)
+
+
+def _keep_owner(descriptor: int, before: os.stat_result) -> None:
+    """Give a file the owner and the group that it had; only the superuser may give any owner."""
+    now = os.fstat(descriptor)
+    if (now.st_uid, now.st_gid) != (before.st_uid, before.st_gid):
+        try:
+            os.fchown(descriptor, before.st_uid, before.st_gid)
+        except OSError:
+            with suppress(OSError):
+                os.fchown(descriptor, -1, before.st_gid)
+
+
+def _keep_attributes(descriptor: int, folder: Folder, name: str) -> None:
+    """Copy the extended attributes of a file, access lists among them."""
+    if sys.platform != "linux":
+        return
+    with suppress(OSError):
+        former = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder.descriptor)
+        try:
+            for attribute in os.listxattr(former):
+                with suppress(OSError):  # some are the system's own
+                    os.setxattr(descriptor, attribute, os.getxattr(former, attribute))
+        finally:
+            os.close(former)
 
 
 def _parts(path: Path, roots: Sequence[str], place: Place) -> Sequence[str]:

@@ -20,6 +20,7 @@ from skinbake.gltf.document import STDIO, Document, refuse_buffers_outside
 from skinbake.gltf.glb import join_glb
 from skinbake.gltf.json_rewriting import FormerText, rewritten
 from skinbake.gltf.resources import find
+from skinbake.wording import one_or_many
 
 ATTEMPTS = 8
 """The number of times that an output is planned again if the files beside it change meanwhile."""
@@ -191,6 +192,22 @@ def refuse_own_input(document: Document, source: str, target: str) -> None:
             os.close(descriptor)
         if is_own:
             raise OutputError("it is a file of the input", Place(target))
+
+
+def other_names(source: str) -> list[Notice]:
+    """Return a notice if a file that is replaced in place has other names, by hard links."""
+    try:
+        count = Path(source).stat().st_nlink - 1
+    except OSError:
+        return []
+    if count < 1:
+        return []
+    message = one_or_many(
+        count,
+        "it has 1 other name (a hard link), which keeps the former bytes",
+        "it has {} other names (hard links), which keep the former bytes",
+    )
+    return [Notice("hard-links", message, Place(source), count)]
 
 
 def _leads_to(uri: str, folder: Path, path: Path) -> bool:

@@ -7,8 +7,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Protocol
+from urllib.parse import unquote, urlsplit
 
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
+from skinbake.files.bounds import is_relative
 from skinbake.files.urls import SUFFIXES, URL, file_part, join_url
 
 if TYPE_CHECKING:
@@ -118,7 +120,7 @@ def located(url: str) -> tuple[UrlStorage | None, str]:
     Raises InputError if fsspec or the driver of the URL's protocol is missing.
     """
     filesystem, path = _filesystem(url)
-    if _is_local(filesystem):
+    if _is_local(filesystem, url):
         return None, path
     scheme = URL.match(path)
     root = scheme.group() if scheme else path[: len(path) - len(path.lstrip("/"))]
@@ -148,10 +150,25 @@ def _filesystem(url: str) -> tuple[AbstractFileSystem, str]:
     return filesystem, str(path)
 
 
-def _is_local(filesystem: AbstractFileSystem) -> bool:
+def _is_local(filesystem: AbstractFileSystem, url: str) -> bool:
+    """Tell whether files are on this machine's disk: then no driver opens them, which would follow links.
+
+    A cache of such files is left out. Raises InputError for other filesystems over this disk.
+    """
+    from fsspec.archive import AbstractArchiveFileSystem
+    from fsspec.implementations.cached import CachingFileSystem
     from fsspec.implementations.local import LocalFileSystem
 
-    return isinstance(filesystem, LocalFileSystem)
+    inner, is_cache = filesystem, True
+    while not isinstance(inner, LocalFileSystem):
+        is_cache = is_cache and isinstance(inner, CachingFileSystem)
+        further = getattr(inner, "fs", None) or getattr(inner, "sync_fs", None)
+        if further is None or isinstance(inner, AbstractArchiveFileSystem):
+            return False
+        inner = further
+    if not is_cache:
+        raise InputError("it is on this disk: name its path instead of a chained URL", Place(url))
+    return True
 
 
 def _is_object_store(filesystem: AbstractFileSystem) -> bool:
@@ -203,13 +220,13 @@ def expand_url(url: str) -> list[tuple[str, str]]:
     """
     wildcard, file = WILDCARDS.search(url), PurePosixPath(file_part(url))
     if wildcard is None and file.suffix.lower() in SUFFIXES:
-        return [(url, file.name)]
+        return [(url, _decoded(url, file.name))]
     if "::" in url:
         raise InputError("folders and patterns of chained URLs are not expanded; name the files", Place(url))
     filesystem, path = _filesystem(url)
     with reading(url):
         if wildcard and filesystem.isfile(path):  # a name may hold brackets
-            return [(url, PurePosixPath(url).name)]
+            return [(url, _decoded(url, PurePosixPath(url).name))]
         base = url[: url.rindex("/", 0, wildcard.start()) + 1] if wildcard else url
         start = str(filesystem._strip_protocol(base)).rstrip("/")
         found = filesystem.glob(path) if wildcard else filesystem.find(path)
@@ -220,7 +237,15 @@ def expand_url(url: str) -> list[tuple[str, str]]:
     if not relative:
         what = "no file matches this pattern that" if wildcard else "nothing in this folder"
         raise InputError(f"{what} ends in {', '.join(SUFFIXES)}", Place(url))
-    return [(join_url(base, name), name) for name in relative]
+    return [(join_url(base, name), _decoded(url, name)) for name in relative]
+
+
+def _decoded(url: str, name: str) -> str:
+    """Return the relative path of an HTTP URL without percent-encoding. A part that is no name then stays."""
+    if urlsplit(file_part(url)).scheme.lower() not in {"http", "https"}:
+        return name
+    parts = [(part, unquote(part)) for part in name.split("/")]
+    return "/".join(clear if is_relative(part) and "/" not in clear else part for part, clear in parts)
 
 
 def _is_wanted(parts: Sequence[str], *, dots: bool) -> bool:
