@@ -75,8 +75,9 @@ def test_other_vertices_are_told_from_damage(transform: Transform, command: str)
     """α and β travel with their vertices and still fit; only the digests are of another order."""
     answer = transform("bent_tube.glb", command)
     assert answer.exit_code == 0, answer.messages
-    remarks = [check["remark"] for check in answer.file["checks"] if check["name"] == "freshness"]
-    assert remarks == ["vertices re-ordered, merged or split since the bake; α/β still fit"]
+    (remark,) = [check["remark"] for check in answer.file["checks"] if check["name"] == "freshness"]
+    assert remark.startswith("POSITION, NORMAL, ")
+    assert remark.endswith(" changed since the bake, and α/β still fit")
 
 
 @pytest.mark.slow

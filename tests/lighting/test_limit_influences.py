@@ -204,16 +204,23 @@ def test_other_limits_than_whole_sets_are_refused(limit: str, tmp_path: Path) ->
 
 
 def edited_weights(folder: Path) -> Path:
-    """Bake with a limit, and point WEIGHTS_0 at those of before: they belong to other joints."""
+    """Bake with a limit, and point WEIGHTS_0 at those of before, which do not sum to 1."""
     model = baked(path_of(TWO_SETS), folder / "baked.glb", limit_influences=4)
     [primitive] = model.content["meshes"][0]["primitives"]
     primitive["attributes"]["WEIGHTS_0"] = primitive["extras"]["skinbake"]["adopted"]["WEIGHTS_0"]
     return rewritten(model, folder / "edited.glb")
 
 
-def test_edited_influences_are_stale_and_stay(tmp_path: Path) -> None:
+def test_edited_influences_stay(tmp_path: Path) -> None:
+    """Divided by their sum, the weights are those of the limit again, so α and β fit them."""
     path = edited_weights(tmp_path)
-    assert verify(path, *FEW).failed == ["freshness"]
+    edited, limited = (read(each).influences()[1] for each in (path, tmp_path / "baked.glb"))
+    sums = edited.sum(axis=1, keepdims=True)
+    assert sums.min() < 0.99
+    assert np.allclose(edited / sums, limited, atol=1e-6)
+    answer = verify(path, *FEW)
+    remarks = [check["remark"] for check in answer.file["checks"] if check["name"] == "freshness"]
+    assert (answer.failed, remarks) == ([], ["WEIGHTS changed since the bake, and α/β still fit"])
     result = strip_file(str(path), str(tmp_path / "out.glb"))
     assert "limited-kept" in [notice.code for notice in result.notices]
     assert "JOINTS_1" not in read(tmp_path / "out.glb").content["meshes"][0]["primitives"][0]["attributes"]

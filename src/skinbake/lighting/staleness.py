@@ -54,15 +54,6 @@ EDITED_ALONE = {
 }
 """The likely cause if one array changed, or one array and the arrays that depend on it."""
 
-DIVIDED = "its weights edited, or divided by their sum, which the loader of three.js does"
-"""The likely cause if only weights changed, α/β still fit, and the weights now sum to 1.
-
-It is no proof, so the check fails: a rigid part that now follows another joint has the same α and β, 0.
-"""
-
-ROUNDED_SUM = 1e-6
-"""The distance from 1 of a sum of FLOAT weights that were divided by it, at most."""
-
 NAMED = 16
 """The number of primitives that a message names. Each of a thousand stale ones would name all others."""
 
@@ -99,15 +90,16 @@ def freshness_check(
     operators: Sequence[GradientOperator],
     fits: Sequence[Fit | None] | None = None,
 ) -> Check:
-    """Return whether α/β fit the arrays that are in the file now, and the arrays from which they were baked.
+    """Return whether α/β fit the arrays that are in the file now.
 
-    If α/β fit, and the arrays have changed only in a way that keeps related values together, the check passes
-    with a remark. If α/β were fitted to poses that are not in the file any more, or to another stored pose,
-    they must be the ones that bake wrote, and light the present poses better than the gradients of the
-    surface. fits is the result of ``fits_begun``, if there is one.
+    That is what fresh means: a bake of the file as it is now would light it in the same way. If the arrays
+    have changed and α/β still fit them, the check passes, with a remark that names the arrays. If α/β were
+    fitted to poses that are not in the file any more, or to another stored pose, they must be the ones that
+    bake wrote, and light the present poses better than the gradients of the surface. fits is the result of
+    ``fits_begun``, if there is one.
     """
     problems: list[Notice] = []
-    moved: list[BakedView] = []
+    changed: list[BakedView] = []
     unchecked: set[str] = set()
     for views, operator, fit in zip(surfaces, operators, fits or [None] * len(surfaces), strict=True):
         gone = [] if is_stored_as_noted(document, views[0]) else [STORED_OTHERWISE]
@@ -120,11 +112,11 @@ def freshness_check(
             continue
         surface = _Surface(document, views, compared)
         for number, view in enumerate(views):
-            if not surface.compared[number].agrees or not (view.changed == () or _is_rearranged(view)):
+            if not surface.compared[number].agrees:
                 problems.append(_staleness_notice(surface, number))
             elif view.changed:
-                moved.append(view)
-    remarks = [_rearranged(moved, sum(map(len, surfaces)))] if moved else []
+                changed.append(view)
+    remarks = [_remark_on(changed, sum(map(len, surfaces)))] if changed else []
     remarks += sorted(unchecked)
     remark = "" if problems else "; ".join(remarks)
     return Check("freshness", "failed" if problems else "passed", tuple(problems), remark)
@@ -141,23 +133,11 @@ def refuse_stale(document: Document, views: Sequence[BakedView]) -> None:
         raise InputError(f"its bake is stale: {first.message}{others}", first.place)
 
 
-def _is_rearranged(view: BakedView) -> bool:
-    """Tell whether the change can be only the order of the triangles, or of all data of the vertices.
-
-    An array that changed alone holds other values. No tool moves positions and leaves their normals, unless
-    all normals are the same.
-    """
-    whole = {"POSITION"} | ({"indices"} if "indices" in view.source.json else set())
-    if (view.now.normals != view.now.normals[:1]).any():
-        whole.add("NORMAL")
-    return view.changed == ("indices",) or whole <= set(view.changed)
-
-
-def _rearranged(views: Sequence[BakedView], count: int) -> str:
-    triangles = all(view.changed == ("indices",) for view in views)
-    what = "triangles re-ordered" if triangles else "vertices re-ordered, merged or split"
+def _remark_on(views: Sequence[BakedView], count: int) -> str:
+    """Return the remark on views, of ``count``, that changed and whose α/β still fit."""
+    names = [name for name in EDITED_ALONE if any(name in view.changed for view in views)]
     where = views[0].source.place.within_file if len(views) == 1 else f"{len(views)} primitives"
-    return f"{what} since the bake{f' in {where}' if count > 1 else ''}; α/β still fit"
+    return f"{_listed(names)} changed since the bake{f' in {where}' if count > 1 else ''}, and α/β still fit"
 
 
 @dataclass(frozen=True)
@@ -304,13 +284,8 @@ def _roundings(
 def _staleness_notice(surface: _Surface, number: int) -> Notice:
     view, comparison = surface.views[number], surface.compared[number]
     changed = f"{_listed(view.changed)} changed since its bake, and " if view.changed else ""
-    differ = (
-        "α/β still fit"
-        if comparison.agrees
-        else f"α/β are wrong at {comparison.differing:,} of "
-        f"{counted(comparison.count, 'vertex', 'vertices')}, "
-        f"most at vertex {comparison.worst}"
-    )
+    vertices = counted(comparison.count, "vertex", "vertices")
+    differ = f"α/β are wrong at {comparison.differing:,} of {vertices}, most at vertex {comparison.worst}"
     what = _likely_cause(surface, number)
     return Notice("stale", f"{changed}{differ}. {what}", view.source.place, comparison.differing)
 
@@ -389,14 +364,7 @@ def _doings(document: Document, view: BakedView, comparison: freshness.Compariso
             doings.append("its triangles re-ordered")
         elif {"POSITION", "NORMAL"} <= set(view.changed):
             doings.append("its vertices re-ordered, merged or split")
-    if not doings and view.changed == ("WEIGHTS",) and comparison.agrees and _sum_to_one(view):
-        doings.append(DIVIDED)
     return _listed(doings or [_edit(view.changed)])
-
-
-def _sum_to_one(view: BakedView) -> bool:
-    sums = np.asarray(view.now.weights, dtype=np.float64).sum(axis=1)
-    return bool((np.abs(sums - 1.0) <= ROUNDED_SUM).all())
 
 
 def _is_quantised(document: Document, view: BakedView) -> bool:
