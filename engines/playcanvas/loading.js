@@ -130,7 +130,7 @@ function problemOf({ accessors }, { attributes, extensions }, metadata) {
     const { version, frame, encoding, layout, influences, scale, alpha, beta } = metadata;
     if (version !== 1) return `its bake has version ${version}, and this module reads version 1: update it`;
     if (extensions?.KHR_draco_mesh_compression) {
-        return 'its alpha and beta are compressed by Draco: bake it again with --compress none';
+        return 'PlayCanvas reads no alpha and beta of a mesh in Draco: bake it again with --compress none';
     }
     if (influences > 4 || attributes.JOINTS_1 !== undefined) {
         const count = influences > 4 ? influences : 8;

@@ -15,6 +15,7 @@ from tests.support.gltf_reading import DRACO, read
 from tests.support.models import FOLDER
 
 TUBE = FOLDER / "bent_tube.glb"
+FOREIGN_JOINTS = FOLDER / "foreign_joints.glb"
 
 
 @pytest.mark.parametrize(
@@ -96,7 +97,8 @@ def test_draco_that_grows_a_file_says_the_factor_and_the_remedy(tmp_path: Path) 
 
 
 def test_a_notice_makes_warnings_as_errors_fail(tmp_path: Path) -> None:
-    source = draco_twin(TUBE, tmp_path / "in.glb", sequential=False)
+    """Its adopted influences need a new stream."""
+    source = draco_twin(FOREIGN_JOINTS, tmp_path / "in.glb", sequential=False)
     result = invoke("bake", source, "-o", tmp_path / "out.glb", "--json")
     (notice,) = json.loads(result.stdout)["files"][0]["warnings"]
     assert (notice["code"], notice["count"]) == ("draco-sequential", 1)

@@ -30,6 +30,7 @@ from skinbake.gltf.primitives import skinned_sources
 from skinbake.lighting.poses import PoseRequest
 from skinbake.lighting.verify_options import VerifyOptions
 from tests.support import corpus, khronos
+from tests.support.baked_files import Editable
 from tests.support.baking import bake_file, bake_settings
 from tests.support.compressed import EXT, KHR, content_of, draco_twin, meshopt_twin
 from tests.support.decoders import read_plain, read_plain_many
@@ -106,21 +107,27 @@ class TestKeep:
         bake(twin(kind, name, tmp_path), tmp_path / "baked.glb")
         assert_same_bake(tmp_path / "baked.glb", tmp_path / "plain.glb")
 
-    def test_stays_compressed_with_the_gradients_inside(self, name: str, kind: str, tmp_path: Path) -> None:
+    def test_stays_compressed(self, name: str, kind: str, tmp_path: Path) -> None:
+        """α and β lie beside a Draco stream. What replaces its influences is in a new one."""
         source = twin(kind, name, tmp_path)
         bake(source, tmp_path / "baked.glb")
         before, after = read(source), read(tmp_path / "baked.glb")
         assert after.content["extensionsUsed"] == before.content["extensionsUsed"]
         assert after.content.get("extensionsRequired") == before.content.get("extensionsRequired")
-        for _, _, primitive in primitives(after.content):
+        for mesh, number, primitive in primitives(after.content):
+            former = before.primitive(mesh, number)
             for attribute in (ALPHA, BETA):
                 accessor = after.content["accessors"][primitive["attributes"][attribute]]
-                if kind == "draco":
-                    assert attribute in primitive["extensions"][DRACO]["attributes"]
-                    assert "bufferView" not in accessor
-                else:
-                    view = after.content["bufferViews"][accessor["bufferView"]]
-                    assert set(view["extensions"]) == names_of(before.content)
+                view = after.content["bufferViews"][accessor["bufferView"]]
+                expected = set() if kind == "draco" else names_of(before.content)
+                assert set(view.get("extensions", {})) == expected
+            if kind == "draco":
+                now, then = (entry["extensions"][DRACO] for entry in (primitive, former))
+                replaced = any(
+                    primitive["attributes"][key] != former["attributes"][key] for key in then["attributes"]
+                )
+                assert (now == then) == (not replaced)
+                assert now["attributes"].keys() == then["attributes"].keys()
 
     def test_keeps_every_byte_and_all_json_that_was_there(self, name: str, kind: str, tmp_path: Path) -> None:
         source = twin(kind, name, tmp_path)
@@ -423,13 +430,38 @@ def test_vrm_passes_through_but_for_the_additions(tmp_path: Path) -> None:
     assert json.dumps(stripped(tmp_path / "baked.vrm", tmp_path / "bare.vrm").content) == content_of(source)
 
 
+def test_gradients_are_in_the_stream_where_a_file_has_plain_data_too(tmp_path: Path) -> None:
+    """A loader without Draco reads the plain data, in which vertices may have another order."""
+
+    def keep_positions(content: JsonObject) -> None:
+        number = content["meshes"][0]["primitives"][0]["attributes"]["POSITION"]
+        content["accessors"][number] |= {"bufferView": 0}
+
+    source = draco_twin(FOLDER / "bent_tube.glb", tmp_path / "source.glb", change=keep_positions)
+    for name, change in (("in", keep_positions), ("beside", None)):
+        draco_twin(FOLDER / "bent_tube.glb", source, change=change)
+        bake(source, tmp_path / "baked.glb")
+        primitive = read(tmp_path / "baked.glb").primitive(0)
+        assert (ALPHA in primitive["extensions"][DRACO]["attributes"]) == (name == "in")
+        stripped(tmp_path / "baked.glb", tmp_path / "bare.glb")
+        assert (tmp_path / "bare.glb").read_bytes() == source.read_bytes()
+
+
 class TestNotices:
     def codes(self, source: Path, target: Path, **options: Any) -> dict[str, int]:
         return {notice.code: notice.count for notice in bake(source, target, **options).notices}
 
     def test_edgebreaker_is_stored_sequentially(self, tmp_path: Path) -> None:
-        found = self.codes(corpus.model("barbarian-draco-edgebreaker.glb"), tmp_path / "out.glb")
-        assert found["draco-sequential"] == 6
+        source = corpus.model("barbarian-draco-edgebreaker.glb")
+        found = self.codes(source, tmp_path / "out.glb")
+        streams = [
+            [
+                primitive["extensions"][DRACO]["bufferView"]
+                for _, _, primitive in primitives(read(path).content)
+            ]
+            for path in (source, tmp_path / "out.glb")
+        ]
+        assert found["draco-sequential"] == sum(one != other for one, other in zip(*streams, strict=True))
         assert "draco-sequential" not in self.codes(
             tmp_path / "out.glb", tmp_path / "out.glb", **compress(Scheme.NONE)
         )
@@ -443,25 +475,31 @@ class TestNotices:
         found = self.codes(source, tmp_path / "out.glb", gradients="surface")
         assert set(found) == {"lighting-doubtful"}
 
-    def test_signed_normals_leave_draco(self, tmp_path: Path) -> None:
-        """KHR_mesh_quantization in Draco: the encoder has no signed integers."""
-        plain = write_model(tmp_path / "plain.glb", [sheet()])
-        normals = read(plain).attribute("NORMAL")
-        quantised = np.rint(normals * 32767).astype(np.int16)
+    def test_influences_go_beside_a_stream_with_signed_normals(self, tmp_path: Path) -> None:
+        """KHR_mesh_quantization in Draco: the encoder has no signed integers for another stream."""
 
         def declare(content: JsonObject) -> None:
             number = content["meshes"][0]["primitives"][0]["attributes"]["NORMAL"]
-            content["accessors"][number] |= {"componentType": 5122, "normalized": True}
+            content["accessors"][number] |= {"componentType": 5120, "normalized": True}
 
-        floats = write_model(tmp_path / "floats.glb", [sheet(NORMAL=quantised.astype(np.float32))])
-        source = draco_twin(floats, tmp_path / "draco.glb", change=declare)
-        assert self.codes(source, tmp_path / "out.glb") == {"not-compressed": 1}
-        after = read(tmp_path / "out.glb")
-        assert np.array_equal(after.stored_attribute("NORMAL"), quantised)
-        assert names_of(after.content) == set()
-        assert self.codes(tmp_path / "out.glb", tmp_path / "out.glb", **compress(Scheme.DRACO)) == {
-            "not-compressed": 1
-        }
+        floats = Editable(FOLDER / ADOPTING)
+        floats.array("NORMAL")[:] = np.rint(floats.array("NORMAL") * 127)
+        plain = floats.write(tmp_path / "floats.glb")
+        source = draco_twin(plain, tmp_path / "draco.glb", change=declare)
+        result = bake(source, tmp_path / "out.glb")
+        (notice,) = result.notices
+        assert notice.code == "not-compressed"
+        assert "its new JOINTS_0 and WEIGHTS_0 are stored beside its Draco stream" in notice.message
+        assert "its NORMAL are signed integers" in notice.message
+        now, then = (read(path).primitive(0)["extensions"][DRACO] for path in (tmp_path / "out.glb", source))
+        assert now["bufferView"] == then["bufferView"]
+        assert then["attributes"].keys() - now["attributes"].keys() == {"JOINTS_0", "WEIGHTS_0"}
+        verdict = verify_file(str(tmp_path / "out.glb"), REST)
+        assert (verdict.error, [check.name for check in verdict.checks if check.problems]) == (None, [])
+        stripped(tmp_path / "out.glb", tmp_path / "bare.glb")
+        assert (tmp_path / "bare.glb").read_bytes() == source.read_bytes()
+        again = self.codes(tmp_path / "out.glb", tmp_path / "out.glb", **compress(Scheme.DRACO))
+        assert again == {"not-compressed": 1}
 
     def test_strips_are_not_put_into_draco(self, tmp_path: Path) -> None:
         path = corpus.model("spider-triangle-strip.glb")
@@ -565,7 +603,7 @@ class TestOtherTools:
     @pytest.mark.parametrize("swapped", [False, True])
     def test_a_lost_stream_of_before_keeps_the_one_of_the_bake(self, swapped: bool, tmp_path: Path) -> None:
         """It is another buffer view now, or holds other values of the same kind."""
-        bake(twin("draco", "bent_tube.glb", tmp_path), tmp_path / "baked.glb")
+        bake(twin("draco", ADOPTING, tmp_path), tmp_path / "baked.glb")
         model = read(tmp_path / "baked.glb")
         before = model.primitive(0)["extensions"][DRACO]["extras"]["skinbake"]["before"]
         if swapped:
@@ -575,11 +613,14 @@ class TestOtherTools:
             before["bufferView"] = 0
         rewritten(model, tmp_path / "baked.glb")
         result = strip_file(str(tmp_path / "baked.glb"), str(tmp_path / "bare.glb"))
-        assert {notice.code for notice in result.notices} == {"bytes-left"}
-        bare, original = read_plain(tmp_path / "bare.glb"), read(FOLDER / "bent_tube.glb")
-        assert bare.primitive(0)["attributes"].keys() == original.primitive(0)["attributes"].keys()
-        for name in original.primitive(0)["attributes"]:
-            assert np.array_equal(bare.attribute(name), original.attribute(name))
+        assert {notice.code for notice in result.notices} == {"adopted-kept", "bytes-left"}
+        bare, baked = read_plain(tmp_path / "bare.glb"), read_plain(tmp_path / "baked.glb")
+        assert baked.primitive(0)["attributes"].keys() - bare.primitive(0)["attributes"].keys() == {
+            ALPHA,
+            BETA,
+        }
+        for name in bare.primitive(0)["attributes"]:
+            assert np.array_equal(bare.attribute(name), baked.attribute(name))
         assert "skinbake" not in json.dumps(bare.content["meshes"])
 
     def test_adopted_influences_stay_where_those_of_before_are_lost(self, tmp_path: Path) -> None:

@@ -502,7 +502,7 @@ class TestMessages:
     def test_draco(self, stage: DrawingStage) -> None:
         path = stage.models / "draco.glb"
         bake_file(TUBE, path, compress=Scheme.DRACO)
-        reason = "its alpha and beta are compressed by Draco: bake it again with --compress none"
+        reason = "PlayCanvas reads no alpha and beta of a mesh in Draco: bake it again with --compress none"
         report, (message,) = stage.told(path)
         assert report == [["standard", reason]]
         assert reason in message

@@ -18,7 +18,6 @@ from skinbake.format.baked import with_baked, with_scale
 from skinbake.format.layouts import GradientFormat
 from skinbake.format.strip import stripped
 from skinbake.gltf.beside import files_read
-from skinbake.gltf.codecs import draco
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import STDIO, Document, read_document
 from skinbake.gltf.json_access import JsonObject
@@ -135,7 +134,7 @@ class Baker(CheckedOptions):
         notices = [*kept, *reasons, *remarks, *(notice for bake in bakes for notice in bake.notices)]
         notices += lean_notices((bake.primitive, bake.source.place) for bake in bakes)
         notices += [
-            *stored_otherwise(document, sources),
+            *stored_otherwise(document, sources, written),
             *level_ignored(document, sources, level),
             *unmeasured,
         ]
@@ -167,8 +166,7 @@ class Baker(CheckedOptions):
 
     def _recoded(self, document: Document, sources: list[PrimitiveSource]) -> tuple[Document, list[Notice]]:
         """Return the document with its geometry compressed as chosen, and notices on the exceptions."""
-        in_draco = any(draco.extension_of(source.json) is not None for source in sources)
-        if self.compress is Scheme.KEEP and not in_draco:
+        if self.compress is Scheme.KEEP:
             return document, []
         from skinbake.gltf.codecs.recode import Compression, recoded
 

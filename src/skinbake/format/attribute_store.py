@@ -69,24 +69,42 @@ def level_ignored(document: Document, sources: Sequence[PrimitiveSource], level:
     return [Notice("level-ignored", message, document.place)]
 
 
-def stored_otherwise(document: Document, sources: Sequence[PrimitiveSource]) -> list[Notice]:
-    """Return a notice if the storage of primitives must differ from that in ``document``."""
-    compressed = [source for source in sources if draco.extension_of(source.json) is not None]
-    if not compressed:
-        return []
-    from skinbake.gltf.codecs.draco_stream import EDGEBREAKER
+def stored_otherwise(
+    document: Document, sources: Sequence[PrimitiveSource], written: Document
+) -> list[Notice]:
+    """Return notices on Draco streams that the bake ``written`` replaces, or that hold former influences."""
+    sequential = 0
+    notices: list[Notice] = []
+    for source in sources:
+        before = draco.extension_of(source.json)
+        if before is None:
+            continue
+        from skinbake.gltf.codecs.draco_stream import EDGEBREAKER
 
-    count = sum(
-        draco.read_stream(document, source.json, source.place).method == EDGEBREAKER for source in compressed
-    )
-    if not count:
-        return []
-    streams = "Draco stream is" if count == 1 else "Draco streams are"
+        after = source.in_document(written)
+        extension = draco.extension_of(after.json) or {}
+        if extension.get("bufferView") != before.get("bufferView"):
+            method = draco.read_stream(document, source.json, source.place).method
+            sequential += method == EDGEBREAKER
+            continue
+        inside = member(before, "attributes", source.place).keys() - extension.get("attributes", {}).keys()
+        if beside := sorted(inside & after.attributes.keys()):
+            from skinbake.gltf.codecs.recode import reason_against_new_stream
+
+            message = (
+                f"its new {' and '.join(beside)} are stored beside its Draco stream, not in it: "
+                f"{reason_against_new_stream(document, source)}. Babylon.js and PlayCanvas do not read them "
+                "there: for these, bake with --compress none"
+            )
+            notices.append(Notice("not-compressed", message, source.place))
+    if not sequential:
+        return notices
+    streams = "Draco stream is" if sequential == 1 else "Draco streams are"
     message = (
-        f"{count} {streams} stored by the sequential method instead of edgebreaker: it is larger, "
-        "but it keeps the order of vertices"
+        f"{sequential} {streams} stored by the sequential method instead of edgebreaker, because influences, "
+        "tangents or normals are new: it is larger, but it keeps the order of vertices"
     )
-    return [Notice("draco-sequential", message, document.place, count)]
+    return [*notices, Notice("draco-sequential", message, document.place, sequential)]
 
 
 def meshopt_of(document: Document, source: PrimitiveSource) -> str | None:
@@ -127,15 +145,28 @@ class _PlainStore:
 
 
 class _DracoStore:
-    """A new stream with all data of the old one, in the order of its decoder, and the new attributes.
+    """New attributes beside a Draco stream, in the order of its decoder, so that the stream stays as it is.
 
-    The old stream stays in the file for ``strip``. The extension's ``extras`` name its place.
+    Babylon.js and PlayCanvas read nothing beside a stream. So attributes that they need for skinning and
+    lighting go into a new stream, which also holds all data of the old one: a generated NORMAL, and what
+    replaces data of the old stream. The old stream stays in the file for ``strip``. The extension's
+    ``extras`` name its place. If the encoder cannot write all of this, these attributes too go beside.
+
+    If the file also has plain data, for loaders without Draco, its vertices may have another order there.
+    Then α and β go into a new stream too, unless they are signed integers, which the encoder cannot write.
     """
 
     def __init__(self, document: Document, additions: Additions, source: PrimitiveSource, level: int) -> None:
+        from skinbake.gltf.codecs.recode import reason_against_new_stream
+
         self._document, self._additions, self._source, self._level = document, additions, source, level
+        self._before = draco.extension_of(source.json) or {}
+        self._inside = member(self._before, "attributes", source.place)
+        self._is_writable = reason_against_new_stream(document, source) is None
+        numbers = [int(source.attributes[name]) for name in self._inside]
+        self._has_plain_data = any("bufferView" in document.objects("accessors")[one] for one in numbers)
+        self._plain = _PlainStore(additions, None)
         self._new: dict[str, Values] = {}
-        self._taken: set[int] = set()
 
     def add(
         self,
@@ -145,29 +176,24 @@ class _DracoStore:
         normalized: bool = False,
         extras: JsonObject | None = None,
     ) -> int:
-        if (
-            values.dtype.kind == "i"
-        ):  # DracoPy encodes only unsigned integers and floats, so these go beside the stream
-            number = self._additions.add(values, normalized=normalized, extras=extras, apart_from=self._taken)
-            self._taken.add(number)
-            return number
-        self._new[name] = values
-        return self._additions.add_inside(values, normalized=normalized, extras=extras)
+        is_read = name in self._inside or name == "NORMAL" or self._has_plain_data
+        if self._is_writable and is_read and values.dtype.kind != "i":
+            self._new[name] = values
+            return self._additions.add_inside(values, normalized=normalized, extras=extras)
+        return self._plain.add(name, values, normalized=normalized, extras=extras)
 
     def finished(self, primitive: JsonObject) -> JsonObject:
-        before = draco.extension_of(self._source.json) or {}
-        inside = member(before, "attributes", self._source.place)
-        left = member(primitive, "attributes", self._source.place)
-        names = [name for name in dict.fromkeys([*inside, *self._new]) if name in left]
-        view, numbers = self._encoded(names)
-        replaced = [name for name in inside if name in self._new or name not in left]
-        former = {name: self._source.attributes[name] for name in replaced}
-        extension = {
-            **before,
-            "bufferView": view,
-            "attributes": numbers,
-            "extras": note_former_stream(before, former),
-        }
+        now, former = member(primitive, "attributes", self._source.place), self._source.attributes
+        stay = [name for name in self._inside if now.get(name) == former[name]]
+        left = {name: former[name] for name in self._inside if name not in stay}
+        view, inside = self._before["bufferView"], {name: self._inside[name] for name in stay}
+        if self._new:
+            names = [name for name in dict.fromkeys([*self._inside, *self._new]) if name in now]
+            view, inside = self._encoded(names)
+        elif not left:
+            return primitive
+        extras = note_former_stream(self._before, left)
+        extension = {**self._before, "bufferView": view, "attributes": inside, "extras": extras}
         return {**primitive, "extensions": {**primitive["extensions"], draco.EXTENSION: extension}}
 
     def _encoded(self, names: list[str]) -> tuple[int, dict[str, int]]:

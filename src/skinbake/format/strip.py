@@ -101,6 +101,10 @@ def _restored(
     notices = _removed(attributes, note, place)
     former = former_attributes(document, attributes, note, place)
     tangent = former_tangent(document, attributes, note, place)
+    before = with_former_stream(primitive)
+    if before is not None and not draco.holds_the_same(document, primitive, before, place):
+        # What the bake replaced was in the lost stream.
+        before, former, tangent = None, None if former else former, None if tangent else tangent
     if tangent is None:
         notices.append(_kept_tangent(place))
     if former is not None:
@@ -109,9 +113,8 @@ def _restored(
     attributes = _in_former_order({**attributes, **(former or {}), **(tangent or {})}, note)
     written = {**primitive, "attributes": attributes} if "attributes" in primitive else dict(primitive)
     if draco.extension_of(primitive) is not None:
-        written["extensions"] = _extensions_before(
-            document, primitive, ours, former is not None and tangent is not None, place
-        )
+        kept = before if former is not None and tangent is not None else None
+        written["extensions"] = _extensions_before(primitive, kept, ours, place)
     extras = primitive.get("extras")
     if isinstance(extras, dict) and extras.get(KEY) == note:  # else it is that of an accessor
         left = {key: value for key, value in extras.items() if key != KEY}
@@ -170,16 +173,14 @@ def _removed(attributes: JsonObject, note: JsonObject, place: Place) -> list[Not
 
 
 def _extensions_before(
-    document: Document, primitive: JsonObject, ours: Set[str], complete: bool, place: Place
+    primitive: JsonObject, before: JsonObject | None, ours: Set[str], place: Place
 ) -> JsonObject:
-    """Return the extensions of a primitive with the former Draco stream, if that still exists.
+    """Return the extensions of a primitive with the Draco stream that it had ``before``.
 
-    Otherwise, or if not all attributes are restored (``complete``), the stream of the bake stays, and the
-    extension no longer names the attributes of the bake in it.
+    None: the stream of the bake stays, and the extension no longer names ``ours`` in it.
     """
     extensions = dict(json_access.member(primitive, "extensions", place))
-    before = with_former_stream(primitive)
-    if complete and before is not None and draco.holds_the_same(document, primitive, before, place):
+    if before is not None:
         return {**extensions, draco.EXTENSION: draco.extension_of(before)}
     extension = dict(draco.extension_of(primitive) or {})
     inside = json_access.member(extension, "attributes", place)

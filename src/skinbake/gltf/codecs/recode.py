@@ -1,7 +1,7 @@
 """Store the geometry of a document in another compression before a bake: values stay, bytes change.
 
-``--compress none``, ``draco`` and ``meshopt`` recode. The default, ``keep``, moves nothing: the additions of
-bake are then stored like their primitive (``attribute_store``).
+``--compress none``, ``draco`` and ``meshopt`` recode. The default, ``keep``, does nothing here: the additions
+of bake are then stored like their primitive (``attribute_store``).
 """
 
 from __future__ import annotations
@@ -61,19 +61,17 @@ def recoded(
 
     sources are the primitives that will be baked. ``none`` decodes all data that Draco or meshopt compressed,
     animations and images too. ``draco`` and ``meshopt`` compress those primitives and leave all other data as
-    it is. ``keep`` decodes only primitives whose Draco stream cannot be written again. Unreferenced bytes are
-    removed from their buffers. A document without any change is returned as it is. Raises InputError if its
-    data cannot be read.
+    it is. Unreferenced bytes are removed from their buffers. A document without any change is returned as it
+    is. Raises InputError if its data cannot be read.
     """
     recoder = _Recoder(document)
     notices: list[Notice] = []
     if compression.scheme is Scheme.NONE:
         _decompress(recoder)
-    else:
-        work = {Scheme.KEEP: _keep, Scheme.DRACO: _into_draco, Scheme.MESHOPT: _into_meshopt}[
-            compression.scheme
-        ]
-        notices = list(work(recoder, sources, compression))
+    elif compression.scheme is Scheme.MESHOPT:
+        _into_meshopt(recoder, sources, compression)
+    elif compression.scheme is Scheme.DRACO:
+        notices = list(_into_draco(recoder, sources, compression))
     return recoder.finished(), notices
 
 
@@ -219,22 +217,7 @@ def _for_index_codec(indices: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], JsonO
     return indices.astype(np.uint16), {"componentType": UNSIGNED_SHORT}
 
 
-def _keep(recoder: _Recoder, sources: list[PrimitiveSource], compression: Compression) -> Iterator[Notice]:
-    """Decode only the data that bake could not write back."""
-    done: set[int] = set()
-    for source in sources:
-        if draco.extension_of(source.json) is None:
-            continue
-        reason = _reason_against_draco(recoder.document, source, inside_only=True)
-        reason = reason or _sparse_inside(recoder.document, source)
-        if reason is not None:
-            yield Notice("not-compressed", f"no longer in Draco: {reason}", source.place)
-            _leave_draco(recoder, source.place, source.json, None, done)
-
-
-def _into_meshopt(
-    recoder: _Recoder, sources: list[PrimitiveSource], compression: Compression
-) -> Iterator[Notice]:
+def _into_meshopt(recoder: _Recoder, sources: list[PrimitiveSource], compression: Compression) -> None:
     document = recoder.document
     used = _extensions_in(document.json)
     name = next((name for name in meshopt.EXTENSIONS if name in used), meshopt.VENDOR)
@@ -251,7 +234,6 @@ def _into_meshopt(
                 recoder.require(name)
                 _pack(recoder, number, packed, source if is_index else None, source.place)
             done.add(number)
-    return iter(())
 
 
 def _accessors_of(document: Document, source: PrimitiveSource) -> Iterator[tuple[int, bool]]:
@@ -287,7 +269,6 @@ def _into_draco(
     recoder: _Recoder, sources: list[PrimitiveSource], compression: Compression
 ) -> Iterator[Notice]:
     anew = {source.place for source in sources if _is_encoded_anew(recoder.document, source)}
-    yield from _keep(recoder, [source for source in sources if source.place not in anew], compression)
     groups: dict[tuple[object, ...], list[PrimitiveSource]] = {}
     for source in sources:
         if draco.extension_of(source.json) is not None and source.place not in anew:
@@ -317,6 +298,11 @@ def _is_encoded_anew(document: Document, source: PrimitiveSource) -> bool:
     if draco.extension_of(source.json) is None or _sparse_inside(document, source) is None:
         return False
     return _reason_against_draco(document, source) is None
+
+
+def reason_against_new_stream(document: Document, source: PrimitiveSource) -> str | None:
+    """Return the reason why the data of a Draco stream cannot be written to another, None if it can."""
+    return _reason_against_draco(document, source, inside_only=True) or _sparse_inside(document, source)
 
 
 def _reason_against_draco(
