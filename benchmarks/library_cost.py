@@ -2,7 +2,18 @@
 
 Usage: python -m benchmarks.library_cost [--results FILE.json] [--output FILE.md]
 
-Reads benchmarks/RESULTS.json and writes docs/library_cost.md: the same figures give the same page.
+Reads benchmarks/RESULTS.json and writes docs/library_cost.md: the same figures give the same page. For the
+mean asset (V vertices, X bytes that bake only copies) and N cores on M nodes:
+
+    t = file + vertex · V + payload · X + wait      seconds of a core for an asset
+    B = (read + written) · V + 2 X                  bytes moved for an asset
+
+    cores     = ASSETS · t / N
+    network   = ASSETS · B / (M · node)
+    store     = ASSETS · B / store
+    scheduler = ASSETS / (tasks · files of a task)
+
+These overlap, because each worker is at another file. So the largest counts.
 """
 
 from __future__ import annotations
@@ -63,26 +74,8 @@ LARGEST_FOR_RATE = 1_000_000
 
 HEAD = """# The cost of a library of a million assets
 
-`python -m benchmarks.library_cost` computes this page from the figures of the last `make bench`
-([benchmarks/RESULTS.md](../benchmarks/RESULTS.md)). It is a calculation, not a run of a million files. The
-rates are measured on one machine. The library and the cluster are assumed: put your own numbers into the
-script.
-"""
-
-FORMULAE = """## How it is computed
-For the mean asset (V vertices, X bytes that bake only copies) and N cores on M = ⌈N / {cores}⌉ nodes:
-
-    t = file + vertex · V + payload · X + wait      seconds of a core for an asset
-    B = (read + written) · V + 2 X                  bytes moved for an asset
-
-    cores     = 1,000,000 · t / N
-    network   = 1,000,000 · B / (M · node)
-    store     = 1,000,000 · B / store
-    scheduler = 1,000,000 / (tasks · files of a task)
-    wall time = start + the largest of these
-
-The four parts overlap, because each worker is at another file. So the largest time counts: it is the
-bottleneck.
+A calculation, not a run: the rates of the last `make bench` ([RESULTS.md](../benchmarks/RESULTS.md)) on an
+assumed library and cluster. Put your own numbers into `benchmarks/library_cost.py`, which writes this page.
 """
 
 
@@ -189,10 +182,7 @@ def page(results: Json) -> str:
         quick_warning(results),
         "\n".join(costs(asset, found)) + "\n",
         "\n".join(bottlenecks(asset, found)) + "\n",
-        FORMULAE.format(cores=CLUSTER.node_cores),
-        "\n".join(measured_rates(found, results)) + "\n",
-        "\n".join(assumptions(asset)) + "\n",
-        "\n".join(caveats(found, results)) + "\n",
+        "\n".join(assumptions(results)) + "\n",
     ]
     return "\n".join(part for part in parts if part)
 
@@ -225,112 +215,47 @@ def costs(asset: Asset, found: Rates) -> Iterator[str]:
 
 def bottlenecks(asset: Asset, found: Rates) -> Iterator[str]:
     """Yield the bottleneck of each part, and the remedy."""
-    yield "## The bottleneck"
     moved = asset.read + asset.written
     textures = 2 * sum(kind.share * kind.payload for kind in LIBRARY) / moved
-    stored = asset.seconds * CLUSTER.store_bytes / moved
-    scheduled = asset.seconds * (found.tasks or 0) * task_files(asset, CLUSTER)
     node = moved / asset.seconds * CLUSTER.node_cores
     yield (
-        "- **Cores**: twice as many cores halve the time, until another part is slower. The store keeps "
-        "up with "
-        f"{stored:,.0f} cores" + ("." if found.tasks is None else f", the scheduler with {scheduled:,.0f}.")
+        f"- **Network of a node**: {CLUSTER.node_cores} busy cores move {node / 1e9:.2f} GB/s, and it "
+        f"carries {CLUSTER.node_bytes / 1e9:.2f}."
     )
     yield (
-        f"- **Network of a node**: {CLUSTER.node_cores} busy cores move {node / 1e9:.2f} GB/s, and the "
-        "network "
-        f"carries {CLUSTER.node_bytes / 1e9:.2f}. "
-        + (
-            "Fewer workers on a node, or a faster link, would help."
-            if node > CLUSTER.node_bytes
-            else "The network is no limit."
-        )
-    )
-    yield (
-        f"- **Store**: {moved * ASSETS / CLUSTER.store_bytes / 60:,.0f} minutes at "
-        f"{CLUSTER.store_bytes / 1e9:.0f} GB/s, at any number of cores. {textures:.0%} of the bytes "
-        "are textures and animation. A library that keeps textures beside its .gltf files need not move them."
+        f"- **Store**: {CLUSTER.store_bytes / 1e9:.0f} GB/s, at any number of cores. {textures:.0%} of the "
+        "bytes are textures and animation. A library that keeps textures beside its .gltf files "
+        "need not move them."
     )
     if found.tasks is not None:
-        group, alone = task_files(asset, CLUSTER), asset.seconds * found.tasks
         yield (
-            f"- **Scheduler**: one process, {found.tasks:,.0f} tasks a second, at any number of cores. "
-            f"`--dask` puts several files into a task, {group} of the mean size. With one file in a task the "
-            f"scheduler would keep up with {alone:,.0f} cores."
+            f"- **Scheduler**: one process, {found.tasks:,.0f} tasks a second. `--dask` puts several files "
+            f"into a task, {task_files(asset, CLUSTER)} of the mean size."
         )
     yield (
-        "- **The client**, if the library is on its own disk. Then every byte goes through its network, "
-        "which takes "
-        f"{duration(ASSETS * moved / CLUSTER.node_bytes)} at {CLUSTER.node_bytes / 1e9:.2f} GB/s. Use "
-        "URLs, which the workers read themselves."
+        "- **The client**, if the library is on its own disk: every byte goes through its network, in "
+        f"{duration(ASSETS * moved / CLUSTER.node_bytes)}. Use URLs, which the workers read themselves."
     )
     yield (
-        f"- **Start-up**: {found.start:.2f} s for each worker, once. One call for each file would take "
-        f"{ASSETS * found.start / 3600:,.0f} core hours, {found.start / asset.seconds:.1f} × the work itself."
+        f"- **Start-up**: {found.start:.2f} s for each worker. One call for each file would take "
+        f"{found.start / asset.seconds:.1f} × the work itself."
     )
 
 
-def measured_rates(found: Rates, results: Json) -> Iterator[str]:
-    """Yield the rates and where they come from."""
-    files, textured = results["rows"]["files"], results["rows"]["payload"]
-    tasks = "not measured: Dask is not installed" if found.tasks is None else f"{found.tasks:,.0f} a second"
-    yield "## Measured"
-    yield f"{results['machine']['processor']}, {results['machine']['cores']} cores, {results['date']}."
-    yield ""
-    yield "| | | from |"
-    yield "|---|---|---|"
-    yield f"| start | {found.start:.2f} s | the smallest grid, as a whole process |"
-    many = f"{files['files']:,} files of {files['vertices']:,} vertices in one call"
-    noise = f"{textured['payload'] / 1e6:.0f} MB of textures"
-    stored = f"{found.read:.0f}, {found.written:.0f} bytes for each vertex"
-    yield f"| file | {1e3 * found.file:.1f} ms | {many}, minus start and vertices |"
-    yield f"| vertex | {1e6 * found.vertex:.2f} µs | the two largest grids of at most a million vertices |"
-    yield (
-        f"| payload | {1e9 * found.payload:.2f} ns for each byte | a small file with {noise}, minus one "
-        "without |"
-    )
-    yield f"| read, written | {stored} | the larger of those grids |"
-    yield f"| tasks | {tasks} | empty tasks, with scheduler, client and workers on this machine |"
-
-
-def assumptions(asset: Asset) -> Iterator[str]:
+def assumptions(results: Json) -> Iterator[str]:
     """Yield the assumptions."""
     yield "## Assumed"
-    yield "The characters of the corpus that the tests use have 1,000 to 16,000 vertices."
-    yield ""
     yield "| kind of asset | share | vertices | textures and animation |"
-    yield "|---|---|---|---|"
+    yield "|---|--:|--:|--:|"
     for kind in LIBRARY:
         yield f"| {kind.name} | {kind.share:.0%} | {kind.vertices:,} | {kind.payload / 1e6:.0f} MB |"
     yield ""
-    yield "| of the cluster | |"
-    yield "|---|---|"
-    yield f"| cores of a node | {CLUSTER.node_cores} |"
-    yield f"| node: the network of a node, both ways together | {CLUSTER.node_bytes / 1e9:.2f} GB/s |"
-    yield f"| store: the total rate of the store, both ways together | {CLUSTER.store_bytes / 1e9:.0f} GB/s |"
-    yield f"| files of a task | {CLUSTER.task_seconds} s of work, at most {CLUSTER.task_files} |"
-    yield f"| wait: until an asset is opened and its output is closed | {1e3 * CLUSTER.latency:.0f} ms |"
-
-
-def caveats(found: Rates, results: Json) -> Iterator[str]:
-    """Yield the costs that the figures leave out."""
-    longest = max(LIBRARY, key=lambda kind: kind.vertices)
-    seconds = found.file + found.vertex * longest.vertices + found.payload * longest.payload
-    together = results["rows"]["files"]["jobs"]
-    yield "## Not counted"
     yield (
-        f"- Cores that share a memory. `file` is measured with {together} busy cores, the other rates "
-        "with 1. "
-        f"A node has {CLUSTER.node_cores}."
-    )
-    yield (
-        f"- The end of a run, when some workers have no file left. The largest asset takes {seconds:.1f} s, "
-        "so it should not be the last."
-    )
-    yield "- Compressed input. Draco and meshopt are decoded at other rates."
-    yield (
-        "- Waiting for the cluster, repeated work after a worker dies, and `verify`, which takes longer than "
-        "`bake`."
+        f"Nodes of {CLUSTER.node_cores} cores; tasks of {CLUSTER.task_seconds} s, at most "
+        f"{CLUSTER.task_files} files; {1e3 * CLUSTER.latency:.0f} ms until a file is opened and its output "
+        f"closed. The rates are of {results['machine']['processor']}, {results['date']}. Not counted: cores "
+        "that share a memory, the end of a run, compressed input, waiting "
+        "for the cluster, and `verify`, which takes longer than `bake`."
     )
 
 
