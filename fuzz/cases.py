@@ -11,11 +11,18 @@ from random import Random
 from typing import Any
 
 from fuzz.arguments import command_line
+from fuzz.made import made_model
 from fuzz.models import EMBEDDED, GLB, GLTF, WRAPPED, Model
 from fuzz.mutations import damaged_container, mutate
 from fuzz.uris import surroundings
 
-STEMS = ("m",) * 30 + ("a b", "ä", "x#y", "a%20b", "a;b", "\x1b[31mred", "x\u202ey", "con", "m.tar", "*")
+ODD_STEMS = (
+    *("a b", "ä", "x#y", "a%20b", "a;b", "\x1b[31mred", "x\u202ey", "con", "m.tar", "*"),
+    *(".IGNORE", ".PHONY", "a&b", "~", "%", "a=b", "a:b", " m", "m ", "$m", "@m", "a|b", "!m", "(m)"),
+)
+STEMS = ("m",) * 3 * len(ODD_STEMS) + ODD_STEMS
+MADE = 0.15
+"""The share of cases whose model is made from the seed."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +76,9 @@ def load(folder: Path) -> Case:
 def make_case(seed: int, models: Sequence[Model]) -> Case:
     """Return the case of a seed: a model of the corpus, damaged, and what is done with it."""
     random = Random(seed)
-    model = random.choice(models).copied()
-    done = mutate(model, random)
+    is_made = random.random() < MADE
+    model = made_model(random) if is_made else random.choice(models).copied()
+    done = [] if is_made and random.random() < 0.7 else mutate(model, random)
     stem = random.choice(STEMS)
     suffix, files = model.packed(random.choices((GLB, EMBEDDED, GLTF, WRAPPED), (12, 2, 4, 1))[0], stem)
     main = stem + suffix
