@@ -45,7 +45,7 @@ OURS = tuple(
         )
     }
 )
-BY_DESCRIPTOR = ("writing.py:", "replacing.py:", "folders.py:", "temporary.py:", "versions.py:")
+BY_DESCRIPTOR = ("writing.py:", "replacing.py:", "folders.py:", "temporary.py:", "versions.py:", "copies.py:")
 """Where names are opened and changed relative to an open folder, of which the hook is not told.
 
 ``tests/outside`` watches those at the system call.
