@@ -371,7 +371,7 @@ def _source(path: FilePath) -> str:
 
 
 def _target(path: FilePath) -> str:
-    """Return the path of a file to write. Raises OutputError for a URL, and for a name that is no model's."""
+    """Return the path of a file to write. Raises OutputError for a URL, and if the name is not a model's."""
     name = os.fspath(path)
     if is_url(name):
         raise OutputError("only the command line writes to URLs", Place(name))

@@ -9,7 +9,7 @@ The tree::
     │   └── ReaderGoneError         its reader has left                                  exit 141
     └── ChoiceError                 an option has a value that it does not take          exit 2
 
-A file that was read and does not pass verification is no error: it is a verdict (exit 1).
+A file that was read and does not pass verification is not an error: it is a verdict (exit 1).
 """
 
 from __future__ import annotations

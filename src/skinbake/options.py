@@ -171,7 +171,7 @@ class Option(NamedTuple):
                 expected = f"one of {', '.join(values)}{'; ' if meant else ''}{meant}"
                 raise ChoiceError(self.keyword, value, expected) from error
         if isinstance(values, Text):
-            if values.is_number and fits and value != "auto":  # in Python a number is no text
+            if values.is_number and fits and value != "auto":  # in Python a number is not a text
                 raise ChoiceError(self.keyword, value, values.expected)
             try:
                 return values.read(value)

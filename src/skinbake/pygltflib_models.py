@@ -27,7 +27,7 @@ def baked_model(model: GLTF2, baker: Baker) -> GLTF2:
 
     Buffer 0 of the new model is its binary blob. URIs of other buffers and of images stay as they are, and
     lead from the folder that the model was loaded from. Raises InputError, and TypeError for an object
-    that is no model of pygltflib.
+    that is not a model of pygltflib.
     """
     original, _, _ = stripped(document_of(model))
     prepared, _ = for_target(original, AS_GLB)
@@ -46,7 +46,7 @@ def baked_model(model: GLTF2, baker: Baker) -> GLTF2:
 def document_of(model: GLTF2) -> Document:
     """Return a model as a document that reads its files from the folder that the model was loaded from.
 
-    Raises InputError if a member holds what glTF cannot, and TypeError for an object that is no model.
+    Raises InputError if a member holds what glTF cannot, and TypeError for an object that is not a model.
     """
     if not hasattr(model, "gltf_to_json") or not hasattr(model, "binary_blob"):
         raise TypeError(f"bake() takes a path or a GLTF2 of pygltflib, not {type(model).__name__}")

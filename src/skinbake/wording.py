@@ -101,7 +101,7 @@ def _folders_beside(path: str) -> list[str]:
 
 
 def not_gltf(path: str) -> str:
-    """Say that a name is no glTF file, and how to get one from a known format, or from a near name."""
+    """Say that a name is not a glTF file, and how to get one from a known format, or from a near name."""
     suffix = Path(path).suffix.lower()
     way = OTHER_FORMATS.get(ALIASES.get(suffix, suffix))
     if way is not None:

@@ -238,9 +238,9 @@ class TestValues:
                 "[tool.skinbake.bake]\nencoding = 1\n",
                 "skinbake.toml:1: tool: this is for pyproject.toml: name the tables [bake], [verify] …",
             ),
-            ("[bake]\nencoding = \n", "skinbake.toml is no valid TOML: Invalid value (at line 2"),
+            ("[bake]\nencoding = \n", "skinbake.toml is not valid TOML: Invalid value (at line 2"),
             ("[bake]\nencoding = snorm16\n", "(at line 2, column 12); text stands in quotes"),
-            ("[bake]\n\xe4\n", "skinbake.toml is no valid TOML"),
+            ("[bake]\n\xe4\n", "skinbake.toml is not valid TOML"),
             ("[overrides]\n", "skinbake.toml:1: overrides: expected an array of tables"),
             ("overrides = [3]\n", "skinbake.toml:1: overrides[0]: expected a table"),
             ("[[overrides]]\n", 'skinbake.toml:1: overrides[0]: it needs files = ["…"]'),
@@ -272,7 +272,7 @@ class TestValues:
     def test_a_file_that_is_no_text(self, project: Path) -> None:
         (project / "skinbake.toml").write_bytes(b"glTF\x86\xff")
         result = invoke("bake", "a.glb", "--dry-run")
-        assert result.stderr == "error: skinbake.toml is no valid TOML: it is not text in UTF-8\n"
+        assert result.stderr == "error: skinbake.toml is not valid TOML: it is not text in UTF-8\n"
 
     def test_lines_are_those_of_the_key_not_of_its_name(self, project: Path) -> None:
         text = (
@@ -293,7 +293,7 @@ class TestValues:
         ("text", "message"),
         [
             ("#" + " " * (1 << 20), "larger than 1,048,576 bytes, too large for options"),
-            ("a = " + "[" * 100_000, "no valid TOML"),
+            ("a = " + "[" * 100_000, "not valid TOML"),
         ],
     )
     def test_absurd_files_end_with_a_message(self, text: str, message: str, project: Path) -> None:

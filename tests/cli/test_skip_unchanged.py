@@ -432,7 +432,7 @@ class TestTheStateFile:
             result = invoke("bake", models / "seam.glb", *options)
             assert result.exit_code == 0
             assert result.stderr.count("warning: ") == 1
-            assert f"{other}: it is no state file of skinbake" in result.stderr
+            assert f"{other}: it is not a state file of skinbake" in result.stderr
             assert "seam.glb: baked" in result.stdout
             assert other.read_text(encoding="utf-8") == "not a state file\n"
             assert [path.name for path in out.iterdir()] == ["seam.glb"]

@@ -340,7 +340,7 @@ def read_configuration(path: str) -> Configuration | None:
         text = data.decode("utf-8-sig").replace("\r\n", "\n")
         tables = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        raise ConfigurationError(f"{path} is no valid TOML: {_fault(error)}") from error
+        raise ConfigurationError(f"{path} is not valid TOML: {_fault(error)}") from error
     found = Configuration(path, os.path.realpath(os.path.dirname(path) or os.curdir), text, (), tables)
     if os.path.basename(path) != SHARED_CONFIG:
         return found
@@ -391,7 +391,7 @@ def _line_of(text: str, keys: Keys) -> int | None:
 
 
 def _has(lines: Sequence[str], keys: Keys) -> bool | None:
-    """Tell whether a text has a key, or None if the text is no valid TOML."""
+    """Tell whether a text has a key, or None if the text is not valid TOML."""
     import tomllib
 
     with suppress(ValueError, RecursionError):

@@ -45,7 +45,7 @@ def expanded(arguments: Sequence[str], *, but: str | None = None) -> list[Input]
 
     A file that several searches find is there once. ``but`` is the folder of the outputs. It is not searched,
     unless a search begins there. Hidden files and folders, and linked folders, are skipped. An argument that
-    names something that exists is no pattern, even if it has pattern characters. A name that does not
+    names something that exists is not a pattern, even if it has pattern characters. A name that does not
     show its kind of file is missing, so that the others are tried. Raises click.UsageError if it is the only
     argument, and if stdin is to be read twice.
     """

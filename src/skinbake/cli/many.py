@@ -191,8 +191,8 @@ def notes_of(
 ) -> Notes:
     """Return the notes in the state file at ``path``, and warn if it holds something else.
 
-    If it is no state file, or for None, the notes are empty and no record is kept. Raises InputError if the
-    system cannot read the file.
+    If it is not a state file, or for None, the notes are empty and no record is kept. Raises InputError if
+    the system cannot read the file.
     """
     if path is None:
         return Notes(say)

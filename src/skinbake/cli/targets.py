@@ -87,7 +87,7 @@ PICTURES = (b"\x89PNG", b"GIF8", b"RIFF")
 
 
 def check_picture_target(target: str) -> None:
-    """Raise click.UsageError if a picture would replace a model, through links too, or what is no picture."""
+    """Raise click.UsageError if a picture would replace a model, through links too, or another file."""
     if is_model_name(target):
         raise click.UsageError(f"{target} is the name of a model; name the file of the picture")
     if _identity(target) is not None and (head := _head(target)) and not head.startswith(PICTURES):
@@ -104,7 +104,7 @@ def check_read(option: str, paths: Iterable[str], targets: Iterable[str | None])
 
 
 def _same_file(first: str, second: str) -> bool:
-    """Tell whether two names are one file. A name that no disk accepts is no file."""
+    """Tell whether two names are one file. A name that no disk accepts is not a file."""
     one, other = on_disk(first), on_disk(second)
     if one is None or other is None:
         return canonical(first) == canonical(second)

@@ -188,7 +188,7 @@ def _tried(
                 verdict = _measured(made, options, meshes)
                 yield _Trial(remedy, _gains(verdict), _all_in_all(verdict))
         except InputError:
-            continue  # an option that cannot be baked is no remedy
+            continue  # an option that cannot be baked is not a remedy
 
 
 def noted_baker(view: BakedView) -> Baker:

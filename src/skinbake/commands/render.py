@@ -109,7 +109,7 @@ def render_file(
     _check_influences(views)
     suffix = Path(target).suffix.lower()
     require_packages()
-    # What is too large is refused, and what is no number is not drawn.
+    # What is too large is refused, and what is not a number is not drawn.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         pictures, pose, missing = _pictures(document, views, options, moves=suffix in MOVING)
     data = encoded(pictures, suffix)
@@ -187,7 +187,7 @@ def small_picture(document: Document) -> bytes | None:
         draws = list(shown_draws(document, sound_views(document)))
         clip = next(iter(read_clips(document)), None)
         times = np.zeros(1) if clip is None else np.array([(clip.start + clip.duration) / 2])
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what is no number is not drawn
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # only numbers are drawn
             found = [part for draw in draws for part in _still(draw, posed_draw(document, draw, clip, times))]
     except SkinbakeError:
         return None

@@ -256,7 +256,7 @@ def _walked(folder: int, name: str, flags: int) -> int:
 
 
 def _link(name: str, folder: int) -> str | None:
-    """Return the target of a symbolic link, or None if the name is no link."""
+    """Return the target of a symbolic link, or None if the name is not a link."""
     try:
         return os.readlink(name, dir_fd=folder)
     except OSError as error:

@@ -423,7 +423,7 @@ def _name_anew(source: str, goal: str, descriptor: int | None) -> bool:
 
 
 def _has_content(one: _Written) -> bool:
-    """Tell whether the file of that name exists, is no link, and holds the new content."""
+    """Tell whether the file of that name exists, is not a link, and holds the new content."""
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     try:
         descriptor = os.open(

@@ -188,8 +188,8 @@ def _add_gradients(
 def _has_foreign_extras(primitive: JsonObject) -> bool:
     """Tell whether another program's data takes the place of the metadata in the extras of a primitive.
 
-    A value that is no object is such data, and null is one. So is a member of our name, because no earlier
-    bake is in the document.
+    A value that is not an object is such data, and null is one. So is a member of our name, because no
+    earlier bake is in the document.
     """
     extras = primitive.get("extras", {})
     return not isinstance(extras, dict) or KEY in extras

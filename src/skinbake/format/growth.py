@@ -11,7 +11,7 @@ from skinbake.gltf.json_access import integer, objects
 def draco_growth(before: Document, after: Document) -> list[Notice]:
     """Return a notice if a bake with ``--compress draco`` needs more bytes than its input, else none.
 
-    An input that is in Draco already grows by α and β alone, and is no case for a remedy. Nor is an output
+    An input that is in Draco already grows by α and β alone, and is not a case for a remedy. Nor is an output
     that Draco could not take.
     """
     if _is_in_draco(before) or not _is_in_draco(after):

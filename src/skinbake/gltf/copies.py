@@ -140,7 +140,7 @@ def _read(root: Path, folder: Path) -> Iterator[tuple[str, Copy]]:
         data = file.read(LONGEST + 1)
     found = json.loads(data) if len(data) <= LONGEST else {}
     if found["kind"] != KIND:
-        raise ValueError("it is no file of notes")
+        raise ValueError("it is not a file of notes")
     for name, one in found["files"].items():
         copy = Copy(*(frozenset(map(str, one[key])) for key in ("contents", "of", "for")))
         if all(map(DIGEST.fullmatch, copy.contents)):

@@ -35,7 +35,7 @@ def refuse_other_kind(data: Bytes, place: Place) -> None:
 
 
 def other_kind(data: Bytes) -> str | None:
-    """Return the kind of a file that is no model by its first bytes, and what to do; None of any other."""
+    """Return the kind of a file that is not a model by its first bytes, and what to do; None of any other."""
     head = bytes(data[:32])
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip()  # servers answer with white space before a page
     return next(

@@ -53,8 +53,8 @@ ABSENT = (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG)
 """The system's error codes for a file that is not there. The last one means that no such file can exist."""
 
 FOREIGN = (
-    "it is no state file of skinbake: it is left untouched. Every file is done, and nothing is noted for the "
-    "next run; name another file with --state"
+    "it is not a state file of skinbake: it is left untouched. Every file is done, and nothing is noted for "
+    "the next run; name another file with --state"
 )
 DAMAGED = "the first line of this state file is damaged: a new one begins, and every file is done"
 
@@ -241,7 +241,7 @@ def made(target: str, written: Mapping[str, str], read: Digests, bounds: Bounds 
 class State:
     """A state file with one record a line. The last record of each key counts. New records are appended.
 
-    Its lines may hold anything. A line that is not a record is skipped. If the file is no state file of
+    Its lines may hold anything. A line that is not a record is skipped. If the file is not a state file of
     skinbake, it is left untouched, and no record is kept. If a state file has lost its first line, it begins
     anew. ``notices`` tell of both.
     """
@@ -328,7 +328,7 @@ class State:
             return head
 
     def _remember(self, record: bytes) -> None:
-        with suppress(ValueError, KeyError, TypeError, RecursionError):  # a damaged line is no record
+        with suppress(ValueError, KeyError, TypeError, RecursionError):  # a damaged line is not a record
             key = json.loads(record)["key"]
             if isinstance(key, str):
                 self._records[key] = record
@@ -380,7 +380,7 @@ def _digest_at(spot: Spot) -> str | None:
 
 
 def _lines(file: BinaryIO) -> Iterator[bytes]:
-    """Yield whole lines. An interrupt leaves a line without an end; a line that is too long is no record."""
+    """Yield whole lines. An interrupt leaves a line without an end; a line that is too long is left out."""
     is_within = False
     while line := file.readline(LONGEST):
         if line.endswith(b"\n"):

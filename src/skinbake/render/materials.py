@@ -172,7 +172,7 @@ class Materials:
         return self._images[texture]
 
     def _sampling(self, info: dict[str, Any]) -> Sampling:
-        """Return how the image of a texture info is read. What is no number of glTF is as usual."""
+        """Return how a texture info is read. A value that is not a glTF number counts as missing."""
         texture = listed(self._document.json, "textures", info.get("index")) or {}
         sampler = listed(self._document.json, "samplers", texture.get("sampler")) or {}
         wrap_u, wrap_v = (WRAPS.get(reference(sampler.get(key)) or 0, "repeat") for key in ("wrapS", "wrapT"))

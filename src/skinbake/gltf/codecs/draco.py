@@ -46,7 +46,7 @@ class Claim(NamedTuple):
 
 
 def extension_of(primitive: JsonObject) -> JsonObject | None:
-    """Return a primitive's Draco extension, None where it has none or something that is no object."""
+    """Return a primitive's Draco extension, None where it has none or something that is not an object."""
     extensions = primitive.get("extensions")
     found = extensions.get(EXTENSION) if isinstance(extensions, dict) else None
     return found if isinstance(found, dict) else None

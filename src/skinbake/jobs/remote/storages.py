@@ -241,7 +241,7 @@ def expand_url(url: str) -> list[tuple[str, str]]:
 
 
 def _decoded(url: str, name: str) -> str:
-    """Return the relative path of an HTTP URL without percent-encoding. A part that is no name then stays."""
+    """Return the relative path of an HTTP URL, each part decoded where that leaves a name."""
     if urlsplit(file_part(url)).scheme.lower() not in {"http", "https"}:
         return name
     parts = [(part, unquote(part)) for part in name.split("/")]

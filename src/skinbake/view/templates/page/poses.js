@@ -2,7 +2,7 @@
 
 import { composed, determinant, dualQuaternion, product, slerp } from './matrices.js';
 
-const RIGID = 1e-3; // As skinbake has it: a larger deviation of a joint matrix is no rotation.
+const RIGID = 1e-3; // As skinbake has it: a larger deviation of a joint matrix is not a rotation.
 const RANDOM_POSES = 8;
 const RANDOM_ANGLE = Math.PI / 6;
 const UNTURNED = [0, 0, 0, 1];
