@@ -8,6 +8,7 @@ import json
 import math
 import os
 import pathlib
+import pickle
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -27,7 +28,20 @@ from skinbake import api
 from skinbake.choices import PoseKind
 from skinbake.cli import bake, verify
 from skinbake.commands.bake import Baker
-from skinbake.options import BAKE, OPTIONS, POSES, THREADS, VERIFY, By, Option, Range, defaults
+from skinbake.errors import Chosen, Place
+from skinbake.options import (
+    BAKE,
+    OPTIONS,
+    POSES,
+    THREADS,
+    VERIFY,
+    By,
+    Option,
+    Range,
+    defaults,
+    in_toml,
+    on_command_line,
+)
 from tests.support import corpus
 from tests.support.command_line import document, invoke
 from tests.support.gltf_reading import read
@@ -266,6 +280,21 @@ def test_a_type_checker_and_python_refuse_a_word_that_does_not_exist(tmp_path: P
     error = caught.value
     assert (error.option, error.value) == ("encoding", "snorm17")
     assert error.expected == "one of float32, snorm16, packed8; did you mean 'snorm16'?"
+
+
+def test_an_error_about_options_comes_whole_from_another_process() -> None:
+    place = Place("a.glb")
+    needed = Chosen("encoding", "float32")
+    for error in (
+        skinbake.ChoiceError("crease_angle", 181.0, "a number from 0 to 180"),
+        skinbake.ChoiceError("layout", "texcoord", reason=(" needs ", needed), place=place),
+    ):
+        sent = pickle.loads(pickle.dumps(error))
+        assert (str(sent), vars(sent)) == (str(error), vars(error))
+        assert sent.worded(on_command_line) == error.worded(on_command_line)
+    assert str(sent) == "a.glb: layout='texcoord' needs encoding='float32'"
+    assert sent.worded(on_command_line) == "--layout texcoord needs --encoding float32"
+    assert sent.worded(in_toml) == 'layout = "texcoord" needs encoding = "float32"'
 
 
 def test_an_unknown_keyword_is_a_type_error(tmp_path: Path) -> None:
