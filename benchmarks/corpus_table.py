@@ -100,7 +100,7 @@ def measured(paths: list[Path]) -> Iterator[Model]:
         lbs = (verdict.normals or {}).get("lbs", {})
         if verdict.passed and (vertices < FEWEST or gain(lbs) is None):
             continue
-        key = vertices, lbs and round(lbs["approximated"].mean, 2)
+        key = vertices, round(lbs["approximated"].mean, 2) if lbs else None
         if key not in seen:
             seen.add(key)
             yield Model(name, vertices, verdict, gain((other.normals or {}).get("lbs", {})))

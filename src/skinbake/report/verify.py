@@ -145,7 +145,7 @@ class FileVerdict:
         return "not baked" if self.found_no_bake else "passed"
 
 
-def gain(figures: dict[str, ErrorFigures], lighting: str = "accurate") -> float | None:
+def gain(figures: Mapping[str, ErrorFigures], lighting: str = "accurate") -> float | None:
     """Return the standard mean error divided by that of a lighting, None if the latter is rounding."""
     if lighting not in figures or figures[lighting].mean < ROUNDING:
         return None
