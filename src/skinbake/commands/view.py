@@ -90,10 +90,10 @@ def page_of(
     limits are those that it was held to, in words; None if it was not.
     """
     with stage("other gradients"):
-        others = list(_other_gradients(document, sound_views(document)))
+        views = sound_views(document)
+        others = list(_other_gradients(document, views))
     with stage("page"):
         glb, missing = _self_contained(document)
-        views = sound_views(document)
         missing += [notice for view in views for notice in unplaced(document, view, "page")]
         missing += _not_drawn(document, views)
         told = [*notes, *remarks(verdict), *map(_sentence, (*missing, *verdict.notices))]
