@@ -274,6 +274,8 @@ LAYOUT = Option("layout", Layout, Layout.ATTRIBUTES, By.ALL, help=
     "Attributes of α and β: their own, free TEXCOORD_n, or _CUSTOM0 and _CUSTOM1.")
 REQUIRE_BAKED = Option("require_baked", bool, False, By.ALL, help=
     "Fail (exit 3) if nothing in a file can be baked.")
+REQUIRE_TRACKED = Option("require_tracked", bool, False, help=
+    "Fail (exit 4) if an output names a file that git does not track, such as a new buffer.")
 WARNINGS_AS_ERRORS = Option("warnings_as_errors", bool, False, By.ALL, help=
     "Fail (exit 3) and write nothing if there are warnings.")
 JSON = Option("as_json", bool, False, flags=("--json",), help="Print the results as JSON.")
@@ -368,7 +370,7 @@ BAKE = (
             "Quantise NORMAL in the same way."),
         Option("texcoord_bits", Range(1, 24, is_whole=True), None, By.ALL, "N", help=
             "Quantise TEXCOORD_0 in the same way.")),
-    *_under("Conditions", REQUIRE_BAKED, WARNINGS_AS_ERRORS),
+    *_under("Conditions", REQUIRE_BAKED, REQUIRE_TRACKED, WARNINGS_AS_ERRORS),
     *_under("Reports", JSON, SUMMARY, DEPFILE, TIMINGS),
     *_under("Many files", JOBS, THREADS_OPTION, SKIP_UNCHANGED, STATE, DASK),
     *LIMITS,

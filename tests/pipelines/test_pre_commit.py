@@ -13,7 +13,7 @@ import pytest
 
 from tests.pipelines.programs import environment_with_skinbake
 from tests.support.command_line import invoke
-from tests.support.models import FOLDER
+from tests.support.models import FOLDER, SHARED, copied
 from tests.support.strictness import missing_tool
 from tests.support.tools import required_program
 
@@ -69,9 +69,9 @@ class Commits:
     def write(self, name: str, text: str) -> None:
         (self.folder / name).write_text(text, encoding="utf-8")
 
-    def hook(self, name: str, *options: str) -> tuple[int, str]:
-        """Run a hook on the files that are to be committed."""
-        self.git("add", "-A")
+    def hook(self, name: str, *options: str, adds: str = "-A") -> tuple[int, str]:
+        """Add files, and run a hook on those that are to be committed."""
+        self.git("add", adds)
         process = subprocess.run(
             [sys.executable, "-m", "pre_commit", "run", "--color=never", *options, name],
             cwd=self.folder,
@@ -131,3 +131,20 @@ def test_hooks_pass_and_fail(commits: Commits) -> None:
     code, text = commits.hook("skinbake-config")
     assert code == 1
     assert "skinbake.toml:2: verify.min-gian" in text
+
+
+@pytest.mark.slow
+def test_a_commit_without_a_buffer_stops(commits: Commits) -> None:
+    """The second bake changes nothing: git knows the model, but not the buffer that the first one made."""
+    (commits.folder / "skinbake.toml").unlink(missing_ok=True)
+    source = copied(SHARED, commits.folder / "buffers")
+    commits.git("add", "-A")
+    manual = "--hook-stage", "manual"
+    code, text = commits.hook("skinbake-bake", *manual)
+    assert code == 1
+    code, text = commits.hook("skinbake-bake", *manual, adds=f"buffers/{source.name}")
+    assert code == 1
+    (made,) = source.parent.glob("skinbake-*.bin")
+    assert f"git does not track {made.name}" in text
+    code, text = commits.hook("skinbake-bake", *manual)
+    assert code == 0, text

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -27,7 +28,8 @@ from skinbake.cli.many import (
 from skinbake.cli.names import STDIO
 from skinbake.cli.targets import check_read, check_reports, in_turns, jobs_of, targets_of
 from skinbake.cli.writing import writing_of
-from skinbake.errors import ChoiceError
+from skinbake.errors import ChoiceError, OutputError, Place, SkinbakeError
+from skinbake.files.urls import is_url
 from skinbake.options import BAKE, By, defaults
 
 if TYPE_CHECKING:
@@ -80,12 +82,14 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[Given])
     options = [BakeOptions(baker, pack=given.get("pack", False)) for baker in bakers]
     notes = notes_of("bake", options[0], notes_at, found, say, sync=not given["no_sync"])
     jobs = jobs_of(targets, given, notes.known)
-    reporting = _reporting(
-        given,
-        say,
-        depfile_writer(depfile_at, given, say, also_read, configuration),
-        is_one=len(targets) == 1,
-    )
+    write_depfile = depfile_writer(depfile_at, given, say, also_read, configuration)
+
+    def write(results: Sequence[FileResult]) -> int:
+        code = exit_codes.OK if write_depfile is None else write_depfile(results)
+        untracked = _untracked_code(results, say) if given.get("require_tracked") else exit_codes.OK
+        return max(code, untracked)
+
+    reporting = _reporting(given, say, write, is_one=len(targets) == 1)
     clock.imports_done()
     run = run_of(
         [Bake(baker, writing_of(given)) for baker in bakers],
@@ -101,7 +105,7 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[Given])
 
 
 def _reporting(
-    given: Given, say: Console, write: Callable[[Sequence[FileResult]], int] | None, *, is_one: bool
+    given: Given, say: Console, write: Callable[[Sequence[FileResult]], int], *, is_one: bool
 ) -> Reporting[FileResult]:
     """Return how results of bake are reported, counted and written. The line of a single file is in full."""
     from skinbake.report.bake import (
@@ -136,6 +140,39 @@ def _reporting(
         document=partial(as_json, dry_run=dry_run),
         write=write,
     )
+
+
+def _untracked_code(results: Sequence[FileResult], say: Console) -> int:
+    """Print an error for each output that names a file which git does not track; return the exit code."""
+    import subprocess
+
+    from skinbake.gltf.copies import named_paths
+    from skinbake.gltf.document import read_document
+
+    code = exit_codes.OK
+    for result in results:
+        output = result.output
+        if result.error is not None or output in {None, STDIO} or is_url(str(output)):
+            continue
+        try:
+            folder = Path(os.path.realpath(str(output))).parent
+            named = named_paths(read_document(str(output)), folder)
+            names = [os.path.relpath(path, folder) for path in sorted(named) if path.exists()]
+            call = ["git", "--literal-pathspecs", "ls-files", "-z", "--", *names]
+            tracked = subprocess.run(call, cwd=folder, capture_output=True, check=True).stdout
+        except (OSError, subprocess.CalledProcessError) as error:
+            say.error(OutputError(f"git cannot tell which files it tracks: {error}", Place(str(output))))
+            return exit_codes.OUTPUT
+        except SkinbakeError as error:  # a dry run has not written it
+            say.error(error)
+            code = exit_codes.of_error(error)
+            continue
+        known = {os.path.normpath(os.fsdecode(name)) for name in tracked.split(b"\0") if name}
+        if missing := [name for name in names if name not in known] if names else []:
+            message = f"git does not track {', '.join(missing)}, which it names: git add (--require-tracked)"
+            say.error(OutputError(message, Place(str(output))))
+            code = exit_codes.OUTPUT
+    return code
 
 
 def _check_pack(given: Given, targets: Sequence[str | None]) -> None:
