@@ -93,11 +93,21 @@ def test_of_equal_weights_the_lower_joint_pays_whatever_its_slot(joints: list[in
 
 
 def test_joints_widen_where_the_adopted_number_needs_it() -> None:
-    stored = influences([[255, 2, 0, 0]], [[1, 0, 0, 0]], "u1", "f4")
+    stored = influences([[254, 2, 0, 0]], [[1, 0, 0, 0]], "u1", "f4")
     for joint, dtype in ((255, np.uint8), (256, np.uint16), (65535, np.uint16)):
         joints, _ = adopt(stored, [[-1, -1, joint, -1]])
         assert joints.dtype == dtype
-        assert joints.tolist() == [[255, 2, joint, 0]]
+        assert joints.tolist() == [[254, 2, joint, 0]]
+
+
+def test_free_slots_whose_joint_is_adopted_elsewhere_become_joint_0_without_weight() -> None:
+    """Joint 7 has a tiny weight, joint 9 none, in two slots of other sets. Joint 5 stays where it is."""
+    first = influences([[4, 0, 7, 9]], [[1, 0, 1e-12, 0]], "u1", "f4")
+    second = influences([[5, 9, 0, 7]], [[0, 0, 0, 1e-11]], "u2", "f4")
+    found = adopted_into([first, second], np.array([[-1, 7, 9, -1, -1, -1, -1, -1]]))
+    assert [one.joints.values.tolist() for one in found] == [[[4, 7, 9, 0]], [[5, 0, 0, 0]]]
+    tiny = 2.0**-30
+    assert [one.weights.values.tolist() for one in found] == [[[1, tiny, tiny, 0]], [[0, 0, 0, 0]]]
 
 
 def test_sets_without_a_change_are_the_same_objects() -> None:
@@ -161,7 +171,8 @@ def test_float_files_keep_every_weight_that_was_not_zero(name: str, tmp_path: Pa
         assert (after[adopted] == 2.0**-30).all()
         # Weights that move nothing count as none: their slots are free.
         assert (before[adopted] < 2.0**-30).all()
-        assert np.array_equal(joints[~adopted], written[~adopted])
+        taken = (joints[:, :, None] == np.where(adopted, written, -1)[:, None, :]).any(axis=2)
+        assert np.array_equal(np.where(taken, 0, joints)[~adopted], written[~adopted])
     assert adopted_any
 
 

@@ -247,7 +247,7 @@ def test_rows_are_prepared_in_parts_as_the_definition_does(
     weights = np.round(random.uniform(-0.5, 1.0, (50, 4)), 1) * (random.random((50, 1)) < 0.8)
     points = random.integers(0, 2, (50, 3)).astype(np.float32)
     corners = random.integers(0, 50, (90, 3)).astype(np.uint32)
-    told = {"adopting_sum": 0.5, "tolerance": 1e-3, "least": 2.0**-30}
+    told = {"adopting_sum": 0.5, "adopting_weight": 0.3, "tolerance": 1e-3, "least": 2.0**-30}
     field, defects = by_numpy.normalise_influences(joints.copy(), weights.copy(), **told)
     monkeypatch.setattr(by_loops, "ROWS_A_THREAD", 7)
     with threads_limited(count):
@@ -305,7 +305,7 @@ def test_weightings_and_defects_have_the_names_of_the_definition() -> None:
     assert list(by_loops.WEIGHTINGS) == list(WEIGHTINGS)
     assert len(set(by_loops.WEIGHTINGS.values())) == len(WEIGHTINGS)
     field, _ = weight_field(empty(3))
-    found = _kernel.normalise_influences(field.joints, field.weights, field.free, 0.99, 1e-3, 2.0**-30)
+    found = _kernel.normalise_influences(field.joints, field.weights, field.free, 0.99, 0.0, 1e-3, 2.0**-30)
     assert set(found) == {field.name for field in fields(WeightDefects)}
 
 
@@ -500,7 +500,7 @@ class TestArguments:
     def test_vertices_without_slots_are_refused(self) -> None:
         joints, weights, free = np.zeros((3, 0), np.int32), np.zeros((3, 0)), np.zeros((3, 0), np.bool_)
         with pytest.raises(ValueError, match="at least 1"):
-            _kernel.normalise_influences(joints, weights, free, 0.99, 1e-3, 2.0**-30)
+            _kernel.normalise_influences(joints, weights, free, 0.99, 0.0, 1e-3, 2.0**-30)
 
 
 KEPT = ("ends", "sums", "parents", "ranks", "pivots", "chains", "stored")

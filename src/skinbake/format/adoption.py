@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.geometry.skinned import IntArray
+from skinbake.geometry.skinned import BoolArray, IntArray
 from skinbake.gltf.accessors import StoredArray
 from skinbake.gltf.primitives import StoredInfluences
 
@@ -30,18 +30,24 @@ def with_adopted(
 ) -> list[StoredInfluences]:
     """Return the influence sets with adopted joints; unchanged arrays are the same objects.
 
-    rows (A,) are the vertices that adopt. adopted (A, K) is the joint that each slot adopts, −1 for none.
-    Unsigned bytes become shorts if they must change: v / 255 is exactly 257 v / 65535.
+    rows (A,) are the vertices that adopt. adopted (A, K) is the joint that each slot adopts, −1 for none. No
+    positive weight of the vertex may count for it. So another slot that names the joint is free, and becomes
+    joint 0 of weight 0: glTF allows a joint once at a vertex. Unsigned bytes become shorts if they must
+    change: v / 255 is exactly 257 v / 65535.
     """
     slots = [adopted[:, 4 * number : 4 * number + 4] for number in range(len(sets))]
+    vacated = [
+        (slot < 0) & (stored.joints.values[rows, :, None] == adopted[:, None, :]).any(axis=2)
+        for stored, slot in zip(sets, slots, strict=True)
+    ]
     dues = _dues(sets, rows, slots)
     return [
         replace(
             stored,
-            joints=_new_joints(stored.joints, rows, slot),
-            weights=_new_weights(stored.weights, rows, slot, due),
+            joints=_new_joints(stored.joints, rows, slot, left),
+            weights=_new_weights(stored.weights, rows, slot, left, due),
         )
-        for stored, slot, due in zip(sets, slots, dues, strict=True)
+        for stored, slot, left, due in zip(sets, slots, vacated, dues, strict=True)
     ]
 
 
@@ -68,23 +74,26 @@ def _rows_of(stored: StoredArray, rows: IntArray) -> StoredArray:
     return replace(stored, values=stored.values[rows])
 
 
-def _new_joints(stored: StoredArray, rows: IntArray, slot: IntArray) -> StoredArray:
-    if not (slot >= 0).any():
+def _new_joints(stored: StoredArray, rows: IntArray, slot: IntArray, vacated: BoolArray) -> StoredArray:
+    kept: npt.NDArray[Any] = np.where(vacated, 0, stored.values[rows])
+    if not (slot >= 0).any() and (kept == stored.values[rows]).all():
         return stored
     wide = slot.max() > np.iinfo(stored.values.dtype).max  # type: ignore[type-var]  # joints are integers
     values: npt.NDArray[Any] = stored.values.astype(np.uint16 if wide else stored.values.dtype)
-    values[rows] = np.where(slot >= 0, slot, values[rows])
+    values[rows] = np.where(slot >= 0, slot, kept)
     return replace(stored, values=values)
 
 
-def _new_weights(stored: StoredArray, rows: IntArray, slot: IntArray, due: IntArray) -> StoredArray:
-    if not (slot >= 0).any() and not due.any():
-        return stored
+def _new_weights(
+    stored: StoredArray, rows: IntArray, slot: IntArray, vacated: BoolArray, due: IntArray
+) -> StoredArray:
     before: npt.NDArray[Any] = stored.values
+    if not (slot >= 0).any() and not due.any() and not before[rows][vacated].any():
+        return stored
     if before.dtype.kind == "f":
         floats = before.astype(np.float32)
         paid = floats[rows] - (due / UNIT).astype(np.float32) if due.any() else floats[rows]
-        floats[rows] = np.where(slot >= 0, TINY_WEIGHT, paid)
+        floats[rows] = np.where(slot >= 0, TINY_WEIGHT, np.where(vacated, 0, paid))
         return replace(stored, values=floats)
     shorts = before.astype(np.uint16) * np.uint16(257 if before.dtype.itemsize == 1 else 1)
     shorts[rows] = np.where(slot >= 0, 1, shorts[rows]) - due

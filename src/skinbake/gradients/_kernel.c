@@ -21,7 +21,8 @@ static PyMethodDef functions[] = {
     {"label_equal_rows", label_equal_rows, METH_VARARGS,
      "label_equal_rows(rows, labels): fill labels, return how many there are."},
     {"normalise_influences", normalise_influences, METH_VARARGS,
-     "normalise_influences(joints, weights, free, adopting_sum, tolerance, least): in place; return the defects by name."},
+     "normalise_influences(joints, weights, free, adopting_sum, adopting_weight, tolerance, least): in place; "
+     "return the defects by name."},
     {"mark_proper", mark_proper, METH_VARARGS, "mark_proper(positions, triangles, mask, least): fill mask."},
     {"group_surface", group_surface, METH_VARARGS,
      "group_surface(triangles, joints, weights, classes, class_count): return the groups, for bake_surface."},

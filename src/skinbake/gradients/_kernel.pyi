@@ -35,6 +35,7 @@ def normalise_influences(
     weights: npt.NDArray[np.float64],
     free: npt.NDArray[np.bool_],
     adopting_sum: float,
+    adopting_weight: float,
     tolerance: float,
     least: float,
     /,

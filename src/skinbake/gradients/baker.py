@@ -48,7 +48,7 @@ class BakeFindings:
     tangent_deviation is the largest angle in degrees between t0 × b0 and n0, 0 without TANGENT. bad_tangents
     is the number of vertices that exceed TANGENT_TOLERANCE, unhanded that of those among them at which
     TANGENT.w is neither 1 nor −1. magnitude is the summed length of the gradients, in 1 / length unit. lost
-    is the share of it that no slot holds. Vertices with too little weight to adopt count in neither
+    is the share of it that no slot holds. Vertices with too little or negative weight count in neither
     overflowing_vertices nor lost: no further slot would help them.
     """
 
@@ -87,7 +87,7 @@ def bake_primitives(
         surface = gathered.surface(frame, rig)
         adopt = settings.neighbours != Neighbours.DROP
         slots = kernel.bake_surface(surface, weighting=settings.weighting, adopt=adopt)
-        if any(defects.all_zero or defects.not_normalised for defects in gathered.defects):
+        if any(found.all_zero or found.not_normalised or found.negative for found in gathered.defects):
             slots.sums[:, [1, 3]] -= _unadoptable(primitives, gathered, settings.weighting)
     return [
         _of_primitive(number, primitive, choice, gathered, slots)
@@ -98,15 +98,16 @@ def bake_primitives(
 def _unadoptable(
     primitives: Sequence[SkinnedPrimitive], gathered: _Gathered, weighting: Weighting
 ) -> Float64Array:
-    """Return what copies of vertices with too little weight to adopt leave out, for each primitive (P, 2).
+    """Return what copies of vertices with too little or negative weight leave out, for each primitive (P, 2).
 
     The columns are the number of such vertices that leave out joints of neighbours, and the summed length of
     the gradients left out, in 1 / length unit.
     """
     field, classes, found = gathered.field, gathered.classes, np.zeros((len(primitives), 2))
     sums = np.concatenate([part.weights.clip(0.0).sum(axis=1, dtype=np.float64) for part in primitives])
+    negative = np.concatenate([(part.weights < 0.0).any(axis=1) for part in primitives])
     closed = np.zeros(int(classes.max(initial=-1)) + 1, dtype=np.bool_)
-    closed[classes[(sums <= ADOPTING_SUM) & ~field.free.any(axis=1)]] = True
+    closed[classes[((sums <= ADOPTING_SUM) | negative) & ~field.free.any(axis=1)]] = True
     if not closed.any():
         return found
     from skinbake.gradients.slots import assign  # in most files all vertices have weights

@@ -74,6 +74,7 @@ def normalise_influences(
     weights: Float64Array,
     *,
     adopting_sum: float,
+    adopting_weight: float,
     tolerance: float,
     least: float,
 ) -> tuple[WeightField, WeightDefects]:
@@ -82,7 +83,7 @@ def normalise_influences(
 
     def normalise(rows: slice) -> dict[str, int]:
         parts = joints[rows], weights[rows], free[rows]
-        return _kernel.normalise_influences(*parts, adopting_sum, tolerance, least)
+        return _kernel.normalise_influences(*parts, adopting_sum, adopting_weight, tolerance, least)
 
     found = _by_rows(normalise, len(joints))
     defects = {name: sum(part[name] for part in found) for name in found[0]}

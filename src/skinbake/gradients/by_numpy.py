@@ -56,18 +56,21 @@ def normalise_influences(
     weights: Float64Array,
     *,
     adopting_sum: float,
+    adopting_weight: float,
     tolerance: float,
     least: float,
 ) -> tuple[WeightField, WeightDefects]:
     """Turn stored influences (V, K) into a weight field in place. Return it with the assumptions made.
 
-    A vertex may adopt if its weights sum to more than ``adopting_sum``. It counts as not normalised if the
-    sum is further than ``tolerance`` from 1. Weights below ``least`` of the vertex's largest count as 0.
+    A vertex may adopt if its weights sum to more than ``adopting_sum``, its largest weight is more than
+    ``adopting_weight``, and none is negative. It counts as not normalised if the sum is further than
+    ``tolerance`` from 1. Weights below ``least`` of the vertex's largest count as 0.
     ``influences.weight_field`` has the policy.
     """
-    weights[(weights > 0) & (weights < least * weights.max(axis=1, keepdims=True, initial=0.0))] = 0.0
-    free = weights == 0
+    largest = weights.max(axis=1, keepdims=True, initial=0.0)
+    weights[(weights > 0) & (weights < least * largest)] = 0.0
     negative = weights < 0
+    free = (weights == 0) & (largest > adopting_weight) & ~negative.any(axis=1, keepdims=True)
     weights[negative] = 0.0
     total = weights.sum(axis=1)
     free &= (total > adopting_sum)[:, None]

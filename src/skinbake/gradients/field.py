@@ -21,7 +21,8 @@ class WeightField(NamedTuple):
     the joint gets its weight. Slots keep the places that they have in the file. free (V, K) tells which slots
     may adopt a joint: those stored with weight 0, or with so little that it counts as 0
     (``influences.LEAST_WEIGHT``). A vertex whose stored weights sum to at most ``influences.ADOPTING_SUM``
-    has none. The weight that an adopted slot gets would be a visible part of so small a sum.
+    has none. The weight that an adopted slot gets would be a visible part of so small a sum. A vertex with a
+    negative weight has none either, since its slot may already name the joint.
     """
 
     joints: npt.NDArray[np.int32]

@@ -12,7 +12,10 @@ SUM_TOLERANCE = 1e-3
 """The distance of Σw from 1 that gives a warning. A smaller distance is rounding of stored weights."""
 
 ADOPTING_SUM = 1e-3
-"""The Σw above which a vertex may adopt. Its largest weight must afford 1/65535 for each adopted slot."""
+"""The Σw above which a vertex may adopt. Its largest weight must afford ``SLOT_COST`` for each slot too."""
+
+SLOT_COST = 1 / 65535
+"""What an adopted slot of integer weight takes from the largest weight."""
 
 
 LEAST_WEIGHT = 2.0**-30
@@ -32,5 +35,10 @@ def weight_field(primitive: SkinnedPrimitive) -> tuple[WeightField, WeightDefect
     joints = primitive.joints.astype(np.int32, order="C")
     weights = primitive.weights.astype(np.float64, order="C")
     return kernel.normalise_influences(
-        joints, weights, adopting_sum=ADOPTING_SUM, tolerance=SUM_TOLERANCE, least=LEAST_WEIGHT
+        joints,
+        weights,
+        adopting_sum=ADOPTING_SUM,
+        adopting_weight=SLOT_COST * joints.shape[1],
+        tolerance=SUM_TOLERANCE,
+        least=LEAST_WEIGHT,
     )

@@ -218,18 +218,15 @@ def _before_adoption(document: Document, view: BakedView) -> BakedView:
 def _without_vacated_names(document: Document, view: BakedView) -> BakedView:
     """Return the view with other joints in slots without weight whose joint has left them in the bake.
 
-    If several such slots name a joint, the first of them has its gradient. α and β of the others are 0 in two
-    cases. The first of them adopted another joint, and bake lost the gradient: this happens only if a copy of
-    the vertex has fewer free slots. Or a free slot adopted the joint, and another slot with a negative weight
-    names it. α and β of slot 0 are not stored, but bake fills the free slots in order, so only the second
-    case is one for it. All these others name the joint of the largest weight here. Its gradient is not
-    theirs, so 0 is right.
+    If several such slots name a joint, the first of them has its gradient. α and β of the others are 0 if the
+    first of them adopted another joint, and bake lost the gradient: this happens only if a copy of the vertex
+    has fewer free slots. Slot 0 is none of them, since bake fills the free slots in order. They name the
+    joint of the largest weight here. Its gradient is not theirs, so 0 is right.
     """
     stored, weights = view.now.joints, view.now.weights
     given = given_weights(document, view) > 0.0
-    vacated = (free_slots(weights) & ~given) | (weights < 0.0)
-    vacated &= given.any(axis=1, keepdims=True)
-    vacated[:, 0] &= (given & (stored == stored[:, :1])).any(axis=1)
+    vacated = free_slots(weights) & ~given & given.any(axis=1, keepdims=True)
+    vacated[:, 0] = False
     vacated[:, 1:] &= (view.alpha == 0.0) & (view.beta == 0.0)
     largest = np.take_along_axis(stored, weights.argmax(axis=1)[:, None], axis=1)
     joints = np.where(vacated, largest, stored)

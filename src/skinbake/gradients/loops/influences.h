@@ -10,7 +10,7 @@ typedef struct {
     double *weights;
     uint8_t *free_slots;
     Py_ssize_t slots;
-    double adopting_sum, tolerance, least;
+    double adopting_sum, adopting_weight, tolerance, least;
 } Influences;
 
 /* The numbers of vertices at which something was assumed. */
@@ -38,7 +38,7 @@ static void normalise_vertex(const Influences *field, Py_ssize_t vertex, Defects
         }
         total += weights[k];
     }
-    if (!(total > field->adopting_sum))
+    if (negative || !(total > field->adopting_sum) || !(largest > field->adopting_weight))
         memset(free_slots, 0, (size_t)slots);
     if (total == 0.0) {
         defects->all_zero++;
@@ -75,8 +75,8 @@ static PyObject *normalise_influences(PyObject *Py_UNUSED(module), PyObject *arg
     PyObject *objects[ARRAYS], *result = NULL;
     Array a[ARRAYS] = {{.held = 0}};
     Influences field;
-    if (!PyArg_ParseTuple(args, "OOOddd", &objects[JOINTS], &objects[WEIGHTS], &objects[FREE_SLOTS],
-                          &field.adopting_sum, &field.tolerance, &field.least))
+    if (!PyArg_ParseTuple(args, "OOOdddd", &objects[JOINTS], &objects[WEIGHTS], &objects[FREE_SLOTS],
+                          &field.adopting_sum, &field.adopting_weight, &field.tolerance, &field.least))
         return NULL;
     if (read_arrays(objects, required, ARRAYS, 1, a) < 0)
         goto done;
