@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -139,7 +139,7 @@ def row(model: Model) -> Iterator[str]:
     yield from means(by_triangles)
 
 
-def means(figures: Mapping[str, ErrorFigures]) -> Iterator[str]:
+def means(figures: dict[str, ErrorFigures]) -> Iterator[str]:
     """Yield the mean errors in degrees, and the gain."""
     for name in ("approximated", "accurate"):
         yield f"{figures[name].mean:.2f}" if name in figures else "—"
