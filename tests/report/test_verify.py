@@ -169,7 +169,7 @@ NOTHING = "  Nothing bends in these poses: standard lighting is right already."
 def test_the_text_says_if_there_is_little_to_win(
     tangents: tuple[float, float], triangles: tuple[float, float], line: str | None
 ) -> None:
-    """Under a gain of 1.2 by the worse truth, the README says to leave the file unbaked."""
+    """Under a gain of 1.2 by the worse truth, the first steps say to leave the file unbaked."""
     found = replace(PASSED, normals=lit(*tangents), by_triangles=without_direct(lit(*triangles)))
     told = [one for one in as_text(found).splitlines() if "Little" in one or "Nothing" in one]
     assert told == ([] if line is None else [line])
