@@ -230,12 +230,12 @@ def mutated_sheet(seed: int) -> bytes:
     model = Model()
     attributes: dict[str, npt.NDArray[Any]] = {
         "POSITION": np.stack([x, y, np.abs(x - 2.5)], 1).astype(np.float32),
-        "NORMAL": np.tile(np.float32([0, 0, 1]), (24, 1)),
+        "NORMAL": np.tile(np.array([0, 0, 1], np.float32), (24, 1)),
     }
     for number in range(sets):
-        columns = slice(4 * number, 4 * number + 4)
-        attributes[f"JOINTS_{number}"] = joints[:, columns].astype(np.uint8)
-        attributes[f"WEIGHTS_{number}"] = stored[:, columns]
+        own = slice(4 * number, 4 * number + 4)
+        attributes[f"JOINTS_{number}"] = joints[:, own].astype(np.uint8)
+        attributes[f"WEIGHTS_{number}"] = stored[:, own]
     material = model.add_material("grey", (0.5, 0.5, 0.5))
     mesh = model.add_mesh("any", [model.add_primitive(attributes, triangles, material=material)])
     node = gltf.Node(mesh=mesh, name="any")
