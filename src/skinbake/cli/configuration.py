@@ -18,13 +18,19 @@ import click
 from click.core import ParameterSource
 
 from skinbake.cli import exit_codes
-from skinbake.cli.names import LARGEST_CONFIG, OWN_CONFIG, SHARED_CONFIG, STDIO
+from skinbake.cli.names import STDIO
 from skinbake.cli.options import DeclaredOption
 from skinbake.errors import ChoiceError
 from skinbake.options import SAFETY, By, Option, Range, Text, on_command_line
 
 if TYPE_CHECKING:
     from skinbake.jobs.work import Job
+
+OWN_CONFIG, SHARED_CONFIG = "skinbake.toml", "pyproject.toml"
+"""The configuration file of skinbake alone, and that of all tools of a Python project."""
+
+LARGEST_CONFIG = 1 << 20
+"""The size in bytes of the largest configuration file that is read."""
 
 REPOSITORY = ".git"
 """The name that the root of a repository has. No search goes beyond it."""

@@ -1,4 +1,4 @@
-"""The kind of file that the name of an input shows, and the names of configuration files."""
+"""The kind of file that the name of an input shows."""
 
 from __future__ import annotations
 
@@ -11,12 +11,6 @@ from skinbake.files.urls import SUFFIXES, on_disk
 from skinbake.wording import not_gltf
 
 STDIO = "-"
-
-OWN_CONFIG, SHARED_CONFIG = "skinbake.toml", "pyproject.toml"
-"""The configuration file of skinbake alone, and that of all tools of a Python project."""
-
-LARGEST_CONFIG = 1 << 20
-"""The size in bytes of the largest configuration file that is read."""
 
 
 def check_readable_suffix(source: str) -> None:
