@@ -30,7 +30,7 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
     (
         "gltf/budget.py",
         "claim",
-        "if self.spent > max(FREE, RATIO * self.backed): -> raise self._refusal(",
+        "if spent > max(FREE, RATIO * self.backed): -> raise self._refusal(",
     ): LARGE,
     ("gltf/budget.py", "claim_welding", "if self.welded > most: -> raise self._refusal("): COPIES,
     (

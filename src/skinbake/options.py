@@ -448,7 +448,7 @@ VIEW = (
         Option("port", Range(0, 65535, is_whole=True), 0, By.NOBODY, "P", shown=False, help=
             "Port on this machine; by default any free one."),
         Option("no_browser", bool, False, By.NOBODY, help="Print the address, but do not open the browser.")),
-    *_under(SAFETY, MAX_MEMORY, ALLOW_OUTSIDE, NO_SYNC),
+    *_under(SAFETY, MAX_MEMORY, TIMEOUT, ALLOW_OUTSIDE, NO_SYNC),
     *END,
 )
 
@@ -473,7 +473,7 @@ RENDER = (
         Option("turntable", bool, False, help="Turn the camera once around the model (.webp, .gif)."),
         Option("size", PIXELS, "960x600", metavar="WxH", help=
             f"Width and height in pixels, each from {SMALLEST_SIDE} to {LARGEST_SIDE}.")),
-    *_under(SAFETY, MAX_MEMORY, ALLOW_OUTSIDE, NO_SYNC),
+    *_under(SAFETY, MAX_MEMORY, TIMEOUT, ALLOW_OUTSIDE, NO_SYNC),
     *END,
 )
 
@@ -511,7 +511,7 @@ SHADER = (
         Option("cap", Range(0, is_open=True), None, metavar="[X]", bare=PUBLISHED_CAP, help=
             f"Limit a tangent's correction to X times its length ({PUBLISHED_CAP} without X); off by "
             "default.")),
-    *_under(SAFETY, ALLOW_OUTSIDE, NO_SYNC),
+    *_under(SAFETY, MAX_MEMORY, ALLOW_OUTSIDE, NO_SYNC),
     *END,
 )
 

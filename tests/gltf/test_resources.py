@@ -18,6 +18,10 @@ EVERY_BYTE = bytes(range(256))
 BASE64 = base64.b64encode(EVERY_BYTE).decode()
 
 
+def uncounted(size: int) -> None:
+    """Let a file of any size be read."""
+
+
 @pytest.mark.parametrize(
     "uri",
     [
@@ -99,18 +103,18 @@ def test_a_broken_data_uri_is_an_input_error(uri: str) -> None:
 def test_relative_uris_name_files_beside_the_document(tmp_path: Path, uri: str, name: str) -> None:
     (tmp_path / "sub").mkdir()
     (tmp_path / name).write_bytes(b"content")
-    assert read_resource(uri, tmp_path, BESIDE, HERE) == b"content"
+    assert read_resource(uri, tmp_path, BESIDE, HERE, uncounted) == b"content"
 
 
 def test_a_file_that_carries_the_encoded_name_is_found(tmp_path: Path) -> None:
     (tmp_path / "a%20b.bin").write_bytes(b"literal")
-    assert read_resource("a%20b.bin", tmp_path, BESIDE, HERE) == b"literal"
+    assert read_resource("a%20b.bin", tmp_path, BESIDE, HERE, uncounted) == b"literal"
 
 
 def test_the_decoded_name_comes_first(tmp_path: Path) -> None:
     (tmp_path / "a%20b.bin").write_bytes(b"literal")
     (tmp_path / "a b.bin").write_bytes(b"decoded")
-    assert read_resource("a%20b.bin", tmp_path, BESIDE, HERE) == b"decoded"
+    assert read_resource("a%20b.bin", tmp_path, BESIDE, HERE, uncounted) == b"decoded"
 
 
 @pytest.mark.parametrize(
@@ -159,7 +163,7 @@ def test_what_no_document_may_have_read(tmp_path: Path, uri: str, reason: str) -
     (home / "up").symlink_to("..")
     os.mkfifo(home / "fifo")
     with pytest.raises(InputError) as caught:
-        read_resource(uri, home, BESIDE, HERE)
+        read_resource(uri, home, BESIDE, HERE, uncounted)
     assert reason in str(caught.value)
     assert str(caught.value).startswith("model.gltf: ")
 
@@ -168,14 +172,14 @@ def test_percent_encoding_is_undone_once(tmp_path: Path) -> None:
     (tmp_path / "home").mkdir()
     (tmp_path / "secret.bin").write_bytes(b"secret")
     with pytest.raises(InputError, match=r"cannot read .* beside it"):
-        read_resource("%252e%252e/secret.bin", tmp_path / "home", BESIDE, HERE)
+        read_resource("%252e%252e/secret.bin", tmp_path / "home", BESIDE, HERE, uncounted)
 
 
 def test_a_link_that_stays_inside_is_followed(tmp_path: Path) -> None:
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "a.bin").write_bytes(b"content")
     (tmp_path / "link.bin").symlink_to("sub/../sub/a.bin")
-    assert read_resource("link.bin", tmp_path, BESIDE, HERE) == b"content"
+    assert read_resource("link.bin", tmp_path, BESIDE, HERE, uncounted) == b"content"
 
 
 def test_files_in_the_root_or_an_allowed_folder_are_read(tmp_path: Path) -> None:
@@ -185,31 +189,31 @@ def test_files_in_the_root_or_an_allowed_folder_are_read(tmp_path: Path) -> None
     (tmp_path / "art" / "a.bin").write_bytes(b"in the root")
     (shared / "b.bin").write_bytes(b"allowed")
     within_root = Bounds(str(tmp_path / "art"))
-    assert read_resource("../a.bin", home, within_root, HERE) == b"in the root"
+    assert read_resource("../a.bin", home, within_root, HERE, uncounted) == b"in the root"
     with pytest.raises(InputError, match=r"--allow-outside DIR"):
-        read_resource("../../shared/b.bin", home, within_root, HERE)
+        read_resource("../../shared/b.bin", home, within_root, HERE, uncounted)
     allowed = Bounds(allowed=(str(shared),))
-    assert read_resource("../../shared/b.bin", home, allowed, HERE) == b"allowed"
+    assert read_resource("../../shared/b.bin", home, allowed, HERE, uncounted) == b"allowed"
     with pytest.raises(InputError, match=r"--allow-outside DIR"):
-        read_resource("../a.bin", home, allowed, HERE)
+        read_resource("../a.bin", home, allowed, HERE, uncounted)
 
 
 @pytest.mark.parametrize("uri", ["missing.bin", "folder", "x" * 5000, "%78" * 300, "\ud800.bin"])
 def test_what_cannot_be_read_is_an_input_error_that_names_it(tmp_path: Path, uri: str) -> None:
     (tmp_path / "folder").mkdir()
     with pytest.raises(InputError, match=r"^model\.gltf: cannot read .* beside it: ") as caught:
-        read_resource(uri, tmp_path, BESIDE, HERE)
+        read_resource(uri, tmp_path, BESIDE, HERE, uncounted)
     assert len(str(caught.value)) < 300
 
 
 def test_of_a_missing_buffer_it_is_said_what_to_do(tmp_path: Path) -> None:
     told = '"a.bin" beside it: No such file or directory'
     with pytest.raises(InputError) as caught:
-        read_resource("a.bin", tmp_path, BESIDE, HERE)
+        read_resource("a.bin", tmp_path, BESIDE, HERE, uncounted)
     remedy = "; copy it there too, or export a .glb, which is one file"
     assert str(caught.value) == f"model.gltf: cannot read {told}{remedy}"
     with pytest.raises(InputError, match=f"{told}$"):
-        read_resource("a.bin", tmp_path, BESIDE, HERE, of="image")
+        read_resource("a.bin", tmp_path, BESIDE, HERE, uncounted, of="image")
 
 
 def test_relative_uris_are_told_from_others() -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from skinbake.cli.names import STDIO
 from skinbake.errors import ChoiceError, Chosen
@@ -12,11 +12,32 @@ if TYPE_CHECKING:
     from skinbake.cli.given import Given
     from skinbake.jobs.worker import Limits
 
+T = TypeVar("T")
+
 OR_CLUSTER = (
     " controls processes of this machine, ",
     Chosen("dask"),
     " uses a cluster: give only one",
 )
+
+
+def within_limits(call: Callable[[], T], given: Mapping[str, Any], source: str) -> T:
+    """Return the result of a call that works on one file, within --max-memory and --timeout.
+
+    Under --timeout the call, which must be picklable, is made in another process. Raises SkinbakeError, and
+    ChoiceError if another process cannot read the file.
+    """
+    if given["timeout"] is None:
+        from skinbake.gltf.budget import memory_limited
+
+        with memory_limited(given["max_memory"]):
+            return call()
+    if source == STDIO:
+        raise ChoiceError("timeout", reason=(" needs a file, not - for stdin",))
+    from skinbake.jobs.processes import done_in_time
+    from skinbake.threads import thread_count
+
+    return done_in_time(call, source, given["timeout"], given["max_memory"], thread_count())
 
 
 def worker_limits(given: Given, sources: Sequence[str]) -> Limits | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import click
 
 from skinbake.cli.console import console, ended_by_errors
 from skinbake.cli.help import Helpful
+from skinbake.cli.limits import within_limits
 from skinbake.cli.names import path_on_disk
 from skinbake.cli.targets import check_named, check_picture_target
 from skinbake.errors import ChoiceError, Chosen, printable
@@ -44,7 +46,6 @@ def command(source: str, output: str, **given: Any) -> None:
         raise ChoiceError("split", reason=(" shows both lightings: leave out ", Chosen("lighting")))
     say = console(given)
     from skinbake.commands.render import RenderOptions, render_file
-    from skinbake.gltf.budget import memory_limited
     from skinbake.render.studio import Look
 
     width, height = given["size"]
@@ -56,14 +57,10 @@ def command(source: str, output: str, **given: Any) -> None:
         turntable=given["turntable"],
         in_clay=given["clay"],
     )
-    with ended_by_errors(say), memory_limited(given["max_memory"]):
-        result = render_file(
-            source,
-            output,
-            options,
-            sync=not given["no_sync"],
-            bounds=Bounds(allowed=given["allow_outside"]),
-        )
+    bounds = Bounds(allowed=given["allow_outside"])
+    call = partial(render_file, source, output, options, sync=not given["no_sync"], bounds=bounds)
+    with ended_by_errors(say):
+        result = within_limits(call, given, source)
     say.notices(result.notices)
     count = f"{result.pictures} pictures, " if result.pictures > 1 else ""
     how = "" if result.was_baked else ", baked in memory"

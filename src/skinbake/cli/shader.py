@@ -48,8 +48,9 @@ def command(source: str | None, output: str, **given: Any) -> None:
     # The text may be the result on stdout, so everything else goes to stderr.
     say = console(given, results_on_stderr=True)
     from skinbake.commands.shader import shader, write_shader
+    from skinbake.gltf.budget import memory_limited
 
-    with ended_by_errors(say):
+    with ended_by_errors(say), memory_limited(given["max_memory"]):
         result = shader(_request(given), source, output, Bounds(allowed=given["allow_outside"]))
         write_shader(result, output, sync=not given["no_sync"])
     say.notices(result.notices)

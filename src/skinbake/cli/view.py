@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import click
 
 from skinbake.cli.console import console, ended_by_errors
 from skinbake.cli.help import Helpful
+from skinbake.cli.limits import within_limits
 from skinbake.cli.names import STDIO, path_on_disk
 from skinbake.cli.targets import check_earlier, check_named, is_model_name, is_page
 from skinbake.errors import printable
@@ -41,11 +43,10 @@ def command(source: str, output: str | None, **given: Any) -> None:
         raise click.UsageError("--port and --no-browser are for a page that is served; -o writes it instead")
     say = console(given, results_on_stderr=output == STDIO)
     from skinbake.commands.view import view_file, write_page
-    from skinbake.gltf.budget import memory_limited
 
+    call = partial(view_file, source, output, Bounds(allowed=given["allow_outside"]))
     with ended_by_errors(say):
-        with memory_limited(given["max_memory"]):
-            result = view_file(source, output, Bounds(allowed=given["allow_outside"]))
+        result = within_limits(call, given, source)
         say.notices(result.notices)
         if output is None:
             _serve(result.page, given, say.result)

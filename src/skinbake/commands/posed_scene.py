@@ -30,9 +30,22 @@ from skinbake.lighting.before_adoption import true_operator_of
 from skinbake.lighting.metrics import vertex_areas
 from skinbake.lighting.morphing import Morphing, morphing_of
 from skinbake.lighting.operator import GradientOperator
-from skinbake.lighting.poses import PoseSet, draws_of
+from skinbake.lighting.poses import (
+    BYTES_A_JOINT_AND_POSE,
+    BYTES_A_NODE_AND_POSE,
+    STEPS_A_CLIP,
+    PoseSet,
+    draws_of,
+)
 from skinbake.lighting.rest_primitives import rest_primitive
 from skinbake.skinning.rest import RestPrimitive
+from skinbake.wording import counted
+
+BYTES_A_VERTEX, BYTES_A_POSED_VERTEX = 2048, 64
+"""The memory of a vertex that is drawn, and in each pose."""
+
+STEPS_A_PRIMITIVE, STEPS_A_MORPHED_POSE = 3_000, 1_500
+"""The steps of drawing a primitive, and of morphing it in a pose: see ``budget.STEPS_FREE``."""
 
 SEARCHED = 25
 """The poses of a clip among which the one with the worst standard lighting is chosen."""
@@ -85,11 +98,27 @@ def shown_draws(document: Document, views: Sequence[BakedView]) -> Iterator[Draw
     meshes = {mesh for mesh, skin in shown if skin is not None}
     for group in whole_surfaces(document, [view for view in views if view.source.mesh in meshes]):
         operator = cache(partial(true_operator_of, document, group))
+        rest = [rest_primitive(view) for view in group]
         for skin, node in draws_of(document, group[0].source.mesh, clips):
             if not any((view.source.mesh, skin) in shown for view in group):
                 continue
-            rest = [rest_primitive(view) for view in group]
             yield Draw(group, rest, read_skeleton(document, skin), node, operator)
+
+
+def claim_draws(document: Document, draws: Sequence[Draw], clips: Sequence[Clip], poses: int) -> None:
+    """Count the memory and the work of draws in so many poses. Raises InputError if it is too much."""
+    budget, place = document.budget, document.place
+    for draw in draws:
+        skeleton, primitives = draw.skeleton, len(draw.rest)
+        vertices = sum(len(rest.positions) for rest in draw.rest)
+        steps = STEPS_A_PRIMITIVE * primitives + sum(STEPS_A_CLIP + len(clip.channels) for clip in clips)
+        steps += poses * (len(skeleton.nodes) + len(skeleton.joints))
+        steps += 0 if draw.node is None else STEPS_A_MORPHED_POSE * primitives * poses
+        drawn = f"{counted(vertices, 'vertex', 'vertices')} in {counted(poses, 'pose')}"
+        budget.claim_steps(steps, f"drawing {drawn}", place)
+        size = BYTES_A_NODE_AND_POSE * len(skeleton.nodes) + BYTES_A_JOINT_AND_POSE * len(skeleton.joints)
+        size = poses * size + vertices * (BYTES_A_VERTEX + BYTES_A_POSED_VERTEX * poses)
+        budget.claim(size, drawn, place)
 
 
 def posed_draw(document: Document, draw: Draw, clip: Clip | None, times: Float64Array) -> PosedDraw:
@@ -151,6 +180,7 @@ def telling_moment(document: Document, draws: Sequence[Draw], clips: Sequence[Cl
     Each clip is searched at a few times, and the chosen one at ``SEARCHED``. Of equal ones the first counts.
     """
     some = clips[: MOST_SEARCHED // 2]
+    claim_draws(document, draws, some, MOST_SEARCHED + SEARCHED if len(some) > 1 else SEARCHED)
     each = min(SEARCHED, MOST_SEARCHED // len(some))
     chosen = max(some, key=lambda clip: _worst(document, draws, clip, each)[0]) if len(some) > 1 else some[0]
     return chosen, _worst(document, draws, chosen, SEARCHED)[1]

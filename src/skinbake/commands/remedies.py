@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -88,8 +89,9 @@ def worse_lighting(
         tried += _tried(document, views, options, meshes, [LAST])
     now = math.nan
     if any(trial.helps(place) for trial in tried for place in worse):
-        with document.budget.passing():
-            alone = meshes == {place.mesh for place in found}
+        alone = meshes == {place.mesh for place in found}
+        # What has been measured twice may be too much work a third time.
+        with suppress(InputError), document.budget.passing():
             now = _all_in_all(verdict if alone else _measured(document, options, meshes))
     notices = [_notice(place, gains, tried, now) for place, gains in worse.items()]
     return notices + [

@@ -14,6 +14,7 @@ from skinbake.commands.posed_scene import (
     NAMES,
     Draw,
     PosedDraw,
+    claim_draws,
     lighting_errors_of,
     posed_draw,
     posed_primitives,
@@ -45,13 +46,16 @@ from skinbake.render.thumbnail import Posed, thumbnail
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.skinning.run import Skinning
-from skinbake.wording import one_or_many
+from skinbake.wording import counted, one_or_many
 
 MOST = 1e15
 """The largest coordinate of a picture: squares of lengths then stay floats, as on the page."""
 
 MOST_INFLUENCES = 64
 """The most influences of a vertex that are drawn. Drivers compile a shader of 256 for a minute."""
+
+BYTES_A_SAMPLED_PIXEL, BYTES_A_PIXEL = 224, 10
+"""The memory of drawing a pixel, with all its samples, and of keeping it in each picture until the end."""
 
 MOST_PICTURES = 120
 LISTED = 20
@@ -152,6 +156,10 @@ def _pictures(
     draws = list(shown_draws(document, views))
     clip, worst = _clip_and_moment(document, draws, options)
     times, pose = _times(clip, worst, options, moves=moves)
+    pixels = options.look.width * options.look.height
+    size = pixels * (BYTES_A_SAMPLED_PIXEL + BYTES_A_PIXEL * len(times))
+    document.budget.claim(size, f"drawing {counted(len(times), 'picture')}", document.place)
+    claim_draws(document, draws, [] if clip is None else [clip], len(times))
     posed = [posed_draw(document, draw, clip, times) for draw in draws]
     materials = Materials(document)
     in_clay = options.in_clay or options.look.mode != "shaded"

@@ -23,6 +23,9 @@ from skinbake.threads import Threads, thread_count
 from skinbake.timing import stage
 from skinbake.wording import counted
 
+STEPS_A_PRIMITIVE = 3_000
+"""The steps of baking a primitive, or of reading its bake and comparing it: see ``budget.STEPS_FREE``."""
+
 
 def verify_file(source: str, options: VerifyOptions, bounds: Bounds = BESIDE) -> FileVerdict:
     """Verify one file. Raises SkinbakeError if it cannot be read."""
@@ -41,6 +44,8 @@ def verify_document(document: Document, options: VerifyOptions) -> FileVerdict:
         wanted, lost, notices = _sorted_out(document)
     if not lost and not any(is_baked(document, entry) for entry in wanted):
         return _unbaked(document, options, notices, wanted)
+    steps, what = STEPS_A_PRIMITIVE * len(wanted), f"the freshness of {counted(len(wanted), 'primitive')}"
+    document.budget.claim_steps(steps, what, document.place)
     with stage("read"):
         views, problems = baked_views(document, wanted)
     problems = [*lost, *problems]

@@ -13,7 +13,7 @@ from skinbake.choices import Gradients, Scheme
 from skinbake.commands.bake import Baker
 from skinbake.commands.posed_scene import shown_draws, telling_moment
 from skinbake.commands.remedies import noted_baker
-from skinbake.commands.verify import verify_document
+from skinbake.commands.verify import STEPS_A_PRIMITIVE, verify_document
 from skinbake.errors import InputError, Notice
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.writing import write_file, write_stdout
@@ -35,10 +35,14 @@ from skinbake.report.verify import FileVerdict, file_json, remarks
 from skinbake.timing import stage
 from skinbake.view.page import OtherGradients, Shown, page
 from skinbake.view.texts import INFLUENCES
+from skinbake.wording import counted
 
 PNG, JPEG, WEBP = b"\x89PNG", b"\xff\xd8\xff", b"RIFF"
 IMAGES = {PNG: "image/png", JPEG: "image/jpeg", WEBP: "image/webp"}
 
+
+PAGE_BYTES = 4
+"""The memory of a page for each byte of its model: its text in base64, filled into the page, and encoded."""
 
 SKIPPED = "skipped: "
 """The beginning of the notices that say why a primitive is left out."""
@@ -94,6 +98,8 @@ def page_of(
         others = list(_other_gradients(document, views))
     with stage("page"):
         glb, missing = _self_contained(document)
+        size = sum(map(len, glb))
+        document.budget.claim(PAGE_BYTES * size, f"a page of {counted(size, 'byte')}", document.place)
         missing += [notice for view in views for notice in unplaced(document, view, "page")]
         missing += _not_drawn(document, views)
         told = [*notes, *remarks(verdict), *map(_sentence, (*missing, *verdict.notices))]
@@ -131,6 +137,10 @@ def baked_in_memory(document: Document) -> tuple[Document, tuple[Notice, ...]]:
     The notices are those on damaged bakes, and on α and β. Nothing is stored, so those on storage are left
     out.
     """
+    count = len(skinned_sources(document)[0])
+    document.budget.claim_steps(
+        STEPS_A_PRIMITIVE * count, f"baking {counted(count, 'primitive')} in memory", document.place
+    )
     plain, _, _ = stripped(document)
     made = Baker(generate_normals=True).bake_document(plain)
     if not made.primitives:
@@ -208,6 +218,10 @@ def _with_images(document: Document) -> tuple[Document, list[Notice]]:
     views, images = list(document.objects("bufferViews")), list(document.objects("images"))
     lost = list(_unread_textures(document))
     held: dict[str, JsonObject] = {}
+
+    def claim(size: int) -> None:
+        document.budget.claim(size, "holding its images in a page", document.place)
+
     for number, image in enumerate(images):
         uri = image.get("uri")
         if not isinstance(uri, str) or is_data_uri(uri):
@@ -217,14 +231,14 @@ def _with_images(document: Document) -> tuple[Document, list[Notice]]:
             images[number] = {**kept, **held[uri]}
             continue
         try:
-            data = bytes(read_resource(uri, document.folder, document.bounds, document.place, of="image"))
-            document.budget.claim(2 * len(data), "holding its images in a page", document.place)
+            data = read_resource(uri, document.folder, document.bounds, document.place, claim, of="image")
         except InputError as error:
             lost.append(error.message)
             images[number] = kept
             continue
         padding = -length % 4
-        kind = next((mime for head, mime in IMAGES.items() if data.startswith(head)), "image/png")
+        head = bytes(data[:4])
+        kind = next((mime for start, mime in IMAGES.items() if head.startswith(start)), "image/png")
         views.append({"buffer": 0, "byteOffset": length + padding, "byteLength": len(data)})
         held[uri] = {"bufferView": len(views) - 1, "mimeType": kind}
         images[number] = {**kept, **held[uri]}

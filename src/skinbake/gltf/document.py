@@ -134,9 +134,11 @@ class Document:
             self.budget.claim(2 * len(uri), f"the data: URI of buffer {index}", self.place)
             return resources.decode_data_uri(uri, self.place)
         if uri not in self._files:
-            data = resources.read_resource(uri, self.folder, self.bounds, self.place)
-            self.budget.back(len(data), relative_names(uri)[0], f"buffer {index}", self.place)
-            self._files[uri] = data
+
+            def claim(size: int) -> None:
+                self.budget.back(size, relative_names(uri)[0], f"buffer {index}", self.place)
+
+            self._files[uri] = resources.read_resource(uri, self.folder, self.bounds, self.place, claim)
         return self._files[uri]
 
 
@@ -173,14 +175,15 @@ def read_document(path: str, bounds: Bounds = BESIDE) -> Document:
 
 
 def _parsed(path: str, bounds: Bounds) -> Document:
+    budget = Budget()
     if path == STDIO:
-        return parse_glb(_read_stdin(), STDIN, Path(), bounds._replace(root=NOWHERE))
+        return parse_glb(_read_stdin(budget), STDIN, Path(), bounds._replace(root=NOWHERE), budget)
     file = Path(path)
     suffix = file.suffix.lower()
     if suffix != GLTF_SUFFIX and suffix not in GLB_SUFFIXES:
         raise InputError("expected a file named .glb, .gltf or .vrm", Place(path))
     parse = parse_gltf if suffix == GLTF_SUFFIX else parse_glb
-    return parse(read_named(path, bounds.root), path, file.parent, bounds)
+    return parse(read_named(path, bounds.root, budget), path, file.parent, bounds, budget)
 
 
 def refuse_buffers_outside(document: Document) -> None:
@@ -201,17 +204,21 @@ def refuse_buffers_outside(document: Document) -> None:
             raise resources.refused(uri, str(error), document.place) from error
 
 
-def read_named(path: str, root: str | None) -> Bytes:
+def read_named(path: str, root: str | None, budget: Budget) -> Bytes:
     """Return the bytes of an input; a file found in the folder ``root`` is opened from there.
 
     Raises InputError.
     """
+
+    def claim(size: int) -> None:
+        budget.back(size, path, "reading it", Place(path))
+
     try:
         if root is None:
-            return resources.read_file(Path(path))
+            return resources.read_file(Path(path), claim)
         descriptor = open_beneath(spot_of(path, root))
         try:
-            return resources.read_open_file(descriptor)
+            return resources.read_open_file(descriptor, claim)
         finally:
             os.close(descriptor)
     except RefusedError as error:
@@ -227,19 +234,30 @@ def read_named(path: str, root: str | None) -> Bytes:
         raise InputError(f"cannot be read: {error}", Place(path)) from error
 
 
-def _read_stdin() -> bytes:
+def _read_stdin(budget: Budget) -> Bytes:
+    """Return the bytes of standard input, which are counted block by block: it does not tell its size."""
+    data = bytearray()
     try:
-        return sys.stdin.buffer.read()
+        while block := sys.stdin.buffer.read(resources.BLOCK):
+            budget.back(len(block), None, "reading it", Place(STDIN))
+            data += block
     except (AttributeError, OSError) as error:  # AttributeError: stdin is closed
         raise InputError(
             f"cannot be read: {getattr(error, 'strerror', None) or 'it is closed'}", Place(STDIN)
         ) from error
+    return memoryview(data).toreadonly()
 
 
-def parse_glb(data: Bytes, name: str, folder: Path, bounds: Bounds = BESIDE) -> Document:
-    """Return the document in the bytes of a GLB; InputError if they are no GLB."""
+def parse_glb(
+    data: Bytes, name: str, folder: Path, bounds: Bounds = BESIDE, budget: Budget | None = None
+) -> Document:
+    """Return the document in the bytes of a GLB; InputError if they are no GLB.
+
+    ``budget`` has counted the bytes. None: they count now.
+    """
     chunks: GlbChunks = split_glb(data, Place(name))
-    text, budget = bytes(chunks.json), Budget(backed=len(data))
+    budget = budget or _budget_of(data, name)
+    text = bytes(chunks.json)
     root = _parse_json(text, budget, Place(name))
     return Document(
         name=name,
@@ -257,14 +275,26 @@ def parse_glb(data: Bytes, name: str, folder: Path, bounds: Bounds = BESIDE) -> 
     )
 
 
-def parse_gltf(data: Bytes, name: str, folder: Path, bounds: Bounds = BESIDE) -> Document:
-    """Return the document in the text of a ``.gltf`` file; InputError if it is none."""
+def _budget_of(data: Bytes, name: str) -> Budget:
+    budget = Budget()
+    budget.back(len(data), name, "reading it", Place(name))
+    return budget
+
+
+def parse_gltf(
+    data: Bytes, name: str, folder: Path, bounds: Bounds = BESIDE, budget: Budget | None = None
+) -> Document:
+    """Return the document in the text of a ``.gltf`` file; InputError if it is none.
+
+    ``budget`` has counted the bytes. None: they count now.
+    """
     if data[:4] == b"glTF":
         raise InputError("this is a GLB container; name it .glb instead", Place(name))
     from skinbake.gltf.other_kinds import refuse_other_kind  # most files are GLBs
 
     refuse_other_kind(data, Place(name))
-    text, budget = bytes(data), Budget(backed=len(data))
+    budget = budget or _budget_of(data, name)
+    text = bytes(data)
     root = _parse_json(text, budget, Place(name))
     return Document(
         name=name,

@@ -86,9 +86,14 @@ def image_bytes(document: Document, image: int) -> Bytes:
     uri = text(content, "uri", document.place)
     if uri is None:
         raise InputError(f"image {image} names neither a buffer view nor a file", document.place)
+
+    def claim(size: int) -> None:
+        document.budget.claim(size, f"image {image}", document.place)
+
     if is_data_uri(uri):
+        claim(2 * len(uri))
         return decode_data_uri(uri, document.place)
-    return read_resource(uri, document.folder, document.bounds, document.place, of="image")
+    return read_resource(uri, document.folder, document.bounds, document.place, claim, of="image")
 
 
 def images_missing(reasons: Sequence[str], made: str, place: Place) -> list[Notice]:

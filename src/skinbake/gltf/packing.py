@@ -158,6 +158,8 @@ def _with_buffers(document: Document, chunk: _Chunk, *, files: bool) -> tuple[Js
         try:
             moved[number] = chunk.add(document.buffer(number))
         except InputError as error:  # a buffer that cannot be read stays where it is
+            if error is document.budget.refusal:
+                raise
             if not is_data_uri(uri):
                 left.append(_left_buffer(uri, error))
     if len(moved) == 1:
@@ -235,21 +237,25 @@ def _bytes_at(uri: str, document: Document) -> Bytes:
     if not is_data_uri(uri):
         return _file_at(uri, document)
     try:
+        document.budget.claim(2 * len(uri), "holding its images", document.place)
         data = decode_data_uri(uri, document.place)
-        document.budget.claim(2 * len(data), "holding its images", document.place)
     except InputError as error:
+        if error is document.budget.refusal:
+            raise
         raise _StaysError("unreadable", error.message) from error
     return data
 
 
 def _file_at(uri: str, document: Document) -> Bytes:
     """Return the bytes of an image's file, within the bounds of the document."""
+
+    def claim(size: int) -> None:
+        document.budget.claim(size, f'image "{shortened(uri)}"', document.place)
+
     try:
         descriptor = find(uri, document.folder, document.bounds)[1]
         try:
-            size = os.fstat(descriptor).st_size
-            document.budget.claim(size, f'image "{shortened(uri)}"', document.place)
-            return read_open_file(descriptor)
+            return read_open_file(descriptor, claim)
         finally:
             os.close(descriptor)
     except OutsideError as error:

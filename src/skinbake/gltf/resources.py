@@ -6,7 +6,7 @@ import base64
 import errno
 import mmap
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +16,9 @@ from skinbake.errors import InputError, Place
 from skinbake.files import Bytes
 from skinbake.files.bounds import Bounds, OutsideError, RefusedError, Spot, spots
 from skinbake.files.folders import open_beneath, open_regular
+
+Claim = Callable[[int], None]
+"""A function that hears the size of a file in bytes before it is read. It raises InputError to refuse it."""
 
 BLOCK = 1 << 20
 """Number of bytes of a file that are copied at a time."""
@@ -50,11 +53,11 @@ def encode_data_uri(data: bytes) -> str:
     return "data:application/octet-stream;base64," + base64.b64encode(data).decode("ascii")
 
 
-def read_file(path: Path) -> Bytes:
+def read_file(path: Path, claim: Claim) -> Bytes:
     """Return the bytes of a regular file that the user named; raises OSError."""
     descriptor = open_regular(os.fspath(path))
     try:
-        return read_open_file(descriptor)
+        return read_open_file(descriptor, claim)
     finally:
         os.close(descriptor)
 
@@ -63,14 +66,15 @@ PAGES_FROM = 1 << 20
 """From this number of bytes on, a file is read into its own pages."""
 
 
-def read_open_file(descriptor: int) -> Bytes:
-    """Return the bytes of an open regular file, as a copy in memory.
+def read_open_file(descriptor: int, claim: Claim) -> Bytes:
+    """Return the bytes of an open regular file, as a copy in memory. Its size is claimed first.
 
     The file is read, not mapped. Another process may rewrite a mapped file between a check and its use, and
     if it truncates the file, this process dies. Raises OSError, also for a file that changes its length while
     it is read.
     """
     size = os.fstat(descriptor).st_size
+    claim(size)
     with open(descriptor, "rb", buffering=0, closefd=False) as file:
         if size < PAGES_FROM:
             data: Bytes = file.readall()
@@ -141,7 +145,9 @@ def is_there(uri: str, folder: Path, bounds: Bounds) -> bool:
     return True
 
 
-def read_resource(uri: str, folder: Path, bounds: Bounds, place: Place, *, of: str = "buffer") -> Bytes:
+def read_resource(
+    uri: str, folder: Path, bounds: Bounds, place: Place, claim: Claim, *, of: str = "buffer"
+) -> Bytes:
     """Return the bytes of the URI of a buffer, or of what ``of`` says.
 
     Raises InputError if the file is missing or unreadable, if the data URI is malformed, or if the document
@@ -150,7 +156,7 @@ def read_resource(uri: str, folder: Path, bounds: Bounds, place: Place, *, of: s
     try:
         descriptor = find(uri, folder, bounds)[1]
         try:
-            return read_open_file(descriptor)
+            return read_open_file(descriptor, claim)
         finally:
             os.close(descriptor)
     except OutsideError as error:

@@ -16,13 +16,18 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from multiprocessing.reduction import ForkingPickler
-from typing import Any, Generic
+from typing import Any, Generic, TypeVar
 
-from skinbake.errors import SkinbakeError
+from skinbake.errors import InputError, Place, SkinbakeError
+from skinbake.gltf.budget import memory_limited
+from skinbake.jobs.boundary import survived
 from skinbake.jobs.starting import check_descriptors, context_for, no_interrupts, started
 from skinbake.jobs.work import JobT, ReturnT, Work
 from skinbake.jobs.worker import Limits
+from skinbake.threads import threads_limited
 from skinbake.timing import Told, tell
+
+T = TypeVar("T")
 
 WINDOW = 4096
 """The number of jobs that may be done ahead of a slow one. Their results wait in memory."""
@@ -75,6 +80,39 @@ class _Worker:
 
 def _none(jobs: Sequence[Any]) -> Sequence[int]:
     return ()
+
+
+def done_in_time(call: Callable[[], T], file: str, seconds: float, max_memory: int | None, threads: int) -> T:
+    """Return the result of a call, which a process of its own makes; it and its result can be pickled.
+
+    ``file`` is the file that it works on, for messages. Raises SkinbakeError, also if it takes too long.
+    """
+    work: Work[None, T | SkinbakeError] = _OneCall(call, file, max_memory, threads)
+    ((_, found),) = Processes(1, limits=Limits(seconds)).run(work, [None])
+    if isinstance(found, SkinbakeError):
+        raise found
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _OneCall(Generic[T]):
+    """The work of ``done_in_time``."""
+
+    call: Callable[[], T]
+    file: str
+    max_memory: int | None
+    threads: int
+
+    def __call__(self, job: None) -> T | SkinbakeError:
+        with memory_limited(self.max_memory), threads_limited(self.threads):
+            call: Callable[[], T | SkinbakeError] = self.call
+            return survived(call, lambda error: error, self.file)
+
+    def failed(self, job: None, error: SkinbakeError) -> T | SkinbakeError:
+        return error
+
+    def lost(self, job: None, reason: str) -> T | SkinbakeError:
+        return InputError(f"not done: {reason}", Place(self.file))
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from bisect import bisect_left
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from skinbake.errors import InputError
+from skinbake.errors import InputError, Notice
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import Clip
 from skinbake.gltf.document import Document
 from skinbake.lighting.baked_views import BakedView, whole_surfaces
 from skinbake.lighting.before_adoption import true_operator_of
 from skinbake.lighting.operator import TRUE_CREASE_ANGLE, TRUE_WEIGHTING, GradientOperator
-from skinbake.lighting.poses import SHARED_SAMPLES, PoseRequest, PoseSet, draws_of, pose_set
+from skinbake.lighting.poses import (
+    LEAST_SAMPLES,
+    SHARED_SAMPLES,
+    PosePlan,
+    PoseRequest,
+    PoseSet,
+    draws_of,
+    planned_poses,
+)
 from skinbake.lighting.rest_areas import RestAreas
 from skinbake.lighting.rest_primitives import rest_primitive
 from skinbake.skinning.rest import RestPrimitive
@@ -21,6 +30,12 @@ from skinbake.wording import counted
 
 BYTES_A_SAMPLE = 32
 """The memory of one vertex in one pose, at most: its errors, while they may be among the largest."""
+
+STEPS_A_DRAW, STEPS_A_MORPHED_POSE, STEPS_A_TARGET = 10_000, 3_000, 20
+"""The steps of measuring a primitive, and further ones in each pose of morph targets, and for each target.
+
+See ``budget.STEPS_FREE``.
+"""
 
 SAMPLES_A_BYTE, SAMPLES_FREE = 24, 1_000_000
 """The vertices × poses that a file may need, for each of its bytes and in addition. Each takes 3 µs.
@@ -85,23 +100,75 @@ def draws(
     surfaces: Sequence[tuple[Sequence[BakedView], GradientOperator]],
     clips: Sequence[Clip],
     request: PoseRequest,
-) -> Iterator[Draw]:
-    """Yield each of the ``true_surfaces`` as often as skins draw it, or nodes if it has morph targets.
+) -> tuple[list[Draw], list[Notice]]:
+    """Return each of the ``true_surfaces`` as often as skins draw it, or nodes if it has morph targets.
 
-    Raises InputError if a skin cannot be posed, or if the work is out of proportion to the file.
+    If all poses are too much work for the file, some of each skin are measured, and a notice says so. Raises
+    InputError if a skin cannot be posed, or if the work is out of proportion to the file even so.
     """
-    work = _Work(document, request)
-    found: dict[tuple[int, int | None], PoseSet] = {}
+    plans: dict[tuple[int, int | None], PosePlan] = {}
+    drawn: list[tuple[Sequence[BakedView], GradientOperator, tuple[int, int | None]]] = []
     for views, operator in surfaces:
-        rest = [rest_primitive(view) for view in views]
-        for skin, node in draws_of(document, views[0].source.mesh, clips):
-            if (skin, node) not in found:
-                found[skin, node] = pose_set(document, skin, clips, request, node)
-            poses = found[skin, node]
-            work.claim(views, poses)
-            space = RestAreas(document, skin)
-            areas = [space.of(view.now) for view in views]
-            yield Draw(views, operator, rest, areas, poses)
+        place = replace(views[0].source.place, primitive=None)
+        for draw in draws_of(document, views[0].source.mesh, clips):
+            document.budget.claim_steps(
+                STEPS_A_DRAW * len(views), f"{counted(len(views), 'primitive')} of skin {draw[0]}", place
+            )
+            if draw not in plans:
+                plans[draw] = PosePlan.of(document, draw[0], clips, request, draw[1])
+            drawn.append((views, operator, draw))
+    plans, notices = _fewer_poses(document, plans, [(len(views), draw) for views, _, draw in drawn])
+    work = _Work(document, request)
+    rests = {id(views): [rest_primitive(view) for view in views] for views, _ in surfaces}
+    sets: dict[tuple[int, int | None], PoseSet] = {}
+    found = []
+    for views, operator, draw in drawn:
+        work.claim(views, plans[draw])
+        if draw not in sets:
+            sets[draw] = planned_poses(document, plans[draw])
+        space = RestAreas(document, draw[0])
+        found.append(Draw(views, operator, rests[id(views)], [space.of(v.now) for v in views], sets[draw]))
+    return found, notices
+
+
+def _fewer_poses(
+    document: Document,
+    plans: dict[tuple[int, int | None], PosePlan],
+    drawn: Sequence[tuple[int, tuple[int, int | None]]],
+) -> tuple[dict[tuple[int, int | None], PosePlan], list[Notice]]:
+    """Return plans of so few poses that the document may claim their steps, and a notice on it.
+
+    drawn are the number of primitives of each draw, and its plan. Plans that are too much work in
+    ``LEAST_SAMPLES`` poses each are returned so: their claims are refused.
+    """
+    every = max((plan.count for plan in plans.values()), default=0)
+
+    def limited(most: int) -> dict[tuple[int, int | None], PosePlan]:
+        return {draw: replace(plan, request=replace(plan.request, most=most)) for draw, plan in plans.items()}
+
+    def is_too_much(some: dict[tuple[int, int | None], PosePlan]) -> bool:
+        steps = sum(plan.steps for plan in some.values())
+        steps += sum(_morphed_steps(some[draw], primitives) for primitives, draw in drawn)
+        return steps > document.budget.steps_left
+
+    if every <= LEAST_SAMPLES or not is_too_much(plans):
+        return plans, []
+    counts = range(LEAST_SAMPLES, every)
+    fitting = bisect_left(counts, True, key=lambda most: is_too_much(limited(most)))
+    few = limited(counts[max(fitting - 1, 0)])
+    most = max(plan.count for plan in few.values())
+    message = (
+        f"its lighting is measured in {most:,} of up to {every:,} poses of each skin, which evenly spread "
+        "clips share: all poses are too much work for a file of its size"
+    )
+    return few, [Notice("poses-left-out", message, document.place, every - most)]
+
+
+def _morphed_steps(plan: PosePlan, primitives: int) -> int:
+    """Return the steps of work of measuring so many primitives under morph targets, pose by pose."""
+    if plan.resting is None or not plan.morphs:
+        return 0
+    return primitives * plan.count * (STEPS_A_MORPHED_POSE + STEPS_A_TARGET * len(plan.resting))
 
 
 class _Work:
@@ -111,15 +178,15 @@ class _Work:
         self._document, self._request = document, request
         self._samples = 0
 
-    def claim(self, views: Sequence[BakedView], poses: PoseSet) -> None:
+    def claim(self, views: Sequence[BakedView], plan: PosePlan) -> None:
         """Count the work of a draw. Raises InputError if all of it is far out of proportion to the file."""
-        vertices, count = sum(len(view.now.positions) for view in views), len(poses.clips)
+        vertices, count = sum(len(view.now.positions) for view in views), plan.count
         place = replace(views[0].source.place, primitive=None)
-        self._document.budget.claim(
-            BYTES_A_SAMPLE * vertices * count,
-            f"{counted(vertices, 'vertex', 'vertices')} in {counted(count, 'pose')}",
-            place,
+        samples = f"{counted(vertices, 'vertex', 'vertices')} in {counted(count, 'pose')}"
+        self._document.budget.claim_steps(
+            _morphed_steps(plan, len(views)), f"{samples} of morph targets", place
         )
+        self._document.budget.claim(BYTES_A_SAMPLE * vertices * count, samples, place)
         # The clips of the file count, not how many samples of each the user asks for.
         asked = self._request.samples
         self._samples += vertices * (count if asked is None else -(-count // asked) * SHARED_SAMPLES)

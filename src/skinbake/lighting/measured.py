@@ -72,7 +72,7 @@ class _Measurement:
         with stage("gradient operator"):
             surfaces = true_surfaces(self._document, meshes, operators)
         with stage("poses"):
-            drawn = list(draws(self._document, surfaces, self._clips, self._options.poses))
+            drawn, left_out = draws(self._document, surfaces, self._clips, self._options.poses)
         not_rigid = list(
             dict.fromkeys(n for draw in drawn for n in joints_without_dqs(draw.rest, draw.poses))
         )
@@ -93,7 +93,7 @@ class _Measurement:
             with stage("figures"):
                 verdict = self._verdict(drawn, reason if not_rigid else None)
         morphs = morph_count(self._document, [(draw.views[0].source.mesh, draw.poses) for draw in drawn])
-        notices = *self._unread, *dict.fromkeys(mirrored(drawn))
+        notices = *self._unread, *left_out, *dict.fromkeys(mirrored(drawn))
         return replace(verdict, notices=notices, morphs=morphs)
 
     def _measure(self, method: str, draw: Draw, *, again: bool) -> None:

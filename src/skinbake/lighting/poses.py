@@ -31,13 +31,22 @@ from skinbake.gltf.morphs import resting_weights, target_count
 from skinbake.wording import counted
 
 SHARED_SAMPLES = 60
-"""The poses that the clips of a file share if no number is given. Each clip gets at least 3."""
+"""The poses that the clips of a file share if no number is given."""
+
+LEAST_SAMPLES = 3
+"""The poses that each of these clips gets at least."""
 
 FALLBACK_POSES = 24
 """The number of random poses for a file that has no animation."""
 
 BYTES_A_NODE_AND_POSE, BYTES_A_JOINT_AND_POSE = 640, 512
 """The bytes that a pose takes for a node while its matrices are made, and for a joint to keep its matrix."""
+
+STEPS_A_CLIP, STEPS_A_CHANNEL, STEPS_A_JOINT = 700, 30, 5
+"""The steps of sampling a clip for a skin, and each of its channels, and of a joint in a pose.
+
+See ``budget.STEPS_FREE``.
+"""
 
 MORPHS_AT_ONCE = 2
 """The number of morph targets that a random pose moves. All targets at once would destroy a face."""
@@ -50,6 +59,7 @@ class PoseRequest:
     samples is the number of samples of each clip (None: SHARED_SAMPLES for all), or the number of random
     poses. angle is the largest random rotation of a joint, in radians. offset is where a sample lies in each
     of N equal parts of a clip, from 0 to 1. None: samples go from the clip's first moment to its last.
+    most is the largest number of poses of a skin, which evenly spread clips share (None: no limit).
     """
 
     kind: PoseKind = PoseKind.ANIMATION
@@ -57,6 +67,7 @@ class PoseRequest:
     angle: float = float(np.radians(30.0))
     seed: int = 0
     offset: float | None = None
+    most: int | None = None
 
     @property
     def random_count(self) -> int:
@@ -104,8 +115,88 @@ def draws_of(document: Document, mesh: int, clips: Sequence[Clip]) -> list[tuple
 
 def joint_clips(document: Document, skin: int, clips: Sequence[Clip]) -> list[Clip]:
     """Return the clips that move the joints of a skin or their ancestors, with the channels that do."""
-    nodes = set(read_skeleton(document, skin).nodes)
-    return [clip for clip in (_only(nodes, None, clip) for clip in clips) if clip.channels]
+    return _moving(document, skin, clips, None)
+
+
+def _moving(document: Document, skin: int, clips: Sequence[Clip], node: int | None) -> list[Clip]:
+    """Return the clips that move a skin, or the morph weights of a node, with the channels that do."""
+    skeleton = read_skeleton(document, skin)
+    looked_at = sum(1 + len(clip.channels) for clip in clips)
+    document.budget.claim_steps(looked_at, f"looking for the clips of skin {skin}", document.place)
+    nodes = set(skeleton.nodes)
+    return [clip for clip in (_only(nodes, node, clip) for clip in clips) if clip.channels]
+
+
+@dataclass(frozen=True, slots=True)
+class PosePlan:
+    """The poses of one skin, and of the node that draws a mesh with it, before they are made.
+
+    clips are those that move the skin or the node's weights. resting are the weights (N,) of the node's
+    morph targets, None if there is no node or no target.
+    """
+
+    skin: int
+    skeleton: Skeleton
+    clips: tuple[Clip, ...]
+    request: PoseRequest
+    node: int | None = None
+    resting: Float64Array | None = None
+
+    @classmethod
+    def of(
+        cls, document: Document, skin: int, clips: Sequence[Clip], request: PoseRequest, node: int | None
+    ) -> PosePlan:
+        """Choose the clips. A clip of the file counts if it moves joints, their ancestors, or the weights."""
+        resting = None if node is None else resting_weights(document, node)
+        if resting is not None and not resting.size:
+            resting = None
+        morphed = None if resting is None else node
+        moving = _moving(document, skin, clips, morphed)
+        return cls(skin, read_skeleton(document, skin), tuple(moving), request, morphed, resting)
+
+    @property
+    def sampled(self) -> Sequence[Clip]:
+        """The clips that are sampled; none if random poses replace them, or if the pose is at rest."""
+        if self.request.kind is not PoseKind.ANIMATION or not any(map(_moves_joints, self.clips)):
+            return ()
+        count, most = len(self.clips), self.request.most
+        some = count if most is None else min(count, max(1, most // LEAST_SAMPLES))
+        return [self.clips[number * count // some] for number in range(some)]
+
+    @property
+    def of_each(self) -> int:
+        """The number of poses that are made at a time: those of a clip, or all."""
+        clips, most = max(1, len(self.sampled)), self.request.most
+        if self.request.kind is PoseKind.REST:
+            return 1
+        found = self.request.random_count
+        if self.sampled:
+            found = self.request.samples or max(LEAST_SAMPLES, round(SHARED_SAMPLES / clips))
+        return found if most is None else min(found, max(1, most // clips))
+
+    @property
+    def count(self) -> int:
+        """The number of poses."""
+        return self.of_each * max(1, len(self.sampled))
+
+    @property
+    def morphs(self) -> bool:
+        """Tell whether morph targets may move in the poses."""
+        if self.resting is None or self.request.kind is PoseKind.REST:
+            return self.resting is not None and bool(self.resting.any())
+        return not self.sampled or bool(self.resting.any()) or any(map(_moves_targets, self.sampled))
+
+    @property
+    def steps(self) -> int:
+        """The steps of work that making the poses takes: see ``budget.STEPS_FREE``."""
+        return pose_steps(self.skeleton, self.sampled, self.count)
+
+
+def pose_steps(skeleton: Skeleton, clips: Sequence[Clip], count: int) -> int:
+    """Return the steps of work of sampling clips for a skeleton, in so many poses."""
+    distinct = {_key(clip): len(clip.channels) for clip in clips}
+    sampling = STEPS_A_CLIP * len(distinct) + STEPS_A_CHANNEL * sum(distinct.values())
+    return sampling + count * (len(skeleton.nodes) + STEPS_A_JOINT * len(skeleton.joints))
 
 
 def pose_set(
@@ -113,24 +204,28 @@ def pose_set(
 ) -> PoseSet:
     """Return the poses of one skin, with the morph weights of the node that draws a mesh with it, if any.
 
-    A clip of the file counts if it moves the skin's joints, their ancestors, or the node's weights. If no
-    clip moves joints, random poses replace them. Raises InputError if joints go to infinity.
+    Raises InputError as ``planned_poses``.
     """
-    skeleton = read_skeleton(document, skin)
+    return planned_poses(document, PosePlan.of(document, skin, clips, request, node))
+
+
+def planned_poses(document: Document, plan: PosePlan) -> PoseSet:
+    """Return the poses of a plan. If no clip moves joints, random poses replace them.
+
+    Raises InputError if joints go to infinity, or if the poses are too much work or memory for the file.
+    """
+    skeleton, clips, request = plan.skeleton, plan.sampled, plan.request
+    _claim(document, plan)
     names = _joint_names(document, skeleton)
-    resting = None if node is None else resting_weights(document, node)
-    morphs = None if node is None or resting is None or not resting.size else _Morphs(node, resting)
-    moving = [clip for clip in (_only(set(skeleton.nodes), morphs, clip) for clip in clips) if clip.channels]
-    _claim(document, skeleton, moving, request, 0 if resting is None else len(resting))
     with np.errstate(over="ignore", invalid="ignore"):  # the result is checked below
         if request.kind is PoseKind.REST:
-            weights = None if morphs is None else morphs.resting[None]
+            weights = None if plan.resting is None else plan.resting[None]
             poses = PoseSet(names, rest_pose(skeleton), ("rest pose",), (None,), weights)
-        elif request.kind is PoseKind.ANIMATION and any(_moves_joints(clip) for clip in moving):
-            poses = _sampled(skeleton, morphs, moving, request, names)
+        elif clips:
+            poses = _sampled(plan, names)
         else:
-            poses = _random(skeleton, morphs, request, names)
-    _check_range(poses, skin, document.place)
+            poses = _random(plan, names)
+    _check_range(poses, plan.skin, document.place)
     return poses
 
 
@@ -147,40 +242,23 @@ def _check_range(poses: PoseSet, skin: int, place: Place) -> None:
     )
 
 
-def _claim(
-    document: Document, skeleton: Skeleton, moving: Sequence[Clip], request: PoseRequest, targets: int
-) -> None:
+def _claim(document: Document, plan: PosePlan) -> None:
     """Count the memory of the poses: matrices of all nodes for a while, of the joints permanently."""
-    clips = [clip for clip in moving if request.kind is PoseKind.ANIMATION]
-    each = _samples_of_each(request.samples, clips) if clips else 0
-    fallback = 1 if request.kind is PoseKind.REST else request.random_count
-    poses = each * len(clips) or fallback
-    channels = max((len(clip.channels) for clip in clips), default=0)
+    skeleton, count = plan.skeleton, plan.count
+    channels = max((len(clip.channels) for clip in plan.sampled), default=0)
     budget, place = document.budget, document.place
+    joints = f"{counted(count, 'pose')} of {counted(len(skeleton.joints), 'joint')}"
+    budget.claim_steps(plan.steps, f"skin {plan.skin} in {joints}", place)
     with budget.passing():
-        at_a_time = (each or fallback) * (BYTES_A_NODE_AND_POSE * len(skeleton.nodes) + 256 * channels)
-        budget.claim(
-            at_a_time, f"{counted(each or fallback, 'pose')} of {counted(len(skeleton.nodes), 'node')}", place
-        )
-    size = poses * (BYTES_A_JOINT_AND_POSE * len(skeleton.joints) + 24 * targets)
-    budget.claim(size, f"{counted(poses, 'pose')} of {counted(len(skeleton.joints), 'joint')}", place)
+        at_a_time = plan.of_each * (BYTES_A_NODE_AND_POSE * len(skeleton.nodes) + 256 * channels)
+        nodes = counted(len(skeleton.nodes), "node")
+        budget.claim(at_a_time, f"{counted(plan.of_each, 'pose')} of {nodes}", place)
+    targets = 0 if plan.resting is None else len(plan.resting)
+    budget.claim(count * (BYTES_A_JOINT_AND_POSE * len(skeleton.joints) + 24 * targets), joints, place)
 
 
-def _samples_of_each(samples: int | None, clips: Sequence[Clip]) -> int:
-    return samples or max(3, round(SHARED_SAMPLES / len(clips)))
-
-
-@dataclass(frozen=True, slots=True)
-class _Morphs:
-    """The node whose mesh has morph targets, and the rest weights (N,) of these targets."""
-
-    node: int
-    resting: Float64Array
-
-
-def _only(nodes: set[int], morphs: _Morphs | None, clip: Clip) -> Clip:
+def _only(nodes: set[int], morphed: int | None, clip: Clip) -> Clip:
     """Return a clip without the channels of other nodes. 84 skins have 84 times the channels of one."""
-    morphed = None if morphs is None else morphs.node
     channels = tuple(
         channel
         for channel in clip.channels
@@ -193,6 +271,10 @@ def _moves_joints(clip: Clip) -> bool:
     return any(channel.path != MORPH_WEIGHTS for channel in clip.channels)
 
 
+def _moves_targets(clip: Clip) -> bool:
+    return any(channel.path == MORPH_WEIGHTS for channel in clip.channels)
+
+
 def _joint_names(document: Document, skeleton: Skeleton) -> tuple[str, ...]:
     nodes = document.objects("nodes")
     found = [nodes[skeleton.nodes[joint]].get("name") for joint in skeleton.joints]
@@ -202,24 +284,31 @@ def _joint_names(document: Document, skeleton: Skeleton) -> tuple[str, ...]:
     )
 
 
-def _sampled(
-    skeleton: Skeleton,
-    morphs: _Morphs | None,
-    clips: Sequence[Clip],
-    request: PoseRequest,
-    joint_names: tuple[str, ...],
-) -> PoseSet:
-    each = _samples_of_each(request.samples, clips)
+def _sampled(plan: PosePlan, joint_names: tuple[str, ...]) -> PoseSet:
+    each = plan.of_each
+    known: dict[object, Float64Array] = {}
     matrices, weights, names, times = [], [], [], []
-    for clip in clips:
-        at = _moments(clip, each, request.offset)
-        matrices.append(clip_poses(skeleton, clip, at))
-        if morphs is not None:
-            weights.append(clip_weights(morphs.node, clip, at, morphs.resting))
+    for clip in plan.sampled:
+        at = _moments(clip, each, plan.request.offset)
+        key = _key(clip)
+        if key not in known:
+            known[key] = clip_poses(plan.skeleton, clip, at)
+        matrices.append(known[key])
+        if plan.node is not None and plan.resting is not None:
+            weights.append(clip_weights(plan.node, clip, at, plan.resting))
         names += [clip.name] * each
         times += at.tolist()
     morph_weights = np.concatenate(weights) if weights else None
     return PoseSet(joint_names, np.concatenate(matrices), tuple(names), tuple(times), morph_weights)
+
+
+def _key(clip: Clip) -> tuple[object, ...]:
+    """Return what clips that say the same have in common. The keys of an accessor are one array in all."""
+    channels = (
+        (channel.node, channel.path, channel.method, id(channel.times), id(channel.values))
+        for channel in clip.channels
+    )
+    return clip.start, clip.duration, *channels
 
 
 def _moments(clip: Clip, count: int, offset: float | None) -> Float64Array:
@@ -229,12 +318,12 @@ def _moments(clip: Clip, count: int, offset: float | None) -> Float64Array:
     return clip.start + (clip.duration - clip.start) * (np.arange(count) + offset) / count
 
 
-def _random(
-    skeleton: Skeleton, morphs: _Morphs | None, request: PoseRequest, joint_names: tuple[str, ...]
-) -> PoseSet:
-    count = request.random_count
-    matrices = random_poses(skeleton, count, angle=request.angle, seed=request.seed)
-    weights = None if morphs is None else random_weights(morphs.resting, count, MORPHS_AT_ONCE, request.seed)
+def _random(plan: PosePlan, joint_names: tuple[str, ...]) -> PoseSet:
+    request, count = plan.request, plan.count
+    matrices = random_poses(plan.skeleton, count, angle=request.angle, seed=request.seed)
+    weights = (
+        None if plan.resting is None else random_weights(plan.resting, count, MORPHS_AT_ONCE, request.seed)
+    )
     names = tuple(f"random pose {number}" for number in range(count))
     return PoseSet(joint_names, matrices, names, (None,) * count, weights)
 

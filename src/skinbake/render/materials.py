@@ -44,6 +44,16 @@ FORMATS = ("PNG", "JPEG", "WEBP")
 PNG_DEPTH = 24
 """The place of the byte of a PNG that holds the bits of a sample."""
 
+BYTES_A_PIXEL = {"PNG": 12, "JPEG": 12, "WEBP": 21}
+DEEP_BYTES_A_PIXEL = 16
+"""The most that Pillow takes while it decodes, as measured; of a PNG of 16 bits a sample too."""
+
+KEPT_BYTES_A_PIXEL = 11
+"""The bytes for a pixel of an image's levels, and of their copies in Pillow."""
+
+COPIES = 3
+"""The copies of an encoded image that Pillow holds while it decodes."""
+
 BLACK = (0.0, 0.0, 0.0)
 
 
@@ -199,14 +209,18 @@ def decoded(data: Bytes, document: Document) -> Levels:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # Pillow warns of images that are far too large, and of odd ones
+            if (canvas := _webp_canvas(data)) is not None:
+                with document.budget.passing():
+                    _claim_image(document, canvas, BYTES_A_PIXEL["WEBP"], COPIES * len(data))
             with Image.open(io.BytesIO(data), formats=FORMATS) as image:
-                width, height = image.size
                 is_deep = image.format == "PNG" and data[PNG_DEPTH] == 16
-                size = (16 if is_deep else 8) * width * height
-                document.budget.claim(size, f"an image of {width:,} × {height:,} pixels", place)
-                shallow = _shallow(image) if is_deep else image
-                shallow.thumbnail((LARGEST, LARGEST))
-                found = shallow.convert("RGBA")
+                each = DEEP_BYTES_A_PIXEL if is_deep else BYTES_A_PIXEL[str(image.format)]
+                with document.budget.passing():
+                    _claim_image(document, image.size, each, COPIES * len(data))
+                    shallow = _shallow(image) if is_deep else image
+                    shallow.thumbnail((LARGEST, LARGEST))
+                    found = shallow.convert("RGBA")
+                _claim_image(document, found.size, KEPT_BYTES_A_PIXEL)
     except InputError:
         raise
     except UnidentifiedImageError as error:
@@ -221,6 +235,29 @@ def decoded(data: Bytes, document: Document) -> Levels:
         half = max(1, width // 2), max(1, height // 2)
         levels.append(levels[-1].resize(half, Image.Resampling.BOX))
     return tuple(np.asarray(level, np.uint8) for level in levels)
+
+
+def _claim_image(document: Document, size: tuple[int, int], each: int, further: int = 0) -> None:
+    """Claim so many bytes for each pixel of an image, and some more. Raises InputError."""
+    width, height = size
+    what = f"an image of {width:,} × {height:,} pixels"
+    document.budget.claim(each * width * height + further, what, document.place)
+
+
+def _webp_canvas(data: Bytes) -> tuple[int, int] | None:
+    """Return the size of a WebP by its header (RFC 9649, §2.5–2.7); None for other data.
+
+    Pillow allocates its canvas as soon as it opens it.
+    """
+    head = bytes(data[:30])
+    if head[:4] != b"RIFF" or head[8:12] != b"WEBP" or len(head) < 30:
+        return None
+    if head[12:16] == b"VP8X":
+        return int.from_bytes(head[24:27], "little") + 1, int.from_bytes(head[27:30], "little") + 1
+    if head[12:16] == b"VP8L":
+        bits = int.from_bytes(head[21:25], "little")
+        return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
+    return int.from_bytes(head[26:28], "little") & 0x3FFF, int.from_bytes(head[28:30], "little") & 0x3FFF
 
 
 def _shallow(image: Picture) -> Picture:

@@ -44,6 +44,7 @@ class Camera:
     radius: float
     points: Float64Array
     yaws: tuple[float, ...]
+    _distances: dict[float, float] = field(default_factory=dict)
 
     def axes(self, yaw: float) -> Float64Array:
         """Return the camera's right, up and backward directions (3, 3) for an angle around the vertical."""
@@ -54,12 +55,14 @@ class Camera:
 
     def distance(self, aspect: float) -> float:
         """Return the distance from the middle at which the points fill the picture but for a margin."""
-        slope = FILLED * np.tan(ANGLE / 2)
-        found = 0.0
-        for yaw in self.yaws:
-            x, y, z = self.axes(yaw) @ (self.points - self.middle).T
-            found = max(found, float((z + np.maximum(np.abs(x) / aspect, np.abs(y)) / slope).max()))
-        return found or 1.0
+        if aspect not in self._distances:
+            slope = FILLED * np.tan(ANGLE / 2)
+            found = 0.0
+            for yaw in self.yaws:
+                x, y, z = self.axes(yaw) @ (self.points - self.middle).T
+                found = max(found, float((z + np.maximum(np.abs(x) / aspect, np.abs(y)) / slope).max()))
+            self._distances[aspect] = found or 1.0
+        return self._distances[aspect]
 
     def eye(self, yaw: float, aspect: float) -> Float64Array:
         """Return the camera's place."""

@@ -12,6 +12,7 @@ import os
 import posixpath
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Generic
 
@@ -21,6 +22,7 @@ from skinbake.files.bounds import Bounds, RefusedError, below, spot_of
 from skinbake.files.urls import is_url
 from skinbake.files.versions import Version, version_of
 from skinbake.files.writing import TakenError
+from skinbake.gltf.budget import Budget
 from skinbake.gltf.document import STDIO, Document, read_named
 from skinbake.gltf.output import Writing, plan_output
 from skinbake.gltf.resources import FileContent, find, read_open_file
@@ -263,7 +265,8 @@ def _absolute(path: str) -> str:
 
 def _read(source: End, target: End | None, bounds: Bounds, *, pack: bool) -> dict[str, bytes]:
     """Return a file and the files that it names, as far as a bake needs them, by absolute path."""
-    files = {source.name: bytes(read_named(source.given, bounds.root))}
+    budget, place = Budget(), Place(source.given)
+    files = {source.name: bytes(read_named(source.given, bounds.root, budget))}
     folder = Path(source.given).parent
     for resource, with_content in needed(resources_of(source.given, bounds), source, target, pack=pack):
         try:
@@ -273,12 +276,13 @@ def _read(source: End, target: End | None, bounds: Bounds, *, pack: bool) -> dic
         except OSError as error:
             if error.errno == errno.EACCES:
                 message = f'cannot read "{resource.uri}" beside it: {error.strerror}'
-                raise InputError(message, Place(source.given)) from error
+                raise InputError(message, place) from error
             continue
         try:
             name = Path(spot.path).as_posix()
             if name not in files:
-                files[name] = bytes(read_open_file(descriptor)) if with_content else b""
+                claim = partial(budget.back, path=name, what=f'"{resource.uri}"', place=place)
+                files[name] = bytes(read_open_file(descriptor, claim)) if with_content else b""
         finally:
             os.close(descriptor)
     return files

@@ -1,0 +1,176 @@
+"""Work is bounded by the bytes of a file: small files that ask for much are refused, or measured in part."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from skinbake.errors import InputError, Place
+from skinbake.gltf import budget as budgets
+from skinbake.gltf.animation import read_clips, read_skeleton
+from skinbake.gltf.budget import Budget
+from skinbake.gltf.document import read_document
+from skinbake.gltf.json_access import JsonObject
+from skinbake.lighting.poses import pose_steps
+from tests.support.command_line import invoke
+from tests.support.models import Change, bake, sheet, write_model
+
+CPU_SECONDS = 25
+"""The processor time of a child, about ten times what one of these commands takes. Before there was a bound,
+each of the families took longer by some command."""
+
+HERE = Place("x.glb")
+
+LIMITED = (
+    f"import os, resource, sys; resource.setrlimit(resource.RLIMIT_CPU, ({CPU_SECONDS}, {CPU_SECONDS}));"
+    "os.execv(sys.executable, [sys.executable, '-m', 'skinbake', *sys.argv[1:]])"
+)
+
+
+def with_skins(count: int) -> Change:
+    """Have so many skins draw the mesh, each with the joints in another order."""
+
+    def change(content: JsonObject) -> None:
+        (skin,) = content["skins"]
+        for number in range(1, count):
+            joints = skin["joints"] + skin["joints"][:1] * (number % 97)
+            content["skins"].append({"joints": [*joints, skin["joints"][number % 2]]})
+            content["nodes"].append({"mesh": 0, "skin": number})
+            content["scenes"][0]["nodes"].append(len(content["nodes"]) - 1)
+
+    return change
+
+
+def with_clips(count: int) -> Change:
+    """Add clips that turn a joint."""
+
+    def change(content: JsonObject) -> None:
+        keys = len(content["accessors"])
+        floats = {"componentType": 5126, "count": 2}
+        content["accessors"] += [floats | {"type": "SCALAR"}, floats | {"type": "VEC4"}]
+        target = {"node": content["skins"][0]["joints"][0], "path": "rotation"}
+        samplers = [{"input": keys, "output": keys + 1}]
+        clip = {"samplers": samplers, "channels": [{"sampler": 0, "target": target}]}
+        content["animations"] = [clip] * count
+
+    return change
+
+
+def with_targets(count: int, primitives: int = 1) -> Change:
+    """Add morph targets of one accessor, with weights at rest, and repeat the primitive."""
+
+    def change(content: JsonObject) -> None:
+        (primitive,) = content["meshes"][0]["primitives"]
+        primitive["targets"] = [{"POSITION": primitive["attributes"]["NORMAL"]}] * count
+        content["meshes"][0] |= {"weights": [0.001] * count, "primitives": [primitive] * primitives}
+
+    return change
+
+
+def with_repeated_joints(count: int) -> Change:
+    """Have the skin list its joints again and again."""
+
+    def change(content: JsonObject) -> None:
+        skin = content["skins"][0]
+        skin["joints"] = (skin["joints"] * count)[:count]
+        skin.pop("inverseBindMatrices", None)
+
+    return change
+
+
+def all_of(*changes: Change) -> Change:
+    """Make several changes, one after the other."""
+
+    def change(content: JsonObject) -> None:
+        for one in changes:
+            one(content)
+
+    return change
+
+
+FAMILIES: dict[str, Change] = {
+    "skins": with_skins(900),
+    "skins by clips": all_of(with_skins(250), with_clips(250)),
+    "targets by clips": all_of(with_targets(300), with_clips(700)),
+    "targets by clips, primitives and skins": all_of(with_targets(200, 9), with_clips(250), with_skins(9)),
+    "clips": with_clips(9000),
+    "joints": with_repeated_joints(150_000),
+    "primitives": with_targets(1, 1500),
+}
+
+COMMANDS: dict[str, Callable[[Path, Path], list[str | Path]]] = {
+    "verify": lambda source, folder: ["verify", folder / "baked.glb", "-q"],
+    "view": lambda source, folder: ["view", source, "-o", folder / "out.html", "-q"],
+    "render": lambda source, folder: ["render", source, "-o", folder / "out.png", "-q"],
+    "poses": lambda source, folder: ["bake", source, "-o", folder / "out.glb", "-q", "--gradients", "poses"],
+    "shader": lambda source, folder: ["shader", "--lang", "glsl", "--for", folder / "baked.glb", "-q"],
+}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="limits the processor time of a child")
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("family", FAMILIES)
+def test_small_files_take_no_long_work(family: str, command: str, tmp_path: Path) -> None:
+    if command == "render":
+        pytest.importorskip("wgpu")
+    source = write_model(tmp_path / "source.glb", [sheet()], change=FAMILIES[family])
+    assert source.stat().st_size < 1_300_000
+    bake(source, tmp_path / "baked.glb")
+    arguments = map(str, COMMANDS[command](source, tmp_path))
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED, *arguments], capture_output=True, text=True, check=False
+    )
+    assert done.returncode in {0, 3}, done.stderr
+    if done.returncode:
+        assert "steps of work" in done.stderr or "times poses" in done.stderr
+        assert "Traceback" not in done.stderr
+
+
+def test_steps_are_refused_by_the_bytes_of_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(budgets, "STEPS_FREE", 100)
+    budget = Budget(backed=50)
+    budget.claim_steps(50 * budgets.STEPS_RATIO, "one", HERE)
+    budget.claim_steps(60, "two", HERE)
+    with pytest.raises(
+        InputError, match="three would take 41 steps of work, so the file would take 151 in all"
+    ):
+        budget.claim_steps(41, "three", HERE)
+    budget.claim_steps(40, "four", HERE)
+    assert budget.steps_left == 0
+
+
+def test_clips_that_say_the_same_are_sampled_once(tmp_path: Path) -> None:
+    path = write_model(tmp_path / "in.glb", [sheet()], change=with_clips(40))
+    document = read_document(str(path))
+    clips, skeleton = read_clips(document), read_skeleton(document, 0)
+    assert len(clips) == 40
+    assert pose_steps(skeleton, clips, 60) == pose_steps(skeleton, clips[:1], 60)
+
+
+def test_poses_that_are_too_much_work_are_left_out_with_a_notice(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = write_model(tmp_path / "in.glb", [sheet()], change=all_of(with_targets(3), with_clips(200)))
+    bake(source, tmp_path / "baked.glb")
+    measured, notice = verified(tmp_path / "baked.glb")
+    count = int(measured.split()[0])
+    assert 3 < count < 600
+    assert measured.startswith(f"{count} poses of {count // 3} clips")
+    assert f"in {count} of up to 600 poses" in notice
+    monkeypatch.setattr(budgets, "STEPS_FREE", 1 << 30)
+    measured, notice = verified(tmp_path / "baked.glb")
+    assert measured.startswith("600 poses of 200 clips")
+    assert not notice
+
+
+def verified(path: Path) -> tuple[str, str]:
+    """Return the poses that verify measures, and what its notice on left out ones says."""
+    (found,) = json.loads(invoke("verify", path, "--json").stdout)["files"]
+    notices = [one["message"] for one in found["warnings"] if one["code"] == "poses-left-out"]
+    return found["poses"], " ".join(notices)
