@@ -301,3 +301,14 @@ def asked(port: int, path: str, host: str | None = None) -> tuple[int, bytes]:
     connection.request("GET", path, headers={"Host": host or f"127.0.0.1:{port}"})
     answer = connection.getresponse()
     return answer.status, answer.read()
+
+
+def test_a_page_that_takes_longer_than_its_timeout_is_given_up(tmp_path: Path) -> None:
+    target = tmp_path / "page.html"
+    result = invoke("view", TUBE, "-o", target, "--timeout", "0.001")
+    assert result.exit_code == 3
+    assert "it took longer than 0.001 s (--timeout)" in result.stderr
+    assert not target.exists()
+    assert invoke("view", TUBE, "-o", target, "--timeout", "600").exit_code == 0
+    assert target.exists()
+    assert invoke("view", "-", "-o", target, "--timeout", "1").exit_code == 2
