@@ -66,7 +66,7 @@ def worst(drawn: str, wanted: Array) -> float:
 @pytest.mark.parametrize(("model", "pose"), CHARACTERS)
 def test_every_normal_is_that_of_the_replay(stage: Stage, model: str, pose: Pose, backend: str) -> None:
     require_backend(stage, backend)
-    character = stage.character(corpus.model(model), pose, storage=PACKED)
+    character = stage.character(corpus.character(model), pose, storage=PACKED)
     found = stage.normals(character, backend=backend)
     (drawn,) = found["draws"]
     assert worst(drawn, expected(character)) < DEGREES

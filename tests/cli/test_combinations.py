@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support import corpus
 from tests.support.command_line import invoke
-from tests.support.corpus_folder import find_corpus
 from tests.support.gltf_reading import read
 from tests.support.models import FOLDER
 
@@ -27,10 +27,8 @@ FILES = ("two_sets.glb", "morphed_sheet.glb", "weights_u8.glb")
 
 
 def sources() -> list[Path]:
-    """Return fixtures as they are, and those of the corpus that come compressed."""
-    corpus = find_corpus()
-    derived = [] if corpus is None else [corpus / "derived"]
-    return [*(FOLDER / name for name in FILES), *(path / name for path in derived for name in COMPRESSED)]
+    """Return fixtures as they are, and characters that come compressed."""
+    return [*(FOLDER / name for name in FILES), *map(corpus.model, COMPRESSED)]
 
 
 @pytest.mark.parametrize("gathering", GATHERINGS)

@@ -167,7 +167,7 @@ def test_it_lights_a_character_better(tmp_path: Path) -> None:
     found = {}
     for kind in ("adopt", "extend"):
         path = tmp_path / f"{kind}.glb"
-        skinbake.bake(corpus.model(CESIUM_MAN), path, neighbours=kind, gradients="surface")
+        skinbake.bake(corpus.character(CESIUM_MAN), path, neighbours=kind, gradients="surface")
         found[kind] = skinbake.verify(path, methods=["lbs"])["normals"]["lbs"]["accurate"]["mean"]
     assert found["extend"] < 0.7 * found["adopt"]
 

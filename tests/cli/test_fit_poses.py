@@ -48,7 +48,7 @@ def mean(path: Path) -> float:
 
 @pytest.mark.slow
 def test_a_clip_is_lit_better_by_a_fit_to_it(tmp_path: Path) -> None:
-    original = corpus.model(CESIUM_MAN)
+    original = corpus.character(CESIUM_MAN)
     for kind in ("surface", "rig", "poses"):
         skinbake.bake(original, tmp_path / f"{kind}.glb", gradients=kind)
     surface, rig, poses = (mean(tmp_path / f"{kind}.glb") for kind in ("surface", "rig", "poses"))

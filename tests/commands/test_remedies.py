@@ -56,7 +56,6 @@ def gain(answer: Answer) -> float:
     return float(primitive["normals"]["lbs"]["gain"])
 
 
-@corpus.needed
 def test_remedies_are_tried_where_normals_were_generated(tmp_path: Path) -> None:
     """Strip takes the normals away with the bake, and without them nothing is baked."""
     answer = verified(corpus.model("Fox/fox.glb"), tmp_path, *SURFACE, "--generate-normals")
@@ -64,7 +63,6 @@ def test_remedies_are_tried_where_normals_were_generated(tmp_path: Path) -> None
     assert re.search(r"With --gradients (rig|poses) it is 1\.", message)
 
 
-@corpus.needed
 @pytest.mark.parametrize("name", [FIGURE, QUAD, CYLINDER])
 def test_what_helps_is_named_and_helps(tmp_path: Path, name: str) -> None:
     model = corpus.model(name)
@@ -320,15 +318,14 @@ def test_lighting_that_errs_where_standard_lighting_is_right_is_worse(
     ]
 
 
-@pytest.mark.parametrize("name", ["bent_tube.glb", pytest.param(CESIUM_MAN, marks=corpus.needed)])
+@pytest.mark.parametrize("name", ["bent_tube.glb", CESIUM_MAN])
 def test_better_lighting_is_no_notice(tmp_path: Path, name: str) -> None:
-    model = corpus.model(name) if "/" in name else FOLDER / name
+    model = corpus.character(name) if "/" in name else FOLDER / name
     answer = verified(model, tmp_path)
     assert gain(answer) > 1
     assert worse(answer) == []
 
 
-@corpus.needed
 @pytest.mark.parametrize(
     ("name", "options", "said"),
     [
@@ -342,5 +339,5 @@ def test_better_lighting_is_no_notice(tmp_path: Path, name: str) -> None:
 def test_bake_says_where_worse_lighting_is_likely(
     tmp_path: Path, name: str, options: tuple[str, ...], said: bool
 ) -> None:
-    result = invoke("bake", corpus.model(name), "-o", tmp_path / "baked.glb", *options)
+    result = invoke("bake", corpus.character(name), "-o", tmp_path / "baked.glb", *options)
     assert ("take joints of their neighbours: so coarse a mesh" in result.stderr) is said

@@ -118,7 +118,7 @@ def test_a_fixtures_clips_pose_it_as_a_recursive_evaluation_does(name: str) -> N
     ],
 )
 def test_a_models_clips_pose_it_as_a_recursive_evaluation_does(name: str) -> None:
-    assert_poses_as_expected(corpus.model(name), moments=2, clips=2)
+    assert_poses_as_expected(corpus.character(name), moments=2, clips=2)
 
 
 # Small documents
@@ -352,7 +352,7 @@ def test_random_poses_turn_every_joint_within_the_angle_and_come_from_the_seed()
 
 
 def test_random_poses_of_a_real_skeleton_stay_within_the_angle() -> None:
-    document = read_document(str(corpus.model("CesiumMan/CesiumMan.glb")))
+    document = read_document(str(corpus.character("CesiumMan/CesiumMan.glb")))
     angle = np.radians(30.0)
     sizes = turns(document, 0, random_poses(read_skeleton(document, 0), 10, angle=angle, seed=1))
     # Inverse bind matrices are float32.

@@ -23,7 +23,7 @@ from skinbake.lighting.verify_options import VerifyOptions
 from skinbake.report.bake import FileResult
 from tests.support.baking import bake_settings
 from tests.support.compressed import draco_twin, meshopt_twin
-from tests.support.corpus import model
+from tests.support.corpus import character
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.khronos import new_findings, validate
 from tests.support.models import FOLDER, Part, bake, note, rewritten, write_model
@@ -278,7 +278,7 @@ def test_the_validator_finds_nothing_new(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("degrees", [1.0, 10.0, 60.0])
 def test_a_character_is_lit_as_if_its_tangent_were_sound(degrees: float, tmp_path: Path) -> None:
-    source = model("Butterfly/animated_butterfly.glb")
+    source = character("Butterfly/animated_butterfly.glb")
     options = VerifyOptions(methods=(), poses=PoseRequest(samples=3))
     bake(source, tmp_path / "sound.glb")
     bake(leaning(source, tmp_path / "skewed.glb", degrees, [2396]), tmp_path / "baked.glb")

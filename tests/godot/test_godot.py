@@ -206,7 +206,7 @@ def assert_accurate(character: Character, found: dict[str, Any]) -> None:
 def test_every_normal_is_that_of_the_replay(
     stage: Stage, model: str, pose: Pose, storage: GradientFormat
 ) -> None:
-    character = stage.character(corpus.model(model), pose, storage=storage)
+    character = stage.character(corpus.character(model), pose, storage=storage)
     assert_accurate(character, stage.show(character))
 
 

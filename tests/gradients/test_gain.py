@@ -19,6 +19,7 @@ from skinbake.lighting.operator import gradient_operator
 from skinbake.lighting.rest_truth import rest_frames
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.rest import RestPrimitive
+from tests.support import corpus
 from tests.support.baked_arrays import BARBARIAN, CESIUM_MAN, MANNEQUINY, meshes_of, path_of
 from tests.support.baking import bake_settings
 from tests.support.replay import replay
@@ -138,6 +139,7 @@ def test_adoption_takes_error_off_real_animations(name: str) -> None:
     assert adopted < 0.96 * dropped
 
 
+@corpus.needed
 def test_max_weights_beat_the_published_weighting_on_a_real_animation() -> None:
     # 1.84° against 2.44°, measured.
     poses = animated(CESIUM_MAN)

@@ -11,7 +11,6 @@ import pytest
 
 from skinbake.choices import Encoding, Layout
 from skinbake.format.layouts import GradientFormat
-from tests.support import corpus
 from tests.support.baked_files import CESIUM_MAN, Editable, JsonObject, source, verify
 from tests.support.models import FIXTURES, FOLDER, bake
 
@@ -29,7 +28,7 @@ STORAGES = [
 NAMES = ["packed8", "snorm16", "texcoord", "custom-packed8", "custom"]
 MODELS = [
     *(name for name in FIXTURES if name.endswith(".glb")),
-    pytest.param(CESIUM_MAN, marks=corpus.needed),
+    CESIUM_MAN,
 ]
 
 Edit = Callable[[Editable], object]

@@ -52,11 +52,10 @@ def test_a_cut_mesh_has_the_bits_of_the_whole(own_skins: bool, tmp_path: Path) -
     assert verify(tmp_path / "apart.glb", *FEW).exit_code == 0
 
 
-@corpus.needed
 @pytest.mark.parametrize("name", ["CesiumMan/CesiumMan.glb", "Fox/fox.glb", "hand_l-weights-u8.glb"])
 def test_a_character_cut_in_half_is_baked_as_the_whole(name: str, tmp_path: Path) -> None:
-    cut = cut_into_meshes(halved(corpus.model(name), tmp_path / "half.glb"), tmp_path / "cut.glb")
-    expected = arrays(baked(corpus.model(name), tmp_path / "whole.glb", generate_normals=True))
+    cut = cut_into_meshes(halved(corpus.character(name), tmp_path / "half.glb"), tmp_path / "cut.glb")
+    expected = arrays(baked(corpus.character(name), tmp_path / "whole.glb", generate_normals=True))
     found = arrays(baked(cut, tmp_path / "skin.glb", weld="skin", generate_normals=True))
     apart = arrays(baked(cut, tmp_path / "mesh.glb", generate_normals=True))
     for part in range(2):
@@ -70,14 +69,13 @@ def test_a_character_cut_in_half_is_baked_as_the_whole(name: str, tmp_path: Path
     assert verify(tmp_path / "skin.glb", *FEW).exit_code == 0
 
 
-@corpus.needed
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "tolerance"), [("CesiumMan/CesiumMan.glb", 1e-6), ("hand_l-weights-u8.glb", 1e-3)]
 )
 def test_no_option_of_bake_changes_the_standard_error(name: str, tolerance: float, tmp_path: Path) -> None:
     """Not of a character in two meshes either. Slots that integer weights adopt move vertices a little."""
-    cut = cut_into_meshes(halved(corpus.model(name), tmp_path / "half.glb"), tmp_path / "cut.glb")
+    cut = cut_into_meshes(halved(corpus.character(name), tmp_path / "half.glb"), tmp_path / "cut.glb")
     options: list[dict[str, Any]] = [{}, {"weld": "skin"}, {"neighbours": "drop"}, {"gradients": "surface"}]
     options += [{"weighting": "area"}, {"weighting": "angle", "weld": "skin"}]
     options += [{"crease_angle": 60.0, "frame": "normal", "weld": "skin"}]
@@ -139,10 +137,9 @@ def test_the_truths_owe_nothing_to_the_weld_of_the_bake(tmp_path: Path) -> None:
     assert mesh == pytest.approx(whole, rel=1e-6)
 
 
-@corpus.needed
 @pytest.mark.parametrize("name", ["CesiumMan/CesiumMan.glb", "RobotMantis/animated_robot_mantis.glb"])
 def test_the_truths_of_real_characters_owe_nothing_to_the_weld_either(name: str, tmp_path: Path) -> None:
-    cut = cut_into_meshes(halved(corpus.model(name), tmp_path / "half.glb"), tmp_path / "cut.glb")
+    cut = cut_into_meshes(halved(corpus.character(name), tmp_path / "half.glb"), tmp_path / "cut.glb")
     baked(cut, tmp_path / "skin.glb", weld="skin")
     baked(cut, tmp_path / "mesh.glb")
     # The slots of a border vertex may have adopted other joints, with a weight of a billionth.

@@ -114,7 +114,7 @@ CHARACTERS = ["CesiumMan/CesiumMan.glb", "RiggedFigure/RiggedFigure.gltf", "Butt
 @pytest.mark.parametrize("model", CHARACTERS)
 def test_real_characters_too(stage: DrawingStage, model: str, backend: str) -> None:
     require_backend(stage, backend)
-    character = stage.character(corpus.model(model), RANDOM)
+    character = stage.character(corpus.character(model), RANDOM)
     found = stage.draw(character, backend=backend)
     assert largest(found["values"][0], expected(character, found).normals) < DEGREES
     assert found["report"][0] == ["accurate", ""]

@@ -209,7 +209,7 @@ def _scaled(factor: float) -> Wide:
 
 @dataclass(frozen=True, slots=True)
 class Character:
-    """A model of the corpus by its path, the frame that it is baked in, and its influences."""
+    """A model of the corpus by its path, its frame when baked, its influences; or its stand-in."""
 
     path: str
     frame: Frame
@@ -217,7 +217,7 @@ class Character:
 
     def scene(self, folder: Path, samples: int) -> Scene:
         """Bake the model into a folder and pose it ``samples`` times by its own clip; skip without it."""
-        source = corpus.model(self.path)
+        source = corpus.character(self.path)
         target = folder / f"{source.stem}.glb"
         bake_file(str(source), str(target))
         document = read_document(str(target))

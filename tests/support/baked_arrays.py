@@ -53,8 +53,8 @@ class StoredPrimitive:
 
 
 def path_of(name: str) -> Path:
-    """Return a fixture, or a model of the corpus; skips where there is no corpus."""
-    return FOLDER / name if name in FIXTURES else corpus.model(name)
+    """Return a fixture, or a model of the corpus; without the corpus, its stand-in, or skip."""
+    return FOLDER / name if name in FIXTURES else corpus.character(name)
 
 
 def bake_to(

@@ -25,8 +25,8 @@ JsonObject = dict[str, Any]
 
 
 def source(name: str) -> Path:
-    """Return a fixture, or a model of the corpus where the name has a folder; skip without the corpus."""
-    return corpus.model(name) if "/" in name else REPOSITORY / "fixtures" / name
+    """Return a fixture, or a model of the corpus where the name has a folder; else its stand-in, or skip."""
+    return corpus.character(name) if "/" in name else REPOSITORY / "fixtures" / name
 
 
 def baked(original: Path, folder: Path, settings: BakeSettings | None = None, **options: Any) -> Path:

@@ -1,8 +1,9 @@
-"""The models of the corpus, which is not part of this repository.
+"""Real characters: the models of the corpus, which is not part of this repository, or those of fixtures/.
 
-``corpus_folder`` finds it. Without it the tests that need it are skipped, in a strict run too: it is data,
-not a tool. At module level `needed` and `parameters` keep the other tests of the module running; every other
-function here skips the whole module.
+``corpus_folder`` finds the corpus. Without it, ``model`` and ``valid_models`` return the few characters of
+``fixtures/characters``, and ``character`` one that stands in for another model. A test of any other model is
+skipped, in a strict run too: it is data, not a tool. At module level ``needed`` and ``parameters`` keep the
+other tests of the module running; every other function here may skip the whole module.
 """
 
 from __future__ import annotations
@@ -14,18 +15,25 @@ from typing import TYPE_CHECKING, TypeVar
 
 import pytest
 
-from tests.support.corpus_folder import find_corpus
+from tests.support.corpus_folder import REPOSITORY, find_corpus
 
 if TYPE_CHECKING:
     from pytest import ParameterSet
 
 NOT_HERE = "the corpus of real models is not here: set SKINBAKE_CORPUS"
+CHARACTERS = REPOSITORY / "fixtures" / "characters"
+STAND_INS = {
+    "CesiumMan/CesiumMan.glb": "barbarian_walking.glb",
+    "pbrTest/pbrTest.gltf": "butterfly_wings.glb",
+    "Butterfly/animated_butterfly.glb": "butterfly_wings.glb",
+}
+"""For models of the corpus, the character of fixtures/ with the same features: clips, and TANGENT or none."""
 
 Item = TypeVar("Item", Path, tuple[Path, str])
 
 
 needed = pytest.mark.skipif(find_corpus() is None, reason=NOT_HERE)
-"""Marks a test, or a case of one, that takes a model of the corpus."""
+"""Marks a test, or a case of one, that takes a model of the corpus which fixtures/ does not have."""
 
 
 def require_corpus() -> Path:
@@ -37,8 +45,13 @@ def require_corpus() -> Path:
 
 
 def valid_models() -> list[Path]:
-    """Return the 52 public and 13 derived models: .gltf, .glb and .vrm files, in the order of the index."""
-    corpus = require_corpus()
+    """Return the 52 public and 13 derived models: .gltf, .glb and .vrm files, in the order of the index.
+
+    Without the corpus, return the characters of fixtures/.
+    """
+    corpus = find_corpus()
+    if corpus is None:
+        return sorted(CHARACTERS.glob("*.gl*"))
     public = [corpus / "public" / row["file"] for row in _rows(corpus / "public" / "ATTRIBUTION.tsv")]
     derived = [corpus / "derived" / row["path"] for row in _rows(corpus / "derived" / "INDEX.tsv")]
     return public + derived
@@ -63,28 +76,37 @@ def hostile_files(finding: str = "") -> list[Path]:
 
 
 def model(name: str) -> Path:
-    """Return one model by its path below ``public`` or ``derived``, such as ``CesiumMan/CesiumMan.glb``."""
-    corpus = require_corpus()
+    """Return one model by its path below ``public`` or ``derived``, such as ``CesiumMan/CesiumMan.glb``.
+
+    Without the corpus, return the character of this name, or skip.
+    """
+    corpus = find_corpus()
+    if corpus is None:
+        path = CHARACTERS / Path(name).name
+        return path if path.is_file() else require_corpus()
     for folder in ("public", "derived"):
         if (corpus / folder / name).is_file():
             return corpus / folder / name
     raise FileNotFoundError(f"{name} is in neither public nor derived of {corpus}")
 
 
+def character(name: str) -> Path:
+    """Return one model for a test that holds of any like it; without the corpus, the model's stand-in."""
+    return model(name if find_corpus() else STAND_INS.get(name, name))
+
+
 def parameters(models: Callable[[], list[Item]]) -> list[ParameterSet]:
-    """Return ``models()`` for pytest.mark.parametrize, with readable ids; one skipped case without a corpus.
+    """Return ``models()`` for pytest.mark.parametrize, with readable ids; one skipped case where it skips.
 
     ``@pytest.mark.parametrize("path", parameters(valid_models))`` or
     ``@pytest.mark.parametrize("case", parameters(invalid_models))``.
     """
-    corpus = find_corpus()
-    if corpus is None:
-        return [pytest.param(None, id="no-corpus", marks=pytest.mark.skip(reason=NOT_HERE))]
     try:
         cases = models()
     except pytest.skip.Exception as absent:
         return [pytest.param(None, id="no-files", marks=pytest.mark.skip(reason=str(absent)))]
-    return [pytest.param(case, id=_path(case).relative_to(corpus).as_posix()) for case in cases]
+    folder = find_corpus() or CHARACTERS
+    return [pytest.param(case, id=_path(case).relative_to(folder).as_posix()) for case in cases]
 
 
 def _path(case: Path | tuple[Path, str]) -> Path:

@@ -7,6 +7,7 @@ import json
 import re
 import struct
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -146,6 +147,7 @@ class TestMissingTools:
 
 
 class TestCorpus:
+    @corpus.needed
     def test_has_all_its_models(self) -> None:
         models = corpus.valid_models()
         assert len(models) == len(set(models)) == 52 + 13
@@ -158,6 +160,7 @@ class TestCorpus:
             verdict in ("ERROR", "WARN", "see note") or verdict[:5] == "valid" for _, verdict in invalid
         )
 
+    @corpus.needed
     def test_finds_models_by_name(self) -> None:
         assert corpus.model("CesiumMan/CesiumMan.glb") in corpus.valid_models()
         assert corpus.model("decoded/bath_day.glb") in corpus.valid_models()
@@ -173,15 +176,41 @@ class TestCorpus:
         assert corpus.require_corpus() == tmp_path
 
     @pytest.mark.parametrize("strict", ["0", "1"])
-    def test_is_skipped_where_it_is_not(
+    def test_without_it_fixtures_stand_in_and_all_else_is_skipped(
         self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, strict: str
     ) -> None:
         monkeypatch.setenv("SKINBAKE_CORPUS", str(tmp_path))
         monkeypatch.setenv("SKINBAKE_STRICT", strict)
-        with pytest.raises(pytest.skip.Exception, match="set SKINBAKE_CORPUS"):
-            corpus.valid_models()
-        (case,) = corpus.parameters(corpus.valid_models)
+        here = corpus.valid_models()
+        assert corpus.model("Fox/fox.glb") in here
+        assert corpus.character("CesiumMan/CesiumMan.glb") in here
+        assert [case.marks for case in corpus.parameters(corpus.valid_models)] == [()] * len(here)
+        for missing in (corpus.invalid_models, partial(corpus.model, "CesiumMan/CesiumMan.glb")):
+            with pytest.raises(pytest.skip.Exception, match="set SKINBAKE_CORPUS"):
+                missing()
+        (case,) = corpus.parameters(corpus.invalid_models)
         assert [mark.name for mark in case.marks] == ["skip"]
+
+
+class TestCharacters:
+    """What fixtures/characters promises: licences that allow it, and few bytes."""
+
+    def test_each_file_has_its_source_author_and_licence(self) -> None:
+        page = (corpus.CHARACTERS / "README.md").read_text(encoding="utf-8")
+        rows = re.findall(r"^\| `(.*?)` \| (.*?) \| (.*?) \| (.*?) \|", page, re.MULTILINE)
+        names = {name for cell, *_ in rows for name in cell.split("`, `")}
+        assert names | {"README.md"} == {path.name for path in corpus.CHARACTERS.iterdir()}
+        for _, author, licence, changes in rows:
+            assert author
+            assert changes
+            assert licence
+            assert re.sub(r"CC0 1\.0|CC BY 4\.0|\([a-z, ]*\)|[, ]", "", licence) == ""
+
+    def test_all_together_stay_under_a_megabyte(self) -> None:
+        assert sum(path.stat().st_size for path in corpus.CHARACTERS.iterdir()) < 1_000_000
+
+    def test_every_stand_in_is_there(self) -> None:
+        assert all((corpus.CHARACTERS / name).is_file() for name in corpus.STAND_INS.values())
 
 
 class TestGltfReading:

@@ -81,7 +81,7 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ThreeStage]:
 def test_every_normal_is_that_of_the_replay(
     stage: ThreeStage, model: str | None, fixture: Path | None, pose: Pose, storage: GradientFormat
 ) -> None:
-    character = stage.character(fixture or corpus.model(model or ""), pose, storage=storage)
+    character = stage.character(fixture or corpus.character(model or ""), pose, storage=storage)
     found = stage.normals(character)
     (drawn,) = found["draws"]
     wanted = expected(character, found["world"])
@@ -185,7 +185,7 @@ def test_a_file_that_gltf_transform_has_optimised_before_the_bake(stage: ThreeSt
 def test_dual_quaternions_have_algorithm_6(
     stage: ThreeStage, model: str | None, fixture: Path | None, pose: Pose
 ) -> None:
-    character = stage.character(fixture or corpus.model(model or ""), pose)
+    character = stage.character(fixture or corpus.character(model or ""), pose)
     found = stage.normals(character, method="dqs")
     assert largest(found["draws"][0], expected(character, found["world"], Algorithm.DQS_EXACT)) < DEGREES
 

@@ -198,7 +198,7 @@ class TestEveryVertex:
     def test_three_has_algorithm_1(
         self, stage: ModuleStage, model: str | None, fixture: Path | None, pose: Pose
     ) -> None:
-        character = stage.character(fixture or corpus.model(model or ""), pose)
+        character = stage.character(fixture or corpus.character(model or ""), pose)
         found = stage.vertices(character, None)
         assert found.patched == 0
         expected = character.expected(Algorithm.LBS_APPROXIMATED, found.placement)
@@ -208,7 +208,7 @@ class TestEveryVertex:
     def test_patched_it_has_algorithm_3_and_keeps_its_positions(
         self, stage: ModuleStage, model: str | None, fixture: Path | None, pose: Pose, lighting: Lighting
     ) -> None:
-        character = stage.character(fixture or corpus.model(model or ""), pose)
+        character = stage.character(fixture or corpus.character(model or ""), pose)
         found = stage.vertices(
             character,
             for_frame("normal", lighting),
@@ -558,7 +558,7 @@ class TestPictures:
         self, stage: ModuleStage, model: str | None, fixture: Path | None, pose: Pose
     ) -> None:
         """MeshNormalMaterial before and after, against the replay's difference drawn as a colour."""
-        character = stage.character(fixture or corpus.model(model or ""), pose)
+        character = stage.character(fixture or corpus.character(model or ""), pose)
         placement = stage.vertices(character, None).placement
         standard = character.expected(Algorithm.LBS_APPROXIMATED, placement).normals
         accurate = character.expected(Algorithm.LBS_ACCURATE, placement).normals

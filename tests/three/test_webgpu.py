@@ -127,7 +127,7 @@ def test_real_characters_too(
     stage: ThreeStage, model: str, fixture: None, pose: Pose, storage: GradientFormat, backend: str
 ) -> None:
     require_backend(stage, backend)
-    character = stage.character(corpus.model(model), pose, storage=storage)
+    character = stage.character(corpus.character(model), pose, storage=storage)
     found = stage.normals(character, backend=backend)
     (drawn,) = found["draws"]
     assert largest(drawn, expected(character, found["world"])) < DEGREES
