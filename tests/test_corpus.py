@@ -24,6 +24,7 @@ from skinbake.commands.inspect import inspect_file
 from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
 from skinbake.errors import InputError, SkinbakeError
+from skinbake.gltf.copies import NAME as NOTES
 from skinbake.lighting.verify_options import VerifyOptions
 from skinbake.report.bake import FileResult
 from tests.support import corpus, khronos
@@ -176,7 +177,12 @@ class TestRealModels:
             folder = tmp_path / str(number)
             folder.mkdir()
             bake_file(str(run.target), str(folder / run.target.name))
-            assert written(folder) == written(run.target.parent), run.source
+            # The notes of copies name their sources, which differ.
+            once, twice = (
+                {name: data for name, data in written(place).items() if name != NOTES}
+                for place in (run.target.parent, folder)
+            )
+            assert twice == once, run.source
 
     def test_strip_gives_the_original_back(self, runs: list[Run], tmp_path: Path) -> None:
         for number, run in enumerate(baked(runs)):
