@@ -264,16 +264,11 @@ def notes(rows: Json) -> str:
         "normals, texture coordinates, two triangles a vertex.",
         "bake waits until its output is on the disk. The other tools and `bake --no-sync` do not.",
         "The gradients are timed inside their processes, without start-up and reading. The authors' loop is "
-        "`benchmarks/authors_loop.cpp`, written from a description of what Tarini et al. (2014) published. "
-        "It takes means by angle × area, of a vertex's own joints, in float32. skinbake's is one pass that "
-        "also sees the neighbours' joints, moves them into free slots, makes frames, and writes α and β, by "
-        "Max's weights in float64: less of it cannot be timed.",
-        "meshoptimizer's generateTangents is timed inside its process too, on one thread. It gives each "
-        "corner of a triangle a tangent along the texture coordinates and its sign, nothing of joints. "
-        "skinbake's pass makes tangents from the normals, and the gradients of each vertex's joints.",
-        "The gradients wait for little but arithmetic. By `valgrind --tool=callgrind` on 100,000 vertices "
-        "the pass takes 2,394 instructions a vertex. 0.06 s for a million on one core of 2.4 GHz would allow "
-        "at most 576, at four a cycle. The fit to the rig, not timed here, takes 4,000 more.",
+        "`benchmarks/authors_loop.cpp`, written from what Tarini et al. (2014) published: means by angle × "
+        "area, of a vertex's own joints, in float32. skinbake's one pass also sees the neighbours' joints, "
+        "adopts them, makes frames, and writes α and β, in float64.",
+        "meshoptimizer's generateTangents gives each corner of a triangle a tangent along the texture "
+        "coordinates, nothing of joints.",
         f"verify has a grid in random poses: no real character at hand has {verify['vertices']:,} vertices. "
         "The peer computes where vertices go and the moved surface's normals, a part of what verify does.",
         f"Single calls are timed for {files['single_calls']} of the {files['files']:,} files, and scaled.",

@@ -36,10 +36,7 @@ def section(row: Json) -> Iterator[str]:
     yield (
         "Seconds of one thread divided by the seconds of N: medians of whole processes that take turns. "
         f"*Serial* is the share of the work that only one of {most} threads does, by Amdahl's law. Start-up "
-        "is in it, and the time that threads take from each other. MiB are those of the largest process. "
-        "Each of many files is synced to the disk. At real-time priority, as many processes as cores leave "
-        "no core to the system's own writing: by hand, 600 files with `--no-sync` gained 1.79 × by two "
-        "processes, and 1.45 × with the waits."
+        "is in it. MiB are those of the largest process. Each of many files is synced to the disk."
     )
     yield ""
     heads = ("what", "one thread", *(f"{count} threads" for count in counts[1:]), "serial")
