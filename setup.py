@@ -53,7 +53,7 @@ else:
         cmdclass=COMMANDS,
         ext_modules=[
             loops("skinbake.gradients._kernel", "src/skinbake/gradients/_kernel.c"),
-            loops("skinbake.lighting._loops", "src/skinbake/lighting/_loops.c"),
+            loops("skinbake.truth._loops", "src/skinbake/truth/_loops.c"),
         ],
         options={"bdist_wheel": {"py_limited_api": "cp311"}},
     )

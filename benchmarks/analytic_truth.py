@@ -32,6 +32,7 @@ from fixtures.make_fixtures import (
 )
 from skinbake.choices import Gradients, Truth
 from skinbake.commands.bake import Baker
+from skinbake.freshness.baked_views import baked_views, rest_primitive
 from skinbake.geometry.poses import composed, normalised
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray, SkinnedPrimitive
@@ -39,16 +40,14 @@ from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.gradients.baker import bake_primitives
-from skinbake.lighting.baked_views import baked_views
-from skinbake.lighting.influences import normalised_weights
-from skinbake.lighting.metrics import vertex_areas
-from skinbake.lighting.operator import gradient_operator
-from skinbake.lighting.poses import PoseRequest, pose_set
-from skinbake.lighting.rest_primitives import rest_primitive
-from skinbake.lighting.truths import Truths
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.rest import RestPrimitive
 from skinbake.threads import Threads
+from skinbake.truth.areas import vertex_areas
+from skinbake.truth.mesh import normalised_weights
+from skinbake.truth.operator import gradient_operator
+from skinbake.truth.poses import PoseRequest, pose_set
+from skinbake.truth.truths import Truths
 from tests.support.replay import replay
 from tests.support.whole_fields import angular_errors, rest_frame
 

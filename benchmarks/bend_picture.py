@@ -3,7 +3,7 @@
 Usage: python -m benchmarks.bend_picture [OUTPUT.png]
 
 The fixture is baked, its clip is sampled at every key, and the pose with the largest mean error of the
-standard normals is drawn. Errors are angles to the true normals of ``skinbake.lighting.tangent_normals``; the
+standard normals is drawn. Errors are angles to the true normals of ``skinbake.truth.normals``; the
 means printed are weighted by rest area. One rasterisation serves all three panels: they differ in normals
 alone.
 """
@@ -24,13 +24,13 @@ from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import read_primitive, skinned_sources
-from skinbake.lighting.influences import normalised_weights
-from skinbake.lighting.metrics import vertex_areas
-from skinbake.lighting.operator import gradient_operator
-from skinbake.lighting.rest_truth import rest_frames
-from skinbake.lighting.tally import ErrorSummary
+from skinbake.measure.tally import ErrorSummary
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.rest import RestPrimitive
+from skinbake.truth.areas import vertex_areas
+from skinbake.truth.mesh import normalised_weights
+from skinbake.truth.operator import gradient_operator
+from skinbake.truth.truths import rest_frames
 from tests.support.replay import replay
 from tests.support.whole_fields import angular_errors, reference_normals, rest_frame, summarise
 

@@ -4,7 +4,7 @@ Usage: python -m benchmarks.bend_render [OUTPUT.png | --figures]
 
 The fixture is baked and posed where standard lighting is worst. The WGSL of approximated and of accurate
 lighting skins it, once in a compute pass, whose normals are held against
-``skinbake.lighting.tangent_normals``, and once in the vertex stage of the picture. The errors printed are
+``skinbake.truth.normals``, and once in the vertex stage of the picture. The errors printed are
 those of the compute pass: float32, on the GPU, weighted by rest area. ``--figures`` prints them and draws
 nothing.
 """
@@ -24,17 +24,16 @@ from PIL import Image, ImageDraw
 from benchmarks.bend_picture import GREY, INK, MODEL, REPOSITORY, SCALE_TOP, STOPS, font, heat, unit
 from skinbake.choices import Language, Lighting
 from skinbake.commands.bake import Baker
+from skinbake.freshness.baked_views import baked_views, rest_primitive
 from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
-from skinbake.lighting.baked_views import baked_views
-from skinbake.lighting.metrics import vertex_areas
-from skinbake.lighting.operator import gradient_operator
-from skinbake.lighting.rest_primitives import rest_primitive
-from skinbake.lighting.rest_truth import rest_frames
-from skinbake.lighting.tally import ErrorSummary
+from skinbake.measure.tally import ErrorSummary
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.skinning.algorithms import Algorithm
+from skinbake.truth.areas import vertex_areas
+from skinbake.truth.operator import gradient_operator
+from skinbake.truth.truths import rest_frames
 from tests.support.replay import replay
 from tests.support.whole_fields import angular_errors, reference_normals, shader_text, summarise
 

@@ -23,7 +23,7 @@ from skinbake.errors import SkinbakeError
 from skinbake.jobs.file_work import FileWork
 from skinbake.jobs.verify import Verify
 from skinbake.jobs.work import Job
-from skinbake.lighting.verify_options import VerifyOptions
+from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import ErrorFigures, FileVerdict, gain
 from tests.support.corpus_folder import find_corpus
 

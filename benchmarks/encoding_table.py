@@ -22,7 +22,7 @@ from skinbake.choices import Encoding
 from skinbake.commands.bake import Baker
 from skinbake.commands.verify import verify_file
 from skinbake.errors import SkinbakeError
-from skinbake.lighting.verify_options import VerifyOptions
+from skinbake.measure.options import VerifyOptions
 from skinbake.report.bake import FileResult
 from skinbake.wording import counted
 

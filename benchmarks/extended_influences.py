@@ -19,7 +19,7 @@ from skinbake.choices import Lighting, Method, Neighbours
 from skinbake.commands.bake import Baker
 from skinbake.commands.verify import verify_document
 from skinbake.gltf.document import read_document
-from skinbake.lighting.verify_options import VerifyOptions
+from skinbake.measure.options import VerifyOptions
 
 DEFAULT_OUTPUT = REPOSITORY / "docs" / "five-minutes.md"
 START, END = "<!-- extended influences: begin -->", "<!-- extended influences: end -->"

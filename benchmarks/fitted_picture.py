@@ -22,15 +22,14 @@ from benchmarks.corpus_table import REPOSITORY, corpus_folders
 from benchmarks.lit_errors import error_fields
 from skinbake.choices import Gradients, PoseKind, Truth
 from skinbake.commands.bake import Baker
+from skinbake.freshness.baked_views import baked_views, rest_primitive
 from skinbake.geometry.skinned import IntArray
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
-from skinbake.lighting.baked_views import baked_views
-from skinbake.lighting.metrics import vertex_areas
-from skinbake.lighting.poses import PoseRequest, pose_set
-from skinbake.lighting.rest_primitives import rest_primitive
 from skinbake.skinning.algorithms import Algorithm
+from skinbake.truth.areas import vertex_areas
+from skinbake.truth.poses import PoseRequest, pose_set
 from tests.support.replay import replay
 
 PANEL = (500, 380)

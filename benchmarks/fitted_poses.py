@@ -25,7 +25,7 @@ from skinbake.commands.bake import Baker
 from skinbake.errors import SkinbakeError
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document, read_document
-from skinbake.lighting.poses import PoseRequest
+from skinbake.truth.poses import PoseRequest
 
 DEFAULT_OUTPUT = REPOSITORY / "docs" / "fitted.md"
 START, END = "<!-- pose figures: begin -->", "<!-- pose figures: end -->"

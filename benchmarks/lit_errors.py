@@ -6,17 +6,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from skinbake.freshness.baked_views import BakedView, baked_views, rest_primitive, whole_surfaces
 from skinbake.geometry.skinned import BoolArray, Float64Array
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document
 from skinbake.gltf.primitives import skinned_sources
-from skinbake.lighting.angles import MeasuredBlock, lighting_errors
-from skinbake.lighting.baked_views import BakedView, baked_views, whole_surfaces
-from skinbake.lighting.morphing import morphing_of
-from skinbake.lighting.operator import true_operator
-from skinbake.lighting.poses import PoseRequest, PoseSet, draws_of, pose_set
-from skinbake.lighting.rest_areas import RestAreas
-from skinbake.lighting.rest_primitives import rest_primitive
+from skinbake.measure.angles import MeasuredBlock, lighting_errors
+from skinbake.measure.morphing import morphing_of
+from skinbake.truth.areas import RestAreas
+from skinbake.truth.operator import true_operator
+from skinbake.truth.poses import PoseRequest, PoseSet, draws_of, pose_set
 
 Field = tuple[Float64Array, BoolArray]
 """Errors in degrees (P, V), and whether the true normal exists there (P, V)."""

@@ -27,7 +27,7 @@ from skinbake.gltf.additions import Additions
 from skinbake.gltf.document import read_document
 from skinbake.gltf.output import Writing, plan_output
 from skinbake.gltf.primitives import read_primitive, skinned_sources
-from skinbake.lighting.verify_options import VerifyOptions
+from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import FileVerdict
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed

@@ -16,8 +16,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does b
 
 from skinbake.__main__ import run
 from skinbake.choices import Truth
-from skinbake.lighting import measured
-from skinbake.lighting.angles import truths_at_rest
+from skinbake.measure import measured
+from skinbake.measure.angles import truths_at_rest
 
 
 def main() -> None:

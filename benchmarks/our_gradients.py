@@ -20,8 +20,7 @@ import numpy.typing as npt
 
 from benchmarks.skinned_grid import Grid, grid_arrays
 from skinbake.gradients import kernel
-from skinbake.gradients.field import WeightField
-from skinbake.gradients.surface import Surface
+from skinbake.gradients.surface import Surface, WeightField
 
 SLOTS = 4
 

@@ -24,7 +24,7 @@ import skinbake
 from benchmarks.processes import SKINBAKE, Command, Rounds, in_turn, median
 from benchmarks.skinned_grid import grid_of, grid_vertices, write_grid
 from skinbake.choices import Method, Truth
-from skinbake.lighting.angles import lighting_errors, truths_at_rest
+from skinbake.measure.angles import lighting_errors, truths_at_rest
 
 BOTH = "both"
 METHODS = {"both methods": [], **{method.upper(): ["--method", str(method)] for method in Method}}
@@ -85,7 +85,7 @@ def measuring(baked: Path, method: Method, poses: int, runs: int) -> dict[str, f
 @contextmanager
 def only(truths: Sequence[Truth]) -> Iterator[None]:
     """Let verify measure by these truths alone."""
-    with patch("skinbake.lighting.measured.truths_at_rest", partial(truths_at_rest, names=truths)):
+    with patch("skinbake.measure.measured.truths_at_rest", partial(truths_at_rest, names=truths)):
         yield
 
 
@@ -100,7 +100,7 @@ def timed() -> Iterator[list[float]]:
         spent.append(time.process_time() - start)
         return found
 
-    with patch("skinbake.lighting.measured.lighting_errors", measured):
+    with patch("skinbake.measure.measured.lighting_errors", measured):
         yield spent
 
 

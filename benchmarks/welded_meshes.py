@@ -20,7 +20,7 @@ from skinbake.choices import Gradients, Lighting, Method, Weld
 from skinbake.commands.bake import Baker
 from skinbake.commands.verify import verify_document
 from skinbake.gltf.document import read_document
-from skinbake.lighting.verify_options import VerifyOptions
+from skinbake.measure.options import VerifyOptions
 from tests.support.cutting import cut_into_meshes, halved
 
 DEFAULT_OUTPUT = REPOSITORY / "docs" / "welding.md"

@@ -23,7 +23,7 @@ MENDED = {
     "hang-verify-lighting-threads": BUSY,
     "native-kernel-left-shift-of-negative-value": "the bits of a number were shifted with its sign: "
     "tests/fuzz/test_runs.py",
-    "over-bounds-or-undocumented": "each pose was morphed twice: tests/lighting/test_morphs.py",
+    "over-bounds-or-undocumented": "each pose was morphed twice: tests/measure/test_morphs.py",
     "twice-code-3-over-the-N-KiB": "no fault: the second bake was held to the first one's --max-memory",
     "written-bake-code-4": "no fault: the name of a buffer or an image that no depfile can hold is found "
     "after the bake",

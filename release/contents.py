@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 REPOSITORY = Path(__file__).resolve().parents[1]
 PACKAGE = REPOSITORY / "src" / "skinbake"
 
-LOOPS = ("gradients/_kernel", "lighting/_loops")
+LOOPS = ("gradients/_kernel", "truth/_loops")
 """The compiled loops: C in the sdist, libraries in a wheel that has a platform."""
 
 UNWANTED = {"tests", "fixtures", "benchmarks", "fuzz", "release", "engines", "node_modules", "__pycache__"}

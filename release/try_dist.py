@@ -22,7 +22,7 @@ OLDEST = (3, 11)
 MODELS = ("bent_tube.glb", "foreign_joints.glb", "morphed_sheet.glb")
 IS_COMPILED = """
 from skinbake.gradients import kernel as gradients
-from skinbake.lighting import kernel as lighting
+from skinbake.truth import kernel as lighting
 print(gradients.IS_COMPILED, lighting.IS_COMPILED)
 """
 NUMPY = {"SKINBAKE_KERNEL": "numpy"}

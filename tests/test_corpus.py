@@ -25,7 +25,7 @@ from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
 from skinbake.errors import InputError, SkinbakeError
 from skinbake.gltf.copies import NAME as NOTES
-from skinbake.lighting.verify_options import VerifyOptions
+from skinbake.measure.options import VerifyOptions
 from skinbake.report.bake import FileResult
 from tests.support import corpus, khronos
 from tests.support.baking import bake_file

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from fixtures.builder import Model
 from skinbake.choices import Weighting
-from skinbake.lighting.operator import expected_alpha_beta, gradient_operator
+from skinbake.truth.operator import expected_alpha_beta, gradient_operator
 from tests.support import khronos
 from tests.support.baked_arrays import StoredPrimitive, baked_meshes_of
 from tests.support.command_line import invoke

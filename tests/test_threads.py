@@ -9,10 +9,11 @@ import pytest
 
 from skinbake.choices import PoseKind
 from skinbake.commands.verify import verify_file
-from skinbake.lighting import angles, blending
-from skinbake.lighting.poses import PoseRequest
-from skinbake.lighting.verify_options import VerifyOptions
+from skinbake.measure import angles
+from skinbake.measure.options import VerifyOptions
 from skinbake.threads import MOST, Threads, thread_count, threads_limited
+from skinbake.truth import blending
+from skinbake.truth.poses import PoseRequest
 from tests.support.baked_files import baked, source
 
 

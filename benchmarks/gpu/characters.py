@@ -18,21 +18,20 @@ from benchmarks.gpu.records import ErrorRecord
 from benchmarks.gpu.variants import Variant
 from skinbake.choices import FrameChoice, Method, PoseKind, Truth
 from skinbake.commands.bake import Baker
+from skinbake.freshness.baked_views import baked_views, rest_primitive, whole_surfaces
+from skinbake.freshness.expected import true_operator_of
 from skinbake.geometry.dual_quaternions import rigid_motions
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
-from skinbake.lighting.angles import truths_at_rest
-from skinbake.lighting.baked_views import baked_views, whole_surfaces
-from skinbake.lighting.before_adoption import true_operator_of
-from skinbake.lighting.operator import GradientOperator
-from skinbake.lighting.poses import PoseRequest, draws_of, pose_set
-from skinbake.lighting.rest_areas import RestAreas
-from skinbake.lighting.rest_primitives import rest_primitive
-from skinbake.lighting.truths import Truths
+from skinbake.measure.angles import truths_at_rest
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.rest import RestPrimitive
 from skinbake.threads import Threads
+from skinbake.truth.areas import RestAreas
+from skinbake.truth.operator import GradientOperator
+from skinbake.truth.poses import PoseRequest, draws_of, pose_set
+from skinbake.truth.truths import Truths
 from tests.support.replay import SkinnedSurface, replay
 from tests.support.whole_fields import angular_errors, summarise
 

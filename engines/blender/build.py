@@ -32,7 +32,7 @@ PACKAGE = REPOSITORY / "src" / "skinbake"
 LIBRARIES = ("DracoPy", "libigl", "meshopt", "scipy")
 """What `bake` and `verify` need of the dependencies in pyproject.toml. Blender has numpy."""
 
-COMPILED = ("gradients/_kernel", "lighting/_loops")
+COMPILED = ("gradients/_kernel", "truth/_loops")
 """The compiled loops, which the installation of skinbake leaves beside the sources."""
 
 BLENDERS: dict[str, tuple[str, str | None]] = {"3.11": ("4.5.0", "5.1.0"), "3.13": ("5.1.0", None)}

@@ -11,7 +11,7 @@ from fuzz.native.arrays import SPECIAL, Array, Call, floats, varied
 
 def executions(seed: int) -> int:
     """Call each loop with the arrays of a seed and variations of them; return how many calls that were."""
-    from skinbake.lighting import _loops
+    from skinbake.truth import _loops
 
     random = np.random.default_rng(seed)
     with np.errstate(over="ignore", invalid="ignore"):  # special values are cast to other types

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
         SkinbakeError,
         UnsupportedFeatureError,
     )
-    from skinbake.geometry.host import joint_dual_quaternions
+    from skinbake.geometry.dual_quaternions import joint_dual_quaternions
 
 __all__ = [
     "BakeOptions",
@@ -50,7 +50,7 @@ _HOMES = {
     "OutputError": _ERRORS,
     "SkinbakeError": _ERRORS,
     "UnsupportedFeatureError": _ERRORS,
-    "joint_dual_quaternions": "skinbake.geometry.host",
+    "joint_dual_quaternions": "skinbake.geometry.dual_quaternions",
 }
 
 

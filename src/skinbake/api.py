@@ -31,11 +31,11 @@ from skinbake.choices import (
 )
 from skinbake.errors import InputError, OutputError, Place
 from skinbake.files.bounds import Bounds, Within
-from skinbake.files.urls import SUFFIXES, is_url
+from skinbake.files.urls import is_url
 from skinbake.geometry.skinned import Float32Array, IntArray, SkinnedPrimitive
 from skinbake.options import BAKE, INSPECT, STRIP, VERIFY, checked
 from skinbake.threads import threads_limited
-from skinbake.wording import did_you_mean
+from skinbake.wording import SUFFIXES, did_you_mean
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2
@@ -254,7 +254,7 @@ def verify(
 
     """
     from skinbake.commands.verify import verify_file
-    from skinbake.lighting.verify_options import VerifyOptions
+    from skinbake.measure.options import VerifyOptions
     from skinbake.report.verify import file_json
 
     given = {

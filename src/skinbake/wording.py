@@ -8,7 +8,8 @@ from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 
-from skinbake.files.urls import SUFFIXES
+SUFFIXES = (".glb", ".gltf", ".vrm")
+"""The suffixes of the files that are read and written."""
 
 MOST_NAMES = 10_000
 """The number of names of a folder that are compared with a mistyped one."""
@@ -58,7 +59,7 @@ def one_or_many(count: int, one: str, many: str) -> str:
 
 def nearest(word: str, known: Iterable[str]) -> list[str]:
     """Return the known names that resemble a mistyped one, the likeliest first, at most three."""
-    import difflib  # noqa: PLC0415  # only for a mistake
+    import difflib  # only for a mistake
 
     by_lower = {name.lower(): name for name in known}
     return [by_lower[found] for found in difflib.get_close_matches(word.lower(), by_lower, n=3, cutoff=0.7)]

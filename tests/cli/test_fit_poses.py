@@ -10,7 +10,7 @@ import pytest
 
 import skinbake
 from skinbake.cli import exit_codes
-from skinbake.lighting import without_poses
+from skinbake.freshness import without_poses
 from tests.support import corpus
 from tests.support.baked_files import CESIUM_MAN, source, verify
 from tests.support.command_line import document, invoke, run

@@ -31,9 +31,9 @@ from skinbake.jobs import processes
 from skinbake.jobs.file_work import FileWork
 from skinbake.jobs.verify import Verify
 from skinbake.jobs.work import Job
-from skinbake.lighting.poses import PoseRequest
-from skinbake.lighting.verify_options import VerifyOptions
+from skinbake.measure.options import VerifyOptions
 from skinbake.timing import Told, stage
+from skinbake.truth.poses import PoseRequest
 from tests.support.baking import bake_work
 from tests.support.command_line import LINUX, document, invoke, run
 from tests.support.models import FIXTURES, FOLDER, SHARED_BIN, sheet, write_model

@@ -143,7 +143,7 @@ def test_escapes_are_those_of_python_and_json() -> None:
 
 
 def test_what_modules_log_is_printable_too(capsys: pytest.CaptureFixture[str]) -> None:
-    from skinbake.jobs.logs import log_to_stderr
+    from skinbake.jobs.work import log_to_stderr
 
     root = logging.getLogger()
     before, level = root.handlers[:], root.level

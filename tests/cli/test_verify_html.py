@@ -13,7 +13,7 @@ import pytest
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.cli import exit_codes
-from skinbake.commands import html_report
+from skinbake.commands import view
 from skinbake.errors import InputError, Notice, Place
 from skinbake.report.verify import Check, FileVerdict
 from skinbake.view.index import Listed, index
@@ -78,7 +78,7 @@ def test_a_failed_check_names_the_place_of_each_problem(tmp_path: Path) -> None:
 def test_the_page_of_one_file_takes_no_small_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Only an index shows small pictures."""
     drawn: list[object] = []
-    monkeypatch.setattr(html_report, "small_picture", drawn.append)
+    monkeypatch.setattr(view, "small_picture", drawn.append)
     bake(SEAM, tmp_path / "seam.glb")
     page = tmp_path / "report.html"
     result = invoke("verify", tmp_path / "seam.glb", "--poses", "rest", "--html", page)
@@ -228,7 +228,7 @@ def verdict(name: str, *checks: Check, error: InputError | None = None) -> FileV
     ],
 )
 def test_the_index_says_why_a_file_failed_or_has_no_figures(told: FileVerdict, remark: str) -> None:
-    text = index([html_report._listed(told, None, None)], "").decode()
+    text = index([view._listed(told, None, None)], "").decode()
     (outcome,) = re.findall(r'data-value="(?:passed|failed|not baked)">(.*?)</td>', text)
     assert html.unescape(re.sub("<[^>]*>", "", outcome)) == remark
 

@@ -17,7 +17,8 @@ import pytest
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.cli import exit_codes
-from skinbake.commands.view import baked_in_memory, view_file
+from skinbake.commands.posed_scene import baked_in_memory
+from skinbake.commands.view import view_file
 from skinbake.errors import OutputError
 from skinbake.gltf.document import read_document
 from skinbake.gltf.json_access import JsonObject

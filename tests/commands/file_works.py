@@ -12,7 +12,7 @@ from skinbake.errors import SkinbakeError
 from skinbake.jobs import verify
 from skinbake.jobs.file_work import FileWork
 from skinbake.jobs.work import Job
-from skinbake.lighting.verify_options import VerifyOptions
+from skinbake.measure.options import VerifyOptions
 from skinbake.report.bake import FileResult
 from skinbake.report.verify import FileVerdict
 from tests.support.baking import bake_work

@@ -14,11 +14,10 @@ from skinbake.commands.bake import Baker
 from skinbake.commands.verify import verify_file
 from skinbake.errors import InputError, Notice, OutputError, Place, SkinbakeError, noticed
 from skinbake.jobs.bake import Bake
-from skinbake.jobs.boundary import survived
 from skinbake.jobs.file_work import FileWork
 from skinbake.jobs.verify import Verify
-from skinbake.jobs.work import Job
-from skinbake.lighting.verify_options import VerifyOptions
+from skinbake.jobs.work import Job, survived
+from skinbake.measure.options import VerifyOptions
 from tests.support.models import FOLDER, sheet, write_model
 
 MEMORY = "it needs more memory than there is or --max-memory allows"
@@ -43,7 +42,7 @@ def test_memory_that_lacks_is_the_file_s_own_failure() -> None:
 
 
 def test_a_defect_is_said_and_where_it_failed_is_logged(caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.DEBUG, "skinbake.jobs.boundary"):
+    with caplog.at_level(logging.DEBUG, "skinbake.jobs.work"):
         failure = survived(raising(KeyError("x")), lambda failure: failure, "b.glb")
     assert str(failure).startswith("b.glb: skinbake failed where it should not: KeyError: 'x'. ")
     assert "KeyError: 'x'" in caplog.text

@@ -16,7 +16,7 @@ from skinbake.gltf.animation import read_clips, read_skeleton
 from skinbake.gltf.budget import Budget
 from skinbake.gltf.document import read_document
 from skinbake.gltf.json_access import JsonObject
-from skinbake.lighting.poses import pose_steps
+from skinbake.truth.poses import pose_steps
 from tests.support.command_line import invoke
 from tests.support.models import Change, bake, sheet, write_model
 

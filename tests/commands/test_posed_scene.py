@@ -13,10 +13,10 @@ import pytest
 from fixtures.builder import JsonObject
 from skinbake.commands.posed_scene import posed_draw, shown_draws
 from skinbake.commands.view import view_file
+from skinbake.freshness.baked_views import sound_views
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
-from skinbake.lighting.baked_views import sound_views
 from tests.support.models import bake, edited
 
 TUBE = "bent_tube.glb"

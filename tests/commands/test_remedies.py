@@ -17,7 +17,7 @@ from skinbake.commands import remedies
 from skinbake.commands.bake import BakedDocument, Baker
 from skinbake.errors import Place
 from skinbake.gltf.document import Document, read_document
-from skinbake.lighting.verify_options import VerifyOptions
+from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import ErrorFigures, FileVerdict, Worst
 from tests.support import corpus
 from tests.support.baked_files import CESIUM_MAN, Answer, verify

@@ -14,7 +14,7 @@ from skinbake.files.bounds import Bounds, Within
 from skinbake.gltf.output import Writing
 from skinbake.jobs.remote.sent_files import DoneHere, WorkWithFiles
 from skinbake.jobs.work import Job
-from skinbake.lighting.verify_options import VerifyOptions
+from skinbake.measure.options import VerifyOptions
 from tests.commands.file_works import baking, verifying
 from tests.support.libraries import stored, tree, upload, write_library
 

@@ -27,7 +27,7 @@ from skinbake.jobs.remote import private_folder
 from skinbake.jobs.remote.staging import Staging
 from skinbake.jobs.remote.storages import expand_url
 from skinbake.jobs.work import Job
-from skinbake.lighting.verify_options import VerifyOptions
+from skinbake.measure.options import VerifyOptions
 from skinbake.report.bake import FileResult
 from skinbake.report.verify import FileVerdict
 from skinbake.timing import Told, heard

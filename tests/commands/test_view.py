@@ -9,8 +9,8 @@ import pytest
 from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Gradients
 from skinbake.commands import view
+from skinbake.freshness.baked_views import sound_views
 from skinbake.gltf.document import read_document
-from skinbake.lighting.baked_views import sound_views
 from tests.support.baking import bake_file
 from tests.support.gltf_reading import read
 from tests.support.models import rewritten, sheet, write_model

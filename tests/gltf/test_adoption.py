@@ -10,8 +10,8 @@ import numpy.typing as npt
 import pytest
 
 from skinbake.choices import Neighbours
-from skinbake.format.adoption import TINY_WEIGHT, UNIT, with_adopted
-from skinbake.geometry.skinned import Float64Array
+from skinbake.format.influences import with_adopted
+from skinbake.geometry.skinned import TINY_WEIGHT, UNIT, Float64Array
 from skinbake.gltf.accessors import StoredArray
 from skinbake.gltf.animation import random_poses, read_skeleton
 from skinbake.gltf.document import read_document

@@ -301,8 +301,8 @@ def test_a_mesh_that_is_drawn_more_often_than_its_file_is_long_is_not_measured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from skinbake.commands.verify import verify_file
-    from skinbake.lighting import draws
-    from skinbake.lighting.verify_options import VerifyOptions
+    from skinbake.measure import draws
+    from skinbake.measure.options import VerifyOptions
 
     baked(write_model(tmp_path / "in.glb", [sheet()]), tmp_path / "out.glb")
     assert verify_file(str(tmp_path / "out.glb"), VerifyOptions()).checks

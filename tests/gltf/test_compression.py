@@ -27,8 +27,8 @@ from skinbake.gltf.codecs.recode import Compression, recoded
 from skinbake.gltf.compaction import compacted
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
-from skinbake.lighting.poses import PoseRequest
-from skinbake.lighting.verify_options import VerifyOptions
+from skinbake.measure.options import VerifyOptions
+from skinbake.truth.poses import PoseRequest
 from tests.support import corpus, khronos
 from tests.support.baked_files import Editable
 from tests.support.baking import bake_file, bake_settings

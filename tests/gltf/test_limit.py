@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skinbake.format.limit import common_unit, with_limit
+from skinbake.format.influences import common_unit, with_limit
 from skinbake.gltf.accessors import StoredArray
 from skinbake.gltf.primitives import StoredInfluences
 

@@ -17,8 +17,8 @@ import pytest
 from skinbake.choices import PoseKind
 from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
-from skinbake.lighting.poses import PoseRequest
-from skinbake.lighting.verify_options import VerifyOptions
+from skinbake.measure.options import VerifyOptions
+from skinbake.truth.poses import PoseRequest
 from tests.support import corpus, gltf_transform, khronos
 from tests.support.baked_files import source
 from tests.support.compressed import EXT, KHR, meshopt_twin

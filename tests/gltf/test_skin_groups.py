@@ -10,9 +10,9 @@ import pytest
 
 from fixtures.builder import JsonObject
 from skinbake.errors import InputError
-from skinbake.gltf import skin_groups
+from skinbake.gltf import scenes
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.skin_groups import meshes_of_one_skin
+from skinbake.gltf.scenes import meshes_of_one_skin
 from tests.support.cutting import cut_into_meshes
 from tests.support.gltf_reading import read
 from tests.support.models import FOLDER, edited, rewritten
@@ -146,7 +146,7 @@ def test_the_joints_of_many_groups_are_not_compared_by_pairs(monkeypatch: pytest
     def joints_of(document: Document, skin: int) -> list[Joint]:
         return [Joint(node) for node in document.objects("skins")[skin]["joints"]]
 
-    monkeypatch.setattr(skin_groups, "_joints", joints_of)
+    monkeypatch.setattr(scenes, "_joints", joints_of)
     count = 20
     skins = [[(node + skin) % count for node in range(count)] for skin in range(count)]
     _, (notice,) = meshes_of_one_skin(drawn(skins, [[skin] for skin in range(count)]), range(count))

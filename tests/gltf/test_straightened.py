@@ -18,9 +18,9 @@ from skinbake.format.strip import stripped
 from skinbake.geometry import frames
 from skinbake.gltf import budget
 from skinbake.gltf.document import read_document
-from skinbake.lighting.poses import PoseRequest
-from skinbake.lighting.verify_options import VerifyOptions
+from skinbake.measure.options import VerifyOptions
 from skinbake.report.bake import FileResult
+from skinbake.truth.poses import PoseRequest
 from tests.support.baking import bake_settings
 from tests.support.compressed import draco_twin, meshopt_twin
 from tests.support.corpus import character

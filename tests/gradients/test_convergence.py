@@ -9,9 +9,9 @@ import pytest
 
 from skinbake.choices import Weighting
 from skinbake.geometry.skinned import Float64Array
-from skinbake.lighting.metrics import vertex_areas
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.rest import RestPrimitive
+from skinbake.truth.areas import vertex_areas
 from tests.support.baked_arrays import bake_one
 from tests.support.baking import bake_settings
 from tests.support.replay import replay

@@ -13,12 +13,12 @@ from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.gltf.animation import clip_poses, random_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
 from skinbake.gradients.baker import BakeSettings, bake_primitives
-from skinbake.lighting.influences import normalised_weights
-from skinbake.lighting.metrics import vertex_areas
-from skinbake.lighting.operator import gradient_operator
-from skinbake.lighting.rest_truth import rest_frames
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.rest import RestPrimitive
+from skinbake.truth.areas import vertex_areas
+from skinbake.truth.mesh import normalised_weights
+from skinbake.truth.operator import gradient_operator
+from skinbake.truth.truths import rest_frames
 from tests.support import corpus
 from tests.support.baked_arrays import BARBARIAN, CESIUM_MAN, MANNEQUINY, meshes_of, path_of
 from tests.support.baking import bake_settings

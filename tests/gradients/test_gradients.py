@@ -11,7 +11,7 @@ import pytest
 
 from skinbake.choices import Gradients, Weighting
 from skinbake.geometry.skinned import FloatArray, SkinnedPrimitive
-from skinbake.lighting.operator import expected_alpha_beta, gradient_operator
+from skinbake.truth.operator import expected_alpha_beta, gradient_operator
 from tests.support.baked_arrays import (
     AFRAME_HAND,
     BARBARIAN,

@@ -9,8 +9,8 @@ import pytest
 
 from skinbake.choices import Neighbours
 from skinbake.geometry.skinned import SkinnedPrimitive
-from skinbake.gradients.field import NO_JOINT, WeightDefects, WeightField
 from skinbake.gradients.influences import weight_field
+from skinbake.gradients.surface import NO_JOINT, WeightDefects, WeightField
 from tests.support.baked_arrays import AFRAME_HAND, ELF, MANTIS, TREX, bake_one, meshes_of, path_of
 from tests.support.baking import bake_file, bake_settings
 from tests.support.gltf_reading import read

@@ -26,12 +26,10 @@ from skinbake.gltf.document import read_document
 from skinbake.gltf.rigs import rig_of_mesh
 from skinbake.gradients import by_numpy, kernel
 from skinbake.gradients.baker import BakeFindings, bake_primitives
-from skinbake.gradients.corner import WEIGHTINGS
-from skinbake.gradients.field import WeightDefects, concatenate_fields
 from skinbake.gradients.influences import weight_field
-from skinbake.gradients.surface import Surface, SurfaceSlots
+from skinbake.gradients.surface import Surface, SurfaceSlots, WeightDefects, concatenate_fields
 from skinbake.gradients.tangents import frame_vectors
-from skinbake.gradients.weight_gradients import VertexGradients, weight_gradients
+from skinbake.gradients.weight_gradients import WEIGHTINGS, VertexGradients, weight_gradients
 from skinbake.gradients.weld import weld
 from skinbake.threads import threads_limited
 from skinbake.timing import Told, heard, stage

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 
 from skinbake.geometry.skinned import SkinnedPrimitive
-from skinbake.gradients.limit import LimitedSlots, limited_slots
+from skinbake.gradients.influences import LimitedSlots, limited_slots
 from tests.support.baked_arrays import PBR_TEST, meshes_of, path_of, reslotted
 
 

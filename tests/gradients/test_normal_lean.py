@@ -20,10 +20,15 @@ from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import read_primitive, skinned_sources
 from skinbake.gradients import kernel
-from skinbake.gradients.normal_lean import SAMPLED_VERTICES, NormalLean, lean_notices, normal_leans
-from skinbake.gradients.normals import with_smooth_normals
-from skinbake.lighting.poses import PoseRequest
-from skinbake.lighting.verify_options import VerifyOptions
+from skinbake.gradients.normals import (
+    SAMPLED_VERTICES,
+    NormalLean,
+    lean_notices,
+    normal_leans,
+    with_smooth_normals,
+)
+from skinbake.measure.options import VerifyOptions
+from skinbake.truth.poses import PoseRequest
 from tests.support import corpus
 from tests.support.analytic import grid, sample, triangles
 from tests.support.baked_arrays import CESIUM_MAN, FIXTURES, meshes_of, path_of

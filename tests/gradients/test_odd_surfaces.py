@@ -10,11 +10,11 @@ import pytest
 from skinbake.choices import Weighting
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.gradients.baker import slots_of_surface
-from skinbake.gradients.field import concatenate_fields
 from skinbake.gradients.influences import weight_field
+from skinbake.gradients.surface import concatenate_fields
 from skinbake.gradients.weld import weld
-from skinbake.lighting.operator import expected_alpha_beta, gradient_operator
-from skinbake.lighting.welds import weld_classes
+from skinbake.truth.mesh import weld_classes
+from skinbake.truth.operator import expected_alpha_beta, gradient_operator
 from tests.support.kernels import use_numpy
 from tests.support.labels import as_met
 from tests.support.odd_surfaces import odd_surface

@@ -23,7 +23,7 @@ from skinbake.gradients.fit_rules import (
     STORED,
     TOGETHER,
 )
-from skinbake.lighting.operator import GradientOperator, gradient_operator
+from skinbake.truth.operator import GradientOperator, gradient_operator
 from tests.gradients.tubes import BRANCHES, CHAIN, SETTINGS, bent, tube
 from tests.support.derivatives import derivatives
 from tests.support.kernels import use_numpy

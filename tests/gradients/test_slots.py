@@ -14,8 +14,8 @@ from skinbake.choices import Neighbours
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, SkinnedPrimitive
 from skinbake.gradients import slots
 from skinbake.gradients.baker import BakeFindings, bake_primitives
-from skinbake.lighting.operator import gradient_operator
-from skinbake.lighting.welds import weld_classes
+from skinbake.truth.mesh import weld_classes
+from skinbake.truth.operator import gradient_operator
 from tests.support.baked_arrays import (
     AFRAME_HAND,
     BARBARIAN,

@@ -12,10 +12,10 @@ import pytest
 from skinbake.geometry.skinned import IntArray, SkinnedPrimitive
 from skinbake.gradients import by_numpy, kernel
 from skinbake.gradients import weld as welding
-from skinbake.gradients.field import concatenate_fields
 from skinbake.gradients.influences import weight_field
+from skinbake.gradients.surface import concatenate_fields
 from skinbake.gradients.weld import weld
-from skinbake.lighting.welds import weld_classes
+from skinbake.truth.mesh import weld_classes
 from tests.support.baked_arrays import (
     AFRAME_HAND,
     BARBARIAN,

@@ -18,7 +18,7 @@ from skinbake.commands.verify import verify_file
 from skinbake.errors import SkinbakeError
 from skinbake.files.bounds import Bounds, Within
 from skinbake.jobs import state
-from skinbake.lighting.verify_options import VerifyOptions
+from skinbake.measure.options import VerifyOptions
 from tests.outside.names import likely_uris, uris
 from tests.support.baking import bake_file
 

@@ -68,6 +68,6 @@ def test_a_compiled_wheel_needs_both_modules_of_loops(tmp_path: Path) -> None:
     with zipfile.ZipFile(wheel, "w") as archive:
         archive.writestr("skinbake/gradients/_kernel.pyd", "")
     found = faults(wheel)
-    assert "lacks lighting/_loops" in found
+    assert "lacks truth/_loops" in found
     assert "lacks gradients/_kernel" not in found
     assert "has skinbake/gradients/_kernel.pyd" not in found

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skinbake.geometry.skinned import IntArray
-from skinbake.render.captions import captioned
+from skinbake.render.pictures import captioned
 from skinbake.render.studio import STOPS, Look, Picture
 
 BOTH = ("standard", "accurate")

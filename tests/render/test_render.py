@@ -21,10 +21,10 @@ from skinbake.gltf import budget
 from skinbake.gltf.animation import Skeleton, read_skeleton
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import JsonObject
-from skinbake.lighting.operator import GradientOperator
 from skinbake.render.studio import MODES, Look, Studio
 from skinbake.render.subject import YAW, Camera, Shot, Subject
 from skinbake.skinning.algorithms import Algorithm
+from skinbake.truth.operator import GradientOperator
 from tests.support.baked_files import Editable
 from tests.support.characters import Array, baked
 from tests.support.command_line import invoke

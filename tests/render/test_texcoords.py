@@ -11,10 +11,10 @@ from PIL import Image
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Layout
-from skinbake.commands.view import unplaced
+from skinbake.commands.posed_scene import unplaced
 from skinbake.format.layouts import GradientFormat
+from skinbake.freshness.baked_views import sound_views
 from skinbake.gltf.document import read_document
-from skinbake.lighting.baked_views import sound_views
 from skinbake.render.materials import Materials, Placement, Sampling
 from tests.support import corpus, textured
 from tests.support.baked_files import Editable, JsonObject

@@ -13,17 +13,16 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.choices import SLOTS_PER_SET, Frame, Method, PoseKind
+from skinbake.freshness.baked_views import baked_views, rest_primitive
 from skinbake.geometry import frames
 from skinbake.geometry.dual_quaternions import RigidMotions, rigid_motions
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
-from skinbake.lighting.baked_views import baked_views
-from skinbake.lighting.poses import PoseRequest, pose_set
-from skinbake.lighting.rest_primitives import rest_primitive
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.rest import RestPrimitive
+from skinbake.truth.poses import PoseRequest, pose_set
 from tests.shaders.combinations import ATTRIBUTES, columns
 from tests.support import analytic, corpus
 from tests.support.baking import bake_file

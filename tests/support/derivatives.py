@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import csr_array, vstack
 
 from skinbake.geometry.skinned import FloatArray
-from skinbake.lighting.operator import GradientOperator
+from skinbake.truth.operator import GradientOperator
 
 
 def derivative_along(operator: GradientOperator, directions: FloatArray) -> csr_array:

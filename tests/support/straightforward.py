@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from skinbake.geometry.skinned import SkinnedPrimitive
-from skinbake.lighting.operator import gradient_operator
+from skinbake.truth.operator import gradient_operator
 from tests.support import gltf_reading
 from tests.support.derivatives import derivative_along
 from tests.support.gltf_reading import GltfFile

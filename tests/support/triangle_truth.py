@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
-from skinbake.lighting.operator import gradient_operator
-from skinbake.lighting.rest_truth import carried_normals, rest_frames, vertex_normals
-from skinbake.lighting.tangent_normals import posed_tangents
-from skinbake.lighting.triangle_normals import block_sums, triangle_normals
+from skinbake.truth.normals import block_sums, posed_tangents, triangle_normals
+from skinbake.truth.operator import gradient_operator
+from skinbake.truth.truths import carried_normals, rest_frames, vertex_normals
 
 
 def true_normals(

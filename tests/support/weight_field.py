@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from skinbake.geometry.skinned import SkinnedPrimitive
-from skinbake.lighting.influences import normalised_weights
+from skinbake.truth.mesh import normalised_weights
 
 
 def weight_field(primitives: Sequence[SkinnedPrimitive]) -> csr_array:

@@ -8,11 +8,11 @@ import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gradients.tangents import chosen_frame, frame_vectors
-from skinbake.lighting.metrics import angles_between, total_area
-from skinbake.lighting.tally import ErrorSummary, ErrorTally
-from skinbake.lighting.tangent_normals import RestFrames, posed_tangents, tangent_normals
+from skinbake.measure.tally import ErrorSummary, ErrorTally
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.shaders.text import shader_made
+from skinbake.truth.areas import angles_between, total_area
+from skinbake.truth.normals import RestFrames, posed_tangents, tangent_normals
 
 BLOCK = 1 << 16
 """Vertices × poses of ``reference_normals`` at a time."""

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 
 from fixtures.make_fixtures import FOLDER
+from skinbake.freshness.baked_views import baked_views, rest_primitive
 from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
-from skinbake.lighting.angles import MeasuredBlock, lighting_errors, truths_at_rest
-from skinbake.lighting.baked_views import baked_views
-from skinbake.lighting.operator import gradient_operator
-from skinbake.lighting.rest_primitives import rest_primitive
+from skinbake.measure.angles import MeasuredBlock, lighting_errors, truths_at_rest
 from skinbake.skinning.algorithms import Algorithm
+from skinbake.truth.operator import gradient_operator
 from tests.support import browser, corpus
 from tests.support.baking import bake_file
 from tests.support.characters import Array, Character, Placement, Pose, angles

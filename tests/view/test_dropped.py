@@ -14,14 +14,13 @@ import pytest
 from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Encoding, Layout
 from skinbake.format.layouts import GradientFormat
+from skinbake.freshness.baked_views import baked_views, rest_primitive
 from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
-from skinbake.lighting.baked_views import baked_views
-from skinbake.lighting.morphing import morphing_of
-from skinbake.lighting.poses import PoseRequest, draws_of, pose_set
-from skinbake.lighting.rest_primitives import rest_primitive
+from skinbake.measure.morphing import morphing_of
 from skinbake.skinning.algorithms import Algorithm
+from skinbake.truth.poses import PoseRequest, draws_of, pose_set
 from tests.support import browser
 from tests.support.baked_files import Editable
 from tests.support.baking import bake_file

@@ -11,7 +11,7 @@ import pytest
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.commands.verify import verify_file
-from skinbake.lighting.verify_options import VerifyOptions
+from skinbake.measure.options import VerifyOptions
 from tests.support import browser
 from tests.support.command_line import invoke
 from tests.support.models import bake, edited, sheet, write_model

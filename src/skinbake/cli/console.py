@@ -179,7 +179,7 @@ def console(given: Mapping[str, Any], *, results_on_stderr: bool = False) -> Con
     if verbose and not given["quiet"]:
         import logging  # it takes some milliseconds
 
-        from skinbake.jobs.logs import log_to_stderr
+        from skinbake.jobs.work import log_to_stderr
 
         log_to_stderr(logging.DEBUG if verbose > 1 else logging.INFO)
     return Console(-1 if given["quiet"] else verbose, chosen, results_on_stderr)

@@ -13,9 +13,9 @@ from skinbake.cli.configuration import CALLBACKS, configured_in, explained
 from skinbake.cli.options import DeclaredOption, PathName
 from skinbake.cli.terminal import stdout_told
 from skinbake.errors import ChoiceError, printable
-from skinbake.files.urls import SUFFIXES
 from skinbake.options import OPTIONS, PATHS
 from skinbake.version import __version__
+from skinbake.wording import SUFFIXES
 
 PAGE = "skinbake"
 

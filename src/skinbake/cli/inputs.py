@@ -13,8 +13,8 @@ import click
 from skinbake.cli.names import STDIO, check_readable_suffix
 from skinbake.cli.remote import behind
 from skinbake.errors import InputError
-from skinbake.files.urls import SUFFIXES, file_part, is_url, on_disk
-from skinbake.wording import not_gltf
+from skinbake.files.urls import file_part, is_url, on_disk
+from skinbake.wording import SUFFIXES, not_gltf
 
 MAGIC = frozenset("*?[")
 ANY_FOLDERS = "**"

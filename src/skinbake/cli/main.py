@@ -66,8 +66,7 @@ class LazyGroup(click.Group):
         try:
             return super().resolve_command(ctx, args)
         except click.UsageError as error:
-            from skinbake.files.urls import SUFFIXES
-            from skinbake.wording import did_you_mean
+            from skinbake.wording import SUFFIXES, did_you_mean
 
             if args[0].lower().endswith(SUFFIXES):
                 ctx.fail(f"{error.message} A command comes before the file, like skinbake view {args[0]}")

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import click
 
-from skinbake.files.urls import SUFFIXES, on_disk
-from skinbake.wording import not_gltf
+from skinbake.files.urls import on_disk
+from skinbake.wording import SUFFIXES, not_gltf
 
 STDIO = "-"
 

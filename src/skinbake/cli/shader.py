@@ -16,8 +16,8 @@ from skinbake.cli.names import STDIO, path_on_disk
 from skinbake.cli.targets import check_named, check_text_target
 from skinbake.errors import ChoiceError, printable
 from skinbake.files.bounds import Bounds
-from skinbake.files.urls import SUFFIXES
 from skinbake.shaders.text import targets
+from skinbake.wording import SUFFIXES
 
 if TYPE_CHECKING:
     from skinbake.commands.shader import ShaderRequest

@@ -18,7 +18,8 @@ from skinbake.cli.inputs import MAGIC, Input
 from skinbake.cli.names import STDIO
 from skinbake.errors import ChoiceError
 from skinbake.files.bounds import Bounds, Within
-from skinbake.files.urls import SUFFIXES, canonical, is_url, join_url, on_disk
+from skinbake.files.urls import canonical, is_url, join_url, on_disk
+from skinbake.wording import SUFFIXES
 
 if TYPE_CHECKING:
     from skinbake.cli.given import Given

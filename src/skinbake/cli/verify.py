@@ -26,7 +26,7 @@ from skinbake.options import VERIFY, By, defaults
 if TYPE_CHECKING:
     from typing import Unpack
 
-    from skinbake.lighting.verify_options import VerifyOptions
+    from skinbake.measure.options import VerifyOptions
     from skinbake.report.verify import FileVerdict
 
 
@@ -140,7 +140,7 @@ def _reporting(
         return code
 
     def write_page(target: str, verdicts: Sequence[FileVerdict]) -> int:
-        from skinbake.commands.html_report import write_report
+        from skinbake.commands.view import write_report
 
         def bounds(source: str) -> Bounds:
             return Bounds(searched.get(source), given["allow_outside"])
@@ -173,6 +173,6 @@ def _code(verdict: FileVerdict) -> int:
 
 def _options(given: Mapping[str, Any]) -> VerifyOptions:
     """Return the VerifyOptions of the command line."""
-    from skinbake.lighting.verify_options import VerifyOptions
+    from skinbake.measure.options import VerifyOptions
 
     return VerifyOptions.of(**{name: given[name] for name in defaults(VERIFY, By.OVERRIDE)})

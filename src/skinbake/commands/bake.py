@@ -29,7 +29,7 @@ from skinbake.gltf.primitives import (
     why_nothing,
 )
 from skinbake.gradients.baker import BakeSettings
-from skinbake.gradients.normal_lean import lean_notices
+from skinbake.gradients.normals import lean_notices
 from skinbake.report.bake import BakedCounts, EncodingCost, FileResult
 from skinbake.report.depfile import prerequisites
 from skinbake.timing import stage
@@ -75,7 +75,7 @@ class Baker(CheckedOptions):
                     planned = replace(planned, replaces=replaced).write(sync=writing.sync)
         written: dict[str, str] = {}
         if writing.traced and planned:
-            from skinbake.files.digests import digests_of
+            from skinbake.files.versions import digests_of
 
             written = digests_of(planned.files)
         return FileResult(
@@ -249,7 +249,7 @@ def _surfaces(
         by_mesh[source.mesh].append(source)
     if weld is not Weld.SKIN:
         return list(by_mesh.values()), []
-    from skinbake.gltf.skin_groups import meshes_of_one_skin
+    from skinbake.gltf.scenes import meshes_of_one_skin
 
     groups, apart = meshes_of_one_skin(document, by_mesh)
     return [[source for mesh in group for source in by_mesh[mesh]] for group in groups], apart
@@ -262,7 +262,7 @@ def _encoding_cost(
     encoding = storage.encoding
     if not encoding.is_scaled:
         return EncodingCost(str(encoding)), []
-    from skinbake.lighting.encoding_cost import added_by_encoding  # it replays, as limits do
+    from skinbake.measure.costs import added_by_encoding  # it replays, as limits do
 
     try:
         added = added_by_encoding(document, unwritten(bakes), storage)

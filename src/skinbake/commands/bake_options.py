@@ -22,7 +22,7 @@ from skinbake.format.baked import AttributeNames
 from skinbake.options import BAKE, By, checked, defaults
 
 if TYPE_CHECKING:
-    from skinbake.lighting.poses_to_fit import PoseSource
+    from skinbake.pose_fit.poses import PoseSource
 
 USUAL = defaults(BAKE, By.OVERRIDE)
 
@@ -85,7 +85,7 @@ def _pose_sources(options: CheckedOptions) -> tuple[PoseSource, ...]:
         if len(given):
             raise ChoiceError("fit_poses", reason=(" needs ", Chosen("gradients", Gradients.POSES)))
         return ()
-    from skinbake.lighting.poses_to_fit import ANIMATIONS, pose_source  # it poses: half a second of imports
+    from skinbake.pose_fit.poses import ANIMATIONS, pose_source  # it poses: half a second of imports
 
     return tuple(map(pose_source, given)) or (ANIMATIONS,)
 

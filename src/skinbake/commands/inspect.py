@@ -26,10 +26,9 @@ from skinbake.gltf.primitives import (
     skinned_sources,
 )
 from skinbake.gltf.resources import is_data_uri
-from skinbake.gradients.influences import weight_field
-from skinbake.gradients.normal_lean import lean_notices
+from skinbake.gradients.influences import weight_field, weight_sum_notices
+from skinbake.gradients.normals import lean_notices
 from skinbake.gradients.tangents import chosen_frame, with_straight_tangents
-from skinbake.gradients.weight_sums import weight_sum_notices
 from skinbake.report.inspect import AttributeSummary, BakeSummary, InspectResult, PrimitiveSummary
 from skinbake.timing import stage
 

@@ -10,6 +10,11 @@ from typing import Any
 import numpy as np
 
 from skinbake.choices import Truth
+from skinbake.commands.bake import Baker
+from skinbake.errors import InputError, Notice
+from skinbake.format.strip import stripped
+from skinbake.freshness.baked_views import BakedView, is_baked, rest_primitive, whole_surfaces
+from skinbake.freshness.expected import true_operator_of
 from skinbake.geometry.skinned import Float32Array, Float64Array
 from skinbake.gltf.animation import (
     Clip,
@@ -21,24 +26,23 @@ from skinbake.gltf.animation import (
     read_skeleton,
 )
 from skinbake.gltf.document import Document
+from skinbake.gltf.images import images_unplaced
 from skinbake.gltf.json_access import reference
 from skinbake.gltf.morphs import resting_weights, target_count
+from skinbake.gltf.primitives import reason_to_skip, skinned_sources, why_nothing
 from skinbake.gltf.scenes import faces_backward, shown_nodes
-from skinbake.lighting.angles import MeasuredBlock, lighting_errors, truths_at_rest
-from skinbake.lighting.baked_views import BakedView, whole_surfaces
-from skinbake.lighting.before_adoption import true_operator_of
-from skinbake.lighting.metrics import vertex_areas
-from skinbake.lighting.morphing import Morphing, morphing_of
-from skinbake.lighting.operator import GradientOperator
-from skinbake.lighting.poses import (
+from skinbake.measure.angles import MeasuredBlock, lighting_errors, truths_at_rest
+from skinbake.measure.morphing import Morphing, morphing_of
+from skinbake.skinning.rest import RestPrimitive
+from skinbake.truth.areas import vertex_areas
+from skinbake.truth.operator import GradientOperator
+from skinbake.truth.poses import (
     BYTES_A_JOINT_AND_POSE,
     BYTES_A_NODE_AND_POSE,
     STEPS_A_CLIP,
     PoseSet,
     draws_of,
 )
-from skinbake.lighting.rest_primitives import rest_primitive
-from skinbake.skinning.rest import RestPrimitive
 from skinbake.wording import counted
 
 BYTES_A_VERTEX, BYTES_A_POSED_VERTEX = 2048, 64
@@ -211,4 +215,61 @@ def _measure(draw: Draw, posed: PosedDraw, record: Callable[[MeasuredBlock], Non
     truths = truths_at_rest(operator, draw.rest, len(posed.matrices), posed.morphing, (Truth.TRIANGLES,))
     lighting_errors(
         operator, draw.rest, posed.matrices, "lbs", record, morphing=posed.morphing, at_rest=truths
+    )
+
+
+SKIPPED = "skipped: "
+"""The beginning of the notices that say why a primitive is left out."""
+
+
+OF_STORAGE = {"draco-sequential"}
+"""The notices of a bake that speak only of the bytes of its output."""
+
+
+def baked_in_memory(document: Document) -> tuple[Document, tuple[Notice, ...]]:
+    """Bake a document with the defaults. Raises InputError if nothing in it can be baked.
+
+    The notices are those on damaged bakes, and on α and β. Nothing is stored, so those on storage are left
+    out.
+    """
+    count = len(skinned_sources(document)[0])
+    document.budget.claim_steps(
+        STEPS_A_PRIMITIVE * count, f"baking {counted(count, 'primitive')} in memory", document.place
+    )
+    plain, _, _ = stripped(document)
+    made = Baker(generate_normals=True).bake_document(plain)
+    if not made.primitives:
+        skipped = (notice for notice in made.notices if notice.message.startswith(SKIPPED))
+        reasons = "; ".join(notice.message.removeprefix(SKIPPED) for notice in skipped)
+        raise InputError(f"nothing in it can be shown: {reasons or why_nothing(document)}", document.place)
+    notices = [notice for notice in made.notices if notice.code not in OF_STORAGE]
+    return made.document, (*damaged_bakes(document), *_generated(document), *notices)
+
+
+def damaged_bakes(document: Document) -> list[Notice]:
+    """Return a notice for each primitive that holds a bake. The bake of none is sound."""
+    message = "its bake is damaged, and one made in memory is shown: skinbake verify says what is wrong"
+    return [
+        Notice("bake-damaged", message, source.place)
+        for source in skinned_sources(document)[0]
+        if is_baked(document, source)
+    ]
+
+
+def _generated(document: Document) -> list[Notice]:
+    """Return a notice for each primitive that has no normals of its own."""
+    message = "it has no NORMAL: smooth normals are generated here, and in a bake with --generate-normals"
+    return [
+        Notice("normals-generated", message, source.place)
+        for source in skinned_sources(document)[0]
+        if "NORMAL" not in source.attributes
+        and reason_to_skip(document, source, generate_normals=True) is None
+    ]
+
+
+def unplaced(document: Document, view: BakedView, made: str) -> list[Notice]:
+    """Return a notice if an image of a primitive has no texture coordinates there."""
+    ours = {*view.metadata["alpha"], *view.metadata["beta"]}  # they may be stored as such sets
+    return images_unplaced(
+        document, view.source.json, set(view.source.attributes) - ours, made, view.source.place
     )

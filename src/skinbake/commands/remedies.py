@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from skinbake.choices import FrameChoice, Gradients, Neighbours, Weld
 from skinbake.errors import InputError, Notice, Place
+from skinbake.freshness.baked_views import BakedView, gathered_together, sound_views
+from skinbake.freshness.expected import noted_kind, noted_sources
+from skinbake.freshness.staleness import surface_operator
 from skinbake.gltf.document import Document
-from skinbake.lighting.baked_views import BakedView, gathered_together, sound_views
-from skinbake.lighting.expected import noted_kind, noted_sources
-from skinbake.lighting.measured import lighting_verdict
-from skinbake.lighting.staleness import surface_operator
-from skinbake.lighting.verify_options import VerifyOptions
+from skinbake.measure.measured import lighting_verdict
+from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import BAKE_SO, LITTLE, FileVerdict, Normals, gain
 from skinbake.wording import gain_in_words
 

@@ -14,17 +14,19 @@ from skinbake.commands.posed_scene import (
     NAMES,
     Draw,
     PosedDraw,
+    baked_in_memory,
     claim_draws,
     lighting_errors_of,
     posed_draw,
     posed_primitives,
     shown_draws,
     telling_moment,
+    unplaced,
 )
-from skinbake.commands.view import baked_in_memory, unplaced
 from skinbake.errors import ChoiceError, InputError, Notice, SkinbakeError, printable
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.writing import write_file
+from skinbake.freshness.baked_views import BakedView, rest_primitive, sound_views
 from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.animation import (
@@ -35,11 +37,8 @@ from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import reference
 from skinbake.gltf.output import refuse_own_input
 from skinbake.gltf.primitives import reason_to_skip, skinned_sources
-from skinbake.lighting.baked_views import BakedView, sound_views
-from skinbake.lighting.rest_primitives import rest_primitive
-from skinbake.render.captions import captioned
-from skinbake.render.files import MILLISECONDS, MOVING, encoded
 from skinbake.render.materials import CLAY, WHITE, Material, Materials
+from skinbake.render.pictures import MILLISECONDS, MOVING, captioned, encoded
 from skinbake.render.studio import Look, Picture, Studio, placed, require_packages
 from skinbake.render.subject import YAW, Shot, Subject
 from skinbake.render.thumbnail import Posed, thumbnail

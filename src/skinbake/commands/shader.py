@@ -14,20 +14,19 @@ from skinbake.errors import ChoiceError, InputError, Notice, Place
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.writing import write_file, write_stdout
 from skinbake.format.metadata import slot_names
+from skinbake.freshness.baked_views import BakedView, baked_views, is_baked, rest_primitive
+from skinbake.freshness.staleness import refuse_stale
 from skinbake.gltf.animation import read_clips, skins_of
 from skinbake.gltf.document import STDIO, Document, read_document
 from skinbake.gltf.output import refuse_own_input
 from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources, why_nothing
-from skinbake.gradients.weight_sums import weight_sum_notices
-from skinbake.lighting.baked_views import BakedView, baked_views, is_baked
-from skinbake.lighting.joint_checks import joints_without_dqs, without_dqs
-from skinbake.lighting.morphing import carrier
-from skinbake.lighting.poses import PoseRequest, PoseSet, pose_set
-from skinbake.lighting.rest_primitives import rest_primitive
-from skinbake.lighting.staleness import refuse_stale
+from skinbake.gradients.influences import weight_sum_notices
+from skinbake.measure.measured import joints_without_dqs, without_dqs
+from skinbake.measure.morphing import carrier
 from skinbake.options import on_command_line
 from skinbake.shaders.choices import AT_RUN_TIME, BEST, AttributeText, ShaderChoices
 from skinbake.shaders.text import shader_made
+from skinbake.truth.poses import PoseRequest, PoseSet, pose_set
 from skinbake.wording import counted
 
 DEFAULT_INFLUENCES = 4

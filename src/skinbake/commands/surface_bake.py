@@ -25,10 +25,9 @@ from skinbake.timing import stage
 from skinbake.version import FIT
 
 if TYPE_CHECKING:
-    from skinbake.format.extension import Extended
-    from skinbake.lighting.limit_cost import Limited
-    from skinbake.lighting.poses_to_fit import FoundPoses, PoseSource
-    from skinbake.lighting.unwritten import UnwrittenBake
+    from skinbake.format.influences import Extended
+    from skinbake.measure.costs import Limited, UnwrittenBake
+    from skinbake.pose_fit.poses import FoundPoses, PoseSource
 
 BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 128, 48, 24
 """The approximate memory of a bake, at most."""
@@ -63,7 +62,7 @@ class FitTarget:
             rig, notices = fitting_rig(document, sources[0])
         if kind is Gradients.RIG:
             return cls(kind, rig, notices=notices)
-        from skinbake.lighting.poses_to_fit import poses_to_fit  # it poses: half a second of imports
+        from skinbake.pose_fit.poses import poses_to_fit  # it poses: half a second of imports
 
         with stage("poses"):
             found = poses_to_fit(document, sources[0].mesh, fit_poses, sources[0].place)
@@ -117,7 +116,7 @@ class SurfaceBake:
 
     def limited(self, count: int) -> list[PrimitiveBake]:
         """Bake with at most ``count`` influences a vertex, and measure the cost."""
-        from skinbake.lighting.limit_cost import limit_costs, limited  # it replays: half a second of imports
+        from skinbake.measure.costs import limit_costs, limited  # it replays: half a second of imports
 
         pairs = list(zip(self.sources, self.primitives, strict=True))
         with stage("limit"):
@@ -135,7 +134,7 @@ class SurfaceBake:
 
     def extended(self) -> list[PrimitiveBake]:
         """Bake with a further influence set where free slots are too few."""
-        from skinbake.format.extension import extended  # few bakes ask for it
+        from skinbake.format.influences import extended  # few bakes ask for it
 
         tried = bake_primitives(self.primitives, self.settings)
         parts = [
@@ -229,8 +228,8 @@ def _fitted_to_poses(
     document: Document, bakes: Sequence[PrimitiveBake], found: FoundPoses
 ) -> list[PrimitiveBake]:
     """Return the bakes of one surface with α and β fitted to poses."""
-    from skinbake.lighting.operator import true_operator
-    from skinbake.lighting.pose_fit import fit_size, fitted_to_poses
+    from skinbake.pose_fit.fit import fit_size, fitted_to_poses
+    from skinbake.truth.operator import true_operator
 
     for bake in bakes:
         document.budget.claim(fit_size(*bake.primitive.joints.shape), "fitting it", bake.source.place)
@@ -249,7 +248,7 @@ def _fitted_to_poses(
 
 def _extension_cost(part: Extended, result: BakedPrimitive, encoding: Encoding) -> ExtensionCost:
     """Return the price of an influence set more, of the types that it has with its adopted joints."""
-    from skinbake.format.adoption import with_adopted
+    from skinbake.format.influences import with_adopted
     from skinbake.skinning.algorithms import Algorithm
     from skinbake.skinning.counting import multiply_adds
 
@@ -274,7 +273,7 @@ def _finite(bakes: list[PrimitiveBake]) -> list[PrimitiveBake]:
 
 def unwritten(bakes: Sequence[PrimitiveBake]) -> list[UnwrittenBake]:
     """Return the bakes as a replay reads them, before anything is written."""
-    from skinbake.lighting.unwritten import UnwrittenBake
+    from skinbake.measure.costs import UnwrittenBake
 
     return [UnwrittenBake(bake.source, bake.primitive, bake.result) for bake in bakes]
 

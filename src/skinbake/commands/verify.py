@@ -9,18 +9,18 @@ from skinbake.commands.remedies import worse_lighting
 from skinbake.errors import Notice
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.format.metadata import read_metadata
+from skinbake.freshness.baked_views import BakedView, baked_views, gathered_together, is_baked
+from skinbake.freshness.staleness import fits_begun, freshness_check, surface_operator
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources
-from skinbake.gradients.normal_lean import lean_notices
-from skinbake.gradients.weight_sums import weight_sum_notices
-from skinbake.lighting.baked_views import BakedView, baked_views, gathered_together, is_baked
-from skinbake.lighting.measured import lighting_verdict
-from skinbake.lighting.operator import GradientOperator
-from skinbake.lighting.staleness import fits_begun, freshness_check, surface_operator
-from skinbake.lighting.verify_options import VerifyOptions
+from skinbake.gradients.influences import weight_sum_notices
+from skinbake.gradients.normals import lean_notices
+from skinbake.measure.measured import lighting_verdict
+from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import Check, FileVerdict
 from skinbake.threads import Threads, thread_count
 from skinbake.timing import stage
+from skinbake.truth.operator import GradientOperator
 from skinbake.wording import counted
 
 STEPS_A_PRIMITIVE = 3_000

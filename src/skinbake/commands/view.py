@@ -1,38 +1,48 @@
-"""``skinbake view``: a page that shows a file, baked in memory if it was not baked, and its figures."""
+"""``skinbake view``, and the pages of ``skinbake verify --html``.
+
+A page shows a file, baked in memory if it was not baked, and its figures.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 
 from skinbake.choices import Gradients, Scheme
-from skinbake.commands.bake import Baker
-from skinbake.commands.posed_scene import shown_draws, telling_moment
+from skinbake.commands.posed_scene import (
+    baked_in_memory,
+    damaged_bakes,
+    shown_draws,
+    telling_moment,
+    unplaced,
+)
 from skinbake.commands.remedies import noted_baker
-from skinbake.commands.verify import STEPS_A_PRIMITIVE, verify_document
+from skinbake.commands.render import small_picture
+from skinbake.commands.verify import verify_document
 from skinbake.errors import InputError, Notice
 from skinbake.files.bounds import BESIDE, Bounds
-from skinbake.files.writing import write_file, write_stdout
+from skinbake.files.writing import write_file, write_files, write_stdout
 from skinbake.format.strip import stripped
+from skinbake.freshness.baked_views import BakedView, sound_views
+from skinbake.freshness.expected import noted_kind
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.codecs.recode import Compression, recoded
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import STDIO, Document, read_document
 from skinbake.gltf.glb import STDIN
-from skinbake.gltf.images import images_missing, images_unplaced, texture_image
+from skinbake.gltf.images import images_missing, texture_image
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.output import plan_output, refuse_own_input
-from skinbake.gltf.primitives import reason_to_skip, skinned_sources, why_nothing
 from skinbake.gltf.resources import is_data_uri, read_resource
-from skinbake.lighting.baked_views import BakedView, is_baked, sound_views
-from skinbake.lighting.expected import noted_kind
-from skinbake.lighting.verify_options import VerifyOptions
-from skinbake.report.verify import FileVerdict, file_json, remarks
+from skinbake.measure.options import VerifyOptions
+from skinbake.report.verify import FileVerdict, by_worse_truth, file_json, first_problem, gain, remarks
 from skinbake.timing import stage
+from skinbake.view.index import Listed, index, pages
 from skinbake.view.page import OtherGradients, Shown, page
 from skinbake.view.texts import INFLUENCES
 from skinbake.wording import counted
@@ -43,12 +53,6 @@ IMAGES = {PNG: "image/png", JPEG: "image/jpeg", WEBP: "image/webp"}
 
 PAGE_BYTES = 4
 """The memory of a page for each byte of its model: its text in base64, filled into the page, and encoded."""
-
-SKIPPED = "skipped: "
-"""The beginning of the notices that say why a primitive is left out."""
-
-OF_STORAGE = {"draco-sequential"}
-"""The notices of a bake that speak only of the bytes of its output."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +81,7 @@ def view_file(source: str, target: str | None = None, bounds: Bounds = BESIDE) -
     notices: tuple[Notice, ...] = ()
     notes: list[str] = []
     if not was_baked:
-        before = "The bake of the file is damaged." if _damaged(document) else "The file was not baked."
+        before = "The bake of the file is damaged." if damaged_bakes(document) else "The file was not baked."
         notes = [f"{before} This page baked it in memory, with the defaults."]
         document, notices = baked_in_memory(document)
     verdict = verify_document(document, VerifyOptions())
@@ -129,47 +133,6 @@ def write_page(result: ViewResult, target: str, *, sync: bool = True) -> None:
         write_stdout([result.page])
     else:
         write_file([result.page], target, sync=sync)
-
-
-def baked_in_memory(document: Document) -> tuple[Document, tuple[Notice, ...]]:
-    """Bake a document with the defaults. Raises InputError if nothing in it can be baked.
-
-    The notices are those on damaged bakes, and on α and β. Nothing is stored, so those on storage are left
-    out.
-    """
-    count = len(skinned_sources(document)[0])
-    document.budget.claim_steps(
-        STEPS_A_PRIMITIVE * count, f"baking {counted(count, 'primitive')} in memory", document.place
-    )
-    plain, _, _ = stripped(document)
-    made = Baker(generate_normals=True).bake_document(plain)
-    if not made.primitives:
-        skipped = (notice for notice in made.notices if notice.message.startswith(SKIPPED))
-        reasons = "; ".join(notice.message.removeprefix(SKIPPED) for notice in skipped)
-        raise InputError(f"nothing in it can be shown: {reasons or why_nothing(document)}", document.place)
-    notices = [notice for notice in made.notices if notice.code not in OF_STORAGE]
-    return made.document, (*_damaged(document), *_generated(document), *notices)
-
-
-def _damaged(document: Document) -> list[Notice]:
-    """Return a notice for each primitive that holds a bake. The bake of none is sound."""
-    message = "its bake is damaged, and one made in memory is shown: skinbake verify says what is wrong"
-    return [
-        Notice("bake-damaged", message, source.place)
-        for source in skinned_sources(document)[0]
-        if is_baked(document, source)
-    ]
-
-
-def _generated(document: Document) -> list[Notice]:
-    """Return a notice for each primitive that has no normals of its own."""
-    message = "it has no NORMAL: smooth normals are generated here, and in a bake with --generate-normals"
-    return [
-        Notice("normals-generated", message, source.place)
-        for source in skinned_sources(document)[0]
-        if "NORMAL" not in source.attributes
-        and reason_to_skip(document, source, generate_normals=True) is None
-    ]
 
 
 def _other_gradients(document: Document, views: Sequence[BakedView]) -> Iterator[OtherGradients]:
@@ -260,14 +223,6 @@ def _unread_textures(document: Document) -> Iterator[str]:
             yield error.message
 
 
-def unplaced(document: Document, view: BakedView, made: str) -> list[Notice]:
-    """Return a notice if an image of a primitive has no texture coordinates there."""
-    ours = {*view.metadata["alpha"], *view.metadata["beta"]}  # they may be stored as such sets
-    return images_unplaced(
-        document, view.source.json, set(view.source.attributes) - ours, made, view.source.place
-    )
-
-
 def _opening(document: Document, views: Sequence[BakedView]) -> JsonObject | None:
     """Return the number of the animation and the time in seconds on which the page opens, None for its first.
 
@@ -315,3 +270,90 @@ def _findings(verdict: FileVerdict) -> dict[str, Any]:
             for check in verdict.checks
         ],
     }
+
+
+def _page(document: Document, verdict: FileVerdict, options: VerifyOptions) -> bytes:
+    """Return the page of a file that was verified, with its verdict and the limits that it was held to."""
+    return page_of(document, verdict, [], limits=limits_in_words(options))[0]
+
+
+def write_report(
+    verdicts: Sequence[FileVerdict],
+    options: Mapping[str, VerifyOptions],
+    target: str,
+    bounds: Callable[[str], Bounds],
+    *,
+    sync: bool = True,
+) -> Path | None:
+    """Write the page of one verdict, or an index and the pages of several in a folder of its name.
+
+    ``options`` are those of each input. ``bounds`` gives the folders in which the document of an input may
+    name files. A file that cannot be read, or was not verified again, has no page. The index tells the limits
+    that are the same for all, and that there are others. Return the folder of the pages, None if there is
+    none. Raises SkinbakeError; the files that were written before stay.
+    """
+    if len(verdicts) == 1 and verdicts[0].error is None and not verdicts[0].up_to_date:
+        source = verdicts[0].input
+        document = read_document(source, bounds(source))
+        write_file([_page(document, verdicts[0], options[source])], target, sync=sync)
+        return None
+    listed, folder = [], None
+    for verdict, path in zip(verdicts, pages(target, [one.input for one in verdicts]), strict=True):
+        link = picture = None
+        if verdict.error is None and not verdict.up_to_date:
+            document = read_document(verdict.input, bounds(verdict.input))
+            page, picture = _page(document, verdict, options[verdict.input]), small_picture(document)
+            write_files(path.parent, {path: [page]}, str(path), sync=sync)
+            folder = path.parent
+            link = f"{quote(folder.name)}/{path.name}"
+        listed.append(_listed(verdict, link, picture))
+    limits = [limits_in_words(options[verdict.input]) for verdict in verdicts]
+    write_file([index(listed, _limits_of_all(limits))], target, sync=sync)
+    return folder
+
+
+def _listed(verdict: FileVerdict, link: str | None, picture: bytes | None) -> Listed:
+    """Return the entry of a file in the index."""
+    figures = by_worse_truth(verdict)
+    return Listed(
+        name=verdict.input,
+        link=link,
+        picture=picture,
+        outcome=verdict.outcome,
+        remark=_remark(verdict),
+        standard=figures["approximated"].mean if figures else None,
+        accurate=figures["accurate"].mean if figures else None,
+        gain=gain(figures) if figures else None,
+    )
+
+
+def _remark(verdict: FileVerdict) -> str:
+    """Return why a file failed, or why it has no figures."""
+    if verdict.error is not None:
+        where = verdict.error.place.within_file if verdict.error.place else ""
+        return f"{where}: {verdict.error.message}" if where else verdict.error.message
+    if verdict.up_to_date:
+        return "before, up to date"  # after the outcome: passed
+    if not verdict.passed:
+        return first_problem(verdict)
+    skipped = [check.remark for check in verdict.checks if check.outcome == "skipped"]
+    return "" if verdict.found_no_bake else "; ".join(skipped)
+
+
+def _limits_of_all(limits: Sequence[Sequence[str]]) -> str:
+    """Return a sentence on the limits of all files, each in words."""
+    common = [limit for limit in limits[0] if all(limit in others for others in limits)]
+    if any(len(own) > len(common) for own in limits):
+        words = [*common, "others that differ between files, on their pages"]
+        return f"Limits: {', '.join(words)}."
+    return f"Limits: {', '.join(common)}." if common else "No limits were asked for."
+
+
+def limits_in_words(options: VerifyOptions) -> list[str]:
+    """Return the limits that were asked for, in words."""
+    given = (
+        ("mean error at most", options.max_mean_error, "°"),
+        ("95th percentile of the error at most", options.max_p95_error, "°"),
+        ("gain at least", options.min_gain, "×"),
+    )
+    return [f"{words} {limit:g}{unit}" for words, limit, unit in given if limit is not None]

@@ -9,9 +9,6 @@ import re
 URL = re.compile(r"^[A-Za-z][A-Za-z0-9+.\-]+(::.+)?://")
 """A scheme of two letters or more. One letter is a drive of Windows. ``zip://a.glb::s3://…`` is of fsspec."""
 
-SUFFIXES = (".glb", ".gltf", ".vrm")
-"""The suffixes of the files that are read and written."""
-
 
 def is_url(path: str) -> bool:
     """Tell whether a name given by the user is a URL, not a path."""

@@ -5,9 +5,11 @@ from __future__ import annotations
 import hashlib
 import os
 import time
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+from skinbake.files import Bytes
 from skinbake.files.folders import Folder
 
 YOUNG = 1_000_000_000
@@ -69,3 +71,20 @@ def _digest(path: str) -> str | None:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError:
         return None
+
+
+DIGITS = 32
+"""Hexadecimal digits of SHA-256 that are kept."""
+
+
+def digest_of(pieces: Iterable[Bytes]) -> str:
+    """Return the digest of bytes that come in pieces."""
+    digest = hashlib.sha256()
+    for piece in pieces:
+        digest.update(piece)
+    return digest.hexdigest()[:DIGITS]
+
+
+def digests_of(files: Mapping[Path, Iterable[Bytes]]) -> dict[str, str]:
+    """Return the digests of files that will be written, given in pieces, by path."""
+    return {str(path): digest_of(pieces) for path, pieces in files.items()}

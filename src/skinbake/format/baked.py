@@ -12,9 +12,9 @@ import numpy.typing as npt
 from skinbake.choices import Layout
 from skinbake.errors import InputError
 from skinbake.format import metadata
-from skinbake.format.adoption import with_adopted
 from skinbake.format.attribute_store import AttributeStore, store_for
 from skinbake.format.encodings import common_scale, encoded
+from skinbake.format.influences import with_adopted
 from skinbake.format.layouts import CUSTOM_NAMES, GradientFormat, free_texcoords, of_alpha_and_beta, paired
 from skinbake.format.metadata import KEY
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive

@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.choices import Frame
-from skinbake.geometry.blocks import blocks
-from skinbake.geometry.skinned import SkinnedPrimitive
+from skinbake.geometry.skinned import SkinnedPrimitive, blocks
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, entries_inside, is_deeper, reference, with_integers
 from skinbake.threads import Threads, thread_count

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skinbake.geometry.blocks import blocks
-from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray
+from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, blocks
 
 ALONG = 1e-3
 """The part of a tangent in the surface, relative to its length, below which its direction is rounding."""

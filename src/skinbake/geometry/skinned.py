@@ -5,6 +5,7 @@ docs/reference/units.md defines axis letters, units and frames.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -16,6 +17,12 @@ Float64Array: TypeAlias = npt.NDArray[np.float64]
 Float32Array: TypeAlias = npt.NDArray[np.float32]
 IntArray: TypeAlias = npt.NDArray[np.integer]
 BoolArray: TypeAlias = npt.NDArray[np.bool_]
+
+TINY_WEIGHT = np.float32(2.0**-30)
+"""FLOAT weight of an adopted slot. Other weights stay; the sum grows by a billionth for each slot."""
+
+UNIT = 65535
+"""Integer weights are stored as unsigned shorts. An adopted slot has 1, and the largest weight loses 1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,3 +93,12 @@ class BakedPrimitive:
     def adopts(self) -> bool:
         """Tell whether any slot adopts a joint."""
         return len(self.adopting) > 0
+
+
+ROWS = 1 << 14
+
+
+def blocks(count: int, rows: int = ROWS) -> Iterator[slice]:
+    """Yield slices that cover ``count`` rows in order."""
+    for start in range(0, count, rows):
+        yield slice(start, min(start + rows, count))

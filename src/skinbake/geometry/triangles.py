@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.geometry.blocks import blocks
-from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray, blocks
 
 TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6
 """Values of ``primitive.mode`` that draw a surface (glTF 2.0, §5.24.4)."""

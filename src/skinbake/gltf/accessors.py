@@ -11,9 +11,8 @@ from skinbake.errors import InputError, Place
 from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.document import Document
-from skinbake.gltf.formats import COMPONENT_NAMES, COMPONENTS, MATRIX_ROWS, component_dtype
 from skinbake.gltf.json_access import JsonObject, index, integer, member, shown
-from skinbake.gltf.views import view_bytes
+from skinbake.gltf.views import COMPONENT_NAMES, COMPONENTS, MATRIX_ROWS, component_dtype, view_bytes
 from skinbake.wording import counted, one_or_many
 
 

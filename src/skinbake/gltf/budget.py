@@ -13,8 +13,8 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from skinbake.control_groups import GROUP_ROOT, GROUPS, group_folders
 from skinbake.errors import InputError, Place
+from skinbake.threads import GROUP_ROOT, GROUPS, group_folders
 
 SHARE = 4
 """Without ``--max-memory`` a file may take the memory of the machine divided by this."""

@@ -28,15 +28,14 @@ from urllib.parse import quote
 from skinbake.errors import SkinbakeError
 from skinbake.files import Bytes
 from skinbake.files.bounds import Spot, below, is_relative, relative_names, spot_of
-from skinbake.files.digests import DIGITS
 from skinbake.files.folders import Folder, beneath, check_regular, open_beneath
 from skinbake.files.temporary import temporary_name
-from skinbake.files.urls import SUFFIXES
-from skinbake.files.versions import signature_of
+from skinbake.files.versions import DIGITS, signature_of
 from skinbake.files.writing import locked, write_files
 from skinbake.gltf.document import GLTF_SUFFIX, Document, read_document
 from skinbake.gltf.resources import FileContent
 from skinbake.signals import interrupts_put_off
+from skinbake.wording import SUFFIXES
 
 NAME = ".skinbake-copies.json"
 """The name of the notes. A file of this name that does not begin like notes is left untouched."""

@@ -144,7 +144,7 @@ class Document:
 
 def _why_short(index: int, uri: str | None, data: Bytes, length: int) -> str:
     """Return why a buffer has fewer bytes than it declares: it is cut, or another file took its place."""
-    from skinbake.gltf.other_kinds import other_kind  # most buffers are whole
+    from skinbake.gltf.glb import other_kind  # most buffers are whole
 
     kind = other_kind(data)
     if kind is not None and uri is not None and not resources.is_data_uri(uri):
@@ -290,7 +290,7 @@ def parse_gltf(
     """
     if data[:4] == b"glTF":
         raise InputError("this is a GLB container; name it .glb instead", Place(name))
-    from skinbake.gltf.other_kinds import refuse_other_kind  # most files are GLBs
+    from skinbake.gltf.glb import refuse_other_kind  # most files are GLBs
 
     refuse_other_kind(data, Place(name))
     budget = budget or _budget_of(data, name)

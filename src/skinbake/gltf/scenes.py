@@ -1,7 +1,14 @@
-"""The nodes of the scene that a picture shows, and the side from which it shows them."""
+"""The scene that a picture shows, and the meshes that are drawn with the same skins: characters.
+
+Source: glTF 2.0, §3.5 and §3.7.3.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Container, Hashable, Iterable, Sequence
+
+from skinbake.errors import Notice, Place
+from skinbake.gltf.animation import read_skeleton
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, entries_of, object_of, reference
 
@@ -38,3 +45,88 @@ def _below(nodes: list[JsonObject], roots: object) -> set[int]:
                 found.add(number)
                 left.append(nodes[number].get("children"))
     return found
+
+
+Skins = frozenset[int]
+
+SEVERAL = -1
+"""Stands for more than one group of meshes."""
+
+
+def meshes_of_one_skin(document: Document, meshes: Iterable[int]) -> tuple[list[list[int]], list[Notice]]:
+    """Return the given meshes in groups that the same skins draw, and a notice on separate meshes.
+
+    Groups, and the meshes in each, keep the given order. Two skins count as one if they have the same joints
+    in the same order and equal inverse bind matrices: some exporters write one skin for each mesh. Meshes are
+    one group only if they have *all* skins in common: if one more skin draws a mesh by itself, the mesh
+    really ends at its border there. Only meshes with equal inverse bind matrices share a mesh space.
+    Quantisation gives every mesh its own, so the notice also counts meshes that share joints with another
+    group but have other inverse bind matrices.
+
+    Raises InputError if a skin cannot be read.
+    """
+    wanted = dict.fromkeys(meshes)
+    drawn_by = _skins_by_mesh(document, wanted.keys())
+    groups: dict[Skins, list[int]] = {}
+    for mesh in wanted:
+        groups.setdefault(drawn_by[mesh], []).append(mesh)
+    return list(groups.values()), _kept_apart(document, groups)
+
+
+def _skins_by_mesh(document: Document, meshes: Container[int]) -> dict[int, Skins]:
+    """Return the skins of each of the meshes; the first of equal skins stands for all of them."""
+    # Some exporters write 3.0. Reading the primitives has checked that they are indices.
+    pairs = [
+        (int(node["mesh"]), int(node["skin"]))
+        for node in document.objects("nodes")
+        if "skin" in node and node.get("mesh") in meshes
+    ]
+    first: dict[Hashable, int] = {}
+    number = {
+        skin: first.setdefault(_binding(document, skin), skin) for skin in sorted({s for _, s in pairs})
+    }
+    drawn_by: dict[int, set[int]] = {}
+    for mesh, skin in pairs:
+        drawn_by.setdefault(mesh, set()).add(number[skin])
+    return {mesh: frozenset(skins) for mesh, skins in drawn_by.items()}
+
+
+def _binding(document: Document, skin: int) -> Hashable:
+    """Return the identity of a skin: its joints, in order, and their inverse bind matrices."""
+    matrices = read_skeleton(document, skin).inverse_bind
+    return tuple(_joints(document, skin)), (matrices + 0.0).tobytes()  # −0 = +0
+
+
+def _joints(document: Document, skin: int) -> Sequence[int]:
+    """Return the joint nodes of a skin; reading the skin has checked that they are indices."""
+    return [int(node) for node in document.objects("skins")[skin]["joints"]]
+
+
+def _owners(owned: Iterable[tuple[Iterable[int], int]]) -> dict[int, int]:
+    """Return the owner of each entry, SEVERAL if it has more than one; given are entries with their owner."""
+    owners: dict[int, int] = {}
+    for entries, owner in owned:
+        for entry in entries:
+            if owners.setdefault(entry, owner) != owner:
+                owners[entry] = SEVERAL
+    return owners
+
+
+def _kept_apart(document: Document, groups: dict[Skins, list[int]]) -> list[Notice]:
+    """Return a notice if joints of one group also move another one.
+
+    Each joint of each skin is read once, so that many groups of many joints take no longer than reading them.
+    """
+    group_of = _owners((skins, number) for number, skins in enumerate(groups))
+    joints = {skin: _joints(document, skin) for skin in group_of}
+    moved_by = _owners((joints[skin], group) for skin, group in group_of.items())
+    of_several = {skin for skin in joints if any(moved_by[node] == SEVERAL for node in joints[skin])}
+    concerned = [meshes[0] for skins, meshes in groups.items() if not skins.isdisjoint(of_several)]
+    if not concerned:
+        return []
+    message = (
+        f"{len(concerned)} groups of meshes share joints but are not welded by --weld skin. Meshes "
+        "are welded only if all their skins are the same: equal joints, in order, and equal "
+        f"inverse bind matrices. The groups begin with meshes {', '.join(map(str, concerned))}"
+    )
+    return [Notice("weld-apart", message, Place(document.name), len(concerned))]

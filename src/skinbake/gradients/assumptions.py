@@ -6,11 +6,10 @@ import numpy as np
 
 from skinbake.choices import Frame, Gradients
 from skinbake.errors import InputError, Notice, Place
-from skinbake.geometry.blocks import blocks
 from skinbake.geometry.frames import NO_DIRECTION
-from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
+from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive, blocks
 from skinbake.gradients.baker import BakeFindings
-from skinbake.gradients.field import WeightDefects
+from skinbake.gradients.surface import WeightDefects
 from skinbake.gradients.tangents import TANGENT_TOLERANCE
 from skinbake.wording import counted, one_or_many
 
@@ -102,7 +101,7 @@ def _of_influences(weights: WeightDefects, outside: int, joint_count: int) -> li
 
 def _weight_sums(primitive: SkinnedPrimitive, place: Place) -> list[Notice]:
     """Return a notice on weights that do not sum to 1."""
-    from skinbake.gradients.weight_sums import weight_sum_notices  # in most files they do
+    from skinbake.gradients.influences import weight_sum_notices  # in most files they do
 
     return weight_sum_notices(primitive, place)
 

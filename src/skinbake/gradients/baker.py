@@ -23,9 +23,8 @@ from skinbake.geometry.skinned import (
     SkinnedPrimitive,
 )
 from skinbake.gradients import kernel
-from skinbake.gradients.field import WeightDefects, WeightField, concatenate_fields
 from skinbake.gradients.influences import ADOPTING_SUM, weight_field
-from skinbake.gradients.surface import Surface, SurfaceSlots
+from skinbake.gradients.surface import Surface, SurfaceSlots, WeightDefects, WeightField, concatenate_fields
 from skinbake.gradients.tangents import ChosenFrame, chosen_frame, frame_vectors
 from skinbake.gradients.weld import weld
 from skinbake.timing import stage

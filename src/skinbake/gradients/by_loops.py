@@ -12,12 +12,10 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.geometry.blocks import blocks
 from skinbake.geometry.rig import Rig
-from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray, blocks
 from skinbake.geometry.triangles import DEGENERATE_AREA
 from skinbake.gradients import _kernel
-from skinbake.gradients.field import WeightDefects, WeightField
 from skinbake.gradients.fit_rules import (
     DOUBT,
     EVEN,
@@ -32,8 +30,7 @@ from skinbake.gradients.fit_rules import (
     TOGETHER,
     UNFELT,
 )
-from skinbake.gradients.labels import Labels
-from skinbake.gradients.surface import NEGLIGIBLE, Surface, SurfaceSlots
+from skinbake.gradients.surface import NEGLIGIBLE, Labels, Surface, SurfaceSlots, WeightDefects, WeightField
 from skinbake.timing import tell_steps
 
 NO_RIG = Rig(np.empty(0, dtype=np.int32), np.empty((0, 3)))

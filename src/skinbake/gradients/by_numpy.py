@@ -11,12 +11,19 @@ import numpy.typing as npt
 from skinbake.geometry.frames import frame_from_normal, unit_normals
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray
 from skinbake.geometry.triangles import mark_proper
-from skinbake.gradients.field import NO_JOINT, WeightDefects, WeightField
-from skinbake.gradients.labels import Labels, bit_patterns, number_as_met
 from skinbake.gradients.rig_fit import FittedVertices, fitted
 from skinbake.gradients.ring_turns import ring_turns
 from skinbake.gradients.slots import assign, shared_capacity
-from skinbake.gradients.surface import Surface, SurfaceSlots
+from skinbake.gradients.surface import (
+    NO_JOINT,
+    Labels,
+    Surface,
+    SurfaceSlots,
+    WeightDefects,
+    WeightField,
+    bit_patterns,
+    number_as_met,
+)
 from skinbake.gradients.weight_gradients import weight_gradients
 
 __all__ = ["bake_surface", "label_equal_rows", "mark_proper", "normalise_influences"]

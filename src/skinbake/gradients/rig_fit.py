@@ -16,10 +16,10 @@ import numpy as np
 
 from skinbake.geometry.rig import NO_CHAIN, Lineage, Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
-from skinbake.gradients.field import NO_JOINT, WeightField
 from skinbake.gradients.fit_rules import EVEN, FAINT, MISSING, STIFFNESS, STORED, TOGETHER, UNFELT
 from skinbake.gradients.ring_turns import RingTurns
 from skinbake.gradients.stored_pose import StoredTilts
+from skinbake.gradients.surface import NO_JOINT, WeightField
 from skinbake.gradients.weight_gradients import VertexGradients, summed_rows
 
 MOST_TURNS = 128

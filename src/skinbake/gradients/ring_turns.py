@@ -14,11 +14,11 @@ import numpy as np
 
 from skinbake.geometry.frames import frame_from_normal, has_direction, parts_along, unit_normals
 from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray
-from skinbake.gradients.corner import ROOT
 from skinbake.gradients.fit_rules import DOUBT, FLAT, MOST_DOUBT, SMOOTH
 from skinbake.gradients.stored_pose import StoredTilts, WeightChanges, stored_tilts
 from skinbake.gradients.surface import Surface
 from skinbake.gradients.weight_gradients import (
+    ROOT,
     corner_differences,
     corners_of,
     summed_by_key,

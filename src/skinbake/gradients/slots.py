@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skinbake.geometry.blocks import blocks
-from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
-from skinbake.gradients.field import NO_JOINT, WeightField
-from skinbake.gradients.surface import NEGLIGIBLE
+from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray, blocks
+from skinbake.gradients.surface import NEGLIGIBLE, NO_JOINT, WeightField
 from skinbake.gradients.weight_gradients import VertexGradients
 
 BLOCK = 1 << 15

@@ -9,8 +9,7 @@ import numpy as np
 
 from skinbake.choices import Frame
 from skinbake.geometry import frames
-from skinbake.geometry.blocks import blocks
-from skinbake.geometry.skinned import FloatArray, SkinnedPrimitive, Straightened
+from skinbake.geometry.skinned import FloatArray, SkinnedPrimitive, Straightened, blocks
 
 TANGENT_TOLERANCE = 0.1
 """Degrees between t0 × b0 and n0 up to which TANGENT serves as it is."""

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
-from skinbake.gradients.corner import WEIGHTINGS, corner_coefficients
-from skinbake.gradients.field import WeightField
+from skinbake.gradients.surface import WeightField
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,3 +137,38 @@ def summed_rows(groups: IntArray, rows: Float64Array, count: int) -> Float64Arra
     for number, column in enumerate(rows.T):
         sums[:, number] = np.bincount(groups, column, count)
     return sums
+
+
+MAX, ANGLE, AREA, ANGLE_AREA, ROOT = range(5)
+WEIGHTINGS = {"max": MAX, "angle": ANGLE, "area": AREA, "angle-area": ANGLE_AREA}
+
+
+def corner_coefficients(e1: Any, e2: Any, weighting: int) -> Any:
+    """Return (weight, c1, c2) of a corner: its weight, and the weight times the gradients of both hats.
+
+    e1, e2 are the edges at the corner, each a triple of components: numbers, or arrays (N,) of N corners. c1
+    and c2 are such triples too. The corner adds c1 (w1 − w0) + c2 (w2 − w0) to the vertex's sum. The triangle
+    must have an area. weighting is MAX, ANGLE, AREA, ANGLE_AREA or ROOT.
+    """
+    e1x, e1y, e1z = e1
+    e2x, e2y, e2z = e2
+    nx = e1y * e2z - e1z * e2y
+    ny = e1z * e2x - e1x * e2z
+    nz = e1x * e2y - e1y * e2x
+    squared_area2 = nx * nx + ny * ny + nz * nz
+    area2 = np.sqrt(squared_area2)
+    squared_lengths = (e1x * e1x + e1y * e1y + e1z * e1z) * (e2x * e2x + e2y * e2y + e2z * e2z)
+    if weighting == MAX:
+        weight = area2 / squared_lengths
+    elif weighting == ROOT:
+        weight = area2 / (np.sqrt(squared_lengths) * np.sqrt(np.sqrt(squared_lengths)))
+    elif weighting == AREA:
+        weight = area2
+    else:
+        weight = np.arctan2(area2, e1x * e2x + e1y * e2y + e1z * e2z)
+        if weighting == ANGLE_AREA:
+            weight = weight * area2
+    scale = weight / squared_area2
+    c1 = ((e2y * nz - e2z * ny) * scale, (e2z * nx - e2x * nz) * scale, (e2x * ny - e2y * nx) * scale)
+    c2 = ((ny * e1z - nz * e1y) * scale, (nz * e1x - nx * e1z) * scale, (nx * e1y - ny * e1x) * scale)
+    return weight, c1, c2

@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.geometry.blocks import blocks
 from skinbake.geometry.frames import has_direction, unit_vectors
-from skinbake.geometry.skinned import BoolArray, FloatArray, IntArray
+from skinbake.geometry.skinned import BoolArray, FloatArray, IntArray, blocks
 from skinbake.gradients import kernel
-from skinbake.gradients.field import WeightField
-from skinbake.gradients.labels import Labels, bit_patterns, first_rows, number_as_met
+from skinbake.gradients.surface import Labels, WeightField, bit_patterns, first_rows, number_as_met
 
 PAIRED_GROUP = 32
 """Groups of at most this many distinct normals are compared pair by pair. Larger groups grow step by step."""

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Generic, Protocol, TypeVar, runtime_checkable
 from skinbake.errors import InputError, Place, SkinbakeError
 from skinbake.gltf.budget import memory_limited
 from skinbake.gltf.document import STDIO
-from skinbake.jobs.boundary import survived
-from skinbake.jobs.work import Job, ResultT, changed
+from skinbake.jobs.work import Job, ResultT, changed, survived
 from skinbake.threads import threads_limited
 from skinbake.timing import stage, tell_file, timed
 

@@ -20,9 +20,8 @@ from typing import Any, Generic, TypeVar
 
 from skinbake.errors import InputError, Place, SkinbakeError
 from skinbake.gltf.budget import memory_limited
-from skinbake.jobs.boundary import survived
 from skinbake.jobs.starting import check_descriptors, context_for, no_interrupts, started
-from skinbake.jobs.work import JobT, ReturnT, Work
+from skinbake.jobs.work import JobT, ReturnT, Work, survived
 from skinbake.jobs.worker import Limits
 from skinbake.threads import threads_limited
 from skinbake.timing import Told, tell

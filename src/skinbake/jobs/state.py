@@ -23,8 +23,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from skinbake.errors import InputError, Notice, OutputError, Place, SkinbakeError
 from skinbake.files.bounds import BESIDE, OWN_FOLDERS, Bounds, RefusedError, Spot, Within, spots
-from skinbake.files.digests import DIGITS, digest_of
 from skinbake.files.folders import flush, open_beneath, open_regular
+from skinbake.files.versions import DIGITS, digest_of
 from skinbake.files.writing import write_file
 from skinbake.gltf.beside import named_files
 from skinbake.gltf.document import Document, read_document

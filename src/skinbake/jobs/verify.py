@@ -10,7 +10,7 @@ from skinbake.errors import SkinbakeError
 from skinbake.files.bounds import Bounds
 from skinbake.jobs.elsewhere import elsewhere_of
 from skinbake.jobs.work import Job
-from skinbake.lighting.verify_options import VerifyOptions
+from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import FileVerdict
 
 if TYPE_CHECKING:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeVar
 
-from skinbake.errors import Notice, SkinbakeError
+from skinbake.errors import InputError, Notice, Place, SkinbakeError, defect, printable_lines
 from skinbake.files.bounds import OWN_FOLDERS, Bounds, Within
 
 if TYPE_CHECKING:
@@ -107,3 +108,36 @@ class Runner(Protocol[JobT, ReturnT]):
         job again, and at last yields ``work.lost(job, reason)``. Closing the generator stops the jobs that
         have not begun.
         """
+
+
+def survived(work: Callable[[], T], failed: Callable[[SkinbakeError], T], file: str) -> T:
+    """Return the result of ``work``. If an exception ends it, return the result of ``failed``.
+
+    A message names ``file`` if the exception has no place.
+    """
+    try:
+        return work()
+    except SkinbakeError as error:
+        failure = error
+    except MemoryError:
+        failure = InputError("it needs more memory than there is or --max-memory allows", Place(file))
+    except Exception as error:  # a defect of skinbake must not harm the other files
+        import logging  # it takes some milliseconds
+
+        logging.getLogger(__name__).debug("where it failed", exc_info=True)
+        failure = defect(error, file)
+    return failed(failure)
+
+
+class _Printable(logging.Formatter):
+    """Escape the control characters that a name from a file could send to a terminal."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return printable_lines(super().format(record))
+
+
+def log_to_stderr(level: int) -> None:
+    """Print log messages of this level and above, unless logging is configured already."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(_Printable("%(name)s: %(message)s"))
+    logging.basicConfig(level=level, handlers=[handler])

@@ -11,9 +11,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 
-from skinbake.jobs.boundary import survived
-from skinbake.jobs.logs import log_to_stderr
-from skinbake.jobs.work import JobT, ReturnT, Work
+from skinbake.jobs.work import JobT, ReturnT, Work, log_to_stderr, survived
 from skinbake.signals import ENDING
 from skinbake.timing import Told, heard
 

@@ -7,8 +7,15 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from skinbake.errors import Notice, Place, SkinbakeError, printable
-from skinbake.report.notices import error_fields, notice_list, place_fields
-from skinbake.report.totals import Totals, reason_of, run_json, timing_fields
+from skinbake.report.totals import (
+    Totals,
+    error_fields,
+    notice_list,
+    place_fields,
+    reason_of,
+    run_json,
+    timing_fields,
+)
 from skinbake.wording import counted, percent
 
 SCHEMA = "skinbake.bake/1"

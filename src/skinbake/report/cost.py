@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from skinbake.errors import Notice, Place, printable
-from skinbake.report.notices import notice_list, place_fields
+from skinbake.report.totals import notice_list, place_fields
 from skinbake.wording import counted
 
 SCHEMA = "skinbake.cost/1"

@@ -8,8 +8,15 @@ from typing import Any
 
 from skinbake.choices import Gradients
 from skinbake.errors import Notice, Place, SkinbakeError, printable
-from skinbake.report.notices import error_fields, notice_list, place_fields
-from skinbake.report.totals import Totals, reason_of, run_json, timing_fields
+from skinbake.report.totals import (
+    Totals,
+    error_fields,
+    notice_list,
+    place_fields,
+    reason_of,
+    run_json,
+    timing_fields,
+)
 from skinbake.wording import counted
 
 SCHEMA = "skinbake.inspect/1"

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from skinbake.errors import Notice, SkinbakeError, printable
-from skinbake.report.notices import error_fields, notice_list
-from skinbake.report.totals import Totals, reason_of, run_json, timing_fields
+from skinbake.report.totals import Totals, error_fields, notice_list, reason_of, run_json, timing_fields
 from skinbake.wording import counted
 
 SCHEMA = "skinbake.strip/1"

@@ -10,8 +10,15 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from skinbake.choices import Truth
 from skinbake.errors import Notice, Place, SkinbakeError, printable
-from skinbake.report.notices import error_fields, notice_list, place_fields
-from skinbake.report.totals import Totals, reason_of, run_json, timing_fields
+from skinbake.report.totals import (
+    Totals,
+    error_fields,
+    notice_list,
+    place_fields,
+    reason_of,
+    run_json,
+    timing_fields,
+)
 from skinbake.wording import counted, gain_in_words
 
 if TYPE_CHECKING:
@@ -352,7 +359,7 @@ def as_junit(verdicts: Sequence[FileVerdict]) -> str:
     The class of a case is its file, because many programs show and compare cases by class and name only. A
     file that was not verified again has one case, ``up-to-date``: some programs refuse a report without any.
     """
-    from xml.etree import ElementTree  # noqa: PLC0415  # only --junit needs it
+    from xml.etree import ElementTree  # only --junit needs it
 
     root = ElementTree.Element("testsuites", name="skinbake verify")
     for verdict in verdicts:
@@ -376,7 +383,7 @@ def as_junit(verdicts: Sequence[FileVerdict]) -> str:
 
 
 def _case(suite: ElementTree.Element, file: str, check: Check) -> str:
-    from xml.etree import ElementTree  # noqa: PLC0415  # likewise
+    from xml.etree import ElementTree  # likewise
 
     case = ElementTree.SubElement(suite, "testcase", name=check.name, classname=file)
     if check.outcome == "failed":

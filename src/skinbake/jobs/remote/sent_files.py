@@ -26,10 +26,9 @@ from skinbake.gltf.budget import Budget
 from skinbake.gltf.document import STDIO, Document, read_named
 from skinbake.gltf.output import Writing, plan_output
 from skinbake.gltf.resources import FileContent, find, read_open_file
-from skinbake.jobs.boundary import survived
 from skinbake.jobs.remote.ends import End, needed, resources_of
 from skinbake.jobs.remote.staging import Staging
-from skinbake.jobs.work import Job, ResultT, Work
+from skinbake.jobs.work import Job, ResultT, Work, survived
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,24 +11,24 @@ from __future__ import annotations
 import os
 import posixpath
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar, cast
 
-from skinbake.errors import InputError, OutputError, Place, noticed
+from skinbake.errors import InputError, OutputError, Place, SkinbakeError, noticed
 from skinbake.files.bounds import BESIDE, Bounds, Within
 from skinbake.files.urls import is_url, on_disk
 from skinbake.files.writing import SAVED_ANEW
 from skinbake.gltf.document import GLB_SUFFIXES, STDIO
 from skinbake.jobs.remote.ends import End, is_copied, leads_out, names_of, needed, resources_of
 from skinbake.jobs.remote.private_folder import PrivateFolder
-from skinbake.jobs.remote.renaming import with_names
 from skinbake.jobs.remote.storages import Storage, located, writing
 from skinbake.jobs.work import Makes, ResultT
 from skinbake.timing import stage
 
 if TYPE_CHECKING:
     from skinbake.gltf.output import Writing
+
 
 T = TypeVar("T")
 
@@ -228,3 +228,34 @@ def _fetch_needed(
                 "from another storage",
                 Place(target.given),
             )
+
+
+def with_names(call: Callable[[], T], naming: Callable[[str], str]) -> T:
+    """Return the result of the call, or raise its error, with the naming applied to every text in it."""
+    try:
+        return _renamed(call(), naming)
+    except SkinbakeError as error:
+        raise _renamed_error(error, naming) from error
+
+
+def _renamed_error(error: SkinbakeError, naming: Callable[[str], str]) -> SkinbakeError:
+    renamed = type(error)(naming(error.message), _renamed(error.place, naming))
+    renamed.notices = _renamed(error.notices, naming)
+    return renamed
+
+
+def _renamed(value: T, naming: Callable[[str], str]) -> T:
+    """Return a value with the naming applied to every text in it."""
+    renamed: object = value
+    if isinstance(value, str):
+        renamed = naming(value) if type(value) is str else value
+    elif isinstance(value, SkinbakeError):
+        renamed = _renamed_error(value, naming)
+    elif is_dataclass(value) and not isinstance(value, type):
+        texts = {f.name: _renamed(getattr(value, f.name), naming) for f in fields(value) if f.init}
+        renamed = replace(value, **texts)
+    elif isinstance(value, tuple | list):
+        renamed = type(value)(_renamed(item, naming) for item in value)
+    elif isinstance(value, dict):
+        renamed = {_renamed(key, naming): _renamed(item, naming) for key, item in value.items()}
+    return cast("T", renamed)

@@ -11,7 +11,8 @@ from urllib.parse import unquote, urlsplit
 
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
 from skinbake.files.bounds import is_relative
-from skinbake.files.urls import SUFFIXES, URL, file_part, join_url
+from skinbake.files.urls import URL, file_part, join_url
+from skinbake.wording import SUFFIXES
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem  # fsspec is untyped: this is Any

@@ -1,0 +1,172 @@
+"""The stored influences that a bake changes: adopted joints, fewer influences, one influence set more.
+
+Adopted joints get weights too small to see, so that no tool takes their slots for empty.
+``--limit-influences`` keeps the component type, and integer weights sum to their type's largest value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.choices import SLOTS_PER_SET
+from skinbake.geometry.skinned import TINY_WEIGHT, UNIT, BoolArray, Float64Array, IntArray, SkinnedPrimitive
+from skinbake.gltf.accessors import StoredArray
+from skinbake.gltf.primitives import StoredInfluences
+
+
+def with_adopted(
+    sets: Sequence[StoredInfluences], rows: IntArray, adopted: IntArray
+) -> list[StoredInfluences]:
+    """Return the influence sets with adopted joints; unchanged arrays are the same objects.
+
+    rows (A,) are the vertices that adopt. adopted (A, K) is the joint that each slot adopts, −1 for none. No
+    positive weight of the vertex may count for it. So another slot that names the joint is free, and becomes
+    joint 0 of weight 0: glTF allows a joint once at a vertex. Unsigned bytes become shorts if they must
+    change: v / 255 is exactly 257 v / 65535.
+    """
+    slots = [adopted[:, 4 * number : 4 * number + 4] for number in range(len(sets))]
+    vacated = [
+        (slot < 0) & (stored.joints.values[rows, :, None] == adopted[:, None, :]).any(axis=2)
+        for stored, slot in zip(sets, slots, strict=True)
+    ]
+    dues = _dues(sets, rows, slots)
+    return [
+        replace(
+            stored,
+            joints=_new_joints(stored.joints, rows, slot, left),
+            weights=_new_weights(stored.weights, rows, slot, left, due),
+        )
+        for stored, slot, left, due in zip(sets, slots, vacated, dues, strict=True)
+    ]
+
+
+def _dues(sets: Sequence[StoredInfluences], rows: IntArray, slots: Sequence[IntArray]) -> list[IntArray]:
+    """Return per set (A, 4) the units that each slot loses: the largest weight of a vertex pays for all.
+
+    Of equal weights, the weight of the lowest joint pays. So copies of a vertex with another order of slots
+    still agree.
+    """
+    weights = np.concatenate([_rows_of(stored.weights, rows).decoded() for stored in sets], axis=1)
+    joints = np.concatenate([stored.joints.values[rows].astype(np.int64) for stored in sets], axis=1)
+    largest = weights == weights.max(axis=1, keepdims=True)
+    payer = np.where(largest, joints, np.iinfo(np.int64).max).argmin(axis=1)
+    units = np.zeros(len(weights), dtype=np.int64)
+    for stored, slot in zip(sets, slots, strict=True):
+        if stored.weights.values.dtype.kind != "f":
+            units += np.count_nonzero(slot >= 0, axis=1)
+    dues = np.zeros(weights.shape, dtype=np.int64)
+    dues[np.arange(len(weights)), payer] = units
+    return [dues[:, 4 * number : 4 * number + 4] for number in range(len(sets))]
+
+
+def _rows_of(stored: StoredArray, rows: IntArray) -> StoredArray:
+    return replace(stored, values=stored.values[rows])
+
+
+def _new_joints(stored: StoredArray, rows: IntArray, slot: IntArray, vacated: BoolArray) -> StoredArray:
+    kept: npt.NDArray[Any] = np.where(vacated, 0, stored.values[rows])
+    if not (slot >= 0).any() and (kept == stored.values[rows]).all():
+        return stored
+    wide = slot.max() > np.iinfo(stored.values.dtype).max  # type: ignore[type-var]  # joints are integers
+    values: npt.NDArray[Any] = stored.values.astype(np.uint16 if wide else stored.values.dtype)
+    values[rows] = np.where(slot >= 0, slot, kept)
+    return replace(stored, values=values)
+
+
+def _new_weights(
+    stored: StoredArray, rows: IntArray, slot: IntArray, vacated: BoolArray, due: IntArray
+) -> StoredArray:
+    before: npt.NDArray[Any] = stored.values
+    if not (slot >= 0).any() and not due.any() and not before[rows][vacated].any():
+        return stored
+    if before.dtype.kind == "f":
+        floats = before.astype(np.float32)
+        paid = floats[rows] - (due / UNIT).astype(np.float32) if due.any() else floats[rows]
+        floats[rows] = np.where(slot >= 0, TINY_WEIGHT, np.where(vacated, 0, paid))
+        return replace(stored, values=floats)
+    shorts = before.astype(np.uint16) * np.uint16(257 if before.dtype.itemsize == 1 else 1)
+    shorts[rows] = np.where(slot >= 0, 1, shorts[rows]) - due
+    return replace(stored, values=shorts)
+
+
+def with_limit(
+    sets: Sequence[StoredInfluences],
+    slots: npt.NDArray[np.int64],
+    shares: Float64Array,
+    rewritten: BoolArray,
+) -> list[StoredInfluences]:
+    """Return influence sets of N slots for each vertex, N a multiple of 4.
+
+    slots (V, N) is the stored slot whose joint each new slot takes, −1 for none (joint 0, weight 0). At
+    vertices in ``rewritten`` (V,), weights are ``shares`` (V, N), which sum to 1. At other vertices they are
+    the stored ones. Joints take the widest type of the sets. Weights take the type that all sets have,
+    otherwise FLOAT.
+    """
+    joints = np.concatenate([stored.joints.values.astype(np.int64) for stored in sets], axis=1)
+    taken = np.where(slots >= 0, np.take_along_axis(joints, np.maximum(slots, 0), axis=1), 0)
+    unit = common_unit(sets)
+    dtype = np.dtype(np.float32) if unit is None else sets[0].weights.values.dtype
+    # float64 holds every FLOAT and every integer of 16 bits exactly.
+    parts = [entry.weights.decoded() if unit is None else entry.weights.values for entry in sets]
+    stored = np.concatenate(parts, axis=1).astype(np.float64)
+    renewed = shares if unit is None else _shared_out(shares, unit)
+    moved = np.take_along_axis(stored, np.maximum(slots, 0), axis=1)
+    weights = np.where(slots >= 0, np.where(rewritten[:, None], renewed, moved), 0)
+    taken[(weights == 0) & rewritten[:, None]] = 0
+    kind = max((stored.joints.values.dtype for stored in sets), key=lambda dtype: dtype.itemsize)
+    return [
+        StoredInfluences(
+            StoredArray(taken[:, start : start + 4].astype(kind), normalized=False),
+            StoredArray(weights[:, start : start + 4].astype(dtype), normalized=unit is not None),
+        )
+        for start in range(0, slots.shape[1], 4)
+    ]
+
+
+def common_unit(sets: Sequence[StoredInfluences]) -> int | None:
+    """Return the integer that means a weight of 1 in all sets; None if they are FLOAT, or differ."""
+    dtypes = {stored.weights.values.dtype for stored in sets}
+    if len(dtypes) > 1 or any(dtype.kind == "f" for dtype in dtypes):
+        return None
+    return int(np.iinfo(dtypes.pop().str).max)
+
+
+def _shared_out(shares: Float64Array, unit: int) -> Float64Array:
+    """Round shares (V, N) to integers that sum to ``unit``: the largest remainders are rounded up.
+
+    Of equal remainders, that of the earlier slot is rounded up: the larger weight, then the lower joint.
+    """
+    exact = shares * unit
+    floors = np.floor(exact)
+    missing = unit - floors.sum(axis=1, keepdims=True)
+    rank = np.argsort(np.argsort(floors - exact, axis=1, kind="stable"), axis=1, kind="stable")
+    return np.asarray(floors + (rank < missing))
+
+
+@dataclass(frozen=True, slots=True)
+class Extended:
+    """A primitive with one influence set more, the sets to store, and the number of vertices that need it."""
+
+    primitive: SkinnedPrimitive
+    stored: tuple[StoredInfluences, ...]
+    vertices: int
+
+
+def extended(primitive: SkinnedPrimitive, sets: Sequence[StoredInfluences], vertices: int) -> Extended:
+    """Return a primitive with a further set of weights 0, of the types of its last one."""
+    last, count = sets[-1], len(primitive.positions)
+
+    def empty(like: StoredArray) -> StoredArray:
+        return StoredArray(np.zeros((count, SLOTS_PER_SET), like.values.dtype), like.normalized)
+
+    added = StoredInfluences(empty(last.joints), empty(last.weights))
+    wide = primitive.with_influences(
+        np.pad(primitive.joints, ((0, 0), (0, SLOTS_PER_SET))),
+        np.pad(primitive.weights, ((0, 0), (0, SLOTS_PER_SET))),
+    )
+    return Extended(wide, (*sets, added), vertices)

@@ -1,0 +1,1 @@
+"""Whether α and β in a file still fit its arrays."""

@@ -1,0 +1,256 @@
+"""The α and β that a bake of the present arrays would give, by the kind that the metadata notes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from skinbake.choices import SLOTS_PER_SET, Gradients, Weighting
+from skinbake.format.former import former_attributes, former_sets
+from skinbake.format.metadata import FORMER_ATTRIBUTES, POSES, STORED_POSE
+from skinbake.freshness.baked_views import BakedView, rest_primitive
+from skinbake.geometry.skinned import TINY_WEIGHT, UNIT, Float64Array, FloatArray, IntArray, SkinnedPrimitive
+from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import integer
+from skinbake.gltf.rigs import fitting_rig
+from skinbake.gradients.baker import slots_of_surface
+from skinbake.skinning.rest import RestPrimitive
+from skinbake.truth.mesh import free_slots
+from skinbake.truth.operator import GradientOperator, expected_alpha_beta, true_operator
+
+if TYPE_CHECKING:
+    from skinbake.pose_fit.poses import FoundPoses
+
+
+ROUNDING = 1e-6
+"""The rounding of a weight that was decoded in float32, relative to it."""
+
+Expected = list[tuple[Float64Array, Float64Array]]
+
+Fit = Callable[[], Expected]
+"""A fit to a rig that is prepared, or that another thread has begun."""
+
+
+def expected_slots(
+    document: Document,
+    views: Sequence[BakedView],
+    operator: GradientOperator,
+    kind: Gradients | None = None,
+    fit: Fit | None = None,
+) -> Expected:
+    """Return α and β (V, K − 1) of each view of one surface, of the kind that is noted if none is given.
+
+    fit is the result of ``prepared_rig_fit``, if it is there already.
+
+    The gradients of a surface come from the operator, which shares no code with bake. Fitted gradients come
+    from bake's own loops: how good they are is measured against the true normals, not here.
+    """
+    kind = kind or noted_kind(views[0])
+    if kind is Gradients.SURFACE:
+        return surface_slots(views, operator)
+    fit = fit or prepared_rig_fit(document, views, operator.weighting)
+    slots = fit() if fit else surface_slots(views, operator)
+    return slots if kind is Gradients.RIG else posed_slots(document, views, slots)
+
+
+def given_weights(document: Document, view: BakedView) -> Float64Array:
+    """Return the weights (V, K) that adopted slots were given: all that are exactly the smallest ones.
+
+    If the file still holds the weights from before the bake, only slots that were free then count. A slot is
+    free too if its weight moves nothing. Where weights sum to little, what it was given is a large share.
+    """
+    weights = np.asarray(view.now.weights, dtype=np.float64)
+    if "adopted" not in view.metadata:
+        return np.zeros(weights.shape)
+    given = (weights == TINY_WEIGHT) | (np.abs(weights * UNIT - 1.0) < ROUNDING)
+    before = former_weights(document, view)
+    if before is not None and before.shape == given.shape:
+        given &= free_slots(before)
+    return np.where(given, weights, 0.0)
+
+
+def former_weights(document: Document, view: BakedView) -> FloatArray | None:
+    """Return the weights (V, K) before the bake, 0 in the slots of a set that it added.
+
+    None if they are gone, or if a limit changed their slots.
+    """
+    attributes, place = view.source.attributes, view.source.place
+    former = former_attributes(document, attributes, view.metadata, place)
+    if former is None:
+        return None
+    before = former_sets({**attributes, **former}, view.metadata)
+    count = view.now.weights.shape[1] // SLOTS_PER_SET
+    names = [name for name in (f"WEIGHTS_{number}" for number in range(count)) if name in before]
+    # A limit takes sets away. So if none was added, the noted ones are from before a limit.
+    if not names or (FORMER_ATTRIBUTES in view.metadata and len(names) == count):
+        return None
+    numbers = [integer(before, name, place) for name in names]
+    weights = np.concatenate([read_accessor(document, number, place).decoded() for number in numbers], axis=1)
+    return np.pad(weights, ((0, 0), (0, view.now.weights.shape[1] - weights.shape[1])))
+
+
+def _without_given_weights(document: Document, view: BakedView) -> SkinnedPrimitive:
+    """Return the primitive without the weights that bake gave to adopted slots (``given_weights``)."""
+    weights = np.asarray(view.now.weights, dtype=np.float64) - given_weights(document, view)
+    return view.now.with_influences(view.now.joints, weights)
+
+
+def noted_kind(view: BakedView) -> Gradients:
+    """Return the kind of α and β. Files of older versions do not name it."""
+    return Gradients(view.metadata.get("gradients", Gradients.SURFACE))
+
+
+def surface_slots(views: Sequence[BakedView], operator: GradientOperator) -> Expected:
+    """Return the gradients of the surface of each view, (V, K − 1)."""
+    expected = expected_alpha_beta(
+        operator,
+        [view.now for view in views],
+        [(view.tangents, view.bitangents) for view in views],
+    )
+    return [(alpha[:, 1:], beta[:, 1:]) for alpha, beta in expected]
+
+
+def prepared_rig_fit(document: Document, views: Sequence[BakedView], weighting: Weighting) -> Fit | None:
+    """Prepare the fit of the gradients of one surface to its rig. None: no joint of it can turn.
+
+    It gives α and β (V, K − 1) of each view, of the joints that the slots name. It no longer reads the
+    document, so any thread may do it.
+    """
+    rig, _ = fitting_rig(document, views[0].source)
+    if rig is None:
+        return None
+    if STORED_POSE not in views[0].metadata:
+        rig = replace(rig, stored=None)
+    crease_angle = float(np.radians(views[0].metadata["creaseAngle"]))
+    primitives = [_without_given_weights(document, view) for view in views]
+    tangents = np.concatenate([np.asarray(view.tangents, dtype=np.float64) for view in views])
+    bitangents = np.concatenate([np.asarray(view.bitangents, dtype=np.float64) for view in views])
+
+    def fit() -> Expected:
+        slots = slots_of_surface(
+            primitives, (tangents, bitangents), weighting=weighting, crease_angle=crease_angle, rig=rig
+        )
+        found, start = [], 0
+        for vertices, width in (primitive.joints.shape for primitive in primitives):
+            own = slice(start, start + vertices), slice(width - 1)
+            found.append((slots.alpha[own].astype(np.float64), slots.beta[own].astype(np.float64)))
+            start += vertices
+        return found
+
+    return fit
+
+
+def posed_slots(document: Document, views: Sequence[BakedView], slots: Expected) -> Expected:
+    """Return α and β (V, K − 1) of each view fitted to the noted poses, from those fitted to the rig."""
+    from skinbake.pose_fit.fit import fitted_to_poses  # few files are fitted to poses
+
+    found = noted_poses(document, views[0])
+    return fitted_to_poses(
+        true_operator([_without_given_weights(document, view) for view in views]),
+        rest_primitives_of(document, views, slots),
+        found.groups,
+    )
+
+
+def rest_primitives_of(
+    document: Document, views: Sequence[BakedView], slots: Expected
+) -> list[RestPrimitive]:
+    """Return the views as a replay reads them, without the weights of adoption, and with other α and β."""
+    return [
+        rest_primitive(replace(view, now=_without_given_weights(document, view), alpha=alpha, beta=beta))
+        for view, (alpha, beta) in zip(views, slots, strict=True)
+    ]
+
+
+def noted_poses(document: Document, view: BakedView) -> FoundPoses:
+    """Return the poses that the metadata names, as far as they are in the file. Files are not."""
+    from skinbake.pose_fit.poses import poses_to_fit
+
+    return poses_to_fit(document, view.source.mesh, noted_sources(view), view.source.place)
+
+
+def noted_sources(view: BakedView) -> tuple[str, ...]:
+    """Return the sources of the poses that the metadata names, without files."""
+    from skinbake.pose_fit.poses import ANIMATIONS, is_random
+
+    named = view.metadata.get(POSES, {}).get("from", ())
+    return tuple(source for source in named if source == ANIMATIONS or is_random(source))
+
+
+NO_PAYMENT = 1e-7
+"""Below this share, what adopted slots took is rounding: 2⁻³⁰ each, if FLOAT weights sum to 1."""
+
+
+def before_adoption(document: Document, views: Sequence[BakedView]) -> list[SkinnedPrimitive]:
+    """Return the primitives of a surface with the weights from before the bake.
+
+    Copies of a vertex in two meshes may have adopted other joints, and integer weights paid a unit for each.
+    They are one point of the surface all the same. Integer weights come back in whole units.
+    """
+    given = [given_weights(document, view) for view in views]
+    paid = [paid_share(view, own).max(initial=0.0) for view, own in zip(views, given, strict=True)]
+    if max(paid) < NO_PAYMENT:
+        return [view.now for view in views]
+    return [
+        replace(view.now, weights=weights_before(view.now, own))
+        for view, own in zip(views, given, strict=True)
+    ]
+
+
+def paid_share(view: BakedView, given: Float64Array) -> Float64Array:
+    """Return the share of each vertex's weights (V,) that adopted slots were given, (V, K)."""
+    whole = np.maximum(view.now.weights, 0.0).sum(axis=1, dtype=np.float64)
+    share: Float64Array = np.divide(given.sum(axis=1), whole, out=np.zeros(len(whole)), where=whole > 0.0)
+    return share
+
+
+def true_operator_of(document: Document, views: Sequence[BakedView]) -> GradientOperator:
+    """Build the operator of the truths for one surface, with the weights from before the bake.
+
+    The settings of the bake do not change it. The memory that welding adds counts to the document's budget.
+    Raises InputError if it is too much for the file.
+    """
+    return true_operator(
+        before_adoption(document, views),
+        claim=lambda size: document.budget.claim_welding(size, views[0].source.place),
+    )
+
+
+def weights_before(
+    primitive: SkinnedPrimitive, given: Float64Array, former: FloatArray | None = None
+) -> FloatArray:
+    """Return the weights (V, K) as bake read them, without the given ones (V, K) of ``given_weights``.
+
+    former are the ``former_weights`` (V, K), if there are any. They count at each vertex at which adoption
+    makes the present weights of them. Nothing paid for weights that were given to FLOAT slots.
+    """
+    weights = primitive.weights
+    if given.max(initial=0.0) <= TINY_WEIGHT:
+        return np.where(given > 0.0, 0.0, weights)
+    found = returned(weights, given, primitive.joints)
+    if former is None or former.shape != found.shape:
+        return found
+    due = np.rint(UNIT * former) - np.rint(UNIT * (np.asarray(weights, dtype=np.float64) - given))
+    paid_by_one = np.count_nonzero(due, axis=1) <= 1
+    explains = paid_by_one & (due.sum(axis=1) == np.rint(UNIT * given.sum(axis=1)))
+    return np.where(explains[:, None], former, found)
+
+
+def returned(weights: FloatArray, given: Float64Array, joints: IntArray) -> Float64Array:
+    """Return weights (V, K) with the given ones (V, K) back where they came from.
+
+    The largest weight paid, of equal ones that of the lowest joint. Of all weights that may have been it, the
+    smallest one is taken: two copies that paid different amounts then agree, but for a few ties.
+    """
+    units = np.rint(UNIT * (np.asarray(weights, dtype=np.float64) - given))
+    paid = np.rint(UNIT * given.sum(axis=1))
+    largest = units + paid[:, None] >= units.max(axis=1, keepdims=True)
+    least = np.where(largest, units, np.inf)
+    equal = least == least.min(axis=1, keepdims=True)
+    payer = np.where(equal, joints.astype(np.int64), np.iinfo(np.int64).max).argmin(axis=1)
+    units[np.arange(len(units)), payer] += paid
+    return units / UNIT

@@ -1,0 +1,397 @@
+"""Whether baked primitives are fresh. If they are not, the likely change since the bake."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from skinbake.choices import Gradients, Weighting
+from skinbake.errors import InputError, Notice
+from skinbake.freshness import comparison
+from skinbake.freshness.baked_views import BakedView, gathered_together
+from skinbake.freshness.expected import (
+    NO_PAYMENT,
+    Expected,
+    Fit,
+    expected_slots,
+    former_weights,
+    given_weights,
+    noted_kind,
+    paid_share,
+    prepared_rig_fit,
+    weights_before,
+)
+from skinbake.freshness.without_poses import (
+    BAKE_AGAIN,
+    STORED_OTHERWISE,
+    WITHOUT_POSES,
+    has_poses,
+    is_stored_as_noted,
+    problems_without_poses,
+    rig_changed,
+)
+from skinbake.geometry.skinned import Float64Array
+from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import integer
+from skinbake.report.verify import Check
+from skinbake.threads import Threads
+from skinbake.truth.mesh import free_slots
+from skinbake.truth.operator import GradientOperator, gradient_operator
+from skinbake.wording import counted
+
+BAKE_LAST = "Bake last: run skinbake bake on the file that the last tool wrote"
+
+EDITED_ALONE = {
+    "POSITION": "its vertices moved",
+    "NORMAL": "its normals flipped, recomputed or edited",
+    "TANGENT": "its tangents recomputed or edited",
+    "WEIGHTS": "its weights edited",
+    "JOINTS": "its joints edited",
+    "indices": "its triangles edited",
+}
+"""The likely cause if one array changed, or one array and the arrays that depend on it."""
+
+NAMED = 16
+"""The number of primitives that a message names. Each of a thousand stale ones would name all others."""
+
+
+def surface_operator(
+    document: Document, views: Sequence[BakedView], weighting: str | None = None
+) -> GradientOperator:
+    """Return the gradient operator of one surface, weighted as its metadata says or by ``weighting``."""
+    noted = views[0].metadata
+    chosen: Any = weighting or noted["weighting"]
+    return gradient_operator(
+        [view.now for view in views],
+        weighting=chosen,
+        crease_angle_degrees=float(noted["creaseAngle"]),
+        claim=lambda size: document.budget.claim_welding(size, views[0].source.place),
+    )
+
+
+def fits_begun(
+    document: Document, surfaces: Sequence[Sequence[BakedView]], threads: Threads
+) -> list[Fit | None]:
+    """Begin the fits of surfaces to their rigs that ``freshness_check`` needs, beside other work."""
+    fits: list[Fit | None] = []
+    for views in surfaces:
+        is_fitted = noted_kind(views[0]) is Gradients.RIG
+        fit = prepared_rig_fit(document, views, views[0].metadata["weighting"]) if is_fitted else None
+        fits.append(threads.begun(fit) if fit else None)
+    return fits
+
+
+def freshness_check(
+    document: Document,
+    surfaces: Sequence[Sequence[BakedView]],
+    operators: Sequence[GradientOperator],
+    fits: Sequence[Fit | None] | None = None,
+) -> Check:
+    """Return whether α/β fit the arrays that are in the file now.
+
+    That is what fresh means: a bake of the file as it is now would light it in the same way. If the arrays
+    have changed and α/β still fit them, the check passes, with a remark that names the arrays. If α/β were
+    fitted to poses that are not in the file any more, or to another stored pose, they must be the ones that
+    bake wrote, and light the present poses better than the gradients of the surface. fits is the result of
+    ``fits_begun``, if there is one.
+    """
+    problems: list[Notice] = []
+    changed: list[BakedView] = []
+    unchecked: set[str] = set()
+    for views, operator, fit in zip(surfaces, operators, fits or [None] * len(surfaces), strict=True):
+        gone = [] if is_stored_as_noted(document, views[0]) else [STORED_OTHERWISE]
+        gone += [] if has_poses(document, views[0]) else [WITHOUT_POSES]
+        compared = [] if WITHOUT_POSES in gone else _comparisons(document, views, operator, fit)
+        # In another pose α/β may still agree: the nodes may only stand elsewhere, all together.
+        if gone and not (compared and all(comparison.agrees for comparison in compared)):
+            problems += problems_without_poses(document, views, operator)
+            unchecked.add(gone[0])
+            continue
+        surface = _Surface(document, views, compared)
+        for number, view in enumerate(views):
+            if not surface.compared[number].agrees:
+                problems.append(_staleness_notice(surface, number))
+            elif view.changed:
+                changed.append(view)
+    remarks = [_remark_on(changed, sum(map(len, surfaces)))] if changed else []
+    remarks += sorted(unchecked)
+    remark = "" if problems else "; ".join(remarks)
+    return Check("freshness", "failed" if problems else "passed", tuple(problems), remark)
+
+
+def refuse_stale(document: Document, views: Sequence[BakedView]) -> None:
+    """Raise InputError if α/β of a primitive do not fit its arrays, because its lighting would be wrong."""
+    surfaces = gathered_together(document, views)
+    operators = [surface_operator(document, surface) for surface in surfaces]
+    problems = freshness_check(document, surfaces, operators).problems
+    if problems:
+        first, more = problems[0], len(problems) - 1
+        others = f" ({counted(more, 'more primitive')} of it likewise)" if more else ""
+        raise InputError(f"its bake is stale: {first.message}{others}", first.place)
+
+
+def _remark_on(views: Sequence[BakedView], count: int) -> str:
+    """Return the remark on views, of ``count``, that changed and whose α/β still fit."""
+    names = [name for name in EDITED_ALONE if any(name in view.changed for view in views)]
+    where = views[0].source.place.within_file if len(views) == 1 else f"{len(views)} primitives"
+    return f"{_listed(names)} changed since the bake{f' in {where}' if count > 1 else ''}, and α/β still fit"
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """The views of one surface, the comparison of each one's α/β, and the same under other weightings.
+
+    The comparisons under other weightings are for all views at once, because each primitive of a mesh may be
+    stale.
+    """
+
+    document: Document
+    views: Sequence[BakedView]
+    compared: Sequence[comparison.Comparison]
+    _otherwise: dict[str, list[comparison.Comparison]] = field(default_factory=dict)
+    _by_kind: dict[Gradients, list[comparison.Comparison]] = field(default_factory=dict)
+
+    def fits_as(self, kind: Gradients) -> list[comparison.Comparison]:
+        """Return the comparison with gradients of another kind than the noted one."""
+        if kind not in self._by_kind:
+            with self.document.budget.passing():
+                operator = surface_operator(self.document, self.views)
+                expected = expected_slots(self.document, self.views, operator, kind)
+                self._by_kind[kind] = _compared(self.document, self.views, operator, expected)
+        return self._by_kind[kind]
+
+    def rig_changed(self, view: BakedView) -> bool:
+        """Tell whether the rig is another one than the noted one, or is gone."""
+        return rig_changed(self.document, view)
+
+    def weighted(self, weighting: str) -> list[comparison.Comparison]:
+        if weighting not in self._otherwise:
+            with self.document.budget.passing():
+                operator = surface_operator(self.document, self.views, weighting)
+                expected = expected_slots(self.document, self.views, operator)
+                self._otherwise[weighting] = _compared(self.document, self.views, operator, expected)
+        return self._otherwise[weighting]
+
+    @cached_property
+    def changed(self) -> list[str]:
+        return [view.source.place.within_file for view in self.views if view.changed]
+
+
+def _comparisons(
+    document: Document, views: Sequence[BakedView], operator: GradientOperator, fit: Fit | None
+) -> list[comparison.Comparison]:
+    """Compare α and β of each view with those of the present weights, or of the weights before adoption.
+
+    The second comparison is made only if the first one finds a difference. A view agrees if either does.
+    """
+    found = _compared(document, views, operator, expected_slots(document, views, operator, fit=fit))
+    if all(comparison.agrees for comparison in found):
+        return found
+    before = [_before_adoption(document, view) for view in views]
+    if all(other is view for other, view in zip(before, views, strict=True)):
+        return found
+    with document.budget.passing():
+        welded = surface_operator(document, before)
+        expected = expected_slots(document, before, welded)
+        again = _compared(document, before, welded, expected, _roundings(document, views, operator))
+    # The weights that explain more vertices show the damage alone.
+    return [min(pair, key=lambda one: one.differing) for pair in zip(found, again, strict=True)]
+
+
+def _before_adoption(document: Document, view: BakedView) -> BakedView:
+    """Return the view with its influences as they were before slots adopted joints.
+
+    Copies of a vertex may have stored other multiples of the same weights, from which adoption takes other
+    shares. So only the weights from before it tell which vertices were welded.
+    """
+    named = _without_vacated_names(document, view)
+    given = given_weights(document, view)
+    if not given.any():
+        return named
+    weights = weights_before(view.now, given, former_weights(document, view))
+    return replace(named, now=named.now.with_influences(named.now.joints, weights))
+
+
+def _without_vacated_names(document: Document, view: BakedView) -> BakedView:
+    """Return the view with other joints in slots without weight whose joint has left them in the bake.
+
+    If several such slots name a joint, the first of them has its gradient. α and β of the others are 0 if the
+    first of them adopted another joint, and bake lost the gradient: this happens only if a copy of the vertex
+    has fewer free slots. Slot 0 is none of them, since bake fills the free slots in order. They name the
+    joint of the largest weight here. Its gradient is not theirs, so 0 is right.
+    """
+    stored, weights = view.now.joints, view.now.weights
+    given = given_weights(document, view) > 0.0
+    vacated = free_slots(weights) & ~given & given.any(axis=1, keepdims=True)
+    vacated[:, 0] = False
+    vacated[:, 1:] &= (view.alpha == 0.0) & (view.beta == 0.0)
+    largest = np.take_along_axis(stored, weights.argmax(axis=1)[:, None], axis=1)
+    joints = np.where(vacated, largest, stored)
+    if (joints == stored).all():
+        return view
+    return replace(view, now=view.now.with_influences(joints, weights))
+
+
+def _compared(
+    document: Document,
+    views: Sequence[BakedView],
+    operator: GradientOperator,
+    expected: Expected,
+    roundings: Sequence[Float64Array] | None = None,
+) -> list[comparison.Comparison]:
+    """Compare α and β of each view with expected ones. roundings are those of ``_roundings``."""
+    roundings = roundings or _roundings(document, views, operator)
+    found = [
+        comparison.compare((view.alpha, view.beta), slots, rounding=rounding)
+        for view, slots, rounding in zip(views, expected, roundings, strict=True)
+    ]
+    if all(comparison.agrees for comparison in found):
+        return found
+    # The reach only allows more, and takes longer than all else here.
+    reach = operator.reach()
+    return [
+        comparison.compare((view.alpha, view.beta), slots, reach=reach[rows], rounding=rounding)
+        for view, slots, rounding, rows in zip(views, expected, roundings, operator.slices, strict=True)
+    ]
+
+
+def _roundings(
+    document: Document, views: Sequence[BakedView], operator: GradientOperator
+) -> list[Float64Array]:
+    """Return the allowed difference of α and β of each view (V, 2) from α and β of its present weights.
+
+    It is the rounding of an encoding, and the weight that adopted slots were given. They take a unit of
+    integer weights each from the vertex's largest weight. α/β come from the weights before adoption, divided
+    by their sum, so the less they sum to, the more a unit is.
+    """
+    paid = np.concatenate([paid_share(view, given_weights(document, view)) for view in views])
+    if paid.max(initial=0.0) < NO_PAYMENT:
+        return [view.rounding for view in views]
+    frames = [
+        np.concatenate([view.tangents for view in views]),
+        np.concatenate([view.bitangents for view in views]),
+    ]
+    forgiven = operator.reach_along(frames, paid).T.copy()
+    return [view.rounding + forgiven[rows] for view, rows in zip(views, operator.slices, strict=True)]
+
+
+def _staleness_notice(surface: _Surface, number: int) -> Notice:
+    view, comparison = surface.views[number], surface.compared[number]
+    changed = f"{_listed(view.changed)} changed since its bake, and " if view.changed else ""
+    vertices = counted(comparison.count, "vertex", "vertices")
+    differ = f"α/β are wrong at {comparison.differing:,} of {vertices}, most at vertex {comparison.worst}"
+    what = _likely_cause(surface, number)
+    return Notice("stale", f"{changed}{differ}. {what}", view.source.place, comparison.differing)
+
+
+def _likely_cause(surface: _Surface, number: int) -> str:
+    """Return the likely cause of the difference, and the remedy."""
+    view, comparison = surface.views[number], surface.compared[number]
+    if view.changed:
+        doings = _doings(surface.document, view, comparison)
+        return f"It looks like this was done after the bake: {doings}. {BAKE_LAST}"
+    if comparison.reordered:
+        return f"They stand in the wrong slots: {BAKE_AGAIN}"
+    if comparison.factors is not None:
+        return f"{_factors(comparison.factors)} what they should be: {BAKE_AGAIN}"
+    return _other_settings(surface, number) or _cause_beyond(surface, view)
+
+
+def _other_settings(surface: _Surface, number: int) -> str | None:
+    """Return the settings or the skeleton for which α/β were made, if these are not the noted ones."""
+    view = surface.views[number]
+    kind = noted_kind(view)
+    other = Gradients.SURFACE if kind is Gradients.RIG else Gradients.RIG
+    if surface.fits_as(other)[number].agrees:
+        return f'They were made with the gradients "{other}", not "{kind}" as noted: {BAKE_AGAIN}'
+    if surface.rig_changed(view):
+        return f"The skeleton changed since the bake (its hierarchy or its bind pose): {BAKE_AGAIN}"
+    weighting = _weighting_that_fits(surface, number)
+    if weighting is None:
+        return None
+    noted = view.metadata["weighting"]
+    return f'They were made with the weighting "{weighting}", not "{noted}" as noted: {BAKE_AGAIN}'
+
+
+def _cause_beyond(surface: _Surface, view: BakedView) -> str:
+    """Return the likely cause of the difference if the primitive's own arrays do not show it."""
+    neighbours, more = surface.changed[:NAMED], len(surface.changed) - NAMED
+    if neighbours:
+        named = [*neighbours, f"{more} more"] if more > 0 else neighbours
+        return f"It is welded with {_listed(named)}, which changed: {BAKE_AGAIN}"
+    if view.metadata.get("weld") == "skin":
+        return (
+            "They were edited or damaged, or a mesh that the same skin draws was added, removed or bound to "
+            f"another skin: {BAKE_AGAIN}"
+        )
+    return f"They were edited or damaged, nothing else was: {BAKE_AGAIN}"
+
+
+def _factors(factors: tuple[float, float]) -> str:
+    off = [
+        f"{name} are {factor:.4g} times"
+        for name, factor in zip("αβ", factors, strict=True)
+        if abs(factor - 1.0) > comparison.RELATIVE_TOLERANCE
+    ]
+    return " and ".join(off)
+
+
+def _common(factors: tuple[float, float] | None) -> float | None:
+    if factors is None or abs(factors[0] - factors[1]) > comparison.RELATIVE_TOLERANCE:
+        return None
+    return factors[0]
+
+
+def _doings(document: Document, view: BakedView, comparison: comparison.Comparison) -> str:
+    """Return the action of the usual tools that explains the changed arrays."""
+    doings = []
+    if _is_quantised(document, view):
+        doings.append("its vertices quantised")
+    scale = comparison.rescaled or _common(comparison.factors)
+    if "POSITION" in view.changed and scale is not None:
+        doings.append(f"its vertices rescaled (by {scale:.3g})")
+    if {"JOINTS", "WEIGHTS"} & set(view.changed) and comparison.resorted:
+        doings.append("its influences re-sorted")
+    if not doings and comparison.mostly_agrees:
+        # α and β moved along with their vertices.
+        if view.changed == ("indices",):
+            doings.append("its triangles re-ordered")
+        elif {"POSITION", "NORMAL"} <= set(view.changed):
+            doings.append("its vertices re-ordered, merged or split")
+    return _listed(doings or [_edit(view.changed)])
+
+
+def _is_quantised(document: Document, view: BakedView) -> bool:
+    attributes, place = view.source.attributes, view.source.place
+    position = read_accessor(document, integer(attributes, "POSITION", place), place).values
+    return "POSITION" in view.changed and position.dtype.kind != "f"
+
+
+def _edit(changed: Sequence[str]) -> str:
+    """Return the meaning of the changed digests if no other evidence tells more."""
+    if len(changed) == 1:
+        return EDITED_ALONE[changed[0]]
+    if set(changed) <= {"NORMAL", "TANGENT"}:
+        return EDITED_ALONE["NORMAL"]
+    if set(changed) <= {"POSITION", "NORMAL", "TANGENT"}:
+        return EDITED_ALONE["POSITION"]
+    if set(changed) <= {"JOINTS", "WEIGHTS"}:
+        return EDITED_ALONE["WEIGHTS"]
+    return "the mesh simplified, quantised or edited" if "indices" in changed else "the mesh edited"
+
+
+def _listed(words: Sequence[str]) -> str:
+    return ", ".join(words[:-1]) + (" and " if len(words) > 1 else "") + words[-1]
+
+
+def _weighting_that_fits(surface: _Surface, number: int) -> str | None:
+    for weighting in Weighting:
+        noted = surface.views[number].metadata.get("weighting")
+        if weighting != noted and surface.weighted(weighting)[number].agrees:
+            return weighting
+    return None

@@ -1,0 +1,198 @@
+"""The draws of a baked document: its surfaces as skins draw them, each with the poses to measure it in."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from skinbake.errors import InputError, Notice
+from skinbake.freshness.baked_views import BakedView, rest_primitive, whole_surfaces
+from skinbake.freshness.expected import true_operator_of
+from skinbake.geometry.skinned import Float64Array
+from skinbake.gltf.animation import Clip
+from skinbake.gltf.document import Document
+from skinbake.skinning.rest import RestPrimitive
+from skinbake.truth.areas import RestAreas
+from skinbake.truth.operator import TRUE_CREASE_ANGLE, TRUE_WEIGHTING, GradientOperator
+from skinbake.truth.poses import (
+    LEAST_SAMPLES,
+    SHARED_SAMPLES,
+    PosePlan,
+    PoseRequest,
+    PoseSet,
+    draws_of,
+    planned_poses,
+)
+from skinbake.wording import counted
+
+BYTES_A_SAMPLE = 32
+"""The memory of one vertex in one pose, at most: its errors, while they may be among the largest."""
+
+STEPS_A_DRAW, STEPS_A_MORPHED_POSE, STEPS_A_TARGET = 10_000, 3_000, 20
+"""The steps of measuring a primitive, and further ones in each pose of morph targets, and for each target.
+
+See ``budget.STEPS_FREE``.
+"""
+
+SAMPLES_A_BYTE, SAMPLES_FREE = 24, 1_000_000
+"""The vertices × poses that a file may need, for each of its bytes and in addition. Each takes 3 µs.
+
+A mesh is measured once for each skin that draws it, and in at least three poses of each clip. Fifty soldiers
+of one mesh of 3,000 vertices need 20 a byte, a character of a million vertices needs 0.5.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Draw:
+    """One surface as one skin draws it: its baked primitives, and what a replay and the truths need of them.
+
+    operator is that of the truths, over all primitives. rest are these for the replay, areas the
+    areas around their vertices, (V,) each, in the squared unit of the scene. They are the weights of errors.
+    poses are those of the skin, and of the node if the mesh has morph targets.
+    """
+
+    views: Sequence[BakedView]
+    operator: GradientOperator
+    rest: Sequence[RestPrimitive]
+    areas: Sequence[Float64Array]
+    poses: PoseSet
+
+
+def true_surfaces(
+    document: Document, meshes: Sequence[Sequence[BakedView]], operators: Sequence[GradientOperator]
+) -> list[tuple[list[BakedView], GradientOperator]]:
+    """Return the surfaces that the truths take as whole, each with the operator of the truths.
+
+    meshes are the surfaces of the bakes, and operators have the settings of these bakes. An operator serves
+    again if the bake had the same surface, and the truths' weighting and crease angle. Otherwise a new one is
+    built. Raises InputError if that takes too much memory for the file.
+    """
+    of_bake = {_views_key(views): one for views, one in zip(meshes, operators, strict=True)}
+    return [
+        (views, _true_operator(document, views, of_bake.get(_views_key(views))))
+        for views in whole_surfaces(document, [view for views in meshes for view in views])
+    ]
+
+
+def _views_key(views: Sequence[BakedView]) -> tuple[int, ...]:
+    return tuple(map(id, views))
+
+
+def _true_operator(
+    document: Document, views: Sequence[BakedView], operator: GradientOperator | None
+) -> GradientOperator:
+    """Return the operator of one surface with the settings of the truths, not with those of the bake.
+
+    ``operator`` is the bake's own one, or None if the bake had other surfaces.
+    """
+    noted = views[0].metadata
+    usual = noted["weighting"] == TRUE_WEIGHTING and math.isclose(noted["creaseAngle"], TRUE_CREASE_ANGLE)
+    if operator is not None and usual:
+        return operator
+    return true_operator_of(document, views)
+
+
+def draws(
+    document: Document,
+    surfaces: Sequence[tuple[Sequence[BakedView], GradientOperator]],
+    clips: Sequence[Clip],
+    request: PoseRequest,
+) -> tuple[list[Draw], list[Notice]]:
+    """Return each of the ``true_surfaces`` as often as skins draw it, or nodes if it has morph targets.
+
+    If all poses are too much work for the file, some of each skin are measured, and a notice says so. Raises
+    InputError if a skin cannot be posed, or if the work is out of proportion to the file even so.
+    """
+    plans: dict[tuple[int, int | None], PosePlan] = {}
+    drawn: list[tuple[Sequence[BakedView], GradientOperator, tuple[int, int | None]]] = []
+    for views, operator in surfaces:
+        place = replace(views[0].source.place, primitive=None)
+        for draw in draws_of(document, views[0].source.mesh, clips):
+            document.budget.claim_steps(
+                STEPS_A_DRAW * len(views), f"{counted(len(views), 'primitive')} of skin {draw[0]}", place
+            )
+            if draw not in plans:
+                plans[draw] = PosePlan.of(document, draw[0], clips, request, draw[1])
+            drawn.append((views, operator, draw))
+    plans, notices = _fewer_poses(document, plans, [(len(views), draw) for views, _, draw in drawn])
+    work = _Work(document, request)
+    rests = {id(views): [rest_primitive(view) for view in views] for views, _ in surfaces}
+    sets: dict[tuple[int, int | None], PoseSet] = {}
+    found = []
+    for views, operator, draw in drawn:
+        work.claim(views, plans[draw])
+        if draw not in sets:
+            sets[draw] = planned_poses(document, plans[draw])
+        space = RestAreas(document, draw[0])
+        found.append(Draw(views, operator, rests[id(views)], [space.of(v.now) for v in views], sets[draw]))
+    return found, notices
+
+
+def _fewer_poses(
+    document: Document,
+    plans: dict[tuple[int, int | None], PosePlan],
+    drawn: Sequence[tuple[int, tuple[int, int | None]]],
+) -> tuple[dict[tuple[int, int | None], PosePlan], list[Notice]]:
+    """Return plans of so few poses that the document may claim their steps, and a notice on it.
+
+    drawn are the number of primitives of each draw, and its plan. Plans that are too much work in
+    ``LEAST_SAMPLES`` poses each are returned so: their claims are refused.
+    """
+    every = max((plan.count for plan in plans.values()), default=0)
+
+    def limited(most: int) -> dict[tuple[int, int | None], PosePlan]:
+        return {draw: replace(plan, request=replace(plan.request, most=most)) for draw, plan in plans.items()}
+
+    def is_too_much(some: dict[tuple[int, int | None], PosePlan]) -> bool:
+        steps = sum(plan.steps for plan in some.values())
+        steps += sum(_morphed_steps(some[draw], primitives) for primitives, draw in drawn)
+        return steps > document.budget.steps_left
+
+    if every <= LEAST_SAMPLES or not is_too_much(plans):
+        return plans, []
+    counts = range(LEAST_SAMPLES, every)
+    fitting = bisect_left(counts, True, key=lambda most: is_too_much(limited(most)))
+    few = limited(counts[max(fitting - 1, 0)])
+    most = max(plan.count for plan in few.values())
+    message = (
+        f"its lighting is measured in {most:,} of up to {every:,} poses of each skin, which evenly spread "
+        "clips share: all poses are too much work for a file of its size"
+    )
+    return few, [Notice("poses-left-out", message, document.place, every - most)]
+
+
+def _morphed_steps(plan: PosePlan, primitives: int) -> int:
+    """Return the steps of work of measuring so many primitives under morph targets, pose by pose."""
+    if plan.resting is None or not plan.morphs:
+        return 0
+    return primitives * plan.count * (STEPS_A_MORPHED_POSE + STEPS_A_TARGET * len(plan.resting))
+
+
+class _Work:
+    """The work of measuring the draws of a document, as vertices × poses."""
+
+    def __init__(self, document: Document, request: PoseRequest) -> None:
+        self._document, self._request = document, request
+        self._samples = 0
+
+    def claim(self, views: Sequence[BakedView], plan: PosePlan) -> None:
+        """Count the work of a draw. Raises InputError if all of it is far out of proportion to the file."""
+        vertices, count = sum(len(view.now.positions) for view in views), plan.count
+        place = replace(views[0].source.place, primitive=None)
+        samples = f"{counted(vertices, 'vertex', 'vertices')} in {counted(count, 'pose')}"
+        self._document.budget.claim_steps(
+            _morphed_steps(plan, len(views)), f"{samples} of morph targets", place
+        )
+        self._document.budget.claim(BYTES_A_SAMPLE * vertices * count, samples, place)
+        # The clips of the file count, not how many samples of each the user asks for.
+        asked = self._request.samples
+        self._samples += vertices * (count if asked is None else -(-count // asked) * SHARED_SAMPLES)
+        most = SAMPLES_FREE + SAMPLES_A_BYTE * self._document.budget.backed
+        if self._samples > most:
+            raise InputError(
+                f"it asks for {self._samples:,} vertices times poses, as often as nodes draw it and clips "
+                f"move it: over the {most:,} that a file of its size may ask for",
+                place,
+            )

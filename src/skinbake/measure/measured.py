@@ -1,0 +1,392 @@
+"""The lighting of a baked document, measured mesh by mesh and skin by skin, and compared with limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from skinbake.choices import PoseKind, Truth
+from skinbake.errors import InputError, Notice, Place
+from skinbake.freshness.baked_views import BakedView
+from skinbake.geometry.skinned import BoolArray
+from skinbake.gltf.animation import Clip, read_clips
+from skinbake.gltf.document import Document
+from skinbake.measure.angles import (
+    IDENTITY_TOLERANCE,
+    METHODS,
+    NOT_MEASURED,
+    MeasuredBlock,
+    lighting_errors,
+    not_rigid_joints,
+    truths_at_rest,
+)
+from skinbake.measure.draws import Draw, draws, true_surfaces
+from skinbake.measure.morphing import Morphing, morph_count, morphing_of
+from skinbake.measure.options import VerifyOptions, limits_check
+from skinbake.measure.tally import ErrorTally
+from skinbake.report.verify import Check, ErrorFigures, FileVerdict, Normals, Worst
+from skinbake.skinning.rest import Options, RestPrimitive
+from skinbake.skinning.run import joints_in_use
+from skinbake.threads import Threads, thread_count
+from skinbake.timing import stage, tell_steps
+from skinbake.truth.areas import total_area
+from skinbake.truth.operator import GradientOperator
+from skinbake.truth.poses import PoseSet, described
+from skinbake.truth.truths import Truths
+from skinbake.wording import counted
+
+MORPHED_BYTES = 64 << 20
+"""The memory in which morphed primitives wait for the second method. Those that need more are made again."""
+
+MANY_VERTICES = 1 << 18
+"""From so many vertices on, freed memory is given back before a measurement. It takes some milliseconds."""
+
+
+def lighting_verdict(
+    document: Document,
+    options: VerifyOptions,
+    meshes: Sequence[Sequence[BakedView]],
+    operators: Sequence[GradientOperator],
+) -> FileVerdict:
+    """Measure the lighting of a document. Return a verdict with the checks of the lighting and its figures.
+
+    meshes are the surfaces of the bakes. operators have the settings of the bakes, one for each surface.
+    Raises InputError if the file cannot be posed, or asks for work out of proportion to its size.
+    """
+    return _Measurement(document, options).verdict(meshes, operators)
+
+
+class _Measurement:
+    """The measurement of a document, draw by draw, with what serves more than one draw or method."""
+
+    def __init__(self, document: Document, options: VerifyOptions) -> None:
+        self._document, self._options = document, options
+        with stage("poses"):
+            self._clips, self._unread = _readable_clips(document, options.poses.kind)
+        self._done, self._total, self._identity = 0.0, 0, 0.0
+        self._tallies = FileTallies()
+        self._at_rest: tuple[tuple[int, int, bool], Truths] | None = None
+        self._morphed: dict[int, Morphing] = {}
+        self._room = MORPHED_BYTES
+
+    def verdict(
+        self, meshes: Sequence[Sequence[BakedView]], operators: Sequence[GradientOperator]
+    ) -> FileVerdict:
+        """Return the verdict; the arguments are those of ``lighting_verdict``."""
+        with stage("gradient operator"):
+            surfaces = true_surfaces(self._document, meshes, operators)
+        with stage("poses"):
+            drawn, left_out = draws(self._document, surfaces, self._clips, self._options.poses)
+        not_rigid = list(
+            dict.fromkeys(n for draw in drawn for n in joints_without_dqs(draw.rest, draw.poses))
+        )
+        methods = self._options.methods or (("lbs",) if not_rigid else ("lbs", "dqs"))
+        reason = without_dqs(not_rigid)
+        if "dqs" in methods and not_rigid:
+            problem = Notice("not-rigid", f"dual quaternions were asked for: {reason}", self._document.place)
+            check = Check("lighting", "failed", (problem,))
+            return FileVerdict(self._document.name, (check,), without_dqs=reason)
+        self._total = sum(len(draw.poses.clips) for draw in drawn) * len(methods)
+        # The figures are checked to be finite.
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            for method in methods:
+                self._tallies.expect(method, drawn)
+                for draw in drawn:
+                    self._measure(method, draw, again=method != methods[-1])
+                self._tallies.sum_up()
+            with stage("figures"):
+                verdict = self._verdict(drawn, reason if not_rigid else None)
+        morphs = morph_count(self._document, [(draw.views[0].source.mesh, draw.poses) for draw in drawn])
+        notices = *self._unread, *left_out, *dict.fromkeys(mirrored(drawn))
+        return replace(verdict, notices=notices, morphs=morphs)
+
+    def _measure(self, method: str, draw: Draw, *, again: bool) -> None:
+        """Measure a draw by a method; ``again``: another method follows."""
+        if len(draw.operator.positions) >= MANY_VERTICES:
+            give_back_freed_memory()
+        morphing = self._morphing(draw, again=again)
+        identity = lighting_errors(
+            draw.operator,
+            draw.rest,
+            draw.poses.joint_matrices,
+            method,
+            lambda add: add(),  # what the tallies return for a block
+            count=self._tallies.counting(method, draw),
+            options=Options(self._options.cap, self._options.baseline),
+            morphing=morphing,
+            at_rest=self._truths(draw, morphing),
+            advance=self._advance,
+        )
+        self._identity = max(self._identity, identity)
+
+    def _morphing(self, draw: Draw, *, again: bool) -> Morphing | None:
+        """Return the morph targets of a draw. Keep its morphed primitives for the next method if small."""
+        key = id(draw)
+        if key in self._morphed:
+            return self._morphed[key] if again else self._morphed.pop(key)
+        morphing = morphing_of(self._document, draw.views, draw.poses)
+        size = sum(_morphed_size(rest) for rest in draw.rest) * len(draw.poses.clips)
+        if morphing is None or not again or size > self._room:
+            return morphing
+        self._room -= size
+        self._morphed[key] = replace(morphing, kept={})
+        return self._morphed[key]
+
+    def _truths(self, draw: Draw, morphing: Morphing | None) -> Truths:
+        """Return the data of a mesh at rest. The last ones serve again for the same mesh in as many poses."""
+        key = id(draw.operator), len(draw.poses.clips), morphing is None
+        if self._at_rest is None or self._at_rest[0] != key:
+            self._at_rest = None  # two at a time would take twice the memory
+            self._at_rest = key, truths_at_rest(draw.operator, draw.rest, key[1], morphing)
+        return self._at_rest[1]
+
+    def _advance(self, poses: float) -> None:
+        before, self._done = round(self._done), self._done + poses
+        if round(self._done) != before:
+            tell_steps(round(self._done), self._total)
+
+    def _verdict(self, drawn: Sequence[Draw], without_dqs: str | None) -> FileVerdict:
+        by_truth = {truth: self._tallies.figures(truth) for truth in Truth}
+        self._refuse_overflow(by_truth)
+        primitives = {truth: self._tallies.figures_of_primitives(truth) for truth in Truth}
+        seconds = sum(clip.duration - clip.start for clip in self._clips)
+        return FileVerdict(
+            self._document.name,
+            tuple(self._checks(by_truth, drawn)),
+            by_truth[Truth.TANGENTS],
+            primitives[Truth.TANGENTS],
+            described(self._options.poses, [draw.poses for draw in drawn], seconds),
+            without_dqs,
+            by_triangles=by_truth[Truth.TRIANGLES],
+            primitives_by_triangles=primitives[Truth.TRIANGLES],
+        )
+
+    def _refuse_overflow(self, by_truth: Mapping[Truth, Normals]) -> None:
+        """Raise InputError if a figure is not finite."""
+        found = [
+            figures
+            for by_method in by_truth.values()
+            for lightings in by_method.values()
+            for figures in lightings.values()
+        ]
+        if not all(math.isfinite(figures.mean) and math.isfinite(figures.max) for figures in found):
+            raise InputError(
+                "its positions, gradients and joint matrices are so large that their products overflow: "
+                "scale the model down",
+                self._document.place,
+            )
+
+    def _checks(self, by_truth: Mapping[Truth, Normals], drawn: Sequence[Draw]) -> Iterator[Check]:
+        """Yield the checks of the lighting. One that does not apply is left out."""
+        normals = by_truth[Truth.TANGENTS]
+        if "lbs" in normals:
+            yield identity_check(self._identity, drawn, self._document.place)
+        if not normals:
+            yield Check("lighting", "skipped", (), "there is no true normal at any vertex in these poses")
+        if self._options.limits:
+            held = {truth: by_truth[truth] for truth in Truth if self._options.truth in {None, truth}}
+            yield limits_check(held, self._options, self._document.place)
+
+
+def _readable_clips(document: Document, kind: PoseKind) -> tuple[list[Clip], list[Notice]]:
+    """Return the clips of a document. Broken ones give a notice, or InputError if their poses are wanted."""
+    try:
+        return read_clips(document), []
+    except InputError as error:
+        if kind is PoseKind.ANIMATION:
+            advice = "skinbake verify --poses random measures without its clips"
+            raise InputError(f"{error.message}; {advice}", error.place) from error
+        message = f"its animations are broken, and were not read ({error.message})"
+        return [], [Notice("animations-broken", message, document.place)]
+
+
+def _morphed_size(rest: RestPrimitive) -> int:
+    """Return the memory of a primitive in one pose of its morph targets, with the data that truths need."""
+    vertices, slots = rest.joints.shape
+    return int(vertices * 8 * (4 * 3 + 3 * slots + 8))
+
+
+@dataclass(frozen=True, slots=True)
+class _Segment:
+    """One primitive under one skin: its place and its poses."""
+
+    place: Place
+    poses: PoseSet
+
+
+_Tallies = dict[tuple[str, str], dict[str, ErrorTally]]
+"""Tallies by truth and method, then by lighting."""
+
+
+class FileTallies:
+    """Tallies of a file by truth, method and lighting: of the whole file, and of each primitive."""
+
+    def __init__(self) -> None:
+        self._segments: list[_Segment] = []
+        self._whole: _Tallies = {}
+        self._by_place: dict[Place, _Tallies] = {}
+
+    def expect(self, method: str, drawn: Sequence[Draw]) -> None:
+        """Prepare to count the results of a method. A tally must know how much weight may come."""
+        weights: dict[Place, float] = {}
+        for draw in drawn:
+            for view, areas in zip(draw.views, draw.areas, strict=True):
+                weight = len(draw.poses.clips) * total_area(areas)
+                weights[view.source.place] = weights.get(view.source.place, 0.0) + weight
+        for truth in Truth:
+            lightings = [one for one in METHODS[method] if (truth, one) not in NOT_MEASURED]
+            self._whole[truth, method] = {one: ErrorTally(sum(weights.values())) for one in lightings}
+            for place, weight in weights.items():
+                # A single primitive has the figures of the whole, so nothing is counted twice.
+                own = {one: ErrorTally(weight) for one in lightings}
+                tallies = self._whole[truth, method] if len(weights) == 1 else own
+                self._by_place.setdefault(place, {})[truth, method] = tallies
+
+    def counting(self, method: str, draw: Draw) -> Callable[[MeasuredBlock], Callable[[], None]]:
+        """Return what counts a block of a draw by a method. It returns what adds the count to the tallies.
+
+        Several threads may count. One thread adds, in the order of the blocks.
+        """
+        first = len(self._segments)
+        self._segments += [_Segment(view.source.place, draw.poses) for view in draw.views]
+        return partial(self._count, method, draw, first)
+
+    def _count(self, method: str, draw: Draw, first: int, block: MeasuredBlock) -> Callable[[], None]:
+        """Count a block of a draw whose segments begin with ``first``. Return what adds it to its tallies."""
+        areas = draw.areas[block.primitive][block.vertex : block.vertex + block.errors.shape[1]]
+        start = first + block.primitive, block.pose, block.vertex
+        by_place = self._by_place[draw.views[block.primitive].source.place]
+        whole, own = (tallies[block.truth, method][block.lighting] for tallies in (self._whole, by_place))
+        tallies = [whole] if own is whole else [whole, own]
+        with stage("figures"):
+            # A tally that keeps more serves the other one, too.
+            keeps_most = min(tallies, key=lambda tally: tally.least)
+            counted = keeps_most.counted(block.errors, areas, valid=block.valid)
+
+        def add() -> None:
+            with stage("figures"):
+                for tally in tallies:
+                    tally.take(counted, start)
+
+        return add
+
+    def sum_up(self) -> None:
+        """Summarise the tallies that are complete. Their largest errors take memory until then."""
+        found = {
+            id(tally): tally
+            for tallies in (self._whole, *self._by_place.values())
+            for lightings in tallies.values()
+            for tally in lightings.values()
+        }
+        with stage("figures"), Threads(thread_count()) as threads:
+            for _ in threads.each(ErrorTally.summary, found.values()):
+                pass
+
+    def figures(self, truth: Truth) -> Normals:
+        """Return the figures of the whole file by one truth."""
+        return self._figures(self._whole, truth)
+
+    def figures_of_primitives(self, truth: Truth) -> tuple[tuple[Place, Normals], ...]:
+        """Return the figures of each primitive by one truth."""
+        return tuple((place, self._figures(tallies, truth)) for place, tallies in self._by_place.items())
+
+    def _figures(self, tallies: _Tallies, truth: str) -> Normals:
+        """Return the figures by one truth, by method and lighting. All poses weigh the same."""
+        result: Normals = {}
+        for (of, method), lightings in tallies.items():
+            for lighting, tally in lightings.items() if of == truth else ():
+                summary = tally.summary()
+                if summary is not None:
+                    segment, pose = self._segments[summary.worst_part], summary.worst_pose
+                    clip, time = segment.poses.clips[pose], segment.poses.times[pose]
+                    worst = Worst(segment.place, summary.worst_vertex, clip, time)
+                    result.setdefault(method, {})[lighting] = ErrorFigures(
+                        summary.mean, summary.p95, summary.p99, summary.max, worst
+                    )
+        return result
+
+
+def mirrored(drawn: Sequence[Draw]) -> Iterator[Notice]:
+    """Yield a notice for each draw with joints in use that mirror, and turn the surface inside out."""
+    mirrors: dict[int, BoolArray] = {}
+    for draw in drawn:
+        key, matrices = id(draw.poses), draw.poses.joint_matrices
+        if key not in mirrors:
+            mirrors[key] = (np.linalg.det(matrices[..., :3, :3]) < 0).any(axis=0)
+        count = int(np.count_nonzero(mirrors[key] & joints_in_use(draw.rest, matrices.shape[1])))
+        if count:
+            joints = counted(count, "joint mirrors", "joints mirror")
+            message = (
+                f"{joints} the surface (negative determinant): write the shader with --for this file, or "
+                "with --mirrored-joints, so that normals stay outside"
+            )
+            yield Notice("joints-mirror", message, replace(draw.views[0].source.place, primitive=None), count)
+
+
+def joints_without_dqs(rest: Sequence[RestPrimitive], poses: PoseSet) -> list[str]:
+    """Return the names of the joints in use that dual quaternions cannot represent in these poses."""
+    return [poses.joint_names[joint] for joint in not_rigid_joints(rest, poses.joint_matrices)]
+
+
+def without_dqs(joints: Sequence[str]) -> str:
+    """Return why dual quaternions cannot represent these joints, by name."""
+    shown = ", ".join(joints[:4]) + (", …" if len(joints) > 4 else "")
+    verb = "is" if len(joints) == 1 else "are"
+    return f"{shown} {verb} not rigid up to one scale common to all joints"
+
+
+def identity_check(angle: float, drawn: Sequence[Draw], place: Place) -> Check:
+    """Return whether algorithms 2 and 3 agree. angle is the largest one between their normals, in degrees."""
+    remark = f"direct and accurate (algorithms 2 and 3) agree within {angle:.1g}°"
+    if angle <= IDENTITY_TOLERANCE:
+        return Check("identity", "passed", (), remark)
+    message = f"direct and accurate normals (algorithms 2 and 3) differ by {angle:.2g}°"
+    strained = max((_strain(draw) for draw in drawn), default=(0.0, ""))
+    if strained[0] > STRAINED:
+        message += (
+            f": its joint matrices are singular or too unlike in size, {strained[1]} most of all, and "
+            "rounding takes over: mend the nodes, inverse bind matrices or animations that make them"
+        )
+    else:
+        message += ", and should agree to rounding: this is a fault of skinbake, please report it"
+    return Check("identity", "failed", (Notice("identity", message, place),))
+
+
+STRAINED = 1e6
+"""The ratio of joint matrix sizes above which rounding alone can separate algorithms 2 and 3."""
+
+
+def _strain(draw: Draw) -> tuple[float, str]:
+    """Return the ratio of the largest to the least scaling of a frame by joints, and the joint to blame."""
+    matrices = draw.poses.joint_matrices
+    stretches = np.linalg.svd(matrices[..., :3, :3], compute_uv=False)
+    extent = max(float(np.abs(rest.positions).max(initial=0.0)) for rest in draw.rest)
+    slope = max(float(np.abs([rest.alpha, rest.beta]).max(initial=0.0)) for rest in draw.rest)
+    reach = stretches[..., 0] * extent + np.abs(matrices[..., :3, 3]).max(axis=-1)
+    largest = (stretches[..., 0] + reach * slope).max(axis=0)
+    least = stretches[..., 2].min(axis=0)
+    # A joint that scales by 0 strains without limit.
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        too_large, too_small = largest / np.median(largest), np.median(least) / least
+        strain = float(largest.max() / least.min())
+        worst = int(np.argmax(np.nan_to_num(np.maximum(too_large, too_small), nan=np.inf)))
+    return (math.inf if math.isnan(strain) else strain), draw.poses.joint_names[worst]
+
+
+def give_back_freed_memory() -> None:
+    """Give the system what this process has freed. Other C libraries than glibc do so by themselves.
+
+    glibc keeps arrays of up to 32 MB for later ones. After the preparation of a million vertices that is a
+    third of all memory.
+    """
+    import ctypes  # few files are that large
+
+    try:
+        trim = ctypes.CDLL(None).malloc_trim
+    except (AttributeError, OSError, TypeError):
+        return
+    trim(0)

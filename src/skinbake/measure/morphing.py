@@ -1,0 +1,102 @@
+"""The morph targets of baked meshes that move in the measured poses of a file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from skinbake.choices import Frame
+from skinbake.freshness.baked_views import BakedView
+from skinbake.geometry.morphs import MorphTargets
+from skinbake.geometry.skinned import Float64Array
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import objects
+from skinbake.gltf.morphs import read_targets, target_count
+from skinbake.report.verify import MorphCount
+from skinbake.skinning.morphs import morphed
+from skinbake.skinning.rest import RestPrimitive
+from skinbake.truth.poses import PoseSet
+from skinbake.truth.truths import Truths
+
+
+@dataclass(frozen=True, slots=True)
+class Morphing:
+    """The morph targets of one mesh by primitive (None: no targets), and their weights (P, N) in P poses.
+
+    kept, if it is there, keeps each pose's primitives and truths when they are first made, for another
+    method.
+    """
+
+    targets: tuple[MorphTargets | None, ...]
+    weights: Float64Array
+    kept: dict[int, tuple[Sequence[RestPrimitive], Truths]] | None = None
+
+    def primitives(self, primitives: Sequence[RestPrimitive], pose: int) -> list[RestPrimitive]:
+        """Return the primitives as they are in one pose, before skinning."""
+        return [
+            primitive if targets is None else morphed(primitive, targets, self.weights[pose])
+            for primitive, targets in zip(primitives, self.targets, strict=True)
+        ]
+
+    def posed(
+        self, primitives: Sequence[RestPrimitive], truths: Truths, pose: int
+    ) -> tuple[Sequence[RestPrimitive], Truths]:
+        """Return the primitives as they are in one pose, before skinning, and their truths.
+
+        primitives and truths are those without morph targets.
+        """
+        if not self.weights[pose].any():
+            return primitives, truths
+        kept = {} if self.kept is None else self.kept
+        if pose not in kept:
+            moved = self.primitives(primitives, pose)
+            kept[pose] = moved, truths.moved(moved)
+        return kept[pose]
+
+
+def morphing_of(document: Document, views: Sequence[BakedView], poses: PoseSet) -> Morphing | None:
+    """Return the moving targets of the primitives of one mesh in these poses; None if no target moves.
+
+    Targets whose weight is 0 in every pose are not read. Raises InputError if one of the others is broken.
+    """
+    moving = poses.moving_targets
+    if poses.morph_weights is None or not moving:
+        return None
+    targets = tuple(
+        read_targets(
+            document,
+            view.source,
+            moving,
+            count=len(view.now.positions),
+            tangents=view.metadata["frame"] == Frame.TANGENT,
+        )
+        for view in views
+    )
+    return Morphing(targets, poses.morph_weights[:, moving])
+
+
+def carrier(views: Iterable[BakedView]) -> str:
+    """Return the attribute that the frame of primitives follows under their morph targets.
+
+    It is ``tangent`` if the frame comes from TANGENT and any target has TANGENT, else ``normal``. It is
+    ``none`` without targets.
+    """
+    found = "none"
+    for view in views:
+        for target in objects(view.source.json, "targets", view.source.place):
+            if "TANGENT" in target and view.metadata["frame"] == Frame.TANGENT:
+                return "tangent"
+            found = "normal"
+    return found
+
+
+def morph_count(document: Document, drawn: Iterable[tuple[int, PoseSet]]) -> MorphCount | None:
+    """Count the morph targets of meshes, and the targets that move in the poses of any node that draws them.
+
+    drawn are meshes with their poses. None if there are no targets.
+    """
+    moving: dict[int, set[int]] = {}
+    for mesh, poses in drawn:
+        moving.setdefault(mesh, set()).update(poses.moving_targets)
+    targets = sum(target_count(document, mesh) for mesh in moving)
+    return MorphCount(targets, sum(map(len, moving.values()))) if targets else None

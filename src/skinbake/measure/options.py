@@ -1,0 +1,117 @@
+"""The options of ``skinbake verify``, as values that its parts read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+from skinbake.choices import Baseline, Truth, pose_choice
+from skinbake.errors import Notice, Place
+from skinbake.options import VERIFY, By, checked, defaults
+from skinbake.report.verify import Check, ErrorFigures, Normals, gain
+from skinbake.truth.poses import PoseRequest
+from skinbake.wording import told_apart
+
+
+@dataclass(frozen=True, slots=True)
+class VerifyOptions:
+    """The options of ``skinbake verify``.
+
+    methods are the requested ones. If empty: LBS, and DQS if the joints are rigid. Limits are degrees, or a
+    factor, of the accurate lighting. None sets no limit. They are checked by the named truth, or, if it is
+    None, by each truth.
+    """
+
+    methods: tuple[str, ...] = ()
+    poses: PoseRequest = field(default_factory=PoseRequest)
+    max_mean_error: float | None = None
+    max_p95_error: float | None = None
+    min_gain: float | None = None
+    require_baked: bool = False
+    warnings_as_errors: bool = False
+    cap: float | None = None
+    baseline: Baseline = Baseline.BLENDED
+    truth: Truth | None = None
+
+    @classmethod
+    def of(cls, **given: Any) -> VerifyOptions:
+        """Return the options that the words and numbers of a user stand for, under the names of verify's.
+
+        poses is ``animation``, ``random``, ``random:N`` or ``rest``. angle is in degrees. Raises ChoiceError
+        for a value that does not exist.
+        """
+        words = checked(VERIFY, {**defaults(VERIFY, By.OVERRIDE), **given})
+        kind, count = pose_choice(words.pop("poses"))
+        samples, angle = words.pop("samples"), math.radians(words.pop("angle"))
+        return cls(
+            methods=tuple(dict.fromkeys(words.pop("methods"))),
+            poses=PoseRequest(kind, count or samples, angle, words.pop("seed")),
+            **words,
+        )
+
+    @property
+    def limits(self) -> list[str]:
+        """Return the options of the limits that are set."""
+        given = {
+            "--max-mean-error": self.max_mean_error,
+            "--max-p95-error": self.max_p95_error,
+            "--min-gain": self.min_gain,
+        }
+        return [option for option, limit in given.items() if limit is not None]
+
+
+def limits_check(by_truth: Mapping[Truth, Normals], options: VerifyOptions, place: Place) -> Check:
+    """Return whether the accurate lighting keeps the limits by all of the truths."""
+    problems = tuple(_exceeded(by_truth, options, place))
+    if problems:
+        return Check("limits", "failed", problems, "; ".join(problem.message for problem in problems))
+    bends = any(gain(figures) is not None for normals in by_truth.values() for figures in normals.values())
+    remark = "no gain to hold to --min-gain: nothing bends in these poses"
+    return Check("limits", "passed", (), remark if options.min_gain is not None and not bends else "")
+
+
+def _exceeded(by_truth: Mapping[Truth, Normals], options: VerifyOptions, place: Place) -> Iterator[Notice]:
+    """Yield a problem for each limit that the accurate lighting of a method exceeds, by the worst truth."""
+    for method in options.methods or ("lbs",):
+        of_truths = {truth: normals.get(method, {}) for truth, normals in by_truth.items()}
+        found = {truth: figures for truth, figures in of_truths.items() if "accurate" in figures}
+        if found:
+            yield from _errors_over(method, found, options, place)
+            yield from _gain_under(method, found, options, place)
+        else:
+            message = (
+                f"{method.upper()}: it cannot meet {' and '.join(options.limits)}, because there is no true "
+                "normal at any vertex in these poses"
+            )
+            yield Notice("no-figures", message, place)
+
+
+_OfTruths: TypeAlias = Mapping[Truth, dict[str, ErrorFigures]]
+"""The figures of one method by truth, then by lighting. Accurate lighting is among them."""
+
+
+def _errors_over(method: str, found: _OfTruths, options: VerifyOptions, place: Place) -> Iterator[Notice]:
+    """Yield a problem for each figure of the error in degrees that is over its limit."""
+    for name, limit, values in (
+        ("mean", options.max_mean_error, {by: one["accurate"].mean for by, one in found.items()}),
+        ("95th percentile", options.max_p95_error, {by: one["accurate"].p95 for by, one in found.items()}),
+    ):
+        worst = max(values, key=lambda truth: values[truth])
+        if limit is not None and not values[worst] <= limit:
+            message = (
+                f"{method.upper()} accurate: the {name} of the error is "
+                f"{told_apart(values[worst], limit, 3)}° by {worst}, over {limit:.15g}°"
+            )
+            yield Notice("limit", message, place)
+
+
+def _gain_under(method: str, found: _OfTruths, options: VerifyOptions, place: Place) -> Iterator[Notice]:
+    """Yield a problem if the gain is under its limit. No gain is required where nothing bends."""
+    gains = {truth: factor for truth, one in found.items() if (factor := gain(one)) is not None}
+    least = min(gains, key=lambda truth: gains[truth], default=None)
+    if options.min_gain is not None and least is not None and gains[least] < options.min_gain:
+        found_gain = told_apart(gains[least], options.min_gain, 2)
+        message = f"{method.upper()}: the gain is {found_gain} by {least}, below {options.min_gain:.15g}"
+        yield Notice("limit", message, place)

@@ -1,0 +1,1 @@
+"""α and β fitted to poses."""

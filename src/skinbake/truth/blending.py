@@ -1,0 +1,195 @@
+"""Linear blend skinning in matrix form, for many poses at once, as far as it is linear in joint matrices.
+
+Algorithms 1–3 (Tarini et al. 2014, supplement, §1–3) are linear in the joint matrices until they take a
+product of two posed vectors. ``skinning.lbs`` has them line by line. With p̃ = (p, 1), each intermediate
+vector before that product has one form:
+
+    F(u, c) = Σ w[s] M[s] u + Σ c[s] M[s] p̃
+
+    p' = F(p̃, 0)        T v = F((v, 0), 0)        t' = F((t, 0), α)        column i of J = F((eᵢ, 0), aᵢ)
+
+α[0] is minus the sum of the others, as in Σ α (M[s] p − M[0] p). F is a sparse matrix with one row for each
+vertex, times the joint matrices of all poses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from skinbake.choices import Baseline
+from skinbake.geometry.skinned import Float64Array, FloatArray, blocks
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.components import Vector, cofactors, corrected, cross
+from skinbake.skinning.rest import Options, RestPrimitive, all_slots
+from skinbake.truth import kernel
+from skinbake.truth.values import Forms
+
+CHUNK_SAMPLES = 1 << 21
+"""Vertices × poses that are deformed before they are measured: 50 MB of positions."""
+
+CHUNK_POSES = 4
+"""The least number of poses in a chunk, for any number of vertices. Sparse products need that many."""
+
+BLOCK_SAMPLES = 1 << 16
+"""Vertices × poses in work at a time. A block of 2¹⁴ is no faster alone, and threads wait for each other."""
+
+BLOCK_VERTICES = 1 << 13
+"""The most vertices in work at a time. With few poses, what is made of each vertex would take more memory."""
+
+
+def chunks(vertices: int, poses: int) -> list[slice]:
+    """Cut the poses of so many vertices into chunks."""
+    size = max(CHUNK_POSES, CHUNK_SAMPLES // max(vertices, 1))
+    # Whole vectors: no pose is left over from groups of eight, and rows begin with a line of the cache.
+    size -= size % 8 if size > 8 else 0
+    return list(blocks(poses, size))
+
+
+def sample_blocks(vertices: slice, poses: int) -> list[slice]:
+    """Cut vertices into blocks, for chunks of so many poses."""
+    size = max(1, min(BLOCK_SAMPLES // max(poses, 1), BLOCK_VERTICES))
+    first = vertices.start
+    return [slice(first + part.start, first + part.stop) for part in blocks(vertices.stop - first, size)]
+
+
+class BlendedPrimitive:
+    """A primitive under linear blend skinning by joint matrices (P, J, 4, 4), block by block.
+
+    Vectors are components (P, V), stored vertex by vertex.
+    """
+
+    def __init__(
+        self,
+        rest: RestPrimitive,
+        joint_matrices: Float64Array,
+        options: Options,
+        *,
+        direct: Callable[[slice], RestPrimitive] | None = None,
+    ) -> None:
+        """Prepare a primitive. Algorithm 2 needs ``direct``, and starts from its result for a block."""
+        self._rest, self._options, self._direct = rest, options, direct
+        self._handedness = rest.handedness()
+        self._matrices = _Table(joint_matrices)
+        self._cofactors = None
+        if options.baseline is Baseline.COFACTOR:
+            of_cofactors = np.zeros_like(joint_matrices)
+            rows = tuple(tuple(np.moveaxis(joint_matrices[..., row, :3], -1, 0)) for row in range(3))
+            for row, entries in enumerate(cofactors(rows)):
+                of_cofactors[..., row, :3] = np.stack(entries, axis=-1)
+            self._cofactors = _Table(of_cofactors)
+
+    def put_positions(self, pose: slice, part: slice, out: Float64Array, first_row: int) -> None:
+        """Write p' of some vertices to the rows of out (3, V, P) from ``first_row`` on."""
+        kernel.blend(self._forms(part), self._matrices.of(pose), out[None], first_row)
+
+    def positions(self, pose: slice, part: slice) -> Float64Array:
+        """Return p' of some vertices: (3, B, P)."""
+        posed = np.empty((3, part.stop - part.start, pose.stop - pose.start))
+        self.put_positions(pose, part, posed, 0)
+        return posed
+
+    def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
+        """Return the normals that algorithms 1–3 give some vertices. They are not of unit length."""
+        steps = {
+            Algorithm.LBS_APPROXIMATED: self._approximated,
+            Algorithm.LBS_DIRECT: self._direct_normals,
+            Algorithm.LBS_ACCURATE: self._accurate,
+        }
+        return [tuple(axis.T for axis in steps[algorithm](pose, part)) for algorithm in algorithms]
+
+    def _forms(
+        self, part: slice, directions: FloatArray | None = None, changes: FloatArray | None = None
+    ) -> Forms:
+        rest = self._rest
+        return Forms(rest.joints[part], rest.weights[part], rest.positions[part], directions, changes)
+
+    def _approximated(self, pose: slice, part: slice) -> Float64Array:
+        """Return T n, T⁻ᵀ n or Σ w cof(M[s]) n: (3, B, P)."""
+        normal = self._rest.normals[part]
+        if self._options.baseline is Baseline.INVERSE_TRANSPOSE:
+            columns = self._forms(part, _axes(len(normal)))
+            return kernel.blended_normals(columns, self._matrices.of(pose), normal)
+        table = self._cofactors or self._matrices
+        found = np.empty((3, len(normal), pose.stop - pose.start))
+        kernel.blend(self._forms(part, normal[None]), table.of(pose), found[None])
+        return found
+
+    def _direct_normals(self, pose: slice, part: slice) -> Float64Array:
+        """Return J⁻ᵀ n: (3, B, P)."""
+        if self._direct is None:
+            raise ValueError("algorithm 2 was not prepared for")
+        rest = self._direct(part)
+        gradients = np.moveaxis(rest.weight_gradients(), 2, 0)
+        columns = self._forms(part, _axes(len(rest.normals)), gradients)
+        return kernel.blended_normals(columns, self._matrices.of(pose), rest.normals)
+
+    def _accurate(self, pose: slice, part: slice) -> Float64Array:
+        """Return ± t' × b' with the sign of b': (3, B, P)."""
+        rest, table = self._rest, self._matrices.of(pose)
+        sign = self._handedness[part, None]
+        frame = np.stack([rest.tangents[part], sign * rest.bitangents[part]])
+        others = rest.alpha[part], sign * rest.beta[part]
+        changes = np.stack([all_slots(np.asarray(derivatives, dtype=np.float64)) for derivatives in others])
+        cap = self._options.cap
+        if cap is None or changes.shape[2] == 1:
+            return kernel.blended_normals(self._forms(part, frame, changes), table)
+        still, moved = np.empty((2, 2, 3, len(sign), pose.stop - pose.start))
+        kernel.blend(self._forms(part, frame), table, still)
+        kernel.blend(self._forms(part, np.zeros_like(frame), changes), table, moved)
+        t, b = (corrected(tuple(v), tuple(by), cap) for v, by in zip(still, moved, strict=True))
+        return np.stack(cross(t, b))
+
+
+def _axes(count: int) -> Float64Array:
+    """Return the three axes as directions of so many vertices: (3, B, 3)."""
+    return np.broadcast_to(np.eye(3)[:, None], (3, count, 3))
+
+
+class _Table:
+    """The first three rows of matrices (P, J, 4, 4), in the form that F is multiplied with."""
+
+    def __init__(self, matrices: Float64Array) -> None:
+        self._matrices = matrices
+        self._pose: slice | None = None
+        self._table: Float64Array = np.empty(0)
+
+    def of(self, pose: slice) -> Float64Array:
+        """Return the columns of the matrices of some poses: (4 J, 3, P). The last result is kept."""
+        if pose != self._pose:
+            rows = np.transpose(self._matrices[pose, :, :3], (1, 3, 2, 0))
+            # This order matters: other threads look at the pose first.
+            self._table = np.ascontiguousarray(rows, dtype=np.float64).reshape(rows.shape[0] * 4, 3, -1)
+            self._pose = pose
+        return self._table
+
+
+def blended_blocks(
+    primitives: Sequence[RestPrimitive], joint_matrices: Float64Array
+) -> Iterator[tuple[slice, slice, list[BlendedPrimitive]]]:
+    """Yield poses and vertices of blocks, with primitives of the same vertices blended in all poses."""
+    count = len(primitives[0].positions)
+    blended = [BlendedPrimitive(primitive, joint_matrices, Options()) for primitive in primitives]
+    for pose in chunks(count, len(joint_matrices)):
+        for part in sample_blocks(slice(0, count), pose.stop - pose.start):
+            yield pose, part, blended
+
+
+def sides_of(primitives: Sequence[RestPrimitive], joint_matrices: Float64Array) -> Float64Array | None:
+    """Return −1 (P, V) if the joint of the largest weight mirrors, else 1; None if no joint mirrors.
+
+    A joint that mirrors turns t' × b' to the inside. For example, some left hands are right hands under a
+    negative scale. In a fold, the surface turns over although its joints do not mirror. A fold is left as it
+    is, because the exact normal does turn inside out there.
+    """
+    mirrors = np.linalg.det(joint_matrices[..., :3, :3]) < 0
+    if not mirrors.any():
+        return None
+    dominant = np.concatenate(
+        [
+            np.take_along_axis(primitive.joints, primitive.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+            for primitive in primitives
+        ]
+    )
+    return np.where(mirrors.T[dominant], -1.0, 1.0).T

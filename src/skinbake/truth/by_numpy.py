@@ -1,0 +1,259 @@
+"""The operations of verify's kernel by whole arrays of numpy. They define the compiled loops' results."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.components import Rows, Vector, cofactors, cross, dot, linear, quotient, scaled
+from skinbake.skinning.run import Skinning
+from skinbake.truth.areas import angles_of_units, units_or_nan
+from skinbake.truth.mesh import WeldedMesh, weights_of_corners
+from skinbake.truth.normals import (
+    ClassBlock,
+    ClassSums,
+    RestFrames,
+    block_sums,
+    posed_tangents,
+    sums_of_classes,
+    tangent_normals,
+    triangle_normals,
+)
+from skinbake.truth.values import CountedErrors, Extent, Forms, SparseRows, WeightedRuns, bin_of
+
+__all__ = [
+    "add_to_bins",
+    "angles",
+    "blend",
+    "blended_normals",
+    "class_sums",
+    "count_errors",
+    "dqs_normals",
+    "dqs_positions",
+    "gradient_rows",
+    "keep_at_least",
+    "true_normals",
+]
+
+DENSE = 300
+"""The number of forms times columns from which small dense products are faster than a sparse one."""
+
+GATHERED = 1 << 17
+"""The numbers that dense products gather at a time: 1 MB, which stays in the cache."""
+
+
+def blend(forms: Forms, table: Float64Array, out: Float64Array, first_row: int = 0) -> None:
+    """Write F of B vertices to the rows of out (F, 3, V, P) from ``first_row`` on.
+
+    Row 4 j + i of table (R, 3, P) is column i of the matrices of joint j.
+    """
+    entries, columns = _entries(forms), _columns(forms)
+    flat = table.reshape(len(table), -1)
+    product = _sparse if len(entries) * flat.shape[1] < DENSE else _dense
+    found = product(entries, columns, flat).reshape(*entries.shape[:2], 3, -1)
+    # Components are contiguous in out. Arithmetic takes three times as long on those that are not.
+    out[:, :, first_row : first_row + len(columns)] = np.swapaxes(found, 1, 2)
+
+
+def blended_normals(forms: Forms, table: Float64Array, normals: FloatArray | None = None) -> Float64Array:
+    """Return the cross product of two forms of B vertices: (3, B, P).
+
+    With normals (B, 3), the forms are the three columns of a matrix M. The result is M⁻ᵀ n, or cof(M) n if
+    det M is 0.
+    """
+    found = np.empty((2 if normals is None else 3, 3, len(forms.joints), table.shape[2]))
+    blend(forms, table, found)
+    if normals is None:
+        return np.stack(cross(*found))
+    rows: Rows = tuple(zip(*found, strict=True))
+    cofactor = cofactors(rows)
+    reciprocal = quotient(1.0, dot(rows[0], cofactor[0]))
+    return np.stack(scaled(reciprocal, linear(cofactor, tuple(normals.T[:, :, None]))))
+
+
+def dqs_positions(
+    skinning: Skinning, pose: slice, part: slice, out: Float64Array, first_row: int = 0
+) -> None:
+    """Write p' by dual quaternions for some vertices to the rows of out (3, V, P) from ``first_row`` on."""
+    rows = slice(first_row, first_row + part.stop - part.start)
+    for component, moved in zip(out, skinning.positions(pose, part), strict=True):
+        component[rows] = moved.T
+
+
+def dqs_normals(skinning: Skinning, pose: slice, part: slice) -> Float64Array:
+    """Return the normals of algorithms 4–6 for some vertices: (3, 3, B, P). They are not of unit length."""
+    algorithms = [algorithm for algorithm in Algorithm if algorithm.uses_dual_quaternions]
+    found = skinning.run(algorithms, pose, part)
+    return np.stack([np.stack([component.T for component in posed.normal]) for posed in found])
+
+
+def _entries(forms: Forms) -> Float64Array:
+    """Return what F multiplies the table with: w u + c p̃ for each slot, (F, B, 4 K)."""
+    points = np.concatenate([forms.points, np.ones((len(forms.points), 1))], axis=1)
+    if forms.directions is None:
+        directions = points[None]
+    else:
+        directions = np.concatenate([forms.directions, np.zeros((*forms.directions.shape[:2], 1))], axis=2)
+    entries = forms.weights[:, :, None] * directions[:, :, None]
+    if forms.changes is not None:
+        entries = entries + forms.changes[..., None] * points[:, None]
+    return np.asarray(entries.reshape(*entries.shape[:2], -1), dtype=np.float64)
+
+
+def _columns(forms: Forms) -> IntArray:
+    """Return the rows of the table that the entries multiply: (B, 4 K)."""
+    columns = 4 * forms.joints.astype(np.int32)[:, :, None] + np.arange(4, dtype=np.int32)
+    return np.asarray(columns.reshape(len(columns), -1), dtype=np.int32)
+
+
+def _sparse(entries: Float64Array, columns: IntArray, table: Float64Array) -> Float64Array:
+    from scipy.sparse import csr_array
+
+    count, width = columns.shape
+    ends = np.arange(len(entries) * count + 1, dtype=np.int32) * np.int32(width)
+    names = np.tile(columns.ravel(), len(entries))
+    sparse = csr_array((entries.ravel(), names, ends), shape=(len(ends) - 1, len(table)))
+    return np.asarray(sparse @ table)
+
+
+def _dense(entries: Float64Array, columns: IntArray, table: Float64Array) -> Float64Array:
+    """Multiply vertex by vertex with the rows of its joints in the table, a few vertices at a time."""
+    count, width = columns.shape
+    found = np.empty((count, len(entries), table.shape[1]))
+    step = max(1, GATHERED // (width * table.shape[1]))
+    gathered = np.empty((step, width, table.shape[1]))
+    by_vertex = np.ascontiguousarray(np.swapaxes(entries, 0, 1))
+    for start in range(0, count, step):
+        rows = slice(start, min(start + step, count))
+        own = gathered[: rows.stop - start]
+        np.take(table, columns[rows], axis=0, out=own, mode="clip")
+        np.matmul(by_vertex[rows], own, out=found[rows])
+    return np.swapaxes(found, 0, 1)
+
+
+def gradient_rows(mesh: WeldedMesh, part: slice, directions: Sequence[FloatArray]) -> SparseRows:
+    """Return the derivatives of a block's vertices along D directions (B, 3): sparse (D B, V), stacked.
+
+    libigl gives the gradients of the hat functions in the triangle of each corner. A vertex takes their mean.
+    """
+    import igl
+    from scipy.sparse import csr_array, vstack
+
+    owners, corners = mesh.corners_of(part)
+    flat, first = mesh.triangles.ravel(), corners - corners % 3
+    faces = np.stack([flat[first + (corners + turn) % 3] for turn in range(3)], axis=1)
+    size = part.stop - part.start
+    if len(corners) == 0:
+        empty = np.zeros(0, dtype=np.int32)
+        return SparseRows(np.zeros(len(directions) * size + 1, dtype=np.int32), empty, np.zeros(0))
+    here, one, other = mesh.positions[faces].transpose(1, 2, 0)
+    share = weights_of_corners(tuple(one - here), tuple(other - here), mesh.weighting)
+    share /= mesh.totals[mesh.classes[part]][owners]
+    met, triangle = np.unique(corners // 3, return_inverse=True)
+    local, numbers = np.unique(mesh.triangles[met], return_inverse=True)
+    gradients = csr_array(igl.grad(mesh.positions[local], numbers.reshape(-1, 3).astype(np.int64)))
+    ends = np.searchsorted(owners, np.arange(size + 1))
+    places = (triangle[:, None] + len(met) * np.arange(3)).ravel()
+    found = []
+    for direction in directions:
+        weighted = np.asarray(direction, dtype=np.float64)[owners] * share[:, None]
+        mean = csr_array((weighted.ravel(), places, 3 * ends), shape=(size, 3 * len(met)))
+        found.append(mean @ gradients)
+    stacked = vstack(found, format="csr")
+    columns = local[stacked.indices].astype(np.int32)
+    return SparseRows(stacked.indptr.astype(np.int32, copy=False), columns, stacked.data)
+
+
+def class_sums(mesh: WeldedMesh, positions: Float64Array, block: ClassBlock, sums: FloatArray) -> None:
+    """Fill the sums (3, C, P) of a block of weld classes: Σ angle × unit normal over their corners.
+
+    sums are of all classes, float32 or float64. float32 halves the memory. Sums of unit vectors lose a
+    millionth of a degree.
+    """
+    sums[:, block.part] = sums_of_classes(mesh, positions, block.part)
+
+
+def true_normals(
+    rest: RestFrames,
+    number: int,
+    positions: Float64Array,
+    sides: Float64Array | None = None,
+    by_triangles: ClassSums | None = None,
+) -> tuple[Float64Array, BoolArray]:
+    """Return the true normals (U, 3, B, P) of a block of vertices, and where they exist (U, B, P).
+
+    The first are by tangents, the second, if there are sums of classes, by triangles. positions (3, V, P) are
+    those of all vertices after deformation. sides (P, B) is −1 if the joints mirror a vertex.
+    """
+    part = rest.parts[number]
+    tangents = posed_tangents(rest.derivatives[number], positions)
+    found = [tangent_normals(rest, part, tangents, sides)]
+    if by_triangles is not None:
+        sums = block_sums(by_triangles.classes, by_triangles.sums, part)
+        found.append(triangle_normals(by_triangles.carried, part, tangents, sums, sides))
+    normals = np.stack([np.stack([component.T for component in vector]) for vector, _ in found])
+    return normals, np.stack([exist.T for _, exist in found])
+
+
+def angles(measured: Vector, expected: Float64Array) -> Float32Array:
+    """Return the angles (U, B, P), in degrees, between vectors of any length and unit vectors.
+
+    The vectors are components (P, B), and expected is (U, 3, B, P).
+    """
+    units = [component.T for component in units_or_nan(measured)]
+    return np.stack([angles_of_units(units, list(one)) for one in expected])
+
+
+def count_errors(
+    errors: FloatArray, weights: Float64Array, valid: BoolArray | None, least: float
+) -> CountedErrors:
+    """Count errors (P, B) with weights (B,), and return those of at least ``least``.
+
+    Vertices without weight are left out, and samples that are not valid. A NaN among the others is 180°.
+    """
+    counted = np.broadcast_to(weights > 0.0, errors.shape)
+    if valid is not None:
+        counted = counted & valid
+    undefined = counted & np.isnan(errors)
+    values = np.where(undefined, 180.0, np.where(counted, errors, -1.0)).astype(errors.dtype, copy=False)
+    sums = np.sum(values, axis=0, dtype=np.float64, where=counted)
+    positive = np.where(weights > 0.0, weights, 0.0)
+    largest = float(values.max(initial=-1.0))
+    pose, vertex = divmod(int(values.argmax()) if values.size else 0, max(1, errors.shape[1]))
+    kept = max(least, 0.0) <= values.T
+    lengths = np.count_nonzero(kept, axis=1).astype(np.int32)
+    some = np.flatnonzero(lengths)
+    return CountedErrors(
+        samples=int(np.count_nonzero(counted)),
+        undefined=int(np.count_nonzero(undefined)),
+        weight=float(counted.sum(axis=0) @ positive),
+        total=float(sums @ positive),
+        largest=largest,
+        pose=pose,
+        vertex=vertex,
+        tail=WeightedRuns(values.T[kept], positive[some], lengths[some]),
+    )
+
+
+def keep_at_least(found: WeightedRuns, room: WeightedRuns, least: float) -> Extent:
+    """Fill room with those of the values found that are at least ``least``, and return their end.
+
+    room has the size of found at least, and may begin where found begins.
+    """
+    chosen = found.values >= least
+    owners = np.repeat(np.arange(len(found.lengths)), found.lengths)[chosen]
+    lengths = np.bincount(owners, minlength=len(found.lengths))
+    some = np.flatnonzero(lengths)
+    end = Extent(len(owners), len(some))
+    filled = room.part(Extent(0, 0), end)
+    filled.values[:], filled.weights[:] = found.values[chosen], found.weights[some]
+    filled.lengths[:] = lengths[some]
+    return end
+
+
+def add_to_bins(found: WeightedRuns, bins: Float64Array) -> None:
+    """Add the weight of each value to its bin."""
+    bins += np.bincount(bin_of(found.values), np.repeat(found.weights, found.lengths), minlength=len(bins))

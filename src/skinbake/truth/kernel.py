@@ -1,0 +1,63 @@
+"""The operations of verify on every vertex in every pose: compiled loops, or whole arrays of numpy.
+
+Only this module chooses between them, by the same rule as ``gradients.kernel``. ``by_loops`` calls the loops
+of ``_loops.c``. ``by_numpy`` has the definitions. They are the oracle of the tests. They also do the work,
+several times more slowly, if the package was installed without a compiler.
+"""
+
+from __future__ import annotations
+
+import logging
+
+from skinbake.choices import numpy_asked_for
+
+__all__ = [
+    "add_to_bins",
+    "angles",
+    "blend",
+    "blended_normals",
+    "class_sums",
+    "count_errors",
+    "dqs_normals",
+    "dqs_positions",
+    "gradient_rows",
+    "keep_at_least",
+    "true_normals",
+]
+
+logger = logging.getLogger(__name__)
+
+try:
+    if numpy_asked_for():
+        raise ImportError("SKINBAKE_KERNEL asks for numpy")
+    from skinbake.truth.by_loops import (
+        add_to_bins,
+        angles,
+        blend,
+        blended_normals,
+        class_sums,
+        count_errors,
+        dqs_normals,
+        dqs_positions,
+        gradient_rows,
+        keep_at_least,
+        true_normals,
+    )
+except ImportError as error:
+    logger.info("without its compiled loops (%s): verify takes several times as long", error)
+    from skinbake.truth.by_numpy import (
+        add_to_bins,
+        angles,
+        blend,
+        blended_normals,
+        class_sums,
+        count_errors,
+        dqs_normals,
+        dqs_positions,
+        gradient_rows,
+        keep_at_least,
+        true_normals,
+    )
+
+IS_COMPILED = blend.__module__.endswith("by_loops")
+"""Whether the compiled loops were chosen. The last digits of figures depend on it."""

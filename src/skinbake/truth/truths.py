@@ -1,0 +1,264 @@
+"""The true normals of one mesh in many poses, by both truths, block by block.
+
+``normals`` has both. Here, too, is what both measure at rest. This module cuts the vertices into blocks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+from skinbake.choices import Truth
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
+from skinbake.skinning.components import dot, scaled
+from skinbake.skinning.rest import RestPrimitive
+from skinbake.threads import Threads
+from skinbake.truth import kernel
+from skinbake.truth.blending import sample_blocks
+from skinbake.truth.mesh import WeldedMesh
+from skinbake.truth.normals import (
+    CarriedNormals,
+    ClassBlock,
+    ClassSums,
+    RestFrames,
+    block_sums,
+    class_blocks,
+    measured_frames,
+    morphed_frames,
+    posed_tangents,
+    triangle_frame,
+)
+from skinbake.truth.operator import GradientOperator
+from skinbake.truth.values import SparseRows
+
+SUMS = np.float32
+"""The type of the sums of posed triangles. Doubles would take twice the memory, and tell nothing more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Truths:
+    """The data of one mesh that both truths need: blocks of vertices and of weld classes, the rest pose.
+
+    names are one or both of ``Truth``, in the order of ``Truth``. frames are for the truth by tangents.
+    carried is for the truth by triangles, None without it; then there are no class_blocks.
+    """
+
+    operator: GradientOperator
+    names: Sequence[str]
+    vertex_blocks: Sequence[VertexBlock]
+    class_blocks: Sequence[ClassBlock]
+    frames: RestFrames
+    carried: CarriedNormals | None
+
+    @classmethod
+    def of(
+        cls, operator: GradientOperator, primitives: Sequence[RestPrimitive], poses: int, names: Sequence[str]
+    ) -> Truths:
+        """Measure a mesh at rest, for chunks of so many poses."""
+        blocks_of_vertices = _vertex_blocks(operator.slices, poses)
+        positions, normals = (_joined(primitives, name) for name in ("positions", "normals"))
+        parts = tuple(block.part for block in blocks_of_vertices)
+        frames = rest_frames(operator, positions, normals, parts=parts)
+        blocks_of_classes: list[ClassBlock] = []
+        carried = None
+        if Truth.TRIANGLES in names:
+            blocks_of_classes = class_blocks(operator)
+            carried = carried_normals(operator, frames, positions, normals, blocks_of_classes, SUMS)
+        return cls(operator, names, blocks_of_vertices, blocks_of_classes, frames, carried)
+
+    def moved(self, primitives: Sequence[RestPrimitive]) -> Truths:
+        """Measure the mesh under morph targets, before skinning."""
+        positions, normals = (_joined(primitives, name) for name in ("positions", "normals"))
+        frames = morphed_frames(self.frames, positions, normals)
+        carried = self.carried and carried_normals(
+            self.operator, frames, positions, normals, self.class_blocks, SUMS
+        )
+        return replace(self, frames=frames, carried=carried)
+
+    def sums(
+        self, deformed: Float64Array, threads: Threads, memory: ChunkMemory | None = None
+    ) -> ClassSums | None:
+        """Return the sums of the truth by triangles for all deformed positions (3, V, P) at once."""
+        if self.carried is None:
+            return None
+        shape = 3, len(self.operator.ends) - 1, deformed.shape[2]
+        total = (memory or ChunkMemory()).array("sums", shape, SUMS)
+
+        def sum_up(block: ClassBlock) -> None:
+            kernel.class_sums(self.operator, deformed, block, total)
+
+        threads.done(sum_up, self.class_blocks)
+        return ClassSums(self.carried, self.operator.classes, total)
+
+    def normals(
+        self, number: int, deformed: Float64Array, sums: ClassSums | None, sides: Float64Array | None
+    ) -> tuple[Float64Array, BoolArray]:
+        """Return a block's unit normals (U, 3, B, P) by each truth of ``names``, and where they exist."""
+        normals, exist = kernel.true_normals(self.frames, number, deformed, sides, sums)
+        # These are all truths in the order of Truth, or the first one alone if there are no sums.
+        first = tuple(Truth).index(Truth(self.names[0]))
+        named = slice(first, first + len(self.names))
+        return normals[named], exist[named]
+
+
+class ChunkMemory:
+    """Large arrays that each chunk of poses fills anew. The system would clear fresh memory first."""
+
+    def __init__(self) -> None:
+        self._arrays: dict[str, Any] = {}
+
+    def array(self, name: str, shape: tuple[int, ...], dtype: DTypeLike) -> Any:
+        """Return an array, its values arbitrary. The last one of this name must be in use no more."""
+        size = math.prod(shape)
+        if name not in self._arrays or len(self._arrays[name]) < size:
+            self._arrays.pop(name, None)
+            self._arrays[name] = np.empty(size, dtype)
+        return self._arrays[name][:size].reshape(shape)
+
+
+@dataclass(frozen=True, slots=True)
+class VertexBlock:
+    """Some vertices: the numbers of block and primitive, the rows in the primitive, the part of the mesh."""
+
+    number: int
+    primitive: int
+    rows: slice
+    part: slice
+
+
+def _vertex_blocks(slices: Sequence[slice], poses: int) -> list[VertexBlock]:
+    """Cut the vertices of all primitives, each at its slice of the mesh, for chunks of so many poses."""
+    pieces = [
+        (primitive, here.start, part)
+        for primitive, here in enumerate(slices)
+        for part in sample_blocks(here, poses)
+    ]
+    return [
+        VertexBlock(number, primitive, slice(part.start - start, part.stop - start), part)
+        for number, (primitive, start, part) in enumerate(pieces)
+    ]
+
+
+def _joined(primitives: Sequence[RestPrimitive], name: str) -> FloatArray:
+    """Return one array of all primitives, their vertices concatenated. A single one is not copied."""
+    if len(primitives) == 1:
+        only: FloatArray = getattr(primitives[0], name)
+        return only
+    return np.concatenate([getattr(primitive, name) for primitive in primitives])
+
+
+CANCELLED = 1e-9
+"""Radians. Triangles that sum to less at a point cancel out. The direction of what is left is rounding.
+
+This happens where a mesh has each triangle twice, once for each side, on the same vertices.
+"""
+
+
+def rest_frames(
+    operator: GradientOperator,
+    positions: FloatArray,
+    normals: FloatArray,
+    tangents: FloatArray | None = None,
+    bitangents: FloatArray | None = None,
+    *,
+    parts: tuple[slice, ...] | None = None,
+) -> RestFrames:
+    """Measure the rest pose, once for any number of poses.
+
+    All arrays are (V, 3) over the mesh's concatenated vertices, in mesh space: the rest positions, n0 of any
+    length, t0 and b0. verify gives neither t0 nor b0: the tangents are then ones that no option of bake
+    chooses (``perpendicular``). Tests and benchmarks give the tangents of the surface that they know, to
+    which n0 need not be at right angles. A vertex is not valid if it has no triangles, a flat frame, or a
+    zero or non-finite n0. ``parts`` are the blocks of vertices that will be requested.
+    """
+    chosen = tuple(operator.row_blocks()) if parts is None else parts
+    along = []
+    for group in operator.together(chosen):
+        whole = slice(group[0].start, group[-1].stop)
+        axes = (
+            perpendicular(normals[whole])
+            if tangents is None or bitangents is None
+            else (tangents[whole], bitangents[whole])
+        )
+        along += _split(operator.rows(whole, axes), group)
+    return measured_frames(chosen, tuple(along), positions, normals)
+
+
+def _split(stacked: SparseRows, group: Sequence[slice]) -> list[tuple[SparseRows, SparseRows]]:
+    """Cut rows along t0, and then along b0, into those of the parts of one group."""
+    starts, columns = stacked.starts, stacked.columns
+    first, half = group[0].start, len(stacked) // 2
+    end = int(starts[half])
+    along_t = SparseRows(starts[: half + 1], columns[:end].copy(), stacked.values[:end])
+    along_b = SparseRows(starts[half:] - np.int32(end), columns[end:].copy(), stacked.values[end:])
+    if np.array_equal(along_t.starts, along_b.starts) and np.array_equal(along_t.columns, along_b.columns):
+        # Usual: both have the same neighbours, which are kept once.
+        along_b = SparseRows(along_t.starts, along_t.columns, along_b.values)
+    parts = [slice(part.start - first, part.stop - first + 1) for part in group]
+    return [(along_t.some(part), along_b.some(part)) for part in parts]
+
+
+def perpendicular(normals: FloatArray) -> tuple[Float64Array, Float64Array]:
+    """Return two unit tangents (V, 3) at right angles to each other and to n0 (V, 3).
+
+    They are NaN if n0 is zero or not finite.
+    """
+    wide = np.asarray(normals, dtype=np.float64)
+    with np.errstate(invalid="ignore"):  # a normal that is zero or not finite
+        axis = np.eye(3)[np.abs(wide).argmin(axis=1)]
+        tangents = np.cross(axis, wide)
+        tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+        bitangents = np.cross(wide, tangents)
+        bitangents /= np.linalg.norm(bitangents, axis=1, keepdims=True)
+    return tangents, bitangents
+
+
+def vertex_normals(
+    mesh: WeldedMesh,
+    positions: Float64Array,
+    classes: Sequence[ClassBlock] | None = None,
+    dtype: DTypeLike = np.float64,
+) -> FloatArray:
+    """Return the angle-weighted sums of the weld classes: (3, C, P), from positions (3, V, P).
+
+    classes are the ``class_blocks``, if they are there already. dtype is float32 or float64.
+    """
+    total = np.empty((3, len(mesh.ends) - 1, positions.shape[2]), dtype)
+    for block in class_blocks(mesh) if classes is None else classes:
+        kernel.class_sums(mesh, positions, block, total)
+    return total
+
+
+def carried_normals(
+    mesh: WeldedMesh,
+    rest: RestFrames,
+    positions: FloatArray,
+    normals: FloatArray,
+    classes: Sequence[ClassBlock] | None = None,
+    dtype: DTypeLike = np.float64,
+) -> CarriedNormals:
+    """Return the coordinates of the normals n0 (V, 3) on the mesh before skinning, with positions (V, 3).
+
+    A vertex whose triangles cancel out has none. classes are as in ``vertex_normals``. dtype is that of the
+    sums of the poses: only sums of the same rounding give back n0 where the pose is the rest pose.
+    """
+    components = np.ascontiguousarray(np.asarray(positions, dtype=np.float64).T)[:, :, None]
+    wide = vertex_normals(mesh, components, classes)
+    sums = vertex_normals(mesh, components, classes, dtype)
+    sums[:, np.einsum("icp,icp->cp", wide, wide) < CANCELLED**2] = 0.0
+    coefficients = np.full((3, len(positions)), np.nan)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no frame gets NaN
+        for part, derivatives in zip(rest.parts, rest.derivatives, strict=True):
+            a, b = posed_tangents(derivatives, components)
+            n, area, flat = triangle_frame(a, b, block_sums(mesh.classes, sums, part))
+            n0 = tuple(np.asarray(normals[part], dtype=np.float64).T[:, None])
+            n0 = scaled(1.0 / np.sqrt(dot(n0, n0)), n0)
+            up, root = dot(n, n0), np.sqrt(np.abs(area))
+            lean = [(dot(tangent, n0) - dot(tangent, n) * up) / root for tangent in (a, b)]
+            coefficients[:, part] = np.where(flat, np.nan, np.concatenate([*lean, up]))
+    return CarriedNormals(coefficients)

@@ -1,0 +1,34 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.support.baked_files import baked, source
+
+
+def test_verify_imports_without_its_heavy_libraries() -> None:
+    program = (
+        "import sys, skinbake.truth.operator, skinbake.truth.truths, skinbake.truth.areas\n"
+        "print(*{'igl', 'scipy', 'pygltflib'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "\n", "")
+
+
+def test_verify_runs_without_what_takes_longer_to_import_than_a_file_to_verify(tmp_path: Path) -> None:
+    program = (
+        "import sys\n"
+        "from skinbake.measure.options import VerifyOptions\n"
+        "from skinbake.commands.verify import verify_file\n"
+        "assert verify_file(sys.argv[1], VerifyOptions()).passed\n"
+        "from skinbake.truth import kernel\n"
+        "heavy = {'scipy', 'igl'} if kernel.IS_COMPILED else {'scipy.spatial', 'scipy.sparse.csgraph'}\n"
+        "unneeded = {'xml.etree', 'skinbake.format.strip', 'skinbake.pose_fit.fit'}\n"
+        "print(*(heavy | unneeded) & set(sys.modules))"
+    )
+    path = baked(source("seam.glb"), tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-c", program, str(path)], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout) == (0, "\n"), done.stderr
