@@ -218,7 +218,8 @@ class CarriedNormals:
     """The coordinates (3, V) of unit n0 at rest, NaN if a vertex has no frame.
 
     n̂ is the normal by triangles, a and b are the two tangents of the operator, laid into the plane at right
-    angles to n̂, and A is the area of a and b. The coordinates are a · n0 / √A, b · n0 / √A and n̂ · n0.
+    angles to n̂, and A is the signed area of a and b about n̂. The coordinates are a · n0 / √|A|, b · n0 / √|A|
+    and n̂ · n0, all with the sign of A.
     """
 
     coefficients: Float64Array
@@ -260,9 +261,11 @@ def triangle_normals(
         n, area, flat = triangle_frame(a, b, sums)
         if sides is not None:
             by_n = by_n * sides
-        # The columns of cof([a' b' n̂' √(A' / A)]), divided by A' / A, are b' × n̂' and n̂' × a' over √(A A'),
-        # and n̂'. What a' and b' have along n̂' does not enter. Where they turn over, so does the first pair.
-        reciprocal = np.sign(area) / np.sqrt(np.abs(area))
+        # The columns of cof([a' b' n̂' √|A' / A|]), divided by |A' / A|, are b' × n̂' and n̂' × a' over √|A A'|,
+        # and n̂' with the sign of A'. What a' and b' have along n̂' does not enter. Where a fold turns a' and
+        # b' over, the normal is on the other side, as by tangents.
+        reciprocal = 1.0 / np.sqrt(np.abs(area))
+        by_n = by_n * np.sign(area)
         across_a, across_b = cross(b, n), cross(n, a)
         lean_a, lean_b = by_a * reciprocal, by_b * reciprocal
         found = tuple(lean_a * across_a[i] + lean_b * across_b[i] + by_n * n[i] for i in range(3))

@@ -260,5 +260,5 @@ def carried_normals(
             n0 = scaled(1.0 / np.sqrt(dot(n0, n0)), n0)
             up, root = dot(n, n0), np.sqrt(np.abs(area))
             lean = [(dot(tangent, n0) - dot(tangent, n) * up) / root for tangent in (a, b)]
-            coefficients[:, part] = np.where(flat, np.nan, np.concatenate([*lean, up]))
+            coefficients[:, part] = np.where(flat, np.nan, np.sign(area) * np.concatenate([*lean, up]))
     return CarriedNormals(coefficients)

@@ -79,8 +79,8 @@ static ALWAYS_INLINE Vector by_triangles(Vector a, Vector b, Vector sum, Vector 
 {
     const Vector n = scaled(1.0 / sqrt(dot(sum, sum)), sum);
     const double area = dot(cross(a, b), n);
-    const double root = copysign(1.0 / sqrt(fabs(area)), area);
-    const double lean_a = carried.x * root, lean_b = carried.y * root, up = carried.z * side;
+    const double root = 1.0 / sqrt(fabs(area));
+    const double lean_a = carried.x * root, lean_b = carried.y * root, up = copysign(side, side * area) * carried.z;
     const Vector across_a = cross(b, n), across_b = cross(n, a);
     const Vector found = {lean_a * across_a.x + lean_b * across_b.x + up * n.x,
                           lean_a * across_a.y + lean_b * across_b.y + up * n.y,

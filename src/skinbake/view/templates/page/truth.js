@@ -93,10 +93,10 @@ export class Surface {
             const [x, y, z] = [normals[at] / length, normals[at + 1] / length, normals[at + 2] / length];
             const [ax, ay, az, bx, by, bz, nx, ny, nz, area] = frame;
             const up = nx * x + ny * y + nz * z;
-            const root = Math.sqrt(Math.abs(area));
+            const root = Math.sign(area) * Math.sqrt(Math.abs(area));
             carried[at] = (ax * x + ay * y + az * z - (ax * nx + ay * ny + az * nz) * up) / root;
             carried[at + 1] = (bx * x + by * y + bz * z - (bx * nx + by * ny + bz * nz) * up) / root;
-            carried[at + 2] = up;
+            carried[at + 2] = Math.sign(area) * up;
         }
     }
 
@@ -162,10 +162,11 @@ export class Surface {
             this.measureFrame(vertex, frame);
             const ax = frame[0], ay = frame[1], az = frame[2], bx = frame[3], by = frame[4], bz = frame[5];
             const nx = frame[6], ny = frame[7], nz = frame[8], area = frame[9];
-            // b × n and n × a over the root of the area, as the columns of a cofactor. The side of a mirror turns n.
-            const root = Math.sign(area) / Math.sqrt(Math.abs(area));
+            // b × n and n × a over the root of the area, as the columns of a cofactor. Folds and mirrors turn n.
+            const root = 1 / Math.sqrt(Math.abs(area));
             const a = root * carried[3 * vertex], b = root * carried[3 * vertex + 1];
-            const up = (isMirrored && mirrors[dominant[vertex]] ? -1 : 1) * carried[3 * vertex + 2];
+            const side = isMirrored && mirrors[dominant[vertex]] ? -1 : 1;
+            const up = side * Math.sign(area) * carried[3 * vertex + 2];
             const x = a * (by * nz - bz * ny) + b * (ny * az - nz * ay) + up * nx;
             const y = a * (bz * nx - bx * nz) + b * (nz * ax - nx * az) + up * ny;
             const z = a * (bx * ny - by * nx) + b * (nx * ay - ny * ax) + up * nz;
