@@ -17,6 +17,7 @@ from skinbake.jobs.verify import Verify
 from skinbake.jobs.work import Job
 from skinbake.measure.options import VerifyOptions
 from skinbake.truth.poses import PoseRequest
+from skinbake.version import FIT
 from tests.support import gltf_reading
 from tests.support.baked_files import CESIUM_MAN, Answer, Editable, baked, source, verify
 from tests.support.baking import bake_settings
@@ -228,7 +229,7 @@ BROKEN = {
     "JOINTS removed": Case(joints_removed, "no-joints", ["it is baked", "JOINTS_0"]),
     "version 2": Case(note("version", 2), "version", ["version 2", "update skinbake"]),
     "version 0": Case(note("version", 0), "version", ["version 0", "run skinbake bake"]),
-    "another fit": Case(note("fit", 2), "version", ["version 2 of the fit", "run skinbake bake"]),
+    "another fit": Case(note("fit", 99), "version", ["version 99 of the fit", "update skinbake"]),
     "fit unknown": Case(note("fit", None), "version", ["fit", "missing"]),
     "fewer influences": Case(note("influences", 12), "metadata-broken", ["influences", "12"]),
     "frame unknown": Case(note("frame", "uv"), "metadata-broken", ["frame", "uv"]),
@@ -396,6 +397,55 @@ def test_what_is_missing_is_named(
     check_failure(model.write(tmp_path / HERE), case, "structure")
 
 
+def between_fit_and_surface(model: Editable, plain: Editable) -> None:
+    """Make α and β halfway between both, as another fit might."""
+    for name in model.metadata()["alpha"] + model.metadata()["beta"]:
+        model.array(name)[:] = 0.5 * (model.array(name) + plain.array(name))
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_another_fit_of_an_older_version_is_right_by_its_effect(
+    bakes: Callable[[str], Path], tmp_path: Path, name: str
+) -> None:
+    plain = Editable(baked(source(name), tmp_path, gradients="surface"))
+    model = Editable(bakes(name))
+    between_fit_and_surface(model, plain)
+    check_failure(model.write(tmp_path / HERE), Case(metadata_removed, "stale", ["wrong at"]), "freshness")
+    model.metadata()["fit"] = FIT - 1
+    answer = verify(model.write(tmp_path / HERE), *FEW)
+    assert (answer.exit_code, answer.failed) == (0, [])
+    (freshness,) = [check for check in answer.file["checks"] if check["name"] == "freshness"]
+    assert "older version of the fit" in freshness["remark"]
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (scaled("_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0", by=-2.0), ["the error of the gradients"]),
+        (scaled("POSITION", by=1.1), ["POSITION changed", f"version {FIT - 1} of the fit"]),
+    ],
+    ids=["damaged", "moved"],
+)
+def test_damage_to_a_bake_of_an_older_fit_is_told(
+    edit: Callable[[Editable], None], words: Sequence[str], bakes: Callable[[str], Path], tmp_path: Path
+) -> None:
+    model = Editable(bakes("bent_tube.glb"))
+    model.metadata()["fit"] = FIT - 1
+    case = Case(edit, "stale", [*words, "run skinbake bake again"])
+    edit(model)
+    check_failure(model.write(tmp_path / HERE), case, "freshness")
+
+
+def test_an_older_fit_that_gives_the_same_numbers_needs_no_word(
+    bakes: Callable[[str], Path], tmp_path: Path
+) -> None:
+    model = Editable(bakes("bent_tube.glb"))
+    model.metadata()["fit"] = FIT - 1
+    answer = verify(model.write(tmp_path / HERE), *FEW)
+    assert (answer.exit_code, answer.failed) == (0, [])
+    assert "older" not in json.dumps(answer.file["checks"])
+
+
 POSES = {"from": ["animations"], "fingerprint": [1.0], "slots": "0"}
 
 
@@ -404,6 +454,8 @@ POSES = {"from": ["animations"], "fingerprint": [1.0], "slots": "0"}
     [
         ({"version": True}, "version", ["version true", "run skinbake bake"]),
         ({"fit": True}, "version", ["version true of the fit", "run skinbake bake"]),
+        ({"fit": 0}, "version", ["version 0 of the fit", "run skinbake bake"]),
+        ({"fit": "1"}, "version", ["of the fit", "run skinbake bake"]),
         ({"weld": "scene"}, "metadata-broken", ["\"weld\" is 'scene'"]),
         ({"gradients": "texture"}, "metadata-broken", ["\"gradients\" is 'texture'"]),
         ({"weighting": None}, "metadata-broken", ['"weighting" is missing']),

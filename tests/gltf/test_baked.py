@@ -27,6 +27,7 @@ from skinbake.gltf.codecs.recode import Compression
 from skinbake.gltf.document import read_document
 from skinbake.gltf.resources import encode_data_uri
 from skinbake.gltf.views import view_bytes
+from skinbake.version import FIT
 from tests.support.baked_files import verify
 from tests.support.baking import bake_file, bake_settings
 from tests.support.calls import count_calls
@@ -111,7 +112,7 @@ class TestEveryFixture:
                 "creaseAngle": 15.0,
                 "neighbours": "adopt",
                 "gradients": "rig",
-                "fit": 1,
+                "fit": FIT,
                 "alpha": [f"_SKINBAKE_ALPHA_{n}" for n in range(sets)],
                 "beta": [f"_SKINBAKE_BETA_{n}" for n in range(sets)],
             }

@@ -363,6 +363,7 @@ class TestArguments:
             "even": 1e-4,
             "faint": 0.1,
             "unfelt": 1e-6,
+            "narrow": 0.2,
             "flat": 1e-6,
             "grouped": None,
             "first": 0,
@@ -556,7 +557,7 @@ for turn in range(16):
             parents=parents, ranks=ranks, pivots=pivots, chains=chains, stored=stored, class_count=V // 2,
             weighting=_kernel.BY_ANGLE, adopts=True, negligible=1e-4, missing=15.0, stiffness=0.1,
             together=10.0, doubt=0.01, smooth=0.2, most_doubt=4.0, times_stored=10.0, stretched=4.0,
-            even=1e-4, faint=0.1, unfelt=1e-6, flat=1e-6,
+            even=1e-4, faint=0.1, unfelt=1e-6, narrow=0.2, flat=1e-6,
             grouped=grouped if spoil is anything and turn % 2 else None, first=0, last=V // 2)
     except (IndexError, ValueError):
         pass

@@ -18,13 +18,14 @@ from skinbake.gradients.fit_rules import (
     FAINT,
     MISSING,
     MOST_DOUBT,
+    NARROW,
     SMOOTH,
     STIFFNESS,
     STORED,
     TOGETHER,
 )
 from skinbake.truth.operator import GradientOperator, gradient_operator
-from tests.gradients.tubes import BRANCHES, CHAIN, SETTINGS, bent, tube
+from tests.gradients.tubes import BRANCHES, CHAIN, SETTINGS, bent, corner_angles, tube, weighted_normals
 from tests.support.derivatives import derivatives
 from tests.support.kernels import use_numpy
 
@@ -183,6 +184,67 @@ class TestStoredPose:
         baked = fitted(primitive.with_influences(joints, weights), rig)
         assert np.isfinite(baked.alpha).all()
         assert baked.alpha.any()
+
+
+@pytest.mark.usefixtures("_kernel")
+@pytest.mark.parametrize("corners", [3, 4, 6])
+def test_rings_whose_normal_lies_in_their_triangles_keep_the_gradient(corners: int) -> None:
+    """Fans, nearly flat, whose rims run to and fro, so that the normals of their triangles nearly cancel."""
+    fans = [folded_fan(corners, seed) for seed in range(200)]
+    whole, rig = beside_each_other(fans)
+    hubs = np.arange(len(fans)) * (corners + 1)
+    plain, fit = (fitted(whole, one) for one in (None, rig))
+    gradient, found = (np.hstack([one.alpha, one.beta])[hubs] for one in (plain, fit))
+    kept = (found == gradient).all(axis=1)
+    areas = np.array([area_between_derivatives(fan) for fan in fans])
+    assert np.array_equal(kept, areas <= NARROW)
+    assert 0.1 < kept.mean() < 0.9
+    lengths, changed = (np.linalg.norm(one, axis=1) for one in (gradient, found))
+    assert (changed <= 10.0 * lengths).all()
+
+
+def folded_fan(corners: int, seed: int) -> SkinnedPrimitive:
+    """Return triangles around vertex 0 in no order, with the sum of their unit normals by angle."""
+    random = np.random.default_rng(seed)
+    angles, lengths = random.uniform(0.0, 2.0 * np.pi, corners), random.uniform(0.5, 2.0, corners)
+    height = random.choice([0.02, 0.1, 0.5]) * random.normal(size=corners)
+    rim = np.stack([lengths * np.cos(angles), lengths * np.sin(angles), height], axis=1)
+    points = np.concatenate([np.zeros((1, 3)), rim]) @ np.linalg.qr(random.normal(size=(3, 3)))[0]
+    beside = np.roll(np.arange(1, corners + 1), -1)
+    triangles = np.stack([np.zeros(corners, dtype=np.int64), np.arange(1, corners + 1), beside], axis=1)
+    normals = weighted_normals(points, triangles, corner_angles(points, triangles))
+    weights = random.random((corners + 1, 4)) + 0.05
+    return SkinnedPrimitive(
+        positions=points.astype(np.float32),
+        normals=np.tile(normals[0], (corners + 1, 1)).astype(np.float32),
+        tangents=None,
+        joints=np.tile(np.arange(4, dtype=np.uint16), (corners + 1, 1)),
+        weights=weights / weights.sum(axis=1, keepdims=True),
+        triangles=triangles.astype(np.uint32),
+    )
+
+
+def beside_each_other(parts: Sequence[SkinnedPrimitive]) -> tuple[SkinnedPrimitive, Rig]:
+    """Return primitives of one size in a row, as one of them, and a rig with far pivots."""
+    size = len(parts[0].positions)
+    places = np.zeros((len(parts), 3), dtype=np.float32)
+    places[:, 0] = 8.0 * np.arange(len(parts))
+    whole = replace(
+        parts[0],
+        positions=np.concatenate([one.positions + place for one, place in zip(parts, places, strict=True)]),
+        normals=np.concatenate([one.normals for one in parts]),
+        joints=np.concatenate([one.joints for one in parts]),
+        weights=np.concatenate([one.weights for one in parts]),
+        triangles=np.concatenate([one.triangles + size * number for number, one in enumerate(parts)]),
+    )
+    return whole, Rig(np.array(CHAIN[:4], dtype=np.int32), np.diag([900.0, 800.0, 700.0, 600.0])[:, :3])
+
+
+def area_between_derivatives(fan: SkinnedPrimitive) -> float:
+    """Return the length of the cross product of the derivatives of the positions along both tangents."""
+    by_axis = root_derivatives(fan)[:, 0] @ fan.positions.astype(np.float64)
+    along, across = (axis[0] @ by_axis for axis in frame_from_normal(unit_normals(fan.normals)))
+    return float(np.linalg.norm(np.cross(along, across)))
 
 
 @pytest.mark.usefixtures("_kernel")

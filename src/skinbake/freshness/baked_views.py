@@ -149,15 +149,19 @@ def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
 
 
 def _other_version(metadata: JsonObject) -> str | None:
-    """Return which version of the metadata or of a fit is another one, and what to do; None if none is."""
+    """Return which version of the metadata or of a fit cannot be read, and what to do; None if none is."""
     version, fit = metadata["version"], metadata.get("fit")  # ``read_metadata`` finds none without an integer
     if isinstance(version, bool) or version != VERSION:
         remedy = "update skinbake" if version > VERSION else BAKE
         return f"its metadata has version {shown(version)}, this skinbake reads {VERSION}: {remedy}"
-    fitted = metadata.get("gradients", Gradients.SURFACE) != Gradients.SURFACE
-    if fitted and (isinstance(fit, bool) or fit != FIT):
-        return f"its α/β come from version {shown(fit)} of the fit, this skinbake has {FIT}: {BAKE}"
-    return None
+    if metadata.get("gradients", Gradients.SURFACE) == Gradients.SURFACE:
+        return None
+    remedy = BAKE
+    if isinstance(fit, int) and not isinstance(fit, bool) and fit > 0:
+        if fit <= FIT:
+            return None
+        remedy = "update skinbake"
+    return f"its α/β come from version {shown(fit)} of the fit, this skinbake has {FIT}: {remedy}"
 
 
 def _wrong_members(metadata: JsonObject, source: PrimitiveSource) -> Iterator[str]:

@@ -27,8 +27,10 @@ from skinbake.freshness.expected import (
 )
 from skinbake.freshness.without_poses import (
     BAKE_AGAIN,
+    OLDER_FIT,
     STORED_OTHERWISE,
     WITHOUT_POSES,
+    has_older_fit,
     has_poses,
     is_stored_as_noted,
     problems_without_poses,
@@ -96,9 +98,9 @@ def freshness_check(
 
     That is what fresh means: a bake of the file as it is now would light it in the same way. If the arrays
     have changed and α/β still fit them, the check passes, with a remark that names the arrays. If α/β were
-    fitted to poses that are not in the file any more, or to another stored pose, they must be the ones that
-    bake wrote, and light the present poses better than the gradients of the surface. fits is the result of
-    ``fits_begun``, if there is one.
+    fitted to poses that are not in the file any more, or to another stored pose, or by an older version of
+    the fit, they must be the ones that bake wrote, and light the present poses no worse than the gradients of
+    the surface. fits is the result of ``fits_begun``, if there is one.
     """
     problems: list[Notice] = []
     changed: list[BakedView] = []
@@ -106,6 +108,7 @@ def freshness_check(
     for views, operator, fit in zip(surfaces, operators, fits or [None] * len(surfaces), strict=True):
         gone = [] if is_stored_as_noted(document, views[0]) else [STORED_OTHERWISE]
         gone += [] if has_poses(document, views[0]) else [WITHOUT_POSES]
+        gone += [OLDER_FIT] if any(map(has_older_fit, views)) else []
         compared = [] if WITHOUT_POSES in gone else _comparisons(document, views, operator, fit)
         # In another pose α/β may still agree: the nodes may only stand elsewhere, all together.
         if gone and not (compared and all(comparison.agrees for comparison in compared)):

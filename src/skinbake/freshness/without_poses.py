@@ -1,6 +1,7 @@
-"""Whether α and β are fresh that were fitted to poses which are not in the file, or not any more.
+"""Whether α and β are fresh whose fit cannot be made again.
 
-These are the poses of ``--gradients poses``, and the stored pose.
+They were fitted to poses which are not in the file, or not any more: those of ``--gradients poses``, or the
+stored pose. Or an older version of the fit made them.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from skinbake.gltf.json_access import integer
 from skinbake.gltf.rigs import fitting_rig
 from skinbake.truth.areas import vertex_areas
 from skinbake.truth.operator import GradientOperator, true_operator
+from skinbake.version import FIT
 
 BAKE_AGAIN = "run skinbake bake again"
 
@@ -31,6 +33,11 @@ WITHOUT_POSES = (
 STORED_OTHERWISE = (
     "the nodes are stored in another pose than at the bake, so α/β were checked by their digest and their "
     "effect"
+)
+
+OLDER_FIT = (
+    "α/β come from an older version of the fit. They are still right, by their effect; a new bake may light "
+    "better"
 )
 
 NO_BETTER = 1.02
@@ -60,6 +67,11 @@ def is_stored_as_noted(document: Document, view: BakedView) -> bool:
     return is_fingerprint_of(rig.fingerprint, view.metadata[STORED_POSE]["fingerprint"])
 
 
+def has_older_fit(view: BakedView) -> bool:
+    """Tell whether an older version of the fit made α and β."""
+    return noted_kind(view) is not Gradients.SURFACE and int(view.metadata["fit"]) < FIT
+
+
 def rig_changed(document: Document, view: BakedView) -> bool:
     """Tell whether the rig is another one than the noted one, or is gone."""
     if noted_kind(view) is Gradients.SURFACE or "rig" not in view.metadata:
@@ -82,11 +94,12 @@ def problems_without_poses(
 
 def _change(document: Document, view: BakedView) -> str | None:
     """Return what changed since the bake, None for nothing."""
-    gone = (
-        "the nodes are stored in another pose"
-        if not is_stored_as_noted(document, view)
-        else "the poses that α/β were fitted to are not in the file"
-    )
+    if not is_stored_as_noted(document, view):
+        gone = "the nodes are stored in another pose"
+    elif not has_poses(document, view):
+        gone = "the poses that α/β were fitted to are not in the file"
+    else:
+        gone = f"version {view.metadata['fit']} of the fit made them, this skinbake has {FIT}"
     if view.changed:
         return f"{', '.join(view.changed)} changed since its bake, and {gone}: {BAKE_AGAIN}"
     if rig_changed(document, view):
@@ -96,8 +109,8 @@ def _change(document: Document, view: BakedView) -> str | None:
         name: read_accessor(document, integer(attributes, name, place), place).values
         for name in slot_names(view.metadata)
     }
-    noted = view.metadata.get(STORED_POSE) or view.metadata[POSES]
-    if slots_digest(stored) != noted["slots"]:
+    noted = view.metadata.get(STORED_POSE) or view.metadata.get(POSES)
+    if noted and slots_digest(stored) != noted["slots"]:
         return f"α/β changed since its bake, and {gone}: {BAKE_AGAIN}"
     return None
 

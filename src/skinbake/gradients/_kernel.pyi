@@ -103,6 +103,7 @@ def bake_surface(
     even: float,
     faint: float,
     unfelt: float,
+    narrow: float,
     flat: float,
     grouped: Grouped | None,
     first: int,

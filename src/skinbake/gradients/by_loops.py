@@ -23,6 +23,7 @@ from skinbake.gradients.fit_rules import (
     FLAT,
     MISSING,
     MOST_DOUBT,
+    NARROW,
     SMOOTH,
     STIFFNESS,
     STORED,
@@ -149,6 +150,7 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
         even=EVEN,
         faint=FAINT,
         unfelt=UNFELT,
+        narrow=NARROW,
         flat=FLAT,
     )
     if count <= PART:

@@ -69,10 +69,18 @@ that is hardly there would make up for errors of others, at the end of a long le
 UNFELT = 1e-4
 """The presence up to which a joint is not fitted."""
 
+NARROW = 0.2
+"""The area between the two derivatives of the positions up to which a class keeps its gradients.
+
+The fit divides by it. It is 1 where triangles and authored normals agree, and near 0 where these lie in the
+plane of those. Of 200,000 random rings of three to six corners, folded ones too, those below get up to 3,000
+times the gradient, and those above at most 8 times. At 0.1 it would be 13 times. Whether both normals of the
+triangles agree does not tell: there were 600 times the gradient where they differ by less than 30°.
+"""
+
 FLAT = 1e-6
 """A share that counts as 0.
 
-A class has no normal of its own if the sine between its two derivatives of the positions is at most FLAT, or
-if its triangles' normals or its vertices' normals cancel out but for this share. The spread counts as FLAT at
-least.
+A class has no normal of its own if its triangles' normals or its vertices' normals cancel out but for this
+share. The spread counts as FLAT at least.
 """

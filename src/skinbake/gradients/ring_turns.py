@@ -14,7 +14,7 @@ import numpy as np
 
 from skinbake.geometry.frames import frame_from_normal, has_direction, parts_along, unit_normals
 from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray
-from skinbake.gradients.fit_rules import DOUBT, FLAT, MOST_DOUBT, SMOOTH
+from skinbake.gradients.fit_rules import DOUBT, FLAT, MOST_DOUBT, NARROW, SMOOTH
 from skinbake.gradients.stored_pose import StoredTilts, WeightChanges, stored_tilts
 from skinbake.gradients.surface import Surface
 from skinbake.gradients.weight_gradients import (
@@ -66,9 +66,8 @@ def ring_turns(surface: Surface) -> RingTurns:
     # In a class without an area all of this is NaN, and it is not sound.
     derivatives = ring.derivatives / ring.weights[:, None, None]
     leverage, area = _leverage(derivatives, tangents, normals)
-    lengths = np.linalg.norm(derivatives, axis=2)
     alignment = np.nan_to_num(np.linalg.norm(ring.faces, axis=1) / ring.areas)
-    sound = (area > FLAT * lengths[:, 0] * lengths[:, 1]) & (alignment > FLAT) & directed
+    sound = (area > NARROW) & (alignment > FLAT) & directed
     sound &= np.bincount(classes[surface.triangles.ravel()], minlength=count) <= MOST_CORNERS
     owner = np.repeat(np.arange(count), np.diff(ring.offsets))
     changes = np.where(sound[owner, None], ring.changes / ring.weights[owner, None], 0.0)

@@ -7,11 +7,11 @@
 #include "stored_pose.h"
 
 /* Work out the leverage of both tangents from the derivatives of the positions along them. */
-static ALWAYS_INLINE void find_leverage(RingFrame *f, const Vector derivatives[2], double flat)
+static ALWAYS_INLINE void find_leverage(RingFrame *f, const Vector derivatives[2], double narrow)
 {
     Vector a = derivatives[0], b = derivatives[1], c = cross(a, b);
     double area = sqrt(dot(c, c));
-    f->sound &= area > flat * sqrt(dot(a, a)) * sqrt(dot(b, b));
+    f->sound &= area > narrow;
     if (!f->sound)
         return;
     const Vector unit = times(c, 1.0 / area), lean = minus(f->normal, times(unit, 0.5 * dot(unit, f->normal)));
@@ -245,7 +245,7 @@ static ALWAYS_INLINE void end_frame(const Surface *s, const CornerSums *sums, Ve
     f->doubt = doubt_of(s, alignment);
     f->sound &= alignment > s->fit.flat;
     const Vector means[2] = {one_of(derivatives, 0), one_of(derivatives, 1)};
-    find_leverage(f, means, s->fit.flat);
+    find_leverage(f, means, s->fit.narrow);
 }
 
 /* Add gradients and products over the ring of a class for every joint met. Return the number of local numbers in
