@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -103,6 +104,39 @@ def test_the_fit_is_that_of_a_generic_solver(angles: Sequence[float]) -> None:
                 found[vertex] - given[vertex], wanted, rtol=1e-5, atol=1e-6 * abs(given).max()
             )
     assert abs(alpha - surface.alpha).max() > 0.05 * abs(surface.alpha).max()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_only_vertices_of_several_joints_are_followed_through_the_poses(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A rigid part asks for no true normal at all; beside a bending one, it changes nothing of it."""
+    primitive, rig = tube(parents=BRANCHES)
+    bending = surface_of(primitive, rig)
+    joint = np.random.default_rng(seed).integers(0, len(rig.parents))
+    alone = np.zeros_like(bending.weights)
+    alone[:, 0] = 1.0
+    none = np.zeros_like(bending.alpha)
+    rigid = replace(bending, joints=np.full_like(bending.joints, joint), weights=alone, alpha=none, beta=none)
+    asked: list[int] = []
+    normals = Truths.normals
+
+    def counting(self: Truths, block: int, *others: Any) -> Any:
+        asked.append(block)
+        return normals(self, block, *others)
+
+    monkeypatch.setattr(Truths, "normals", counting)
+    groups = even(turned(rig, 6, 30.0, seed))
+    ((alpha, beta),) = fitted_to_poses(true_operator([primitive]), [rigid], groups)
+    assert not asked
+    assert not alpha.any() and not beta.any()
+    apart = true_operator([primitive, replace(primitive, positions=primitive.positions + np.float32(100.0))])
+    both = fitted_to_poses(apart, [bending, rigid], groups)
+    assert asked
+    ((alpha, beta),) = fitted_to_poses(true_operator([primitive]), [bending], groups)
+    np.testing.assert_array_equal(both[0][0], alpha)
+    np.testing.assert_array_equal(both[0][1], beta)
+    assert not both[1][0].any() and not both[1][1].any()
 
 
 @dataclass

@@ -82,9 +82,11 @@ def fitted_to_poses(
     # A vertex without true normals has NaN on the way.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         fitted = [_LeastSquares.of(primitive) for primitive in primitives]
+        # A vertex of a single joint keeps what it has, in any pose.
+        open_ones = [system.unknown().any(axis=1) for system in fitted]
         for group in groups:
             systems = [_LeastSquares.of(primitive) for primitive in primitives]
-            for seen in _seen(operator, primitives, group):
+            for seen in _seen(operator, primitives, group, open_ones):
                 system = systems[seen.primitive]
                 system.add(seen, seen.moved(primitives, group, system.last))
             for system, of_group in zip(fitted, systems, strict=True):
@@ -97,10 +99,11 @@ def tilts(
 ) -> list[Float64Array]:
     """Return by how much the tangents of each primitive leave the true surface: (V,), mean squared sines."""
     found = [np.zeros(len(primitive.positions)) for primitive in primitives]
+    every_one = [np.ones(len(of_one), dtype=np.bool_) for of_one in found]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # likewise
         for group in groups:
             share = group.share / sum(each.share for each in groups)
-            for seen in _seen(operator, primitives, group):
+            for seen in _seen(operator, primitives, group, every_one):
                 moved = seen.moved(primitives, group, np.zeros(len(found[seen.primitive]), dtype=np.int64))
                 found[seen.primitive][seen.rows] += share * seen.tilt(moved)
     return found
@@ -110,12 +113,12 @@ def tilts(
 class _Seen:
     """Some vertices of a primitive in some poses of a group.
 
-    primitive is its number in the surface. rows and poses are B vertices and P poses. normals (B, 3, P) are
-    the mean true normals, 0 where there is none. share is that of one pose in the group.
+    primitive is its number in the surface. rows (B,) are its vertices, and poses P poses. normals (B, 3, P)
+    are the mean true normals, 0 where there is none. share is that of one pose in the group.
     """
 
     primitive: int
-    rows: slice
+    rows: IntArray
     poses: slice
     normals: Float64Array
     share: float
@@ -132,13 +135,18 @@ class _Seen:
 
 
 def _seen(
-    operator: GradientOperator, primitives: Sequence[RestPrimitive], group: FitPoses
+    operator: GradientOperator,
+    primitives: Sequence[RestPrimitive],
+    group: FitPoses,
+    chosen: Sequence[BoolArray],
 ) -> Iterator[_Seen]:
-    """Yield all vertices in all poses of a group.
+    """Yield the chosen vertices, (V,) of each primitive, in all poses of a group.
 
     Every vertex meets each pose once, and its poses in order, so that sums do not depend on the number of
     threads.
     """
+    if not any(of_one.any() for of_one in chosen):
+        return
     matrices, count = group.joint_matrices, len(operator.positions)
     widest = max(primitive.joints.shape[1] for primitive in primitives)
     parts = chunks(count, len(matrices))
@@ -152,9 +160,13 @@ def _seen(
                 blended[block.primitive].put_positions(poses, block.rows, deformed, block.part.start)
             sums = truths.sums(deformed, threads)
             for block in truths.vertex_blocks:
+                rows = block.rows.start + np.flatnonzero(chosen[block.primitive][block.rows])
+                if not len(rows):
+                    continue
                 side = None if sides is None else sides[poses, block.part]
                 normals = _mean(*truths.normals(block.number, deformed, sums, side))
-                yield _Seen(block.primitive, block.rows, poses, normals, 1.0 / len(matrices))
+                own = normals[rows - block.rows.start]
+                yield _Seen(block.primitive, rows, poses, own, 1.0 / len(matrices))
 
 
 def _mean(normals: Float64Array, exist: BoolArray) -> Float64Array:
@@ -237,6 +249,12 @@ class _LeastSquares:
             error=np.zeros(count),
         )
 
+    def unknown(self) -> BoolArray:
+        """Tell for each slot (V, K) whether δ is to be found: its joint is fitted, and not the last one."""
+        unknown = self.presence > UNFELT
+        unknown[np.arange(len(unknown)), self.last] = False
+        return unknown
+
     def add(self, seen: _Seen, moved: _Moved) -> None:
         """Add some poses of some vertices."""
         rows, normals = seen.rows, seen.normals
@@ -262,9 +280,7 @@ class _LeastSquares:
         """Return α and β (V, K − 1). A joint that is hardly there is pulled harder, as in ``rig_fit``."""
         count, slots = self.presence.shape
         vertices, diagonal = np.arange(count), np.arange(slots)
-        fitted = self.presence > UNFELT
-        unknown = fitted.copy()
-        unknown[vertices, self.last] = False
+        fitted, unknown = self.presence > UNFELT, self.unknown()
         more = np.maximum(np.square(FAINT / self.presence), 1.0) - 1.0
         pull = POSE_STIFFNESS * self.reach[:, None] * (EVEN + np.where(fitted, more, 0.0))
         matrix = self.matrix + pull[vertices, self.last][:, None, None]

@@ -247,7 +247,10 @@ def _clips(
     notices: list[Notice] = []
     for source in sources:
         if source == ANIMATIONS:
-            clips += read_clips(document)
+            known: dict[str, list[Clip]] = document.derived.setdefault("clips to fit", {})
+            if source not in known:
+                known[source] = read_clips(document)
+            clips += known[source]
         elif isinstance(source, ClipFile):
             found, here, moved = source.clips_for(document)
             clips += found

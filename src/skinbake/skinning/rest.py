@@ -51,7 +51,7 @@ class RestPrimitive:
     beta: FloatArray
     gradients: FloatArray | None = None
 
-    def rows(self, part: slice) -> RestPrimitive:
+    def rows(self, part: slice | IntArray) -> RestPrimitive:
         """Return some of the vertices."""
         return RestPrimitive(
             positions=self.positions[part],
