@@ -435,6 +435,22 @@ def test_normals_without_any_direction_are_better_made_anew(rows: slice, told: s
     ]
 
 
+@pytest.mark.parametrize(("value", "word"), [(np.nan, "NaN"), (np.inf, "infinite"), (-np.inf, "infinite")])
+@pytest.mark.parametrize("component", range(3))
+def test_the_component_of_a_normal_that_is_not_finite_is_named(
+    component: int, value: float, word: str, tmp_path: Path
+) -> None:
+    for broken in ([0], [4, 9, 19]):
+        normals = np.tile(np.array([0, 0, 1], np.float32), (20, 1))
+        normals[broken, component] = value
+        path = write_model(tmp_path / "sheet.glb", [sheet(NORMAL=normals)])
+        where = f"at {len(broken)} vertices, first at " if len(broken) > 1 else "at "
+        found = (
+            f"(not finite {where}vertex {broken[0]}, where {'xyz'[component]} is {word}): taken as (0, 0, 1)"
+        )
+        assert f"a NORMAL without a direction {found}" in invoke("bake", path, "--dry-run").stderr
+
+
 @pytest.mark.parametrize(
     ("sets", "told"),
     [

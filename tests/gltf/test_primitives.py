@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import re
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +21,8 @@ from skinbake.gltf.primitives import (
     skinned_sources,
 )
 from skinbake.gltf.resources import encode_data_uri
-from tests.support.gltf_reading import read
-from tests.support.models import SHARED, Change, Part, copied, edited, sheet, write_model
+from tests.support.gltf_reading import GltfFile, read
+from tests.support.models import SHARED, Change, Part, copied, edited, rewritten, sheet, write_model
 
 
 def sources(path: Path) -> tuple[Document, list[PrimitiveSource]]:
@@ -191,14 +193,14 @@ U8, U16, F4 = np.uint8, np.uint16, np.float32
 WRONG_ARRAYS: list[tuple[dict[str, AnyArray | None], str]] = [
     (
         {"WEIGHTS_0": constant(-np.inf, F4)},
-        r"WEIGHTS_0: its weights are not all finite numbers \(at 20 vertices, first at 0\): mend the mesh",
+        r"WEIGHTS_0: .* \(at 20 vertices, first at vertex 0, where x is infinite\): mend the mesh",
     ),
     (
         {
             "JOINTS_1": constant(0, U8),
             "WEIGHTS_1": np.where(np.arange(20)[:, None] < 7, F4(0), F4("nan")) + constant(0, F4),
         },
-        r"WEIGHTS_1: its weights are not all finite numbers \(at 13 vertices, first at 7\)",
+        r"WEIGHTS_1: .*finite numbers \(at 13 vertices, first at vertex 7, where x is NaN\)",
     ),
     ({"NORMAL": constant(1, F4, columns=3, rows=19)}, "NORMAL: it has 19 elements, POSITION has 20"),
     ({"JOINTS_0": constant(0, U8, rows=21)}, "JOINTS_0: it has 21 elements, POSITION has 20"),
@@ -222,14 +224,62 @@ def test_wrong_arrays_are_refused(tmp_path: Path, arrays: dict[str, AnyArray | N
     assert str(caught.value).startswith(f'{path}: mesh 0 "sheet", primitive 0')
 
 
-def test_a_position_that_is_no_number_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("attribute", "name"), [("POSITION", "values"), ("WEIGHTS_0", "weights")])
+@pytest.mark.parametrize(("value", "word"), [(np.nan, "NaN"), (np.inf, "infinite"), (-np.inf, "infinite")])
+def test_the_component_that_is_no_finite_number_is_named(
+    tmp_path: Path, attribute: str, name: str, value: float, word: str
+) -> None:
     path = write_model(tmp_path / "sheet.glb", [sheet()])
-    model = read(path)
-    first = model.attribute("POSITION")[0].astype(np.float32).tobytes()
-    assert path.read_bytes().count(first) == 1
-    path.write_bytes(path.read_bytes().replace(first, np.full(3, np.nan, np.float32).tobytes()))
-    with pytest.raises(InputError, match=r"POSITION: its values are not all finite numbers \(at vertex 0\)"):
-        primitive_of(path)
+    file = read(path)
+    accessor = file.content["accessors"][file.primitive(0)["attributes"][attribute]]
+    start = file.content["bufferViews"][accessor["bufferView"]].get("byteOffset", 0)
+    start += accessor.get("byteOffset", 0)
+    columns = {"VEC3": "xyz", "VEC4": "xyzw"}[accessor["type"]]
+    for vertex, (number, component) in itertools.product([0, 7, 19], enumerate(columns)):
+        data = bytearray(file.binary_chunk or b"")
+        place = start + 4 * (vertex * len(columns) + number)
+        data[place : place + 4] = np.float32(value).tobytes()
+        broken = rewritten(GltfFile(path, file.content, bytes(data)), tmp_path / "broken.glb")
+        found = (
+            f"{attribute}: its {name} are not all finite numbers (at vertex {vertex}, where {component} is"
+        )
+        with pytest.raises(InputError, match=re.escape(f"{found} {word})")):
+            primitive_of(broken)
+
+
+def test_every_type_that_gltf_forbids_has_a_remedy(tmp_path: Path) -> None:
+    """Of joints and weights in both sets: all component types, with and without "normalized"."""
+    sizes = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
+    names = dict(zip(sizes, ["int8", "uint8", "int16", "uint16", "uint32", "float32"], strict=True))
+    allowed = {
+        "JOINTS": {(5121, False), (5121, True), (5123, False), (5123, True)},
+        "WEIGHTS": {(5121, True), (5123, True), (5126, False), (5126, True)},
+    }
+    more = {"JOINTS_1": constant(0, F4), "WEIGHTS_1": constant(0, F4)}  # wide enough for every type
+    path = write_model(tmp_path / "sheet.glb", [sheet(JOINTS_0=constant(0, F4), **more)])
+    for family, number, code, normalized in itertools.product(allowed, (0, 1), sizes, (False, True)):
+        if (code, normalized) in allowed[family]:
+            continue
+        file = read(path)
+        for name in ("JOINTS_0", "JOINTS_1"):
+            set_accessor(name, componentType=5121)(file.content)
+        set_accessor(f"{family}_{number}", componentType=code, normalized=normalized)(file.content)
+        broken = rewritten(file, tmp_path / "broken.glb")
+        with pytest.raises(InputError) as caught:
+            primitive_of(broken)
+        found = f"{'normalised ' if normalized and code != 5126 else ''}{names[code]}"
+        message = str(caught.value)
+        assert f"{family}_{number}: " in message and f", found {found}: " in message, message
+        if family == "JOINTS":
+            assert message.endswith(": export the mesh again with unsigned shorts"), message
+        elif (code, normalized) in {(5121, False), (5123, False)}:
+            largest = {5121: 255, 5123: 65535}[code]
+            assert message.endswith(
+                f': set "normalized": true in its accessor if {largest} stands for 1, '
+                "or export the mesh again with floats"
+            ), message
+        else:
+            assert message.endswith(": export the mesh again with floats"), message
 
 
 def set_accessor(attribute: str, **members: Any) -> Change:

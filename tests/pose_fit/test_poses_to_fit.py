@@ -101,7 +101,7 @@ def test_clips_are_read_once_for_all_meshes(monkeypatch: pytest.MonkeyPatch, tmp
         read.append(document)
         return read_clips(document)
 
-    monkeypatch.setattr("skinbake.lighting.poses_to_fit.read_clips", counting)
+    monkeypatch.setattr("skinbake.pose_fit.poses.read_clips", counting)
     document = read_document(str(file.write(tmp_path / "three.glb")))
     found = [poses_to_fit(document, mesh, [ANIMATIONS], PLACE) for mesh in (0, 1, 2)]
     assert len(read) == 1

@@ -25,16 +25,24 @@ UNIT = 65535
 """Integer weights are stored as unsigned shorts. An adopted slot has 1, and the largest weight loses 1."""
 
 
+def not_finite(vector: FloatArray) -> str:
+    """Return which component (C ≤ 4) of a vector is the first that is no finite number: "y is NaN"."""
+    number = int(np.isfinite(vector).argmin())
+    return f"{'xyzw'[number]} is {'NaN' if np.isnan(vector[number]) else 'infinite'}"
+
+
 @dataclass(frozen=True, slots=True)
 class Straightened:
     """The vertices whose tangents were straightened, and the largest lean of any before that, in degrees.
 
-    unhanded are those of them whose w was neither 1 nor −1. They do not count for the lean.
+    not_finite are those of them whose tangent was not finite, each with words that tell of its component.
+    unhanded are those of the others whose w was neither 1 nor −1. Neither count for the lean.
     """
 
     vertices: tuple[int, ...]
     lean: float
     unhanded: tuple[int, ...] = ()
+    not_finite: tuple[tuple[int, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

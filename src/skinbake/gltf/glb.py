@@ -78,12 +78,13 @@ def _chunks(view: memoryview, place: Place) -> list[tuple[int, memoryview]]:
             raise InputError(f"the GLB is cut short inside the chunk header at byte {offset}", place)
         length, kind = CHUNK_HEADER.unpack_from(view, offset)
         start = offset + CHUNK_HEADER.size
-        if length % 4 or start + length > len(view):
-            raise InputError(
-                f"the GLB chunk at byte {offset} has length {length}: "
-                f"not a multiple of 4, or more than the {counted(len(view) - start, 'byte')} left",
-                place,
-            )
+        wrong = ["not a multiple of 4"] if length % 4 else []
+        if start + length > len(view):
+            wrong.append(f"more than the {counted(len(view) - start, 'byte')} left")
+        if wrong:
+            name = {CHUNK_JSON: "JSON chunk", CHUNK_BIN: "BIN chunk"}.get(kind, "chunk")
+            found = f"the GLB's {name} at byte {offset} has the length {length:,}, {' and '.join(wrong)}"
+            raise InputError(f"{found}: export the file again", place)
         chunks.append((kind, view[start : start + length]))
         offset = start + length
     return chunks

@@ -10,10 +10,17 @@ from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import element_count, read_accessor
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, is_number, objects, text
-from skinbake.gltf.primitives import FLOAT, NORMALISED_SIGNED, PrimitiveSource, refuse_not_finite
+from skinbake.gltf.primitives import (
+    FLOAT,
+    NORMALISED_SIGNED,
+    Formats,
+    PrimitiveSource,
+    check_format,
+    refuse_not_finite,
+)
 from skinbake.wording import counted
 
-FORMATS: dict[str, tuple[tuple[str, bool], ...]] = {
+FORMATS: Formats = {
     "POSITION": (FLOAT, *((kind, flag) for kind in ("i1", "i2") for flag in (False, True))),
     "NORMAL": (FLOAT, *NORMALISED_SIGNED),
     "TANGENT": (FLOAT, *NORMALISED_SIGNED),
@@ -21,9 +28,9 @@ FORMATS: dict[str, tuple[tuple[str, bool], ...]] = {
 """Component types, and their normalisation (glTF 2.0 §3.7.2.2 and KHR_mesh_quantization)."""
 
 EXPECTED = {
-    "POSITION": "floats, or signed bytes or shorts",
-    "NORMAL": "floats, or normalised signed bytes or shorts",
-    "TANGENT": "floats, or normalised signed bytes or shorts",
+    "POSITION": "differences must be floats, or signed bytes or shorts",
+    "NORMAL": "differences must be floats, or normalised signed bytes or shorts",
+    "TANGENT": "differences must be floats, or normalised signed bytes or shorts",
 }
 
 
@@ -136,11 +143,7 @@ def _differences(
 def _moved_rows(document: Document, accessor: int, name: str, place: Place) -> Differences:
     """Return the differences in an accessor that are not 0."""
     stored = read_accessor(document, accessor, place)
-    if stored.values.shape[1] != 3:
-        raise InputError(f"it has {counted(stored.values.shape[1], 'component')}, 3 are needed", place)
-    if (stored.values.dtype.str[1:], stored.normalized) not in FORMATS[name]:
-        kind = f"{'normalised ' if stored.normalized else ''}{stored.values.dtype.name}"
-        raise InputError(f"differences must be {EXPECTED[name]}, found {kind}", place)
+    check_format(stored, name, 3, place, formats=FORMATS, expected=EXPECTED)
     document.budget.claim(stored.decoded_size, "its decoded values", place)
     values = stored.decoded()
     if name == "POSITION":

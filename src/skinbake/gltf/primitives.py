@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import TypeAlias, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from skinbake.errors import InputError, Notice, Place, UnsupportedFeatureError
-from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive
+from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive, not_finite
 from skinbake.geometry.triangles import TRIANGLE_FAN, TRIANGLES, unrolled
 from skinbake.gltf.accessors import StoredArray, element_count, read_accessor
 from skinbake.gltf.codecs import draco
@@ -34,7 +34,9 @@ from skinbake.wording import counted, one_or_many
 
 FLOAT = ("f4", False)
 NORMALISED_SIGNED = (("i1", True), ("i2", True))
-FORMATS: dict[str, tuple[tuple[str, bool], ...]] = {
+Formats: TypeAlias = Mapping[str, tuple[tuple[str, bool], ...]]
+
+FORMATS: Formats = {
     "POSITION": (FLOAT, *((kind, flag) for kind in ("i1", "u1", "i2", "u2") for flag in (False, True))),
     "NORMAL": (FLOAT, *NORMALISED_SIGNED),
     "TANGENT": (FLOAT, *NORMALISED_SIGNED),
@@ -302,9 +304,8 @@ def refuse_not_finite(values: FloatArray, name: str, place: Place) -> None:
     if np.isfinite(values).all():
         return
     vertices = np.flatnonzero(~np.isfinite(values).all(axis=1))
-    found = one_or_many(
-        len(vertices), f"at vertex {vertices[0]}", f"at {{}} vertices, first at {vertices[0]}"
-    )
+    first = f"vertex {vertices[0]}, where {not_finite(values[vertices[0]])}"
+    found = one_or_many(len(vertices), f"at {first}", f"at {{}} vertices, first at {first}")
     message = f"its {name} are not all finite numbers ({found}): mend the mesh in the modelling tool"
     raise InputError(message, place)
 
@@ -388,15 +389,28 @@ def _stored(
     return stored
 
 
-def check_format(stored: StoredArray, attribute: str, components: int, place: Place) -> None:
+def check_format(
+    stored: StoredArray,
+    attribute: str,
+    components: int,
+    place: Place,
+    *,
+    formats: Formats = FORMATS,
+    expected: Mapping[str, str] = EXPECTED,
+) -> None:
     """Raise InputError if glTF does not allow these components or this type for an attribute."""
     if stored.values.shape[1] != components:
         found = counted(stored.values.shape[1], "component")
         raise InputError(f"it has {found}, {components} are needed", place)
     family = attribute.split("_", maxsplit=1)[0]
-    if (stored.values.dtype.str[1:], stored.normalized) not in FORMATS[family]:
-        kind = f"{'normalised ' if stored.normalized else ''}{stored.values.dtype.name}"
-        raise InputError(f"{EXPECTED[family]}, found {kind}", place)
+    kind = stored.values.dtype.str[1:]
+    if (kind, stored.normalized) in formats[family]:
+        return
+    remedy = f"export the mesh again with {'unsigned shorts' if family == 'JOINTS' else 'floats'}"
+    if not stored.normalized and (kind, True) in formats[family]:
+        remedy = f'set "normalized": true in its accessor if {np.iinfo(kind).max} stands for 1, or {remedy}'
+    found = f"{'normalised ' if stored.normalized else ''}{stored.values.dtype.name}"
+    raise InputError(f"{expected[family]}, found {found}: {remedy}", place)
 
 
 def _decoded(

@@ -7,7 +7,7 @@ import numpy as np
 from skinbake.choices import Frame, Gradients
 from skinbake.errors import InputError, Notice, Place
 from skinbake.geometry.frames import NO_DIRECTION
-from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive, blocks
+from skinbake.geometry.skinned import BakedPrimitive, FloatArray, SkinnedPrimitive, blocks, not_finite
 from skinbake.gradients.baker import BakeFindings
 from skinbake.gradients.surface import WeightDefects
 from skinbake.gradients.tangents import TANGENT_TOLERANCE
@@ -42,12 +42,14 @@ def assumptions(
     coarse = 0 if fitted or findings.adopting_vertices <= COARSE * count else findings.adopting_vertices
     rig = ", or take --gradients rig" if asked is Gradients.SURFACE else ""
     remedy = "; remove NORMAL and bake with --generate-normals" if findings.zero_normals == count else ""
+    told = _not_finite(primitive.normals) if findings.zero_normals else None
+    broken = "" if told is None else f" ({told[1]})"
     table = [
         *_of_influences(findings.weights, _naming_outside(primitive, joint_count), joint_count),
         (
             "tangents-skewed",
             findings.bad_tangents,
-            f"at {{vertices}} {_skewed(findings)}: {consequence}",
+            f"at {{vertices}} {_skewed(findings, primitive)}: {consequence}",
         ),
         (
             "lighting-doubtful",
@@ -58,7 +60,7 @@ def assumptions(
         (
             "normals-zero",
             findings.zero_normals,
-            f"{{vertices}} {{have}} a NORMAL without a direction: taken as (0, 0, 1){remedy}",
+            f"{{vertices}} {{have}} a NORMAL without a direction{broken}: taken as (0, 0, 1){remedy}",
         ),
     ]
     return [
@@ -111,8 +113,17 @@ def _straightened(primitive: SkinnedPrimitive, place: Place) -> list[Notice]:
     found = primitive.straightened
     if found is None or not found.vertices:
         return []
-    skewed = sorted(set(found.vertices) - set(found.unhanded))
+    skewed = sorted(set(found.vertices) - set(found.unhanded) - set(dict(found.not_finite)))
     parts = []
+    if found.not_finite:
+        first, component = found.not_finite[0]
+        parts.append(
+            one_or_many(
+                len(found.not_finite),
+                f"at vertex {first} TANGENT is not finite ({component})",
+                f"at {{}} vertices TANGENT is not finite (first at vertex {first}, where {component})",
+            )
+        )
     if skewed:
         one, many = (
             f"at vertex {skewed[0]} TANGENT",
@@ -134,8 +145,8 @@ def _straightened(primitive: SkinnedPrimitive, place: Place) -> list[Notice]:
                 f"at {{}} vertices, first at vertex {first}, w of TANGENT is neither 1 nor −1",
             )
         )
-    sound = "an orthogonal one" if skewed else "w = 1"
-    if len(parts) > 1:
+    sound = "an orthogonal one" if skewed or found.not_finite else "w = 1"
+    if sound != "w = 1" and (found.unhanded or found.not_finite):
         sound += " with w = 1 or −1"
     message = (
         f"{', and '.join(parts)}: the output has {sound} there, and strip restores the former; "
@@ -144,9 +155,30 @@ def _straightened(primitive: SkinnedPrimitive, place: Place) -> list[Notice]:
     return [Notice("tangents-straightened", message, place, len(found.vertices))]
 
 
-def _skewed(findings: BakeFindings) -> str:
-    """Return what is wrong with tangents that cannot serve as they are."""
+def _not_finite(vectors: FloatArray) -> tuple[int, str] | None:
+    """Return how many vectors (V, C) are not finite, and words on the first; None if all are finite."""
+    rows = np.flatnonzero(~np.isfinite(vectors).all(axis=1))
+    if not len(rows):
+        return None
+    first = f"vertex {rows[0]}, where {not_finite(vectors[rows[0]])}"
+    told = one_or_many(len(rows), f"not finite at {first}", f"not finite at {{}} vertices, first at {first}")
+    return len(rows), told
+
+
+def _skewed(findings: BakeFindings, primitive: SkinnedPrimitive) -> str:
+    """Return what is wrong with tangents that cannot serve as they are. Without such ones, it is not used."""
     handed = "w of TANGENT is neither 1 nor −1"
+    broken = None
+    if findings.bad_tangents and primitive.tangents is not None:
+        used = np.zeros(len(primitive.tangents), dtype=np.bool_)
+        used[primitive.triangles.ravel()] = True
+        broken = _not_finite(np.where(used[:, None], primitive.tangents, 0.0))
+    if broken is not None:
+        if broken[0] == findings.bad_tangents:
+            return f"TANGENT is {broken[1]}"
+        also = f" {handed}," if findings.unhanded else ""
+        leans = f"or it leans more than {TANGENT_TOLERANCE}° from NORMAL"
+        return f"TANGENT is not finite,{also} {leans} ({broken[1]})"
     if findings.unhanded == findings.bad_tangents:
         return handed
     leans = f"TANGENT × bitangent leans more than {TANGENT_TOLERANCE}° from NORMAL"

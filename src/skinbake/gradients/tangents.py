@@ -9,7 +9,7 @@ import numpy as np
 
 from skinbake.choices import Frame
 from skinbake.geometry import frames
-from skinbake.geometry.skinned import FloatArray, SkinnedPrimitive, Straightened, blocks
+from skinbake.geometry.skinned import FloatArray, SkinnedPrimitive, Straightened, blocks, not_finite
 
 TANGENT_TOLERANCE = 0.1
 """Degrees between t0 × b0 and n0 up to which TANGENT serves as it is."""
@@ -54,16 +54,21 @@ def with_straight_tangents(primitive: SkinnedPrimitive) -> SkinnedPrimitive:
     angles = frames.tangent_deviation(normals, tangents[vertices])
     tangents[vertices] = frames.straightened(normals, tangents[vertices])
     wrong = unhanded(primitive.tangents, vertices)
-    lean = float(angles[~np.isin(vertices, wrong)].max(initial=0.0))
-    found = Straightened(tuple(vertices), lean, tuple(wrong))
+    broken = [
+        (vertex, not_finite(primitive.tangents[vertex]))
+        for vertex in vertices
+        if not np.isfinite(primitive.tangents[vertex]).all()
+    ]
+    lean = float(angles[~np.isin(vertices, [*wrong, *dict(broken)])].max(initial=0.0))
+    found = Straightened(tuple(vertices), lean, tuple(wrong), tuple(broken))
     return replace(primitive, tangents=tangents, straightened=found)
 
 
 def unhanded(tangents: FloatArray, vertices: Sequence[int]) -> list[int]:
-    """Return those of some vertices at which TANGENT.w is neither 1 nor −1."""
+    """Return those of some vertices at which TANGENT is finite, and its w is neither 1 nor −1."""
     rows = np.asarray(vertices, dtype=np.int64)
-    with np.errstate(invalid="ignore"):  # a signalling NaN
-        found: list[int] = rows[np.abs(tangents[rows, 3]) != 1.0].tolist()
+    finite = rows[np.isfinite(tangents[rows]).all(axis=1)]
+    found: list[int] = finite[np.abs(tangents[finite, 3]) != 1.0].tolist()
     return found
 
 
@@ -73,7 +78,7 @@ class ChosenFrame:
 
     kind is ``tangent`` or ``normal``. deviation is the largest angle in degrees by which t0 × b0 leans from
     n0 at a vertex of a triangle. deviating is the number of vertices that lean more than TANGENT_TOLERANCE,
-    unhanded that of those among them at which TANGENT.w is neither 1 nor −1.
+    unhanded that of those among them at which TANGENT is finite, and its w is neither 1 nor −1.
     """
 
     kind: str

@@ -83,7 +83,7 @@ def fitted_to_poses(
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         fitted = [_LeastSquares.of(primitive) for primitive in primitives]
         # A vertex of a single joint keeps what it has, in any pose.
-        open_ones = [system.unknown().any(axis=1) for system in fitted]
+        open_ones = [np.asarray(system.unknown().any(axis=1)) for system in fitted]
         for group in groups:
             systems = [_LeastSquares.of(primitive) for primitive in primitives]
             for seen in _seen(operator, primitives, group, open_ones):

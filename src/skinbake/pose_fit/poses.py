@@ -248,9 +248,9 @@ def _clips(
     for source in sources:
         if source == ANIMATIONS:
             known: dict[str, list[Clip]] = document.derived.setdefault("clips to fit", {})
-            if source not in known:
-                known[source] = read_clips(document)
-            clips += known[source]
+            if ANIMATIONS not in known:
+                known[ANIMATIONS] = read_clips(document)
+            clips += known[ANIMATIONS]
         elif isinstance(source, ClipFile):
             found, here, moved = source.clips_for(document)
             clips += found
