@@ -150,9 +150,9 @@ def _bytes(record: RunRecord) -> Iterator[str]:
     counted = sum(multiply_adds(Algorithm.LBS_ACCURATE, INFLUENCES).values())
     moved = computed[PACKED8].bytes_moved
     yield textwrap.fill(
-        f"Accurate lighting takes {counted} multiply-adds (`skinbake cost`), with `packed8` "
-        f"{counted / moved:.1f} for each byte. A GPU that computes more of them in the time of a byte waits "
-        "for its memory.",
+        f"Accurate lighting takes {counted} multiply-adds (`skinbake cost`; 144 [with the "
+        f"frame](shaders.md#which-lighting)), with `packed8` {counted / moved:.1f} for each byte. A GPU that "
+        "computes more of them in the time of a byte waits for its memory.",
         LINE,
     )
     yield ""

@@ -110,6 +110,8 @@ class Module:
                 current = None
             elif current:
                 current.body.append(instruction)
+            elif name == "OpVariable":  # an input, an output or a uniform block
+                self._globals[result] = self.fresh(operands[0])
 
     def functions(self) -> list[str]:
         """Return the names of all functions, without their parameters."""

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tests.support.tools import required_program
 
-COMPILER, VALIDATOR, DISASSEMBLER = "glslangValidator", "spirv-val", "spirv-dis"
+COMPILER, VALIDATOR, DISASSEMBLER, OPTIMISER = "glslangValidator", "spirv-val", "spirv-dis", "spirv-opt"
 TIMEOUT_SECONDS = 300
 
 
@@ -74,6 +74,17 @@ def invalid(module: bytes) -> str:
         path.write_bytes(module)
         process = _run([required_program(VALIDATOR, "spirv-tools"), "--target-env", "vulkan1.0", str(path)])
     return process.stdout + process.stderr if process.returncode else ""
+
+
+def optimised(module: bytes) -> bytes:
+    """Return SPIR-V in one function, without what no output needs, as a driver's compiler makes it."""
+    with tempfile.TemporaryDirectory() as folder:
+        given, target = Path(folder) / "given.spv", Path(folder) / "optimised.spv"
+        given.write_bytes(module)
+        process = _run([required_program(OPTIMISER, "spirv-tools"), "-O", str(given), "-o", str(target)])
+        if process.returncode != 0:
+            raise ValueError(process.stderr)
+        return target.read_bytes()
 
 
 def disassembly(module: bytes) -> str:

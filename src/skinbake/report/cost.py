@@ -26,7 +26,9 @@ RULES = (
     "Multiply-adds are counted by the rules of the supplement to Tarini, Panozzo and "
     "Sorkine-Hornung 2014 (doi:10.1111/cgf.12330). They count T p as 12, mixing dual quaternions "
     "as 12 per influence, and moving a position by one as 27. Algorithm 6 is not in the paper and "
-    "is counted by the same rules."
+    "is counted by the same rules. A GPU also builds the frame, and leaves out what no output "
+    "needs: with 4 influences it runs 144 for algorithm 3, and for algorithm 1 69 with a normal "
+    "alone, 78 with a tangent, and 96 with a bitangent."
 )
 ADDED = "added bytes are α and β of all influences except one, or ∇w of all influences for algorithm 2"
 COMMON_TYPES = (
