@@ -23,7 +23,7 @@ from skinbake.geometry.skinned import (
     SkinnedPrimitive,
 )
 from skinbake.gradients import kernel
-from skinbake.gradients.influences import ADOPTING_SUM, weight_field
+from skinbake.gradients.influences import ADOPTING_SUM, needs_tiny_weights, weight_field
 from skinbake.gradients.surface import Surface, SurfaceSlots, WeightDefects, WeightField, concatenate_fields
 from skinbake.gradients.tangents import ChosenFrame, chosen_frame, frame_vectors
 from skinbake.gradients.weld import weld
@@ -97,16 +97,16 @@ def bake_primitives(
 def _unadoptable(
     primitives: Sequence[SkinnedPrimitive], gathered: _Gathered, weighting: Weighting
 ) -> Float64Array:
-    """Return what copies of vertices with too little or negative weight leave out, for each primitive (P, 2).
+    """Return what copies of vertices that may never adopt leave out, for each primitive (P, 2).
 
     The columns are the number of such vertices that leave out joints of neighbours, and the summed length of
     the gradients left out, in 1 / length unit.
     """
     field, classes, found = gathered.field, gathered.classes, np.zeros((len(primitives), 2))
     sums = np.concatenate([part.weights.clip(0.0).sum(axis=1, dtype=np.float64) for part in primitives])
-    negative = np.concatenate([(part.weights < 0.0).any(axis=1) for part in primitives])
+    unsafe = [(part.weights < 0.0).any(axis=1) | needs_tiny_weights(part.weights) for part in primitives]
     closed = np.zeros(int(classes.max(initial=-1)) + 1, dtype=np.bool_)
-    closed[classes[((sums <= ADOPTING_SUM) | negative) & ~field.free.any(axis=1)]] = True
+    closed[classes[((sums <= ADOPTING_SUM) | np.concatenate(unsafe)) & ~field.free.any(axis=1)]] = True
     if not closed.any():
         return found
     from skinbake.gradients.slots import assign  # in most files all vertices have weights

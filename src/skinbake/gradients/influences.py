@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.errors import Notice, Place
-from skinbake.geometry.skinned import BoolArray, Float64Array, SkinnedPrimitive
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gradients import kernel
 from skinbake.gradients.surface import NO_JOINT, WeightDefects, WeightField
 from skinbake.wording import one_or_many
@@ -33,6 +33,27 @@ Some exporters leave weights of 1e-11, which move nothing and take slots from jo
 """
 
 
+VALID_SUM = 2e-7
+"""What the Khronos validator allows Σw to be off from 1 for each weight that is not 0, however small."""
+
+
+def needs_tiny_weights(weights: FloatArray) -> BoolArray:
+    """Tell at which vertices (V,) stored weights (V, K) would no longer be valid without those of no effect.
+
+    Such a vertex may not adopt: a joint of tiny weight that it adopts into another slot would leave its own.
+    """
+    positive, largest = weights > 0.0, weights.max(axis=1, keepdims=True, initial=0.0)
+    tiny = positive & (weights < LEAST_WEIGHT * largest.astype(np.float64))
+    needs = np.zeros(len(weights), dtype=np.bool_)
+    rows = np.flatnonzero(tiny.any(axis=1))
+    counts, tiny_counts = (np.count_nonzero(of_slots[rows], axis=1) for of_slots in (positive, tiny))
+    off = np.abs(weights[rows].sum(axis=1, dtype=np.float64) - 1.0)
+    moved = 2.0 * LEAST_WEIGHT * tiny_counts  # by which clearing or adopting may change the sum
+    valid = off <= VALID_SUM * counts + moved
+    needs[rows] = valid & (off > VALID_SUM * (counts - tiny_counts) - moved)
+    return needs
+
+
 def weight_field(primitive: SkinnedPrimitive) -> tuple[WeightField, WeightDefects]:
     """Return the weight field of a primitive's stored influences, and the assumptions made.
 
@@ -42,7 +63,7 @@ def weight_field(primitive: SkinnedPrimitive) -> tuple[WeightField, WeightDefect
     """
     joints = primitive.joints.astype(np.int32, order="C")
     weights = primitive.weights.astype(np.float64, order="C")
-    return kernel.normalise_influences(
+    field, defects = kernel.normalise_influences(
         joints,
         weights,
         adopting_sum=ADOPTING_SUM,
@@ -50,6 +71,8 @@ def weight_field(primitive: SkinnedPrimitive) -> tuple[WeightField, WeightDefect
         tolerance=SUM_TOLERANCE,
         least=LEAST_WEIGHT,
     )
+    field.free[needs_tiny_weights(primitive.weights)] = False
+    return field, defects
 
 
 @dataclass(frozen=True, slots=True)

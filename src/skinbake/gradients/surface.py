@@ -70,7 +70,8 @@ class WeightField(NamedTuple):
     may adopt a joint: those stored with weight 0, or with so little that it counts as 0
     (``influences.LEAST_WEIGHT``). A vertex whose stored weights sum to at most ``influences.ADOPTING_SUM``
     has none. The weight that an adopted slot gets would be a visible part of so small a sum. A vertex with a
-    negative weight has none either, since its slot may already name the joint.
+    negative weight has none either, since its slot may already name the joint. Nor has a vertex whose sum is
+    valid only by weights that count as 0 (``influences.needs_tiny_weights``).
     """
 
     joints: npt.NDArray[np.int32]
