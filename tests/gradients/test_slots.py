@@ -257,7 +257,16 @@ def test_a_vertex_without_weight_adopts_nothing() -> None:
     assert (findings.overflowing_vertices, findings.lost) == (0, 0.0)  # more slots would not help
 
 
-@pytest.mark.parametrize("little", [[0.0] * 4, [1e-4, 2e-4, 0.0, 0.0], [2e-4] * 4, [-1.0, 5e-4, 0.0, 0.0]])
+@pytest.mark.parametrize(
+    "little",
+    [
+        [0.0] * 4,
+        [1e-4, 2e-4, 0.0, 0.0],
+        [2e-4] * 4,
+        [-1.0, 5e-4, 0.0, 0.0],
+        [1.0 - 5e-7, 1e-20, 1e-20, 0.0],  # its sum is valid by two weights that move nothing
+    ],
+)
 def test_a_vertex_with_too_little_weight_to_adopt_leaves_nothing_out(little: list[float]) -> None:
     full, names = [0.25] * 4, [9] * 4
     enough = bake_one(star([names], [full]))[1]

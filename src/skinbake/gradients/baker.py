@@ -86,7 +86,14 @@ def bake_primitives(
         surface = gathered.surface(frame, rig)
         adopt = settings.neighbours != Neighbours.DROP
         slots = kernel.bake_surface(surface, weighting=settings.weighting, adopt=adopt)
-        if any(found.all_zero or found.not_normalised or found.negative for found in gathered.defects):
+        leaves_out = bool(slots.sums[:, 1].any())
+        if any(
+            found.all_zero
+            or found.not_normalised
+            or found.negative
+            or (leaves_out and needs_tiny_weights(one.weights).any())
+            for found, one in zip(gathered.defects, primitives, strict=True)
+        ):
             slots.sums[:, [1, 3]] -= _unadoptable(primitives, gathered, settings.weighting)
     return [
         _of_primitive(number, primitive, choice, gathered, slots)
