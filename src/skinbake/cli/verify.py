@@ -50,12 +50,12 @@ class VerifyGiven(Given):
 def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[VerifyGiven]) -> None:
     """Check that files still carry the right α/β, and measure how much they improve the lighting.
 
-    Structure: α/β and metadata are there and whole. Freshness: nothing that α/β depend on was changed since
-    the bake, and an independent computation gives the same α/β. Lighting: how far the normals of each
-    algorithm are from the true ones, in degrees, in the file's own animations. Limits apply to the accurate
-    lighting of each --method asked for (LBS otherwise). INPUT is a .glb, .gltf or .vrm file, or - for a GLB
-    on stdin; a folder, for all such files below it; or a quoted pattern like 'build/**/*.glb'. Each may be a
-    URL. Several files have a line each; -v shows all of them in full.
+    Structure: α/β and metadata are there and whole. Freshness: a bake of the file as it is now would give the
+    same α/β. Gradients of the surface are found by other code than bake's, fitted ones by bake's. Lighting:
+    how far the normals of each algorithm are from the true ones, in degrees, in the file's own animations.
+    Limits apply to the accurate lighting of each --method asked for (LBS otherwise). INPUT is a .glb, .gltf
+    or .vrm file, or - for a GLB on stdin; a folder, for all such files below it; or a quoted pattern like
+    'build/**/*.glb'. Each may be a URL. Several files have a line each; -v shows all of them in full.
     """
     clock = Clock()
     found, notes_at = expanded(inputs), state_path(given)
