@@ -327,8 +327,8 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
     ): "the fuzzer gives no URLs: tests/files/test_urls.py",
     (
         "files/urls.py",
-        "canonical",
-        'if path is not None: -> scheme, _, rest = name.partition("://")',
+        "named_file",
+        'if path is None: -> scheme, _, rest = name.partition("://")',
     ): "the fuzzer gives no URLs: tests/files/test_urls.py",
     (
         "gltf/beside.py",

@@ -193,12 +193,12 @@ def test_outputs_of_one_name_in_other_letters_meet_where_the_disk_ignores_case(
 ) -> None:
     put(tmp_path, "one/Hero.glb", "two/hero.glb")
     arguments: list[str | Path] = ["bake", tmp_path / "one", tmp_path / "two", "--out-dir", tmp_path / "out"]
-    monkeypatch.setattr("skinbake.cli.targets.IGNORES_CASE", True)
+    monkeypatch.setattr("skinbake.files.urls.IGNORES_CASE", True)
     result = invoke(*arguments)
     assert result.exit_code == 2
     assert "would both become" in result.stderr
     assert not (tmp_path / "out").exists()
-    monkeypatch.setattr("skinbake.cli.targets.IGNORES_CASE", False)
+    monkeypatch.setattr("skinbake.files.urls.IGNORES_CASE", False)
     assert invoke(*arguments).exit_code == 0
 
 
@@ -210,6 +210,35 @@ def test_outputs_that_meet_through_a_linked_folder_are_refused(tmp_path: Path) -
     result = invoke("bake", tmp_path / "in", "--out-dir", tmp_path / "out")
     assert result.exit_code == 2
     assert "would both become" in result.stderr
+
+
+@LINKS
+def test_an_output_that_is_a_link_to_another_output_is_refused(tmp_path: Path) -> None:
+    put(tmp_path, "in/a.glb", "in/b.glb", "out/a.glb")
+    (tmp_path / "out/b.glb").symlink_to("a.glb")
+    result = invoke("bake", tmp_path / "in", "--out-dir", tmp_path / "out")
+    assert result.exit_code == 2
+    assert "would both become" in result.stderr
+    assert (tmp_path / "out/a.glb").read_bytes() == SEAM.read_bytes()
+
+
+def test_an_output_that_is_a_hard_link_of_another_input_is_refused(tmp_path: Path) -> None:
+    put(tmp_path, "in/a.glb", "in/b.glb")
+    (tmp_path / "out").mkdir()
+    os.link(tmp_path / "in/b.glb", tmp_path / "out/a.glb")
+    result = invoke("bake", tmp_path / "in", "--out-dir", tmp_path / "out")
+    assert result.exit_code == 2
+    assert f"{tmp_path / 'out/a.glb'}, which is also an input" in result.stderr
+
+
+def test_outputs_that_are_hard_links_of_each_other_are_replaced_one_by_one(tmp_path: Path) -> None:
+    put(tmp_path, "in/a.glb", "in/b.glb", "out/a.glb")
+    os.link(tmp_path / "out/a.glb", tmp_path / "out/b.glb")
+    assert invoke("bake", tmp_path / "in", "--out-dir", tmp_path / "out").exit_code == 0
+    assert all(
+        read(tmp_path / "out" / name).has_attribute("_SKINBAKE_ALPHA_0") for name in ("a.glb", "b.glb")
+    )
+    assert not (tmp_path / "out/a.glb").samefile(tmp_path / "out/b.glb")
 
 
 def test_one_file_of_a_folder_may_go_to_a_name(tmp_path: Path) -> None:

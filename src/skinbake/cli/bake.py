@@ -25,11 +25,10 @@ from skinbake.cli.many import (
     state_path,
     work_through,
 )
-from skinbake.cli.names import STDIO
 from skinbake.cli.targets import check_read, check_reports, in_turns, jobs_of, targets_of
 from skinbake.cli.writing import writing_of
 from skinbake.errors import ChoiceError, OutputError, Place, SkinbakeError
-from skinbake.files.urls import is_url
+from skinbake.files.urls import STDIO, is_url, named_file
 from skinbake.options import BAKE, By, defaults
 
 if TYPE_CHECKING:
@@ -37,7 +36,9 @@ if TYPE_CHECKING:
 
     from skinbake.cli.console import Console
     from skinbake.cli.given import Given
+    from skinbake.cli.inputs import Input
     from skinbake.commands.bake import Baker
+    from skinbake.files.urls import File
     from skinbake.report.bake import FileResult
 
 
@@ -65,23 +66,24 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[Given])
     say = console(given, results_on_stderr=given.get("output") == STDIO)
     found = expanded(inputs, but=given.get("out_dir"))
     targets, notes_at = targets_of(found, given), state_path(given)
-    _check_pack(given, [target for _, target in targets])
-    output = given.get("output")
+    _check_pack(given, targets)
+    output = targets[0][1] if given.get("output") else None
     reports = {"--summary": given["summary"], "--state": notes_at, OPTION: given.get("depfile")}
-    clip_files = [source for source in given.get("fit_poses", ()) if Path(source).is_file()]
-    check_reports(reports, output, [*(entry.source for entry in found), *clip_files])
+    clip_files = [named_file(path) for path in given.get("fit_poses", ()) if Path(path).is_file()]
+    check_reports(reports, [*(entry.file for entry in found), *clip_files], output)
     sets = option_sets(ctx, given, [entry.source for entry, _ in targets])
     bakers = sets.each(baker_of)
-    check_read("--fit-poses", clip_files, (target for _, target in targets))
+    check_read("--fit-poses", clip_files, targets)
     with ended_by_errors(say):
-        also_read = clip_files_read(clip_files) if given.get("depfile") else []
-    pairs, configuration = [(entry.source, target) for entry, target in targets], config_files(ctx)
-    depfile_at = check_depfile(given, pairs, say, also_read, configuration)
-    from skinbake.jobs.bake import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Bake, BakeOptions
+        also_read = clip_files_read(file.given for file in clip_files) if given.get("depfile") else []
+    configuration = config_files(ctx)
+    depfile_at = check_depfile(given, targets, say, also_read, configuration)
+    from skinbake.jobs.bake import Bake, BakeOptions
 
+    commands = [Bake(baker, writing_of(given)) for baker in bakers]
     options = [BakeOptions(baker, pack=given.get("pack", False)) for baker in bakers]
-    notes = notes_of("bake", options[0], notes_at, found, say, sync=not given["no_sync"])
-    jobs = jobs_of(targets, given, notes.known)
+    notes = notes_of("bake", options, notes_at, found, say, sync=not given["no_sync"])
+    jobs = sets.numbered(jobs_of(targets, given, notes))
     write_depfile = depfile_writer(depfile_at, given, say, also_read, configuration)
 
     def write(results: Sequence[FileResult]) -> int:
@@ -90,17 +92,9 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[Given])
         return max(code, untracked)
 
     reporting = _reporting(given, say, write, is_one=len(targets) == 1)
+    turns = in_turns([entry for entry, _ in targets]) if given.get("out_dir") else []
     clock.imports_done()
-    run = run_of(
-        [Bake(baker, writing_of(given)) for baker in bakers],
-        sets.numbered(jobs),
-        given,
-        say,
-        modules=MODULES,
-        guess=(SECONDS_A_FILE, SECONDS_A_BYTE),
-        turns=in_turns([entry for entry, _ in targets]) if given.get("out_dir") else [],
-        recipes=notes.recipes(options),
-    )
+    run = run_of(commands, jobs, given, say, notes, turns)
     sys.exit(work_through(run, reporting, given, say, clock, notes))
 
 
@@ -175,11 +169,11 @@ def _untracked_code(results: Sequence[FileResult], say: Console) -> int:
     return code
 
 
-def _check_pack(given: Given, targets: Sequence[str | None]) -> None:
+def _check_pack(given: Given, targets: Sequence[tuple[Input, File | None]]) -> None:
     """Raise ChoiceError if --pack meets an output that has no binary chunk."""
-    for target in targets:
-        if given.get("pack") and target is not None and target.lower().endswith(".gltf"):
-            reason = f" needs a .glb or .vrm as output, because a .gltf has no binary chunk: {target}"
+    for _, target in targets:
+        if given.get("pack") and target is not None and target.given.lower().endswith(".gltf"):
+            reason = f" needs a .glb or .vrm as output, because a .gltf has no binary chunk: {target.given}"
             raise ChoiceError("pack", reason=(reason,))
 
 

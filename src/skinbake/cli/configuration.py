@@ -18,9 +18,9 @@ import click
 from click.core import ParameterSource
 
 from skinbake.cli import exit_codes
-from skinbake.cli.names import STDIO
 from skinbake.cli.options import DeclaredOption
 from skinbake.errors import ChoiceError
+from skinbake.files.urls import STDIO
 from skinbake.options import SAFETY, By, Option, Range, Text, on_command_line
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ import click
 
 from skinbake.cli.console import console, ended_by_errors
 from skinbake.cli.help import Helpful
-from skinbake.cli.names import path_on_disk
+from skinbake.cli.inputs import path_on_disk
 from skinbake.errors import ChoiceError
 from skinbake.files.bounds import Bounds
 

@@ -9,14 +9,14 @@ import click
 
 from skinbake.cli import exit_codes
 from skinbake.cli.console import ended_by_errors
-from skinbake.cli.names import STDIO
 from skinbake.cli.writing import write_report
 from skinbake.errors import InputError
-from skinbake.files.urls import is_url
+from skinbake.files.urls import STDIO, File, is_url
 
 if TYPE_CHECKING:
     from skinbake.cli.console import Console
     from skinbake.cli.given import Given
+    from skinbake.cli.inputs import Input
     from skinbake.report.bake import FileResult
     from skinbake.report.strip import StripResult
 
@@ -25,16 +25,15 @@ OPTION = "--depfile"
 
 def check_depfile(
     given: Given,
-    targets: Iterable[tuple[str, str | None]],
+    targets: Iterable[tuple[Input, File | None]],
     say: Console,
     also_read: Sequence[str] = (),
     configuration: Sequence[str] = (),
 ) -> str | None:
     """Return the path of the depfile, None if there is none to write.
 
-    ``targets`` are the sources and the targets, the rest as in ``depfile_writer``. Raises click.UsageError if
-    a rule would not name two files of this machine. Ends the run if a name cannot stand in a rule: nothing is
-    written yet.
+    The other parameters are as in ``depfile_writer``. Raises click.UsageError if a rule would not name two
+    files of this machine. Ends the run if a name cannot stand in a rule: nothing is written yet.
     """
     path = given.get("depfile")
     if path is None:
@@ -43,7 +42,8 @@ def check_depfile(
         raise click.UsageError(f"{OPTION} names files of this machine, --dask uses a cluster: give only one")
     from skinbake.report.depfile import depfile, prerequisites
 
-    for source, target in targets:
+    for entry, written in targets:
+        source, target = entry.source, written and written.given
         if STDIO in {source, target} or is_url(source) or is_url(target or ""):
             raise click.UsageError(f"{OPTION} needs files as inputs and outputs, not - and no URLs")
         if source == target:

@@ -9,9 +9,9 @@ import click
 
 from skinbake.cli.console import console, ended_by_errors
 from skinbake.cli.help import Helpful
-from skinbake.cli.names import STDIO
 from skinbake.cli.targets import check_named
 from skinbake.errors import printable
+from skinbake.files.urls import STDIO
 
 
 @click.command(

@@ -5,23 +5,21 @@ from __future__ import annotations
 import fnmatch
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import click
 
-from skinbake.cli.names import STDIO, check_readable_suffix
 from skinbake.cli.remote import behind
 from skinbake.errors import InputError
-from skinbake.files.urls import file_part, is_url, on_disk
+from skinbake.files.urls import STDIO, File, file_part, is_url, named_file, on_disk
 from skinbake.wording import SUFFIXES, not_gltf
 
 MAGIC = frozenset("*?[")
 ANY_FOLDERS = "**"
 
 
-@dataclass(frozen=True, slots=True)
-class Input:
+class Input(NamedTuple):
     """A file to read, and the part of its name that is kept in a folder of outputs.
 
     That part is relative to the folder in which the file was found. For a file that was named itself, it is
@@ -29,10 +27,15 @@ class Input:
     reason. ``searched`` is the folder in which a search found it. Its documents may name files there.
     """
 
-    source: str
+    file: File
     kept: str
     missing: str | None = None
     searched: str | None = None
+
+    @property
+    def source(self) -> str:
+        """The name of the file, as given or found."""
+        return self.file.given
 
     @property
     def root(self) -> str:
@@ -74,6 +77,28 @@ def is_one_file(arguments: Sequence[str]) -> bool:
     return argument == STDIO or _is_name(argument)
 
 
+def check_readable_suffix(source: str) -> None:
+    """Raise click.UsageError if an input's name does not show its kind of file, or is that of a folder."""
+    if os.path.isdir(source):  # pathlib fails for long names
+        raise click.UsageError(f"{source} is a folder: name one file in it")
+    if source != STDIO and Path(source).suffix.lower() not in SUFFIXES:
+        raise click.UsageError(f"{source}: {not_gltf(source)}")
+
+
+def path_on_disk(source: str) -> str:
+    """Return the path of an input of a command that reads no URLs. A ``file:`` URL is a path too.
+
+    Raises click.UsageError for another URL, and as ``check_readable_suffix`` does.
+    """
+    path = on_disk(source)
+    if path is None:
+        raise click.UsageError(
+            f"{source}: this command reads no URLs. Copy the file, and the files that it names, to this disk"
+        )
+    check_readable_suffix(path)
+    return path
+
+
 def _is_name(argument: str) -> bool:
     """Tell whether an argument is the name of one file, there or not: no stdin, URL, folder or pattern."""
     if argument == STDIO or is_url(argument) or os.path.isdir(argument):
@@ -86,20 +111,21 @@ class _Search:
 
     def __init__(self, but: str | None) -> None:
         self._but = but
-        self._left_out = _identity(on_disk(but) or "") if but else None
+        self._folders: dict[str, str] = {}
+        self._left_out = self._identity(but) if but else None
         self._closed: list[Input] = []
 
     def meant(self, argument: str) -> list[Input]:
         """Return the files that an argument stands for."""
         if argument == STDIO:
-            return [Input(argument, argument)]
+            return [self._input(argument, argument)]
         if is_url(argument):
             return self._behind(argument)
         if os.path.isdir(argument):
             return self._found(argument, argument, (ANY_FOLDERS, "*"), "nothing in this folder")
         if _is_name(argument):
-            is_model = argument.lower().endswith(SUFFIXES)
-            return [Input(argument, os.path.basename(argument), None if is_model else not_gltf(argument))]
+            missing = None if argument.lower().endswith(SUFFIXES) else not_gltf(argument)
+            return [self._input(argument, os.path.basename(argument), missing)]
         fixed, pattern = _split(argument)
         return self._found(argument, fixed, pattern, "no file that matches this pattern")
 
@@ -109,18 +135,17 @@ class _Search:
         if path is None or url.lower().endswith(SUFFIXES):
             try:
                 return [
-                    Input(file, kept, searched=None if file == url else file.removesuffix(kept))
+                    self._input(file, kept, None, None if file == url else file.removesuffix(kept))
                     for file, kept in behind(url, self._but)
                 ]
             except InputError as error:
-                return [Input(url, url, error.message)]
+                return [self._input(url, url, error.message)]
         if MAGIC.isdisjoint(path) and not os.path.isdir(path):
-            return [Input(url, url, "there is no such folder")]
+            return [self._input(url, url, "there is no such folder")]
         scheme = url[: len(url) - len(path)]
         return [
-            replace(
-                entry,
-                source=scheme + entry.source,
+            entry._replace(
+                file=entry.file._replace(given=scheme + entry.source),
                 searched=entry.searched and scheme + entry.searched,
             )
             for entry in self.meant(path)
@@ -130,9 +155,9 @@ class _Search:
         self._closed.clear()
         paths = sorted(set(self._files(folder or os.curdir, pattern)), key=_by_parts)
         within = folder or os.curdir
-        entries = [Input(os.path.join(folder, path), path, searched=within) for path in paths]
+        entries = [self._input(os.path.join(folder, path), path, None, within) for path in paths]
         entries += self._closed
-        return entries or [Input(argument, argument, f"{nothing} ends in {', '.join(SUFFIXES)}")]
+        return entries or [self._input(argument, argument, f"{nothing} ends in {', '.join(SUFFIXES)}")]
 
     def _files(self, folder: str, pattern: Sequence[str]) -> Iterator[str]:
         """Yield the matching glTF files below a folder, relative to it, in any order, perhaps repeatedly."""
@@ -146,7 +171,7 @@ class _Search:
             return
         elif MAGIC.isdisjoint(head):
             inside = os.path.join(folder, head)
-            if self._left_out is None or _identity(inside) != self._left_out:
+            if self._left_out is None or self._identity(inside) != self._left_out:
                 yield from (os.path.join(head, path) for path in self._files(inside, rest))
             return
         for entry in self._entries(folder):
@@ -168,7 +193,7 @@ class _Search:
             return []
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
-            closed = Input(folder, folder, f"this folder cannot be read: {reason}")
+            closed = self._input(folder, folder, f"this folder cannot be read: {reason}")
             if closed not in self._closed:
                 self._closed.append(closed)
             return []
@@ -176,7 +201,15 @@ class _Search:
     def _is_folder(self, entry: os.DirEntry[str]) -> bool:
         if not entry.is_dir(follow_symlinks=False):
             return False
-        return self._left_out is None or _identity(entry.path) != self._left_out
+        return self._left_out is None or self._identity(entry.path) != self._left_out
+
+    def _input(
+        self, source: str, kept: str, missing: str | None = None, searched: str | None = None
+    ) -> Input:
+        return Input(named_file(source, self._folders), kept, missing, searched)
+
+    def _identity(self, folder: str) -> tuple[int, int] | None:
+        return named_file(folder, self._folders).identity
 
 
 def _is_file(entry: os.DirEntry[str]) -> bool:
@@ -194,15 +227,6 @@ def _split(argument: str) -> tuple[str, tuple[str, ...]]:
 def _matches(name: str, pattern: str) -> bool:
     """Tell whether a name matches. A hidden name matches only if the pattern begins with a dot too."""
     return fnmatch.fnmatch(name, pattern) and (not name.startswith(".") or pattern.startswith("."))
-
-
-def _identity(folder: str) -> tuple[int, int] | None:
-    """Return the identity that separates a folder from all others, or None if there is no folder."""
-    try:
-        found = os.stat(folder)
-    except (OSError, ValueError):
-        return None
-    return found.st_dev, found.st_ino
 
 
 def _by_parts(path: str) -> list[str]:

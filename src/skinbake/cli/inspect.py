@@ -13,8 +13,7 @@ from skinbake.cli.given import alone
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import expanded, is_one_file
 from skinbake.cli.many import Clock, Notes, Reporting, of_one, run_of, work_through
-from skinbake.cli.targets import check_reports
-from skinbake.files.bounds import Bounds, Within
+from skinbake.cli.targets import check_reports, jobs_of
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -41,24 +40,16 @@ def command(inputs: tuple[str, ...], **some: Unpack[Given]) -> None:
     each file; -v shows all of them in full.
     """
     clock, given = Clock(), alone(some)
-    found = expanded(inputs)
-    check_reports({"--summary": given["summary"]}, None, (entry.source for entry in found))
     say = console(given)
-    from skinbake.jobs.inspect import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Inspect
-    from skinbake.jobs.work import Job
+    found, notes = expanded(inputs), Notes(say)
+    check_reports({"--summary": given["summary"]}, (entry.file for entry in found))
+    from skinbake.jobs.inspect import Inspect
 
-    jobs = [
-        Job(
-            entry.source,
-            missing=entry.missing,
-            within=Within(Bounds(entry.searched, given["allow_outside"])),
-        )
-        for entry in found
-    ]
+    jobs = jobs_of([(entry, None) for entry in found], given, notes)
     reporting = _reporting(given, say, is_one=is_one_file(inputs))
     clock.imports_done()
-    run = run_of([Inspect()], jobs, given, say, modules=MODULES, guess=(SECONDS_A_FILE, SECONDS_A_BYTE))
-    sys.exit(work_through(run, reporting, given, say, clock, Notes(say)))
+    run = run_of([Inspect()], jobs, given, say, notes)
+    sys.exit(work_through(run, reporting, given, say, clock, notes))
 
 
 def _reporting(given: Given, say: Console, *, is_one: bool) -> Reporting[FileSummary]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from skinbake.cli.names import STDIO
 from skinbake.errors import ChoiceError, Chosen
+from skinbake.files.urls import STDIO
 
 if TYPE_CHECKING:
     from skinbake.cli.given import Given

@@ -148,21 +148,13 @@ class Summary:
 class Notes:
     """The records of --skip-unchanged, if it was given. A failure to write is reported once."""
 
-    def __init__(self, say: Console, state: State | None = None, recipe: Recipe | None = None) -> None:
-        self._say, self._state, self.recipe = say, state, recipe
+    def __init__(self, say: Console, state: State | None = None, recipes: Sequence[Recipe] = ()) -> None:
+        self._say, self._state, self.recipes = say, state, recipes
         self.failed = False
 
-    def known(self, path: str | None) -> bytes | None:
+    def known(self, path: str) -> bytes | None:
         """Return the record of the file that is made, or read, at a path, or None if there is none."""
-        if path is None or self._state is None or self.recipe is None:
-            return None
-        return self._state.known(self.recipe.key(path))
-
-    def recipes(self, options: Sequence[DataclassInstance]) -> list[Recipe | None]:
-        """Return the recipe for each set of options. The first is that for which the notes were made."""
-        if self.recipe is None:
-            return [None] * len(options)
-        return [self.recipe, *map(self.recipe.with_options, options[1:])]
+        return None if self._state is None else self._state.known(self.recipes[0].key(path))
 
     def add(self, record: bytes | None) -> None:
         """Keep a record."""
@@ -182,7 +174,7 @@ class Notes:
 
 def notes_of(
     command: str,
-    options: DataclassInstance,
+    options: Sequence[DataclassInstance],
     path: str | None,
     inputs: Iterable[Input],
     say: Console,
@@ -191,6 +183,7 @@ def notes_of(
 ) -> Notes:
     """Return the notes in the state file at ``path``, and warn if it holds something else.
 
+    They have a recipe for each set of options.
     If it is not a state file, or for None, the notes are empty and no record is kept. Raises InputError if
     the system cannot read the file.
     """
@@ -203,7 +196,8 @@ def notes_of(
     if not state.is_ours:
         return Notes(say)
     roots = {entry.root for entry in inputs if os.sep in entry.kept}  # the folders that were searched
-    return Notes(say, state, recipe(command, options, path, sorted(roots)))
+    first = recipe(command, options[0], path, sorted(roots))
+    return Notes(say, state, [first, *map(first.with_options, options[1:])])
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,22 +215,21 @@ def run_of(
     jobs: Sequence[Job],
     given: Given,
     say: Console,
-    *,
-    modules: Sequence[str],
-    guess: tuple[float, float],
+    notes: Notes,
     turns: Sequence[int] = (),
-    recipes: Sequence[Recipe | None] = (None,),
 ) -> Run[ResultT]:
     """Return the run of a command on jobs, as the options ask for. Parameters are as for ``runner_of``.
 
-    ``commands`` and ``recipes`` are those of each set of options, in the order of the jobs' ``variant``.
+    ``commands`` are those of each set of options, in the order of the jobs' ``variant``.
     Raises ChoiceError for options that do not go together, and InputError if a cluster cannot be used.
     """
     from skinbake.jobs.file_work import ByVariant, FileWork
 
-    sources = [job.source for job in jobs]
+    sources, guess = [job.source for job in jobs], commands[0].seconds
+    modules = ("skinbake.cli.main", type(commands[0]).__module__, "skinbake.jobs.file_work")
     runner: Runner[Job, ResultT] = runner_of(given, sources, turns, modules, guess, say)
     memory, threads = memory_of_each(given, sources), threads_of_each(given, sources)
+    recipes: Sequence[Recipe | None] = notes.recipes or [None] * len(commands)
     works = [
         FileWork(command, recipe, given["timings"], memory, threads)
         for command, recipe in zip(commands, recipes, strict=True)

@@ -10,10 +10,9 @@ import click
 
 from skinbake.cli.console import Console
 from skinbake.cli.limits import OR_CLUSTER
-from skinbake.cli.names import STDIO
 from skinbake.cli.writing import writing_of
 from skinbake.errors import ChoiceError, Chosen, InputError, Place
-from skinbake.files.urls import is_url, join_url
+from skinbake.files.urls import STDIO, is_url, join_url
 
 if TYPE_CHECKING:
     from skinbake.cli.given import Given

@@ -10,8 +10,8 @@ import click
 
 from skinbake.cli.console import console, ended_by_errors
 from skinbake.cli.help import Helpful
+from skinbake.cli.inputs import path_on_disk
 from skinbake.cli.limits import within_limits
-from skinbake.cli.names import path_on_disk
 from skinbake.cli.targets import check_named, check_picture_target
 from skinbake.errors import ChoiceError, Chosen, printable
 from skinbake.files.bounds import Bounds

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 from skinbake.cli.console import Console
 from skinbake.cli.limits import worker_limits
-from skinbake.cli.names import STDIO
 from skinbake.cli.remote import cluster_runner
-from skinbake.files.urls import is_url
+from skinbake.files.urls import STDIO, is_url
 
 if TYPE_CHECKING:
     from skinbake.cli.given import Given

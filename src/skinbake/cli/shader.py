@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import product
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -12,10 +11,11 @@ import click
 from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs
 from skinbake.cli.console import console, ended_by_errors
 from skinbake.cli.help import Helpful
-from skinbake.cli.names import STDIO, path_on_disk
+from skinbake.cli.inputs import path_on_disk
 from skinbake.cli.targets import check_named, check_text_target
 from skinbake.errors import ChoiceError, printable
 from skinbake.files.bounds import Bounds
+from skinbake.files.urls import STDIO, named_file
 from skinbake.shaders.text import targets
 from skinbake.wording import SUFFIXES
 
@@ -42,7 +42,7 @@ def command(source: str | None, output: str, **given: Any) -> None:
     check_named(output)
     if source is not None:
         source = path_on_disk(source)
-        if STDIO not in {output, source} and _is(source, output):
+        if named_file(source).is_same(named_file(output)):
             raise click.UsageError(f"{output} is the baked file itself")
     check_text_target(output)
     # The text may be the result on stdout, so everything else goes to stderr.
@@ -100,10 +100,3 @@ def _language(asked: str | None, target: str) -> Language:
     if len(languages) > 1:
         raise click.UsageError("Missing option '--lang'. Choose from: " + ", ".join(languages))
     return languages[0]
-
-
-def _is(source: str, output: str) -> bool:
-    try:
-        return Path(source).samefile(output)
-    except (OSError, ValueError):
-        return False

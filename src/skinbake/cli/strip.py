@@ -15,9 +15,9 @@ from skinbake.cli.given import alone
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import expanded
 from skinbake.cli.many import Clock, Notes, Reporting, of_one, run_of, work_through
-from skinbake.cli.names import STDIO
 from skinbake.cli.targets import check_reports, in_turns, jobs_of, targets_of
 from skinbake.cli.writing import writing_of
+from skinbake.files.urls import STDIO
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -42,27 +42,23 @@ def command(inputs: tuple[str, ...], **some: Unpack[Given]) -> None:
     quoted pattern like 'build/**/*.glb'. Inputs and outputs may be URLs.
     """
     clock, given = Clock(), alone(some)
-    found = expanded(inputs, but=given.get("out_dir"))
-    targets, output = targets_of(found, given), given.get("output")
-    say = console(given, results_on_stderr=output == STDIO)
-    depfile_at = check_depfile(given, ((entry.source, target) for entry, target in targets), say)
+    say = console(given, results_on_stderr=given.get("output") == STDIO)
+    found, notes = expanded(inputs, but=given.get("out_dir")), Notes(say)
+    targets = targets_of(found, given)
+    output = targets[0][1] if given.get("output") else None
     reports = {"--summary": given["summary"], OPTION: given.get("depfile")}
-    check_reports(reports, output, (entry.source for entry in found))
-    from skinbake.jobs.strip import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Strip
+    check_reports(reports, (entry.file for entry in found), output)
+    depfile_at = check_depfile(given, targets, say)
+    from skinbake.jobs.strip import Strip
 
-    write = depfile_writer(depfile_at, given, say)
-    reporting = _reporting(given, say, write, is_one=output is not None)
+    commands = [Strip(writing_of(given), given["warnings_as_errors"])]
+    jobs = jobs_of(targets, given, notes)
+    write_depfile = depfile_writer(depfile_at, given, say)
+    reporting = _reporting(given, say, write_depfile, is_one=output is not None)
+    turns = in_turns([entry for entry, _ in targets]) if given.get("out_dir") else []
     clock.imports_done()
-    run = run_of(
-        [Strip(writing_of(given), given["warnings_as_errors"])],
-        jobs_of(targets, given),
-        given,
-        say,
-        modules=MODULES,
-        guess=(SECONDS_A_FILE, SECONDS_A_BYTE),
-        turns=in_turns([entry for entry, _ in targets]) if given.get("out_dir") else [],
-    )
-    sys.exit(work_through(run, reporting, given, say, clock, Notes(say)))
+    run = run_of(commands, jobs, given, say, notes, turns)
+    sys.exit(work_through(run, reporting, given, say, clock, notes))
 
 
 def _reporting(

@@ -5,46 +5,38 @@ from __future__ import annotations
 import codecs
 import os
 import re
-import stat
 import struct
-import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from skinbake.cli.inputs import MAGIC, Input
-from skinbake.cli.names import STDIO
 from skinbake.errors import ChoiceError
 from skinbake.files.bounds import Bounds, Within
-from skinbake.files.urls import canonical, is_url, join_url, on_disk
+from skinbake.files.urls import STDIO, File, is_url, join_url, named_file, on_disk
 from skinbake.wording import SUFFIXES
 
 if TYPE_CHECKING:
     from skinbake.cli.given import Given
+    from skinbake.cli.many import Notes
     from skinbake.jobs.work import Job
-
-IGNORES_CASE = sys.platform in {"darwin", "win32"}
-"""Whether the usual disks of this system take ``A.glb`` and ``a.glb`` for one file."""
 
 GLB_HEADERS = struct.Struct("<4sIIII")
 """The header of a GLB, and the header of its first chunk, which is its JSON."""
 
 
-def check_target(source: str, target: str, *, instead: str = "use --in-place to replace it") -> None:
-    """Raise click.UsageError if the target has no known suffix, or is the input itself.
-
-    ``instead`` is the advice for the latter case.
-    """
-    if target == STDIO:
+def check_target(source: File, target: File) -> None:
+    """Raise click.UsageError if the target has no known suffix, or is the input itself."""
+    name = target.given
+    if name == STDIO:
         return
-    if Path(target).suffix.lower() not in SUFFIXES:
-        raise click.UsageError(
-            f"{target}: expected a name that ends in {', '.join(SUFFIXES)}, or - for stdout"
-        )
-    if source != STDIO and _same_file(source, target):
-        raise click.UsageError(f"{target} is the input; {instead}")
+    if Path(name).suffix.lower() not in SUFFIXES:
+        raise click.UsageError(f"{name}: expected a name that ends in {', '.join(SUFFIXES)}, or - for stdout")
+    if source.is_same(target):
+        raise click.UsageError(f"{name} is the input; use --in-place to replace it")
 
 
 def check_named(target: str, instead: str = "name the file") -> None:
@@ -61,17 +53,13 @@ def check_text_target(target: str) -> None:
         return
     if is_model_name(target):
         raise click.UsageError(f"{target} is the name of a model; name the file of the shader code")
-    if _identity(target) is not None and not _is_text(_head(target)):
+    if not _is_text(_head(target)):
         raise click.UsageError(f"{target} exists and is not text; choose another name")
 
 
 def is_model_name(path: str) -> bool:
     """Tell whether a name, or the name of the file that it links to, has the suffix of a model."""
-    try:
-        linked = canonical(path)
-    except (OSError, ValueError):
-        linked = path  # the write will report the reason
-    return any(name.lower().endswith(SUFFIXES) for name in (path, linked))
+    return any(name.lower().endswith(SUFFIXES) for name in (path, named_file(path).place))
 
 
 def _is_text(head: bytes) -> bool:
@@ -91,31 +79,20 @@ def check_picture_target(target: str) -> None:
     """Raise click.UsageError if a picture would replace a model, through links too, or another file."""
     if is_model_name(target):
         raise click.UsageError(f"{target} is the name of a model; name the file of the picture")
-    if _identity(target) is not None and (head := _head(target)) and not head.startswith(PICTURES):
+    if (head := _head(target)) and not head.startswith(PICTURES):
         raise click.UsageError(f"{target} exists and is no PNG, WebP or GIF; choose another name")
 
 
-def check_read(option: str, paths: Iterable[str], targets: Iterable[str | None]) -> None:
+def check_read(option: str, files: Iterable[File], targets: Iterable[tuple[Input, File | None]]) -> None:
     """Raise click.UsageError if a file that an option reads is also an output, through links too."""
-    written = [target for target in targets if target not in {None, STDIO}]
-    for path in paths:
+    written = [target for _, target in targets if target is not None]
+    for file in files:
         for target in written:
-            if _same_file(path, str(target)):
-                raise click.UsageError(f"{option}: {path} is also an output, {target}")
+            if file.is_same(target):
+                raise click.UsageError(f"{option}: {file.given} is also an output, {target.given}")
 
 
-def _same_file(first: str, second: str) -> bool:
-    """Tell whether two names are one file. A name that no disk accepts is not a file."""
-    one, other = on_disk(first), on_disk(second)
-    if one is None or other is None:
-        return canonical(first) == canonical(second)
-    try:
-        return Path(one).samefile(other)
-    except (OSError, ValueError):
-        return False
-
-
-def targets_of(inputs: list[Input], given: Mapping[str, Any]) -> list[tuple[Input, str | None]]:
+def targets_of(inputs: list[Input], given: Mapping[str, Any]) -> list[tuple[Input, File | None]]:
     """Return (input, output) pairs. Raises click.UsageError for a combination without a meaning."""
     chosen = [name for name in ("output", "out_dir", "in_place") if given[name]]
     if len(chosen) > 1:
@@ -129,12 +106,16 @@ def targets_of(inputs: list[Input], given: Mapping[str, Any]) -> list[tuple[Inpu
             why = " prints to stdout, and so does -o -: name the file of the GLB"
             raise ChoiceError("as_json", reason=(why,))
         check_named(given["output"], f"use --out-dir {given['output']}, or name the file")
-        check_target(inputs[0].source, given["output"])
-        return [(inputs[0], given["output"])]
+        target = named_file(given["output"])
+        check_target(inputs[0].file, target)
+        return [(inputs[0], target)]
     if given["in_place"]:
         if any(entry.source == STDIO for entry in inputs):
             raise click.UsageError("--in-place needs files, not - for stdin")
-        return [(entry, entry.source) for entry in once(inputs)]
+        first: dict[tuple[object, ...], Input] = {}  # each file once, but hard links are replaced one by one
+        for entry in inputs:
+            first.setdefault(entry.file[1:], entry)
+        return [(entry, entry.file) for entry in first.values()]
     if given["out_dir"] == STDIO:
         raise click.UsageError("--out-dir needs the name of a folder, not -; -o - writes to stdout")
     if given["out_dir"]:
@@ -157,19 +138,15 @@ def _meant_output(inputs: Sequence[Input]) -> str:
     return f"; {last.source} was taken for a second input: write {option} {last.source}"
 
 
-def jobs_of(
-    targets: Iterable[tuple[Input, str | None]],
-    given: Given,
-    known: Callable[[str | None], bytes | None] = lambda target: None,
-) -> list[Job]:
-    """Return the jobs of pairs from ``targets_of``. ``known`` returns the record of a target."""
+def jobs_of(targets: Iterable[tuple[Input, File | None]], given: Given, notes: Notes) -> list[Job]:
+    """Return the jobs of pairs from ``targets_of``, each with its record in the notes."""
     from skinbake.jobs.work import Job
 
     return [
         Job(
             entry.source,
-            target,
-            known(target),
+            target and target.given,
+            notes.known(entry.source if target is None else target.given),
             within=Within(Bounds(entry.searched, given["allow_outside"]), given.get("out_dir")),
         )
         if entry.missing is None
@@ -178,31 +155,31 @@ def jobs_of(
     ]
 
 
-def pair_up(inputs: Sequence[Input], folder: str) -> list[tuple[Input, str]]:
+def pair_up(inputs: Sequence[Input], folder: str) -> list[tuple[Input, File]]:
     """Return each input, once, with its place in ``folder``.
 
     Raises click.UsageError if two places would be the same, or if a place would be that of another input.
     """
-    pairs: list[tuple[Input, str]] = []
-    taken: dict[str, str] = {}
-    found = _Found()
-    sources = {found.real(entry.source) for entry in inputs}
+    pairs: list[tuple[Input, File]] = []
+    taken: dict[tuple[object, ...], str] = {}
+    folders: dict[str, str] = {}
+    sources = {entry.file.key for entry in inputs}
     for entry in dict.fromkeys(inputs):
         source = entry.source
         if source == STDIO:
             raise click.UsageError("--out-dir needs inputs that have a name; use -o for stdin")
-        target = join_url(folder, entry.kept) if is_url(folder) else str(Path(folder, entry.kept))
+        name = join_url(folder, entry.kept) if is_url(folder) else str(Path(folder, entry.kept))
+        target = named_file(name, folders)
         if entry.missing is None:
-            key = found.real(target)
-            if key in taken:
+            if target[1:] in taken:  # not the key: hard links are replaced one by one
                 raise click.UsageError(
-                    f"{taken[key]} and {source} would both become {target}: take another --out-dir for one, "
-                    "or name a folder above both, so that their paths stay"
+                    f"{taken[target[1:]]} and {source} would both become {name}: take another --out-dir for "
+                    "one, or name a folder above both, so that their paths stay"
                 )
-            taken[key] = source
-            check_target(source, target)
-            if key in sources:
-                raise click.UsageError(f"{source} would be written to {target}, which is also an input")
+            taken[target[1:]] = source
+            check_target(entry.file, target)
+            if target.key in sources:
+                raise click.UsageError(f"{source} would be written to {name}, which is also an input")
         pairs.append((entry, target))
     return pairs
 
@@ -225,34 +202,34 @@ REPORTS: Mapping[str, Callable[[bytes], bool]] = {
 """The beginning of a file that an earlier run has written, by option."""
 
 
-def check_reports(reports: Mapping[str, str | None], output: str | None, sources: Iterable[str]) -> None:
+def check_reports(
+    reports: Mapping[str, str | None], sources: Iterable[File], output: File | None = None
+) -> None:
     """Raise click.UsageError if an option's file is an input, an output, another option's, or a folder.
 
-    Files are compared by identity, through links of both kinds. ``reports`` are
-    the files by option. An existing file is replaced only if an earlier run may have written it, because it
-    might otherwise be a file of a model.
+    ``reports`` are the files by option. An existing file is replaced only if an earlier run may have written
+    it, because it might otherwise be a file of a model.
     """
-    taken = dict.fromkeys(_keys(output), f"the output, {output}")
-    identities: dict[tuple[int, int], str] = {}
+    taken = {} if output is None else {output.key: f"the output, {output.given}"}
+    own: dict[str | tuple[int, int], str] = {}
     for option, path in reports.items():
         if path is None:
             continue
         if path == STDIO:
             raise click.UsageError(f"{option} needs the name of a file, not -; stdout has other text already")
         check_named(path)
-        keys = _keys(path)
         if is_model_name(path):
             raise click.UsageError(f"{option}: {path} is the name of a model")
-        for key in keys:
-            if key in taken:
-                raise click.UsageError(f"{option}: {path} is {taken[key]}")
-            taken[key] = f"the file of {option}"
-            if isinstance(key, tuple):
-                identities[key] = f"{option}: {path}"
-    for source in sources if identities else ():
-        identity = _identity(source)
-        if identity in identities:
-            raise click.UsageError(f"{identities[identity]} is an input")
+        file = named_file(path)
+        if file.identity and not Path(on_disk(path) or "").is_file():  # /dev/null may be named several times
+            continue
+        if file.key in taken:
+            raise click.UsageError(f"{option}: {path} is {taken[file.key]}")
+        taken[file.key] = f"the file of {option}"
+        own[file.key] = f"{option}: {path}"
+    for source in sources:
+        if source.key in own:
+            raise click.UsageError(f"{own[source.key]} is an input")
     for option, path in reports.items():
         if path is not None and option in REPORTS:
             check_earlier(path, REPORTS[option], f"{option}: ")
@@ -263,69 +240,18 @@ def check_earlier(path: str, is_own: Callable[[bytes], bool], option: str = "") 
 
     ``is_own`` tells it from the first 4096 bytes. ``option`` begins the message.
     """
-    if _identity(path) is not None and (head := _head(path)) and not is_own(head):
+    if (head := _head(path)) and not is_own(head):
         raise click.UsageError(f"{option}{path} exists and was not written by an earlier run")
 
 
-def _keys(path: str | None) -> list[str | tuple[int, int]]:
-    """Return the keys that two names of a file share: the path without links, and the file's identity."""
-    if path in {None, STDIO} or on_disk(str(path)) is None:
-        return []
-    identity = _identity(str(path))
-    try:
-        real = os.path.realpath(str(on_disk(str(path))))
-        is_odd = identity is None and Path(real).exists()  # /dev/null may be named several times
-    except (OSError, ValueError):
-        return []  # the write will report the reason
-    if is_odd:
-        return []
-    return [real] if identity is None else [real, identity]
-
-
-def _identity(path: str) -> tuple[int, int] | None:
-    """Return the identity that separates a regular file from all others, or None if there is none."""
-    place = on_disk(path)
-    if place is None or path == STDIO:
-        return None
-    try:
-        found = os.stat(place)  # noqa: PTH116  # pathlib is slow for a million inputs
-    except (OSError, ValueError):
-        return None
-    return (found.st_dev, found.st_ino) if stat.S_ISREG(found.st_mode) else None
-
-
 def _head(path: str) -> bytes:
-    """Return the first 4096 bytes of a file; none if it cannot be read: the write will report the reason."""
-    try:
-        with Path(str(on_disk(path))).open("rb") as file:
-            return file.read(4096)
-    except OSError:
-        return b""
-
-
-def once(inputs: Sequence[Input]) -> list[Input]:
-    """Return the inputs, each file once, by the first of its names."""
-    first: dict[str, Input] = {}
-    for entry in inputs:
-        first.setdefault(canonical(entry.source), entry)
-    return list(first.values())
-
-
-class _Found:
-    """Real paths, equal for two names of one file. Each folder is looked up once."""
-
-    def __init__(self) -> None:
-        self._folders: dict[str, str] = {}
-
-    def real(self, source: str) -> str:
-        path = on_disk(source)
-        if path is None:
-            return canonical(source)
-        folder, name = os.path.split(path)
-        if folder not in self._folders:
-            self._folders[folder] = os.path.realpath(folder)
-        whole = os.path.join(self._folders[folder], name)  # noqa: PTH118  # likewise
-        return whole.casefold() if IGNORES_CASE else whole
+    """Return the first 4096 bytes of a regular file, none if it cannot be read: the write reports why."""
+    with suppress(OSError, ValueError):
+        file = Path(on_disk(path) or "")
+        if file.is_file():
+            with file.open("rb") as opened:
+                return opened.read(4096)
+    return b""
 
 
 def in_turns(inputs: Sequence[Input]) -> list[int]:
@@ -334,7 +260,7 @@ def in_turns(inputs: Sequence[Input]) -> list[int]:
     Files that documents name are copied beside them. If a name is taken, the second file gets another name.
     Files of one tree keep their paths, and cannot meet others.
     """
-    if len({os.path.realpath(entry.root) for entry in inputs}) < 2:
+    if len({os.path.realpath(root) for root in {entry.root for entry in inputs}}) < 2:
         return []
     return [number for number, entry in enumerate(inputs) if _names_files(entry.source)]
 

@@ -15,12 +15,11 @@ from skinbake.cli.given import Given
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import expanded
 from skinbake.cli.many import Clock, Reporting, notes_of, run_of, state_path, work_through
-from skinbake.cli.names import STDIO
-from skinbake.cli.targets import check_earlier, check_reports, is_page
+from skinbake.cli.targets import check_earlier, check_reports, is_page, jobs_of
 from skinbake.cli.writing import tell_of_report, write_report
 from skinbake.errors import SkinbakeError
-from skinbake.files.bounds import Bounds, Within
-from skinbake.files.urls import is_url
+from skinbake.files.bounds import Bounds
+from skinbake.files.urls import STDIO, is_url
 from skinbake.options import VERIFY, By, defaults
 
 if TYPE_CHECKING:
@@ -58,6 +57,7 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[VerifyG
     'build/**/*.glb'. Each may be a URL. Several files have a line each; -v shows all of them in full.
     """
     clock = Clock()
+    say = console(given)
     found, notes_at = expanded(inputs), state_path(given)
     reports = {
         "--junit": given["junit"],
@@ -67,43 +67,25 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[VerifyG
     }
     if given["html"] and any(entry.source == STDIO or is_url(entry.source) for entry in found):
         raise click.UsageError("--html needs files on this machine's disks, because it reads them again")
-    check_reports(reports, None, (entry.source for entry in found))
+    check_reports(reports, (entry.file for entry in found))
     if given["html"] and len(found) > 1:
         from skinbake.view.index import pages
 
         for page in pages(given["html"], [entry.source for entry in found]):
             check_earlier(str(page), is_page, "--html: ")
-    say = console(given)
-    from skinbake.jobs.verify import MODULES, SECONDS_A_BYTE, SECONDS_A_FILE, Verify
-    from skinbake.jobs.work import Job
-
     sources = [entry.source for entry in found]
     sets = option_sets(ctx, given, sources)
     options = sets.each(_options)
-    notes = notes_of("verify", options[0], notes_at, found, say, sync=not given["no_sync"])
-    jobs = [
-        Job(
-            entry.source,
-            known=notes.known(entry.source),
-            missing=entry.missing,
-            within=Within(Bounds(entry.searched, given["allow_outside"])),
-        )
-        for entry in found
-    ]
+    from skinbake.jobs.verify import Verify
+
+    commands = [Verify(one) for one in options]
+    notes = notes_of("verify", options, notes_at, found, say, sync=not given["no_sync"])
+    jobs = sets.numbered(jobs_of([(entry, None) for entry in found], given, notes))
     options_of = {source: options[number] for source, number in zip(sources, sets.numbers, strict=True)}
     searched = {entry.source: entry.searched for entry in found}
     reporting = _reporting(given, say, options_of, searched, is_one=len(found) == 1)
     clock.imports_done()
-    guess = (SECONDS_A_FILE, SECONDS_A_BYTE)
-    run = run_of(
-        [Verify(one) for one in options],
-        sets.numbered(jobs),
-        given,
-        say,
-        modules=MODULES,
-        guess=guess,
-        recipes=notes.recipes(options),
-    )
+    run = run_of(commands, jobs, given, say, notes)
     sys.exit(work_through(run, reporting, given, say, clock, notes))
 
 

@@ -9,11 +9,12 @@ import click
 
 from skinbake.cli.console import console, ended_by_errors
 from skinbake.cli.help import Helpful
+from skinbake.cli.inputs import path_on_disk
 from skinbake.cli.limits import within_limits
-from skinbake.cli.names import STDIO, path_on_disk
 from skinbake.cli.targets import check_earlier, check_named, is_model_name, is_page
 from skinbake.errors import printable
 from skinbake.files.bounds import Bounds
+from skinbake.files.urls import STDIO
 from skinbake.wording import counted
 
 PAGES = (".html", ".htm")

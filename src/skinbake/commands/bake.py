@@ -12,6 +12,7 @@ from skinbake.commands.bake_options import CheckedOptions
 from skinbake.commands.surface_bake import FitTarget, PrimitiveBake, SurfaceBake, unwritten
 from skinbake.errors import InputError, Notice, Place, noticed
 from skinbake.files.bounds import OWN_FOLDERS, Within
+from skinbake.files.urls import STDIO
 from skinbake.files.versions import version_of
 from skinbake.format.attribute_store import level_ignored, stored_otherwise
 from skinbake.format.baked import with_baked, with_scale
@@ -19,7 +20,7 @@ from skinbake.format.layouts import GradientFormat
 from skinbake.format.strip import stripped
 from skinbake.gltf.beside import files_read
 from skinbake.gltf.container import for_target
-from skinbake.gltf.document import STDIO, Document, read_document
+from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.output import AS_USUAL, Writing, other_names, plan_output, refuse_own_input
 from skinbake.gltf.primitives import (

@@ -7,12 +7,11 @@ from contextlib import suppress
 from pathlib import Path
 
 from skinbake.errors import OutputError, Place
+from skinbake.files.urls import STDIO
 from skinbake.files.writing import write_file, write_stdout
 
 MODEL = Path(__file__).resolve().parents[1] / "example" / "arm.glb"
 """A tube of two joints that bends, with one animation: the fixture ``bent_tube.glb``."""
-
-STDIO = "-"
 
 
 def write_example(target: str, *, sync: bool = True) -> int:

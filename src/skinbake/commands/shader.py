@@ -12,12 +12,13 @@ import numpy as np
 from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs
 from skinbake.errors import ChoiceError, InputError, Notice, Place
 from skinbake.files.bounds import BESIDE, Bounds
+from skinbake.files.urls import STDIO
 from skinbake.files.writing import write_file, write_stdout
 from skinbake.format.metadata import slot_names
 from skinbake.freshness.baked_views import BakedView, baked_views, is_baked, rest_primitive
 from skinbake.freshness.staleness import refuse_stale
 from skinbake.gltf.animation import read_clips, skins_of
-from skinbake.gltf.document import STDIO, Document, read_document
+from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.output import refuse_own_input
 from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources, why_nothing
 from skinbake.gradients.influences import weight_sum_notices

@@ -6,11 +6,12 @@ from dataclasses import replace
 
 from skinbake.errors import InputError, Notice, Place, noticed
 from skinbake.files.bounds import BESIDE, Bounds
+from skinbake.files.urls import STDIO
 from skinbake.files.versions import version_of
 from skinbake.format.strip import stripped
 from skinbake.gltf.beside import files_read
 from skinbake.gltf.container import for_target
-from skinbake.gltf.document import STDIO, read_document
+from skinbake.gltf.document import read_document
 from skinbake.gltf.output import other_names, plan_output, refuse_own_input
 from skinbake.report.depfile import prerequisites
 from skinbake.report.strip import StripResult

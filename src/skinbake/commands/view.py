@@ -26,6 +26,7 @@ from skinbake.commands.render import small_picture
 from skinbake.commands.verify import verify_document
 from skinbake.errors import InputError, Notice
 from skinbake.files.bounds import BESIDE, Bounds
+from skinbake.files.urls import STDIO
 from skinbake.files.writing import write_file, write_files, write_stdout
 from skinbake.format.strip import stripped
 from skinbake.freshness.baked_views import BakedView, sound_views
@@ -33,7 +34,7 @@ from skinbake.freshness.expected import noted_kind
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.codecs.recode import Compression, recoded
 from skinbake.gltf.container import for_target
-from skinbake.gltf.document import STDIO, Document, read_document
+from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.glb import STDIN
 from skinbake.gltf.images import images_missing, texture_image
 from skinbake.gltf.json_access import JsonObject

@@ -9,10 +9,11 @@ from pathlib import Path
 from skinbake.errors import Notice, OutputError, Place
 from skinbake.files import Bytes
 from skinbake.files.bounds import RefusedError, is_relative, path_uri, relative_names
+from skinbake.files.urls import STDIO
 from skinbake.gltf import resources
 from skinbake.gltf.beside import files_of_extensions, is_elsewhere
 from skinbake.gltf.codecs import meshopt
-from skinbake.gltf.document import GLB_SUFFIXES, STDIO, Document
+from skinbake.gltf.document import GLB_SUFFIXES, Document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.wording import counted, one_or_many
 

@@ -28,6 +28,7 @@ from skinbake.files.bounds import (
     spots,
 )
 from skinbake.files.folders import open_beneath
+from skinbake.files.urls import STDIO
 from skinbake.gltf import json_access, json_text, resources
 from skinbake.gltf.budget import Budget
 from skinbake.gltf.glb import STDIN, GlbChunks, split_glb
@@ -35,7 +36,6 @@ from skinbake.wording import counted, meant_file, one_or_many
 
 GLB_SUFFIXES = (".glb", ".vrm")
 GLTF_SUFFIX = ".gltf"
-STDIO = "-"
 
 JSON_FAULTS = {
     "Expecting value": "expected a value",

@@ -11,12 +11,13 @@ from pathlib import Path
 from skinbake.errors import InputError, Notice, OutputError, Place
 from skinbake.files import Bytes
 from skinbake.files.bounds import OutsideError, RefusedError, below, relative_names, spot_of
+from skinbake.files.urls import STDIO
 from skinbake.files.versions import Signature, Version
 from skinbake.files.writing import TakenError, check_target, write_files, write_stdout
 from skinbake.gltf import json_text
 from skinbake.gltf.beside import Beside, named_files
 from skinbake.gltf.copies import Copies, named_paths
-from skinbake.gltf.document import STDIO, Document, refuse_buffers_outside
+from skinbake.gltf.document import Document, refuse_buffers_outside
 from skinbake.gltf.glb import join_glb
 from skinbake.gltf.json_rewriting import FormerText, rewritten
 from skinbake.gltf.resources import find

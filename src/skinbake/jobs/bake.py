@@ -19,12 +19,6 @@ from skinbake.report.depfile import prerequisites
 if TYPE_CHECKING:
     from skinbake.jobs import state
 
-MODULES = ("skinbake.cli.main", "skinbake.jobs.bake", "skinbake.jobs.file_work")
-"""The modules that a worker imports before it starts."""
-
-SECONDS_A_FILE, SECONDS_A_BYTE = 5e-3, 1.8e-8
-"""The approximate time to bake a file. It decides whether workers are worth starting."""
-
 
 @dataclass(frozen=True, slots=True)
 class BakeOptions:
@@ -39,6 +33,7 @@ class Bake:
     """Bake the source of a job into its target."""
 
     undone: ClassVar[str] = "not baked"
+    seconds: ClassVar[tuple[float, float]] = (5e-3, 1.8e-8)
     baker: Baker
     writing: Writing = AS_USUAL
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar, runtime_checkable
 
 from skinbake.errors import InputError, Place, SkinbakeError
+from skinbake.files.urls import STDIO
 from skinbake.gltf.budget import memory_limited
-from skinbake.gltf.document import STDIO
 from skinbake.jobs.work import Job, ResultT, changed, survived
 from skinbake.threads import threads_limited
 from skinbake.timing import stage, tell_file, timed
@@ -26,6 +26,10 @@ class FileCommand(Protocol[ResultT_co]):
     @property
     def undone(self) -> str:
         """The words before the reason why a file was lost, like ``not baked``."""
+
+    @property
+    def seconds(self) -> tuple[float, float]:
+        """The approximate time of a file, and of each byte of it. It decides if workers are worthwhile."""
 
     def result_of(self, job: Job, *, traced: bool) -> ResultT_co:
         """Do the work. If ``traced``, the result has digests of the written files. Raises SkinbakeError."""

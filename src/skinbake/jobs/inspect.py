@@ -11,18 +11,13 @@ from skinbake.jobs.elsewhere import elsewhere_of
 from skinbake.jobs.work import Job
 from skinbake.report.inspect import FileSummary
 
-MODULES = ("skinbake.cli.main", "skinbake.jobs.inspect", "skinbake.jobs.file_work")
-"""The modules that a worker imports before it starts."""
-
-SECONDS_A_FILE, SECONDS_A_BYTE = 2e-3, 4e-9
-"""The approximate time to inspect a file. It decides whether workers are worth starting."""
-
 
 @dataclass(frozen=True, slots=True)
 class Inspect:
     """Sum up the source of a job."""
 
     undone: ClassVar[str] = "not inspected"
+    seconds: ClassVar[tuple[float, float]] = (2e-3, 4e-9)
 
     def result_of(self, job: Job, *, traced: bool) -> FileSummary:
         """Sum up the file. Raises SkinbakeError if it cannot be read. Nothing is written or traced."""

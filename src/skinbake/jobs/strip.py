@@ -13,18 +13,13 @@ from skinbake.jobs.elsewhere import elsewhere_of
 from skinbake.jobs.work import Job
 from skinbake.report.strip import StripResult
 
-MODULES = ("skinbake.cli.main", "skinbake.jobs.strip", "skinbake.jobs.file_work")
-"""The modules that a worker imports before it starts."""
-
-SECONDS_A_FILE, SECONDS_A_BYTE = 3e-3, 4e-9
-"""The approximate time to strip a file. It decides whether workers are worth starting."""
-
 
 @dataclass(frozen=True, slots=True)
 class Strip:
     """Write the target of a job: its source as it was before bake."""
 
     undone: ClassVar[str] = "not stripped"
+    seconds: ClassVar[tuple[float, float]] = (3e-3, 4e-9)
     writing: Writing = AS_USUAL
     warnings_as_errors: bool = False
 

@@ -16,18 +16,13 @@ from skinbake.report.verify import FileVerdict
 if TYPE_CHECKING:
     from skinbake.jobs import state
 
-MODULES = ("skinbake.cli.main", "skinbake.jobs.verify", "skinbake.jobs.file_work")
-"""The modules that a worker imports before it starts."""
-
-SECONDS_A_FILE, SECONDS_A_BYTE = 0.05, 2e-6
-"""The approximate time to verify a file. It decides whether workers are worth starting."""
-
 
 @dataclass(frozen=True, slots=True)
 class Verify:
     """Verify the source of a job."""
 
     undone: ClassVar[str] = "not verified"
+    seconds: ClassVar[tuple[float, float]] = (0.05, 2e-6)
     options: VerifyOptions
 
     def result_of(self, job: Job, *, traced: bool) -> FileVerdict:

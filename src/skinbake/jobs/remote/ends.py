@@ -10,8 +10,9 @@ from pathlib import Path
 
 from skinbake.errors import InputError
 from skinbake.files.bounds import Bounds, RefusedError, is_relative, leads_up, relative_names
+from skinbake.files.urls import STDIO
 from skinbake.gltf.beside import NamedFile, named_files
-from skinbake.gltf.document import STDIO, read_document
+from skinbake.gltf.document import read_document
 from skinbake.jobs.remote.storages import Storage
 
 

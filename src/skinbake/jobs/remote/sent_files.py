@@ -19,11 +19,11 @@ from typing import Generic
 from skinbake.errors import ChoiceError, InputError, OutputError, Place, noticed
 from skinbake.files import Bytes
 from skinbake.files.bounds import Bounds, RefusedError, below, spot_of
-from skinbake.files.urls import is_url
+from skinbake.files.urls import STDIO, is_url
 from skinbake.files.versions import Version, version_of
 from skinbake.files.writing import TakenError
 from skinbake.gltf.budget import Budget
-from skinbake.gltf.document import STDIO, Document, read_named
+from skinbake.gltf.document import Document, read_named
 from skinbake.gltf.output import Writing, plan_output
 from skinbake.gltf.resources import FileContent, find, read_open_file
 from skinbake.jobs.remote.ends import End, needed, resources_of

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Protocol, TypeVar, cast
 
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError, noticed
 from skinbake.files.bounds import BESIDE, Bounds, Within
-from skinbake.files.urls import is_url, on_disk
+from skinbake.files.urls import STDIO, is_url, on_disk
 from skinbake.files.writing import SAVED_ANEW
-from skinbake.gltf.document import GLB_SUFFIXES, STDIO
+from skinbake.gltf.document import GLB_SUFFIXES
 from skinbake.jobs.remote.ends import End, is_copied, leads_out, names_of, needed, resources_of
 from skinbake.jobs.remote.private_folder import PrivateFolder
 from skinbake.jobs.remote.storages import Storage, located, writing
