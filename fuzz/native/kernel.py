@@ -77,6 +77,7 @@ def _calls(kernel: Any, random: np.random.Generator) -> list[Call]:
         "weights": weights,
         "free": free,
         "adopting_sum": float(random.choice([0, 0.99, np.nan])),
+        "adopting_weight": float(random.choice([0, 6e-5, np.nan])),
         "tolerance": 1e-3,
         "least": float(random.choice([0, 2.0**-30, np.nan])),
     }

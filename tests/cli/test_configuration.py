@@ -349,7 +349,7 @@ DANGEROUS = {
         "output out-dir in-place depfile summary max-memory allow-outside no-sync",
         {"in-place": "true", "no-sync": "true"},
     ),
-    "shader": ("for output allow-outside no-sync", {}),
+    "shader": ("for output max-memory allow-outside no-sync", {}),
     "view": ("output port no-browser max-memory allow-outside no-sync", {"port": "80"}),
     "render": ("output max-memory allow-outside no-sync", {}),
     "inspect": ("summary max-memory allow-outside no-sync", {"no-sync": "true"}),

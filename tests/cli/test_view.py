@@ -49,7 +49,7 @@ def test_a_file_that_is_not_baked_is_baked_in_memory_only(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_the_storage_of_a_bake_in_memory_is_no_news(tmp_path: Path) -> None:
-    source = draco_twin(TUBE, tmp_path / "tube.glb", sequential=False)
+    source = draco_twin(FOLDER / "two_sets.glb", tmp_path / "two.glb", sequential=False)
     assert "sequential method" in invoke("bake", source, "--dry-run").stderr
     result = invoke("view", source, "-o", tmp_path / "page.html")
     assert (result.exit_code, result.stderr) == (0, "")

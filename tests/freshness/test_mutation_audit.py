@@ -57,7 +57,7 @@ FIXTURES = [
 MODELS = [CESIUM_MAN, "hand_l-weights-u16.glb", "hand_l-weights-u8.glb"]
 SAFE_TOOLS = [
     *("copy", "center", "dedup", "dequantize", "flatten", "instance", "join", "metalrough", "palette"),
-    *("prune", "reorder", "resample", "sparse", "tangents", "unlit", "unpartition", "unweld"),
+    *("prune", "reorder", "resample", "sparse", "tangents", "unpartition", "unweld"),
     *("vertexColorSpace", "weld"),
 ]
 OTHER_POSES = {"animations removed", "resample"}
