@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 from skinbake.choices import Weighting
+from skinbake.freshness.comparison import compare
+from skinbake.geometry.frames import frame_from_normal, unit_normals
+from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.gradients.baker import slots_of_surface
 from skinbake.gradients.influences import weight_field
@@ -17,7 +20,7 @@ from skinbake.truth.mesh import weld_classes
 from skinbake.truth.operator import expected_alpha_beta, gradient_operator
 from tests.support.kernels import use_numpy
 from tests.support.labels import as_met
-from tests.support.odd_surfaces import odd_surface
+from tests.support.odd_surfaces import odd_rig, odd_surface, rough_sheet
 
 SEEDS = range(60)
 Frame = tuple[Float64Array, Float64Array]
@@ -37,9 +40,11 @@ def test_verify_welds_what_bake_welds(crease: float) -> None:
         assert as_met(found) == as_met(weld_classes(parts, crease_angle_degrees=crease)), seed
 
 
-def baked(parts: Sequence[SkinnedPrimitive], frame: Frame, weighting: Weighting) -> Float64Array:
+def baked(
+    parts: Sequence[SkinnedPrimitive], frame: Frame, weighting: Weighting, rig: Rig | None = None
+) -> Float64Array:
     """Return α and β (V, 2 K − 2) side by side."""
-    slots = slots_of_surface(parts, frame, weighting=weighting, crease_angle=np.radians(15.0), rig=None)
+    slots = slots_of_surface(parts, frame, weighting=weighting, crease_angle=np.radians(15.0), rig=rig)
     return np.hstack([slots.alpha, slots.beta]).astype(np.float64)
 
 
@@ -59,3 +64,22 @@ def test_verify_expects_what_bake_stores(weighting: Weighting, monkeypatch: pyte
         with monkeypatch.context() as patch:
             use_numpy(patch)
             assert (np.abs(baked(parts, frame, weighting) - expected) <= 1e-6 * scale).all(), seed
+
+
+@pytest.mark.parametrize(
+    "seeds",
+    [range(45, 60), *(pytest.param(range(n, n + 100), marks=pytest.mark.slow) for n in range(100, 600, 100))],
+)
+def test_both_paths_fit_alike_whatever_the_stored_pose(seeds: range, monkeypatch: pytest.MonkeyPatch) -> None:
+    for seed in seeds:
+        parts, rig = [rough_sheet(seed)], odd_rig(seed)
+        normals = unit_normals(joined(parts, "normals").astype(np.float32))
+        frame = frame_from_normal(normals)
+        found = baked(parts, frame, Weighting.MAX, rig)
+        with monkeypatch.context() as patch:
+            use_numpy(patch)
+            expected = baked(parts, frame, Weighting.MAX, rig)
+        # The tolerance of verify's freshness.
+        reach = gradient_operator(parts, weighting=Weighting.MAX).reach()
+        compared = compare((found, found), (expected, expected), reach=reach)
+        assert compared.agrees, f"seed {seed}, vertex {compared.worst}: off by {compared.largest:.3g}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 
 Random = np.random.Generator
@@ -84,3 +85,38 @@ def _weights(random: Random, count: int, slots: int) -> Float64Array:
 
 def _cells(random: Random, table: Float64Array, share: float) -> npt.NDArray[np.bool_]:
     return np.asarray(random.random(table.shape) < share)
+
+
+def odd_rig(seed: int) -> Rig:
+    """Return a rig of 20 joints in a chain, a star or a tree, stored in a pose that tears surfaces.
+
+    Joint matrices are turned, mirror, flatten to a plane or a line, scale by 2, or by up to 1e15 either way.
+    Pivots and translations are near, far, or both.
+    """
+    random, joints = np.random.default_rng(seed), 20
+    above = np.arange(joints) - 1
+    parents = [above, np.minimum(above, 0), random.integers(-1, above + 1)]
+    far = 10.0 ** random.choice([0, 3, 6, 15])
+    some, scales = random.random(joints) < 0.5, [0.0, 1.0, 1.0, -1.0, 2.0]
+    matrices = np.tile(np.eye(3, 4), (joints, 1, 1))
+    matrices[:, :, :3] *= random.choice(scales, (joints, 1, 3))
+    matrices[some, :, :3] = np.linalg.qr(random.normal(size=(joints, 3, 3)))[0][some] @ matrices[some, :, :3]
+    matrices[:, :, :3] *= random.choice([1.0, 1.0, 1.0, far, 1.0 / far], (joints, 1, 1))
+    matrices[:, :, 3] = random.normal(size=(joints, 3)) * random.choice([0.0, 1.0, far], (joints, 1))
+    return Rig(parents[seed % 3].astype(np.int32), random.normal(size=(joints, 3)), matrices)
+
+
+def rough_sheet(seed: int) -> SkinnedPrimitive:
+    """Return a bumpy sheet of 6 × 5 vertices, whose weights change at random between four of 20 joints."""
+    random, count = np.random.default_rng(seed), 30
+    x, y = np.meshgrid(np.arange(6.0), np.arange(5.0))
+    corners = (np.arange(count).reshape(5, 6)[:-1, :-1]).reshape(-1, 1)
+    weights = random.random((count, 4)) * (random.random((count, 4)) < random.choice([0.3, 0.7, 1.0]))
+    return SkinnedPrimitive(
+        np.stack([x.ravel(), y.ravel(), random.normal(size=count) * 0.3], axis=1).astype(np.float32),
+        np.tile(np.float32([0.0, 0.0, 1.0]), (count, 1)),
+        None,
+        random.integers(0, 20, (count, 4)),
+        weights.astype(np.float32),
+        np.concatenate([corners + np.array(offsets) for offsets in ([0, 1, 7], [0, 7, 6])]).astype(np.uint32),
+    )

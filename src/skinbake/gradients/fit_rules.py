@@ -49,8 +49,10 @@ the gradient follows that surface better than they do.
 STORED = 10.0
 """How much more the stored pose counts than that one joint turns by a radian: as a turn by 18° does."""
 
-STRETCHED = 4.0
+STRETCHED = 4.0001
 """The factor by which the stored pose may change the squared lengths of tangents.
+
+It is a little over 4: some poses scale a joint by 2, and rounding must not decide whether they count.
 
 Some exporters store nodes in no pose at all, and leave it to the clips to set them. There surfaces collapse,
 or are torn apart.
@@ -83,4 +85,7 @@ FLAT = 1e-6
 
 A class has no normal of its own if its triangles' normals or its vertices' normals cancel out but for this
 share. The spread counts as FLAT at least.
+
+Its square is the share of terms up to which what is left of them is rounding: a pivot of the least squares,
+or the area of a class in the stored pose. There compiled loops and numpy would choose differently.
 """

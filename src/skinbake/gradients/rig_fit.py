@@ -8,7 +8,6 @@ turn then. ``loops/vertex_fit.h`` does the same in its pass over the vertices; t
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -16,7 +15,7 @@ import numpy as np
 
 from skinbake.geometry.rig import NO_CHAIN, Lineage, Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
-from skinbake.gradients.fit_rules import EVEN, FAINT, MISSING, STIFFNESS, STORED, TOGETHER, UNFELT
+from skinbake.gradients.fit_rules import EVEN, FAINT, FLAT, MISSING, STIFFNESS, STORED, TOGETHER, UNFELT
 from skinbake.gradients.ring_turns import RingTurns
 from skinbake.gradients.stored_pose import StoredTilts
 from skinbake.gradients.surface import NO_JOINT, WeightField
@@ -83,18 +82,23 @@ def fitted(
 
 
 def _solved(matrix: Float64Array, right: Float64Array) -> Float64Array:
-    """Return the solutions (V, U, 2) of V systems of U unknowns, NaN for one that has none in float64.
+    """Return the solutions (V, U, 2) of V symmetric systems of U unknowns, NaN for one in doubt.
 
-    Such a system is that of a vertex with a joint which the stored pose moves very far.
+    That is a system of which float64 leaves rounding: elimination takes all of a diagonal entry but FLAT². It
+    is that of a vertex with a joint which the stored pose moves very far.
     """
-    try:
-        return np.asarray(np.linalg.solve(matrix, right))
-    except np.linalg.LinAlgError:
-        found = np.full_like(right, np.nan)
-        for row in range(len(right)):
-            with suppress(np.linalg.LinAlgError):
-                found[row] = np.linalg.solve(matrix[row], right[row])
-        return found
+    least = FLAT * FLAT * np.einsum("vii->vi", matrix)
+    left, found = matrix.copy(), right.copy()
+    for row in range(matrix.shape[1]):
+        pivot = left[:, row, row]
+        pivot[~(pivot > least[:, row])] = np.nan
+        factors = left[:, row + 1 :, row] / pivot[:, None]
+        left[:, row + 1 :] -= factors[:, :, None] * left[:, None, row]
+        found[:, row + 1 :] -= factors[:, :, None] * found[:, None, row]
+    for row in reversed(range(matrix.shape[1])):
+        known = np.einsum("vu,vut->vt", left[:, row, row + 1 :], found[:, row + 1 :])
+        found[:, row] = (found[:, row] - known) / left[:, row, row, None]
+    return found
 
 
 def _presence(vertices: FittedVertices, gradients: VertexGradients) -> tuple[Float64Array, Float64Array]:

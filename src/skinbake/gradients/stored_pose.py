@@ -14,7 +14,7 @@ import numpy as np
 
 from skinbake.geometry.frames import parts_along
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
-from skinbake.gradients.fit_rules import STRETCHED
+from skinbake.gradients.fit_rules import FLAT, STRETCHED
 from skinbake.gradients.surface import Surface
 from skinbake.gradients.weight_gradients import summed_rows
 
@@ -98,7 +98,9 @@ def _tilts(
     blended = np.einsum("ck,ckij->cij", weights, own)
     points = _moved(blended, positions)
     posed = np.einsum("cij,cnj->cni", blended[:, :, :3], derivatives)
-    posed += _added_by_changes(matrices, changes, positions, points)
+    terms = np.einsum("ck,ck->c", weights, _terms(own, positions[:, None]))
+    added, bounds = _added_by_changes(matrices, changes, positions, points, terms)
+    posed += added
     mapped = _mapped(derivatives, posed, tangents)
     lengths = np.square(mapped).sum(axis=(1, 2))
     turned = np.einsum("ckij,cnj->ckni", own[..., :3], tangents)
@@ -107,7 +109,10 @@ def _tilts(
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     tilts = np.einsum("cij,cnj,ci->cn", blended[:, :, :3], tangents, normals)
     counts = (lengths <= STRETCHED * unstretched) & (unstretched <= STRETCHED * lengths)
-    counts &= np.bincount(changes.classes, minlength=count) > 0
+    # Where the surface shrinks to a line, or large terms cancel, the normal is rounding.
+    areas = np.linalg.norm(np.cross(posed[:, 0], posed[:, 1]), axis=1)
+    counts &= areas > FLAT * FLAT * (bounds + np.sqrt(unstretched)) * np.linalg.norm(posed, axis=(1, 2))
+    counts &= bounds > 0.0
     counts &= np.isfinite(normals).all(axis=1) & np.isfinite(tilts).all(axis=1)
     return StoredTilts(
         matrices,
@@ -119,16 +124,25 @@ def _tilts(
 
 
 def _added_by_changes(
-    matrices: Float64Array, changes: WeightChanges, positions: Float64Array, points: Float64Array
-) -> Float64Array:
+    matrices: Float64Array,
+    changes: WeightChanges,
+    positions: Float64Array,
+    points: Float64Array,
+    terms: Float64Array,
+) -> tuple[Float64Array, Float64Array]:
     """Return what changes of weights add to the derivatives of the posed positions, (C, 2, 3).
 
     A joint adds Σ Δw g L e, with the linear part L of its matrix, and Σ Δw g times where it moves the vertex.
+    Return a bound (C,) of what is added, too, 0 where no weight changes. terms (C,) are those of the points.
     """
     at, own = changes.classes, matrices[changes.joints]
-    added = np.einsum("eij,enj->eni", own[:, :, :3], changes.edges)
-    added += changes.coefficients[:, :, None] * (_moved(own, positions[at]) - points[at])[:, None]
-    return summed_rows(at, added.reshape(-1, 6), len(positions)).reshape(-1, 2, 3)
+    turned = np.einsum("eij,enj->eni", own[:, :, :3], changes.edges)
+    moved = _moved(own, positions[at]) - points[at]
+    added = turned + changes.coefficients[:, :, None] * moved[:, None]
+    bounds = np.linalg.norm(turned, axis=(1, 2))
+    bounds += np.linalg.norm(changes.coefficients, axis=1) * (terms[at] + _terms(own, positions[at]))
+    summed = summed_rows(at, np.hstack([added.reshape(-1, 6), bounds[:, None]]), len(positions))
+    return summed[:, :6].reshape(-1, 2, 3), summed[:, 6]
 
 
 def _mapped(derivatives: Float64Array, posed: Float64Array, tangents: Float64Array) -> Float64Array:
@@ -147,6 +161,12 @@ def _mapped(derivatives: Float64Array, posed: Float64Array, tangents: Float64Arr
         along_third = np.einsum("ci,ci->c", t, across / area)
         found[:, number] = np.einsum("ct,cti->ci", parts, posed) + along_third[:, None] * third
     return found
+
+
+def _terms(matrices: Float64Array, positions: Float64Array) -> Float64Array:
+    """Return a bound (…) of the terms that ``_moved`` adds up. The rounding is a share of it."""
+    moved = np.linalg.norm(_moved(matrices, positions), axis=-1)
+    return np.asarray(moved + np.linalg.norm(matrices[..., 3], axis=-1))
 
 
 def _moved(matrices: Float64Array, positions: Float64Array) -> Float64Array:

@@ -16,6 +16,13 @@ static ALWAYS_INLINE Vectors turned_by(const double matrix[MATRIX], Vectors v)
     return (Vectors){dots(rows[0], v), dots(rows[1], v), dots(rows[2], v)};
 }
 
+/* The root of both squared lengths, added. */
+static ALWAYS_INLINE double length_of(Vectors v)
+{
+    const Pair squares = dots(v, v);
+    return sqrt(part(squares, 0) + part(squares, 1));
+}
+
 /* A position moved by a matrix. */
 static ALWAYS_INLINE Vector moved_by(const double matrix[MATRIX], Vector position)
 {
@@ -45,8 +52,16 @@ static ALWAYS_INLINE const double *stored_matrix(const Surface *s, int32_t joint
     return s->stored + MATRIX * (size_t)joint;
 }
 
-/* Blend the matrices of a class. Return what both tangents' squared lengths are if nothing stretches them, added. */
-static double blend_stored(const Surface *s, const Scratch *w, double blended[MATRIX])
+/* A bound of the numbers of which `moved` is made: rounding of a moved position is a share of it. */
+static double terms_of(const double matrix[MATRIX], Vector moved)
+{
+    const Vector along = {matrix[3], matrix[7], matrix[11]};
+    return sqrt(dot(moved, moved)) + sqrt(dot(along, along));
+}
+
+/* Blend the matrices of a class. Return what both tangents' squared lengths are if nothing stretches them, added. Find
+   the terms of the class's point. */
+static double blend_stored(const Surface *s, Vector position, const Scratch *w, double blended[MATRIX], double *terms)
 {
     double unstretched = 0.0;
     memset(blended, 0, MATRIX * sizeof *blended);
@@ -56,6 +71,7 @@ static double blend_stored(const Surface *s, const Scratch *w, double blended[MA
         const double *matrix = stored_matrix(s, w->met[k]);
         for (int m = 0; m < MATRIX; m++)
             blended[m] += w->own[k] * matrix[m];
+        *terms += w->own[k] * terms_of(matrix, moved_by(matrix, position));
         const Vectors turned = turned_by(matrix, w->frame.along);
         const Pair squares = dots(turned, turned);
         unstretched += w->own[k] * (part(squares, 0) + part(squares, 1));
@@ -64,23 +80,26 @@ static double blend_stored(const Surface *s, const Scratch *w, double blended[MA
 }
 
 /* Add what changes of weights add to the posed derivatives of a class, whose products are summed up but not yet made
-   into turns. Return whether any weight changes. The matrix of a joint whose weight does not may hold NaN. */
-static int add_changes(const Surface *s, Vector position, double shrink, int32_t used, const Scratch *w,
-                       Vectors *posed)
+   into turns. Return a bound of what is added, 0 where no weight changes: `terms` are those of the class's point. The
+   matrix of a joint whose weight does not change may hold NaN. */
+static double add_changes(const Surface *s, Vector position, double shrink, int32_t used, double terms,
+                          const Scratch *w, Vectors *posed)
 {
-    int changes = 0;
+    double bound = 0.0;
     for (int32_t n = 0; n < used; n++) {
         const double *products = w->turns + n * TURN;
         if (w->met[n] < 0 || !turns_at_all(products))
             continue;
-        changes = 1;
         const double *matrix = stored_matrix(s, w->met[n]);
         const Vectors edges = times_each(load_vectors(products + BY_EDGE), both(shrink));
         const Pair along = scaled(shrink, load_pair(products + BY_ITSELF));
-        const Vector over = minus(moved_by(matrix, position), w->frame.stored.point);
-        *posed = plus_each(*posed, plus_each(turned_by(matrix, edges), times_each(both_vectors(over), along)));
+        const Vector moved = moved_by(matrix, position), over = minus(moved, w->frame.stored.point);
+        const Vectors turned = turned_by(matrix, edges);
+        const Pair squares = multiply_pairs(along, along);
+        bound += length_of(turned) + sqrt(part(squares, 0) + part(squares, 1)) * (terms + terms_of(matrix, moved));
+        *posed = plus_each(*posed, plus_each(turned, times_each(both_vectors(over), along)));
     }
-    return changes;
+    return bound;
 }
 
 /* The tangents that the mesh has in the pose, from its derivatives at rest and there. */
@@ -101,11 +120,14 @@ static void find_stored_tilt(const Surface *s, Vector position, Vectors derivati
                              Scratch *w)
 {
     StoredTilt *stored = &w->frame.stored;
-    double blended[MATRIX];
-    const double unstretched = blend_stored(s, w, blended);
+    double blended[MATRIX], terms = 0.0;
+    const double unstretched = blend_stored(s, position, w, blended, &terms);
     stored->point = moved_by(blended, position);
     Vectors posed = turned_by(blended, derivatives);
-    const int changes = add_changes(s, position, shrink, used, w, &posed);
+    const double bound = add_changes(s, position, shrink, used, terms, w, &posed);
+    const Vector across = cross(one_of(posed, 0), one_of(posed, 1));
+    const double least = s->fit.flat * s->fit.flat * (bound + sqrt(unstretched));
+    const int clear = bound > 0.0 && sqrt(dot(across, across)) > least * length_of(posed);
     const Vectors mapped = mapped_tangents(w->frame.along, derivatives, posed);
     const Pair squares = dots(mapped, mapped);
     const double lengths = part(squares, 0) + part(squares, 1), most = s->fit.stretched;
@@ -113,6 +135,6 @@ static void find_stored_tilt(const Surface *s, Vector position, Vectors derivati
     stored->normal = times(normal, 1.0 / sqrt(dot(normal, normal)));
     stored->tilts = dots(both_vectors(stored->normal), turned_by(blended, w->frame.along));
     const double sum = part(stored->tilts, 0) + part(stored->tilts, 1) + dot(stored->normal, stored->normal);
-    const int counts = changes && lengths <= most * unstretched && unstretched <= most * lengths && isfinite(sum);
+    const int counts = clear && lengths <= most * unstretched && unstretched <= most * lengths && isfinite(sum);
     stored->weight = counts ? 2.0 / lengths : 0.0; /* lengths of 0 do not count: the normal is not finite */
 }

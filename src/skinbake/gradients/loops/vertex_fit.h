@@ -305,12 +305,13 @@ static void add_stored_pose(const Surface *s, Vector position, const StoredTilt 
 }
 
 /* Solve the normal equations, by the factors L D Lt in place of the matrix. The right side becomes the solution.
-   Returns 0 where it is not finite. */
-static ALWAYS_INLINE int solve(Equations e)
+   Returns 0 where it is in doubt: not finite, or elimination takes all of a diagonal entry but `least` of it. */
+static ALWAYS_INLINE int solve(Equations e, double least)
 {
     Pair finite = both(0.0);
     for (size_t i = 0; i < e.unknowns; i++) {
         double *row = e.matrix + i * e.stride, diagonal = row[i];
+        const double whole = diagonal;
         for (size_t k = 1; k < i; k++) /* row[k] is L[i][k] D[k] until the row is done */
             for (size_t n = 0; n < k; n++)
                 row[k] -= row[n] * e.matrix[k * e.stride + n];
@@ -320,6 +321,8 @@ static ALWAYS_INLINE int solve(Equations e)
             row[k] = factor;
             e.right[i] = subtract_pairs(e.right[i], scaled(factor, e.right[k]));
         }
+        if (!(diagonal > least * whole))
+            return 0;
         row[i] = 1.0 / diagonal;
     }
     for (size_t i = e.unknowns; i-- > 0;) {
@@ -352,7 +355,7 @@ static ALWAYS_INLINE void move_gradients(const Surface *s, const Fitted *fitted,
         e.right[i] = add_pairs(
             e.right[i], subtract_pairs(scaled(pull, fitted->given[i]), scaled(last, fitted->given[unknowns])));
     }
-    if (!solve(e))
+    if (!solve(e, s->fit.flat * s->fit.flat))
         return;
     double share = fitted->tilts / (fitted->tilts + w->frame.doubt * w->frame.doubt);
     e.right[unknowns] = both(0.0);
