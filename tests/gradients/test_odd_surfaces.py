@@ -74,7 +74,8 @@ def test_both_paths_fit_alike_whatever_the_stored_pose(seeds: range, monkeypatch
     for seed in seeds:
         parts, rig = [rough_sheet(seed)], odd_rig(seed)
         normals = unit_normals(joined(parts, "normals").astype(np.float32))
-        frame = frame_from_normal(normals)
+        tangents, bitangents = frame_from_normal(normals)
+        frame = tangents.astype(np.float64), bitangents.astype(np.float64)
         found = baked(parts, frame, Weighting.MAX, rig)
         with monkeypatch.context() as patch:
             use_numpy(patch)

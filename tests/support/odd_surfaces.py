@@ -114,7 +114,7 @@ def rough_sheet(seed: int) -> SkinnedPrimitive:
     weights = random.random((count, 4)) * (random.random((count, 4)) < random.choice([0.3, 0.7, 1.0]))
     return SkinnedPrimitive(
         np.stack([x.ravel(), y.ravel(), random.normal(size=count) * 0.3], axis=1).astype(np.float32),
-        np.tile(np.float32([0.0, 0.0, 1.0]), (count, 1)),
+        np.tile(np.array([0.0, 0.0, 1.0], dtype=np.float32), (count, 1)),
         None,
         random.integers(0, 20, (count, 4)),
         weights.astype(np.float32),
