@@ -122,7 +122,12 @@ class Baker(CheckedOptions):
             return BakedDocument(document, (), skipped, tuple(reasons))
         given = document
         with stage("compress"):
-            document, kept = self._recoded(document, sources)
+            kept: list[Notice] = []
+            if self.compress is not Scheme.KEEP:
+                from skinbake.gltf.codecs.recode import Compression, recoded
+
+                compression = Compression(self.compress, self.compress_level, self._bits)
+                document, kept = recoded(document, sources, compression)
         sources = [source.in_document(document) for source in sources]
         bakes, remarks = self._bakes(document, sources)
         storage = with_scale(GradientFormat(self.encoding, self.layout), [bake.result for bake in bakes])
@@ -165,14 +170,6 @@ class Baker(CheckedOptions):
         ]
         return bakes, [*apart, *(notice for target in targets for notice in target.notices)]
 
-    def _recoded(self, document: Document, sources: list[PrimitiveSource]) -> tuple[Document, list[Notice]]:
-        """Return the document with its geometry compressed as chosen, and notices on the exceptions."""
-        if self.compress is Scheme.KEEP:
-            return document, []
-        from skinbake.gltf.codecs.recode import Compression, recoded
-
-        return recoded(document, sources, Compression(self.compress, self.compress_level, self._bits))
-
     def _bakeable(self, document: Document) -> tuple[list[PrimitiveSource], int, list[Notice]]:
         """Return the primitives to bake, the number of skinned ones left out, and notices on the latter."""
         sources, notices = skinned_sources(document)
@@ -180,7 +177,12 @@ class Baker(CheckedOptions):
         for source in sources:
             reason = reason_to_skip(document, source, generate_normals=self.generate_normals)
             if reason is None and self.frame is FrameChoice.TANGENT:
-                reason = _reason_of_frame(source)
+                lacking = next(
+                    (name for name in ("NORMAL", "TANGENT") if name not in source.attributes), None
+                )
+                if lacking is not None:
+                    message = f"skipped: it has no {lacking}; --frame auto takes the frame from NORMAL"
+                    reason = Notice("no-tangents", message, source.place)
             if reason is None:
                 wanted.append(source)
             else:
@@ -229,16 +231,6 @@ class BakedDocument:
     skipped: int
     notices: tuple[Notice, ...]
     encoding: EncodingCost | None = None
-
-
-def _reason_of_frame(source: PrimitiveSource) -> Notice | None:
-    """Return why a primitive cannot be baked for the frame from TANGENT, or None if it can."""
-    lacking = next((name for name in ("NORMAL", "TANGENT") if name not in source.attributes), None)
-    if lacking is None:
-        return None
-    return Notice(
-        "no-tangents", f"skipped: it has no {lacking}; --frame auto takes the frame from NORMAL", source.place
-    )
 
 
 def _surfaces(

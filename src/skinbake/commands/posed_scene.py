@@ -243,7 +243,14 @@ def baked_in_memory(document: Document) -> tuple[Document, tuple[Notice, ...]]:
         reasons = "; ".join(notice.message.removeprefix(SKIPPED) for notice in skipped)
         raise InputError(f"nothing in it can be shown: {reasons or why_nothing(document)}", document.place)
     notices = [notice for notice in made.notices if notice.code not in OF_STORAGE]
-    return made.document, (*damaged_bakes(document), *_generated(document), *notices)
+    message = "it has no NORMAL: smooth normals are generated here, and in a bake with --generate-normals"
+    generated = [
+        Notice("normals-generated", message, source.place)
+        for source in skinned_sources(document)[0]
+        if "NORMAL" not in source.attributes
+        and reason_to_skip(document, source, generate_normals=True) is None
+    ]
+    return made.document, (*damaged_bakes(document), *generated, *notices)
 
 
 def damaged_bakes(document: Document) -> list[Notice]:
@@ -253,17 +260,6 @@ def damaged_bakes(document: Document) -> list[Notice]:
         Notice("bake-damaged", message, source.place)
         for source in skinned_sources(document)[0]
         if is_baked(document, source)
-    ]
-
-
-def _generated(document: Document) -> list[Notice]:
-    """Return a notice for each primitive that has no normals of its own."""
-    message = "it has no NORMAL: smooth normals are generated here, and in a bake with --generate-normals"
-    return [
-        Notice("normals-generated", message, source.place)
-        for source in skinned_sources(document)[0]
-        if "NORMAL" not in source.attributes
-        and reason_to_skip(document, source, generate_normals=True) is None
     ]
 
 

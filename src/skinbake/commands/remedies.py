@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from skinbake.choices import FrameChoice, Gradients, Neighbours, Weld
 from skinbake.errors import InputError, Notice, Place
@@ -198,21 +198,17 @@ def noted_baker(view: BakedView) -> Baker:
     from skinbake.commands.bake import Baker  # most files need no remedy
 
     noted = view.metadata
+    known = noted.get("neighbours")
     return Baker(
         gradients=noted_kind(view),
         fit_poses=noted_sources(view),
         weighting=noted["weighting"],
         crease_angle=noted["creaseAngle"],
-        neighbours=_noted_neighbours(noted),
+        neighbours=Neighbours(known) if known in list(Neighbours) else Neighbours.ADOPT,
         frame=FrameChoice(noted["frame"]),
         weld=noted.get("weld", Weld.MESH),
         generate_normals=True,  # strip takes generated ones away
     )
-
-
-def _noted_neighbours(noted: Mapping[str, Any]) -> Neighbours:
-    known = noted.get("neighbours")
-    return Neighbours(known) if known in list(Neighbours) else Neighbours.ADOPT
 
 
 def _measured(document: Document, options: VerifyOptions, meshes: Container[int | None]) -> FileVerdict:
@@ -226,23 +222,18 @@ def _measured(document: Document, options: VerifyOptions, meshes: Container[int 
     return lighting_verdict(document, replace(options, min_gain=None), surfaces, operators)
 
 
-def _best(place: Place, tried: Sequence[_Trial], now: float) -> _Trial | None:
-    """Return the trial that helps a primitive most. One that keeps the gain all in all comes first."""
-    helpful = [trial for trial in tried if place in trial.gains and trial.gains[place].least >= WORSE]
-    return max(
-        helpful,
-        key=lambda trial: (not trial.all_in_all < KEPT * now, trial.gains[place].least),
-        default=None,
-    )
-
-
 def _notice(place: Place, own: _Gains, tried: Sequence[_Trial], now: float) -> Notice:
     """Return the notice for a primitive. now is the gain all in all that a remedy must keep."""
     lbs = own.by_lighting.get(LBS_ACCURATE, 0.0)
     only_dqs = lbs >= WORSE
     message = f"α/β make its lighting worse: the {_called(own.least_of)} gain is {gain_in_words(own.least)}"
     message += f", and the LBS gain is {gain_in_words(lbs)}. " if only_dqs else ". "
-    best = _best(place, tried, now)
+    # The trial that helps most. One that keeps the gain all in all comes first.
+    best = max(
+        (trial for trial in tried if place in trial.gains and trial.gains[place].least >= WORSE),
+        key=lambda trial: (not trial.all_in_all < KEPT * now, trial.gains[place].least),
+        default=None,
+    )
     if best is not None:
         then = best.gains[place]
         message += f"With {best.remedy.words} it is {gain_in_words(then.least)}"

@@ -243,10 +243,14 @@ def _times(
     clip: Clip | None, worst: float, options: RenderOptions, *, moves: bool
 ) -> tuple[Float64Array, str]:
     """Return the time of each picture, and the first pose in words. Raises ChoiceError for another time."""
-    _check_time(clip, options.time)
     if clip is None:
+        if options.time is not None:
+            raise ChoiceError("time", options.time, reason=(": the file has no clip",))
         count = MOST_PICTURES // 2 if options.turntable else 1
         return np.zeros(count), "a random pose, because it has no clip"
+    if options.time is not None and not clip.start <= options.time <= clip.duration:
+        reason = f': clip "{printable(clip.name)}" goes from {clip.start:g} to {clip.duration:g} s'
+        raise ChoiceError("time", options.time, reason=(reason,))
     if options.time is not None or (not moves and not options.turntable):
         time = worst if options.time is None else options.time
         count = MOST_PICTURES // 2 if options.turntable else 1
@@ -255,21 +259,17 @@ def _times(
     return np.linspace(clip.start, clip.duration, count, endpoint=False), f'clip "{clip.name}"'
 
 
-def _check_time(clip: Clip | None, time: float | None) -> None:
-    """Raise ChoiceError for a time that no clip has."""
-    if time is None:
-        return
-    if clip is None:
-        raise ChoiceError("time", time, reason=(": the file has no clip",))
-    if not clip.start <= time <= clip.duration:
-        reason = f': clip "{printable(clip.name)}" goes from {clip.start:g} to {clip.duration:g} s'
-        raise ChoiceError("time", time, reason=(reason,))
-
-
 def _subject(document: Document, number: int, draw: Draw, view: BakedView, material: Material) -> Subject:
     at_rest = draw.skeleton.joint_matrices({}, None, 1)[0, :, :3, :3]
     count = len(view.now.positions)
-    texcoords = _texcoords(document, view, material, count)
+    # the texture coordinates (V, 2) of each image that lies on a set which the primitive has
+    ours = {*view.metadata["alpha"], *view.metadata["beta"]}  # they may be stored as such sets
+    texcoords: dict[str, FloatArray] = {}
+    for use, placement in material.placements.items():
+        name = f"TEXCOORD_{placement.texcoord}"
+        own = None if name in ours else _attribute(document, view, name, (2,), count)
+        if own is not None:
+            texcoords[use] = placement.placed(own)
     material = material.with_images(texcoords)
     colours = None if material.is_plain else _attribute(document, view, "COLOR_0", (3, 4), count)
     if colours is not None and material.base == CLAY:
@@ -284,18 +284,6 @@ def _subject(document: Document, number: int, draw: Draw, view: BakedView, mater
         is_mirrored=bool((np.linalg.det(at_rest) < 0).any()),
         has_tangents=view.metadata["frame"] == Frame.TANGENT,
     )
-
-
-def _texcoords(document: Document, view: BakedView, material: Material, count: int) -> dict[str, FloatArray]:
-    """Return the texture coordinates (V, 2) of each image that lies on a set which the primitive has."""
-    ours = {*view.metadata["alpha"], *view.metadata["beta"]}  # they may be stored as such sets
-    found: dict[str, FloatArray] = {}
-    for use, placement in material.placements.items():
-        name = f"TEXCOORD_{placement.texcoord}"
-        own = None if name in ours else _attribute(document, view, name, (2,), count)
-        if own is not None:
-            found[use] = placement.placed(own)
-    return found
 
 
 def _attribute(

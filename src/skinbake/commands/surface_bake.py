@@ -105,9 +105,17 @@ class SurfaceBake:
     ) -> SurfaceBake:
         """Read the arrays of a surface. Raises InputError if they cannot be read, or take too much memory."""
         with stage("arrays"):
-            primitives = _with_normals(_read(document, sources))
+            primitives = _read(document, sources)
+            if not all(len(primitive.normals) for primitive in primitives):
+                from skinbake.gradients.normals import with_smooth_normals  # most files have normals
+
+                primitives = with_smooth_normals(primitives)
             if settings.frame is not FrameChoice.NORMAL:
-                primitives = _straight(document, sources, primitives)
+                # The tangents of few leaning vertices are straightened, if they are floats.
+                primitives = [
+                    with_straight_tangents(primitive) if has_float_tangents(document, source) else primitive
+                    for source, primitive in zip(sources, primitives, strict=True)
+                ]
         return cls(document, sources, primitives, settings, target)
 
     def plain(self) -> list[PrimitiveBake]:
@@ -276,25 +284,6 @@ def unwritten(bakes: Sequence[PrimitiveBake]) -> list[UnwrittenBake]:
     from skinbake.measure.costs import UnwrittenBake
 
     return [UnwrittenBake(bake.source, bake.primitive, bake.result) for bake in bakes]
-
-
-def _with_normals(primitives: list[SkinnedPrimitive]) -> list[SkinnedPrimitive]:
-    """Return the primitives of one mesh. Those without normals get smooth ones."""
-    if all(len(primitive.normals) for primitive in primitives):
-        return primitives
-    from skinbake.gradients.normals import with_smooth_normals  # most files have normals
-
-    return with_smooth_normals(primitives)
-
-
-def _straight(
-    document: Document, sources: Sequence[PrimitiveSource], primitives: Sequence[SkinnedPrimitive]
-) -> list[SkinnedPrimitive]:
-    """Return the primitives with the tangents of few leaning vertices straightened, if they are floats."""
-    return [
-        with_straight_tangents(primitive) if has_float_tangents(document, source) else primitive
-        for source, primitive in zip(sources, primitives, strict=True)
-    ]
 
 
 def _read(document: Document, sources: Sequence[PrimitiveSource]) -> list[SkinnedPrimitive]:

@@ -123,11 +123,6 @@ def _sentence(notice: Notice) -> str:
     return f"{notice.message} ({where})" if where else notice.message
 
 
-def _problem(notice: Notice) -> str:
-    where = notice.place.within_file
-    return f"{where}: {notice.message}" if where else notice.message
-
-
 def write_page(result: ViewResult, target: str, *, sync: bool = True) -> None:
     """Write the page to a file, whole or not at all, or to stdout. Raises OutputError."""
     if target == STDIO:
@@ -180,7 +175,12 @@ def _with_images(document: Document) -> tuple[Document, list[Notice]]:
     binary = list(document.binary or ())
     length = sum(map(len, binary))
     views, images = list(document.objects("bufferViews")), list(document.objects("images"))
-    lost = list(_unread_textures(document))
+    lost = []
+    for number in range(len(document.objects("textures"))):
+        try:
+            texture_image(document, number)
+        except InputError as error:
+            lost.append(error.message)  # no browser reads it
     held: dict[str, JsonObject] = {}
 
     def claim(size: int) -> None:
@@ -213,15 +213,6 @@ def _with_images(document: Document) -> tuple[Document, list[Notice]]:
     buffers = [{**document.objects("buffers")[0], "byteLength": length}, *document.objects("buffers")[1:]]
     root: dict[str, Any] = {**document.json, "images": images, "bufferViews": views, "buffers": buffers}
     return document.edited(json=root, binary=tuple(binary)), images_missing(lost, "page", document.place)
-
-
-def _unread_textures(document: Document) -> Iterator[str]:
-    """Yield why textures have no image that a browser reads."""
-    for number in range(len(document.objects("textures"))):
-        try:
-            texture_image(document, number)
-        except InputError as error:
-            yield error.message
 
 
 def _opening(document: Document, views: Sequence[BakedView]) -> JsonObject | None:
@@ -266,7 +257,10 @@ def _findings(verdict: FileVerdict) -> dict[str, Any]:
                 "name": check.name,
                 "outcome": check.outcome,
                 "remark": check.remark,
-                "problems": list(map(_problem, check.problems)),
+                "problems": [
+                    f"{where}: {problem.message}" if (where := problem.place.within_file) else problem.message
+                    for problem in check.problems
+                ],
             }
             for check in verdict.checks
         ],

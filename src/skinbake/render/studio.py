@@ -100,7 +100,23 @@ class Studio:
             size=size, format="rgba8unorm", usage=attached | wgpu.TextureUsage.COPY_SRC
         )
         encoder = self._device.create_command_encoder()
-        step = encoder.begin_render_pass(**_attachments(many, target, depth))
+        step = encoder.begin_render_pass(
+            color_attachments=[
+                {
+                    "view": many.create_view(),
+                    "resolve_target": target.create_view(),
+                    "clear_value": (*BACKGROUND, 1.0),
+                    "load_op": "clear",
+                    "store_op": "discard",
+                }
+            ],
+            depth_stencil_attachment={
+                "view": depth.create_view(),
+                "depth_clear_value": 1.0,
+                "depth_load_op": "clear",
+                "depth_store_op": "discard",
+            },
+        )
         for number in sorted(
             range(len(self._subjects)), key=lambda one: self._subjects[one].material.is_blended
         ):
@@ -222,7 +238,10 @@ class Studio:
         key = (lighting, slots, subject.is_mirrored, culled, material.is_blended)
         if key in self._pipelines:
             return self._pipelines[key]
-        module = self._module(lighting, slots, subject.is_mirrored)
+        stages = key[:3]  # the text of the stages depends on no more
+        if stages not in self._modules:
+            self._modules[stages] = self._device.create_shader_module(code=shader(*stages))
+        module = self._modules[stages]
         target: dict[str, Any] = {"format": "rgba8unorm"}
         if material.is_blended:
             over = {"src_factor": "one", "dst_factor": "one-minus-src-alpha", "operation": "add"}
@@ -240,12 +259,6 @@ class Studio:
             fragment={"module": module, "entry_point": "fragment", "targets": [target]},
         )
         return self._pipelines[key]
-
-    def _module(self, lighting: str, slots: int, mirrored: bool) -> Any:
-        key = (lighting, slots, mirrored)
-        if key not in self._modules:
-            self._modules[key] = self._device.create_shader_module(code=shader(*key))
-        return self._modules[key]
 
     def _buffer(self, data: bytes, usage: int | None = None) -> Any:
         return self._device.create_buffer_with_data(
@@ -348,26 +361,6 @@ def _rows(subject: Subject, rest: RestPrimitive, errors: tuple[Any, Any] | None)
         *slopes(rest.beta),
     ]
     return np.stack(parts, axis=1).astype(np.float32)
-
-
-def _attachments(many: Any, target: Any, depth: Any) -> dict[str, Any]:
-    return {
-        "color_attachments": [
-            {
-                "view": many.create_view(),
-                "resolve_target": target.create_view(),
-                "clear_value": (*BACKGROUND, 1.0),
-                "load_op": "clear",
-                "store_op": "discard",
-            }
-        ],
-        "depth_stencil_attachment": {
-            "view": depth.create_view(),
-            "depth_clear_value": 1.0,
-            "depth_load_op": "clear",
-            "depth_store_op": "discard",
-        },
-    }
 
 
 def placed(positions: Sequence[Float64Array], yaws: Sequence[float]) -> Camera:

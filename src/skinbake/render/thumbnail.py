@@ -40,7 +40,9 @@ def thumbnail(surfaces: list[Posed], camera: Camera) -> bytes:
     # Positions may be of any size; what overflows lies outside the picture.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for surface in surfaces:
-            places = _on_screen(surface.positions, matrix, (width, height))
+            # places (V, 3): pixels from the upper left corner, and the depth
+            clip = np.column_stack([surface.positions, np.ones(len(surface.positions))]) @ matrix.T
+            places = (clip[:, :3] / clip[:, 3:] * [1, -1, 1] * 0.5 + 0.5) * [width, height, 1.0]
             for pixels, depth, triangles, shares in _fragments(places, surface.triangles, (width, height)):
                 normals = np.einsum("fk,fki->fi", shares, surface.normals[surface.triangles[triangles]])
                 shades = _shaded(normals, towards)
@@ -57,12 +59,6 @@ def thumbnail(surfaces: list[Posed], camera: Camera) -> bytes:
     alpha = means[1]
     shown = np.divide(means[0], alpha, out=np.zeros_like(alpha), where=alpha > 0)
     return png(np.stack([255 * shown, 255 * alpha], axis=2).round().clip(0, 255).astype(np.uint8))
-
-
-def _on_screen(positions: Float64Array, matrix: Float64Array, size: tuple[int, int]) -> Float64Array:
-    """Return places (V, 3): pixels from the upper left corner, and the depth."""
-    clip = np.column_stack([positions, np.ones(len(positions))]) @ matrix.T
-    return np.asarray((clip[:, :3] / clip[:, 3:] * [1, -1, 1] * 0.5 + 0.5) * [*size, 1.0])
 
 
 def _fragments(

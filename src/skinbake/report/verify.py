@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from skinbake.choices import Truth
 from skinbake.errors import Notice, Place, SkinbakeError, printable
@@ -20,9 +20,6 @@ from skinbake.report.totals import (
     timing_fields,
 )
 from skinbake.wording import counted, gain_in_words
-
-if TYPE_CHECKING:
-    from xml.etree import ElementTree
 
 SCHEMA = "skinbake.verify/1"
 OUTCOMES = ("passed", "up-to-date", "failed")
@@ -365,7 +362,15 @@ def as_junit(verdicts: Sequence[FileVerdict]) -> str:
     for verdict in verdicts:
         suite = ElementTree.SubElement(root, "testsuite", name=verdict.input)
         checks = (Check("up-to-date", "passed"),) if verdict.up_to_date else verdict.checks
-        cases = [_case(suite, verdict.input, check) for check in checks]
+        cases: list[str] = [check.outcome for check in checks]
+        for check in checks:
+            case = ElementTree.SubElement(suite, "testcase", name=check.name, classname=verdict.input)
+            if check.outcome == "failed":
+                more = f" (and {len(check.problems) - 1} more)" if len(check.problems) > 1 else ""
+                failure = ElementTree.SubElement(case, "failure", message=f"{check.problems[0]}{more}")
+                failure.text = "\n".join(str(problem) for problem in check.problems)
+            elif check.outcome == "skipped":
+                ElementTree.SubElement(case, "skipped", message=check.remark)
         if verdict.error is not None:
             case = ElementTree.SubElement(suite, "testcase", name="read", classname=verdict.input)
             ElementTree.SubElement(case, "error", message=str(verdict.error))
@@ -380,16 +385,3 @@ def as_junit(verdicts: Sequence[FileVerdict]) -> str:
             element.set(key, NOT_IN_XML.sub("\ufffd", value))
     ElementTree.indent(root)
     return XML_DECLARATION + ElementTree.tostring(root, encoding="unicode") + "\n"
-
-
-def _case(suite: ElementTree.Element, file: str, check: Check) -> str:
-    from xml.etree import ElementTree  # likewise
-
-    case = ElementTree.SubElement(suite, "testcase", name=check.name, classname=file)
-    if check.outcome == "failed":
-        more = f" (and {len(check.problems) - 1} more)" if len(check.problems) > 1 else ""
-        failure = ElementTree.SubElement(case, "failure", message=f"{check.problems[0]}{more}")
-        failure.text = "\n".join(str(problem) for problem in check.problems)
-    elif check.outcome == "skipped":
-        ElementTree.SubElement(case, "skipped", message=check.remark)
-    return check.outcome

@@ -55,13 +55,13 @@ def single_module(engine: str, shaders: str) -> str:
         ).strip()
 
     add("index.js")
-    imports = [_import(names, source) for source, names in sorted(foreign.items())]
+    imports = []
+    for source, names in sorted(foreign.items()):
+        ordered = sorted(names, key=str.lower)
+        line = f"import {{ {', '.join(ordered)} }} from '{source}';"
+        if len(line) > WIDTH:
+            lines = ",\n    ".join(ordered)
+            line = f"import {{\n    {lines},\n}} from '{source}';"
+        imports.append(line)
     head = f"{comments['index.js']}//\n{comments['shaders.js']}"
     return "\n\n".join([head + "\n" + "\n".join(imports), *bodies.values()]) + "\n"
-
-
-def _import(names: set[str], source: str) -> str:
-    ordered = sorted(names, key=str.lower)
-    lines = ",\n    ".join(ordered)
-    line = f"import {{ {', '.join(ordered)} }} from '{source}';"
-    return line if len(line) <= WIDTH else f"import {{\n    {lines},\n}} from '{source}';"

@@ -64,6 +64,15 @@ def storage_parts(choices: ShaderChoices) -> list[str]:
 def storage_context(choices: ShaderChoices) -> dict[str, Any]:
     """Return the values of encodings and layouts for the templates."""
     assembled = _assembled(choices) if choices.assembles else []
+    # What each pair holds, of those that some part reads.
+    pairs = []
+    if choices.assembles:
+        read = {param for part in assembled for param in part.params}
+        slots = range(1, len(choices.pair_names) + 1)
+        row = [f"{kind} of slot {slot}" for kind in KINDS for slot in slots]
+        for at, name in enumerate(choices.pair_names):
+            holds = f"{row[2 * at]}, {row[2 * at + 1]}" if f"pair_{at + 1}" in read else ""
+            pairs.append(Pair(ascii_name(name), holds))
     return {
         "encoding": choices.encoding,
         "layout": choices.layout,
@@ -73,7 +82,7 @@ def storage_context(choices: ShaderChoices) -> dict[str, Any]:
         "vertex_format": FORMATS.get(choices.encoding),
         "limit": LIMITS.get(choices.encoding),
         "scale": "" if choices.scale is None else float32_literal(choices.scale),
-        "pairs": _pairs(choices, assembled) if choices.assembles else [],
+        "pairs": pairs,
         "assembled": assembled,
         "preparations": _preparations(choices, assembled),
     }
@@ -108,16 +117,6 @@ def _assembled(choices: ShaderChoices) -> list[Assembled]:
                 )
             )
     return found
-
-
-def _pairs(choices: ShaderChoices, assembled: list[Assembled]) -> list[Pair]:
-    read = {param for part in assembled for param in part.params}
-    others = len(choices.pair_names)
-    row = [f"{kind} of slot {slot}" for kind in KINDS for slot in range(1, others + 1)]
-    return [
-        Pair(ascii_name(name), f"{row[2 * at]}, {row[2 * at + 1]}" if f"pair_{at + 1}" in read else "")
-        for at, name in enumerate(choices.pair_names)
-    ]
 
 
 def _preparations(choices: ShaderChoices, assembled: list[Assembled]) -> list[Preparation]:
