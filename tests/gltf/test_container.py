@@ -19,6 +19,7 @@ from fixtures.builder import JsonObject, pack_glb
 from skinbake.commands.strip import strip_file
 from skinbake.errors import OutputError
 from skinbake.gltf.beside import files_of_extensions
+from skinbake.gltf.copies import NAME as NOTES
 from tests.support.baking import bake_file
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.khronos import validate
@@ -44,7 +45,9 @@ ONE_PIXEL = base64.b64decode(
 
 
 def names(folder: Path) -> list[str]:
-    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+    """Return the files of a folder, without the notes of copies."""
+    found = (path for path in folder.rglob("*") if path.is_file() and path.name != NOTES)
+    return sorted(path.relative_to(folder).as_posix() for path in found)
 
 
 def uris(content: JsonObject, array: str = "buffers") -> list[str | None]:
