@@ -12,12 +12,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from skinbake.errors import InputError
 from skinbake.gltf.budget import memory_limited
 from skinbake.gltf.document import Document
 from tests.support.gltf_reading import read
 from tests.support.models import bake, sheet, write_model
+from tests.support.webgpu import NAGA
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits the addresses of a child")
 
@@ -62,7 +64,7 @@ def refused(arguments: list[str], stdin: Path | None = None) -> str:
 @pytest.mark.parametrize("kind", ["glb", "gltf", "buffer"])
 def test_a_file_is_refused_before_it_is_read(kind: str, command: str, tmp_path: Path) -> None:
     if command == "render":
-        pytest.importorskip("wgpu")
+        NAGA.require()
     source, huge = with_files(tmp_path)
     if kind != "buffer":
         source = huge = write_model(tmp_path / f"in.{kind}", [sheet()])
@@ -146,13 +148,12 @@ print(memory("VmHWM") - before, document.budget.spent - spent)
     ],
 )
 def test_an_image_takes_no_more_than_it_claims(kind: str, mode: str, side: int, tmp_path: Path) -> None:
-    image = pytest.importorskip("PIL.Image")
     for name, length in (("large", side), ("small", 16)):
         noise = np.random.default_rng(0).integers(0, 255, (length, length, 4), dtype=np.uint8)
         if mode == "I;16":
-            picture = image.fromarray(noise[..., 0].astype(np.uint16) * 257)
+            picture = Image.fromarray(noise[..., 0].astype(np.uint16) * 257)
         else:
-            picture = image.fromarray(noise).convert(mode)
+            picture = Image.fromarray(noise).convert(mode)
         picture.save(tmp_path / name, kind, progressive=True)
     done = subprocess.run(
         [sys.executable, "-c", PEAK, str(tmp_path / "large"), str(tmp_path / "small")],
@@ -166,12 +167,11 @@ def test_an_image_takes_no_more_than_it_claims(kind: str, mode: str, side: int, 
 
 
 def test_a_webp_is_refused_by_its_header(tmp_path: Path) -> None:
-    image = pytest.importorskip("PIL.Image")
     from skinbake.render.materials import decoded
 
     for options in ({}, {"lossless": True}, {"exif": b"Exif"}):
         data = io.BytesIO()
-        image.new("RGB", (3000, 1000)).save(data, "WEBP", **options)
+        Image.new("RGB", (3000, 1000)).save(data, "WEBP", **options)
         with memory_limited(20_000_000):
             document = Document("x.gltf", tmp_path, {"asset": {"version": "2.0"}}, is_glb=False)
             document.budget.backed = 1 << 20

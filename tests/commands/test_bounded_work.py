@@ -20,6 +20,7 @@ from skinbake.gltf.json_access import JsonObject
 from skinbake.truth.poses import pose_steps
 from tests.support.command_line import invoke
 from tests.support.models import Change, bake, sheet, write_model
+from tests.support.webgpu import NAGA
 
 CPU_SECONDS = 25
 """The processor time of a child, about ten times what one of these commands takes. Before there was a bound,
@@ -119,7 +120,7 @@ COMMANDS: dict[str, Callable[[Path, Path], list[str | Path]]] = {
 @pytest.mark.parametrize("family", FAMILIES)
 def test_small_files_take_no_long_work(family: str, command: str, tmp_path: Path) -> None:
     if command == "render":
-        pytest.importorskip("wgpu")
+        NAGA.require()
     source = write_model(tmp_path / "source.glb", [sheet()], change=FAMILIES[family])
     assert source.stat().st_size < 1_300_000
     bake(source, tmp_path / "baked.glb")
