@@ -17,7 +17,7 @@ FLAGS = (
     "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-Wno-psabi",
 )  # fmt: skip
 
-LOOPS = (Path("gradients", "_kernel.c"), Path("lighting", "_loops.c"))
+LOOPS = (Path("gradients", "_kernel.c"), Path("truth", "_loops.c"))
 
 
 class NoCompilerError(Exception):
