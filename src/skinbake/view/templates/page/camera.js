@@ -20,7 +20,7 @@ export class Camera {
 
     // Take the box around all, its middle and half its diagonal, and that of a subject in it. Show the subject.
     // Without a subject, or if it has no size, show all. facing is the direction in which it looks, an angle from +Z.
-    frame(middle, radius, subject, facing) {
+    frame(middle, radius, subject, facing = 0) {
         Object.assign(this, { middle, radius: radius || 1, facing });
         const seen = subject?.radius > 0 && Number.isFinite(subject.radius) ? subject : this;
         this.closest = seen.radius;
