@@ -29,12 +29,15 @@ class SkinnedSurface:
     """The surface in P poses: positions, normals, tangents, bitangents, each (P, V, 3).
 
     Normals are *not* unit, and neither are the tangents, which are images under the differential of skinning.
+    cotangents and cobitangents, likewise, are there if the replay was asked for a normal map.
     """
 
     positions: FloatArray
     normals: FloatArray
     tangents: FloatArray
     bitangents: FloatArray
+    cotangents: FloatArray | None = None
+    cobitangents: FloatArray | None = None
 
 
 def replay(
@@ -46,6 +49,7 @@ def replay(
     cap: float | None = None,
     baseline: Baseline = Baseline.BLENDED,
     tolerance: float = RIGID_TOLERANCE,
+    normal_map: bool = False,
 ) -> SkinnedSurface:
     """Skin a rest surface by joint matrices (P, J, 4, 4), with the frame that the algorithm gives it.
 
@@ -53,7 +57,7 @@ def replay(
     moved by the joint matrices. Normals are not unit. ``cap`` limits the length of the correction of t' and
     of b' to cap × |T t| and cap × |T b| in algorithms 3, 5 and 6 (PUBLISHED_CAP is the published figure; None
     is off); ``baseline`` chooses the normal of algorithm 1. Both are ignored by the algorithms that they do
-    not concern.
+    not concern. ``normal_map`` asks for cotangents.
 
     Algorithms 4–6 apply the scale common to all joints of a pose to p, t and b first; a joint in use that is
     not rigid beyond it, within ``tolerance``, raises UnsupportedFeatureError (ask ``rigid_motions``
@@ -65,11 +69,11 @@ def replay(
         joint_matrices,
         dual_quaternions=algorithm.uses_dual_quaternions,
         dtype=dtype,
-        options=Options(cap, baseline),
+        options=Options(cap, baseline, normal_map),
         tolerance=tolerance,
     )
     poses, count = len(joint_matrices), len(rest.positions)
-    posed = [np.empty((poses, count, 3), dtype=dtype) for _ in range(4)]
+    posed = [np.empty((poses, count, 3), dtype=dtype) for _ in range(6 if normal_map else 4)]
     for pose, part in _blocks(poses, count, np.dtype(dtype).itemsize):
         (vertex,) = skinning.run((algorithm,), pose, part)
         _write(posed, pose, part, vertex)
@@ -88,7 +92,8 @@ def _blocks(poses: int, vertices: int, itemsize: int) -> Iterator[tuple[slice, s
 
 def _write(posed: Sequence[FloatArray], pose: slice, part: slice, vertex: PosedVertex) -> None:
     """Write the components of a block into arrays (P, V, 3)."""
-    vectors = (vertex.position, vertex.normal, vertex.tangent, vertex.bitangent)
+    vectors = [vertex.position, vertex.normal, vertex.tangent, vertex.bitangent]
+    vectors += [vertex.cotangent, vertex.cobitangent] if vertex.cotangent else []
     for array, vector in zip(posed, vectors, strict=True):
         for axis, component in enumerate(vector):
             array[pose, part, axis] = component

@@ -41,12 +41,17 @@ class RestVertex:
 
 @dataclass(frozen=True, slots=True)
 class PosedVertex:
-    """The output of every algorithm at one vertex; the normal does not have unit length."""
+    """The output of every algorithm at one vertex; the normal does not have unit length.
+
+    cotangent and cobitangent are there if ``Options.normal_map`` asks for them (``normal_maps``).
+    """
 
     position: Vector
     normal: Vector
     tangent: Vector
     bitangent: Vector
+    cotangent: Vector = ()
+    cobitangent: Vector = ()
 
 
 def dot(a: Vector, b: Vector) -> Component:

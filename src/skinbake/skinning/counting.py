@@ -115,17 +115,17 @@ class Count:
         return fresh
 
 
-def multiply_adds(algorithm: Algorithm, influences: int) -> dict[int, int]:
+def multiply_adds(algorithm: Algorithm, influences: int, *, normal_map: bool = False) -> dict[int, int]:
     """Return the multiply-adds of each numbered line, for N ≥ 1 influences, in the paper's options.
 
     Their sum is the cost of the algorithm for a vertex. The lines of algorithm 6 are those of ``dqs.exact``:
-    36 N + 118 in all.
+    36 N + 118 in all. With ``normal_map``, algorithms 3, 5 and 6 have three lines more (``normal_maps``).
     """
     tally = Tally()
     columns = 8 if algorithm.uses_dual_quaternions else 12
     motions = [_components(tally, columns) for _ in range(influences)]
     per_slot = motions if algorithm.uses_dual_quaternions else [_rows(motion) for motion in motions]
-    STEPS[algorithm](_vertex(tally, influences), per_slot, Options(), tally.mark)
+    STEPS[algorithm](_vertex(tally, influences), per_slot, Options(normal_map=normal_map), tally.mark)
     for surcharge in SURCHARGES:
         for charged, number in surcharge.lines:
             if charged is algorithm:

@@ -28,7 +28,7 @@ from skinbake.skinning.components import (
     sign_of,
     weighted_sum,
 )
-from skinbake.skinning.lbs import plus_gradient
+from skinbake.skinning.lbs import plus_gradient, with_normal_map
 from skinbake.skinning.rest import Options
 
 
@@ -83,7 +83,11 @@ def accurate(
     bitangent = plus_gradient(_rotated(unit, vertex.bitangent), vertex.beta, differences, options.cap)
     line(8)
     normal = scaled(vertex.handedness, cross(tangent, bitangent))
-    return PosedVertex(position, normal, tangent, bitangent)
+    posed = PosedVertex(position, normal, tangent, bitangent)
+    if not options.normal_map:
+        return posed
+    line(9)
+    return with_normal_map(posed, _rotated(unit, vertex.normal), vertex.handedness, line, first=10)
 
 
 def exact(vertex: RestVertex, quaternions: Sequence[Vector], options: Options, line: LineMark) -> PosedVertex:
@@ -137,7 +141,12 @@ def exact(vertex: RestVertex, quaternions: Sequence[Vector], options: Options, l
     bitangent = blend.derivative(vertex.bitangent, along_bitangent, options.cap)
     line(9)
     normal = scaled(vertex.handedness, cross(tangent, bitangent))
-    return PosedVertex(position, normal, tangent, bitangent)
+    posed = PosedVertex(position, normal, tangent, bitangent)
+    if not options.normal_map:
+        return posed
+    line(10)
+    carried = plus_scaled(vertex.normal, factor, blend.turn(vertex.normal))
+    return with_normal_map(posed, carried, vertex.handedness, line, first=11)
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,10 +182,14 @@ class _Blend:
 
     def _capped(self, tangent: Vector, turn_rate: Vector, cap: float) -> Vector:
         """Return t' with t' − R t limited to cap × |R t|."""
-        real, vector, _, _ = _parts(self.mixed)
-        turned = cross(vector, plus_cross(scaled(real, tangent), vector, tangent))
+        turned = self.turn(tangent)
         correction = scaled(self.factor, minus(turn_rate, turned))
         return corrected(plus_scaled(tangent, self.factor, turned), correction, cap)
+
+    def turn(self, vector: Vector) -> Vector:
+        """Return r × (r × v + r₀ v): the mix rotates v by k times it."""
+        real, axis, _, _ = _parts(self.mixed)
+        return cross(axis, plus_cross(scaled(real, vector), axis, vector))
 
 
 def _parts(dual_quaternion: Vector) -> tuple[Component, Vector, Component, Vector]:

@@ -7,6 +7,7 @@ paper.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from skinbake.choices import Baseline
 from skinbake.skinning.components import (
@@ -101,7 +102,26 @@ def accurate(vertex: RestVertex, matrices: Sequence[Rows], options: Options, lin
     normal = scaled(vertex.handedness, cross(tangent, bitangent))
     line(7)
     position = plus_weighted(moved[0], vertex.weights[1:], differences)
-    return PosedVertex(position, normal, tangent, bitangent)
+    posed = PosedVertex(position, normal, tangent, bitangent)
+    if not options.normal_map:
+        return posed
+    line(8)
+    return with_normal_map(posed, linear(blended, vertex.normal), vertex.handedness, line, first=9)
+
+
+def with_normal_map(
+    posed: PosedVertex, carried: Vector, handedness: Component, line: LineMark, *, first: int
+) -> PosedVertex:
+    """Return a vertex with its cotangents ± b' × T n0 and ± T n0 × t', beside n' = ± t' × b'.
+
+    ``carried`` is T n0, by which skinning moves what stands out of the surface along n0. The three are the
+    columns of a cofactor matrix: see ``normal_maps``. ``first`` is the number of the first of two lines.
+    """
+    line(first)
+    cotangent = scaled(handedness, cross(posed.bitangent, carried))
+    line(first + 1)
+    cobitangent = scaled(handedness, cross(carried, posed.tangent))
+    return replace(posed, cotangent=cotangent, cobitangent=cobitangent)
 
 
 def plus_gradient(

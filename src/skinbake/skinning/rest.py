@@ -25,10 +25,14 @@ def all_slots(others: npt.NDArray[FloatT]) -> npt.NDArray[FloatT]:
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """The options of an algorithm: a cap for 3, 5 and 6 (None is off), a baseline for 1."""
+    """The options of an algorithm: a cap for 3, 5 and 6 (None is off), a baseline for 1.
+
+    With ``normal_map``, algorithms 3, 5 and 6 give what a normal map needs beside the normal, too.
+    """
 
     cap: float | None = None
     baseline: Baseline = Baseline.BLENDED
+    normal_map: bool = False
 
 
 @dataclass(frozen=True, slots=True)
