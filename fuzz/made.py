@@ -92,6 +92,7 @@ def _soup(random: Random, vertices: int = 24, joints: int = 5) -> Model:
     places = numbers.normal(size=(count, 3)) * random.choice((1.0, 1.0, 1e-3, 1e4, 1e-12))
     if random.random() < 0.5:
         places = places[numbers.integers(0, max(count // 2, 1), count)]
+    places[:, 0] += random.choice((0.0, 0.0, 0.0, 1e5, 1e8))  # far off, float32 makes slivers
     normals = numbers.normal(size=(count, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     triangles = numbers.integers(0, count, (random.randint(1, 2 * vertices), 3))

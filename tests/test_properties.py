@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fixtures.builder import Model
+from fuzz.made import made_model
+from fuzz.models import GLB
 from skinbake.choices import Weighting
 from skinbake.truth.operator import expected_alpha_beta, gradient_operator
 from tests.support import khronos
@@ -283,6 +287,36 @@ def test_no_bake_of_mutated_weights_adds_a_finding_of_the_validator(
                 for code in old & {"ACCESSOR_WEIGHTS_NON_NORMALIZED"}:
                     del new["error", code]
             assert not new, (target.name, new)
+
+
+@pytest.mark.slow
+def test_a_bake_by_either_kernel_is_fresh_for_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Soups of triangles: slivers, points in one place, folds, and weights of odd sums."""
+    seeds = [seed for seed in range(60) if made_model(Random(seed)).name == "soup"]
+    sources = {seed: tmp_path / f"{seed}.glb" for seed in seeds}
+    for seed, source in sources.items():
+        [content] = made_model(Random(seed)).packed(GLB)[1].values()
+        source.write_bytes(content)
+    bakes: dict[str, list[Path]] = {}
+    for kernel in ("compiled", "numpy"):
+        with monkeypatch.context() as patch:
+            if kernel == "numpy":
+                use_numpy(patch)
+            for seed, source in sources.items():
+                target = tmp_path / kernel / f"{seed}.glb"
+                made = invoke("bake", source, "-o", target, "--generate-normals", "-q")
+                if made.exit_code == 0:
+                    bakes.setdefault(kernel, []).append(target)
+    assert len(bakes["compiled"]) == len(bakes["numpy"]) > 12
+    for kernel in ("compiled", "numpy"):
+        with monkeypatch.context() as patch:
+            if kernel == "numpy":
+                use_numpy(patch)
+            for target in (path for paths in bakes.values() for path in paths):
+                verdict = invoke("verify", target, "--poses", "rest", "--method", "lbs", "--json")
+                [told] = json.loads(verdict.stdout)["files"]
+                checks = {check["name"]: check for check in told["checks"]}
+                assert checks["freshness"]["outcome"] == "passed", (target, kernel, checks["freshness"])
 
 
 def test_no_bake_leaves_a_sum_of_weights_that_tiny_ones_made_valid() -> None:

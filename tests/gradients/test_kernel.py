@@ -728,6 +728,42 @@ def test_both_paths_leave_vertices_with_very_many_fitted_joints(
     assert_both_paths_fit(primitive, rig, fits, monkeypatch)
 
 
+def test_both_paths_count_no_joint_whose_turn_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A triangle stands upright on the fan. Its hat functions rise along the normal, so no tangent turns."""
+    primitive, _ = fan(np.full((8, 4), 0.25), np.array([0.4, 0.3, 0.2, 0.1]))
+    joints = np.tile([0, 40, 80, 120], (10, 1))
+    joints[9] = [160, 0, 0, 0]  # at the end of a chain of its own: with its joints, 160 would turn
+    upright = replace(
+        primitive,
+        positions=np.concatenate([primitive.positions, [[0, 0, 1]]]).astype(np.float32),
+        normals=np.tile(primitive.normals[0], (10, 1)),
+        joints=joints,
+        weights=np.concatenate([primitive.weights, [[1.0, 0.0, 0.0, 0.0]]]),
+        triangles=np.concatenate([primitive.triangles, [[0, 1, 9]]]),
+    )
+    upright.weights[1] = [0.1, 0.2, 0.3, 0.4]
+    parents = np.arange(-1, 160, dtype=np.int32)
+    parents[121] = -1
+    rig = Rig(parents, np.random.default_rng(7).normal(size=(161, 3)))
+    plain = surface_of([upright])
+    hub = bake(plain).alpha[0]
+    for slots in both(monkeypatch, partial(bake, with_rig(plain, rig))):
+        assert slots.alpha[0] != pytest.approx(hub, rel=1e-3)
+
+
+@pytest.mark.parametrize(("height", "fits"), [(1e-5, True), (1e-7, False)])
+def test_both_paths_leave_rings_of_slivers(
+    height: float, fits: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rim, hub = np.array([[0.5, 0.5, 0.0, 0.0], [0.3, 0.1, 0.6, 0.0]]), np.array([0.2, 0.3, 0.1, 0.4])
+    primitive, rig = fan(rim, hub)
+    positions = np.array([[0, 0, 0], [1, 0, 0], [2, height, 0]], dtype=np.float32)
+    plain = surface_of([replace(primitive, positions=positions, triangles=np.array([[0, 1, 2]]))])
+    gradients = bake(plain).beta
+    for slots in both(monkeypatch, partial(bake, with_rig(plain, rig))):
+        assert (np.abs(slots.beta - gradients).max() > 1e-4 * np.abs(gradients).max()) == fits
+
+
 @pytest.mark.parametrize("far", [1e100, 1e200])
 def test_both_paths_leave_gradients_where_levers_overflow(
     far: float, monkeypatch: pytest.MonkeyPatch

@@ -84,7 +84,8 @@ FLAT = 1e-6
 """A share that counts as 0.
 
 A class has no normal of its own if its triangles' normals or its vertices' normals cancel out but for this
-share. The spread counts as FLAT at least.
+share, or if its triangles are slivers: twice their areas are this share of their edges' products. The spread
+counts as FLAT at least.
 
 Its square is the share of terms up to which what is left of them is rounding: a pivot of the least squares,
 or the area of a class in the stored pose. There compiled loops and numpy would choose differently.

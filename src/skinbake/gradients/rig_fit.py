@@ -22,7 +22,7 @@ from skinbake.gradients.surface import NO_JOINT, WeightField
 from skinbake.gradients.weight_gradients import VertexGradients, summed_rows
 
 MOST_TURNS = 128
-"""The joints that part those around a vertex. With more of them, the vertex keeps its gradients."""
+"""The joints that turn around a vertex, and those above. With more of these, a vertex keeps its gradients."""
 
 MOST_FITTED = 64
 """The joints of a vertex. With more of them, the vertex keeps its gradients."""
@@ -167,6 +167,8 @@ def _turning_pairs(vertices: FittedVertices, named: IntArray, turns: RingTurns, 
     pair: 2 carries both slots, and 4 carries none.
     """
     owner, entry = _entries(turns.offsets, vertices.classes)
+    felt = turns.arms[entry].any(axis=(1, 2)) | turns.spins[entry].any(axis=(1, 2))
+    owner, entry = owner[felt], entry[felt]
     row, slot = np.nonzero(named >= 0)
     vertex = np.concatenate([owner, row])
     joint = np.concatenate([turns.joints[entry], named[row, slot]])

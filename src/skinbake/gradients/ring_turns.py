@@ -67,7 +67,7 @@ def ring_turns(surface: Surface) -> RingTurns:
     derivatives = ring.derivatives / ring.weights[:, None, None]
     leverage, area = _leverage(derivatives, tangents, normals)
     alignment = np.nan_to_num(np.linalg.norm(ring.faces, axis=1) / ring.areas)
-    sound = (area > NARROW) & (alignment > FLAT) & directed
+    sound = (area > NARROW) & (alignment > FLAT) & (ring.areas > FLAT * ring.lengths) & directed
     sound &= np.bincount(classes[surface.triangles.ravel()], minlength=count) <= MOST_CORNERS
     owner = np.repeat(np.arange(count), np.diff(ring.offsets))
     changes = np.where(sound[owner, None], ring.changes / ring.weights[owner, None], 0.0)
@@ -86,15 +86,17 @@ class _RingSums:
     """Sums over the corners of C weld classes, not yet divided by the weights of the corners (C,).
 
     derivatives (C, 2, 3) are those of the positions along both tangents. faces (C, 3) is the sum of the
-    triangles' normals, each as long as twice its area, and areas (C,) that of their lengths. Class c has the
-    entries offsets[c] … offsets[c + 1], each of a joint. changes (E, 8) sum up the change Δw of its weight
-    along each edge e, times the coefficients of the edge: Σ Δw (g, h), then Σ Δw g e and Σ Δw h e.
+    triangles' normals, each as long as twice its area, and areas (C,) that of their lengths. lengths (C,) is
+    the sum of the products of both edges' lengths. Class c has the entries offsets[c] … offsets[c + 1], each
+    of a joint. changes (E, 8) sum up the change Δw of its weight along each edge e, times the coefficients
+    of the edge: Σ Δw (g, h), then Σ Δw g e and Σ Δw h e.
     """
 
     weights: Float64Array
     derivatives: Float64Array
     faces: Float64Array
     areas: Float64Array
+    lengths: Float64Array
     offsets: IntArray
     joints: IntArray
     changes: Float64Array
@@ -103,7 +105,7 @@ class _RingSums:
 def _ring_sums(surface: Surface, classes: IntArray, tangents: Float64Array) -> _RingSums:
     """Sum up the corners of all classes, whose tangents are (C, 2, 3)."""
     count = len(tangents)
-    weights, areas = np.zeros(count), np.zeros(count)
+    weights, areas, lengths = np.zeros(count), np.zeros(count), np.zeros(count)
     derivatives, faces = np.zeros((count, 2, 3)), np.zeros((count, 3))
     keys, values = [], []
     joint_count = int(surface.field.joints.max(initial=0)) + 1
@@ -111,6 +113,7 @@ def _ring_sums(surface: Surface, classes: IntArray, tangents: Float64Array) -> _
         at = classes[corners.origin]
         weights += np.bincount(at, corners.weight, count)
         areas += np.bincount(at, np.linalg.norm(corners.faces, axis=1), count)
+        lengths += np.bincount(at, np.linalg.norm(corners.edges, axis=2).prod(axis=0), count)
         faces += _summed(at, corners.faces, count)
         for neighbour, edges, coefficients in corners.ends():
             along = np.einsum("cti,ci->ct", tangents[at], coefficients)  # g and h
@@ -121,7 +124,7 @@ def _ring_sums(surface: Surface, classes: IntArray, tangents: Float64Array) -> _
             keys.append(at[corner] * joint_count + joints)
             values.append(added[corner] * difference[:, None])
     offsets, joints, changes = summed_by_key(keys, values, joint_count, count)
-    return _RingSums(weights, derivatives, faces, areas, offsets, joints, changes)
+    return _RingSums(weights, derivatives, faces, areas, lengths, offsets, joints, changes)
 
 
 def _doubts(alignment: Float64Array) -> Float64Array:

@@ -135,11 +135,11 @@ static ALWAYS_INLINE void find_neighbours(const Surface *s, Shape shape, size_t 
     w->neighbours = count;
 }
 
-/* Sums over the corners of a class: the weights of both means, that of the bake and ROOT of corner.py, and the normals
-   and doubled areas of the triangles. sum_turns holds them, add_corners adds to them, end_frame reads them. */
+/* Sums over the corners of a class: the weights of both means, that of the bake and ROOT of corner.py, the normals
+   and doubled areas of the triangles, and the lengths of both edges, multiplied. sum_turns holds them, add_corners adds to them, end_frame reads them. */
 typedef struct {
     double weight;
-    Four root_weight, normal[3], area;
+    Four root_weight, normal[3], area, lengths;
 } CornerSums;
 
 /* Add what some corners say to the neighbours at their ends, and to the sums. The derivatives that the fit follows
@@ -157,6 +157,7 @@ static ALWAYS_INLINE void add_corners(const Surface *s, Corners *c, size_t some,
     const Four factor = s->weighting == BY_MAX ? root_lengths : divide(root_weight, weight);
     sums->root_weight = add(sums->root_weight, multiply(there, multiply(factor, weight)));
     sums->area = add(sums->area, multiply(there, facets.area));
+    sums->lengths = add(sums->lengths, multiply(there, lengths));
     for (int axis = 0; axis < 3; axis++)
         sums->normal[axis] = add(sums->normal[axis], multiply(there, facets.normal[axis]));
     for (size_t n = 0; n < some; n++)
@@ -241,9 +242,9 @@ static ALWAYS_INLINE void begin_frame(const Surface *s, Members corners, Members
 static ALWAYS_INLINE void end_frame(const Surface *s, const CornerSums *sums, Vectors derivatives, RingFrame *f)
 {
     const Vector facing = sums_of(sums->normal);
-    const double alignment = sqrt(dot(facing, facing)) / sum_of(sums->area);
+    const double area = sum_of(sums->area), alignment = sqrt(dot(facing, facing)) / area;
     f->doubt = doubt_of(s, alignment);
-    f->sound &= alignment > s->fit.flat;
+    f->sound &= alignment > s->fit.flat && area > s->fit.flat * sum_of(sums->lengths);
     const Vector means[2] = {one_of(derivatives, 0), one_of(derivatives, 1)};
     find_leverage(f, means, s->fit.narrow);
 }
@@ -294,7 +295,7 @@ static ALWAYS_INLINE int32_t sum_turns(const Surface *s, Shape shape, Members co
 {
     RingFrame *f = &w->frame;
     const Four none = all(0.0);
-    CornerSums sums = {0.0, none, {none, none, none}, none};
+    CornerSums sums = {0.0, none, {none, none, none}, none, none};
     Vectors derivatives;
     begin_frame(s, corners, vertices, w);
     for (size_t from = 0; from < corners.count; from += AT_ONCE) {
