@@ -116,3 +116,29 @@ def test_characters_of_vrm_0_are_turned_to_the_camera(
     path = edited(TUBE, tmp_path, lambda content: content.update(extensions=extensions))
     sides = (-1, 1, -1, 1) if turned else (1, 1, 1, 1)
     assert np.array_equal(matrices_of(path, tmp_path), plain * np.array(sides)[:, None])
+
+
+@pytest.mark.parametrize(
+    ("more", "shown"),
+    [([], {(0, 0)}), ([(1, 0), (0, 1)], {(0, 0), (1, 0), (0, 2)}), ([(1, 1)], {(0, 0), (1, 2)})],
+)
+def test_only_pairs_of_mesh_and_skin_that_the_shown_scene_has_are_drawn(
+    tmp_path: Path, more: list[tuple[int, int]], shown: set[tuple[int, int]]
+) -> None:
+    """Another scene draws both meshes by both skins, whose first joints are 0 and 2."""
+
+    def change(content: JsonObject) -> None:
+        content["meshes"] *= 2
+        [skin] = content["skins"]
+        content["skins"].append({**skin, "joints": skin["joints"][::-1]})
+        roots = content["scenes"][0]["nodes"]
+        for pairs in (more, [(0, 1), (1, 0), (1, 1)]):
+            first = len(content["nodes"])
+            content["nodes"] += [{"mesh": mesh, "skin": number} for mesh, number in pairs]
+            content["scenes"].append({"nodes": [*roots, *range(first, first + len(pairs))]})
+        content["scene"] = 1
+
+    bake(edited(TUBE, tmp_path, change), tmp_path / "baked.glb")
+    document = read_document(str(tmp_path / "baked.glb"))
+    draws = shown_draws(document, sound_views(document))
+    assert {(draw.views[0].source.mesh, int(draw.skeleton.joints[0])) for draw in draws} == shown

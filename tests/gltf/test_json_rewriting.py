@@ -190,6 +190,20 @@ def test_additions_do_not_repeat_a_long_gap() -> None:
         assert len(found) < 2 * len(text)
 
 
+@pytest.mark.parametrize(("length", "repeats"), [(256, True), (257, False)])
+def test_additions_repeat_a_gap_up_to_256_characters(length: int, repeats: bool) -> None:
+    """The gap is what stands between two entries, comma included, or between a key and its value."""
+    comma, colon = "," + " " * (length - 1), ":" + " " * (length - 1)
+    for text, short in (
+        (f'{{"o": {{"a": 1{comma}"b": 2', f'{comma if repeats else f",{chr(10)}    "}"n": 3'),
+        (f'{{"o": {{"a": 1, "b"{colon}2', f', "n"{colon if repeats else ": "}3'),
+    ):
+        value = json.loads(text + "}}")
+        changed = {"o": {**value["o"], "n": 3}}
+        found = rewritten(FormerText(text + "}}", value), changed, indent="  ", ascii_only=False)
+        assert found == text + short + "}}"
+
+
 def test_a_moved_object_keeps_its_text() -> None:
     text = '{"a":[{"n":1.0e0}, {"n":2E0}, {"n":3.00}]}'
     value = json.loads(text)
