@@ -158,7 +158,8 @@ skinbake_Vertex skinbake_lbs_accurate(vec3 p, skinbake_Frame frame, mat4 M[8], v
     v.bitangent = T * frame.bitangent + beta_0.x * d1 + beta_0.y * d2 + beta_0.z * d3 + beta_1.x * d4
             + beta_1.y * d5 + beta_1.z * d6 + beta_1.w * d7; // 5
     v.normal = frame.handedness * cross(v.tangent, v.bitangent); // 6
-    v.normal *= determinant(T) < 0.0 ? -1.0 : 1.0; // a joint that mirrors turns t x b to the inside
+    float outside = determinant(T) < 0.0 ? -1.0 : 1.0; // a joint that mirrors turns t x b to the inside
+    v.normal *= outside;
     v.position = q0 + weights_0.y * d1 + weights_0.z * d2 + weights_0.w * d3 + weights_1.x * d4
             + weights_1.y * d5 + weights_1.z * d6 + weights_1.w * d7; // 7
     return v;
@@ -184,7 +185,8 @@ skinbake_Vertex skinbake_lbs_accurate(vec3 p, skinbake_Frame frame, mat4 M[4], v
     v.tangent = T * frame.tangent + alpha_0.x * d1 + alpha_0.y * d2 + alpha_0.z * d3; // 4
     v.bitangent = T * frame.bitangent + beta_0.x * d1 + beta_0.y * d2 + beta_0.z * d3; // 5
     v.normal = frame.handedness * cross(v.tangent, v.bitangent); // 6
-    v.normal *= determinant(T) < 0.0 ? -1.0 : 1.0; // a joint that mirrors turns t x b to the inside
+    float outside = determinant(T) < 0.0 ? -1.0 : 1.0; // a joint that mirrors turns t x b to the inside
+    v.normal *= outside;
     v.position = q0 + weights_0.y * d1 + weights_0.z * d2 + weights_0.w * d3; // 7
     return v;
 }

@@ -30,6 +30,9 @@ STORED: tuple[dict[str, Any], ...] = (
 ATTRIBUTES = ("position", "normal", "tangent", "bitangent")
 """The members of skinbake_Vertex, in the order in which ``glsl`` and ``wgsl`` write them."""
 
+TEXELS = ((0.36, -0.48, 0.8), (-0.6, 0.0, 0.8))
+"""Two normals of a normal map. With one, the mapped normals take the place of tangent and bitangent."""
+
 
 def combinations(language: Language) -> list[ShaderChoices]:
     """Return the 96 of the six algorithms, one to eight influences and both frames."""
@@ -45,9 +48,11 @@ def variants(language: Language) -> list[ShaderChoices]:
     capped = [replace(choices, cap=PUBLISHED_CAP) for choices in every if choices.is_corrected]
     mirrored = [replace(choices, mirrored_joints=True) for choices in every if choices.crosses]
     both = [replace(choices, cap=PUBLISHED_CAP) for choices in mirrored if choices.influences == 4]
+    mapped = [replace(choices, normal_map=True) for choices in every if choices.is_corrected]
+    mapped += [replace(choices, normal_map=True) for choices in both]
     fours = [choices for choices in combinations(language) if choices.influences == 4]
     many = [replace(choices, influences=count) for choices, count in product(fours, MANY_INFLUENCES)]
-    return [*capped, *mirrored, *both, *many]
+    return [*capped, *mirrored, *both, *mapped, *many]
 
 
 def stored_and_morphed(language: Language) -> list[ShaderChoices]:
@@ -59,6 +64,7 @@ def stored_and_morphed(language: Language) -> list[ShaderChoices]:
         morphs = [Morphs.NORMAL, *([Morphs.TANGENT] if frame == Frame.TANGENT else [])]
         found += [replace(base, **storage) for storage in STORED]
         found += [replace(base, morphs=kind) for kind in morphs]
+        found += [replace(base, morphs=kind, normal_map=True) for kind in morphs if influences == 4]
         found += [replace(base, **storage, morphs=morphs[-1]) for storage in STORED[1:4:2]]
     return found
 
@@ -92,6 +98,7 @@ def label(choices: ShaderChoices) -> str:
     words = [choices.stem, str(choices.influences), choices.frame]
     words += ["cap"] if choices.cap is not None else []
     words += ["mirrored"] if choices.mirrored_joints else []
+    words += ["mapped"] if choices.normal_map else []
     words += [choices.encoding] if choices.encoding != "float32" else []
     words += [choices.layout] if choices.layout != "attributes" else []
     words += [f"morphed_{choices.morphs}"] if choices.morphs is not Morphs.NONE else []
@@ -137,7 +144,7 @@ def columns(choices: ShaderChoices) -> list[Column]:
     Those of morph targets are what the caller has added up.
     """
     found = [Column("point", 4), Column("normal", 3)]
-    if choices.frame == Frame.TANGENT:
+    if choices.frame == Frame.TANGENT or choices.normal_map:
         found.append(Column("tangent", 4))
     sets = range(choices.influence_sets)
     found += [Column(f"joints_{number}", 4, is_integer=True) for number in sets]
@@ -192,7 +199,10 @@ def _glsl_call(choices: ShaderChoices) -> list[str]:
         *(f"{name}[{slot}] = {table}[{joint}];" for slot, joint in enumerate(_joints(choices))),
         f"vec3 {_position(choices)} = point.w * point.xyz;",
         *_scaled(usage(shader_text(choices)), "skinbake_Frame"),
-        *(f"posed_{attribute} += v.{attribute};" for attribute in ATTRIBUTES),
+        *(
+            f"posed_{attribute} += {value};"
+            for attribute, value in zip(ATTRIBUTES, _results(choices, "vec3"), strict=True)
+        ),
         "} }",
     ]
 
@@ -224,8 +234,8 @@ def wgsl(choices: ShaderChoices) -> str:
             f"let {_position(choices)} = point.w * point.xyz;",
             *_scaled(usage(own), "let"),
             *(
-                f"results[4u * row + {number}u] = vec4<f32>(v.{attribute}, 0.0);"
-                for number, attribute in enumerate(ATTRIBUTES)
+                f"results[4u * row + {number}u] = vec4<f32>({value}, 0.0);"
+                for number, value in enumerate(_results(choices, "vec3<f32>"))
             ),
             "} }",
         ]
@@ -279,8 +289,8 @@ def _hlsl_call(choices: ShaderChoices, at: int, count: int) -> list[str]:
         f"float3 {_position(choices)} = place.w * place.xyz;",
         *_hlsl_scaled(usage(shader_text(choices))),
         *(
-            f"results[{len(ATTRIBUTES)} * ({count} * row + {at}) + {number}] = float4(v.{attribute}, 0.0);"
-            for number, attribute in enumerate(ATTRIBUTES)
+            f"results[{len(ATTRIBUTES)} * ({count} * row + {at}) + {number}] = float4({value}, 0.0);"
+            for number, value in enumerate(_results(choices, "float3"))
         ),
         "}",
     ]
@@ -294,6 +304,16 @@ def _hlsl_name(name: str) -> str:
 def _hlsl_scaled(lines: list[str]) -> list[str]:
     made = next(at for at, line in enumerate(lines) if line.startswith("skinbake_Frame frame = ")) + 1
     return [*lines[:made], "frame.tangent *= place.w;", "frame.bitangent *= place.w;", *lines[made:]]
+
+
+def _results(choices: ShaderChoices, vector: str) -> list[str]:
+    """Return what a shader writes. Mapped normals have the length that the normal has."""
+    found = [f"v.{attribute}" for attribute in ATTRIBUTES]
+    if choices.normal_map:
+        at = "map.normal, map.cotangent, map.cobitangent"
+        calls = [f"skinbake_mapped_normal({vector}{texel}, {at})" for texel in TEXELS]
+        found[2:] = [f"length(v.normal) * {call}" for call in calls]
+    return found
 
 
 def _joints(choices: ShaderChoices) -> list[str]:

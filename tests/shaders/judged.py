@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from skinbake.choices import Lighting
+from skinbake.choices import Lighting, Method
 from skinbake.shaders.choices import ShaderChoices
 from tests.shaders.combinations import ATTRIBUTES, label
 from tests.shaders.running import Single, Wide, Work
@@ -29,6 +29,7 @@ def term_lengths(choices: ShaderChoices, scene: Scene) -> Wide:
     (algorithm 2) is |J⁻ᵀ n| times the same product over |t' × b'|, and once more for det J, which nears 0 in
     a fold, as a multiple of |T n0| |t'| |b'|.
     """
+    choices, mapped = replace(choices, normal_map=False), choices.normal_map
     posed = scene.posed(choices, np.float64)
     plain = replace(choices, lighting=Lighting.APPROXIMATED, cap=None, mirrored_joints=False)
     blended = scene.posed(plain, np.float64)
@@ -45,6 +46,14 @@ def term_lengths(choices: ShaderChoices, scene: Scene) -> Wide:
         normal = own[:, 1] * tangent * bitangent * other[:, 1] / determinant
     else:
         normal = tangent * bitangent
+    if mapped:
+        # The terms are |b'| |T n0|, |T n0| |t'| and |t'| |b'|. All are divided by |n'|, and multiplied by it.
+        turned = replace(choices, lighting=Lighting.APPROXIMATED, cap=None, mirrored_joints=False)
+        carried = np.linalg.norm(scene.posed(turned, np.float64)[:, 1], axis=1)
+        ends = np.tile(np.linalg.norm(scene.rest(choices).tangents, axis=1), len(scene.matrices))
+        scale = scene.rigid(choices).scale if choices.method is Method.DQS else np.ones(len(scene.matrices))
+        ends *= np.repeat(scale, len(scene.positions))
+        tangent = bitangent = normal + ends * carried * (tangent + bitangent)
     return np.stack([np.maximum(own[:, 0], farthest), normal, tangent, bitangent], axis=1)
 
 

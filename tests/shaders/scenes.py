@@ -21,12 +21,14 @@ from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.components import PosedVertex
+from skinbake.skinning.normal_maps import engine_mapped_normal, in_frame, mapped_normal
 from skinbake.skinning.rest import RestPrimitive
 from skinbake.truth.poses import PoseRequest, pose_set
-from tests.shaders.combinations import ATTRIBUTES, columns
+from tests.shaders.combinations import ATTRIBUTES, TEXELS, columns
 from tests.support import analytic, corpus
 from tests.support.baking import bake_file
-from tests.support.replay import replay
+from tests.support.replay import SkinnedSurface, replay
 
 Single = npt.NDArray[np.float32]
 Wide = npt.NDArray[np.float64]
@@ -74,20 +76,50 @@ class Scene:
             self.beta[:, : count - 1],
         )
 
+    def texture_tangents(self, choices: ShaderChoices) -> Single:
+        """Return TANGENT (V, 4), which a normal map follows. Beside a normal frame it leans by 11°."""
+        if choices.frame == Frame.TANGENT:
+            return self.tangents
+        leaning = self.tangents.copy()
+        leaning[:, :3] += 0.2 * self.normals
+        return leaning
+
     def rigid(self, choices: ShaderChoices) -> RigidMotions:
         """Return the poses as a scale and dual quaternions."""
         in_use = self.rest(choices).joints_in_use(self.matrices.shape[1])
         return rigid_motions(self.matrices, in_use=in_use)
 
     def posed(self, choices: ShaderChoices, dtype: npt.DTypeLike) -> Wide:
-        """Return the replay's position, normal, tangent and bitangent: (P V, 4, 3), poses outermost."""
-        algorithm = Algorithm(choices.algorithm)
-        found = replay(algorithm, self.rest(choices), self.matrices, dtype=dtype, cap=choices.cap)
+        """Return the replay's position, normal, tangent and bitangent: (P V, 4, 3), poses outermost.
+
+        With a normal map, the last two are the mapped normals of TEXELS.
+        """
+        algorithm, rest = Algorithm(choices.algorithm), self.rest(choices)
+        found = replay(
+            algorithm, rest, self.matrices, dtype=dtype, cap=choices.cap, normal_map=choices.normal_map
+        )
         vectors = [getattr(found, f"{name}s").astype(np.float64) for name in ATTRIBUTES]
+        if choices.normal_map:
+            vectors[2:] = [self._mapped(choices, found, texel) for texel in TEXELS]
         if choices.mirrored_joints:
             first = np.linalg.det(self.matrices[:, :, :3, :3].astype(np.float64))[:, self.joints[:, 0]]
-            vectors[1] *= np.sign(first)[:, :, None]
+            for number in range(1, 4 if choices.normal_map else 2):
+                vectors[number] *= np.sign(first)[:, :, None]
         return np.stack(vectors, axis=2).reshape(-1, 4, 3)
+
+    def _mapped(self, choices: ShaderChoices, found: SkinnedSurface, texel: tuple[float, ...]) -> Wide:
+        """Return mapped normals (P, V, 3) of a texture that follows TANGENT, whatever the frame is."""
+        rest = self.rest(choices)
+        t0, b0, n0 = (tuple(v.T.astype(np.float64)) for v in (rest.tangents, rest.bitangents, rest.normals))
+        tangent = tuple(self.texture_tangents(choices).T.astype(np.float64))
+        drawn = engine_mapped_normal(n0, tangent[:3], tangent[3], texel)
+        assert found.cotangents is not None
+        assert found.cobitangents is not None
+        vectors = (found.normals, found.tangents, found.bitangents, found.cotangents, found.cobitangents)
+        posed = PosedVertex((), *(tuple(np.moveaxis(one.astype(np.float64), 2, 0)) for one in vectors))
+        scale = self.rigid(choices).scale[:, None] if choices.method is Method.DQS else 1.0
+        length = scale * np.linalg.norm(rest.tangents.astype(np.float64), axis=1)
+        return np.stack(mapped_normal(posed, length, in_frame(drawn, t0, b0, n0)), axis=2)
 
     def columns(self, choices: ShaderChoices) -> Single:
         """Return attributes as ``combinations.columns`` has them, each vertex in each pose: (P V, C, 4)."""
@@ -95,7 +127,10 @@ class Scene:
         uses_scale = choices.method is Method.DQS
         scale = self.rigid(choices).scale if uses_scale else np.ones(poses)
         sets = choices.influence_sets
-        found: dict[str, npt.NDArray[np.number]] = {"normal": self.normals, "tangent": self.tangents}
+        found: dict[str, npt.NDArray[np.number]] = {
+            "normal": self.normals,
+            "tangent": self.texture_tangents(choices),
+        }
         width = SLOTS_PER_SET * sets
         weights = _wide(self.weights[:, : choices.influences], width)
         # Slots beyond the last influence hold what no shader may read.

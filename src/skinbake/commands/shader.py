@@ -50,6 +50,7 @@ class ShaderRequest:
     encoding: Encoding | None = None
     layout: Layout | None = None
     morphs: Morphs | None = None
+    normal_map: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +133,7 @@ def _made(request: ShaderRequest, frame: Frame, influences: int) -> ShaderChoice
         encoding=request.encoding or Encoding.FLOAT32,
         layout=request.layout or Layout.ATTRIBUTES,
         morphs=request.morphs or Morphs.NONE,
+        normal_map=request.normal_map,
     )
 
 

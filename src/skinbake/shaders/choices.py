@@ -54,7 +54,8 @@ class ShaderChoices:
     ``mirrored_joints`` the normal is turned by the sign of det M[s0]. attributes None means the default names
     of bake. encoding and layout are the storage of α and β. scale is that of the encoding if the file is
     known, in 1 / length unit of POSITION. ``morphs`` is the direction that the frame follows under morph
-    targets. Raises ChoiceError for choices that exclude each other.
+    targets. With ``normal_map`` the text has what mapped normals need, too. Raises ChoiceError for choices
+    that exclude each other.
     """
 
     language: Language
@@ -70,6 +71,7 @@ class ShaderChoices:
     layout: Layout = Layout.ATTRIBUTES
     scale: float | None = None
     morphs: Morphs = Morphs.NONE
+    normal_map: bool = False
 
     def __post_init__(self) -> None:
         if (self.method, self.lighting) not in ALGORITHMS:
@@ -95,6 +97,9 @@ class ShaderChoices:
             frame, needed = Chosen("frame", self.frame), Chosen("morphs", Morphs.NORMAL)
             wanted = Chosen("frame", Frame.TANGENT)
             raise self._refusal("morphs", " needs ", wanted, "; ", frame, " needs ", needed)
+        if self.normal_map and not self.is_corrected:
+            why = f" is for accurate and exact lighting, not {self.lighting}"
+            raise ChoiceError("normal_map", reason=(why,), also=("lighting",))
         if self.mirrored_joints and not self.crosses:
             method, lighting = Chosen("method", Method.LBS), Chosen("lighting", Lighting.ACCURATE)
             why = f", not {self.method} {self.lighting}"
@@ -154,6 +159,7 @@ class ShaderChoices:
         """Return the choices in a few words, for people."""
         capped = "" if self.cap is None else f", cap {self.cap:g}"
         mirrored = ", mirrored joints" if self.mirrored_joints else ""
+        mapped = ", normal maps" if self.normal_map else ""
         if self.target in AT_RUN_TIME:
             return (
                 f"{self.target}, {self.method.upper()} {self.lighting}{capped}{mirrored}; it reads frame, "
@@ -162,7 +168,8 @@ class ShaderChoices:
         morphed = "" if self.morphs is Morphs.NONE else f", morph targets by {self.morphs}"
         return (
             f"{self.target} {self.language.upper()}, {self.method.upper()} {self.lighting}, "
-            f"{self.influences} influences, {self.frame} frame{capped}{mirrored}{morphed}{self.storage_words}"
+            f"{self.influences} influences, {self.frame} frame{capped}{mirrored}{morphed}{mapped}"
+            f"{self.storage_words}"
         )
 
     @property

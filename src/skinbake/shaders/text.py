@@ -214,6 +214,7 @@ def _context(choices: ShaderChoices) -> dict[str, Any]:
         "cap": choices.cap,
         "mirrored_joints": choices.mirrored_joints,
         "morphs": str(choices.morphs),
+        "normal_map": choices.normal_map,
         "reads_gradients": choices.reads_gradients,
         "stem": choices.stem,
         "guard": _guard(choices),
@@ -253,6 +254,8 @@ def command_line(choices: ShaderChoices) -> str:
         words.append(f"--cap {choices.cap!r}")
     if choices.mirrored_joints:
         words.append("--mirrored-joints")
+    if choices.normal_map:
+        words.append("--normal-map")
     if choices.encoding != "float32":
         words.append(f"--encoding {choices.encoding}")
     if choices.layout != "attributes":
@@ -322,6 +325,7 @@ def _parts(choices: ShaderChoices) -> list[str]:
         "rotation": choices.algorithm in (4, 5),
         "capped": choices.cap is not None and several,
         "derivative": choices.algorithm == 6 and several,
+        "normal_map": choices.normal_map,
     }
     return [*storage_parts(choices), *(name for name, is_wanted in wanted.items() if is_wanted)]
 
@@ -330,6 +334,7 @@ def _guard(choices: ShaderChoices) -> str:
     words = [choices.stem, str(choices.influences), choices.frame]
     words += ["capped"] if choices.cap is not None else []
     words += ["mirrored"] if choices.mirrored_joints else []
+    words += ["mapped"] if choices.normal_map else []
     words += [choices.encoding] if choices.decodes else []
     words += [f"texcoord_{len(choices.pair_names)}"] if choices.assembles else []
     words += [f"morphed_{choices.morphs}"] if choices.morphs is not Morphs.NONE else []

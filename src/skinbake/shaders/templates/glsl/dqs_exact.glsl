@@ -23,5 +23,10 @@ skinbake_Vertex skinbake_dqs_exact(vec3 p, skinbake_Frame frame, mat2x4 Q[@{ inf
     v.bitangent = frame.bitangent + k * cross(b[0].xyz, b[0].w * frame.bitangent + cross(b[0].xyz, frame.bitangent)); // 8
 //% endif
     v.normal = @{ handed("cross(v.tangent, v.bitangent)") }; // 9
+//% if normal_map
+    vec3 carried = frame.normal + k * cross(b[0].xyz, b[0].w * frame.normal + cross(b[0].xyz, frame.normal)); // 10
+    v.cotangent = @{ handed("cross(v.bitangent, carried)") }; // 11
+    v.cobitangent = @{ handed("cross(carried, v.tangent)") }; // 12
+//% endif
     return v;
 }

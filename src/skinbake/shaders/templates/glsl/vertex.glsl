@@ -6,6 +6,10 @@ struct skinbake_Vertex {
     vec3 normal;
     vec3 tangent;
     vec3 bitangent;
+//% if normal_map
+    vec3 cotangent; // for normal maps: the cofactors of (t', b', T n0), of which normal is the third
+    vec3 cobitangent;
+//% endif
 };
 
 // The tangent frame at rest.

@@ -15,5 +15,10 @@ skinbake_Vertex skinbake_dqs_accurate(float3 p, skinbake_Frame frame, float2x4 Q
     v.tangent = @{ corrected("skinbake_rotated(b[0], frame.tangent)", sum("alpha", "d%d", others)) }; // 6
     v.bitangent = @{ corrected("skinbake_rotated(b[0], frame.bitangent)", sum("beta", "d%d", others)) }; // 7
     v.normal = @{ handed("cross(v.tangent, v.bitangent)") }; // 8
+//% if normal_map
+    float3 carried = skinbake_rotated(b[0], frame.normal); // 9
+    v.cotangent = @{ handed("cross(v.bitangent, carried)") }; // 10
+    v.cobitangent = @{ handed("cross(carried, v.tangent)") }; // 11
+//% endif
     return v;
 }

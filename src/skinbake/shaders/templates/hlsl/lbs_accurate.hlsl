@@ -15,8 +15,18 @@ skinbake_Vertex skinbake_lbs_accurate(float3 p, skinbake_Frame frame, float4x4 M
     v.tangent = @{ corrected("mul(T, frame.tangent)", sum("alpha", "d%d", others)) }; // 4
     v.bitangent = @{ corrected("mul(T, frame.bitangent)", sum("beta", "d%d", others)) }; // 5
     v.normal = @{ handed("cross(v.tangent, v.bitangent)") }; // 6
+//% if normal_map
+    float3 carried = mul(T, frame.normal); // 8
+    v.cotangent = @{ handed("cross(v.bitangent, carried)") }; // 9
+    v.cobitangent = @{ handed("cross(carried, v.tangent)") }; // 10
+//% endif
 //% if mirrored_joints
-    v.normal *= determinant(T) < 0.0 ? -1.0 : 1.0; // a joint that mirrors turns t x b to the inside
+    float outside = determinant(T) < 0.0 ? -1.0 : 1.0; // a joint that mirrors turns t x b to the inside
+    v.normal *= outside;
+//%   if normal_map
+    v.cotangent *= outside;
+    v.cobitangent *= outside;
+//%   endif
 //% endif
     v.position = q0@{ " + " ~ sum("weight", "d%d", others) if others }; // 7
     return v;

@@ -6,6 +6,10 @@ struct skinbake_Vertex {
     float3 normal;
     float3 tangent;
     float3 bitangent;
+//% if normal_map
+    float3 cotangent; // for normal maps: the cofactors of (t', b', T n0), of which normal is the third
+    float3 cobitangent;
+//% endif
 };
 
 // The tangent frame at rest.

@@ -14,5 +14,10 @@ fn skinbake_dqs_accurate(p: vec3<f32>, frame: skinbake_Frame, Q: array<mat2x4<f3
     let tangent = @{ corrected("skinbake_rotated(b[0], frame.tangent)", sum("alpha", "d%d", others)) }; // 6
     let bitangent = @{ corrected("skinbake_rotated(b[0], frame.bitangent)", sum("beta", "d%d", others)) }; // 7
     let normal = @{ handed("cross(tangent, bitangent)") }; // 8
-    return skinbake_Vertex(position, normal, tangent, bitangent);
+//% if normal_map
+    let carried = skinbake_rotated(b[0], frame.normal); // 9
+    let cotangent = @{ handed("cross(bitangent, carried)") }; // 10
+    let cobitangent = @{ handed("cross(carried, tangent)") }; // 11
+//% endif
+    return skinbake_Vertex(position, normal, tangent, bitangent@{ ", cotangent, cobitangent" if normal_map });
 }

@@ -22,5 +22,10 @@ fn skinbake_dqs_exact(p: vec3<f32>, frame: skinbake_Frame, Q: array<mat2x4<f32>,
     let bitangent = frame.bitangent + k * cross(b[0].xyz, b[0].w * frame.bitangent + cross(b[0].xyz, frame.bitangent)); // 8
 //% endif
     let normal = @{ handed("cross(tangent, bitangent)") }; // 9
-    return skinbake_Vertex(position, normal, tangent, bitangent);
+//% if normal_map
+    let carried = frame.normal + k * cross(b[0].xyz, b[0].w * frame.normal + cross(b[0].xyz, frame.normal)); // 10
+    let cotangent = @{ handed("cross(bitangent, carried)") }; // 11
+    let cobitangent = @{ handed("cross(carried, tangent)") }; // 12
+//% endif
+    return skinbake_Vertex(position, normal, tangent, bitangent@{ ", cotangent, cobitangent" if normal_map });
 }

@@ -19,5 +19,10 @@ fn skinbake_lbs_accurate(p: vec3<f32>, frame: skinbake_Frame, M: array<mat4x4<f3
     let normal = @{ handed("cross(tangent, bitangent)") }; // 6
 //% endif
     let position = q0@{ " + " ~ sum("weight", "d%d", others) if others }; // 7
-    return skinbake_Vertex(position, normal, tangent, bitangent);
+//% if normal_map
+    let carried = T * frame.normal; // 8
+    let cotangent = @{ "outside * " if mirrored_joints }@{ handed("cross(bitangent, carried)") }; // 9
+    let cobitangent = @{ "outside * " if mirrored_joints }@{ handed("cross(carried, tangent)") }; // 10
+//% endif
+    return skinbake_Vertex(position, normal, tangent, bitangent@{ ", cotangent, cobitangent" if normal_map });
 }

@@ -4,6 +4,10 @@ struct skinbake_Vertex {
     normal: vec3<f32>,
     tangent: vec3<f32>,
     bitangent: vec3<f32>,
+//% if normal_map
+    cotangent: vec3<f32>, // for normal maps: the cofactors of (t', b', T n0), of which normal is the third
+    cobitangent: vec3<f32>,
+//% endif
 }
 
 // The tangent frame at rest.

@@ -1,0 +1,54 @@
+// What a pixel needs for normal maps. Pass all three to it as they are. A direction keeps its length in w, relative to
+// the normal's, because a pixel sees the direction between vertices at length 1.
+struct skinbake_NormalMap {
+    normal: vec3<f32>,
+    cotangent: vec4<f32>,
+    cobitangent: vec4<f32>,
+}
+
+// A direction at length 1, and its length times k.
+fn skinbake_with_length(direction: vec3<f32>, k: f32) -> vec4<f32> {
+    let size = length(direction);
+    return vec4<f32>(select(direction, direction / size, size > 0.0), k * size);
+}
+
+// The mapped normal at a pixel, of any length: the texel, 2 * texture - 1, on the surface as it is now. At rest it is
+// t, b and n, each of length 1, times the texel, as in three.js.
+fn skinbake_mapped_normal(texel: vec3<f32>, normal: vec3<f32>, cotangent: vec4<f32>, cobitangent: vec4<f32>) -> vec3<f32> {
+    return texel.x * cotangent.w * normalize(cotangent.xyz) + texel.y * cobitangent.w * normalize(cobitangent.xyz)
+        + texel.z * normalize(normal);
+}
+
+//% if frame == "tangent"
+//%   set comment = "frame: as it was given to the lighting. Its tangent may have any length."
+//% elif morphs == "none"
+//%   set comment = "frame: as it was given to the lighting. tangent: TANGENT, which the texture follows."
+//% else
+//%   set comment = "frame: as it was given to the lighting; rest: the frame without morphs; tangent: TANGENT at rest."
+//% endif
+// Make it at the vertex. @{ comment }
+// By a model matrix: transform v.normal, v.cotangent and v.cobitangent like normals, by its cofactors, before the call.
+//% if frame == "tangent"
+fn skinbake_normal_map(v: skinbake_Vertex, frame: skinbake_Frame) -> skinbake_NormalMap {
+    let cotangent = v.cotangent;
+    let cobitangent = v.cobitangent;
+    let k = length(frame.tangent) / length(v.normal);
+//% else
+//%   set at = "frame" if morphs == "none" else "rest"
+fn skinbake_normal_map(v: skinbake_Vertex, frame: skinbake_Frame@{ ", rest: skinbake_Frame" if morphs != "none" }, tangent: vec4<f32>) -> skinbake_NormalMap {
+    // Cofactors are linear: those of t and b follow from those of t0, b0 and n0. t may lean from n0.
+    let t = normalize(tangent.xyz);
+    let b = tangent.w * normalize(cross(@{ at }.normal, t));
+//%   if morphs == "none"
+    let size = 1.0;
+//%   else
+    let size = length(frame.tangent); // the scale of the joints that dual quaternions share
+//%   endif
+    let cotangent = size * (dot(t, @{ at }.tangent) * v.cotangent + dot(t, @{ at }.bitangent) * v.cobitangent)
+        + dot(t, @{ at }.normal) * v.normal;
+    let cobitangent = size * (dot(b, @{ at }.tangent) * v.cotangent + dot(b, @{ at }.bitangent) * v.cobitangent);
+    let k = 1.0 / length(v.normal);
+//% endif
+    return skinbake_NormalMap(
+        normalize(v.normal), skinbake_with_length(cotangent, k), skinbake_with_length(cobitangent, k));
+}
