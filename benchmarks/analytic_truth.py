@@ -30,7 +30,7 @@ from fixtures.make_fixtures import (
     tube_surface,
     tube_weights,
 )
-from skinbake.choices import Gradients, Truth
+from skinbake.choices import USUAL_TRUTHS, Gradients
 from skinbake.commands.bake import Baker
 from skinbake.freshness.baked_views import baked_views, rest_primitive
 from skinbake.geometry.poses import composed, normalised
@@ -143,14 +143,14 @@ def measured(
     operator = gradient_operator([primitive])
     posed = {one: replay(one, rest, matrices) for one in (Algorithm.LBS_APPROXIMATED, Algorithm.LBS_ACCURATE)}
     accurate = posed[Algorithm.LBS_ACCURATE]
-    truths = Truths.of(operator, [rest], len(matrices), tuple(Truth))
+    truths = Truths.of(operator, [rest], len(matrices), USUAL_TRUTHS)
     deformed = np.ascontiguousarray(np.transpose(accurate.positions, (2, 1, 0)), dtype=np.float64)
     with Threads(1) as threads:
         sums = truths.sums(deformed, threads)
-    found = {truth: np.empty(exact.shape) for truth in Truth}
+    found = {truth: np.empty(exact.shape) for truth in USUAL_TRUTHS}
     for block in truths.vertex_blocks:
         normals, _ = truths.normals(block.number, deformed, sums, None)
-        for truth, vectors in zip(Truth, normals, strict=True):
+        for truth, vectors in zip(USUAL_TRUTHS, normals, strict=True):
             found[truth][:, block.part] = vectors.T
     areas = vertex_areas(primitive.positions, primitive.triangles)
 
@@ -229,8 +229,8 @@ def row(name: str, surface: Errors, rig: Errors) -> str:
         rig.standard,
         surface.accurate,
         rig.accurate,
-        *(rig.accurate_by[truth] for truth in Truth),
-        *(rig.truths[truth] for truth in Truth),
+        *(rig.accurate_by[truth] for truth in USUAL_TRUTHS),
+        *(rig.truths[truth] for truth in USUAL_TRUTHS),
     )
     return f"| {name} | {rig.vertices:,} | {' | '.join(f'{angle:.3f}' for angle in angles)} |"
 

@@ -20,7 +20,7 @@ from benchmarks.bend_picture import BACKGROUND, GREY, INK, INSIDE, Array, font, 
 from benchmarks.bend_picture import SCALE_TOP as FULL_HEAT
 from benchmarks.corpus_table import REPOSITORY, corpus_folders
 from benchmarks.lit_errors import error_fields
-from skinbake.choices import Gradients, PoseKind, Truth
+from skinbake.choices import USUAL_TRUTHS, Gradients, PoseKind
 from skinbake.commands.bake import Baker
 from skinbake.freshness.baked_views import baked_views, rest_primitive
 from skinbake.geometry.skinned import IntArray
@@ -61,7 +61,7 @@ def lit_both_ways(path: Path) -> Lit:
         poses = pose_set(document, 0, read_clips(document), PoseRequest())
         fields = error_fields(document, [view], poses, "lbs")
         for kind, lighting in (("standard", "approximated"), (str(gradients), "accurate")):
-            by_truth = [np.nan_to_num(fields[truth, lighting, 0][0]).mean(axis=0) for truth in Truth]
+            by_truth = [np.nan_to_num(fields[truth, lighting, 0][0]).mean(axis=0) for truth in USUAL_TRUTHS]
             found.setdefault(kind, np.mean(by_truth, axis=0))
     rest = pose_set(document, 0, [], PoseRequest(PoseKind.REST)).joint_matrices
     positions = replay(Algorithm.LBS_APPROXIMATED, rest_primitive(view), rest).positions[0]

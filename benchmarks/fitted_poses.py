@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.corpus_table import REPOSITORY, SUFFIXES, corpus_folders, told_apart
 from benchmarks.lit_errors import Lit, measured
 from benchmarks.marked import write_between
-from skinbake.choices import Gradients, Neighbours, PoseKind, Truth
+from skinbake.choices import USUAL_TRUTHS, Gradients, Neighbours, PoseKind, Truth
 from skinbake.commands.bake import Baker
 from skinbake.errors import SkinbakeError
 from skinbake.gltf.animation import read_clips
@@ -132,12 +132,14 @@ def figures(models: Sequence[Model]) -> Iterator[str]:
     for poses in POSES:
         chosen = [model.lit[poses] for model in models if poses in model.lit]
         cells = [
-            " / ".join(f"{np.mean([ratio(lit, kind, truth) for lit in chosen]):.3f}" for truth in Truth)
+            " / ".join(
+                f"{np.mean([ratio(lit, kind, truth) for lit in chosen]):.3f}" for truth in USUAL_TRUTHS
+            )
             for kind in others
         ]
         yield f"| {poses} | {len(chosen)} | {' | '.join(cells)} |"
     yield ""
-    cases = sum(len(model.lit) for model in models) * len(Truth)
+    cases = sum(len(model.lit) for model in models) * len(USUAL_TRUTHS)
     rig, poses_ = (worse(models, kind) for kind in ("rig", "poses"))
     in_clips = sum(poses == CLIPS for poses in poses_) or "none"
     yield (
@@ -149,7 +151,7 @@ def figures(models: Sequence[Model]) -> Iterator[str]:
             lit[kind].mean(truth) > lit["surface"].mean(truth, "approximated")
             for model in models
             for lit in model.lit.values()
-            for truth in Truth
+            for truth in USUAL_TRUTHS
         )
         for kind in ("surface", "rig")
     }
@@ -169,7 +171,7 @@ def worse(models: Sequence[Model], kind: str) -> list[str]:
         poses
         for model in models
         for poses, lit in model.lit.items()
-        for truth in Truth
+        for truth in USUAL_TRUTHS
         if ratio(lit, kind, truth) > 1.02
     ]
 

@@ -11,9 +11,10 @@ from skinbake.geometry.skinned import BoolArray, Float64Array
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document
 from skinbake.gltf.primitives import skinned_sources
-from skinbake.measure.angles import MeasuredBlock, lighting_errors
+from skinbake.measure.angles import MeasuredBlock, lighting_errors, truths_at_rest
 from skinbake.measure.morphing import morphing_of
 from skinbake.truth.areas import RestAreas
+from skinbake.truth.fine import FineMesh
 from skinbake.truth.operator import true_operator
 from skinbake.truth.poses import PoseRequest, PoseSet, draws_of, pose_set
 
@@ -37,8 +38,8 @@ class Lit:
         return float(error / area) if area else np.nan
 
 
-def measured(document: Document, request: PoseRequest) -> Lit:
-    """Measure a baked document in some poses by both truths, as verify does."""
+def measured(document: Document, request: PoseRequest, *, fine: bool = False) -> Lit:
+    """Measure a baked document in some poses by both truths, as verify does; or by the truth *fine* too."""
     found, clips = Lit(), read_clips(document)
     views, _ = baked_views(document, skinned_sources(document)[0])
     for together in whole_surfaces(document, views):
@@ -47,7 +48,7 @@ def measured(document: Document, request: PoseRequest) -> Lit:
             found.from_clips &= None not in poses.times
             space = RestAreas(document, skin)
             areas = [space.of(view.now) for view in together]
-            fields = error_fields(document, together, poses, "lbs")
+            fields = error_fields(document, together, poses, "lbs", fine=fine)
             for (truth, lighting, surface), (errors, valid) in fields.items():
                 counted = np.where(valid & (areas[surface] > 0.0), areas[surface], 0.0)
                 known = np.where(np.isfinite(errors), errors, WITHOUT_NORMAL)
@@ -57,7 +58,7 @@ def measured(document: Document, request: PoseRequest) -> Lit:
 
 
 def error_fields(
-    document: Document, views: list[BakedView], poses: PoseSet, method: str
+    document: Document, views: list[BakedView], poses: PoseSet, method: str, *, fine: bool = False
 ) -> dict[tuple[str, str, int], Field]:
     """Return the errors on one surface under one skin, by truth, lighting, and number of the view."""
     fields: dict[tuple[str, str, int], Field] = {}
@@ -74,5 +75,9 @@ def error_fields(
     rest = [rest_primitive(view) for view in views]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # as verify measures
         morphing = morphing_of(document, views, poses)
-        lighting_errors(operator, rest, poses.joint_matrices, method, record, morphing=morphing)
+        mesh = FineMesh.of(operator) if fine else None
+        truths = truths_at_rest(operator, rest, len(poses.clips), morphing, fine=mesh)
+        lighting_errors(
+            operator, rest, poses.joint_matrices, method, record, morphing=morphing, at_rest=truths
+        )
     return fields

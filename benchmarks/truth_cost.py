@@ -23,14 +23,17 @@ from unittest.mock import patch
 import skinbake
 from benchmarks.processes import SKINBAKE, Command, Rounds, in_turn, median
 from benchmarks.skinned_grid import grid_of, grid_vertices, write_grid
-from skinbake.choices import Method, Truth
+from skinbake.choices import USUAL_TRUTHS, Method, Truth
 from skinbake.measure.angles import lighting_errors, truths_at_rest
 
 BOTH = "both"
 METHODS = {"both methods": [], **{method.upper(): ["--method", str(method)] for method in Method}}
 """The options of verify by the name of its methods: without one, by both."""
 
-CHOICES: dict[str, Sequence[Truth]] = {**{str(truth): (truth,) for truth in Truth}, BOTH: tuple(Truth)}
+CHOICES: dict[str, Sequence[Truth]] = {
+    **{str(truth): (truth,) for truth in USUAL_TRUTHS},
+    BOTH: USUAL_TRUTHS,
+}
 
 
 def main() -> None:
@@ -56,7 +59,7 @@ def main() -> None:
 def told(seconds: Mapping[str, float]) -> str:
     """Return the seconds of each choice of truths, and what both cost beside each alone."""
     taken = ", ".join(f"{name} {found:.2f} s" for name, found in seconds.items())
-    ratios = ", ".join(f"{seconds[BOTH] / seconds[truth]:.2f} x {truth} alone" for truth in Truth)
+    ratios = ", ".join(f"{seconds[BOTH] / seconds[truth]:.2f} x {truth} alone" for truth in USUAL_TRUTHS)
     return f"{taken}; both are {ratios}"
 
 

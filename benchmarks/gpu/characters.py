@@ -16,7 +16,7 @@ from benchmarks.gpu.meshes import Mesh, Palettes, Wide
 from benchmarks.gpu.passes import compute_pass, parts_of_instances
 from benchmarks.gpu.records import ErrorRecord
 from benchmarks.gpu.variants import Variant
-from skinbake.choices import FrameChoice, Method, PoseKind, Truth
+from skinbake.choices import USUAL_TRUTHS, FrameChoice, Method, PoseKind, Truth
 from skinbake.commands.bake import Baker
 from skinbake.freshness.baked_views import baked_views, rest_primitive, whole_surfaces
 from skinbake.freshness.expected import true_operator_of
@@ -139,7 +139,7 @@ def true_normals(character: Character, method: Method) -> dict[Truth, tuple[Wide
     algorithm = Algorithm.LBS_APPROXIMATED if method is Method.LBS else Algorithm.DQS_APPROXIMATED
     positions = character.replayed(algorithm).positions
     deformed = np.ascontiguousarray(np.transpose(positions, (2, 1, 0)), np.float64)
-    truths, normals = character.truths, np.empty((len(Truth), *positions.shape))
+    truths, normals = character.truths, np.empty((len(USUAL_TRUTHS), *positions.shape))
     exist = np.empty(normals.shape[:-1], np.bool_)
     with Threads(1) as threads:
         sums = truths.sums(deformed, threads)
@@ -147,7 +147,7 @@ def true_normals(character: Character, method: Method) -> dict[Truth, tuple[Wide
         found, sound = truths.normals(block.number, deformed, sums, None)
         normals[:, :, block.part] = np.transpose(found, (0, 3, 2, 1))
         exist[:, :, block.part] = np.swapaxes(sound, 1, 2)
-    return {truth: (normals[number], exist[number]) for number, truth in enumerate(Truth)}
+    return {truth: (normals[number], exist[number]) for number, truth in enumerate(USUAL_TRUTHS)}
 
 
 def measured_errors(device: Any, character: Character, variants: Sequence[Variant]) -> list[ErrorRecord]:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from skinbake.choices import FrameChoice, Neighbours, PoseKind, Truth, Weighting
+from skinbake.choices import USUAL_TRUTHS, FrameChoice, Neighbours, PoseKind, Weighting
 from skinbake.commands.verify import verify_file
 from skinbake.freshness.baked_views import baked_views
 from skinbake.freshness.staleness import surface_operator
@@ -105,8 +105,9 @@ def test_the_axes_of_a_model_do_not_change_its_figures(name: str, axes: str, tmp
     done = tmp_path / "done"
     done.mkdir()
     models = [leaning, turned(leaning, turn * np.linalg.det(turn), tmp_path / "turned.glb")]
-    found = [verify(baked(one, done), "--samples", "12", "--method", "lbs").file for one in models]
-    for truth in ("normals", "normals_by_triangles"):
+    options = "--samples", "12", "--method", "lbs", "--truth", "fine"
+    found = [verify(baked(one, done), *options).file for one in models]
+    for truth in ("normals", "normals_by_triangles", "normals_fine"):
         before, after = (one[truth]["lbs"] for one in found)
         for lighting_name in ("approximated", "accurate"):
             assert after[lighting_name]["mean"] == pytest.approx(before[lighting_name]["mean"], rel=2e-3)
@@ -189,7 +190,7 @@ def test_at_rest_every_lighting_gives_the_stored_normals(path: Path, tmp_path: P
             lighting.lighting_errors(surface_operator(document, here), rest, identity, method, found.append)
             for name in lighting.METHODS[method]:
                 own = [block for block in found if block.lighting == name]
-                truths = 1 if name == "direct" else len(Truth)
+                truths = 1 if name == "direct" else len(USUAL_TRUTHS)
                 expected = truths * sum(len(one.positions) for one in rest)
                 assert sum(block.errors.size for block in own) == expected
                 # Tangents of a file are at right angles to its normals to a tenth of a degree only.
@@ -280,6 +281,10 @@ def failing(verdict: FileVerdict) -> Iterator[tuple[str, str, str]]:
             marks=pytest.mark.slow,
         ),
         ({"min_gain": 100.0, "truth": "tangents"}, "LBS: the gain is 37.90 by tangents, below 100"),
+        (
+            {"max_mean_error": 0.01, "truth": "fine"},
+            "LBS accurate: the mean of the error is 0.013° by fine",
+        ),
         ({"max_mean_error": 0.5, "methods": ("dqs",)}, "DQS accurate: the mean of the error is 0.7"),
     ],
 )

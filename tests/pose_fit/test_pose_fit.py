@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from skinbake import threads
-from skinbake.choices import Truth
+from skinbake.choices import USUAL_TRUTHS
 from skinbake.geometry.frames import frame_from_normal, unit_normals
 from skinbake.geometry.poses import random_rotations, rotation_matrices
 from skinbake.geometry.rig import NO_PARENT, Rig
@@ -77,7 +77,7 @@ def even(matrices: Float64Array) -> list[FitPoses]:
 def true_normals(operator: GradientOperator, surface: RestPrimitive, matrices: Float64Array) -> Float64Array:
     """Return the unit means (P, V, 3) of both truths by their parts."""
     positions = replay(Algorithm.LBS_APPROXIMATED, surface, matrices).positions
-    truths = Truths.of(operator, [surface], len(matrices), tuple(Truth))
+    truths = Truths.of(operator, [surface], len(matrices), USUAL_TRUTHS)
     deformed = np.ascontiguousarray(positions.transpose(2, 1, 0), dtype=np.float64)
     with threads.Threads(1) as one:
         sums = truths.sums(deformed, one)

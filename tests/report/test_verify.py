@@ -75,6 +75,27 @@ FAILED = FileVerdict(
 UNREADABLE = FileVerdict("no.glb", error=InputError("cannot be read", Place("no.glb")))
 
 
+FINE = replace(
+    PASSED, fine=without_direct(lit(6.0, 5.5)), primitives_fine=((PLACE, without_direct(lit(7.0))),)
+)
+
+
+def test_figures_of_the_truth_fine_are_told_where_they_were_asked_for() -> None:
+    document = as_json([FINE, PASSED], exit_code=0)
+    jsonschema.validate(document, VERIFY)
+    asked, usual = document["files"]
+    assert asked["normals_fine"]["lbs"]["accurate"]["mean"] == 5.5
+    assert asked["primitives"][0]["normals_fine"]["lbs"]["approximated"]["mean"] == 7.0
+    assert usual["normals_fine"] is None
+    assert usual["primitives"][0]["normals_fine"] is None
+    text = as_text(FINE)
+    assert "by triangles              fine" in text
+    assert "4.00x by tangents, 2.50x by triangles, 1.09x by fine" in text
+    assert "the LBS gain is 1.09x, under 1.2" in text
+    assert "fine" not in as_text(PASSED)
+    assert "LBS gain 1.09x by fine" in as_line(FINE)
+
+
 def test_json_is_as_the_schema_has_it() -> None:
     document = as_json([PASSED, FAILED, UNREADABLE], exit_code=3)
     jsonschema.validate(document, VERIFY)
@@ -111,7 +132,17 @@ def test_a_loss_never_reads_as_a_gain_of_one(factor: float, shown: str, colour: 
 
 
 @pytest.mark.parametrize(
-    "member", ["normals", "normals_by_triangles", "checks", "primitives", "without_dqs", "input", "error"]
+    "member",
+    [
+        "normals",
+        "normals_by_triangles",
+        "normals_fine",
+        "checks",
+        "primitives",
+        "without_dqs",
+        "input",
+        "error",
+    ],
 )
 def test_the_schema_notices_a_missing_member(member: str) -> None:
     document = as_json([PASSED], exit_code=0)

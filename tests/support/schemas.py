@@ -295,6 +295,7 @@ VERIFY = strict(
                     "poses": {"type": ["string", "null"]},
                     "normals": {"anyOf": [{"type": "null"}, NORMALS]},
                     "normals_by_triangles": {"anyOf": [{"type": "null"}, NORMALS_BY_TRIANGLES]},
+                    "normals_fine": {"anyOf": [{"type": "null"}, NORMALS_BY_TRIANGLES]},
                     "primitives": {
                         "type": "array",
                         "items": strict(
@@ -303,6 +304,7 @@ VERIFY = strict(
                                 "primitive": PLACE["primitive"],
                                 "normals": NORMALS,
                                 "normals_by_triangles": NORMALS_BY_TRIANGLES,
+                                "normals_fine": {"anyOf": [{"type": "null"}, NORMALS_BY_TRIANGLES]},
                             },
                             optional={"mesh_name": PLACE["mesh_name"]},
                         ),

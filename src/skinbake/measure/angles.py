@@ -9,7 +9,7 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from skinbake.choices import Truth
+from skinbake.choices import USUAL_TRUTHS, Truth
 from skinbake.geometry import dual_quaternions
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray
 from skinbake.measure.morphing import Morphing
@@ -21,10 +21,10 @@ from skinbake.threads import Threads, thread_count
 from skinbake.timing import stage
 from skinbake.truth import kernel
 from skinbake.truth.areas import squared_cross
-from skinbake.truth.blending import BlendedPrimitive, chunks, sides_of
-from skinbake.truth.normals import ClassSums
+from skinbake.truth.blending import BlendedPrimitive, chunks, sample_blocks, sides_of
+from skinbake.truth.fine import FineMesh
 from skinbake.truth.operator import GradientOperator
-from skinbake.truth.truths import ChunkMemory, Truths, VertexBlock
+from skinbake.truth.truths import ChunkMemory, FineTruth, PosedSurface, Truths, VertexBlock
 
 METHODS: dict[str, dict[str, Algorithm]] = {
     "lbs": {
@@ -42,7 +42,7 @@ METHODS: dict[str, dict[str, Algorithm]] = {
 INSIDE_OUT = {"accurate", "exact"}
 """The lightings whose normal is t' × b'. A mirroring joint turns that normal to the inside."""
 
-NOT_MEASURED = {(Truth.TRIANGLES, "direct")}
+NOT_MEASURED = {(Truth.TRIANGLES, "direct"), (Truth.FINE, "direct")}
 """Direct lighting equals accurate lighting except for its side in folds. One truth is enough for it."""
 
 IDENTITY_SAMPLES = 1 << 21
@@ -98,15 +98,18 @@ def lighting_errors(  # noqa: PLR0913  # five arguments are optional, and by key
     vertices, poses = len(operator.positions), len(joint_matrices)
     truths = truths_at_rest(operator, primitives, poses, morphing) if at_rest is None else at_rest
     mesh = _PosedMesh(primitives, joint_matrices, method, options or Options(), truths)
-    identity, memory = Identity(), ChunkMemory()
+    identity, memory, of_fine = Identity(), ChunkMemory(), ChunkMemory()
     with Threads(thread_count()) as threads:
         for chunk in mesh.in_chunks() if morphing is None else mesh.pose_by_pose(morphing):
             with stage("positions"):
                 deformed = chunk.positions(threads, memory)
             with stage("truths"):
-                sums = chunk.truths.sums(deformed, threads, memory)
+                surfaces = [PosedSurface.of(chunk.truths, deformed, threads, memory)]
+                if chunk.truths.fine is not None:
+                    moved = chunk.fine_positions(chunk.truths.fine, deformed, threads, of_fine)
+                    surfaces += [PosedSurface.of(chunk.truths.fine.truths, moved, threads, of_fine)]
             with stage("normals"):
-                work = partial(chunk.measured, deformed, sums, count)
+                work = partial(chunk.measured, surfaces, count)
                 found = threads.each(work, truths.vertex_blocks)
                 for block, (results, compared) in zip(truths.vertex_blocks, found, strict=True):
                     for result in results:
@@ -122,14 +125,18 @@ def truths_at_rest(
     primitives: Sequence[RestPrimitive],
     poses: int,
     morphing: Morphing | None,
-    names: Sequence[str] = tuple(Truth),
+    names: Sequence[str] = USUAL_TRUTHS,
+    fine: FineMesh | None = None,
 ) -> Truths:
-    """Measure a mesh at rest, for any number of calls of ``lighting_errors`` with so many poses."""
-    parts = chunks(len(operator.positions), poses)
+    """Measure a mesh at rest, for any number of calls of ``lighting_errors`` with so many poses.
+
+    names are one or both of ``USUAL_TRUTHS``. With the mesh's ``fine``, the truth *fine* is measured too.
+    """
+    parts = chunks(len(operator.positions) if fine is None else fine.size, poses)
     most = max((part.stop - part.start for part in parts), default=0)
     with stage("truths"):
         # Under morph targets, poses are measured one at a time.
-        return Truths.of(operator, primitives, min(most, 1) if morphing else most, names)
+        return Truths.of(operator, primitives, min(most, 1) if morphing else most, names, fine)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,8 +160,9 @@ class _PosedMesh:
         every = METHODS[self.method]
         without_direct = {lighting: every[lighting] for lighting in every if lighting != "direct"}
         sides = sides_of(self.primitives, self.joint_matrices)
-        skinned = self._skinned(self.primitives, self.joint_matrices)
-        for number, pose in enumerate(chunks(vertices, poses)):
+        skinned = self._skinned(self.primitives, self.truths, self.joint_matrices)
+        measured = vertices if self.truths.fine is None else self.truths.fine.mesh.size
+        for number, pose in enumerate(chunks(measured, poses)):
             yield _Chunk(
                 truths=self.truths,
                 skinned=skinned,
@@ -172,7 +180,7 @@ class _PosedMesh:
             primitives, truths = morphing.posed(self.primitives, self.truths, pose)
             yield _Chunk(
                 truths=truths,
-                skinned=self._skinned(primitives, self.joint_matrices[pose : pose + 1]),
+                skinned=self._skinned(primitives, truths, self.joint_matrices[pose : pose + 1]),
                 at=slice(0, 1),
                 first_pose=pose,
                 algorithms=METHODS[self.method],
@@ -180,7 +188,12 @@ class _PosedMesh:
                 compares=self.options.cap is None,
             )
 
-    def _skinned(self, primitives: Sequence[RestPrimitive], joint_matrices: Float64Array) -> list[_Skinned]:
+    def _skinned(
+        self, primitives: Sequence[RestPrimitive], truths: Truths, joint_matrices: Float64Array
+    ) -> list[_Skinned]:
+        """Return what skins the primitives, and, behind them, the points of a fine mesh."""
+        if truths.fine is not None:
+            primitives = [*primitives, truths.fine.points]
         if self.method == "dqs":
             return [
                 SteppedPrimitive(one) for one in Skinning.of_mesh(primitives, joint_matrices, self.options)
@@ -224,10 +237,24 @@ class _Chunk:
         threads.done(place, self.truths.vertex_blocks)
         return deformed
 
+    def fine_positions(
+        self, fine: FineTruth, vertices: Float64Array, threads: Threads, memory: ChunkMemory
+    ) -> Float64Array:
+        """Return the positions of the vertices (3, V, P), and behind them of all points of the fine mesh."""
+        count, poses = vertices.shape[1:]
+        deformed: Float64Array = memory.array("positions", (3, fine.mesh.size, poses), np.float64)
+        deformed[:, :count] = vertices
+
+        def place(part: slice) -> None:
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # likewise
+                self.skinned[-1].put_positions(self.at, part, deformed, count + part.start)
+
+        threads.done(place, sample_blocks(slice(0, fine.mesh.size - count), poses))
+        return deformed
+
     def measured(
         self,
-        deformed: Float64Array,
-        sums: ClassSums | None,
+        surfaces: Sequence[PosedSurface],
         count: Callable[[MeasuredBlock], Any] | None,
         block: VertexBlock,
     ) -> tuple[list[Any], Compared | None]:
@@ -240,7 +267,10 @@ class _Chunk:
             steps = tuple(self.algorithms.values())
             found = self.skinned[block.primitive].normals(steps, self.at, block.rows)
             normals = dict(zip(self.algorithms, found, strict=True))
-            expected, exist = self.truths.normals(block.number, deformed, sums, side)
+            expected, exist = surfaces[0].normals(block.number, side)
+            for surface in surfaces[1:]:
+                more, also = surface.normals(block.number, side)
+                expected, exist = np.concatenate([expected, more]), np.concatenate([exist, also])
             measured = []
             for lighting, vectors in normals.items():
                 outside = vectors if side is None or lighting not in INSIDE_OUT else scaled(side, vectors)
@@ -260,7 +290,7 @@ class _Chunk:
 def _truths_of(lighting: str, names: Sequence[str]) -> list[str]:
     """Return the truths by which a lighting is measured. They come first among ``names``.
 
-    The reason is that ``NOT_MEASURED`` leaves out no truth but the last one.
+    The reason is that ``NOT_MEASURED`` leaves out the last truths.
     """
     return [truth for truth in names if (truth, lighting) not in NOT_MEASURED]
 

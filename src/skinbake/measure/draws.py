@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
+from skinbake.choices import USUAL_TRUTHS, Truth
 from skinbake.errors import InputError, Notice
 from skinbake.freshness.baked_views import BakedView, rest_primitive, whole_surfaces
 from skinbake.freshness.expected import true_operator_of
@@ -15,6 +16,7 @@ from skinbake.gltf.animation import Clip
 from skinbake.gltf.document import Document
 from skinbake.skinning.rest import RestPrimitive
 from skinbake.truth.areas import RestAreas
+from skinbake.truth.fine import BYTES_A_CORNER, FineMesh
 from skinbake.truth.operator import TRUE_CREASE_ANGLE, TRUE_WEIGHTING, GradientOperator
 from skinbake.truth.poses import (
     LEAST_SAMPLES,
@@ -43,6 +45,9 @@ A mesh is measured once for each skin that draws it, and in at least three poses
 of one mesh of 3,000 vertices need 20 a byte, a character of a million vertices needs 0.5.
 """
 
+FINE_RATIO = 8
+"""The vertices and points of a usual fine mesh for each vertex of the mesh. So many of them count as one."""
+
 
 @dataclass(frozen=True, slots=True)
 class Draw:
@@ -50,7 +55,8 @@ class Draw:
 
     operator is that of the truths, over all primitives. rest are these for the replay, areas the
     areas around their vertices, (V,) each, in the squared unit of the scene. They are the weights of errors.
-    poses are those of the skin, and of the node if the mesh has morph targets.
+    poses are those of the skin, and of the node if the mesh has morph targets. fine is the mesh of the truth
+    *fine*, None without it.
     """
 
     views: Sequence[BakedView]
@@ -58,6 +64,7 @@ class Draw:
     rest: Sequence[RestPrimitive]
     areas: Sequence[Float64Array]
     poses: PoseSet
+    fine: FineMesh | None = None
 
 
 def true_surfaces(
@@ -99,8 +106,11 @@ def draws(
     surfaces: Sequence[tuple[Sequence[BakedView], GradientOperator]],
     clips: Sequence[Clip],
     request: PoseRequest,
+    truths: Collection[Truth] = USUAL_TRUTHS,
 ) -> tuple[list[Draw], list[Notice]]:
     """Return each of the ``true_surfaces`` as often as skins draw it, or nodes if it has morph targets.
+
+    truths are those to measure by.
 
     If all poses are too much work for the file, some of each skin are measured, and a notice says so. Raises
     InputError if a skin cannot be posed, or if the work is out of proportion to the file even so.
@@ -119,15 +129,29 @@ def draws(
     plans, notices = _fewer_poses(document, plans, [(len(views), draw) for views, _, draw in drawn])
     work = _Work(document, request)
     rests = {id(views): [rest_primitive(view) for view in views] for views, _ in surfaces}
+    fine = {
+        id(views): _fine_mesh(document, views, operator)
+        for views, operator in surfaces
+        if Truth.FINE in truths
+    }
     sets: dict[tuple[int, int | None], PoseSet] = {}
     found = []
     for views, operator, draw in drawn:
-        work.claim(views, plans[draw])
+        work.claim(views, plans[draw], fine.get(id(views)))
         if draw not in sets:
             sets[draw] = planned_poses(document, plans[draw])
         space = RestAreas(document, draw[0])
-        found.append(Draw(views, operator, rests[id(views)], [space.of(v.now) for v in views], sets[draw]))
+        areas = [space.of(view.now) for view in views]
+        found.append(Draw(views, operator, rests[id(views)], areas, sets[draw], fine.get(id(views))))
     return found, notices
+
+
+def _fine_mesh(document: Document, views: Sequence[BakedView], operator: GradientOperator) -> FineMesh:
+    """Return the mesh of the truth *fine*. Raises InputError if it takes too much memory for the file."""
+    corners, place = operator.triangles.size, replace(views[0].source.place, primitive=None)
+    what = f"the truth fine at {counted(corners, 'corner')} of triangles"
+    document.budget.claim(BYTES_A_CORNER * corners, what, place)
+    return FineMesh.of(operator)
 
 
 def _fewer_poses(
@@ -177,8 +201,11 @@ class _Work:
         self._document, self._request = document, request
         self._samples = 0
 
-    def claim(self, views: Sequence[BakedView], plan: PosePlan) -> None:
-        """Count the work of a draw. Raises InputError if all of it is far out of proportion to the file."""
+    def claim(self, views: Sequence[BakedView], plan: PosePlan, fine: FineMesh | None) -> None:
+        """Count the work of a draw. Raises InputError if all of it is far out of proportion to the file.
+
+        A fine mesh has about eight times the vertices, and its user has asked for it.
+        """
         vertices, count = sum(len(view.now.positions) for view in views), plan.count
         place = replace(views[0].source.place, primitive=None)
         samples = f"{counted(vertices, 'vertex', 'vertices')} in {counted(count, 'pose')}"
@@ -188,7 +215,8 @@ class _Work:
         self._document.budget.claim(BYTES_A_SAMPLE * vertices * count, samples, place)
         # The clips of the file count, not how many samples of each the user asks for.
         asked = self._request.samples
-        self._samples += vertices * (count if asked is None else -(-count // asked) * SHARED_SAMPLES)
+        measured = vertices if fine is None else -(-fine.size // FINE_RATIO)
+        self._samples += measured * (count if asked is None else -(-count // asked) * SHARED_SAMPLES)
         most = SAMPLES_FREE + SAMPLES_A_BYTE * self._document.budget.backed
         if self._samples > most:
             raise InputError(

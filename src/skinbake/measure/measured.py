@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from skinbake.choices import PoseKind, Truth
+from skinbake.choices import USUAL_TRUTHS, PoseKind, Truth
 from skinbake.errors import InputError, Notice, Place
 from skinbake.freshness.baked_views import BakedView
 from skinbake.geometry.skinned import BoolArray
@@ -68,7 +68,7 @@ class _Measurement:
         with stage("poses"):
             self._clips, self._unread = _readable_clips(document, options.poses.kind)
         self._done, self._total, self._identity = 0.0, 0, 0.0
-        self._tallies = FileTallies()
+        self._tallies = FileTallies(options.truths)
         self._at_rest: tuple[tuple[int, int, bool], Truths] | None = None
         self._morphed: dict[int, Morphing] = {}
         self._room = MORPHED_BYTES
@@ -80,7 +80,9 @@ class _Measurement:
         with stage("gradient operator"):
             surfaces = true_surfaces(self._document, meshes, operators)
         with stage("poses"):
-            drawn, left_out = draws(self._document, surfaces, self._clips, self._options.poses)
+            drawn, left_out = draws(
+                self._document, surfaces, self._clips, self._options.poses, self._options.truths
+            )
         not_rigid = list(
             dict.fromkeys(n for draw in drawn for n in joints_without_dqs(draw.rest, draw.poses))
         )
@@ -141,7 +143,7 @@ class _Measurement:
         key = id(draw.operator), len(draw.poses.clips), morphing is None
         if self._at_rest is None or self._at_rest[0] != key:
             self._at_rest = None  # two at a time would take twice the memory
-            self._at_rest = key, truths_at_rest(draw.operator, draw.rest, key[1], morphing)
+            self._at_rest = key, truths_at_rest(draw.operator, draw.rest, key[1], morphing, fine=draw.fine)
         return self._at_rest[1]
 
     def _advance(self, poses: float) -> None:
@@ -150,9 +152,9 @@ class _Measurement:
             tell_steps(round(self._done), self._total)
 
     def _verdict(self, drawn: Sequence[Draw], without_dqs: str | None) -> FileVerdict:
-        by_truth = {truth: self._tallies.figures(truth) for truth in Truth}
+        by_truth = {truth: self._tallies.figures(truth) for truth in self._options.truths}
         self._refuse_overflow(by_truth)
-        primitives = {truth: self._tallies.figures_of_primitives(truth) for truth in Truth}
+        primitives = {truth: self._tallies.figures_of_primitives(truth) for truth in by_truth}
         seconds = sum(clip.duration - clip.start for clip in self._clips)
         return FileVerdict(
             self._document.name,
@@ -163,6 +165,8 @@ class _Measurement:
             without_dqs,
             by_triangles=by_truth[Truth.TRIANGLES],
             primitives_by_triangles=primitives[Truth.TRIANGLES],
+            fine=by_truth.get(Truth.FINE),
+            primitives_fine=primitives.get(Truth.FINE, ()),
         )
 
     def _refuse_overflow(self, by_truth: Mapping[Truth, Normals]) -> None:
@@ -188,7 +192,7 @@ class _Measurement:
         if not normals:
             yield Check("lighting", "skipped", (), "there is no true normal at any vertex in these poses")
         if self._options.limits:
-            held = {truth: by_truth[truth] for truth in Truth if self._options.truth in {None, truth}}
+            held = {truth: found for truth, found in by_truth.items() if self._options.truth in {None, truth}}
             yield limits_check(held, self._options, self._document.place)
 
 
@@ -225,7 +229,8 @@ _Tallies = dict[tuple[str, str], dict[str, ErrorTally]]
 class FileTallies:
     """Tallies of a file by truth, method and lighting: of the whole file, and of each primitive."""
 
-    def __init__(self) -> None:
+    def __init__(self, truths: Sequence[Truth] = USUAL_TRUTHS) -> None:
+        self._truths = truths
         self._segments: list[_Segment] = []
         self._whole: _Tallies = {}
         self._by_place: dict[Place, _Tallies] = {}
@@ -237,7 +242,7 @@ class FileTallies:
             for view, areas in zip(draw.views, draw.areas, strict=True):
                 weight = len(draw.poses.clips) * total_area(areas)
                 weights[view.source.place] = weights.get(view.source.place, 0.0) + weight
-        for truth in Truth:
+        for truth in self._truths:
             lightings = [one for one in METHODS[method] if (truth, one) not in NOT_MEASURED]
             self._whole[truth, method] = {one: ErrorTally(sum(weights.values())) for one in lightings}
             for place, weight in weights.items():

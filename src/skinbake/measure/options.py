@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
-from skinbake.choices import Baseline, Truth, pose_choice
+from skinbake.choices import USUAL_TRUTHS, Baseline, Truth, pose_choice
 from skinbake.errors import Notice, Place
 from skinbake.options import VERIFY, By, checked, defaults
 from skinbake.report.verify import Check, ErrorFigures, Normals, gain
@@ -21,7 +21,7 @@ class VerifyOptions:
 
     methods are the requested ones. If empty: LBS, and DQS if the joints are rigid. Limits are degrees, or a
     factor, of the accurate lighting. None sets no limit. They are checked by the named truth, or, if it is
-    None, by each truth.
+    None, by each of ``USUAL_TRUTHS``.
     """
 
     methods: tuple[str, ...] = ()
@@ -50,6 +50,11 @@ class VerifyOptions:
             poses=PoseRequest(kind, count or samples, angle, words.pop("seed")),
             **words,
         )
+
+    @property
+    def truths(self) -> tuple[Truth, ...]:
+        """Return the truths to measure by, in the order of ``Truth``: the named one beside the usual ones."""
+        return tuple(truth for truth in Truth if truth in {*USUAL_TRUTHS, self.truth})
 
     @property
     def limits(self) -> list[str]:

@@ -26,7 +26,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from skinbake.choices import Truth
+from skinbake.choices import USUAL_TRUTHS, Truth
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.gradients.fit_rules import EVEN, FAINT, UNFELT
 from skinbake.skinning.rest import Options, RestPrimitive, all_slots
@@ -150,7 +150,7 @@ def _seen(
     matrices, count = group.joint_matrices, len(operator.positions)
     widest = max(primitive.joints.shape[1] for primitive in primitives)
     parts = chunks(count, len(matrices))
-    truths = Truths.of(operator, primitives, (parts[0].stop if parts else 0) * widest, tuple(Truth))
+    truths = Truths.of(operator, primitives, (parts[0].stop if parts else 0) * widest)
     sides = sides_of(primitives, matrices)
     blended = [BlendedPrimitive(primitive, matrices, Options()) for primitive in primitives]
     with Threads(thread_count()) as threads:
@@ -171,7 +171,7 @@ def _seen(
 
 def _mean(normals: Float64Array, exist: BoolArray) -> Float64Array:
     """Return the unit mean (B, 3, P) of normals (2, 3, B, P) that exist (2, B, P), 0 if there is none."""
-    parts = np.array([AIM[truth] for truth in Truth])[:, None, None, None]
+    parts = np.array([AIM[truth] for truth in USUAL_TRUTHS])[:, None, None, None]
     mean = np.where(exist[:, None], parts * normals, 0.0).sum(axis=0)
     mean /= np.sqrt(np.einsum("ibp,ibp->bp", mean, mean))
     return np.where(np.isfinite(mean), mean, 0.0).transpose(1, 0, 2)

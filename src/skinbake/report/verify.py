@@ -106,8 +106,8 @@ class FileVerdict:
     left out, None if they were not. morphs is None if no baked mesh has morph targets. up_to_date: the file
     was not verified again, because it has passed and is unchanged. record is the entry for a state file.
     timings are seconds by stage, None if they were not requested. normals and
-    primitives have the figures by tangents, by_triangles and primitives_by_triangles those by triangles, for
-    the same places.
+    primitives have the figures by tangents, by_triangles and primitives_by_triangles those by triangles, fine
+    and primitives_fine those of the fine mesh if they were asked for. All are of the same places.
     """
 
     input: str
@@ -124,11 +124,13 @@ class FileVerdict:
     timings: dict[str, float] | None = None
     by_triangles: Normals | None = None
     primitives_by_triangles: tuple[tuple[Place, Normals], ...] = ()
+    fine: Normals | None = None
+    primitives_fine: tuple[tuple[Place, Normals], ...] = ()
 
     @property
     def by_truth(self) -> dict[str, Normals]:
         """Return the figures of the whole file by each truth; a truth that has none is left out."""
-        found = {Truth.TANGENTS: self.normals, Truth.TRIANGLES: self.by_triangles}
+        found = {Truth.TANGENTS: self.normals, Truth.TRIANGLES: self.by_triangles, Truth.FINE: self.fine}
         return {truth: normals for truth, normals in found.items() if normals}
 
     @property
@@ -197,7 +199,7 @@ def as_text(verdict: FileVerdict) -> str:
         remark = f"  {printable(check.remark)}" if check.remark else ""
         lines.append(f"  {check.name:<{width}}  {check.outcome}{remark}")
     if verdict.normals:
-        lines += _table(verdict.normals, verdict.by_triangles or {})
+        lines += _table(verdict.normals, verdict.by_triangles or {}, verdict.fine)
         morphs = f"; {verdict.morphs.words}" if verdict.morphs else ""
         over = f"{verdict.poses}{morphs}"
         lines.append(f"  Angle in degrees between each method's normals and the true ones, over {over}.")
@@ -253,20 +255,26 @@ def _little_to_win(verdict: FileVerdict) -> list[str]:
     return [f"Little to win: {least}. Leave the file unbaked."]
 
 
-def _table(normals: Normals, by_triangles: Normals) -> Iterator[str]:
-    """Yield the table's lines: figures by tangents, then mean and 95th percentile by triangles."""
-    yield f"  {'':<16}{'    by tangents':<32}{'by triangles':>18}"
-    yield f"  {'':<16}{'mean':>8}{'p95':>8}{'p99':>8}{'max':>8}{'mean':>10}{'p95':>8}  worst at"
+def _table(normals: Normals, by_triangles: Normals, fine: Normals | None) -> Iterator[str]:
+    """Yield the table's lines: figures by tangents, then mean and 95th percentile by the other truths."""
+    more = {Truth.TRIANGLES: by_triangles, **({} if fine is None else {Truth.FINE: fine})}
+    heads = "".join(f"{f'by {truth}' if truth is Truth.TRIANGLES else truth:>18}" for truth in more)
+    yield f"  {'':<16}{'    by tangents':<32}{heads}"
+    numbers = f"{'mean':>10}{'p95':>8}" * len(more)
+    yield f"  {'':<16}{'mean':>8}{'p95':>8}{'p99':>8}{'max':>8}{numbers}  worst at"
     for method, figures in normals.items():
-        others = by_triangles.get(method, {})
         for lighting, shown in SHOWN_LIGHTINGS.items():
             if lighting in figures:
                 error = figures[lighting]
                 numbers = "".join(f"{value:8.2f}" for value in (error.mean, error.p95, error.p99, error.max))
-                other = others.get(lighting)
-                numbers += f"{'—':>10}{'—':>8}" if other is None else f"{other.mean:10.2f}{other.p95:8.2f}"
+                for found in more.values():
+                    other = found.get(method, {}).get(lighting)
+                    numbers += (
+                        f"{'—':>10}{'—':>8}" if other is None else f"{other.mean:10.2f}{other.p95:8.2f}"
+                    )
                 yield f"  {method.upper() + ' ' + shown:<16}{numbers}  {_where(error.worst)}"
-        factors = {Truth.TANGENTS: gain(figures), Truth.TRIANGLES: gain(others)}
+        factors = {truth: gain(found.get(method, {})) for truth, found in more.items()}
+        factors = {Truth.TANGENTS: gain(figures), **factors}
         told = [
             f"{gain_in_words(factor)}x by {truth}" for truth, factor in factors.items() if factor is not None
         ]
@@ -292,7 +300,7 @@ def as_json(
 
 def file_json(verdict: FileVerdict) -> dict[str, Any]:
     """Return the result of verify for one file as a JSON object."""
-    by_triangles = dict(verdict.primitives_by_triangles)
+    by_triangles, fine = dict(verdict.primitives_by_triangles), dict(verdict.primitives_fine)
     return {
         "input": verdict.input,
         "passed": verdict.passed,
@@ -312,11 +320,13 @@ def file_json(verdict: FileVerdict) -> dict[str, Any]:
         else {"targets": verdict.morphs.targets, "moving": verdict.morphs.moving},
         "normals": None if verdict.normals is None else _normals_json(verdict.normals),
         "normals_by_triangles": None if verdict.by_triangles is None else _normals_json(verdict.by_triangles),
+        "normals_fine": None if verdict.fine is None else _normals_json(verdict.fine),
         "primitives": [
             {
                 **place_fields(place),
                 "normals": _normals_json(normals),
                 "normals_by_triangles": _normals_json(by_triangles.get(place, {})),
+                "normals_fine": None if verdict.fine is None else _normals_json(fine.get(place, {})),
             }
             for place, normals in verdict.primitives
         ],

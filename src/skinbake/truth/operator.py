@@ -16,7 +16,14 @@ import numpy as np
 
 from skinbake.choices import Weighting
 from skinbake.errors import InputError
-from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray, SkinnedPrimitive, blocks
+from skinbake.geometry.skinned import (
+    BoolArray,
+    Float64Array,
+    FloatArray,
+    IntArray,
+    SkinnedPrimitive,
+    blocks,
+)
 from skinbake.skinning.components import Vector, cross, dot, minus, scaled
 from skinbake.truth import kernel
 from skinbake.truth.mesh import (
@@ -99,7 +106,8 @@ def gradient_operator(
     counts = tuple(len(primitive.positions) for primitive in primitives)
     positions = np.concatenate([primitive.positions for primitive in primitives])
     positions = np.ascontiguousarray(positions, dtype=np.float64)
-    triangles = _sound_triangles(positions, _all_triangles(primitives))
+    triangles = _all_triangles(primitives)
+    triangles = triangles[is_sound(positions, triangles)]
     classes = weld_classes(primitives, crease_angle_degrees=crease_angle_degrees, claim=claim)
     claim(_welding_size(triangles, classes))
     places = classes[triangles].ravel()
@@ -206,21 +214,21 @@ def _all_triangles(primitives: Sequence[SkinnedPrimitive]) -> Int64Array:
     return np.concatenate(parts)
 
 
-def _edges(positions: Float64Array, triangles: Int64Array) -> list[Vector]:
+def _edges(positions: Float64Array, triangles: IntArray) -> list[Vector]:
     """Return the edges from corner 0 to 1, 1 to 2 and 2 to 0, each by components (T,)."""
     axes = [np.ascontiguousarray(axis) for axis in positions.T]
     corners = [tuple(axis[triangles[:, corner]] for axis in axes) for corner in range(3)]
     return [minus(corners[(corner + 1) % 3], corners[corner]) for corner in range(3)]
 
 
-def _sound_triangles(positions: Float64Array, triangles: Int64Array) -> Int64Array:
-    """Keep the triangles that have an area. A comparison with NaN is false and drops the triangle."""
+def is_sound(positions: Float64Array, triangles: IntArray) -> BoolArray:
+    """Tell which triangles (T, 3) have an area: (T,). One with a corner that is not finite has none."""
     with np.errstate(invalid="ignore", over="ignore"):
         edges = _edges(positions, triangles)
         normal = cross(edges[0], edges[1])
         longest = np.maximum(np.maximum(*(dot(edge, edge) for edge in edges[:2])), dot(edges[2], edges[2]))
-        sound: Int64Array = triangles[np.sqrt(dot(normal, normal)) > _DEGENERATE * longest]
-    return sound
+        # A comparison with NaN is false.
+        return np.asarray(np.sqrt(dot(normal, normal)) > _DEGENERATE * longest)
 
 
 def _corner_weights(positions: Float64Array, triangles: Int64Array, weighting: Weighting) -> Float64Array:

@@ -1,6 +1,7 @@
-"""The true normals of one mesh in many poses, by both truths, block by block.
+"""The true normals of one mesh in many poses, by all truths, block by block.
 
-``normals`` has both. Here, too, is what both measure at rest. This module cuts the vertices into blocks.
+``normals`` has those of the mesh itself, and ``fine`` the mesh of the third. Here, too, is what they measure
+at rest. This module cuts the vertices into blocks.
 """
 
 from __future__ import annotations
@@ -13,13 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike
 
-from skinbake.choices import Truth
+from skinbake.choices import USUAL_TRUTHS, Truth
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
 from skinbake.skinning.components import dot, scaled
 from skinbake.skinning.rest import RestPrimitive
 from skinbake.threads import Threads
 from skinbake.truth import kernel
 from skinbake.truth.blending import sample_blocks
+from skinbake.truth.fine import FineMesh
 from skinbake.truth.mesh import WeldedMesh
 from skinbake.truth.normals import (
     CarriedNormals,
@@ -42,38 +44,76 @@ SUMS = np.float32
 
 @dataclass(frozen=True, slots=True)
 class Truths:
-    """The data of one mesh that both truths need: blocks of vertices and of weld classes, the rest pose.
+    """The data of one mesh that the truths need: blocks of vertices and of weld classes, the rest pose.
 
-    names are one or both of ``Truth``, in the order of ``Truth``. frames are for the truth by tangents.
-    carried is for the truth by triangles, None without it; then there are no class_blocks.
+    of_mesh are one or both of ``USUAL_TRUTHS``, in their order. frames are for the truth by tangents. carried
+    is for the truth by triangles, None without it; then there are no class_blocks. fine is for the truth
+    *fine*, None without it.
     """
 
     operator: GradientOperator
-    names: Sequence[str]
+    of_mesh: Sequence[str]
     vertex_blocks: Sequence[VertexBlock]
     class_blocks: Sequence[ClassBlock]
     frames: RestFrames
     carried: CarriedNormals | None
+    fine: FineTruth | None = None
 
     @classmethod
     def of(
-        cls, operator: GradientOperator, primitives: Sequence[RestPrimitive], poses: int, names: Sequence[str]
+        cls,
+        operator: GradientOperator,
+        primitives: Sequence[RestPrimitive],
+        poses: int,
+        of_mesh: Sequence[str] = USUAL_TRUTHS,
+        fine: FineMesh | None = None,
     ) -> Truths:
-        """Measure a mesh at rest, for chunks of so many poses."""
-        blocks_of_vertices = _vertex_blocks(operator.slices, poses)
+        """Measure a mesh at rest, for chunks of so many poses; with ``fine`` by the truth *fine* too."""
         positions, normals = (_joined(primitives, name) for name in ("positions", "normals"))
+        found = cls._measured(operator, positions, normals, poses, of_mesh)
+        if fine is None:
+            return found
+        with_points = fine.with_points(positions, normals)
+        inner = cls._measured(fine.operator(with_points), with_points, normals, poses, (Truth.TRIANGLES,))
+        return replace(found, fine=FineTruth(fine, inner, fine.points(primitives, with_points)))
+
+    @classmethod
+    def _measured(
+        cls,
+        operator: GradientOperator,
+        positions: FloatArray,
+        normals: FloatArray,
+        poses: int,
+        of_mesh: Sequence[str],
+    ) -> Truths:
+        """Measure positions (M, 3), of which the first V have the normals (V, 3) and are in the slices."""
+        blocks_of_vertices = _vertex_blocks(operator.slices, poses)
         parts = tuple(block.part for block in blocks_of_vertices)
         frames = rest_frames(operator, positions, normals, parts=parts)
         blocks_of_classes: list[ClassBlock] = []
         carried = None
-        if Truth.TRIANGLES in names:
+        if Truth.TRIANGLES in of_mesh:
             blocks_of_classes = class_blocks(operator)
             carried = carried_normals(operator, frames, positions, normals, blocks_of_classes, SUMS)
-        return cls(operator, names, blocks_of_vertices, blocks_of_classes, frames, carried)
+        return cls(operator, of_mesh, blocks_of_vertices, blocks_of_classes, frames, carried)
+
+    @property
+    def names(self) -> list[str]:
+        """The truths, in the order of ``Truth``."""
+        return [*self.of_mesh, *([] if self.fine is None else [Truth.FINE])]
 
     def moved(self, primitives: Sequence[RestPrimitive]) -> Truths:
         """Measure the mesh under morph targets, before skinning."""
         positions, normals = (_joined(primitives, name) for name in ("positions", "normals"))
+        found = self._moved(positions, normals)
+        if self.fine is None:
+            return found
+        mesh = self.fine.mesh
+        with_points = mesh.with_points(positions, normals)
+        inner = self.fine.truths._moved(with_points, normals)
+        return replace(found, fine=FineTruth(mesh, inner, mesh.points(primitives, with_points)))
+
+    def _moved(self, positions: FloatArray, normals: FloatArray) -> Truths:
         frames = morphed_frames(self.frames, positions, normals)
         carried = self.carried and carried_normals(
             self.operator, frames, positions, normals, self.class_blocks, SUMS
@@ -98,12 +138,41 @@ class Truths:
     def normals(
         self, number: int, deformed: Float64Array, sums: ClassSums | None, sides: Float64Array | None
     ) -> tuple[Float64Array, BoolArray]:
-        """Return a block's unit normals (U, 3, B, P) by each truth of ``names``, and where they exist."""
+        """Return a block's unit normals (U, 3, B, P) by the truths ``of_mesh``, and where they exist."""
         normals, exist = kernel.true_normals(self.frames, number, deformed, sides, sums)
         # These are all truths in the order of Truth, or the first one alone if there are no sums.
-        first = tuple(Truth).index(Truth(self.names[0]))
-        named = slice(first, first + len(self.names))
+        first = tuple(Truth).index(Truth(self.of_mesh[0]))
+        named = slice(first, first + len(self.of_mesh))
         return normals[named], exist[named]
+
+
+@dataclass(frozen=True, slots=True)
+class FineTruth:
+    """The fine mesh of a truth: its own truth by triangles, and its points as a primitive to be skinned."""
+
+    mesh: FineMesh
+    truths: Truths
+    points: RestPrimitive
+
+
+@dataclass(frozen=True, slots=True)
+class PosedSurface:
+    """A mesh in some poses: its positions (3, V, P), and the sums of its weld classes."""
+
+    truths: Truths
+    positions: Float64Array
+    sums: ClassSums | None
+
+    @classmethod
+    def of(
+        cls, truths: Truths, positions: Float64Array, threads: Threads, memory: ChunkMemory | None = None
+    ) -> PosedSurface:
+        """Sum up the triangles in all poses."""
+        return cls(truths, positions, truths.sums(positions, threads, memory))
+
+    def normals(self, number: int, sides: Float64Array | None) -> tuple[Float64Array, BoolArray]:
+        """Return a block's unit normals by the truths of this mesh, as ``Truths.normals``."""
+        return self.truths.normals(number, self.positions, self.sums, sides)
 
 
 class ChunkMemory:
