@@ -207,23 +207,23 @@ def test_another_version_is_another_bake(baking: Baking, monkeypatch: pytest.Mon
 
 def test_so_is_other_code_of_the_same_version(baking: Baking, monkeypatch: pytest.MonkeyPatch) -> None:
     baking()
-    code = state._code()
-    monkeypatch.setattr(state, "_code", lambda: code[::-1])
+    code = state.code_digest()
+    monkeypatch.setattr(state, "code_digest", lambda: code[::-1])
     assert baking() == FIRST
 
 
 def test_the_code_is_all_that_is_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     copy = tmp_path / "skinbake"
     shutil.copytree(Path(skinbake.__file__).parent, copy, ignore=shutil.ignore_patterns("__pycache__"))
-    before = state._code()
+    before = state.code_digest()
     monkeypatch.setattr(state, "__file__", str(copy / "jobs" / "state.py"))
-    assert state._code() == before
+    assert state.code_digest() == before
     for changed in ("gradients/weight_gradients.py", "shaders/templates"):
         path = copy / changed
         file = path if path.is_file() else next(p for p in sorted(path.rglob("*")) if p.is_file())
         file.write_bytes(file.read_bytes() + b" ")
-        assert state._code() != before
-        before = state._code()
+        assert state.code_digest() != before
+        before = state.code_digest()
 
 
 def test_a_tree_that_moves_as_a_whole_stays_up_to_date(baking: Baking, tmp_path: Path) -> None:

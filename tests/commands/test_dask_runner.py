@@ -218,10 +218,11 @@ def _another_version_is_refused(address: str, monkeypatch: pytest.MonkeyPatch, j
             runner.connect()
         assert raised.value.place is not None
         assert raised.value.place.file == address
-        # A worker that comes when all was well at first.
-        patch.setattr(DaskRunner, "_checked", lambda self, client: [])
-        with DaskRunner(address) as trusting:
-            results = dict(trusting.run(baking(), jobs))
+    # All is well at first; then a worker of another version comes.
+    with DaskRunner(address) as runner, monkeypatch.context() as patch:
+        assert runner.connect() == []
+        patch.setattr("skinbake.jobs.remote.dask_task.__version__", "9.9.9")
+        results = dict(runner.run(baking(), jobs))
     assert sorted(results) == [0, 1, 2]
     assert all("has skinbake 0" in message_of(result) for result in results.values())
     with monkeypatch.context() as patch:  # whose last bits may differ

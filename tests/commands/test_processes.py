@@ -31,6 +31,7 @@ from tests.commands.works import (
     Raising,
     Slow,
     Surroundings,
+    ToldTooLate,
     Unborn,
     Work,
 )
@@ -211,22 +212,12 @@ def test_who_is_done_in_time_is_not_given_up_while_the_caller_is_away() -> None:
 
 
 @POSIX
-def test_a_worker_that_was_told_to_stop_gets_no_other_job(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A job may be done at the very moment at which its worker is told to stop."""
-    heard, deaths = processes._Pool._finished, []
-
-    def finished(pool: Any, worker: Any, number: int, *rest: Any) -> Any:
-        deaths.append(pool._deaths)
-        if number == 3:
-            worker.late = time.monotonic()
-            worker.process.terminate()
-        return heard(pool, worker, number, *rest)
-
-    monkeypatch.setattr(processes._Pool, "_finished", finished)
-    found = limited(Work(), range(12), Limits(seconds=60.0), workers=1)
+def test_a_worker_that_was_told_to_stop_gets_no_other_job() -> None:
+    found = limited(ToldTooLate(), range(12), Limits(seconds=1.0), workers=1)
     assert {number: result[0] for number, result in found.items()} == {n: 2 * n for n in range(12)}
-    assert [found[number][1] == found[3][1] for number in (2, 11)] == [True, False]
-    assert deaths[-1] == {}, "no job is suspected of having killed it"
+    workers = [found[number][1] for number in range(12)]
+    assert workers == [workers[0]] * 4 + [workers[4]] * 8
+    assert workers[4] != workers[0]
 
 
 def is_open(descriptor: int) -> bool:

@@ -140,6 +140,19 @@ class Hungry(Work):
 
 
 @dataclass(frozen=True)
+class ToldTooLate(Work):
+    """Is done with job 3 at the very moment at which it is told to stop."""
+
+    def __call__(self, job: Any) -> Any:
+        if job == 3:
+            told: list[int] = []
+            signal.signal(signal.SIGTERM, lambda number, frame: told.append(number))
+            while not told:
+                time.sleep(0.01)
+        return super().__call__(job)
+
+
+@dataclass(frozen=True)
 class Deaf(Work):
     """Does not hear that it is to stop."""
 

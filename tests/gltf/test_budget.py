@@ -463,13 +463,13 @@ def test_streams_that_share_accessors_are_compared_once_each(
 
     document = read_document(str(draco_twin(FOLDER / "bent_tube.glb", tmp_path / "in.glb", change=share)))
     calls: list[object] = []
-    claimed = draco._claimed
+    read = draco.read_stream
 
     def counted(*given: Any) -> Any:
         calls.append(given)
-        return claimed(*given)
+        return read(*given)
 
-    monkeypatch.setattr(draco, "_claimed", counted)
+    monkeypatch.setattr(draco, "read_stream", counted)
     sources, _ = skinned_sources(document)
     attributes = len(sources[0].attributes)
     for source in sources:

@@ -146,7 +146,7 @@ def test_the_joints_of_many_groups_are_not_compared_by_pairs(monkeypatch: pytest
     def joints_of(document: Document, skin: int) -> list[Joint]:
         return [Joint(node) for node in document.objects("skins")[skin]["joints"]]
 
-    monkeypatch.setattr(scenes, "_joints", joints_of)
+    monkeypatch.setattr(scenes, "listed_joints", joints_of)
     count = 20
     skins = [[(node + skin) % count for node in range(count)] for skin in range(count)]
     _, (notice,) = meshes_of_one_skin(drawn(skins, [[skin] for skin in range(count)]), range(count))

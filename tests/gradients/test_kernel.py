@@ -13,6 +13,7 @@ from functools import partial
 from importlib.machinery import ExtensionFileLoader
 from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
+from types import ModuleType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -275,25 +276,30 @@ def test_the_kernels_frame_from_normals_is_the_contracts_bit_by_bit() -> None:
     assert one.alpha[:4].any()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("weighting", WEIGHTINGS)
-@pytest.mark.parametrize("name", ["foreign_joints.glb", CESIUM_MAN, PBR_TEST])
-def test_without_any_optimisation_the_bits_are_the_same(
-    name: str, weighting: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture(scope="module")
+def unoptimised(tmp_path_factory: pytest.TempPathFactory) -> ModuleType:
+    """Return the loops, compiled without any optimisation."""
     compiler = required_program("cc")
-    library = tmp_path / "_kernel.so"
+    library = tmp_path_factory.mktemp("unoptimised") / "_kernel.so"
     headers = f"-I{sysconfig.get_path('include')}"
     plain = [compiler, "-std=c11", "-O0", "-ffp-contract=off", "-w", "-shared", "-fPIC", headers]
     subprocess.run([*plain, str(SOURCE), "-o", str(library), "-lm"], check=True)
     loader = ExtensionFileLoader("_kernel", str(library))
     specification = spec_from_loader("_kernel", loader)
     assert specification is not None
-    other = module_from_spec(specification)
+    return module_from_spec(specification)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+@pytest.mark.parametrize("name", ["foreign_joints.glb", CESIUM_MAN, PBR_TEST])
+def test_without_any_optimisation_the_bits_are_the_same(
+    name: str, weighting: str, unoptimised: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for primitives in meshes_of(path_of(name)).values():
         expected = bake(surface_of(primitives), weighting)
         with monkeypatch.context() as patch:
-            patch.setattr(by_loops, "_kernel", other)
+            patch.setattr(by_loops, "loops", unoptimised)
             found = bake(surface_of(primitives), weighting)
         for member in ("alpha", "beta", "adopting", "adopted", "sums"):
             assert np.array_equal(getattr(found, member), getattr(expected, member)), member

@@ -604,7 +604,7 @@ def test_the_figures_do_not_depend_on_blocks(
     monkeypatch.setattr(blending, "CHUNK_POSES", 7)
     monkeypatch.setattr(blending, "BLOCK_SAMPLES", 300)
     monkeypatch.setattr(normals, "CLASS_CORNERS", 200)
-    monkeypatch.setattr(tally, "_TAIL", 100)
+    monkeypatch.setattr(tally, "TAIL", 100)
     pieces = measured(path, poses=request)
     assert whole.normals is not None
     assert pieces.normals is not None

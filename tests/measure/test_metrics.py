@@ -132,7 +132,7 @@ def percentile(errors: npt.NDArray[np.float64], weights: npt.NDArray[np.float64]
 @pytest.mark.parametrize("seed", range(12))
 def test_a_tally_of_blocks_is_exact(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Few values, so that there are ties; areas that go with the errors or against them; gaps."""
-    monkeypatch.setattr(tallies, "_TAIL", 50)
+    monkeypatch.setattr(tallies, "TAIL", 50)
     rng = np.random.default_rng(seed)
     poses, count = 40, 30
     errors = np.round(rng.gamma(1.0, 3.0, (poses, count)), seed % 3)

@@ -301,7 +301,6 @@ class TestRefusals:
         shutil.copytree(shader_texts.TEMPLATES, tmp_path / "templates")
         (tmp_path / "templates" / "targets" / "bare.glsl").write_text("@{ text_for().snippet }\n")
         monkeypatch.setattr(shader_texts, "TEMPLATES", tmp_path / "templates")
-        monkeypatch.setattr(shader_texts, "_environment", shader_texts._environment.__wrapped__)
         with pytest.raises(ChoiceError, match="target='bare': it reads alpha and beta as floats"):
             shader_text(ShaderChoices(GLSL, target="bare", **storage))
         approximated = ShaderChoices(GLSL, lighting=Lighting.APPROXIMATED, target="bare", **storage)

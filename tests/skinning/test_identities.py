@@ -12,8 +12,8 @@ from skinbake.errors import UnsupportedFeatureError
 from skinbake.geometry.dual_quaternions import RigidMotions, rigid_motions
 from skinbake.skinning import run
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.components import PosedVertex
-from skinbake.skinning.rest import RestPrimitive
+from skinbake.skinning.rest import Options, RestPrimitive
+from skinbake.skinning.run import Skinning
 from tests.support import analytic
 from tests.support import replay as replaying
 from tests.support.analytic_rest import poses, rest_primitive, sample, slots
@@ -177,19 +177,19 @@ def test_float32_is_float64_rounded(algorithm: Algorithm) -> None:
 
 @pytest.mark.parametrize("algorithm", Algorithm)
 @pytest.mark.parametrize("cap", [None, 0.9])
-def test_float32_is_never_widened_on_the_way(
-    algorithm: Algorithm, cap: float | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_float32_is_never_widened_on_the_way(algorithm: Algorithm, cap: float | None) -> None:
     """A replay in float32 stands for what a shader computes."""
-    seen: set[np.dtype[np.floating]] = set()
-
-    def record(_: object, pose: slice, part: slice, vertex: PosedVertex) -> None:
-        for field in ("position", "normal", "tangent", "bitangent"):
-            seen.update(component.dtype for component in getattr(vertex, field))
-
-    monkeypatch.setattr(replaying, "_write", record)
-    replay(algorithm, rest_primitive(sample()), poses(), dtype=np.float32, cap=cap)
-    assert seen == {np.dtype(np.float32)}
+    rest, matrices = rest_primitive(sample()), poses()
+    skinning = Skinning.of(
+        rest,
+        matrices,
+        dual_quaternions=algorithm.uses_dual_quaternions,
+        dtype=np.float32,
+        options=Options(cap),
+    )
+    (vertex,) = skinning.run((algorithm,), slice(0, len(matrices)), slice(0, len(rest.positions)))
+    vectors = vertex.position, vertex.normal, vertex.tangent, vertex.bitangent
+    assert {component.dtype for vector in vectors for component in vector} == {np.dtype(np.float32)}
 
 
 @pytest.mark.parametrize("size", [8, 64, 8 * 1000, 1 << 20])
@@ -200,7 +200,7 @@ def test_the_size_of_a_block_changes_nothing(
     """480 vertices and 4 poses: single numbers, a part of a pose, two poses, everything at once."""
     rest = rest_primitive(sample())
     expected = replay(algorithm, rest, poses())
-    monkeypatch.setattr(replaying, "_BLOCK_BYTES", size)
+    monkeypatch.setattr(replaying, "BLOCK_BYTES", size)
     assert_same(replay(algorithm, rest, poses()), expected, atol=0)
 
 

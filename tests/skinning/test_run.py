@@ -32,8 +32,8 @@ def test_small_blocks_change_nothing(algorithm: Algorithm, monkeypatch: pytest.M
     rest = analytic_rest.rest_primitive(analytic_rest.sample())
     poses = np.concatenate([analytic_rest.poses()] * 6)
     whole = replay(algorithm, rest, poses)
-    monkeypatch.setattr(replaying, "_BLOCK_BYTES", 8 * 100)
-    monkeypatch.setattr(replaying, "_BLOCK_POSES", 7)
+    monkeypatch.setattr(replaying, "BLOCK_BYTES", 8 * 100)
+    monkeypatch.setattr(replaying, "BLOCK_POSES", 7)
     pieces = replay(algorithm, rest, poses)
     for name in VECTORS:
         assert np.array_equal(getattr(whole, name), getattr(pieces, name)), name

@@ -16,12 +16,15 @@ from skinbake.skinning.components import PosedVertex
 from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.skinning.run import Skinning
 
-# Bytes of one component of a block, some sixty of which are alive at a time. Measured at 10,000 vertices ×
-# 100 poses: flat from 32 to 256 KiB, half as long again at 16, where the interpreter begins to show.
-_BLOCK_BYTES = 65536
+BLOCK_BYTES = 65536
+"""Bytes of one component of a block, some sixty of which are alive at a time.
 
-# Poses of a block, where there are as many: gathering a joint's motion then copies a row of them.
-_BLOCK_POSES = 64
+Measured at 10,000 vertices × 100 poses: flat from 32 to 256 KiB, half as long again at 16, where the
+interpreter begins to show.
+"""
+
+BLOCK_POSES = 64
+"""Poses of a block, where there are as many: gathering a joint's motion then copies a row of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +85,8 @@ def replay(
 
 def _blocks(poses: int, vertices: int, itemsize: int) -> Iterator[tuple[slice, slice]]:
     """Cut poses × vertices into blocks of one size: some poses of some vertices, more of a small mesh."""
-    size = _BLOCK_BYTES // itemsize
-    pose_step = max(1, min(poses, max(_BLOCK_POSES, size // max(1, vertices))))
+    size = BLOCK_BYTES // itemsize
+    pose_step = max(1, min(poses, max(BLOCK_POSES, size // max(1, vertices))))
     vertex_step = max(1, size // pose_step)
     for vertex in range(0, vertices, vertex_step):
         for pose in range(0, poses, pose_step):

@@ -562,7 +562,7 @@ def test_for_other_processors_and_unoptimised_the_bits_are_the_same(
         return [posed, turned, *linear, normals, exist, errors, sums, *figures]
 
     expected = results()
-    monkeypatch.setattr(by_loops, "_loops", other)
+    monkeypatch.setattr(by_loops, "loops", other)
     for found, wanted in zip(results(), expected, strict=True):
         assert np.array_equal(found, wanted, equal_nan=np.asarray(wanted).dtype != np.bool_)
 

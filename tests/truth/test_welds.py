@@ -177,11 +177,11 @@ def test_classes_are_numbered_by_their_first_vertices() -> None:
     assert max(classes) + 1 < 200
 
 
-def test_rows_of_one_hash_are_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(1)
-    parts = [copies(positions=rng.integers(0, 5, (200, 3)), normals=tilted(*rng.uniform(0, 90, 200)))]
-    expected = partition(*parts)
-    monkeypatch.setattr(mesh, "_hashes", lambda rows: np.zeros(len(rows), dtype=np.uint64))
-    assert partition(*parts) == expected
-    monkeypatch.setattr(mesh, "_hashes", lambda rows: (rows[:, 0] % 3).astype(np.uint64))
-    assert partition(*parts) == expected
+def test_rows_of_one_hash_are_told_apart() -> None:
+    first = np.random.default_rng(1).integers(0, 9, (200, 1))
+    # A column equal to the hash of the columns before it makes the hash 0.
+    rows = np.hstack([first, mesh.row_hashes(first).view(np.int64)[:, None]])
+    assert set(mesh.row_hashes(rows).tolist()) == {0}
+    expected = as_met(np.unique(first, return_inverse=True)[1].reshape(-1))
+    assert len(set(expected)) == 9
+    assert as_met(mesh.row_numbers(rows)) == expected

@@ -178,8 +178,8 @@ def _open(root: str, name: str, flags: int) -> int:
         return os.open(path, flags)
     folder = os.open(root, _FOLDER_FLAGS)
     try:
-        openat2 = _openat2()
-        return _walked(folder, name, flags) if openat2 is None else openat2(folder, os.fsencode(name), flags)
+        call = openat2()
+        return _walked(folder, name, flags) if call is None else call(folder, os.fsencode(name), flags)
     finally:
         os.close(folder)
 
@@ -192,7 +192,7 @@ def _check_real(root: str, path: str) -> None:
 
 
 @lru_cache(maxsize=1)
-def _openat2() -> Callable[[int, bytes, int], int] | None:
+def openat2() -> Callable[[int, bytes, int], int] | None:
     """Return Linux's call that opens a path without leaving a folder, or None if it is missing."""
     if not sys.platform.startswith("linux"):
         return None

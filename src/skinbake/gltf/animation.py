@@ -211,7 +211,7 @@ def read_skeleton(document: Document, skin_index: int) -> Skeleton:
 
 def _shared_skeleton(document: Document, skin_index: int) -> Skeleton:
     """Return the skeleton of a skin, which is read once for all skins that say the same."""
-    joints, matrices = _listed_joints(document, skin_index), _matrices_of(document, skin_index)
+    joints, matrices = listed_joints(document, skin_index), _matrices_of(document, skin_index)
     known: dict[object, Skeleton] = document.derived.setdefault("skeletons", {})
     key = tuple(joints), matrices
     if key not in known:
@@ -219,8 +219,8 @@ def _shared_skeleton(document: Document, skin_index: int) -> Skeleton:
     return known[key]
 
 
-def _listed_joints(document: Document, skin_index: int) -> list[int]:
-    """Return the nodes that a skin lists as its joints."""
+def listed_joints(document: Document, skin_index: int) -> list[int]:
+    """Return the nodes that a skin lists as its joints; raises InputError if one is no node."""
     skin, place, owner = document.objects("skins")[skin_index], document.place, f"skin {skin_index}"
     count = len(document.objects("nodes"))
     joints = [

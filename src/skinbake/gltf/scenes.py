@@ -5,10 +5,10 @@ Source: glTF 2.0, §3.5 and §3.7.3.
 
 from __future__ import annotations
 
-from collections.abc import Container, Hashable, Iterable, Sequence
+from collections.abc import Container, Hashable, Iterable
 
 from skinbake.errors import Notice, Place
-from skinbake.gltf.animation import read_skeleton
+from skinbake.gltf.animation import listed_joints, read_skeleton
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, entries_of, object_of, reference
 
@@ -94,12 +94,7 @@ def _skins_by_mesh(document: Document, meshes: Container[int]) -> dict[int, Skin
 def _binding(document: Document, skin: int) -> Hashable:
     """Return the identity of a skin: its joints, in order, and their inverse bind matrices."""
     matrices = read_skeleton(document, skin).inverse_bind
-    return tuple(_joints(document, skin)), (matrices + 0.0).tobytes()  # −0 = +0
-
-
-def _joints(document: Document, skin: int) -> Sequence[int]:
-    """Return the joint nodes of a skin; reading the skin has checked that they are indices."""
-    return [int(node) for node in document.objects("skins")[skin]["joints"]]
+    return tuple(listed_joints(document, skin)), (matrices + 0.0).tobytes()  # −0 = +0
 
 
 def _owners(owned: Iterable[tuple[Iterable[int], int]]) -> dict[int, int]:
@@ -118,7 +113,7 @@ def _kept_apart(document: Document, groups: dict[Skins, list[int]]) -> list[Noti
     Each joint of each skin is read once, so that many groups of many joints take no longer than reading them.
     """
     group_of = _owners((skins, number) for number, skins in enumerate(groups))
-    joints = {skin: _joints(document, skin) for skin in group_of}
+    joints = {skin: listed_joints(document, skin) for skin in group_of}
     moved_by = _owners((joints[skin], group) for skin, group in group_of.items())
     of_several = {skin for skin in joints if any(moved_by[node] == SEVERAL for node in joints[skin])}
     concerned = [meshes[0] for skins, meshes in groups.items() if not skins.isdisjoint(of_several)]

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray, blocks
 from skinbake.geometry.triangles import DEGENERATE_AREA
-from skinbake.gradients import _kernel
+from skinbake.gradients import _kernel as loops
 from skinbake.gradients.fit_rules import (
     DOUBT,
     EVEN,
@@ -45,10 +45,10 @@ ROWS_A_THREAD = 1 << 17
 Found = TypeVar("Found")
 
 WEIGHTINGS = {
-    "max": _kernel.BY_MAX,
-    "angle": _kernel.BY_ANGLE,
-    "area": _kernel.BY_AREA,
-    "angle-area": _kernel.BY_ANGLE_AREA,
+    "max": loops.BY_MAX,
+    "angle": loops.BY_ANGLE,
+    "area": loops.BY_AREA,
+    "angle-area": loops.BY_ANGLE_AREA,
 }
 
 
@@ -59,8 +59,8 @@ def label_equal_rows(rows: npt.NDArray[np.generic]) -> Labels:
     """
     labels = np.empty(len(rows), dtype=np.int32)
     try:
-        _kernel.label_equal_rows(np.ascontiguousarray(rows), labels)
-    except _kernel.CollisionError:
+        loops.label_equal_rows(np.ascontiguousarray(rows), labels)
+    except loops.CollisionError:
         from skinbake.gradients import by_numpy
 
         return by_numpy.label_equal_rows(rows)
@@ -81,7 +81,7 @@ def normalise_influences(
 
     def normalise(rows: slice) -> dict[str, int]:
         parts = joints[rows], weights[rows], free[rows]
-        return _kernel.normalise_influences(*parts, adopting_sum, adopting_weight, tolerance, least)
+        return loops.normalise_influences(*parts, adopting_sum, adopting_weight, tolerance, least)
 
     found = _by_rows(normalise, len(joints))
     defects = {name: sum(part[name] for part in found) for name in found[0]}
@@ -95,7 +95,7 @@ def mark_proper(positions: FloatArray, triangles: IntArray) -> BoolArray:
     points = np.ascontiguousarray(positions)
 
     def mark(rows: slice) -> None:
-        _kernel.mark_proper(points, corners[rows], mask[rows], DEGENERATE_AREA)
+        loops.mark_proper(points, corners[rows], mask[rows], DEGENERATE_AREA)
 
     _by_rows(mark, len(corners))
     return mask
@@ -116,7 +116,7 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
     classes = np.ascontiguousarray(surface.classes, dtype=np.int32)
     count = int(classes.max(initial=-1)) + 1
     bake = partial(
-        _kernel.bake_surface,
+        loops.bake_surface,
         positions=np.ascontiguousarray(surface.positions),
         triangles=triangles,
         joints=surface.field.joints,
@@ -157,9 +157,7 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
         sums = np.zeros((len(surface.ends), 4))
         bake(sums=sums, grouped=None, first=0, last=0)
     else:
-        grouped = _kernel.group_surface(
-            triangles, surface.field.joints, surface.field.weights, classes, count
-        )
+        grouped = loops.group_surface(triangles, surface.field.joints, surface.field.weights, classes, count)
         sums = _baked_in_parts(partial(bake, grouped=grouped), count, len(surface.ends))
     adopts = np.zeros(vertices, dtype=np.bool_)
     adopts[np.flatnonzero(adopted) // slots] = True

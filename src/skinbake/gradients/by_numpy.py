@@ -37,7 +37,7 @@ def label_equal_rows(rows: npt.NDArray[np.generic]) -> Labels:
     """
     bits = bit_patterns(rows) if rows.dtype.kind == "f" else rows
     keys = bits.astype(np.uint64, copy=False)
-    hashed = _hash_rows(keys)
+    hashed = row_hashes(keys)
     order = np.argsort(hashed)
     differs = np.any(keys[order[1:]] != keys[order[:-1]], axis=1)
     same_hash = hashed[order[1:]] == hashed[order[:-1]]
@@ -49,7 +49,7 @@ def label_equal_rows(rows: npt.NDArray[np.generic]) -> Labels:
     return number_as_met(labels)
 
 
-def _hash_rows(keys: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
+def row_hashes(keys: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
     """Mix every row into 64 bits (multiply and xor-shift, as in splitmix64)."""
     state = np.full(len(keys), 0x9E3779B97F4A7C15, dtype=np.uint64)
     for column in keys.T:

@@ -196,7 +196,7 @@ def recipe(command: str, options: DataclassInstance, state: str, roots: Iterable
 def _how(command: str, options: DataclassInstance) -> str:
     """Return the digest of a command with its options and code."""
     text = json.dumps(
-        [command, __version__, _code(), kernel.IS_COMPILED, asdict(options)],
+        [command, __version__, code_digest(), kernel.IS_COMPILED, asdict(options)],
         sort_keys=True,
         default=str,
     )
@@ -423,7 +423,7 @@ def _digest(path: str) -> str | None:
         raise
 
 
-def _code() -> str:
+def code_digest() -> str:
     """Return a digest of skinbake's own code. In a checkout, the code changes but the version does not."""
     folder = Path(__file__).parents[1]
     files = sorted(path for path in folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts)

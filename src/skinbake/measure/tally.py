@@ -22,7 +22,7 @@ from skinbake.truth.values import (
 _SHARES = (0.95, 0.99)
 
 # The number of samples that a tail gathers before it is shortened for the first time.
-_TAIL = 1 << 16
+TAIL = 1 << 16
 
 # The number of samples below which it takes less time to sort all of them than to fill their bins.
 _FEW = 1 << 12
@@ -146,7 +146,7 @@ class _Tail:
         self.least = 0.0
         self._room = WeightedRuns.room(0, 0)
         self._end = self._noted = Extent(0, 0)
-        self._limit = _TAIL
+        self._limit = TAIL
         self._bins: Float64Array | None = None
         self._first_bin = 0
 
@@ -200,7 +200,7 @@ class _Tail:
         """Drop the values below ``least``."""
         self._end = self._noted = kernel.keep_at_least(self._values(), self._room, self.least)
         count = self._end.values
-        self._limit = max(_TAIL, min(2 * count, _ROOM), count + count // 4)
+        self._limit = max(TAIL, min(2 * count, _ROOM), count + count // 4)
 
     def percentiles(self, weight: float) -> list[float]:
         """Invert the cumulative weight of all values that were added, ``weight`` in total."""

@@ -127,15 +127,15 @@ def _text_for(choices: ShaderChoices, reads: Sequence[str], also: Sequence[str] 
 
 
 def _rendered(template: str, context: dict[str, Any]) -> str:
-    return _environment().get_template(template).render(context).strip("\n")
+    return _environment(TEMPLATES).get_template(template).render(context).strip("\n")
 
 
 @cache
-def _environment() -> jinja2.Environment:
+def _environment(folder: Path) -> jinja2.Environment:
     import jinja2
 
     return jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES),
+        loader=jinja2.FileSystemLoader(folder),
         undefined=jinja2.StrictUndefined,
         autoescape=False,
         line_statement_prefix="//%",

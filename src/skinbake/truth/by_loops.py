@@ -16,7 +16,8 @@ from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, Flo
 from skinbake.skinning.components import Vector
 from skinbake.skinning.rest import RestPrimitive
 from skinbake.skinning.run import Skinning
-from skinbake.truth import _loops, by_numpy
+from skinbake.truth import _loops as loops
+from skinbake.truth import by_numpy
 from skinbake.truth.mesh import WeldedMesh
 from skinbake.truth.normals import FLAT_FRAME, FLAT_TRIANGLE, ClassBlock, ClassSums, RestFrames
 from skinbake.truth.values import BIN_SHIFT, CountedErrors, Extent, Forms, SparseRows, WeightedRuns
@@ -24,13 +25,13 @@ from skinbake.truth.values import BIN_SHIFT, CountedErrors, Extent, Forms, Spars
 
 def blend(forms: Forms, table: Float64Array, out: Float64Array, first_row: int = 0) -> None:
     """Write F of B vertices to rows of out (F, 3, V, P)."""
-    _loops.blend(*_taken(forms), table, out, first_row)
+    loops.blend(*_taken(forms), table, out, first_row)
 
 
 def blended_normals(forms: Forms, table: Float64Array, normals: FloatArray | None = None) -> Float64Array:
     """Return F × G of B vertices, or M⁻ᵀ n: (3, B, P)."""
     out = np.empty((3, len(forms.joints), table.shape[2]))
-    _loops.blended_normals(
+    loops.blended_normals(
         *_taken(forms),
         table,
         None if normals is None else np.ascontiguousarray(normals, dtype=np.float64),
@@ -60,7 +61,7 @@ def dqs_positions(
 ) -> None:
     """Write p' by dual quaternions for some vertices to rows of out (3, V, P)."""
     rest = skinning.vertices.rest.rows(part)
-    _loops.dqs_positions(*_moved_by_dqs(skinning, rest), out, pose.start, first_row)
+    loops.dqs_positions(*_moved_by_dqs(skinning, rest), out, pose.start, first_row)
 
 
 def dqs_normals(skinning: Skinning, pose: slice, part: slice) -> Float64Array:
@@ -70,7 +71,7 @@ def dqs_normals(skinning: Skinning, pose: slice, part: slice) -> Float64Array:
     rest = skinning.vertices.rest.rows(part)
     out = np.empty((3, 3, len(rest.joints), pose.stop - pose.start))
     frame = [vectors.T for vectors in (rest.normals, rest.tangents, rest.bitangents)]
-    _loops.dqs_normals(
+    loops.dqs_normals(
         *_moved_by_dqs(skinning, rest),
         out,
         np.ascontiguousarray(frame, dtype=np.float64),
@@ -106,7 +107,7 @@ def gradient_rows(mesh: WeldedMesh, part: slice, directions: Sequence[FloatArray
     room = 3 * int((mesh.ends[classes + 1] - mesh.ends[classes]).sum())
     starts, columns = np.empty(size + 1, dtype=np.int32), np.empty(room, dtype=np.int32)
     values = np.empty((count, room))
-    _loops.gradient_rows(
+    loops.gradient_rows(
         mesh.positions,
         mesh.triangles,
         mesh.corners,
@@ -126,7 +127,7 @@ def gradient_rows(mesh: WeldedMesh, part: slice, directions: Sequence[FloatArray
 
 def class_sums(mesh: WeldedMesh, positions: Float64Array, block: ClassBlock, sums: FloatArray) -> None:
     """Fill the sums (3, C, P) of a block of weld classes: Σ angle × unit normal over their corners."""
-    _loops.class_sums(
+    loops.class_sums(
         np.ascontiguousarray(positions, dtype=np.float64),
         mesh.triangles,
         block.triangles,
@@ -150,7 +151,7 @@ def true_normals(
     shape = (1 if by_triangles is None else 2, 3, part.stop - part.start, positions.shape[2])
     normals, exist = np.empty(shape), np.empty((shape[0], *shape[2:]), dtype=np.bool_)
     along_t, along_b = rest.derivatives[number]
-    _loops.true_normals(
+    loops.true_normals(
         along_t.starts,
         along_t.columns,
         along_t.values,
@@ -176,7 +177,7 @@ def angles(measured: Vector, expected: Float64Array) -> Float32Array:
     """Return the angles (U, B, P), in degrees, between vectors of any length and unit vectors."""
     found = np.empty((expected.shape[0], *expected.shape[2:]), dtype=np.float32)
     x, y, z = (np.ascontiguousarray(component.T, dtype=np.float64) for component in measured)
-    _loops.angles(x, y, z, expected, found)
+    loops.angles(x, y, z, expected, found)
     return found
 
 
@@ -189,7 +190,7 @@ def count_errors(
     rows = np.ascontiguousarray(errors.T)
     room = WeightedRuns.room(rows.size, len(rows))
     exist = None if valid is None else np.ascontiguousarray(valid.T)
-    samples, undefined, kept, runs, weight, total, largest, pose, row = _loops.count_errors(
+    samples, undefined, kept, runs, weight, total, largest, pose, row = loops.count_errors(
         rows, weights, exist, *room.arrays, least
     )
     return CountedErrors(
@@ -208,10 +209,10 @@ def keep_at_least(found: WeightedRuns, room: WeightedRuns, least: float) -> Exte
     """Fill room with those of the values found that are at least ``least``, and return their end."""
     if not found.values.dtype == room.values.dtype == np.float32:
         return by_numpy.keep_at_least(found, room, least)
-    return Extent(*_loops.keep_at_least(*found.arrays, *room.arrays, least))
+    return Extent(*loops.keep_at_least(*found.arrays, *room.arrays, least))
 
 
 def add_to_bins(found: WeightedRuns, bins: Float64Array) -> None:
     """Add the weight of each value to its bin."""
     values, weights, lengths = found.arrays
-    _loops.add_to_bins(np.asarray(values, dtype=np.float32), weights, lengths, bins, BIN_SHIFT)
+    loops.add_to_bins(np.asarray(values, dtype=np.float32), weights, lengths, bins, BIN_SHIFT)

@@ -201,9 +201,9 @@ def weld_classes(
     joints, shares = influence_keys(primitives)
     # Adding zero turns −0 into +0. Then the rows are compared bit by bit, so that NaN is a value like any
     # other.
-    places = _row_numbers(np.hstack([(positions + 0.0).view(np.int64), joints, shares.view(np.int32)]))
+    places = row_numbers(np.hstack([(positions + 0.0).view(np.int64), joints, shares.view(np.int32)]))
     # Identical copies collapse here. Few pairs are left to compare by angle.
-    nodes = _row_numbers(np.column_stack([places, (normals + 0.0).view(np.int64)]))
+    nodes = row_numbers(np.column_stack([places, (normals + 0.0).view(np.int64)]))
     firsts = _first_rows(nodes)
     pairs = _close_pairs(places[firsts], normals[firsts], np.radians(crease_angle_degrees), claim)
     return _by_first_vertex(_components(pairs, len(firsts))[nodes])
@@ -224,9 +224,9 @@ def _first_rows(numbers: Int64Array) -> Int64Array:
     return firsts
 
 
-def _row_numbers(rows: Int64Array) -> Int64Array:
+def row_numbers(rows: Int64Array) -> Int64Array:
     """Give equal rows equal numbers, (V,) from 0 without gaps."""
-    hashes = _hashes(rows)
+    hashes = row_hashes(rows)
     # A sort by hash takes a tenth of the time of a sort by all columns.
     order = np.argsort(hashes)
     starts = _starts(rows[order])
@@ -247,7 +247,7 @@ def _starts(ordered: Int64Array) -> BoolArray:
     return starts
 
 
-def _hashes(rows: Int64Array) -> npt.NDArray[np.uint64]:
+def row_hashes(rows: Int64Array) -> npt.NDArray[np.uint64]:
     """Return one number for each row, (V,). Equal rows have equal numbers, and others hardly ever."""
     found = np.zeros(len(rows), dtype=np.uint64)
     for column in rows.T:
