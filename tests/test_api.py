@@ -306,7 +306,7 @@ def test_an_unknown_keyword_is_a_type_error(tmp_path: Path) -> None:
         skinbake.bake(TUBE)
 
 
-def test_one_text_in_the_place_of_a_list_is_refused(tmp_path: Path) -> None:
+def test_a_text_instead_of_a_list_is_refused(tmp_path: Path) -> None:
     """Its letters would be names: the first of /textures allows every folder."""
     with pytest.raises(skinbake.ChoiceError, match="allow_outside='/textures': expected a list of names"):
         skinbake.bake(TUBE, tmp_path / "out.glb", allow_outside="/textures")

@@ -159,7 +159,7 @@ class TestRealModels:
                 count += found is not None
             assert count == len(run.result.primitives)
 
-    def test_nothing_but_the_additions_changes(self, runs: list[Run]) -> None:
+    def test_real_models_change_by_the_additions_only(self, runs: list[Run]) -> None:
         for run in baked(runs):
             before, after = run.models()
             for _, _, primitive in primitives(after.content):
@@ -274,7 +274,7 @@ def test_the_khronos_validator_would_find_a_wrong_addition(tmp_path: Path) -> No
 
 class TestBrokenFiles:
     @pytest.mark.parametrize("generate_normals", [False, pytest.param(True, marks=pytest.mark.slow)])
-    def test_none_crashes_or_hangs_or_leaves_a_file_on_failure(
+    def test_no_broken_file_crashes_or_hangs_bake_or_leaves_an_output(
         self, generate_normals: bool, tmp_path: Path
     ) -> None:
         statuses: Counter[str] = Counter()
@@ -301,7 +301,7 @@ class TestBrokenFiles:
             if attempted(source, target).status == "failed":
                 assert target.read_bytes() == b"old"
 
-    def test_none_crashes_the_other_commands(self, tmp_path: Path) -> None:
+    def test_no_broken_file_crashes_inspect_or_strip(self, tmp_path: Path) -> None:
         for source, _ in corpus.invalid_models():
             target = str(tmp_path / source.name)
             for attempt in (inspect_file, partial(strip_file, target=target)):

@@ -22,7 +22,7 @@ def test_stages_inside_others_count_for_themselves() -> None:
     assert sum(timings.seconds.values()) == pytest.approx(spent, abs=0.01)
 
 
-def test_nothing_is_recorded_unasked() -> None:
+def test_stages_are_not_recorded_unasked() -> None:
     with recorded() as timings:
         pass
     with stage("later"):

@@ -77,7 +77,7 @@ def test_every_normal_is_that_of_the_replay(stage: Stage, model: str, pose: Pose
 
 
 @pytest.mark.parametrize(("source", "pose", "frame", "left", "backend"), VIEWS)
-def test_both_frames_and_both_hands(
+def test_normals_are_right_in_both_frames_and_both_handednesses(
     stage: Stage, source: Path, pose: Pose, frame: str, left: bool, backend: str
 ) -> None:
     require_backend(stage, backend)

@@ -14,7 +14,7 @@ from tests.support.node import package_folder, require_node, run_program
 pytestmark = pytest.mark.slow
 
 
-def test_they_are_right(tmp_path: Path) -> None:
+def test_a_use_of_the_package_compiles_under_tsc_strict(tmp_path: Path) -> None:
     require_node("typescript", "@babylonjs/core", "@babylonjs/loaders")
     shutil.copy(Path(__file__).parent / "usage.ts", tmp_path / "usage.ts")
     names = {"@babylonjs/*": str(package_folder("@babylonjs") / "*")}

@@ -57,7 +57,7 @@ def expected(mesh: Mesh) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_it_computes_the_mean_by_angle_and_area(mesh: Mesh, tmp_path: Path) -> None:
+def test_the_authors_loop_computes_the_mean_by_angle_and_area(mesh: Mesh, tmp_path: Path) -> None:
     program = peers.authors_loop(tmp_path)
     if program is None:
         missing_tool("g++ is not installed")
@@ -72,7 +72,7 @@ def test_it_computes_the_mean_by_angle_and_area(mesh: Mesh, tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-def test_it_says_what_is_wrong_with_a_file(tmp_path: Path) -> None:
+def test_the_authors_loop_says_what_is_wrong_with_a_file(tmp_path: Path) -> None:
     program = peers.authors_loop(tmp_path)
     if program is None:
         missing_tool("g++ is not installed")

@@ -184,7 +184,7 @@ GOOD = {STANDARD: 0.1, PACKED8: 0.109, FLOATS: 0.114, SCATTER: 0.5, GATHER: 0.46
 
 
 class TestGoals:
-    def test_all_are_met_by_good_times(self) -> None:
+    def test_good_times_meet_every_goal(self) -> None:
         assert [verdict(goal, record(GOOD)) for goal in GOALS] == [MET] * 4
         assert bytes_verdict(record(GOOD)) == MET
 

@@ -142,7 +142,7 @@ class TestRecomputes:
             found.append(np.hstack(pair))
         return np.stack(found)
 
-    def test_it_carries_the_authored_normals_along(self, name: str, outputs: Outputs) -> None:
+    def test_recomputing_carries_the_authored_normals_along(self, name: str, outputs: Outputs) -> None:
         mesh = split_sheet()
         expected = self.expected(mesh)
         surface = np.stack([surface_frames(mesh, mesh.positions)[:, :, 2]] * 2)
@@ -183,7 +183,7 @@ def test_bytes_are_those_of_the_buffers(variant: Any, outputs: Outputs) -> None:
     assert variant.bytes_moved(counts) == moved
 
 
-def test_both_clocks_tell_seconds(outputs: Outputs) -> None:
+def test_the_clocks_of_gpu_and_host_tell_seconds(outputs: Outputs) -> None:
     assert 0.0 < outputs.clocks[False] < TIMEOUT_SECONDS
     assert 0.0 <= outputs.clocks[True] < TIMEOUT_SECONDS
 

@@ -48,7 +48,7 @@ def test_a_command_that_fails_ends_the_run() -> None:
 @pytest.mark.skipif(
     not hasattr(os, "sched_getaffinity"), reason="this system cannot bind a process to a core"
 )
-def test_one_core_is_one_core() -> None:
+def test_a_process_on_one_core_sees_one_core() -> None:
     asked = "import os; print(len(os.sched_getaffinity(0)))"
     assert run(python(asked), one_core=True).printed.strip() == "1"
 

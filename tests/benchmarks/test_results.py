@@ -96,7 +96,7 @@ class TestQuickRun:
         for row in table(quick.read_text(encoding="utf-8")):
             assert re.search(r"\d|below 0", row[1]), row
 
-    def test_all_was_measured(self, figures: Results) -> None:
+    def test_a_quick_run_measures_every_row(self, figures: Results) -> None:
         assert figures["rows"].keys() == ROWS.keys()
         assert figures["machine"]["processor"]
         assert {"skinbake", "Python", "numpy"} <= figures["versions"].keys()
@@ -108,7 +108,7 @@ class TestQuickRun:
         )
         assert table(quick.read_text(encoding="utf-8"))[0][4] == f"{ours / theirs:.2f}"
 
-    def test_it_warns_that_it_is_quick(self, quick: Path) -> None:
+    def test_a_page_of_a_quick_run_warns_that_it_is_quick(self, quick: Path) -> None:
         assert "A quick run" in quick.read_text(encoding="utf-8")
 
     def test_the_library_can_be_computed_from_it(self, quick: Path) -> None:
@@ -257,7 +257,7 @@ class TestLibraryCost:
         assert found.payload == pytest.approx(0.1 / 50e6)
         assert (found.read, found.written, found.tasks) == (80, 100, 500)
 
-    def test_each_limit(self) -> None:
+    def test_each_limit_of_a_cluster_has_its_figure(self) -> None:
         found = library_cost.Rates(start=1, file=0, vertex=0, payload=0, read=0, written=0, tasks=2_000)
         asset = library_cost.Asset(vertices=0, seconds=0.5, read=4e6, written=6e6)
         cluster = library_cost.Cluster(
@@ -315,7 +315,7 @@ class TestCommittedPages:
     def test_library_cost(self, committed: Results) -> None:
         assert library_cost.OUTPUT.read_text(encoding="utf-8") == library_cost.page(committed)
 
-    def test_they_are_of_a_full_run(self, committed: Results) -> None:
+    def test_committed_pages_are_of_a_full_run(self, committed: Results) -> None:
         assert committed["quick"] is False
 
 

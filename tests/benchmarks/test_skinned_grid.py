@@ -44,7 +44,7 @@ def test_normals_are_those_of_its_triangles(grid_file: GltfFile) -> None:
     assert np.degrees(np.arccos(np.minimum(cosines, 1))).max() < 1.0
 
 
-def test_its_triangles_cover_it_once(grid_file: GltfFile) -> None:
+def test_triangles_cover_the_grid_once(grid_file: GltfFile) -> None:
     corners = grid_file.attribute("POSITION")[grid_file.triangles()][..., [0, 2]]
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     areas = (a[:, 1] * b[:, 0] - a[:, 0] * b[:, 1]) / 2
@@ -71,7 +71,7 @@ def test_parts_make_the_same_file_as_the_whole(grid_file: GltfFile, monkeypatch:
 @pytest.mark.parametrize(
     ("vertices", "sides"), [(1_000_000, (1000, 1000)), (1_000, (25, 40)), (34_000, (170, 200)), (4, (2, 2))]
 )
-def test_it_is_as_square_as_it_can_be(vertices: int, sides: tuple[int, int]) -> None:
+def test_the_grid_is_as_square_as_it_can_be(vertices: int, sides: tuple[int, int]) -> None:
     assert grid_of(vertices) == Grid(*sides)
 
 

@@ -16,7 +16,7 @@ from skinbake.choices import USUAL_TRUTHS, Truth
 FIGURES = {Truth.TANGENTS: "normals", Truth.TRIANGLES: "normals_by_triangles"}
 
 
-def test_one_truth_is_taken_out_and_the_other_measures_the_same(tmp_path: Path) -> None:
+def test_a_truth_measures_the_same_without_the_other(tmp_path: Path) -> None:
     grid, baked = tmp_path / "grid.glb", tmp_path / "baked.glb"
     write_grid(grid, grid_of(64))
     skinbake.bake(grid, baked)

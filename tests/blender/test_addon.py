@@ -117,7 +117,7 @@ def test_verifys_truth_by_triangles_is_blenders(session: Session) -> None:
     assert found.max() < 0.05
 
 
-def test_nothing_but_the_bake_is_changed(session: Session) -> None:
+def test_an_export_changes_nothing_but_the_bake(session: Session) -> None:
     stripped = session.files / "stripped.glb"
     skinbake.strip(session.files / "usual.glb", stripped)
     assert json_and_binary(stripped) == json_and_binary(session.files / "defect-plain.glb")
@@ -137,7 +137,7 @@ def test_every_option_arrives(session: Session) -> None:
 
 
 @pytest.mark.parametrize("name", ["separate.gltf", "draco.glb"])
-def test_other_formats_of_the_exporter_are_baked(session: Session, name: str) -> None:
+def test_every_format_of_the_exporter_is_baked(session: Session, name: str) -> None:
     outcome = session.results["choices"][Path(name).stem]
     assert outcome["status"] == "baked", text_of(outcome)
     verdict = skinbake.verify(session.files / name, methods=["lbs"], samples=2, require_baked=True)

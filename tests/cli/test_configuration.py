@@ -73,7 +73,7 @@ class TestSearch:
         (project / "heroes" / "skinbake.toml").write_text("")
         assert encodings("pawn.glb") == {"pawn.glb": "float32"}
 
-    def test_it_ends_at_the_root_of_a_repository(self, project: Path) -> None:
+    def test_the_search_for_a_configuration_ends_at_the_root_of_a_repository(self, project: Path) -> None:
         (project.parent / "skinbake.toml").write_text('[bake]\nencoding = "snorm16"\n')
         assert encodings("a.glb") == {"a.glb": "float32"}
         (project / ".git").rmdir()
@@ -150,7 +150,7 @@ class TestSearch:
         assert "--encoding" in invoke(env=asked).stdout
 
     @pytest.mark.slow
-    def test_nothing_is_imported_without_a_file(self, project: Path) -> None:
+    def test_tomllib_is_not_imported_without_a_configuration(self, project: Path) -> None:
         code = (
             "import sys\nfrom skinbake.cli.main import main\n"
             "main(['cost', '-q'], standalone_mode=False)\n"
@@ -633,7 +633,7 @@ class TestCommand:
             ["encoding", '"snorm16"', "skinbake.toml:2"],
         ]
 
-    def test_all_tables_are_checked(self, project: Path) -> None:
+    def test_config_checks_the_tables_of_all_commands(self, project: Path) -> None:
         text = "[verify]\nmin-gain = true\n"
         assert refused(text, "config") == "skinbake.toml:2: verify.min-gain: true: expected a number"
         assert invoke("bake", "a.glb", "--dry-run").exit_code == 0
@@ -736,7 +736,7 @@ def test_a_deep_key_is_refused_before_it_is_read(tmp_path: Path, text: str) -> N
         "[bake]\n" + "\n".join(f"k{number}.a = 1.5" for number in range(500)),
     ],
 )
-def test_other_long_texts_are_read(tmp_path: Path, text: str) -> None:
+def test_long_texts_without_deep_keys_are_read(tmp_path: Path, text: str) -> None:
     path = tmp_path / "skinbake.toml"
     path.write_text(text, encoding="utf-8")
     assert read_configuration(str(path)) is not None

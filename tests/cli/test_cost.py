@@ -299,7 +299,7 @@ class TestBakedFile:
 
 
 class TestText:
-    def test_one_number_of_influences(self) -> None:
+    def test_the_table_of_one_number_of_influences(self) -> None:
         text = invoke("cost", "--influences", "4").stdout
         rows = [line.split() for line in text.splitlines() if re.match(r"  [1-6]  ", line)]
         assert [" ".join(row[1:3]) for row in rows] == NAMES
@@ -339,7 +339,7 @@ class TestText:
         assert f"{stored}; α, β as bake would\n" in invoke("cost", source).stdout
         assert f"{stored}, _SKINBAKE_ALPHA_0 12, _SKINBAKE_BETA_0 12\n" in invoke("cost", written).stdout
 
-    def test_one_primitive_is_not_added_up(self) -> None:
+    def test_a_file_of_one_primitive_has_no_line_for_the_whole_file(self) -> None:
         assert "the whole file" not in invoke("cost", FOLDER / "seam.glb").stdout
 
     @pytest.mark.parametrize(

@@ -64,7 +64,7 @@ class TestFilesRead:
         buffer = str(here / "art" / SHARED_BIN).replace(" ", "\\ ")
         assert rules("hero.d")[str(here / "art" / "a.glb")] == f"{here / 'art' / 'hero.gltf'} {buffer}"
 
-    def test_each_output_has_a_rule(self, here: Path) -> None:
+    def test_each_output_of_a_folder_has_a_rule(self, here: Path) -> None:
         shutil.copyfile(FOLDER / "seam.glb", "art/seam.glb")
         assert invoke("bake", "art", "--out-dir", "out", "--depfile", "all.d").exit_code == 0
         found = rules("all.d")

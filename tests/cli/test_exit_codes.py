@@ -64,7 +64,7 @@ class TestBake:
         assert f"error: {tmp_path / name}: " in result.stderr
         assert names(tmp_path) == ["file"]
 
-    def test_all_inputs_are_tried_and_the_worst_code_returned(self, tmp_path: Path) -> None:
+    def test_bake_tries_all_inputs_and_returns_the_worst_code(self, tmp_path: Path) -> None:
         broken = tmp_path / "broken.glb"
         broken.touch()
         folder = tmp_path / "out"
@@ -101,14 +101,14 @@ class TestBake:
         assert result.exit_code == 3
         assert "it needs more memory than there is" in result.stderr
 
-    def test_nothing_to_bake_is_0_with_a_warning(self, tmp_path: Path) -> None:
+    def test_a_file_with_nothing_to_bake_is_0_with_a_warning(self, tmp_path: Path) -> None:
         path = write_model(tmp_path / "bare.glb", [sheet(NORMAL=None)])
         result = invoke("bake", path, "-o", tmp_path / "out.glb")
         assert result.exit_code == 0
         assert "passed through unchanged: none of its skinned primitives can be baked" in result.stderr
         assert (tmp_path / "out.glb").read_bytes() == path.read_bytes()
 
-    def test_nothing_skinned_is_said_differently(self, tmp_path: Path) -> None:
+    def test_a_file_with_nothing_skinned_has_a_message_of_its_own(self, tmp_path: Path) -> None:
         path = edited("seam.glb", tmp_path, lambda content: content["nodes"][0].pop("skin"))
         result = invoke("bake", path, "-o", tmp_path / "out.glb")
         assert "passed through unchanged: it has a skin, but no mesh that is drawn with one" in result.stderr
@@ -121,7 +121,7 @@ class TestBake:
             in result.stderr
         )
 
-    def test_nothing_to_bake_is_3_where_it_is_required(self, tmp_path: Path) -> None:
+    def test_a_file_with_nothing_to_bake_is_3_under_require_baked(self, tmp_path: Path) -> None:
         path = write_model(tmp_path / "bare.glb", [sheet(NORMAL=None)])
         result = invoke("bake", path, "-o", tmp_path / "out.glb", "--require-baked")
         assert result.exit_code == 3
@@ -279,7 +279,9 @@ class TestUsage:
             (["--no-such"], "No such option"),
         ],
     )
-    def test_other_commands(self, arguments: Sequence[str], message: str) -> None:
+    def test_wrong_usage_of_the_commands_besides_bake_is_2(
+        self, arguments: Sequence[str], message: str
+    ) -> None:
         result = invoke(*arguments)
         assert result.exit_code == 2
         assert message in " ".join(result.stderr.split())

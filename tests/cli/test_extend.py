@@ -28,7 +28,7 @@ def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_all_joints_of_neighbours_find_a_slot(extended: Path, tmp_path: Path) -> None:
+def test_extend_finds_a_slot_for_all_joints_of_neighbours(extended: Path, tmp_path: Path) -> None:
     result = document(invoke("bake", source(FULL), "--dry-run", "--json", "--neighbours", "extend"))
     counts = result["files"][0]["primitives"][0]
     before = document(invoke("bake", source(FULL), "--dry-run", "--json"))["files"][0]["primitives"][0]
@@ -136,7 +136,7 @@ def test_a_primitive_with_free_slots_gets_no_set(tmp_path: Path) -> None:
     assert not other.has_attribute("JOINTS_1")
 
 
-def test_it_contradicts_a_limit_and_arrays() -> None:
+def test_extend_contradicts_a_limit_and_arrays() -> None:
     result = invoke("bake", source(FULL), "--dry-run", "--neighbours", "extend", "--limit-influences", "4")
     assert result.exit_code == exit_codes.USAGE
     assert "--limit-influences contradicts --neighbours extend" in result.stderr
@@ -154,7 +154,7 @@ def test_it_contradicts_a_limit_and_arrays() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [DRACO, BYTES])
-def test_it_works_on_compressed_and_integer_influences(tmp_path: Path, name: str) -> None:
+def test_extend_works_on_compressed_and_integer_influences(tmp_path: Path, name: str) -> None:
     skinbake.bake(corpus.model(name), tmp_path / "baked.glb", neighbours="extend")
     answer = verify(tmp_path / "baked.glb")
     assert (answer.exit_code, answer.failed) == (0, [])
@@ -163,7 +163,7 @@ def test_it_works_on_compressed_and_integer_influences(tmp_path: Path, name: str
 
 
 @pytest.mark.slow
-def test_it_lights_a_character_better(tmp_path: Path) -> None:
+def test_extend_lights_a_character_better(tmp_path: Path) -> None:
     found = {}
     for kind in ("adopt", "extend"):
         path = tmp_path / f"{kind}.glb"

@@ -135,7 +135,7 @@ def test_the_documented_lines_are_those_of_click() -> None:
 
 
 class TestManual:
-    def test_it_has_every_command_option_and_example(self) -> None:
+    def test_the_manual_has_every_command_option_and_example(self) -> None:
         page = manual(main).replace("\\-", "-")
         for name in COMMANDS:
             command, ctx = command_of(name)

@@ -91,7 +91,7 @@ def test_an_empty_name_asks_about_the_script(arguments: list[str | Path]) -> Non
         ["view", SEAM, "--output", ""],
     ],
 )
-def test_so_does_an_option_with_an_empty_name(arguments: list[str | Path]) -> None:
+def test_an_option_with_an_empty_name_asks_about_the_script(arguments: list[str | Path]) -> None:
     code, text = said(*arguments)
     assert code == 2
     assert text.endswith(f"Error: {arguments[-2]}: the name is empty; is a variable of your script not set?")
@@ -128,7 +128,7 @@ def test_a_broken_link_is_not_meant_itself(tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.parametrize("command", [["bake", "--dry-run"], ["verify"], ["view"], ["inspect"], ["cost"]])
-def test_another_format_says_the_way_to_gltf(name: str, way: str, command: list[str]) -> None:
+def test_a_file_of_another_format_says_the_way_to_gltf(name: str, way: str, command: list[str]) -> None:
     code, text = said(*command, name)
     assert code == 2
     assert way in text

@@ -96,7 +96,7 @@ def test_a_time_that_is_none_is_refused(seconds: str) -> None:
         pytest.param(["--isolate", "--timeout", "60"], marks=pytest.mark.slow),
     ],
 )
-def test_another_process_bakes_the_same(option: list[str], tmp_path: Path) -> None:
+def test_limits_bake_the_same_bytes_in_a_process_of_their_own(option: list[str], tmp_path: Path) -> None:
     plain, other = tmp_path / "plain.glb", tmp_path / "other.glb"
     assert call("bake", TUBE, "-o", plain).returncode == 0
     result = run("bake", TUBE, "-o", other, *option)

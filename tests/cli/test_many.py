@@ -160,7 +160,7 @@ class TestWhatIsSaidAtTheEnd:
         assert lines[start + 3].startswith("15 files: 12 baked, 1 unchanged, 2 failed, in ")
         assert len(lines) == start + 4
 
-    def test_one_failure_is_not(self, mixed: Path, tmp_path: Path) -> None:
+    def test_a_single_failure_is_not_listed_once_more(self, mixed: Path, tmp_path: Path) -> None:
         (mixed / "text.gltf").unlink()
         result = invoke("bake", mixed, "--out-dir", tmp_path / "out")
         assert result.exit_code == 3
@@ -274,7 +274,7 @@ class TestSummary:
         assert files == document(result)["files"]
         assert (total["files"], total["passed"], total["failed"]) == (3, 2, 1)
 
-    def test_it_is_there_as_it_goes(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_the_summary_grows_with_each_file(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         summary, seen = tmp_path / "s.jsonl", []
         original = Baker.bake_file
 
@@ -305,7 +305,7 @@ class TestSummary:
         assert sorted(contents(tmp_path)) == ["seam.glb", "two_sets.glb"]
 
     @pytest.mark.parametrize("option", ["--summary", "--state"])
-    def test_it_takes_no_model_s_place(self, option: str, tmp_path: Path) -> None:
+    def test_a_report_does_not_take_the_name_of_a_model(self, option: str, tmp_path: Path) -> None:
         more = ["--skip-unchanged"] if option == "--state" else []
         result = invoke(
             "bake", FOLDER / "seam.glb", "-o", tmp_path / "a.glb", option, tmp_path / "b.glb", *more
@@ -315,7 +315,7 @@ class TestSummary:
 
 
 class TestTimings:
-    def test_one_file(self, tmp_path: Path) -> None:
+    def test_timings_of_one_file(self, tmp_path: Path) -> None:
         result = invoke("bake", FOLDER / "seam.glb", "-o", tmp_path / "a.glb", "--timings", "--json")
         found = checked(document(result), BAKE)
         (file,) = found["files"]
@@ -365,7 +365,7 @@ class TestTimings:
         assert sum(file["timings"].values()) < found["timings"]["elapsed"]
         assert "seconds by stage:" in result.stderr
 
-    def test_they_are_not_there_unasked(self, tmp_path: Path) -> None:
+    def test_json_has_no_timings_unasked(self, tmp_path: Path) -> None:
         found = document(invoke("bake", FOLDER / "seam.glb", "-o", tmp_path / "a.glb", "--json"))
         assert "timings" not in found
         assert "timings" not in found["files"][0]

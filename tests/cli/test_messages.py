@@ -153,7 +153,7 @@ def test_outcomes_have_colours(line: str, shown: str) -> None:
     assert with_colours(line) == shown
 
 
-def test_one_thing_is_singular() -> None:
+def test_a_count_of_one_is_singular() -> None:
     counts = BakedCounts(1, 1, 0, 1, "rig", "normal", False, 1, 0, 1.0, 0.0, 1, 8)
     result = FileResult("a.glb", None, "baked", ((Place("a.glb"), counts),))
     assert closing_line(result, dry_run=True) == (
@@ -372,7 +372,7 @@ def test_verbose_says_that_no_loops_are_compiled() -> None:
 
 
 class TestInspect:
-    def test_it_says_what_is_skinned_and_what_is_baked(self, tmp_path: Path) -> None:
+    def test_inspect_says_what_is_skinned_and_what_is_baked(self, tmp_path: Path) -> None:
         before = invoke("inspect", FOLDER / "two_primitives.glb").stdout
         assert before.count("baked       no") == 2
         assert 'mesh 0 "cut", primitive 1' in before
@@ -382,7 +382,7 @@ class TestInspect:
         assert after.count("frame from normal, weighting max, neighbours adopt") == 2
         assert after.count("up to date") == 2
 
-    def test_it_counts_defects_of_the_weights(self, warned: Path) -> None:
+    def test_inspect_counts_defects_of_the_weights(self, warned: Path) -> None:
         result = invoke("inspect", warned)
         assert "20 vertices with weights that do not sum to 1\n" in result.stdout
         assert "none: no NORMAL" in result.stdout
@@ -405,7 +405,7 @@ class TestInspect:
             "2 vertices with weights that do not sum to 1",
         }
 
-    def test_it_shows_attributes_of_any_type_that_gltf_knows(self, tmp_path: Path) -> None:
+    def test_inspect_shows_attributes_of_any_type_that_gltf_knows(self, tmp_path: Path) -> None:
         def add(content: JsonObject) -> None:
             for kind in ("MAT2", "MAT3", "MAT4"):
                 content["accessors"].append({"componentType": 5126, "count": 198, "type": kind})

@@ -65,7 +65,9 @@ def test_the_model_itself_is_refused(option: str, model: Path) -> None:
 
 @pytest.mark.parametrize("kind", LINKS)
 @pytest.mark.parametrize("command", ["bake", "strip", "shader"])
-def test_so_is_an_output_by_another_name(command: str, kind: str, model: Path, tmp_path: Path) -> None:
+def test_a_report_that_is_an_output_by_another_name_is_refused(
+    command: str, kind: str, model: Path, tmp_path: Path
+) -> None:
     baked = tmp_path / "baked.glb"
     bake(model, baked)
     link = tmp_path / "link.glb"
@@ -189,7 +191,9 @@ def test_a_report_that_was_not_written_is_not_said_to_be(model: Path, tmp_path: 
 
 
 @pytest.mark.parametrize("command", [["bake", "-o"], ["strip", "-o"], ["inspect"]])
-def test_other_commands_say_it_of_the_summary(command: list[str], model: Path, tmp_path: Path) -> None:
+def test_every_command_says_that_the_summary_was_written(
+    command: list[str], model: Path, tmp_path: Path
+) -> None:
     baked, summary = tmp_path / "baked.glb", tmp_path / "summary.jsonl"
     bake(model, baked)
     output = [tmp_path / "out.glb"] if command[1:] else []

@@ -124,7 +124,7 @@ def test_no_model_is_overwritten_with_a_shader(tmp_path: Path, name: str, source
     assert [(path, path.read_bytes()) for path in tmp_path.iterdir()] == before
 
 
-def test_nor_is_one_by_a_link(tmp_path: Path) -> None:
+def test_no_model_is_overwritten_with_a_shader_by_a_link(tmp_path: Path) -> None:
     model, link = tmp_path / "hero.gltf", tmp_path / "skinbake.glsl"
     model.write_text("{}")
     link.symlink_to(model)

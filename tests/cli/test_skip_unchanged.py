@@ -171,7 +171,7 @@ def test_whatever_changes_is_baked_again_and_nothing_else(what: str, baking: Bak
         ["--compress", "meshopt"],
     ],
 )
-def test_other_options_are_another_bake(options: list[str], baking: Baking) -> None:
+def test_a_bake_with_changed_options_is_another_bake(options: list[str], baking: Baking) -> None:
     baking()
     found = baking(*options)
     assert "up-to-date" not in found.values()
@@ -199,13 +199,15 @@ def test_a_folder_that_may_be_read_too_is_another_bake(tmp_path: Path) -> None:
     assert baking(*allowed) == {"seam.glb": "up-to-date"}
 
 
-def test_another_version_is_another_bake(baking: Baking, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bake_by_another_version_is_another_bake(baking: Baking, monkeypatch: pytest.MonkeyPatch) -> None:
     baking()
     monkeypatch.setattr(state, "__version__", "0.1.1")
     assert baking() == FIRST
 
 
-def test_so_is_other_code_of_the_same_version(baking: Baking, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bake_by_changed_code_of_one_version_is_another_bake(
+    baking: Baking, monkeypatch: pytest.MonkeyPatch
+) -> None:
     baking()
     code = state.code_digest()
     monkeypatch.setattr(state, "code_digest", lambda: code[::-1])
@@ -270,7 +272,7 @@ class TestInPlace:
         next(baking_in_place.folder.glob("skinbake-*.bin")).write_bytes(b"")
         assert baking_in_place()[TEXTURED] != "up-to-date"
 
-    def test_other_options_bake_again(self, baking_in_place: Baking) -> None:
+    def test_changed_options_bake_in_place_again(self, baking_in_place: Baking) -> None:
         baking_in_place()
         assert baking_in_place("--weighting", "area") == FIRST
         assert baking_in_place("--weighting", "area") == AGAIN
@@ -309,7 +311,7 @@ class TestWhileItRuns:
         then(lambda source, target: None)
         assert "up-to-date" not in one().values()
 
-    def test_nor_is_a_picture(
+    def test_a_picture_that_somebody_else_has_overwritten_is_not_ours(
         self, baking: Baking, then: Callable[[Callable[[str, str], object]], None]
     ) -> None:
         picture = baking.out / "skin.png"
@@ -407,7 +409,7 @@ def test_a_dry_run_tells_and_keeps_nothing(baking: Baking) -> None:
 
 
 class TestTheStateFile:
-    def test_it_needs_a_place(self, models: Path, tmp_path: Path) -> None:
+    def test_skip_unchanged_needs_a_state_file(self, models: Path, tmp_path: Path) -> None:
         needed, folder = (
             "--skip-unchanged needs --state FILE, to keep its notes in",
             "--out-dir it needs none",
@@ -537,7 +539,7 @@ class TestVerify:
         assert verify() == {"bad.glb": (False, False), "good.glb": (True, False)}
         assert verify() == {"bad.glb": (False, False), "good.glb": (True, True)}
 
-    def test_other_limits_and_other_bytes_are_verified(
+    def test_changed_limits_and_changed_bytes_are_verified_again(
         self, verify: Callable[..., dict[str, tuple[bool, bool]]], tmp_path: Path
     ) -> None:
         verify()

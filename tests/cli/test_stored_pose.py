@@ -60,7 +60,7 @@ def test_the_bind_pose_is_not_noted(_model: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("options", [(), ("--gradients", "poses"), ("--encoding", "packed8")])
-def test_another_pose_is_noted_and_verify_passes(
+def test_a_stored_pose_is_noted_and_verify_passes(
     _model: Path, tmp_path: Path, options: tuple[str, ...]
 ) -> None:
     path = baked(turned(_model, 40.0, "turned.glb"), tmp_path, *options)
@@ -83,7 +83,7 @@ def test_a_pose_that_comes_later_does_not_matter_to_a_bake_without_one(_model: P
 
 
 @corpus.needed
-def test_it_lights_the_stored_pose_better(tmp_path: Path) -> None:
+def test_a_fit_to_the_stored_pose_lights_that_pose_better(tmp_path: Path) -> None:
     path = baked(corpus.model(POSED), tmp_path)
     skinbake.bake(corpus.model(POSED), tmp_path / "surface.glb", gradients="surface")
     assert mean(path) < 0.6 * mean(tmp_path / "surface.glb")

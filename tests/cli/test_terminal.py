@@ -96,7 +96,7 @@ def said(*arguments: str | Path) -> bytes:
 
 
 @pytest.mark.slow
-def test_nothing_is_printed_raw(evil: Path) -> None:
+def test_no_command_prints_a_control_character_of_a_file(evil: Path) -> None:
     """In this order: later commands read what earlier ones have written."""
     for pattern in COMMANDS:
         arguments = [argument.replace("{0}", "{}").replace("{}", str(evil)) for argument in pattern]

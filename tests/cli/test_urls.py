@@ -96,7 +96,7 @@ def test_urls_in_several_processes(library: Path) -> None:
     assert tree(library / "away") == tree(library / "here")
 
 
-def test_one_url_to_another_and_in_place(library: Path) -> None:
+def test_a_url_is_baked_to_another_and_in_place(library: Path) -> None:
     url, path = "memory://lib/characters/two_sets.glb", "characters/two_sets.glb"
     assert invoke("bake", url, "-o", "memory://new/a.glb").exit_code == 0
     assert stored("memory://new") == {"a.glb": tree(library / "here")[path]}
@@ -194,7 +194,9 @@ class TestOneFileByTwoNames:
         ("source", "folder"),
         [("{}/in", "file://{}/in"), ("file://{}/in", "{}/in"), ("{}/in/seam.glb", "file://{}/in")],
     )
-    def test_so_is_a_folder(self, model: Path, source: str, folder: str, tmp_path: Path) -> None:
+    def test_a_folder_of_targets_that_is_the_input_s_is_refused(
+        self, model: Path, source: str, folder: str, tmp_path: Path
+    ) -> None:
         before = model.read_bytes()
         result = invoke("bake", source.format(tmp_path), "--out-dir", folder.format(tmp_path))
         assert result.exit_code == 2
@@ -295,7 +297,7 @@ def test_a_chained_url_of_this_disk_follows_no_link_out(chain: str, tmp_path: Pa
 
 
 @pytest.mark.parametrize("chain", ["dir", "asyncwrapper", "simplecache::dir"])
-def test_another_chained_url_of_this_disk_is_refused(chain: str, tmp_path: Path) -> None:
+def test_a_chained_url_that_leads_to_this_disk_is_refused(chain: str, tmp_path: Path) -> None:
     source = copied("seam.glb", tmp_path)
     result = invoke("bake", f"{chain}::file://{source}", "-o", tmp_path / "a.glb")
     assert result.exit_code == 3

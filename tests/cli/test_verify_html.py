@@ -271,14 +271,14 @@ def test_a_name_of_several_lines_is_one_line_in_the_index() -> None:
 
 
 @pytest.mark.parametrize("source", ["-", "https://example.com/hero.glb"])
-def test_it_needs_files_that_it_can_read_again(tmp_path: Path, source: str) -> None:
+def test_html_needs_files_that_can_be_read_again(tmp_path: Path, source: str) -> None:
     result = invoke("verify", source, "--html", tmp_path / "report.html")
     assert result.exit_code == exit_codes.USAGE
     assert "--html needs files on this machine's disks" in " ".join(result.stderr.split())
 
 
 @pytest.mark.slow
-def test_it_replaces_earlier_pages_only(tmp_path: Path) -> None:
+def test_html_replaces_earlier_pages_only(tmp_path: Path) -> None:
     bake(TUBE, tmp_path / "tube.glb")
     page = tmp_path / "report.html"
     for _ in range(2):
@@ -290,7 +290,7 @@ def test_it_replaces_earlier_pages_only(tmp_path: Path) -> None:
     assert page.read_text() == "<!doctype html>my own page"
 
 
-def test_it_replaces_earlier_pages_of_its_folder_only(tmp_path: Path) -> None:
+def test_html_replaces_earlier_pages_of_its_folder_only(tmp_path: Path) -> None:
     page, own = tmp_path / "all.html", tmp_path / "all" / "0002-seam.html"
     command = ("verify", TUBE, SEAM, "--html", page)
     for _ in range(2):

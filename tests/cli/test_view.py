@@ -117,7 +117,7 @@ def test_the_page_names_nothing_on_the_network(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_it_refuses(tmp_path: Path, arguments: list[str], code: int, words: str) -> None:
+def test_view_refuses(tmp_path: Path, arguments: list[str], code: int, words: str) -> None:
     given = [argument.format(tube=TUBE, folder=tmp_path) for argument in arguments]
     result = invoke("view", *given)
     assert result.exit_code == code
@@ -134,7 +134,7 @@ def test_a_page_that_links_to_a_model_is_refused(tmp_path: Path) -> None:
     assert (tmp_path / "hero.gltf").read_text() == "{}"
 
 
-def test_it_replaces_pages_of_skinbake_only(tmp_path: Path) -> None:
+def test_view_replaces_pages_of_skinbake_only(tmp_path: Path) -> None:
     page = tmp_path / "hero.html"
     page.write_text("<!doctype html>my own page")
     result = invoke("view", TUBE, "-o", page)
@@ -252,7 +252,7 @@ def test_images_in_ktx2_and_influences_that_are_too_many_are_said(tmp_path: Path
 
 @LINUX
 @pytest.mark.slow
-def test_it_serves_the_page_to_this_machine_until_ctrl_c() -> None:
+def test_view_serves_the_page_to_this_machine_until_ctrl_c() -> None:
     command = [sys.executable, "-u", "-m", "skinbake", "view", str(TUBE), "--no-browser"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
@@ -274,7 +274,7 @@ def test_it_serves_the_page_to_this_machine_until_ctrl_c() -> None:
 
 @LINUX
 @pytest.mark.slow
-def test_it_answers_a_browser_that_runs_in_the_terminal(tmp_path: Path) -> None:
+def test_view_answers_a_browser_that_runs_in_the_terminal(tmp_path: Path) -> None:
     browser, got = tmp_path / "browser.py", tmp_path / "got.html"
     browser.write_text(
         "import sys, urllib.request\n"

@@ -55,7 +55,7 @@ def test_an_interrupt_passes() -> None:
 
 
 @pytest.mark.parametrize("where", ["commands", "URLs"])
-def test_both_works_say_the_same_of_memory(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bake_and_verify_say_the_same_of_lacking_memory(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
     source = SEAM if where == "commands" else "memory://b/seam.glb"
     lacking = raising(MemoryError())
     monkeypatch.setattr(Baker, "bake_file", lacking)

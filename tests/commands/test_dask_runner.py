@@ -110,7 +110,7 @@ def test_plain_paths_travel_and_a_killer_harms_nobody_else(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_one_cluster_for_what_needs_no_deaths(
+def test_a_cluster_in_which_nobody_dies(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     sources = write_sheets(tmp_path / "in", 30)

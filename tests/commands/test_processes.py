@@ -49,7 +49,7 @@ def outcomes(work: Any, count: int, workers: int = 2) -> dict[int, Any]:
     return found
 
 
-def test_all_jobs_are_done_by_several_processes_none_of_which_is_this() -> None:
+def test_several_processes_do_all_jobs_and_this_one_does_none() -> None:
     found = outcomes(Work(), 300)
     assert {number: result[0] for number, result in found.items()} == {n: 2 * n for n in range(300)}
     workers = {pid for _, pid in found.values()}
@@ -65,7 +65,7 @@ def test_no_more_workers_than_jobs() -> None:
 @pytest.mark.slow
 @POSIX
 @pytest.mark.parametrize("by", [signal.SIGKILL, signal.SIGTERM, signal.SIGHUP])
-def test_who_kills_twice_is_lost_and_nobody_else(by: signal.Signals, tmp_path: Path) -> None:
+def test_a_job_that_kills_two_workers_is_lost_and_no_other(by: signal.Signals, tmp_path: Path) -> None:
     found = outcomes(Deadly((7, 20), by, tmp_path), 40)
     lost = {number: result for number, result in found.items() if result[0] == "lost"}
     assert sorted(lost) == [7, 20]
@@ -160,7 +160,7 @@ def test_results_come_in_the_order_of_the_jobs() -> None:
     assert list(results) == ["b", "c", "d"]
 
 
-def test_those_that_take_turns_come_first_in_order() -> None:
+def test_jobs_that_take_turns_come_first_in_order() -> None:
     class Backwards:
         def run(self, work: Any, jobs: Any) -> Any:
             return ((number, work(jobs[number])) for number in reversed(range(len(jobs))))
@@ -178,7 +178,7 @@ def limited(work: Any, jobs: Sequence[Any], limits: Limits, workers: int = 2) ->
 
 @pytest.mark.slow
 @POSIX
-def test_who_takes_too_long_is_told_to_stop_and_lost_alone(tmp_path: Path) -> None:
+def test_a_job_that_takes_too_long_is_told_to_stop_and_lost_alone(tmp_path: Path) -> None:
     start = time.monotonic()
     found = limited(Slow(tmp_path), [0.0, 60.0, 0.0, 0.0, 60.0, 0.0], Limits(seconds=0.5))
     assert time.monotonic() - start < 30
@@ -189,7 +189,7 @@ def test_who_takes_too_long_is_told_to_stop_and_lost_alone(tmp_path: Path) -> No
 
 @POSIX
 @pytest.mark.slow
-def test_who_does_not_stop_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_that_does_not_stop_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(processes, "GRACE", 0.5)
     start = time.monotonic()
     found = limited(Deaf(), range(6), Limits(seconds=0.5))
@@ -199,7 +199,7 @@ def test_who_does_not_stop_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @POSIX
-def test_who_is_done_in_time_is_not_given_up_while_the_caller_is_away() -> None:
+def test_a_job_done_in_time_is_not_given_up_while_the_caller_is_away() -> None:
     """A caller that prints to a slow reader takes longer than the limit, and finds late what was done."""
     found = {}
     with closing(Processes(2, limits=Limits(seconds=1.0)).run(Work(), range(12))) as results:

@@ -149,7 +149,7 @@ class TestOpening:
 
 
 @pytest.mark.parametrize("way", WAYS[:2], indirect=True)
-def test_as_many_links_are_followed_as_linux_follows(way: str, root: Path) -> None:
+def test_links_are_followed_as_often_as_by_linux(way: str, root: Path) -> None:
     """By openat2 the kernel is the judge of the limit. Real paths are found without one."""
     (root / "link 1").symlink_to("a/f.bin")
     for number in range(2, 42):
@@ -169,7 +169,7 @@ class TestFolders:
         assert made == [str(root / "a" / "x"), str(root / "a" / "x" / "y")]
         assert (root / "a" / "x" / "y").is_dir()
 
-    def test_none_is_made_where_it_was_not_asked_for(self, root: Path) -> None:
+    def test_a_missing_folder_is_made_only_where_that_was_asked_for(self, root: Path) -> None:
         with pytest.raises(FileNotFoundError), beneath(str(root), ["gone"]):
             pass
         assert not (root / "gone").exists()

@@ -48,7 +48,7 @@ class TestKept:
         assert {name: os.getxattr(path, name) for name in os.listxattr(path)} == given
 
     @pytest.mark.parametrize("count", [1, 2])
-    def test_other_names_are_told(self, command: str, count: int, tmp_path: Path) -> None:
+    def test_hard_links_of_a_replaced_file_are_told(self, command: str, count: int, tmp_path: Path) -> None:
         path = copied("seam.glb", tmp_path)
         assert "hard-links" not in {one["code"] for one in replaced(path, command)}
         path = copied("seam.glb", tmp_path)

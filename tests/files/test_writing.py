@@ -204,7 +204,7 @@ class TestDurable:
         assert names == ["link x", "replace t"]
         assert sorted(folders) == sorted(map(str, [tmp_path, root, root / "a", root / "a" / "b"]))
 
-    def test_it_can_be_left_out(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_syncing_can_be_left_out(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         def refused(descriptor: int) -> None:
             raise AssertionError
 
@@ -260,7 +260,7 @@ class TestDurable:
 class TestSignals:
     @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
     @pytest.mark.parametrize("function", ["open", "mkdir"])
-    def test_one_that_comes_while_something_is_made_finds_it_known(
+    def test_a_signal_while_a_file_is_made_leaves_nothing_of_it(
         self, number: signal.Signals, function: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         """The call has been done, and its result is not yet noted: then it was lost."""
@@ -285,7 +285,7 @@ class TestSignals:
             signal.signal(number, before)
         assert list(tmp_path.iterdir()) == []
 
-    def test_they_come_when_the_block_is_done_each_once(self) -> None:
+    def test_signals_come_once_each_when_the_block_is_done(self) -> None:
         received = []
         before = signal.signal(signal.SIGTERM, lambda number, frame: received.append(number))
         try:
@@ -298,7 +298,7 @@ class TestSignals:
         finally:
             signal.signal(signal.SIGTERM, before)
 
-    def test_other_threads_need_nothing(self) -> None:
+    def test_a_thread_besides_the_main_one_puts_off_no_signals(self) -> None:
         handlers = []
 
         def work() -> None:
@@ -341,7 +341,7 @@ class TestTemporaries:
             assert before.keys() < contents(tmp_path).keys()
 
     @LINUX
-    def test_another_process_of_the_same_number_is_not_that_one(self, tmp_path: Path) -> None:
+    def test_a_temporary_of_an_earlier_process_of_this_number_is_removed(self, tmp_path: Path) -> None:
         kernel, process, started, rest = temporary_name().removeprefix(".skinbake-").split("_")
         (tmp_path / f".skinbake-{kernel}_{process}_{int(started, 16) - 1:x}_{rest}").touch()
         write_file([b"x"], str(tmp_path / "a"))
@@ -362,7 +362,7 @@ class TestTemporaries:
         write_file([b"x"], str(tmp_path / "a"))
         assert list(contents(tmp_path)) == ["a"]
 
-    def test_nothing_else_is_touched(self, tmp_path: Path) -> None:
+    def test_files_with_other_names_than_temporaries_stay(self, tmp_path: Path) -> None:
         others = [
             ".skinbake-state.jsonl",
             ".skinbake-0123.tmp",
@@ -415,7 +415,9 @@ class TestTaken:
 
     @pytest.mark.usefixtures("links")
     @pytest.mark.parametrize("other", [b"othr", b"sam", b"same!", b""])
-    def test_other_content_is_left_alone(self, other: bytes, tmp_path: Path) -> None:
+    def test_a_file_of_other_content_beside_the_target_is_left_alone(
+        self, other: bytes, tmp_path: Path
+    ) -> None:
         (tmp_path / "x").write_bytes(other)
         (tmp_path / "t").write_bytes(b"old")
         with pytest.raises(TakenError):

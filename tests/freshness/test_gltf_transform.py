@@ -71,7 +71,7 @@ def test_a_copy_as_separate_files_is_fresh(transform: Transform) -> None:
 @pytest.mark.parametrize(
     "command", [pytest.param(command, marks=pytest.mark.slow) for command in ("reorder", "weld", "unweld")]
 )
-def test_other_vertices_are_told_from_damage(transform: Transform, command: str) -> None:
+def test_vertices_in_another_order_are_told_from_damage(transform: Transform, command: str) -> None:
     """α and β travel with their vertices and still fit; only the digests are of another order."""
     answer = transform("bent_tube.glb", command)
     assert answer.exit_code == 0, answer.messages

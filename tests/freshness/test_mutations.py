@@ -332,7 +332,7 @@ def test_several_edits_have_the_cause_that_explains_most(
 
 @pytest.mark.parametrize("case", REARRANGED.values(), ids=REARRANGED.keys())
 @pytest.mark.parametrize("name", MODELS)
-def test_another_order_passes_with_a_remark(
+def test_vertices_in_another_order_pass_with_a_remark(
     bakes: Callable[[str], Path],
     tmp_path: Path,
     name: str,
@@ -355,7 +355,7 @@ def freshness_remark(answer: Answer) -> str:
 
 
 @pytest.mark.parametrize("is_flat", [True, False])
-def test_another_order_of_a_rigid_part_passes_with_a_remark(is_flat: bool, tmp_path: Path) -> None:
+def test_a_rigid_part_in_another_order_passes_with_a_remark(is_flat: bool, tmp_path: Path) -> None:
     """Its joints and weights are the same in any order, and so are the normals if it is flat."""
     part = sheet()
     arrays = part.attributes
@@ -404,7 +404,7 @@ def between_fit_and_surface(model: Editable, plain: Editable) -> None:
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_another_fit_of_an_older_version_is_right_by_its_effect(
+def test_a_fit_of_an_older_version_is_right_by_its_effect(
     bakes: Callable[[str], Path], tmp_path: Path, name: str
 ) -> None:
     plain = Editable(baked(source(name), tmp_path, gradients="surface"))
@@ -509,7 +509,7 @@ def test_an_untouched_copy_is_fresh(bakes: Callable[[str], Path], tmp_path: Path
 
 @pytest.mark.parametrize("weighting", [Weighting.ANGLE, Weighting.AREA, Weighting.ANGLE_AREA])
 @pytest.mark.parametrize("name", MODELS)
-def test_another_weighting_declared_as_max_is_stale(tmp_path: Path, name: str, weighting: Weighting) -> None:
+def test_a_weighting_falsely_noted_as_max_is_stale(tmp_path: Path, name: str, weighting: Weighting) -> None:
     path = baked(source(name), tmp_path, bake_settings(weighting=weighting))
     assert verify(path, *FEW).exit_code == 0
     model = Editable(path)
@@ -520,7 +520,7 @@ def test_another_weighting_declared_as_max_is_stale(tmp_path: Path, name: str, w
 
 @pytest.mark.parametrize("noted", ["rig", "surface"])
 @pytest.mark.parametrize("name", MODELS)
-def test_another_kind_than_the_noted_one_is_stale(
+def test_gradients_of_another_kind_than_noted_are_stale(
     bakes: Callable[[str], Path], tmp_path: Path, name: str, noted: str
 ) -> None:
     made = "surface" if noted == "rig" else "rig"
@@ -734,7 +734,7 @@ def test_an_unbaked_file_meets_no_limit(options: list[str], named: str) -> None:
     assert answer.file["passed"] is False
 
 
-def test_one_without_normals_meets_none_either(tmp_path: Path) -> None:
+def test_an_unbaked_file_without_normals_meets_no_limit(tmp_path: Path) -> None:
     model = Editable(source("bent_tube.glb"))
     del model.primitive()["attributes"]["NORMAL"]
     path = model.write(tmp_path / HERE)

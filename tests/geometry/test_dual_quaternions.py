@@ -128,7 +128,7 @@ def spoiled(what: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("what", ["scale", "shear", "stretch", "mirror", "collapse", "nan", "infinite"])
-def test_one_bad_joint_in_one_pose_is_named_and_harms_no_other(what: str) -> None:
+def test_a_bad_joint_in_one_pose_is_named_and_harms_no_other(what: str) -> None:
     matrices = spoiled(what)
     motions = rigid_motions(matrices)
     assert not motions.is_rigid

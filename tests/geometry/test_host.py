@@ -86,7 +86,7 @@ def test_joints_that_are_not_rigid_are_refused_unless_unused() -> None:
 
 
 @pytest.mark.parametrize("shape", [(4, 4), (3, 4), (2, 3, 4)])
-def test_other_shapes_are_refused(shape: tuple[int, ...]) -> None:
+def test_joint_matrices_of_other_shapes_are_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match="expected"):
         skinbake.joint_dual_quaternions(np.zeros(shape))
 
@@ -99,6 +99,6 @@ def test_importing_skinbake_imports_no_numpy() -> None:
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_other_names_are_no_attributes() -> None:
+def test_unknown_names_are_no_attributes_of_skinbake() -> None:
     with pytest.raises(AttributeError, match="no attribute 'bake_it'"):
         skinbake.bake_it  # noqa: B018  # reading it is the test

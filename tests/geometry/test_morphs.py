@@ -88,7 +88,7 @@ def test_a_normal_that_turns_over_takes_the_frame_with_it(degrees: float, dtype:
         assert np.linalg.norm(vectors, axis=1) == pytest.approx(1.0, abs=1e-4)
 
 
-def test_it_does_not_turn_where_the_frame_of_the_new_normal_would_flip() -> None:
+def test_a_carried_frame_does_not_turn_where_that_of_the_new_normal_flips() -> None:
     """Across z = 0 Duff's frame of n turns by up to 180°; the carried one goes as far as n goes."""
     before, after = unit(np.array([[0.3, 0.6, 1e-3]])), unit(np.array([[0.3, 0.6, -1e-3]]))
     duff = [frame_from_normal(normal.astype(np.float32))[0].astype(np.float64) for normal in (before, after)]

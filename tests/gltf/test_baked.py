@@ -87,7 +87,7 @@ class TestEveryFixture:
                 assert np.isfinite(after.stored(now[attribute])).all()
             assert any(after.stored(now[attribute]).any() for attribute in names)
 
-    def test_nothing_else_changes(self, name: str, tmp_path: Path) -> None:
+    def test_bake_changes_nothing_but_its_additions(self, name: str, tmp_path: Path) -> None:
         assert_only_added(read(FOLDER / name), baked(FOLDER / name, tmp_path / name))
 
     def test_the_file_that_was_read_is_not_touched(self, name: str, tmp_path: Path) -> None:
@@ -144,7 +144,7 @@ class TestEveryFixture:
         bake(FOLDER / name, plain)
         assert contents(again.parent) == contents(plain.parent)
 
-    def test_other_names_change_the_names_only(self, name: str, tmp_path: Path) -> None:
+    def test_chosen_attribute_names_change_the_names_only(self, name: str, tmp_path: Path) -> None:
         plain = baked(FOLDER / name, target_of(FOLDER / name, tmp_path / "plain"))
         other = baked(FOLDER / name, target_of(FOLDER / name, tmp_path / "other"), names=OTHER_NAMES)
         text = json.dumps(plain.content)
@@ -541,7 +541,7 @@ class TestValuesThatAreNoNumbers:
 
 
 class TestGeneratedNormals:
-    def test_they_are_smooth_and_noted(self, tmp_path: Path) -> None:
+    def test_generated_normals_are_smooth_and_noted(self, tmp_path: Path) -> None:
         path = write_model(tmp_path / "sheet.glb", [sheet(NORMAL=None)])
         result = bake(path, tmp_path / "baked.glb", generate_normals=True)
         before, after = read(path), read(tmp_path / "baked.glb")

@@ -316,7 +316,7 @@ def test_a_skipped_primitive_keeps_its_stream(tmp_path: Path) -> None:
         read_plain(tmp_path / "baked.glb")
 
 
-def test_nothing_baked_is_nothing_recoded(tmp_path: Path) -> None:
+def test_a_file_with_nothing_to_bake_is_not_recoded(tmp_path: Path) -> None:
     path = draco_twin(write_model(tmp_path / "bare.glb", [sheet(NORMAL=None)]), tmp_path / "draco.glb")
     for scheme in SCHEMES:
         bake(path, tmp_path / "out.glb", **compress(scheme))

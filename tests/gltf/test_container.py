@@ -197,7 +197,7 @@ class TestGlbToGltf:
         bake(tmp_path / "five.glb", tmp_path / "five.gltf")
         assert (tmp_path / "five.bin").read_bytes() == b"12345"
 
-    def test_there_and_back_is_the_same_document(self, tmp_path: Path) -> None:
+    def test_glb_to_gltf_and_back_is_the_same_document(self, tmp_path: Path) -> None:
         bake(FOLDER / "seam.glb", tmp_path / "model.gltf")
         strip_file(str(tmp_path / "model.gltf"), str(tmp_path / "back.glb"))
         before, after = read(FOLDER / "seam.glb"), read(tmp_path / "back.glb")
@@ -419,7 +419,7 @@ class TestAnotherFolder:
         assert result.status == "baked"
 
     @pytest.mark.parametrize("uri", ["https://example.org/a.png", "data:image/png;base64,iVBORw0KGgo="])
-    def test_other_uris_stay(self, uri: str, tmp_path: Path) -> None:
+    def test_uris_that_name_no_file_stay(self, uri: str, tmp_path: Path) -> None:
         source = with_image(tmp_path / "in", uri, None)
         (tmp_path / "out").mkdir()
         after = baked(source, tmp_path / "out" / "model.gltf")
@@ -463,7 +463,7 @@ class TestFilesOfExtensions:
             ("in/hero.glb", False, None),
         ],
     )
-    def test_they_are_named_if_they_do_not_come_along(
+    def test_files_of_extensions_that_do_not_come_along_are_named(
         self, target: str, pack: bool, what: str | None, tmp_path: Path
     ) -> None:
         source = self.source(tmp_path / "in")
@@ -478,7 +478,7 @@ class TestFilesOfExtensions:
         assert all(after[key] == before[key] for key in ("extensions", "extras"))
         assert not (tmp_path / "out" / "step.mp3").exists()
 
-    def test_they_are_found_at_any_depth(self) -> None:
+    def test_files_of_extensions_are_found_at_any_depth(self) -> None:
         deep: JsonObject = {"uri": "deep.bin"}
         for _ in range(10_000):
             deep = {"inner": [deep]}
@@ -497,7 +497,7 @@ class TestFilesOfExtensions:
 
 
 class TestSameFolder:
-    def test_nothing_is_copied_and_every_uri_stays(self, tmp_path: Path) -> None:
+    def test_a_bake_to_the_same_folder_copies_nothing_and_keeps_every_uri(self, tmp_path: Path) -> None:
         source = with_image(tmp_path, "../elsewhere/gone.png", None)
         before, after = read(source), baked(source, tmp_path / "baked.gltf")
         assert_only_added(before, after)

@@ -117,7 +117,7 @@ def test_a_buffer_that_git_lfs_has_not_fetched_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("version", ["1.0", "1.1", "3.0", "", "20"])
-def test_other_versions_are_unsupported(version: str) -> None:
+def test_versions_of_gltf_but_2_0_are_unsupported(version: str) -> None:
     with pytest.raises(UnsupportedFeatureError, match=r'needs glTF version ".*"; only 2\.0'):
         parse(json.dumps({"asset": {"version": version}}))
 

@@ -103,7 +103,7 @@ def test_a_chunk_of_a_wrong_length_is_told_which_of_two_things_is_wrong(kind: by
 
 
 @pytest.mark.parametrize("version", [0, 1, 3])
-def test_other_container_versions_are_unsupported(version: int) -> None:
+def test_container_versions_but_2_are_unsupported(version: int) -> None:
     with pytest.raises(UnsupportedFeatureError, match=f"version {version}"):
         split(packed([JSON], version=version))
 

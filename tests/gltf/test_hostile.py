@@ -50,10 +50,10 @@ class TestFilesThatChange:
         path.write_bytes(bytes(range(256)) * (2 * resources.PAGES_FROM // 256) + b"end")
         return path
 
-    def test_it_is_read_whole(self, large: Path) -> None:
+    def test_a_large_file_is_read_whole(self, large: Path) -> None:
         assert bytes(resources.read_file(large, _uncounted)) == large.read_bytes()
 
-    def test_what_was_read_stays(self, large: Path) -> None:
+    def test_what_was_read_of_a_large_file_stays(self, large: Path) -> None:
         before = large.read_bytes()
         data = resources.read_file(large, _uncounted)
         with large.open("r+b") as file:
@@ -63,11 +63,11 @@ class TestFilesThatChange:
             file.truncate(1)
         assert bytes(data) == before
 
-    def test_nobody_writes_to_it(self, large: Path) -> None:
+    def test_what_was_read_of_a_large_file_is_read_only(self, large: Path) -> None:
         assert memoryview(resources.read_file(large, _uncounted)).readonly
 
     @pytest.mark.parametrize("length", [0, 5000, 3 * resources.PAGES_FROM])
-    def test_one_that_changes_its_length_meanwhile_is_refused(self, large: Path, length: int) -> None:
+    def test_a_large_file_that_changes_its_length_is_refused(self, large: Path, length: int) -> None:
         def cut(size: int) -> None:
             """Change the file when its size has been found, and nothing has been read yet."""
             with large.open("r+b") as file:
@@ -76,7 +76,7 @@ class TestFilesThatChange:
         with pytest.raises(OSError, match="it changed while it was read"):
             resources.read_file(large, cut)
 
-    def test_a_small_one_that_changes_its_length_is_refused(
+    def test_a_small_file_that_changes_its_length_is_refused(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         path = tmp_path / "small.bin"
@@ -423,7 +423,7 @@ class TestJoints:
         return content["nodes"][content["skins"][0]["joints"][number]]
 
     @pytest.mark.parametrize("scale", [1e13, 1e30, 3e38])
-    def test_those_past_float32_are_an_input_error(self, whole: Path, scale: float) -> None:
+    def test_joint_matrices_past_float32_are_an_input_error(self, whole: Path, scale: float) -> None:
         def change(content: Any) -> None:
             for node in content["skins"][0]["joints"]:
                 content["nodes"][node]["scale"] = [scale] * 3
@@ -433,7 +433,7 @@ class TestJoints:
         assert "is past all numbers of float32" in text
         assert "joint" in text
 
-    def test_the_one_past_float32_is_named(self, whole: Path) -> None:
+    def test_the_joint_whose_matrix_is_past_float32_is_named(self, whole: Path) -> None:
 
         def change(content: Any) -> None:
             self.joint(content, -2)["scale"] = [1e3] * 3
@@ -445,7 +445,7 @@ class TestJoints:
         assert f'the matrix of "{name}" of skin 0 is past all numbers of float32' in text
 
     @pytest.mark.parametrize("distance", [1e10, 1e20, 3e38])
-    def test_those_too_unlike_in_size_are_blamed(self, whole: Path, distance: float) -> None:
+    def test_joint_matrices_too_unlike_in_size_are_blamed(self, whole: Path, distance: float) -> None:
         code, text = self.verify(
             whole, lambda content: self.joint(content).update(translation=[distance, 0, 0])
         )
@@ -472,7 +472,7 @@ class TestJoints:
 
 @pytest.mark.parametrize("by_numpy", [False, True])
 @pytest.mark.parametrize("name", ["NORMAL", "TANGENT"])
-def test_not_a_numbers_of_every_kind_draw_no_warning(
+def test_nan_of_every_kind_draws_no_warning(
     tmp_path: Path, name: str, by_numpy: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A signalling NaN is one that processors announce when they convert it."""

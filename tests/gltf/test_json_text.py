@@ -86,7 +86,7 @@ def test_a_deep_text_is_written_on_one_line_whatever_the_indentation() -> None:
     assert json_text.written(json_text.parsed(text), indent="  ", ascii_only=False) == text
 
 
-def test_other_texts_are_written_as_the_library_writes_them() -> None:
+def test_plain_texts_are_written_as_the_json_library_writes_them() -> None:
     value = json.loads(PLAIN[2])
     for indent in (None, "\t"):
         separators = (",", ":") if indent is None else (",", ": ")

@@ -108,7 +108,7 @@ def test_sources_that_a_tool_rearranged(name: str, tool: str, tmp_path: Path) ->
 
 @pytest.mark.parametrize("extension", [EXT, KHR])
 @pytest.mark.parametrize("name", FIXTURES)
-def test_both_extensions_of_meshopt(name: str, extension: str, tmp_path: Path) -> None:
+def test_sources_with_either_extension_of_meshopt(name: str, extension: str, tmp_path: Path) -> None:
     assert_lossless(meshopt_twin(source(name), tmp_path / "source.glb", name=extension), tmp_path)
 
 

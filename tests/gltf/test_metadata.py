@@ -87,7 +87,7 @@ def test_a_fresh_bake_is_up_to_date(tmp_path: Path) -> None:
         ("TEXCOORD_0", set()),
     ],
 )
-def test_one_changed_value_is_recognised_by_its_array(
+def test_a_changed_value_is_recognised_by_its_array(
     attribute: str, changes: set[str], tmp_path: Path
 ) -> None:
     model = baked(FOLDER / "mirrored_tangent.glb", tmp_path / "baked.glb")

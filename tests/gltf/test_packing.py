@@ -51,7 +51,7 @@ def packed(source: Path, target: Path, *options: str | Path) -> tuple[GltfFile, 
     return read(target), [notice["code"] for notice in file["warnings"]]
 
 
-def test_all_files_are_inside_bit_for_bit(tmp_path: Path) -> None:
+def test_packed_files_are_inside_bit_for_bit(tmp_path: Path) -> None:
     files = {"skin.png": ONE_PIXEL, "a b.jpg": JPEG, "tex/c.webp": WEBP, "d.ktx2": KTX2}
     source = with_files(tmp_path / "in", files, a="skin.png", b="a%20b.jpg", c="tex/c.webp", d="d.ktx2")
     model, notices = packed(source, tmp_path / "out" / "hero.glb")
@@ -262,7 +262,7 @@ def test_a_file_without_a_skin_is_packed_too(tmp_path: Path) -> None:
     assert image_data(read(tmp_path / "bare.glb"), 0) == ONE_PIXEL
 
 
-def test_nothing_to_pack_changes_nothing(tmp_path: Path) -> None:
+def test_pack_changes_no_file_that_has_nothing_to_pack(tmp_path: Path) -> None:
     for options in ([], ["--pack"]):
         assert (
             invoke("bake", FOLDER / "seam.glb", "-o", tmp_path / f"{len(options)}.glb", *options).exit_code

@@ -47,14 +47,14 @@ def test_a_joint_scaled_by_over_1_4_percent_is_a_stored_pose(
     assert (rig(path).stored is not None) == counts
 
 
-def test_all_joints_turned_and_scaled_together_are_none(tmp_path: Path) -> None:
+def test_joints_turned_and_scaled_together_are_no_stored_pose(tmp_path: Path) -> None:
     def change(content: JsonObject) -> None:
         joint(content, 0).update(rotation=turn(70.0), scale=[3.0, 3.0, 3.0], translation=[1.0, 2.0, 3.0])
 
     assert rig(edited(MODEL, tmp_path, change)).stored is None
 
 
-def test_its_matrices_move_the_joints_where_the_nodes_are(tmp_path: Path) -> None:
+def test_matrices_of_the_stored_pose_move_the_joints_where_the_nodes_are(tmp_path: Path) -> None:
     straight = rig(edited(MODEL, tmp_path / "other", lambda content: None))
     path = edited(MODEL, tmp_path, lambda content: joint(content, 1).update(rotation=turn(90.0)))
     bent = rig(path)

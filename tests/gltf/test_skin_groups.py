@@ -54,7 +54,7 @@ def test_equal_skins_are_one_skin(tmp_path: Path) -> None:
     assert groups(cut(tmp_path, own_skins=True)) == ([[0, 1]], [])
 
 
-def test_other_inverse_bind_matrices_are_another_mesh_space(tmp_path: Path) -> None:
+def test_different_inverse_bind_matrices_are_another_mesh_space(tmp_path: Path) -> None:
     def unbound(content: JsonObject) -> None:
         del content["skins"][1]["inverseBindMatrices"]
 

@@ -69,7 +69,7 @@ def straightening(result: FileResult) -> list[tuple[int | None, str]]:
 
 
 @pytest.mark.parametrize("degrees", [0.2, 1.0, 10.0, 60.0, 85.0])
-def test_one_vertex_is_straightened_and_the_frame_stays(degrees: float, tmp_path: Path) -> None:
+def test_a_single_tangent_is_straightened_and_the_frame_stays(degrees: float, tmp_path: Path) -> None:
     path = leaning(SOURCE, tmp_path / "skewed.glb", degrees, [VERTEX])
     result = bake(path, tmp_path / "baked.glb")
     ((count, message),) = straightening(result)

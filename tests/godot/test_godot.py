@@ -217,7 +217,7 @@ def test_every_storage_is_read_when_the_file_is_loaded(stage: Stage, storage: Gr
 
 
 @pytest.mark.parametrize("frame", ["normal", "tangent"])
-def test_both_frames_have_the_same_shader(stage: Stage, frame: str) -> None:
+def test_one_shader_serves_both_frames(stage: Stage, frame: str) -> None:
     character = stage.character(MIRRORED, RANDOM, frame)
     assert character.frame == Frame(frame)
     assert_accurate(character, stage.show(character))

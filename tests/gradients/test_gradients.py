@@ -110,7 +110,7 @@ def test_a_model_with_eight_influences_agrees_under_every_weighting(
     assert_agrees(PBR_TEST, tmp_path, weighting)
 
 
-def test_another_crease_angle_changes_the_gradients_as_it_changes_the_operator(tmp_path: Path) -> None:
+def test_the_crease_angle_changes_the_gradients_as_it_changes_the_operator(tmp_path: Path) -> None:
     target = bake_to("hard_edge.glb", tmp_path, bake_settings(crease_angle=np.pi / 2), Gradients.SURFACE)
     [stored] = baked_meshes_of(target)[0]
     across = gradient_operator([stored.arrays], crease_angle_degrees=90.0)

@@ -131,13 +131,15 @@ def assert_paths_agree(
 
 @pytest.mark.parametrize("weighting", WEIGHTINGS)
 @pytest.mark.parametrize("name", FIXTURES)
-def test_both_paths_agree_on_fixtures(name: str, weighting: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_loops_and_numpy_agree_on_fixtures(
+    name: str, weighting: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for primitives in meshes_of(path_of(name)).values():
         assert assert_paths_agree(primitives, weighting, monkeypatch).any()
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_both_paths_agree_on_real_models(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_loops_and_numpy_agree_on_real_models(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     for primitives in meshes_of(path_of(name)).values():
         assert_paths_agree(primitives, "max", monkeypatch)
 
@@ -180,7 +182,9 @@ def assert_fits_agree(
 
 @pytest.mark.parametrize("weighting", WEIGHTINGS)
 @pytest.mark.parametrize("name", FIXTURES)
-def test_both_paths_fit_fixtures_alike(name: str, weighting: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_loops_and_numpy_fit_fixtures_alike(
+    name: str, weighting: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     meshes = rigged_meshes_of(path_of(name))
     assert meshes
     for primitives, rig in meshes:
@@ -188,7 +192,7 @@ def test_both_paths_fit_fixtures_alike(name: str, weighting: str, monkeypatch: p
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_both_paths_fit_real_models_alike(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_loops_and_numpy_fit_real_models_alike(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     meshes = rigged_meshes_of(path_of(name))
     assert meshes
     for primitives, rig in meshes:
@@ -376,7 +380,7 @@ class TestArguments:
             "last": 0,
         }
 
-    def test_these_are_right(self) -> None:
+    def test_right_arguments_of_the_loops_raise_nothing(self) -> None:
         _kernel.bake_surface(**self.arguments())
 
     @pytest.mark.parametrize(
@@ -631,7 +635,7 @@ def degenerate() -> SkinnedPrimitive:
 
 
 @pytest.mark.parametrize("weighting", WEIGHTINGS)
-def test_both_paths_ignore_what_has_no_area_without_a_warning(
+def test_loops_and_numpy_ignore_what_has_no_area_without_a_warning(
     weighting: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Warnings are errors in this suite: a division by an area of zero would not pass.
@@ -640,7 +644,7 @@ def test_both_paths_ignore_what_has_no_area_without_a_warning(
 
 
 @pytest.mark.parametrize("name", ["bent_tube.glb", CESIUM_MAN])
-def test_both_paths_fit_around_what_has_no_area(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_loops_and_numpy_fit_around_what_has_no_area(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     [(primitives, rig)] = rigged_meshes_of(path_of(name))
     whole, *rest = primitives
     unused, collapsed = whole.triangles[10, 0], whole.triangles[20, 1]
@@ -672,7 +676,7 @@ def fan(rim: Float64Array, hub: Float64Array) -> tuple[SkinnedPrimitive, Rig]:
     return primitive, Rig(np.array([-1, 0, 1, 2], dtype=np.int32), pivots)
 
 
-def test_both_paths_fit_where_gradients_cancel(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_loops_and_numpy_fit_where_gradients_cancel(monkeypatch: pytest.MonkeyPatch) -> None:
     rim, hub = np.tile([0.25, 0.125, 0.25, 0.375], (4, 1)), np.array([0.125, 0.25, 0.125, 0.5])
     primitive, rig = fan(rim, hub)
     assert not bake(surface_of([primitive])).alpha[0].any()
@@ -686,7 +690,7 @@ def test_both_paths_fit_where_gradients_cancel(monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.mark.parametrize(("corners", "fits"), [(4096, True), (4097, False)])
-def test_both_paths_leave_points_with_very_many_corners(
+def test_loops_and_numpy_leave_points_with_very_many_corners(
     corners: int, fits: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     weights = np.random.default_rng(7).random((corners + 1, 4)) + 0.1
@@ -718,7 +722,7 @@ def assert_both_paths_fit(
 
 
 @pytest.mark.parametrize(("turns", "fits"), [(128, True), (129, False)])
-def test_both_paths_leave_vertices_with_very_many_turns(
+def test_loops_and_numpy_leave_vertices_with_very_many_turns(
     turns: int, fits: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """On one chain, the turn of each joint but joint 0 parts the first one from the last."""
@@ -727,14 +731,14 @@ def test_both_paths_leave_vertices_with_very_many_turns(
 
 
 @pytest.mark.parametrize(("joints", "fits"), [(64, True), (65, False)])
-def test_both_paths_leave_vertices_with_very_many_fitted_joints(
+def test_loops_and_numpy_leave_vertices_with_very_many_fitted_joints(
     joints: int, fits: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     primitive, rig = fan_of_joints(range(1, joints + 1), [-1, *[0] * joints])
     assert_both_paths_fit(primitive, rig, fits, monkeypatch)
 
 
-def test_both_paths_count_no_joint_whose_turn_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_loops_and_numpy_count_no_joint_whose_turn_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """A triangle stands upright on the fan. Its hat functions rise along the normal, so no tangent turns."""
     primitive, _ = fan(np.full((8, 4), 0.25), np.array([0.4, 0.3, 0.2, 0.1]))
     joints = np.tile([0, 40, 80, 120], (10, 1))
@@ -758,7 +762,7 @@ def test_both_paths_count_no_joint_whose_turn_moves_nothing(monkeypatch: pytest.
 
 
 @pytest.mark.parametrize(("height", "fits"), [(1e-5, True), (1e-7, False)])
-def test_both_paths_leave_rings_of_slivers(
+def test_loops_and_numpy_leave_rings_of_slivers(
     height: float, fits: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rim, hub = np.array([[0.5, 0.5, 0.0, 0.0], [0.3, 0.1, 0.6, 0.0]]), np.array([0.2, 0.3, 0.1, 0.4])
@@ -771,7 +775,7 @@ def test_both_paths_leave_rings_of_slivers(
 
 
 @pytest.mark.parametrize("far", [1e100, 1e200])
-def test_both_paths_leave_gradients_where_levers_overflow(
+def test_loops_and_numpy_leave_gradients_where_levers_overflow(
     far: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A joint whose inverse bind matrix is nearly singular has its pivot that far away."""
@@ -790,7 +794,7 @@ def test_both_paths_leave_gradients_where_levers_overflow(
         assert slots.beta == pytest.approx(whole.beta, rel=1e-5)
 
 
-def test_both_paths_fit_in_any_slots(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_loops_and_numpy_fit_in_any_slots(monkeypatch: pytest.MonkeyPatch) -> None:
     weights = np.random.default_rng(7).random((9, 4)) + 0.1
     primitive, rig = fan(weights[1:], weights[0])
     few = bake(with_rig(surface_of([primitive]), rig))
@@ -828,7 +832,7 @@ def test_a_mesh_without_any_area_has_alpha_zero(
 
 
 @pytest.mark.parametrize("name", ["foreign_joints.glb", CESIUM_MAN, BARBARIAN])
-def test_both_paths_bake_the_same_file(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_loops_and_numpy_bake_the_same_file(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def bake_file() -> list[tuple[BakedPrimitive, BakeFindings]]:
         return [
             outcome

@@ -129,14 +129,14 @@ class TestOracle:
         for found, wanted in zip((baked.alpha, baked.beta), expected, strict=True):
             assert np.abs(found - wanted)[vertex].max() < 1e-6 * np.abs(wanted).max()
 
-    def test_it_is_not_the_gradient(self) -> None:
+    def test_the_fit_is_not_the_gradient(self) -> None:
         primitive, rig = tube()
         assert np.abs(fitted(primitive, rig).alpha - fitted(primitive, None).alpha).max() > 0.05
 
 
 @pytest.mark.usefixtures("_kernel")
 class TestStoredPose:
-    def test_it_does_not_matter_where_all_joints_are_moved_together(self) -> None:
+    def test_a_motion_of_all_joints_together_does_not_change_the_fit(self) -> None:
         primitive, rig = tube()
         rig = bent(rig, np.radians(20.0))
         assert rig.stored is not None

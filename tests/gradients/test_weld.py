@@ -157,7 +157,7 @@ def test_the_edges_of_a_prism_of_24_sides_weld_all_round() -> None:
     assert found == np.repeat(sides, 2).tolist()
 
 
-def test_other_sides_than_the_crease_angles_do_not_weld() -> None:
+def test_sides_that_meet_at_more_than_the_crease_angle_do_not_weld() -> None:
     # 23 sides meet at 15.65°.
     assert classes(copies(normals=tilted(0.0, 360.0 / 23), dtype=np.float64)) == [0, 1]
 

@@ -111,7 +111,7 @@ def metadata(**changes: Any) -> Edit:
     return edit
 
 
-def test_another_scale_is_found_and_told(tmp_path: Path) -> None:
+def test_a_changed_scale_is_found_and_told(tmp_path: Path) -> None:
     path = written("bent_tube.glb", tmp_path, PACKED8)
     scale = Editable(path).metadata()["scale"]
     (problem,) = after(metadata(scale=scale * 1.25), path).problems("freshness")
@@ -154,7 +154,7 @@ def test_damaged_metadata_are_told(edit: Edit, words: str, tmp_path: Path) -> No
         ({"encoding": "snorm16"}, "stored as normalised int8, expected normalised SHORT"),
     ],
 )
-def test_another_encoding_than_noted_is_told(changes: JsonObject, words: str, tmp_path: Path) -> None:
+def test_an_encoding_other_than_noted_is_told(changes: JsonObject, words: str, tmp_path: Path) -> None:
     (problem,) = after(metadata(**changes), written("seam.glb", tmp_path, PACKED8)).problems("structure")
     assert (problem["code"], problem["attribute"]) == ("attribute-format", ALPHA)
     assert words in problem["message"]

@@ -326,7 +326,7 @@ def test_without_true_normals_no_limit_can_be_met(tmp_path: Path) -> None:
     )
 
 
-def test_it_is_said_that_nothing_bends_where_a_gain_is_asked_for(tmp_path: Path) -> None:
+def test_a_limit_of_gain_says_that_nothing_bends(tmp_path: Path) -> None:
     path = baked(source("bent_tube.glb"), tmp_path)
     for options, words in (
         ({"min_gain": 1.5}, "no gain to hold to --min-gain: nothing bends in these poses"),
@@ -417,7 +417,7 @@ def scaled_joint(path: Path, folder: Path) -> Path:
     return model.write(folder / "scaled.glb")
 
 
-def test_one_scaled_joint_is_named(tmp_path: Path) -> None:
+def test_a_scaled_joint_is_named(tmp_path: Path) -> None:
     path = scaled_joint(baked(source("bent_tube.glb"), tmp_path), tmp_path)
     answer = verify(path, "--method", "dqs", "--samples", "2")
     assert answer.exit_code == 1

@@ -194,7 +194,7 @@ def test_the_command_line_says_what_it_cost(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("limit", ["0", "3", "6", "many"])
-def test_other_limits_than_whole_sets_are_refused(limit: str, tmp_path: Path) -> None:
+def test_limits_that_are_no_whole_sets_are_refused(limit: str, tmp_path: Path) -> None:
     result = invoke("bake", path_of(TWO_SETS), "-o", tmp_path / "out.glb", "--limit-influences", limit)
     assert result.exit_code == 2
     assert "--limit-influences" in result.stderr

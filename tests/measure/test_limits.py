@@ -35,7 +35,7 @@ def random_sets(kind: str, seed: int) -> list[StoredInfluences]:
 
 @pytest.mark.parametrize("kind", ["f4", "u1", "u2"])
 @pytest.mark.parametrize("count", [4, 8])
-def test_both_keep_the_same_joints_and_weights(kind: str, count: int) -> None:
+def test_bake_and_verify_keep_the_same_joints_and_weights(kind: str, count: int) -> None:
     sets = random_sets(kind, seed=count)
     primitive = primitive_of(sets)
     slots = limited_slots(primitive, count)

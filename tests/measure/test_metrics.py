@@ -114,7 +114,7 @@ def test_the_first_of_equal_worst_samples_is_named() -> None:
     assert (summary.max, summary.worst_pose, summary.worst_vertex) == (0.0, 0, 1)
 
 
-def test_nothing_to_count_is_no_summary() -> None:
+def test_samples_that_do_not_count_have_no_summary() -> None:
     assert summarise(np.ones((2, 2)), np.zeros(2)) is None
     assert summarise(np.ones((1, 2)), np.ones(2), valid=np.zeros((1, 2), dtype=bool)) is None
     assert summarise(np.zeros((0, 2)), np.ones(2)) is None

@@ -130,7 +130,7 @@ def test_targets_that_change_after_a_bake_make_it_no_staler(tmp_path: Path) -> N
     assert verify(file.write(path)).failed == []
 
 
-def test_both_methods_share_the_morphed_surfaces_if_these_are_small(
+def test_lbs_and_dqs_share_morphed_surfaces_that_are_small(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = morphed(baked(source("mirrored_tangent.glb"), tmp_path), tmp_path / "moved.glb", targets=1)

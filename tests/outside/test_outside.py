@@ -121,7 +121,7 @@ def snapshot(world: Path) -> dict[str, object]:
 
 
 @pytest.mark.slow
-def test_nothing_outside_is_opened_or_changed(world: Path) -> None:
+def test_no_document_opens_or_changes_what_is_outside(world: Path) -> None:
     before = snapshot(world)
     log = watched(world, COUNT)
     assert snapshot(world) == before

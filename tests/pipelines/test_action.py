@@ -107,7 +107,7 @@ def test_the_form_is_that_of_a_composite_action() -> None:
 
 
 @pytest.mark.parametrize(("version", "package"), [("", str(REPOSITORY)), ("1.2.3", "skinbake==1.2.3")])
-def test_it_installs_the_code_of_the_action_or_a_version(version: str, package: str, runner: Runner) -> None:
+def test_the_action_installs_its_own_code_or_a_version(version: str, package: str, runner: Runner) -> None:
     (runner.own / "bin").mkdir()
     python = runner.own / "bin" / "python"
     python.write_text('#!/bin/sh\nprintf "%s\\n" "$@"\n')

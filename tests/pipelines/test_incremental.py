@@ -85,7 +85,7 @@ class TestOneSource:
             bake("build/hero.gltf")
             assert files(here / "build") == clean()
 
-    def test_so_does_strip(self, here: Path) -> None:
+    def test_strip_in_an_incremental_build_is_that_of_a_clean_one(self, here: Path) -> None:
         bake("art/baked.gltf")
         for number in range(3):
             if number:
@@ -119,7 +119,7 @@ class TestOneSource:
         assert len(before - after) == len(after - before) == 1
         assert not Path("art", NOTES).exists()
 
-    def test_they_stay_if_a_copy_of_the_document_names_them(self, here: Path) -> None:
+    def test_gradients_that_a_copy_of_the_document_names_stay(self, here: Path) -> None:
         assert invoke("bake", "art/hero.gltf", "--in-place").exit_code == 0
         shutil.copyfile("art/hero.gltf", "art/backup.gltf")
         before = files(here / "art")
@@ -159,7 +159,7 @@ class TestTwoSources:
             bake(f"clean/{name}", source=f"art/{name}")
         assert files(here / "build") == files(here / "clean")
 
-    def test_one_goes_and_the_other_keeps_the_picture(self, here: Path) -> None:
+    def test_a_shared_picture_stays_when_one_of_two_sources_loses_it(self, here: Path) -> None:
         for name in ("hero.gltf", PLAIN):
             bake(f"build/{name}", source=f"art/{name}")
         Path("art", PLAIN).write_text('{"asset": {"version": "2.0"}}', encoding="utf-8")

@@ -513,7 +513,7 @@ class TestMessages:
         _, (message,) = stage.told(file.write(stage.models / "damaged.glb"))
         assert "its attribute _SKINBAKE_BETA_0 is VEC4, not VEC3" in message
 
-    def test_another_method_for_the_same_url(self, stage: DrawingStage) -> None:
+    def test_a_second_method_for_one_url_is_told(self, stage: DrawingStage) -> None:
         """PlayCanvas keeps what a URL has given, and calls no hooks."""
         for name, methods in (("same", ["lbs", "lbs"]), ("other", ["lbs", "dqs"])):
             path = stage.models / f"{name}.glb"

@@ -67,7 +67,7 @@ def test_clips_of_other_nodes_take_no_poses_from_the_joints(tmp_path: Path) -> N
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 7, 100])
 @pytest.mark.parametrize("path", [TUBE, TWO_SKINS], ids=["one skin", "two skins"])
-def test_as_many_random_poses_are_drawn_as_asked_for(path: Path, count: int) -> None:
+def test_random_poses_are_as_many_as_asked_for(path: Path, count: int) -> None:
     (group,) = poses_to_fit(read_document(str(path)), 0, [f"random:{count}"], PLACE).groups
     assert len(group.joint_matrices) == count
 

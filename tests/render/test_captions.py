@@ -21,7 +21,7 @@ def changed(picture: Picture) -> IntArray:
     return np.flatnonzero((picture != 240).any(axis=(0, 2)))
 
 
-def test_each_half_has_its_own_word() -> None:
+def test_each_half_of_a_split_picture_has_its_own_word() -> None:
     look = Look(600, 300)
     columns = changed(captioned(blank(600, 300), BOTH, look))
     halves = [columns[columns < 300], columns[columns >= 300] - 300]
@@ -48,6 +48,8 @@ def test_the_scale_has_the_colours_of_the_errors_and_its_largest_angle() -> None
     ("size", "sides", "mode"),
     [((600, 300), ("accurate",), "shaded"), ((64, 48), BOTH, "error"), ((300, 300), BOTH, "shaded")],
 )
-def test_other_pictures_stay_as_they_are(size: tuple[int, int], sides: tuple[str, ...], mode: str) -> None:
+def test_pictures_that_need_no_words_stay_as_they_are(
+    size: tuple[int, int], sides: tuple[str, ...], mode: str
+) -> None:
     picture = blank(*size)
     assert captioned(picture, sides, Look(*size, mode)) is picture

@@ -111,7 +111,7 @@ def test_the_same_file_gives_the_same_bytes_and_nothing_else_is_written(tmp_path
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("device")
-def test_it_says_whether_it_baked_the_file_itself(tmp_path: Path) -> None:
+def test_render_says_whether_it_baked_the_file_itself(tmp_path: Path) -> None:
     assert invoke("bake", TUBE, "-o", tmp_path / "baked.glb").exit_code == 0
     for name, end in ((TUBE, " s, baked in memory\n"), (tmp_path / "baked.glb", " s\n")):
         result = invoke("render", name, "-o", tmp_path / "tube.png", "--size", "64x48")
@@ -222,7 +222,7 @@ def test_the_help_tells_the_bounds_of_the_size() -> None:
         (["-o", "picture.png", "--time", "-1"], exit_codes.USAGE, 'clip "bend" goes from 0 to'),
     ],
 )
-def test_it_refuses(
+def test_render_refuses(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], code: int, words: str
 ) -> None:
     monkeypatch.chdir(tmp_path)

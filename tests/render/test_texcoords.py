@@ -194,7 +194,7 @@ def test_broken_values_say_nothing(tmp_path: Path, content: object) -> None:
     assert placement(tmp_path, info) == Placement(texcoord=3)
 
 
-def test_each_value_is_read_by_itself(tmp_path: Path) -> None:
+def test_each_value_of_a_texture_transform_is_read_by_itself(tmp_path: Path) -> None:
     told = {"offset": [1, 2], "rotation": "none", "scale": [3, 4], "texCoord": 2.0}
     info = {"index": 0, "texCoord": "first", "extensions": {textured.NAME: told}}
     assert placement(tmp_path, info) == Placement(2, (1.0, 2.0), 0.0, (3.0, 4.0))

@@ -32,7 +32,7 @@ def pixels(data: bytes) -> np.ndarray:
         return np.asarray(image)
 
 
-def test_it_covers_what_the_model_covers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_thumbnail_covers_what_the_model_covers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = baked(FOLDER / "bent_tube.glb", tmp_path)
     cameras: list[Camera] = []
 

@@ -113,7 +113,7 @@ def test_the_top_of_a_text_tells_its_use_and_the_command_that_wrote_it(engine: s
 
 
 @pytest.mark.parametrize("engine", [*PACKAGES, "godot"])
-def test_one_text_serves_every_frame_encoding_and_layout(engine: str) -> None:
+def test_a_module_of_an_engine_serves_every_frame_encoding_and_layout(engine: str) -> None:
     """They change the command that the text names, and nothing else."""
     options = ["--frame", "tangent", "--encoding", "snorm16", "--layout", "custom"]
     usual, other = (

@@ -124,7 +124,7 @@ def entry(text: str, prepared: list[str], names: list[str], words: int) -> str:
         ("seam.glb", GradientFormat(Encoding.PACKED8, Layout.CUSTOM), 4),
     ],
 )
-def test_it_decodes_what_the_file_holds(
+def test_a_shader_decodes_what_the_file_holds(
     name: str, storage: GradientFormat, influences: int, tmp_path: Path
 ) -> None:
     model = baked(FOLDER / name, tmp_path / name, storage=storage)
@@ -152,7 +152,9 @@ def test_it_decodes_what_the_file_holds(
 
 
 @pytest.mark.parametrize(("name", "influences"), [("bent_tube.glb", 4), ("two_sets.glb", 8)])
-def test_it_assembles_what_the_texture_coordinates_hold(name: str, influences: int, tmp_path: Path) -> None:
+def test_a_shader_assembles_what_the_texture_coordinates_hold(
+    name: str, influences: int, tmp_path: Path
+) -> None:
     plain = baked(FOLDER / name, tmp_path / f"plain_{name}")
     model = baked(FOLDER / name, tmp_path / name, storage=TEXCOORD)
     found = note(model.content)
@@ -204,7 +206,7 @@ def test_glsl_compiles_with_its_own_example(
 
 
 class TestText:
-    def test_it_has_the_file_s_scale_as_a_constant(self, tmp_path: Path) -> None:
+    def test_the_text_has_the_file_s_scale_as_a_constant(self, tmp_path: Path) -> None:
         model = baked(FOLDER / "bent_tube.glb", tmp_path / "tube.glb", storage=PACKED8)
         scale = (note(model.content) or {})["scale"]
         for language, words in ((WGSL, "const scale = "), (GLSL, "const float scale = ")):

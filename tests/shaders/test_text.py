@@ -48,7 +48,7 @@ def outside_functions(text: str) -> str:
 
 @pytest.mark.parametrize("language", Language)
 class TestEveryText:
-    def test_there_is_one_for_every_combination(self, language: Language) -> None:
+    def test_every_combination_has_a_text(self, language: Language) -> None:
         plain = Counter(
             (choices.algorithm, choices.frame)
             for choices in every_text(language).values()

@@ -147,5 +147,5 @@ def test_bytes_of_other_stored_types() -> None:
 
 
 @pytest.mark.parametrize("algorithm", [Algorithm.LBS_ACCURATE, Algorithm.DQS_ACCURATE, Algorithm.DQS_EXACT])
-def test_one_influence_has_no_derivatives_to_store(algorithm: Algorithm) -> None:
+def test_a_vertex_of_one_influence_has_no_derivatives_to_store(algorithm: Algorithm) -> None:
     assert vertex_bytes(algorithm, 1, StoredTypes(gradient_scale=1)).added == 0

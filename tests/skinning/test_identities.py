@@ -60,7 +60,7 @@ def test_algorithm_2_takes_given_gradients_over_rebuilt_ones() -> None:
 
 
 @pytest.mark.parametrize("algorithm", Algorithm)
-def test_one_joint_moves_the_frame_rigidly(algorithm: Algorithm) -> None:
+def test_a_single_joint_moves_the_frame_rigidly(algorithm: Algorithm) -> None:
     surface = sample()
     matrix = analytic.joint_matrices("strong")[2]
     rest = replace(

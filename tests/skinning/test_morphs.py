@@ -50,7 +50,7 @@ def test_alpha_and_beta_of_the_rest_are_exact_under_the_differential_of_a_morph(
 
 
 @pytest.mark.parametrize("name", morphing.DISPLACEMENTS)
-def test_they_are_so_under_dual_quaternions_too(name: str) -> None:
+def test_alpha_and_beta_of_the_rest_are_exact_under_morph_and_dual_quaternions(name: str) -> None:
     surface = sample()
     shape = morphing.morphed_surface(morphing.DISPLACEMENTS[name], 0.7)
     skinning = analytic.dual_quaternion_blend(analytic.joint_dual_quaternions("screw"), slots(surface)[:, 0])

@@ -195,7 +195,7 @@ class TestCorpus:
 class TestCharacters:
     """What fixtures/characters promises: licences that allow it, and few bytes."""
 
-    def test_each_file_has_its_source_author_and_licence(self) -> None:
+    def test_each_character_has_its_source_author_and_licence(self) -> None:
         page = (corpus.CHARACTERS / "README.md").read_text(encoding="utf-8")
         rows = re.findall(r"^\| `(.*?)` \| (.*?) \| (.*?) \| (.*?) \|", page, re.MULTILINE)
         names = {name for cell, *_ in rows for name in cell.split("`, `")}
@@ -206,7 +206,7 @@ class TestCharacters:
             assert licence
             assert re.sub(r"CC0 1\.0|CC BY 4\.0|\([a-z, ]*\)|[, ]", "", licence) == ""
 
-    def test_all_together_stay_under_a_megabyte(self) -> None:
+    def test_the_characters_together_stay_under_a_megabyte(self) -> None:
         assert sum(path.stat().st_size for path in corpus.CHARACTERS.iterdir()) < 1_000_000
 
     def test_every_stand_in_is_there(self) -> None:

@@ -143,7 +143,7 @@ def test_expressions_of_vrm_morph_before_skinning_under_mtoon(
 
 
 @pytest.mark.parametrize("frame", ["normal", "tangent"])
-def test_both_frames_have_the_same_module(stage: ThreeStage, frame: str) -> None:
+def test_one_module_serves_both_frames(stage: ThreeStage, frame: str) -> None:
     character = stage.character(MIRRORED, RANDOM, frame)
     found = stage.normals(character)
     assert largest(found["draws"][0], expected(character, found["world"])) < DEGREES
@@ -315,7 +315,7 @@ def test_a_tool_may_remove_vertices_of_a_mesh_that_was_drawn(stage: ThreeStage, 
     assert largest(found["normals"], expected(character, found["world"])[kept]) < DEGREES
 
 
-def test_another_method_needs_the_arrays_that_a_page_has_given_away(stage: ThreeStage) -> None:
+def test_a_change_of_method_needs_the_arrays_that_a_page_has_given_away(stage: ThreeStage) -> None:
     told = stage.character(TUBE, BENT).told(Placement())
     accurate, other = stage.page.call("freed", told)
     assert accurate == ["accurate", ""]

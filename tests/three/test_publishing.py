@@ -59,18 +59,18 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_it_holds_what_it_says_and_nothing_else(project: Path) -> None:
+def test_the_package_holds_what_it_says_and_nothing_else(project: Path) -> None:
     installed = project / "node_modules" / "skinbake-three"
     names = {path.name for path in installed.iterdir()}
     assert names == {"package.json", *json.loads((FOLDER / "package.json").read_text())["files"]}
 
 
-def test_it_runs_without_a_build(project: Path) -> None:
+def test_the_package_runs_without_a_build(project: Path) -> None:
     (project / "use.js").write_text(USE)
     assert json.loads(run(require_node(), "use.js", folder=project)) == ["not drawn", False, True]
 
 
-def test_its_types_are_right_under_tsc_strict(project: Path) -> None:
+def test_the_types_of_the_package_are_right_under_tsc_strict(project: Path) -> None:
     require_node("typescript", "@types/three")
     shutil.copy(Path(__file__).parent / "usage.ts", project / "usage.ts")
     options = {"strict": True, "noEmit": True, "module": "nodenext", "target": "es2022", "types": []}

@@ -314,7 +314,7 @@ class TestTangents:
     @pytest.mark.parametrize("frame", ["normal", "tangent"])
     @pytest.mark.parametrize("material", ["mapped", "physical", "standard"])
     @pytest.mark.parametrize("lighting", [Lighting.ACCURATE, Lighting.DIRECT])
-    def test_both_frames_skin_the_normal_and_tangent(
+    def test_normal_and_tangent_are_skinned_in_both_frames(
         self, stage: ModuleStage, frame: str, material: str, lighting: Lighting
     ) -> None:
         character = stage.character(MIRRORED, RANDOM, frame)
@@ -507,7 +507,7 @@ class TestMisfits:
         (message,) = stage.page.messages()
         assert message.endswith(EIGHT)
 
-    def test_both_primitives_of_a_mesh_are_lit(self, stage: ModuleStage) -> None:
+    def test_two_primitives_of_a_mesh_are_lit(self, stage: ModuleStage) -> None:
         path = baked(FOLDER / "two_primitives.glb", stage.models)
         options = {"url": f"/models/{path.name}", "module": stage.module(CHOICES), "expressions": []}
         meshes = stage.call("vertices", options)

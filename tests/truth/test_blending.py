@@ -54,7 +54,9 @@ def joint_matrices(poses: int) -> Float64Array:
 @pytest.mark.parametrize("slots", [1, 4, 8])
 @pytest.mark.parametrize("baseline", list(Baseline))
 @pytest.mark.parametrize("cap", [None, 0.4])
-def test_it_is_what_the_lines_compute(poses: int, slots: int, baseline: Baseline, cap: float | None) -> None:
+def test_matrix_form_is_what_the_lines_compute(
+    poses: int, slots: int, baseline: Baseline, cap: float | None
+) -> None:
     rest, matrices = surface(slots), joint_matrices(poses)
     authored = replace(rest, normals=surface(slots, 2).normals)
     found = BlendedPrimitive(

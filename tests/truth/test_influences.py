@@ -98,7 +98,9 @@ def test_a_vertex_without_weight_follows_its_first_joint() -> None:
         ([5, 5, 6, 6], [-1.0, 1e-11, 0.0, 1e-21], [False, True, True, False]),
     ],
 )
-def test_one_slot_carries_each_joint(joints: list[int], weights: list[float], carries: list[bool]) -> None:
+def test_each_joint_is_carried_by_one_slot(
+    joints: list[int], weights: list[float], carries: list[bool]
+) -> None:
     assert carrying_slots(bound([joints], [weights])).tolist() == [carries]
 
 

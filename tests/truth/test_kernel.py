@@ -794,7 +794,7 @@ class TestArguments:
         (_loops.add_to_bins, BINNED, 4, -1, ValueError),
     )
 
-    def test_these_are_right(self) -> None:
+    def test_right_arguments_of_the_loops_raise_nothing(self) -> None:
         for function, right in {case[0]: case[1] for case in self.CASES}.items():
             function(*right)
         counting: tuple[Any, ...] = (*self.COUNT[:2], None, *self.COUNT[3:])

@@ -86,7 +86,7 @@ def test_an_affine_map_acts_by_its_cofactors() -> None:
 @pytest.mark.parametrize(
     ("triangulation", "order"), [pytest.param("irregular", 1.4, marks=pytest.mark.slow), ("jittered", 1.8)]
 )
-def test_it_converges_to_the_normals_of_the_skinned_surface(
+def test_truth_by_tangents_converges_to_the_normals_of_the_skinned_surface(
     triangulation: Triangulation, order: float
 ) -> None:
     coarse, fine = ([mean_errors(count, triangulation, seed) for seed in range(3)] for count in (700, 5600))

@@ -50,7 +50,7 @@ def test_axe_finds_nothing(browsing: browser.Page, size: tuple[int, int], scheme
 
 
 @pytest.mark.parametrize("size", SIZES, ids=str)
-def test_nothing_is_wider_than_the_page_and_targets_are_large(
+def test_no_part_is_wider_than_the_page_and_targets_are_large(
     browsing: browser.Page, size: tuple[int, int]
 ) -> None:
     browsing.show_as(*size, "light")
@@ -65,7 +65,7 @@ def test_nothing_is_wider_than_the_page_and_targets_are_large(
     assert small == []
 
 
-def test_all_of_it_can_be_reached_by_keyboard(browsing: browser.Page) -> None:
+def test_every_control_can_be_reached_by_keyboard(browsing: browser.Page) -> None:
     browsing.show_as(1280, 800, "light")
     reached = []
     # The button to the worst vertex waits until a first pose is measured.
@@ -90,7 +90,7 @@ def test_keys_turn_and_zoom_the_model(browsing: browser.Page) -> None:
 
 
 @pytest.mark.slow
-def test_nothing_moves_while_it_loads_or_is_used() -> None:
+def test_no_part_moves_while_the_page_loads_or_is_used() -> None:
     """The browser's own measure of layout shifts."""
     with shown(FOLDER / "bent_tube.glb") as page:
         shift = page.call(

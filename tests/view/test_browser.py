@@ -80,7 +80,7 @@ def test_every_normal_is_that_of_the_replay(browsing: Browsing, lighting: str) -
         assert np.percentile(angles(found, standard), 99) > 100 * DEGREES
 
 
-def test_its_errors_are_those_of_verify(browsing: Browsing) -> None:
+def test_errors_on_the_page_are_those_of_verify(browsing: Browsing) -> None:
     """The page measures true normals by itself, in JavaScript: by triangles, as verify does."""
     found = browsing.page.call(
         """((time) => {
@@ -170,7 +170,7 @@ def test_the_divider_follows_the_mouse_and_the_keys(browsing: Browsing) -> None:
     page.call("(() => application.setSplit(0.5))")
 
 
-def test_it_plays_and_the_time_goes_on(browsing: Browsing) -> None:
+def test_a_clip_plays_and_its_time_goes_on(browsing: Browsing) -> None:
     times = browsing.page.call(
         """(async () => {
             application.seek(application.clip.start, true);

@@ -29,7 +29,7 @@ def headings(page: browser.Page) -> list[str]:
     return found
 
 
-def test_there_is_no_table_and_no_chart_without_figures_and_without_a_model(tmp_path: Path) -> None:
+def test_a_page_without_figures_or_model_has_no_table_and_no_chart(tmp_path: Path) -> None:
     flat = write_model(tmp_path / "flat.glb", [sheet(POSITION=np.zeros((20, 3), np.float32))])
     bake(flat, tmp_path / "baked.glb")
     (tmp_path / "empty.gltf").write_text('{"asset": {"version": "2.0"}}', encoding="utf-8")

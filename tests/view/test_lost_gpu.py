@@ -54,7 +54,7 @@ def test_a_browser_without_webgl_is_told(browsing: browser.Page) -> None:
     assert found[1].endswith("×")
 
 
-def test_nothing_is_measured_without_a_gpu(browsing: browser.Page) -> None:
+def test_a_page_without_a_gpu_measures_nothing(browsing: browser.Page) -> None:
     browsing.call("(() => application.choose(application.scene.clips[1]))")
     lose(browsing)
     assert browsing.call("(() => message.textContent)").startswith("The browser has lost the GPU.")

@@ -172,7 +172,7 @@ def extents(matrix: list[float], parts: list[list[float]]) -> list[float]:
     return found
 
 
-def test_all_of_the_model_is_seen_over_its_clip(browsing: browser.Page, tmp_path: Path) -> None:
+def test_the_whole_model_is_seen_over_its_clip(browsing: browser.Page, tmp_path: Path) -> None:
     """It bends to one side and then to the other: at the ends and in the middle it is upright."""
     file = Editable(TUBE)
     animation = file.content["animations"][0]

@@ -53,7 +53,7 @@ def answer(port: int, host: str) -> tuple[int, bytes]:
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1:{}", "localhost:{}", "LocalHost:{}"])
-def test_it_answers_under_its_own_names_and_port(port: int, host: str) -> None:
+def test_the_server_answers_under_its_own_names_and_port(port: int, host: str) -> None:
     assert answer(port, host.format(port)) == (200, PAGE)
 
 
@@ -81,7 +81,7 @@ def test_it_answers_under_its_own_names_and_port(port: int, host: str) -> None:
         *("[::1]", "[::1]:{}"),
     ],
 )
-def test_it_answers_under_no_other_name(port: int, host: str) -> None:
+def test_the_server_answers_under_no_other_name(port: int, host: str) -> None:
     # It listens on the IPv4 address alone: [::1] never leads to it.
     assert answer(port, host.format(port))[0] == 404
 
@@ -100,7 +100,7 @@ def test_a_browser_leaves_port_80_out(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     "head", ["", "Host: localhost:{0}\r\nHost: localhost:{0}\r\n", "Host: localhost:{0}\r\nHost: a\r\n"]
 )
-def test_it_answers_to_exactly_one_name(port: int, head: str) -> None:
+def test_the_server_answers_to_exactly_one_name(port: int, head: str) -> None:
     with socket.create_connection(("127.0.0.1", port), timeout=20) as connection:
         connection.sendall(f"GET / HTTP/1.1\r\n{head}\r\n".encode())
         assert connection.recv(12) == b"HTTP/1.0 404"
