@@ -261,7 +261,8 @@ def test_of_a_rigid_mesh_it_is_said_that_no_weight_changes(tmp_path: Path) -> No
         ", no weight changes along the surface, so all α/β are 0 (leave it unbaked)\n"
     )
     text = invoke("verify", tmp_path / "out.glb", "--poses", "random:2").stdout
-    assert text.endswith("\n  Nothing bends in these poses: standard lighting is right already.\n")
+    nothing = "Nothing to correct: standard lighting errs by 0.00° in the mean."
+    assert text.endswith(f"\n  {nothing} Next: leave the file unbaked.\n")
     assert "all α/β are 0" not in invoke("bake", SEAM, "--dry-run").stdout
 
 

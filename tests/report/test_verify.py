@@ -16,6 +16,7 @@ from skinbake.report.verify import (
     MorphCount,
     Normals,
     Worst,
+    as_brief,
     as_json,
     as_junit,
     as_line,
@@ -128,7 +129,7 @@ def test_a_loss_never_reads_as_a_gain_of_one(factor: float, shown: str, colour: 
     figures = {"lbs": lit(factor)["lbs"]}
     text = with_colours(as_text(replace(PASSED, normals=figures, by_triangles=None)))
     assert f"{colour}{shown}\x1b[0m by tangents" in text
-    assert f"the LBS gain is {shown}, under 1.2" in text or factor > 2.0
+    assert f"Little to win: {shown[:-1]} times nearer" in text or factor > 2.0
 
 
 @pytest.mark.parametrize(
@@ -172,38 +173,74 @@ def test_gain_is_a_ratio_of_means_unless_the_error_is_rounding() -> None:
     assert gain(lit()["lbs"]) == 4.0
     assert gain(lit(accurate=1e-6)["lbs"]) is None
     assert gain({}) is None
-    assert "gain" not in as_text(replace(PASSED, normals=lit(accurate=1e-6), by_triangles=lit(accurate=1e-6)))
+    exact = replace(PASSED, normals=lit(accurate=1e-6), by_triangles=lit(accurate=1e-6))
+    assert "LBS gain" not in as_text(exact)
 
 
-NOTHING = "  Nothing bends in these poses: standard lighting is right already."
+VIEW, NEARER = "skinbake view hero.glb shows", "times nearer to the true normals"
 
 
 @pytest.mark.parametrize(
     ("tangents", "triangles", "line"),
     [
-        ((4.0, 1.0), (5.0, 2.0), None),
-        ((4.0, 3.0), (6.0, 5.0), None),
+        ((4.0, 1.0), (5.0, 2.0), f"Clear gain: 2.5 {NEARER}. Next: {VIEW} where."),
+        ((4.0, 2.0), (5.0, 1.0), f"Clear gain: 2.0 {NEARER}. Next: {VIEW} where."),
+        ((4.0, 2.01), (9.0, 1.0), f"Small gain: 1.99 {NEARER}. Next: {VIEW} whether it is worth its bytes."),
+        ((4.0, 3.0), (6.0, 5.0), f"Small gain: 1.20 {NEARER}. Next: {VIEW} whether it is worth its bytes."),
+        ((4.0, 1.0), (5.5, 5.0), f"Little to win: 1.10 {NEARER}. Next: leave the file unbaked."),
+        ((1.0, 2.0), (5.0, 5.0), f"Little to win: 0.50 {NEARER}. Next: leave the file unbaked."),
+        ((900.0, 4.5), (900.0, 1.0), f"Clear gain: 200 {NEARER}. Next: {VIEW} where."),
+        ((0.3, 0.1), (0.4, 0.1), f"Clear gain: 3.0 {NEARER}. Next: {VIEW} where."),
         (
-            (4.0, 1.0),
-            (5.5, 5.0),
-            "  Little to win: the LBS gain is 1.10x, under 1.2. Leave the file unbaked.",
+            (0.29, 0.1),
+            (0.4, 0.1),
+            "Nothing to correct: standard lighting errs by 0.29° in the mean. Next: leave the file unbaked.",
         ),
         (
-            (5.0, 4.5),
-            (5.0, 1.0),
-            "  Little to win: the LBS gain is 1.11x, under 1.2. Leave the file unbaked.",
+            (1e-6, 1e-6),
+            (1e-5, 1e-6),
+            "Nothing to correct: standard lighting errs by 0.00° in the mean. Next: leave the file unbaked.",
         ),
-        ((1e-6, 1e-6), (1e-5, 1e-6), NOTHING),
-        ((1.0, 1e-6), (1.0, 1e-6), None),
+        ((1.0, 1e-6), (1.0, 1e-6), f"Clear gain: exact but for rounding. Next: {VIEW} where."),
     ],
 )
-def test_the_text_says_if_there_is_little_to_win(
-    tangents: tuple[float, float], triangles: tuple[float, float], line: str | None
+def test_a_verdict_ends_in_a_conclusion_and_the_next_step(
+    tangents: tuple[float, float], triangles: tuple[float, float], line: str
 ) -> None:
-    """Under a gain of 1.2 by the worse truth, the first steps say to leave the file unbaked."""
+    """The thresholds leave no gap: 0.3° of standard lighting, gains of 1.2 and 2 by the worse truth."""
     found = replace(PASSED, normals=lit(*tangents), by_triangles=without_direct(lit(*triangles)))
-    told = [one for one in as_text(found).splitlines() if "Little" in one or "Nothing" in one]
-    assert told == ([] if line is None else [line])
+    for text in (as_brief(found), as_text(found)):
+        assert text.splitlines()[-1] == f"  {line}"
+
+
+def test_a_brief_verdict_has_the_figures_by_the_lower_gain() -> None:
+    brief = as_brief(PASSED).splitlines()
+    figures = "standard 5.00°, accurate 2.00°, in the mean over 60 poses of 3 clips (12 s)"
+    assert brief[:2] == ["hero.glb: passed", f"  LBS error: {figures}. -v shows more"]
+    assert len(brief) == 3
+
+
+@pytest.mark.parametrize(
+    ("verdict", "lines"),
+    [
+        (
+            FAILED,
+            ["  freshness  failed", "  Failed: freshness. Next: do what the error says, then verify again."],
+        ),
+        (UNREADABLE, []),
+        (
+            FileVerdict("a b.glb", (Check("structure", "skipped"),)),
+            ["  There is no bake to judge. Next: skinbake inspect 'a b.glb' shows what can be baked."],
+        ),
+        (FileVerdict("a.glb", up_to_date=True), []),
+        (
+            FileVerdict("a.glb", (Check("structure", "passed"),)),
+            ["  No light was measured in these poses. Next: skinbake verify --poses random."],
+        ),
+    ],
+)
+def test_a_verdict_without_figures_has_a_next_step_too(verdict: FileVerdict, lines: list[str]) -> None:
+    assert as_brief(verdict).splitlines()[1:] == lines
 
 
 @pytest.mark.parametrize(
@@ -225,8 +262,10 @@ def test_little_to_win_is_not_said_of_an_unsound_bake_or_beside_other_advice() -
     worse = replace(little, notices=(Notice("lighting-worse", "No option that was tried helps", PLACE),))
     missed = replace(little, checks=(Check("limits", "failed"),))
     other = replace(little, notices=(Notice("weight-sum", "With --x it is 1.50: bake so", PLACE),))
-    texts = map(as_text, (little, stale, advised, worse, missed, other))
-    assert [text.count("Little to win") for text in texts] == [1, 0, 0, 1, 1, 1]
+    for text_of in (as_text, as_brief):
+        texts = map(text_of, (little, stale, advised, worse, missed, other))
+        assert [text.count("Little to win") for text in texts] == [1, 0, 0, 1, 1, 1]
+    assert as_brief(advised).endswith("Next: bake as the warning says.")
 
 
 def test_remarks_on_checks_cannot_control_a_terminal() -> None:
@@ -253,8 +292,8 @@ def test_the_table_is_aligned_and_says_what_it_means() -> None:
     assert table[0].endswith('mesh 2 "Body", primitive 1, vertex 7, clip "run" at 0.25 s')
     gains = "4.00x by tangents, 2.50x by triangles"
     assert any(line.startswith("  LBS gain") and gains in line for line in lines)
-    assert "over 60 poses of 3 clips (12 s)." in lines[-1]
-    assert "degrees" in lines[-1]
+    assert "degrees" in lines[-2]
+    assert "over 60 poses of 3 clips (12 s)." in lines[-2]
     assert max(len(line) for line in lines) < 130
 
 
@@ -263,7 +302,7 @@ def test_a_failed_file_says_so_first() -> None:
     assert "lighting   skipped  structure failed" in as_text(FAILED)
     assert as_text(UNREADABLE) == "no.glb: FAILED"
     left_out = as_text(replace(PASSED, without_dqs='"Arm" is not rigid'))
-    assert left_out.endswith('Dual quaternions left out: "Arm" is not rigid.')
+    assert left_out.splitlines()[-2] == '  Dual quaternions left out: "Arm" is not rigid.'
 
 
 @pytest.mark.parametrize(
@@ -286,7 +325,7 @@ def test_a_failed_file_says_so_first() -> None:
         ),
         (
             replace(PASSED, normals=lit(1e-6, 1e-6), by_triangles=None),
-            "hero.glb: passed, mean error 0.00° -> 0.00°, nothing bends",
+            "hero.glb: passed, mean error 0.00° -> 0.00°, nothing to correct: leave it unbaked",
         ),
     ],
 )

@@ -261,6 +261,8 @@ NORMALS_BY_TRIANGLES = strict(
         "dqs": strict({"approximated": FIGURES, "accurate": FIGURES, "exact": FIGURES, "gain": GAIN}),
     },
 )
+CONCLUSIONS = ("nothing to correct", "little to win", "small gain", "clear gain")
+
 VERIFY = strict(
     {
         "schema": {"const": "skinbake.verify/1"},
@@ -292,6 +294,7 @@ VERIFY = strict(
                             }
                         ),
                     },
+                    "conclusion": {"enum": [*CONCLUSIONS, None]},
                     "poses": {"type": ["string", "null"]},
                     "normals": {"anyOf": [{"type": "null"}, NORMALS]},
                     "normals_by_triangles": {"anyOf": [{"type": "null"}, NORMALS_BY_TRIANGLES]},

@@ -54,7 +54,8 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[VerifyG
     how far the normals of each algorithm are from the true ones, in degrees, in the file's own animations.
     Limits apply to the accurate lighting of each --method asked for (LBS otherwise). INPUT is a .glb, .gltf
     or .vrm file, or - for a GLB on stdin; a folder, for all such files below it; or a quoted pattern like
-    'build/**/*.glb'. Each may be a URL. Several files have a line each; -v shows all of them in full.
+    'build/**/*.glb'. Each may be a URL. One file has a
+    verdict and the next step, several have a line each; -v shows every figure.
     """
     clock = Clock()
     say = console(given)
@@ -98,10 +99,20 @@ def _reporting(
     is_one: bool,
 ) -> Reporting[FileVerdict]:
     """Return how verdicts are reported, counted and written. The verdict on a single file is in full."""
-    from skinbake.report.verify import OUTCOMES, SCHEMA, as_json, as_junit, as_line, as_text, count, file_json
+    from skinbake.report.verify import (
+        OUTCOMES,
+        SCHEMA,
+        as_brief,
+        as_json,
+        as_junit,
+        as_line,
+        as_text,
+        count,
+        file_json,
+    )
 
     junit, page = given["junit"], given["html"]
-    words_of = as_text if is_one or given["verbose"] else as_line
+    words_of = as_text if given["verbose"] else as_brief if is_one else as_line
 
     def tell(verdict: FileVerdict) -> None:
         say.notices(verdict.notices)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -32,8 +33,11 @@ SHOWN_LIGHTINGS = {"approximated": "standard", "accurate": "accurate", "exact": 
 ROUNDING = 1e-4
 """Below this angle in degrees, a mean error is float32 rounding, and dividing by it is meaningless."""
 
-LITTLE = 1.2
-"""The gain under which a bake is not worth its bytes, by the worse truth."""
+NEGLIGIBLE = 0.3
+"""The mean error of standard lighting in degrees under which nobody sees that anything is wrong."""
+
+LITTLE, CLEAR = 1.2, 2.0
+"""The gain under which a bake is not worth its bytes, and the one from which it is plain to see."""
 
 BAKE_SO = "bake so"
 """The last words of a warning that advises another bake, which was tried."""
@@ -190,26 +194,35 @@ def first_problem(verdict: FileVerdict) -> str:
 
 
 def as_text(verdict: FileVerdict) -> str:
-    """Return the verdict as a short aligned table."""
+    """Return the verdict in full, as -v shows it: every check, a short aligned table, and the conclusion."""
     if verdict.up_to_date:
-        return f"{printable(verdict.input)}: passed before, up to date"
-    lines = [f"{printable(verdict.input)}: {'FAILED' if not verdict.passed else verdict.outcome}"]
-    width = max((len(check.name) for check in verdict.checks), default=0)
-    for check in verdict.checks:
-        remark = f"  {printable(check.remark)}" if check.remark else ""
-        lines.append(f"  {check.name:<{width}}  {check.outcome}{remark}")
+        return _head(verdict)
+    lines = [_head(verdict), *_check_lines(verdict.checks)]
     if verdict.normals:
         lines += _table(verdict.normals, verdict.by_triangles or {}, verdict.fine)
         morphs = f"; {verdict.morphs.words}" if verdict.morphs else ""
         over = f"{verdict.poses}{morphs}"
         lines.append(f"  Angle in degrees between each method's normals and the true ones, over {over}.")
-    lines += [f"  {printable(remark)}" for remark in remarks(verdict)]
-    return "\n".join(lines)
+    lines += [f"  {printable(remark)}" for remark in _left_out(verdict)]
+    return "\n".join([*lines, *_advised(verdict)])
+
+
+def as_brief(verdict: FileVerdict) -> str:
+    """Return the verdict on a single file: what failed, the figures by the lower gain, and the conclusion."""
+    lines = [_head(verdict)]
+    if verdict.up_to_date:
+        return lines[0]
+    lines += _check_lines([check for check in verdict.checks if check.outcome == "failed"])
+    if found := _worse(verdict):
+        _, method, figures = found
+        errors = f"standard {figures['approximated'].mean:.2f}°, accurate {figures['accurate'].mean:.2f}°"
+        lines.append(f"  {method.upper()} error: {errors}, in the mean over {verdict.poses}. -v shows more")
+    return "\n".join([*lines, *_advised(verdict)])
 
 
 def as_line(verdict: FileVerdict) -> str:
     """Return the line of one file among many: the outcome, the lower gain, and what is to be done."""
-    head, *_ = as_text(verdict).split("\n", 1)
+    head = _head(verdict)
     failed = [check.name for check in verdict.checks if check.outcome == "failed"]
     parts = [f"{head} ({', '.join(failed)})" if failed else head]
     if found := _worse(verdict):
@@ -217,42 +230,92 @@ def as_line(verdict: FileVerdict) -> str:
         factor = gain(figures)
         parts += [] if factor is None else [f"{method.upper()} gain {gain_in_words(factor)}x by {truth}"]
         parts += [f"mean error {figures['approximated'].mean:.2f}° -> {figures['accurate'].mean:.2f}°"]
-        if _little_to_win(verdict):
-            parts += ["nothing bends" if factor is None else "little to win: leave it unbaked"]
+        verdict_words = conclusion(verdict)
+        if verdict_words is not None and verdict_words.leave:
+            parts += [f"{verdict_words.short}: leave it unbaked"]
     warnings = sum(notice.code != "not-baked" for notice in verdict.notices)  # the outcome says so
     parts += [counted(warnings, "warning")] if warnings else []
     return ", ".join(parts)
 
 
+def _check_lines(checks: Sequence[Check]) -> Iterator[str]:
+    width = max((len(check.name) for check in checks), default=0)
+    for check in checks:
+        remark = f"  {printable(check.remark)}" if check.remark else ""
+        yield f"  {check.name:<{width}}  {check.outcome}{remark}"
+
+
+def _head(verdict: FileVerdict) -> str:
+    outcome = "passed before, up to date" if verdict.up_to_date else verdict.outcome
+    return f"{printable(verdict.input)}: {'FAILED' if not verdict.passed else outcome}"
+
+
+def _advised(verdict: FileVerdict) -> list[str]:
+    """Return the last line of a verdict: the conclusion and the next step."""
+    found = conclusion(verdict)
+    return [] if found is None else [f"  {found.sentence} Next: {found.step}."]
+
+
 def remarks(verdict: FileVerdict) -> list[str]:
-    """Return sentences on the figures: why a method has none, and whether there is little to win."""
-    left_out = verdict.without_dqs
-    return [*([f"Dual quaternions left out: {left_out}."] if left_out else ()), *_little_to_win(verdict)]
+    """Return sentences on the figures: why a method has none, and what they come to."""
+    found = conclusion(verdict)
+    return [*_left_out(verdict), *([found.sentence] if found is not None and found.short else [])]
 
 
-def _little_to_win(verdict: FileVerdict) -> list[str]:
-    """Return a sentence if the poses show nothing, or hardly anything, for α/β to correct.
+def _left_out(verdict: FileVerdict) -> list[str]:
+    return [f"Dual quaternions left out: {verdict.without_dqs}."] if verdict.without_dqs else []
 
-    It says nothing of a bake that failed a check, or if a warning advises another bake.
+
+@dataclass(frozen=True, slots=True)
+class Conclusion:
+    """What a verdict comes to: a sentence, and the next step. ``short`` is the verdict on a gain, if any.
+
+    leave: the file is better left unbaked.
     """
-    unsound = any(check.outcome == "failed" and check.name != "limits" for check in verdict.checks)
-    advised = any(
-        notice.code == "lighting-worse" and notice.message.endswith(BAKE_SO) for notice in verdict.notices
-    )
-    found = [
-        (method, figures) for normals in verdict.by_truth.values() for method, figures in normals.items()
-    ]
-    if unsound or advised or not found:
-        return []
-    method = found[0][0]
-    errors = [figures[one].mean for _, figures in found for one in SHOWN_LIGHTINGS if one in figures]
-    if max(errors) < ROUNDING:
-        return ["Nothing bends in these poses: standard lighting is right already."]
-    gains = [factor for of, figures in found if of == method and (factor := gain(figures)) is not None]
-    if not gains or round(min(gains), 2) >= LITTLE:
-        return []
-    least = f"the {method.upper()} gain is {gain_in_words(min(gains))}x, under {LITTLE}"
-    return [f"Little to win: {least}. Leave the file unbaked."]
+
+    sentence: str
+    step: str
+    short: str = ""
+    leave: bool = False
+
+
+def conclusion(verdict: FileVerdict) -> Conclusion | None:
+    """Return what a verdict comes to; None for a file that was not read now."""
+    if verdict.error is not None or verdict.up_to_date:
+        return None
+    failed = [check.name for check in verdict.checks if check.outcome == "failed"]
+    if failed and failed != ["limits"]:
+        return Conclusion(f"Failed: {', '.join(failed)}.", "do what the error says, then verify again")
+    name, found = shlex.quote(printable(verdict.input)), _worse(verdict)
+    if found is not None:
+        advised = any(
+            notice.code == "lighting-worse" and notice.message.endswith(BAKE_SO) for notice in verdict.notices
+        )
+        return _on_gain(found[2], f"skinbake view {name}", advised=advised)
+    if any(check.name == "structure" and check.outcome == "skipped" for check in verdict.checks):
+        return Conclusion("There is no bake to judge.", f"skinbake inspect {name} shows what can be baked")
+    return Conclusion("No light was measured in these poses.", "skinbake verify --poses random")
+
+
+def _on_gain(figures: Mapping[str, ErrorFigures], look: str, *, advised: bool) -> Conclusion:
+    """Return what figures come to, by one table of thresholds (docs/five-minutes.md).
+
+    ``look`` is the command that shows the file. advised: a warning knows a better bake.
+    """
+    standard, factor = figures["approximated"].mean, gain(figures)
+    nearer = "" if factor is None else f"{factor:.1f}" if CLEAR <= factor < 100 else gain_in_words(factor)
+    told = f"{nearer} times nearer to the true normals" if nearer else "exact but for rounding"
+    if standard < NEGLIGIBLE:
+        sentence = f"Nothing to correct: standard lighting errs by {standard:.2f}° in the mean."
+        return Conclusion(sentence, "leave the file unbaked", "nothing to correct", leave=True)
+    if advised:
+        return Conclusion(f"Another bake is better: this one is {told}.", "bake as the warning says")
+    if factor is None or factor >= CLEAR:
+        return Conclusion(f"Clear gain: {told}.", f"{look} shows where", "clear gain")
+    if round(factor, 2) >= LITTLE:
+        step = f"{look} shows whether it is worth its bytes"
+        return Conclusion(f"Small gain: {told}.", step, "small gain")
+    return Conclusion(f"Little to win: {told}.", "leave the file unbaked", "little to win", leave=True)
 
 
 def _table(normals: Normals, by_triangles: Normals, fine: Normals | None) -> Iterator[str]:
@@ -314,6 +377,7 @@ def file_json(verdict: FileVerdict) -> dict[str, Any]:
             }
             for check in verdict.checks
         ],
+        "conclusion": None if (found := conclusion(verdict)) is None else found.short or None,
         "poses": verdict.poses or None,
         "morphs": None
         if verdict.morphs is None
