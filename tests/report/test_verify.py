@@ -92,7 +92,7 @@ def test_figures_of_the_truth_fine_are_told_where_they_were_asked_for() -> None:
     text = as_text(FINE)
     assert "by triangles              fine" in text
     assert "4.00x by tangents, 2.50x by triangles, 1.09x by fine" in text
-    assert "the LBS gain is 1.09x, under 1.2" in text
+    assert "Little to win: 1.09 times nearer" in text
     assert "fine" not in as_text(PASSED)
     assert "LBS gain 1.09x by fine" in as_line(FINE)
 
