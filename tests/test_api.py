@@ -33,6 +33,7 @@ from skinbake.options import (
     BAKE,
     OPTIONS,
     POSES,
+    TARGETS,
     THREADS,
     VERIFY,
     By,
@@ -237,7 +238,7 @@ def declared_kinds(option: Option) -> set[Any]:
         found = {int if values.is_whole else float}
     elif isinstance(values, type) and issubclass(values, StrEnum):
         found = {values, *map(str, values)}
-    elif values in (POSES, THREADS):
+    elif values in (POSES, THREADS, TARGETS):
         found = {str, PoseKind} if values is POSES else {int, "auto"}
     elif option.is_path:
         found = {str, os.PathLike[str]}

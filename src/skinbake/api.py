@@ -17,6 +17,7 @@ import numpy.typing as npt
 from skinbake.choices import (
     SLOTS_PER_SET,
     Baseline,
+    CorrectiveAim,
     Encoding,
     FrameChoice,
     Gradients,
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 
 FilePath: TypeAlias = str | os.PathLike[str]
 BaselineName: TypeAlias = Baseline | Literal["blended", "inverse-transpose", "cofactor"]
+CorrectiveAimName: TypeAlias = CorrectiveAim | Literal["truths", "gradients"]
 EncodingName: TypeAlias = Encoding | Literal["float32", "snorm16", "packed8"]
 FrameName: TypeAlias = FrameChoice | Literal["auto", "tangent", "normal"]
 GradientsName: TypeAlias = Gradients | Literal["surface", "rig", "poses"]
@@ -71,6 +73,9 @@ class BakeOptions(TypedDict, total=False):
     frame: FrameName
     limit_influences: int | None
     generate_normals: bool
+    correctives: int | Literal["auto"] | None
+    clips: Sequence[str]
+    corrective_aim: CorrectiveAimName
     alpha_name: str | None
     beta_name: str | None
     compress: SchemeName

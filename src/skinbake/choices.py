@@ -100,6 +100,13 @@ class Layout(StrEnum):
     """As ``attributes``, with the names that Godot after 4.6 passes to shaders."""
 
 
+class CorrectiveAim(StrEnum):
+    """The normals that correctives are fitted to: the true ones, or those of α and β."""
+
+    TRUTHS = "truths"
+    GRADIENTS = "gradients"
+
+
 class Scheme(StrEnum):
     """The compression of geometry in the output: as in the input, none, Draco, meshopt."""
 

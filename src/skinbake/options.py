@@ -19,6 +19,7 @@ from skinbake.choices import (
     SLOTS_PER_SET,
     STANDARD,
     Baseline,
+    CorrectiveAim,
     Encoding,
     Frame,
     FrameChoice,
@@ -45,6 +46,9 @@ STATE_NAME = ".skinbake-state.jsonl"
 
 MOST_PROCESSES = 256
 """The largest number for --jobs. A configuration file of a stranger may ask for any number."""
+
+MOST_CORRECTIVES = 32
+"""The largest number for --correctives. Engines with limits morph eight attributes."""
 
 PUBLISHED_CAP = 0.9
 """The limit of the paper's published demo."""
@@ -238,6 +242,16 @@ def _memory(text: str) -> int:
     return int(size)
 
 
+def _targets(value: str | int) -> int | str:
+    """Return a number of morph targets, or ``auto``. Raises ValueError."""
+    text = str(value)
+    if text == "auto":
+        return text
+    if not (text.isdecimal() and 1 <= int(text) <= MOST_CORRECTIVES):
+        raise ValueError
+    return int(text)
+
+
 def _size(text: str) -> tuple[int, int]:
     """Return the width and height of a picture. Raises ValueError."""
     found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
@@ -255,6 +269,7 @@ def _poses(value: str) -> str:
 
 PROCESSES = Text(f"a number of processes up to {MOST_PROCESSES}, or auto", _jobs, is_number=True)
 THREADS = Text(f"a number of threads from 1 to {LARGEST}, or auto", _threads, is_number=True)
+TARGETS = Text(f"a number of targets from 1 to {MOST_CORRECTIVES}, or auto", _targets, is_number=True)
 BYTES = Text("a size in bytes, or like 512M or 2G", _memory)
 PIXELS = Text(f"a size like 960x600, each side from {SMALLEST_SIDE} to {LARGEST_SIDE}", _size)
 POSES = Text(POSES_EXPECTED, _poses)
@@ -269,7 +284,8 @@ OUT_DIR = Option("out_dir", str, None, By.NOBODY, "DIR", help=
 FRAME = Option("frame", FrameChoice, FrameChoice.AUTO, By.ALL, help=
     "Compute the tangent frame from TANGENT, or from NORMAL alone; auto prefers TANGENT.")
 ENCODING = Option("encoding", Encoding, Encoding.FLOAT32, By.ALL, help=
-    "Number type of α and β: 24, 16 or 8 bytes for a vertex with four influences.")
+    "Number type of α and β: 24, 16 or 8 bytes for a vertex with four influences; or of correctives: floats, "
+    "shorts or bytes.")
 LAYOUT = Option("layout", Layout, Layout.ATTRIBUTES, By.ALL, help=
     "Attributes of α and β: their own, free TEXCOORD_n, or _CUSTOM0 and _CUSTOM1.")
 REQUIRE_BAKED = Option("require_baked", bool, False, By.ALL, help=
@@ -352,6 +368,15 @@ BAKE = (
             "Keep the N largest influences of each vertex, N a multiple of 4, and print the cost."),
         Option("generate_normals", bool, False, By.ALL, help=
             "Add smooth NORMALs to primitives without NORMAL.")),
+    *_under("Correctives",
+        Option("correctives", TARGETS, None, By.ALL, "auto|K", help=
+            "Instead of α and β, add K morph targets of normals that the clips play, for engines without the "
+            "shader; auto adds up to 4."),
+        Option("clips", str, (), By.ALL, "NAMES", is_many=True, help=
+            "The clips that play correctives, by name, with commas between; by default all. May be given "
+            "several times."),
+        Option("corrective_aim", CorrectiveAim, CorrectiveAim.TRUTHS, By.ALL, help=
+            "Fit correctives to true normals, or to those that α and β would give.")),
     *_under("Storage", ENCODING, LAYOUT,
         Option("alpha_name", str, None, By.ALL, "PATTERN", shown="_SKINBAKE_ALPHA_{set}", help=
             "Name of the α attributes; {set} is the number of the influence set."),

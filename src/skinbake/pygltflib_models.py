@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skinbake.errors import InputError, Place
+from skinbake.format.correctives import refuse_other_kind
 from skinbake.format.strip import stripped
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import Document, joined, parse_gltf
@@ -29,10 +30,12 @@ def baked_model(model: GLTF2, baker: Baker) -> GLTF2:
     lead from the folder that the model was loaded from. Raises InputError, and TypeError for an object
     that is not a model of pygltflib.
     """
-    original, _, _ = stripped(document_of(model))
+    given = document_of(model)
+    refuse_other_kind(given, correctives=baker.correctives is not None)
+    original, _, _ = stripped(given)
     prepared, _ = for_target(original, AS_GLB)
     made = baker.bake_document(prepared)
-    if made.primitives:
+    if made.is_baked:
         document = made.document
     elif baker.require_baked:
         raise InputError("nothing in it can be baked (require_baked)", prepared.place)

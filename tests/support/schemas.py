@@ -106,6 +106,25 @@ ENCODING = {
         ),
     ]
 }
+BY_TRUTH = strict({"tangents": ANGLE, "triangles": ANGLE})
+NAMES = {"type": "array", "items": {"type": "string"}}
+CORRECTIVES = strict(
+    {
+        "mesh": COUNT,
+        "targets": {"type": "integer", "minimum": 1},
+        "vertices": COUNT,
+        "corrected": COUNT,
+        "given_up": COUNT,
+        "keys": COUNT,
+        "clips": NAMES,
+        "idle_clips": NAMES,
+        "left": {"type": "number", "minimum": 0, "maximum": 1},
+        "standard": BY_TRUTH,
+        "remaining": BY_TRUTH,
+        "added_bytes": COUNT,
+    },
+    optional={"mesh_name": {"type": "string"}},
+)
 SECONDS = {"type": "number", "minimum": 0}
 TIMINGS = {"type": "object", "additionalProperties": SECONDS, "required": ["other"]}
 PROCESS_TIMINGS = strict(
@@ -127,6 +146,7 @@ BAKE = strict(
                     "skipped": COUNT,
                     "primitives": {"type": "array", "items": BAKED},
                     "encoding": ENCODING,
+                    "correctives": {"type": "array", "items": CORRECTIVES},
                     "warnings": WARNINGS,
                     "error": ERROR,
                 },

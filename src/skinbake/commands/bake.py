@@ -16,6 +16,7 @@ from skinbake.files.urls import STDIO
 from skinbake.files.versions import version_of
 from skinbake.format.attribute_store import level_ignored, stored_otherwise
 from skinbake.format.baked import with_baked, with_scale
+from skinbake.format.correctives import refuse_other_kind
 from skinbake.format.layouts import GradientFormat
 from skinbake.format.strip import stripped
 from skinbake.gltf.beside import files_read
@@ -31,7 +32,7 @@ from skinbake.gltf.primitives import (
 )
 from skinbake.gradients.baker import BakeSettings
 from skinbake.gradients.normals import lean_notices
-from skinbake.report.bake import BakedCounts, EncodingCost, FileResult
+from skinbake.report.bake import BakedCounts, CorrectiveCounts, EncodingCost, FileResult
 from skinbake.report.depfile import prerequisites
 from skinbake.timing import stage
 
@@ -82,11 +83,12 @@ class Baker(CheckedOptions):
         return FileResult(
             source,
             target,
-            "baked" if made.primitives else "unchanged",
+            "baked" if made.is_baked else "unchanged",
             made.primitives,
             made.skipped,
             tuple(notices),
             encoding=made.encoding,
+            correctives=made.correctives,
             written=written,
             read=read,
         )
@@ -99,13 +101,16 @@ class Baker(CheckedOptions):
         Returns the bake, the document to write, and notices. If no primitive can be baked, the document is
         written as it came, with any earlier bake.
         """
+        refuse_other_kind(document, correctives=self.correctives is not None)
         with stage("strip"):
             original, _, undone = stripped(document)
             prepared, moved = (original, []) if target is None else for_target(original, target, pack=pack)
         made = self.bake_document(prepared)
-        if made.primitives:
+        if made.is_baked:
             return made, made.document, [*undone, *moved, *made.notices]
         reason = "none of its skinned primitives can be baked" if made.skipped else why_nothing(document)
+        if self.correctives is not None and made.notices:
+            reason = made.notices[-1].message
         if self.require_baked:
             raise InputError(f"{reason} (--require-baked)", document.place)
         result, moved = (document, []) if target is None else for_target(document, target, pack=pack)
@@ -120,6 +125,12 @@ class Baker(CheckedOptions):
         sources, skipped, reasons = self._bakeable(document)
         if not sources:
             return BakedDocument(document, (), skipped, tuple(reasons))
+        if self.correctives is not None:
+            from skinbake.commands.corrective_bake import corrected_document  # most bakes add α and β
+
+            written, made, further = corrected_document(document, sources, self)
+            told = (*reasons, *further)
+            return BakedDocument(written, (), skipped, told, correctives=tuple(made))
         given = document
         with stage("compress"):
             kept: list[Notice] = []
@@ -222,6 +233,8 @@ class Baker(CheckedOptions):
 class BakedDocument:
     """A document with α and β, the bake of each primitive, and the assumptions made.
 
+    Or one with correctives, and the numbers of each mesh.
+
     skipped is the number of skinned primitives that were left out. If no primitive can be baked, the document
     is the given one, primitives is empty and encoding is None.
     """
@@ -231,6 +244,12 @@ class BakedDocument:
     skipped: int
     notices: tuple[Notice, ...]
     encoding: EncodingCost | None = None
+    correctives: tuple[tuple[Place, CorrectiveCounts], ...] = ()
+
+    @property
+    def is_baked(self) -> bool:
+        """Tell whether anything was added."""
+        return bool(self.primitives or self.correctives)
 
 
 def _surfaces(

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from skinbake.choices import (
     SLOTS_PER_SET,
+    CorrectiveAim,
     Encoding,
     FrameChoice,
     Gradients,
@@ -47,6 +48,9 @@ class CheckedOptions:
     frame: FrameChoice = USUAL["frame"]
     limit_influences: int | None = USUAL["limit_influences"]
     generate_normals: bool = USUAL["generate_normals"]
+    correctives: int | Literal["auto"] | None = USUAL["correctives"]
+    clips: tuple[str, ...] = USUAL["clips"]
+    corrective_aim: CorrectiveAim = USUAL["corrective_aim"]
     alpha_name: str | None = USUAL["alpha_name"]
     beta_name: str | None = USUAL["beta_name"]
     compress: Scheme = USUAL["compress"]
@@ -68,6 +72,7 @@ class CheckedOptions:
         _check_influences(self)
         _check_names(self)
         _check_compression(self)
+        _check_correctives(self)
 
     @property
     def attribute_names(self) -> AttributeNames:
@@ -114,6 +119,34 @@ def _check_names(options: CheckedOptions) -> None:
             raise ChoiceError(name, reason=(" needs ", needed, f"; {options.layout} has fixed names"))
     if options.attribute_names.alpha == options.attribute_names.beta:
         raise ChoiceError("alpha_name", reason=(" and ", Chosen("beta_name"), " must differ"))
+
+
+ONLY_FOR_GRADIENTS = (
+    *("layout", "alpha_name", "beta_name", "limit_influences", "generate_normals"),
+    *("compress", "compress_level", "position_bits", "normal_bits", "texcoord_bits"),
+)
+"""The options that say how α and β are stored, or change what they are baked into."""
+
+ONLY_FOR_AIM = "gradients", "fit_poses", "weighting", "crease_angle", "weld", "neighbours"
+"""The options that say what α and β are. Correctives read them if they aim at α and β."""
+
+
+def _check_correctives(options: CheckedOptions) -> None:
+    """Raise ChoiceError for options of correctives without them, and for others that they do not read."""
+    if options.correctives is None:
+        for name in ("clips", "corrective_aim"):
+            if getattr(options, name) != USUAL[name]:
+                raise ChoiceError(name, reason=(" needs ", Chosen("correctives", "auto")))
+        return
+    chosen = Chosen("correctives", options.correctives)
+    for name in ONLY_FOR_GRADIENTS:
+        if getattr(options, name) != USUAL[name]:
+            raise ChoiceError(name, reason=(" contradicts ", chosen, ", which adds no α and β"))
+    if options.corrective_aim is CorrectiveAim.TRUTHS:
+        for name in ONLY_FOR_AIM:
+            if getattr(options, name) != USUAL[name]:
+                needed = Chosen("corrective_aim", CorrectiveAim.GRADIENTS)
+                raise ChoiceError(name, reason=(" with ", chosen, " needs ", needed))
 
 
 def _check_compression(options: CheckedOptions) -> None:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from skinbake.choices import Layout
 from skinbake.errors import Notice, Place, UnsupportedFeatureError
+from skinbake.format.corrective_strip import narrowed, without_correctives
 from skinbake.format.former import former_attributes, former_sets, former_tangent, with_former_stream
 from skinbake.format.layouts import added_slot_names
 from skinbake.format.metadata import FORMER_ATTRIBUTES, KEY, VERSION, noted_names, read_metadata
@@ -20,11 +21,20 @@ from skinbake.gltf.json_access import JsonObject, integer, objects, reference, t
 def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
     """Return the document as before bake, the number of baked primitives, and notices on leftovers.
 
+    A mesh with correctives counts as one.
+
     A document without a bake is returned as it is. Accessors, buffer views and bytes are removed if they are
     still at the end, where bake put them. If another tool has rearranged the file since, they stay in it
     unused, and a notice says so. Raises InputError if the structure of the file is broken, or if a later
     version of skinbake has baked it: what its metadata means is unknown.
     """
+    root, to_narrow, corrected = without_correctives(document)
+    if corrected:
+        found: list[Notice] = []
+        unused = _accessors_in_use(document.json) - _accessors_in_use(root)
+        before, more = narrowed(_without(document, root, unused, set(), found), to_narrow)
+        rest, count, others = stripped(before)
+        return rest, corrected + count, [*found, *more, *others]
     meshes: list[JsonObject] = []
     changed: list[tuple[JsonObject, JsonObject]] = []
     notices: list[Notice] = []
@@ -247,7 +257,7 @@ def _tail_of_bake(document: Document, removed: set[int], streams: set[int]) -> _
     kept = len(accessors) - len(removed)
     if not removed or removed != set(range(kept, len(accessors))):
         return None
-    ours = _numbers(accessors[number].get("bufferView") for number in removed) | streams
+    ours = set(_views_of([accessors[number] for number in removed])) | streams
     first = len(views) - len(ours)
     if not ours or ours != set(range(first, len(views))):
         return None

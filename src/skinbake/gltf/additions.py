@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Container, Iterable, Mapping
 from typing import Any, NamedTuple
 
@@ -85,6 +86,7 @@ class Additions:
         self._fallback_name = ""
         self._shared: dict[tuple[Any, ...], _Alike] = {}
         self._streams: dict[bytes, int] = {}
+        self._described: dict[str, int] = {}
         buffers = document.objects("buffers")
         self._into_binary = document.has_binary_buffer
         self._base = sum(len(piece) for piece in document.binary or ()) if self._into_binary else 0
@@ -128,7 +130,10 @@ class Additions:
         return self._add_accessor({}, values, normalized, extras)
 
     def add_stream(self, data: bytes) -> int:
-        """Add a Draco stream and return the index of its buffer view; equal streams share one."""
+        """Add bytes that are no vertex attribute, such as a Draco stream or the keys of a clip.
+
+        Return the index of their buffer view. Equal bytes share one.
+        """
         key = hashlib.sha256(data).digest()
         if key not in self._streams:
             self._streams[key] = self._add_view({"buffer": self._buffer, **self._add_piece(data)})
@@ -148,6 +153,14 @@ class Additions:
             }
         )
         return len(self._document.objects("accessors")) + len(self._accessors) - 1
+
+    def add_described(self, accessor: JsonObject) -> int:
+        """Add an accessor that is described in full, and return its index. Equal ones are one."""
+        key = json.dumps(accessor, sort_keys=True)
+        if key not in self._described:
+            self._accessors.append(accessor)
+            self._described[key] = len(self._document.objects("accessors")) + len(self._accessors) - 1
+        return self._described[key]
 
     def add_data(self, data: Bytes) -> JsonObject:
         """Add bytes, and return the members of a buffer view that say where they are."""

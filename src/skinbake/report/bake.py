@@ -111,6 +111,29 @@ class BakedCounts:
 
 
 @dataclass(frozen=True, slots=True)
+class CorrectiveCounts:
+    """The correctives of one mesh, in numbers.
+
+    corrected are the vertices that have targets, given_up those whose targets did not help. keys are those of
+    the weights in all clips. idle_clips are clips with the weights 0, because correctives do not help there.
+    left is the share of the squared changes that the targets leave. standard and remaining are mean errors in
+    degrees by truth, at times of the clips that took no part in the fit.
+    """
+
+    targets: int
+    vertices: int
+    corrected: int
+    given_up: int
+    keys: int
+    clips: tuple[str, ...]
+    idle_clips: tuple[str, ...]
+    left: float
+    standard: dict[str, float]
+    remaining: dict[str, float]
+    added_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
 class EncodingCost:
     """The encoding of α and β, and the angle by which it turns accurate normals, weighted by area.
 
@@ -141,6 +164,7 @@ class FileResult:
     notices: tuple[Notice, ...] = ()
     error: SkinbakeError | None = None
     encoding: EncodingCost | None = None
+    correctives: tuple[tuple[Place, CorrectiveCounts], ...] = ()
     written: dict[str, str] | None = None
     record: bytes | None = None
     timings: dict[str, float] | None = None
@@ -155,6 +179,10 @@ def count(totals: Totals, result: FileResult) -> None:
 def short_line(result: FileResult, *, dry_run: bool) -> str:
     """Return the line of one file among many: what is missing from it is in ``closing_line``."""
     counts = [count for _, count in result.primitives]
+    if result.correctives:
+        parts = [f"baked: {_corrected(result)}"]
+        parts += [counted(len(result.notices), "warning")] if result.notices else []
+        return f"{_where(result, dry_run=dry_run)}: {', '.join(parts)}"
     if not counts:
         return closing_line(result, dry_run=dry_run)
     size = counted(sum(count.added_bytes for count in counts), "byte")
@@ -185,6 +213,9 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
         return f"{where}: up to date"
     counts = [count for _, count in result.primitives]
     parts = [f"{result.status}: {_baked(counts)}" if counts else result.status]
+    if result.correctives:
+        parts = [f"{result.status}: {_corrected(result)}"]
+        parts.append("which clips play: poses by IK or physics keep the correction of their clip")
     parts += _encoding_text(result.encoding, counts)
     if result.skipped:
         parts.append(f"{counted(result.skipped, 'skinned primitive')} skipped")
@@ -214,7 +245,15 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
 
 
 def detail_lines(result: FileResult) -> Iterator[str]:
-    """Yield a line for each baked primitive, for ``--verbose``."""
+    """Yield a line for each baked primitive or corrected mesh, for ``--verbose``."""
+    for place, one in result.correctives:
+        idle = f", weights 0 in {', '.join(map(printable, one.idle_clips))}" if one.idle_clips else ""
+        yield (
+            f"{place}: {counted(one.targets, 'target')} for {one.corrected:,} of "
+            f"{counted(one.vertices, 'vertex', 'vertices')}, {one.given_up:,} given up, "
+            f"{counted(one.keys, 'key')} in {counted(len(one.clips), 'clip')}{idle}, "
+            f"{counted(one.added_bytes, 'byte')}"
+        )
     for place, count in result.primitives:
         lost = percent(count.lost_gradient, 2)
         yield (
@@ -225,6 +264,28 @@ def detail_lines(result: FileResult) -> Iterator[str]:
             f"{count.overflowing_vertices:,} leaving joints out ({lost} of the gradient), "
             f"{counted(count.added_bytes, 'byte')}"
         )
+
+
+def _corrected(result: FileResult) -> str:
+    """Return the numbers of the correctives of all meshes: the means by vertices."""
+    counts = [count for _, count in result.correctives]
+    vertices = sum(count.vertices for count in counts)
+    targets = " or ".join(str(number) for number in sorted({count.targets for count in counts}))
+    clips = len({clip for count in counts for clip in count.clips})
+    changes = []
+    for truth in counts[0].standard:
+        before, after = (
+            sum(getattr(count, name)[truth] * count.vertices for count in counts) / vertices
+            for name in ("standard", "remaining")
+        )
+        changes.append(f"{before:.2f}° -> {after:.2f}° by {truth}")
+    size = sum(count.added_bytes for count in counts)
+    meshes = f" on each of {counted(len(counts), 'mesh', 'meshes')}" if len(counts) > 1 else ""
+    plural = "" if targets == "1" else "s"
+    return (
+        f"{targets} corrective normal{plural}{meshes} in {counted(clips, 'clip')}, {', '.join(changes)}, "
+        f"{counted(size, 'byte')} added ({size / vertices:.1f} a vertex)"
+    )
 
 
 def _baked(counts: Sequence[BakedCounts]) -> str:
@@ -321,6 +382,7 @@ def file_json(result: FileResult) -> dict[str, Any]:
         "status": result.status,
         "skipped": result.skipped,
         "primitives": [{**place_fields(place), **asdict(counts)} for place, counts in result.primitives],
+        "correctives": [{**place_fields(place), **asdict(one)} for place, one in result.correctives],
         "warnings": notice_list(result.notices),
         "encoding": None if result.encoding is None else _encoding_json(result.encoding),
         "error": error_fields(result.error),

@@ -99,6 +99,12 @@ class BlendedPrimitive:
         }
         return [tuple(axis.T for axis in steps[algorithm](pose, part)) for algorithm in algorithms]
 
+    def columns(self, pose: slice, part: slice) -> Float64Array:
+        """Return the columns of T = Σ w M of some vertices: (3, 3, B, P), the column first."""
+        found = np.empty((3, 3, part.stop - part.start, pose.stop - pose.start))
+        kernel.blend(self._forms(part, _axes(len(found[0, 0]))), self._matrices.of(pose), found)
+        return found
+
     def _forms(
         self, part: slice, directions: FloatArray | None = None, changes: FloatArray | None = None
     ) -> Forms:

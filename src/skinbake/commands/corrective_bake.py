@@ -1,0 +1,281 @@
+"""``skinbake bake --correctives``: morph targets of normals in place of α and β."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from skinbake.choices import CorrectiveAim, Encoding, FrameChoice
+from skinbake.commands.surface_bake import FitTarget, SurfaceBake, unwritten
+from skinbake.correctives.fit import Correctives, Figures, Form, Motion, fitted
+from skinbake.correctives.surface import TRUTHS, Surface, rest_of
+from skinbake.errors import InputError, Notice, Place
+from skinbake.format.correctives import (
+    ClipWeights,
+    MeshCorrectives,
+    check_targets,
+    nodes_with,
+    with_mesh_correctives,
+)
+from skinbake.geometry.poses import fingerprint
+from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
+from skinbake.gltf.animation import Clip, Skeleton, clip_poses, read_clips, read_skeleton, skins_of
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import JsonObject
+from skinbake.gltf.morphs import read_targets, resting_weights, target_count
+from skinbake.gltf.primitives import PrimitiveSource, read_primitive
+from skinbake.gltf.scenes import meshes_of_one_skin
+from skinbake.report.bake import CorrectiveCounts
+from skinbake.skinning.morphs import morphed
+from skinbake.skinning.rest import RestPrimitive
+from skinbake.timing import stage
+from skinbake.truth.areas import RestAreas
+from skinbake.truth.operator import true_operator
+from skinbake.truth.poses import joint_clips
+
+if TYPE_CHECKING:
+    from skinbake.commands.bake import Baker
+
+FORMS = {
+    Encoding.FLOAT32: Form(2.0**-4, 2.0**-18),
+    Encoding.SNORM16: Form(2.0**-4, 1.0 / 32767.0),
+    Encoding.PACKED8: Form(1.0, 1.0 / 127.0),
+}
+"""How targets are stored. Filament and Godot keep the direction of a target's normal, not its difference.
+
+With short targets and large weights the two agree: at a sixteenth, a normal that turns by 10° errs by 0.03°.
+Bytes have too few steps for that, so their targets are as long as a normal.
+"""
+
+UNIT_LENGTH = 1e-2
+"""How far the length of a stored normal may be from 1 without a difference to its targets: bytes are."""
+
+FINGERPRINT_POSES = 16
+"""The poses of each clip whose fingerprint tells whether the clips are still those of the bake."""
+
+
+def corrected_document(
+    document: Document, sources: Sequence[PrimitiveSource], baker: Baker
+) -> tuple[Document, list[tuple[Place, CorrectiveCounts]], list[Notice]]:
+    """Return the document with correctives, the numbers of each mesh, and notices.
+
+    Raises InputError if clips, skins or targets of the file are broken, or a clip of ``--clips`` is missing.
+    """
+    clips = read_clips(document)
+    chosen = _chosen(document, clips, baker.clips)
+    plain = [mesh for mesh in dict.fromkeys(one.mesh for one in sources) if not target_count(document, mesh)]
+    morphing = [mesh for mesh in dict.fromkeys(one.mesh for one in sources) if mesh not in plain]
+    items: list[MeshCorrectives] = []
+    found: list[tuple[Place, Correctives, MeshCorrectives | None]] = []
+    notices: list[Notice] = []
+    for group in [*meshes_of_one_skin(document, plain)[0], *([mesh] for mesh in morphing)]:
+        of_group = [one for mesh in group for one in sources if one.mesh == mesh]
+        for place, correctives, item in _fitted(document, of_group, clips, chosen, baker):
+            found.append((place, correctives, item))
+            if item is not None:
+                items.append(item)
+            else:
+                notices.append(_nothing(place, correctives))
+    if not items:
+        return document, [], notices
+    with stage("store"):
+        written, lengths = with_mesh_correctives(document, items, baker.encoding)
+    sizes = iter(lengths)
+    counts = [
+        (place, _counts(correctives, next(sizes))) for place, correctives, item in found if item is not None
+    ]
+    return written, counts, notices
+
+
+def _nothing(place: Place, correctives: Correctives) -> Notice:
+    if not correctives.tracks:
+        message = "no correctives: no chosen clip moves its joints, and only clips play correctives"
+        return Notice("no-clips", message, place)
+    mean = max(correctives.figures.standard, default=0.0)
+    message = f"no correctives: they do not improve its lighting, which is wrong by {mean:.2g}° in its clips"
+    return Notice("correctives-idle", message, place)
+
+
+def _chosen(document: Document, clips: Sequence[Clip], names: Sequence[str]) -> set[int]:
+    """Return the numbers of the clips that play correctives: those of ``--clips``, else all."""
+    if not names:
+        return {clip.number for clip in clips}
+    known = {clip.name for clip in clips}
+    wanted = [part for name in names for part in ([name] if name in known else name.split(","))]
+    for name in wanted:
+        if name not in known:
+            there = ", ".join(sorted(known)) or "none"
+            raise InputError(f"--clips: it has no clip {name!r}; its clips are: {there}", document.place)
+    return {clip.number for clip in clips if clip.name in wanted}
+
+
+def _fitted(
+    document: Document,
+    sources: Sequence[PrimitiveSource],
+    clips: Sequence[Clip],
+    chosen: set[int],
+    baker: Baker,
+) -> list[tuple[Place, Correctives, MeshCorrectives | None]]:
+    """Return the correctives of the meshes of one surface, and what is to be written of each."""
+    meshes = list(dict.fromkeys(source.mesh for source in sources))
+    places = [replace(next(s for s in sources if s.mesh == mesh).place, primitive=None) for mesh in meshes]
+    for mesh, place in zip(meshes, places, strict=True):
+        check_targets(document, mesh, place)
+    with stage("arrays"):
+        primitives = [read_primitive(document, source) for source in sources]
+        rest = [rest_of(one, source.joint_count) for source, one in zip(sources, primitives, strict=True)]
+        if baker.corrective_aim is CorrectiveAim.GRADIENTS:
+            rest = _with_gradients(document, sources, baker)
+        rest = _resting(document, sources, rest)
+    skins: dict[object, int] = {}
+    for mesh in meshes:
+        for skin in skins_of(document, mesh):
+            skins.setdefault(_binding(read_skeleton(document, skin)), skin)
+    moving = {skin: joint_clips(document, skin, clips) for skin in skins.values()}
+    motions = [
+        Motion(skin, read_skeleton(document, skin), clip)
+        for skin, own in moving.items()
+        for clip in own
+        if clip.number in chosen
+    ]
+    parts, start = [], 0
+    for mesh in meshes:
+        count = sum(source.mesh == mesh for source in sources)
+        parts.append(slice(start, start + count))
+        start += count
+    if not motions:
+        none = tuple(np.zeros((0, len(one.positions), 3)) for one in rest)
+        nothing = Correctives(none, (), Figures((), ()), 1.0, 0)
+        return [(place, nothing, None) for place in places]
+    place = sources[0].place
+    operator = true_operator(primitives, claim=lambda size: document.budget.claim_welding(size, place))
+    areas = np.concatenate([RestAreas(document, motions[0].skin).of(one) for one in primitives])
+    with stage("fit"):
+        made = fitted(
+            Surface.of(operator, rest),
+            parts,
+            motions,
+            areas,
+            None if baker.correctives == "auto" else baker.correctives,
+            FORMS[baker.encoding],
+            accurate=baker.corrective_aim is CorrectiveAim.GRADIENTS,
+            claim=lambda size: document.budget.claim(size, "fitting its correctives", place),
+        )
+    found = []
+    for mesh, here, part, one in zip(meshes, places, parts, made, strict=True):
+        item = None
+        if one.count:
+            idle = {skin: [c for c in own if c.number not in chosen] for skin, own in moving.items()}
+            item = MeshCorrectives(
+                mesh=mesh,
+                sources=sources[part],
+                primitives=primitives[part],
+                targets=[_by_length(*pair) for pair in zip(one.targets, primitives[part], strict=True)],
+                clips=_weights(document, mesh, skins, one, idle),
+                settings=_settings(one, baker),
+            )
+        found.append((here, one, item))
+    return found
+
+
+def _binding(skeleton: Skeleton) -> object:
+    """Return the identity of a skin: its joints, in order, and their inverse bind matrices."""
+    return tuple(skeleton.nodes[joint] for joint in skeleton.joints), (skeleton.inverse_bind + 0.0).tobytes()
+
+
+def _with_gradients(
+    document: Document, sources: Sequence[PrimitiveSource], baker: Baker
+) -> list[RestPrimitive]:
+    """Return the primitives of a surface with the α and β that a bake would give them."""
+    settings = replace(baker.settings, frame=FrameChoice.NORMAL)
+    target = FitTarget.of(document, sources, baker.gradients, baker.fit_poses)
+    bakes = SurfaceBake.of(document, sources, settings, target).plain()
+    return [bake.rest_primitive() for bake in unwritten(bakes)]
+
+
+def _resting(
+    document: Document, sources: Sequence[PrimitiveSource], rest: Sequence[RestPrimitive]
+) -> list[RestPrimitive]:
+    """Return the primitives of a mesh as its morph targets leave them at rest, in the first node."""
+    mesh = sources[0].mesh
+    if not target_count(document, mesh):
+        return list(rest)
+    node = next(one for one in nodes_with(document, mesh) if "skin" in document.objects("nodes")[one])
+    weights = resting_weights(document, node)
+    moving = [int(target) for target in np.flatnonzero(weights)]
+    found = []
+    for source, one in zip(sources, rest, strict=True):
+        targets = read_targets(document, source, moving, count=len(one.positions), tangents=False)
+        found.append(one if targets is None else morphed(one, targets, weights[moving]))
+    return found
+
+
+def _by_length(targets: Float64Array, primitive: SkinnedPrimitive) -> Float64Array:
+    """Return targets for the normals as stored, whose lengths are not quite 1, or not at all."""
+    lengths = np.sqrt(np.square(primitive.normals.astype(np.float64)).sum(axis=1))
+    is_unit = np.abs(lengths - 1.0) < UNIT_LENGTH
+    return np.asarray(targets * np.where(is_unit | ~np.isfinite(lengths), 1.0, lengths)[:, None])
+
+
+def _weights(
+    document: Document,
+    mesh: int,
+    skins: dict[object, int],
+    made: Correctives,
+    idle: dict[int, list[Clip]],
+) -> list[ClipWeights]:
+    """Return the weights of a mesh by clip and by each of its skins; 0 in clips that were not chosen."""
+    found = []
+    for skin in skins_of(document, mesh):
+        of = skins[_binding(read_skeleton(document, skin))]
+        found += [
+            ClipWeights(track.motion.clip.number, skin, track.times, track.weights)
+            for track in made.tracks
+            if track.motion.skin == of
+        ]
+        for clip in idle[of]:
+            ends = np.unique(np.array([clip.start, clip.duration], dtype=np.float32))
+            zeros = np.zeros((len(ends), made.count), dtype=np.float32)
+            found.append(ClipWeights(clip.number, skin, ends, zeros))
+    return found
+
+
+def poses_fingerprint(motions: Sequence[Motion]) -> tuple[float, ...]:
+    """Return a fingerprint of clips: that of the joint matrices in some poses of each."""
+    times = [np.linspace(one.clip.start, one.clip.duration, FINGERPRINT_POSES) for one in motions]
+    pairs = zip(motions, times, strict=True)
+    return fingerprint([clip_poses(one.skeleton, one.clip, at) for one, at in pairs])
+
+
+def _settings(made: Correctives, baker: Baker) -> JsonObject:
+    """Return what the metadata says of a fit."""
+    return {
+        "aim": str(baker.corrective_aim),
+        "clips": list(dict.fromkeys(track.motion.clip.name for track in made.tracks if track.plays)),
+        "poses": {
+            "clips": [[track.motion.skin, track.motion.clip.number] for track in made.tracks],
+            "fingerprint": list(poses_fingerprint([track.motion for track in made.tracks])),
+        },
+    }
+
+
+def _counts(made: Correctives, added_bytes: int) -> CorrectiveCounts:
+    """Return the numbers of the report for one mesh."""
+    playing = [track.motion.clip.name for track in made.tracks if track.plays]
+    still = [track.motion.clip.name for track in made.tracks if not track.plays]
+    return CorrectiveCounts(
+        targets=made.count,
+        vertices=sum(one.shape[1] for one in made.targets),
+        corrected=sum(int(np.count_nonzero(one.any(axis=(0, 2)))) for one in made.targets),
+        given_up=made.given_up,
+        keys=sum(len(track.times) for track in made.tracks if track.plays),
+        clips=tuple(dict.fromkeys(playing)),
+        idle_clips=tuple(dict.fromkeys(still)),
+        left=made.left,
+        standard=dict(zip(map(str, TRUTHS), made.figures.standard, strict=True)),
+        remaining=dict(zip(map(str, TRUTHS), made.figures.corrected, strict=True)),
+        added_bytes=added_bytes,
+    )

@@ -1,0 +1,1 @@
+"""Correct lighting without a shader: morph targets of normals, played by the clips of a file."""

@@ -1,0 +1,179 @@
+"""The change of a normal at rest that makes standard lighting right in a pose, and the error with it.
+
+Standard lighting draws T n with T = Σ w M, also of a normal that morph targets have changed. So the normal
+n0 + δ is drawn as the true normal n* if T (n0 + δ) is parallel to n*:
+
+    δ = T⁻¹ n* / (n0 · T⁻¹ n*) − n0        with |n0| = 1, and where n0 · T⁻¹ n* > 0
+
+δ is at right angles to n0. Its length is the tangent of the angle θ by which the normal must turn at rest.
+Where a fold turns the normal by 90° or more, no δ reaches it: the longest one of ``LARGEST`` is taken, in the
+right direction. The fit then counts it little, by its cosine (``fit``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skinbake.choices import Truth
+from skinbake.geometry.frames import frame_from_normal, unit_normals
+from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, SkinnedPrimitive
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.components import Vector, cross, dot, scaled
+from skinbake.skinning.rest import Options, RestPrimitive
+from skinbake.threads import Threads, thread_count
+from skinbake.truth import kernel
+from skinbake.truth.blending import BlendedPrimitive, sides_of
+from skinbake.truth.mesh import normalised_weights
+from skinbake.truth.normals import ClassSums
+from skinbake.truth.operator import GradientOperator
+from skinbake.truth.truths import Truths, VertexBlock
+
+TRUTHS = Truth.TANGENTS, Truth.TRIANGLES
+"""The truths whose mean is the true normal n*."""
+
+POSES = 32
+"""The poses in work at a time."""
+
+LARGEST = 2.0
+"""The longest δ: it turns a normal by 63°. A longer one changes the angle little, and its targets much."""
+
+GRID = 2.0**-16
+"""δ is rounded to multiples of this number, 0.001°. What processors compute differently is far smaller."""
+
+
+def rest_of(primitive: SkinnedPrimitive, joint_count: int) -> RestPrimitive:
+    """Return the data of a primitive for a replay, float64, with a frame from NORMAL and without gradients.
+
+    Joints past the skin's become 0.
+    """
+    joints = np.where(primitive.joints < joint_count, primitive.joints, 0)
+    normals = unit_normals(primitive.normals)
+    tangents, bitangents = frame_from_normal(normals)
+    none = np.zeros((len(joints), joints.shape[1] - 1))
+    return RestPrimitive(
+        positions=primitive.positions.astype(np.float64),
+        normals=normals.astype(np.float64),
+        tangents=tangents.astype(np.float64),
+        bitangents=bitangents.astype(np.float64),
+        joints=joints,
+        weights=normalised_weights(primitive.weights, joints),
+        alpha=none,
+        beta=none,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class PosedBlock:
+    """Some vertices of a surface in P poses.
+
+    normals (U, 3, B, P) are the true ones by each of ``TRUTHS``, and exist (U, B, P) tells where. columns
+    (3, 3, B, P) are those of T: the column first, then its component. standard and accurate are components
+    (P, B) of the normals that standard lighting and α and β give; without gradients they are the same.
+    """
+
+    at: VertexBlock
+    normals: Float64Array
+    exist: BoolArray
+    columns: Float64Array
+    accurate: Vector
+
+    def drawn(self, changed: Float64Array) -> Vector:
+        """Return the normals, components (P, B), that standard lighting draws of (3, B, P) or (3, B, 1)."""
+        found = (self.columns * changed[:, None]).sum(axis=0)
+        return tuple(component.T for component in found)
+
+    def errors(self, drawn: Vector) -> Float32Array:
+        """Return the angles in degrees (U, B, P) between drawn and true normals, NaN where there are none."""
+        found = kernel.angles(drawn, self.normals)
+        return np.where(self.exist, found, np.float32(np.nan))
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """The primitives of a mesh that are lit as one surface, and their truths at rest.
+
+    rest have a frame from NORMAL; their α and β are those of a bake where they are aimed at or compared.
+    """
+
+    rest: Sequence[RestPrimitive]
+    truths: Truths
+
+    @classmethod
+    def of(cls, operator: GradientOperator, rest: Sequence[RestPrimitive]) -> Surface:
+        """Measure a mesh at rest."""
+        return cls(rest, Truths.of(operator, rest, POSES, TRUTHS))
+
+    @property
+    def count(self) -> int:
+        """The number of vertices of all primitives."""
+        return sum(len(one.positions) for one in self.rest)
+
+    def posed(self, matrices: Float64Array, *, accurate: bool = False) -> Iterator[tuple[slice, PosedBlock]]:
+        """Yield all vertices in all poses of joint matrices (P, J, 4, 4): the poses, and the block.
+
+        accurate asks for the normals of α and β, too. The order does not depend on the number of threads.
+        """
+        blended = [BlendedPrimitive(one, matrices, Options()) for one in self.rest]
+        sides = sides_of(self.rest, matrices)
+        algorithm = Algorithm.LBS_ACCURATE if accurate else Algorithm.LBS_APPROXIMATED
+        with Threads(thread_count()) as threads:
+            for first in range(0, len(matrices), POSES):
+                poses = slice(first, min(first + POSES, len(matrices)))
+                deformed = np.empty((3, self.count, poses.stop - first))
+                for block in self.truths.vertex_blocks:
+                    blended[block.primitive].put_positions(poses, block.rows, deformed, block.part.start)
+                sums = self.truths.sums(deformed, threads)
+
+                def measured(
+                    block: VertexBlock,
+                    poses: slice = poses,
+                    deformed: Float64Array = deformed,
+                    sums: ClassSums | None = sums,
+                ) -> PosedBlock:
+                    side = None if sides is None else sides[poses, block.part]
+                    one = blended[block.primitive]
+                    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                        normals, exist = self.truths.normals(block.number, deformed, sums, side)
+                        drawn = one.normals([algorithm], poses, block.rows)[0]
+                        if accurate and side is not None:
+                            drawn = scaled(side, drawn)
+                        return PosedBlock(block, normals, exist, one.columns(poses, block.rows), drawn)
+
+                for found in threads.each(measured, self.truths.vertex_blocks):
+                    yield poses, found
+
+    def changes(self, matrices: Float64Array, *, accurate: bool = False) -> Float32Array:
+        """Return δ in the poses along t0 and b0 of the frame from NORMAL: (P, V, 2), NaN without a truth.
+
+        matrices are joint matrices (P, J, 4, 4). accurate: toward the normals of α and β, not the true ones.
+        """
+        found = np.empty((len(matrices), self.count, 2), dtype=np.float32)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # without a truth: NaN
+            for poses, block in self.posed(matrices, accurate=accurate):
+                if accurate:
+                    aim = np.stack([component.T for component in block.accurate])
+                else:
+                    aim = np.where(block.exist[:, None], block.normals, 0.0).sum(axis=0)
+                # T⁻¹ n* up to its length: cross products of the columns of T, over its determinant.
+                a, b, c = (tuple(column) for column in block.columns)
+                axes = cross(b, c), cross(c, a), cross(a, b)
+                side = np.sign(dot(axes[0], a))
+                turned = np.stack([side * dot(axis, tuple(aim)) for axis in axes])
+                rows, rest = block.at.rows, self.rest[block.at.primitive]
+                along = [
+                    np.einsum("ibp,bi->bp", turned, vectors[rows])
+                    for vectors in (rest.tangents, rest.bitangents, rest.normals)
+                ]
+                flat = np.sqrt(np.square(along[0]) + np.square(along[1]))
+                # tan θ, and the largest where θ is larger, also over 90°.
+                length = np.where(along[2] * LARGEST > flat, flat / along[2], LARGEST)
+                scale = np.where(flat > 0.0, length / flat, 0.0 * flat)
+                scale = np.where((turned != 0.0).any(axis=0), scale, np.nan)
+                for axis in range(2):
+                    found[poses, block.at.part, axis] = (np.rint(along[axis] * scale / GRID) * GRID).T.astype(
+                        np.float32
+                    )
+        return found

@@ -1,0 +1,221 @@
+"""Take correctives out of a document: the reverse of ``format.correctives``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from skinbake.errors import Notice, Place, UnsupportedFeatureError
+from skinbake.format.correctives import QUANTIZATION, TARGET_NAMES, corrective_note, nodes_with
+from skinbake.format.metadata import KEY, VERSION
+from skinbake.geometry import poses
+from skinbake.gltf.accessors import element_count, read_accessor
+from skinbake.gltf.additions import Additions
+from skinbake.gltf.animation import MORPH_WEIGHTS
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import JsonObject, entries_of, object_of, reference, text
+
+
+@dataclass(frozen=True, slots=True)
+class Narrowed:
+    """A channel of weights whose former sampler is gone: its animation, its number, the targets to keep."""
+
+    animation: int
+    channel: int
+    targets: int
+
+
+def without_correctives(document: Document) -> tuple[JsonObject, list[Narrowed], int]:
+    """Return the JSON without correctives, channels still to be narrowed, and how many meshes had any.
+
+    A channel needs ``narrowed`` if another tool has rearranged the animations since the bake. Raises
+    UnsupportedFeatureError if a later version of skinbake has made the correctives.
+    """
+    meshes, nodes = list(document.objects("meshes")), list(document.objects("nodes"))
+    notes = {number: note for number, mesh in enumerate(meshes) if (note := corrective_note(mesh))}
+    if not notes:
+        return document.json, [], 0
+    root = dict(document.json)
+    kept: dict[int, int] = {}
+    for number, note in notes.items():
+        mesh = meshes[number]
+        if int(note["version"]) > VERSION:
+            place = Place(document.name, number, text(mesh, "name", document.place))
+            message = (
+                f"its metadata has version {note['version']}, this skinbake reads {VERSION}: update skinbake"
+            )
+            raise UnsupportedFeatureError(message, place)
+        added = int(note["targets"])
+        counts = [len(entries_of(one.get("targets"))) for one in entries_of(mesh.get("primitives"))]
+        kept[number] = max(0, max(counts, default=0) - added)
+        meshes[number] = _former_mesh(mesh, note, kept[number])
+        for node in nodes_with(document, number):
+            weights = nodes[node].get("weights")
+            if isinstance(weights, list) and len(weights) > kept[number]:
+                nodes[node] = {**nodes[node], "weights": weights[: kept[number]]}
+                if not kept[number]:  # written by another tool: no bake adds them
+                    del nodes[node]["weights"]
+        for key in note.get("required", []):
+            if key in ("extensionsUsed", "extensionsRequired"):
+                left = [name for name in root.get(key, []) if name != QUANTIZATION]
+                root.pop(key, None)
+                if left:
+                    root[key] = left
+    root["meshes"] = meshes
+    if "nodes" in root:
+        root["nodes"] = nodes
+    animations, narrowed = _former_animations(document, notes, kept)
+    if "animations" in root:
+        root["animations"] = animations
+        if not animations:
+            del root["animations"]
+    return root, narrowed, len(notes)
+
+
+def _former_mesh(mesh: JsonObject, note: JsonObject, kept: int) -> JsonObject:
+    """Return the JSON of a mesh with the first ``kept`` targets alone, and without our metadata."""
+    primitives = []
+    noted = note.get("primitives")
+    entries = noted if isinstance(noted, list) else []
+    for number, primitive in enumerate(entries_of(mesh.get("primitives"))):
+        targets = entries_of(primitive.get("targets"))[:kept]
+        entry = object_of(entries[number]) if number < len(entries) else {}
+        for name, filled in object_of(entry.get("filled")).items():
+            for position in filled if isinstance(filled, list) else []:
+                if isinstance(position, int) and position < len(targets) and name in targets[position]:
+                    targets[position] = {key: one for key, one in targets[position].items() if key != name}
+        changed = dict(primitive)
+        if any(targets):
+            changed["targets"] = targets
+        else:
+            changed.pop("targets", None)
+        primitives.append(changed)
+    former = note.get("former")
+    former = former if isinstance(former, list) else []
+    found = {**mesh, "primitives": primitives}
+    weights = mesh.get("weights")
+    if "weights" in former and isinstance(weights, list):
+        found["weights"] = weights[:kept]
+    else:
+        found.pop("weights", None)
+    extras = {key: value for key, value in object_of(mesh.get("extras")).items() if key != KEY}
+    names = extras.get(TARGET_NAMES)
+    if "formerNames" in note:
+        extras[TARGET_NAMES] = note["formerNames"]
+    elif not note.get("names"):
+        extras.pop(TARGET_NAMES, None)
+    elif isinstance(names, list) and len(names) == kept + int(note["targets"]):
+        extras[TARGET_NAMES] = names[:kept]
+    found["extras"] = extras
+    if not extras and "extras" not in former:
+        del found["extras"]
+    return found
+
+
+def _former_animations(
+    document: Document, notes: dict[int, JsonObject], kept: dict[int, int]
+) -> tuple[list[JsonObject], list[Narrowed]]:
+    """Return the animations before the bake, and the channels whose former samplers are gone."""
+    animations = [dict(one) for one in document.objects("animations")]
+    of_node = {node: mesh for mesh in notes for node in nodes_with(document, mesh)}
+    former, counts = _noted_channels(notes.values())
+    narrowed, found = [], []
+    for number, animation in enumerate(animations):
+        channels, samplers = entries_of(animation.get("channels")), entries_of(animation.get("samplers"))
+        left: list[JsonObject] = []
+        is_ours = False
+        for position, channel in enumerate(channels):
+            target = object_of(channel.get("target"))
+            node = reference(target.get("node"))
+            mesh = None if node is None else of_node.get(node)
+            if target.get("path") != MORPH_WEIGHTS or mesh is None:
+                left.append(channel)
+                continue
+            is_ours = True
+            if not kept[mesh]:
+                continue
+            if (number, position) not in former:
+                narrowed.append(Narrowed(number, len(left), kept[mesh]))
+                left.append(channel)
+            elif (before := former[number, position]) is not None:
+                before_it = samplers[int(before)] if int(before) < len(samplers) else {}
+                if _fits(document, before_it, kept[mesh]):
+                    left.append({**channel, "sampler": before})
+                else:
+                    narrowed.append(Narrowed(number, len(left), kept[mesh]))
+                    left.append(channel)
+        if is_ours:
+            most = max((int(one["sampler"]) + 1 for one in left), default=0)
+            samplers = samplers[: max(counts.get(number, len(samplers)), most)]
+            animation |= {"channels": left, "samplers": samplers}
+        if left or not is_ours:  # a tool may have left an animation with our channels alone
+            found.append(animation)
+    return found, narrowed
+
+
+def _noted_channels(notes: Iterable[JsonObject]) -> tuple[dict[tuple[int, int], Any], dict[int, int]]:
+    """Return the former sampler of each noted channel, None for an added one, and the counts of samplers.
+
+    Channels are named by animation and number. What is damaged in the notes is left out.
+    """
+    former: dict[tuple[int, int], Any] = {}
+    counts: dict[int, int] = {}
+    for note in notes:
+        for one in _lists(note.get("channels"), 3):
+            if reference(one[0]) is not None and reference(one[1]) is not None:
+                former[one[0], one[1]] = None if reference(one[2]) is None else one[2]
+        for number, count in _lists(note.get("samplers"), 2):
+            if reference(number) is not None and (found := reference(count)) is not None:
+                counts[number] = min(found, counts.get(number, found))
+    return former, counts
+
+
+def _lists(value: object, length: int) -> list[list[Any]]:
+    """Return the entries of a list that are lists of a length."""
+    entries = value if isinstance(value, list) else []
+    return [one for one in entries if isinstance(one, list) and len(one) == length]
+
+
+def _fits(document: Document, sampler: JsonObject, targets: int) -> bool:
+    """Tell whether the output of a sampler has the weights of so many targets."""
+    accessors = document.objects("accessors")
+    source, output = reference(sampler.get("input")), reference(sampler.get("output"))
+    if source is None or output is None or max(source, output) >= len(accessors):
+        return False
+    each = 3 if sampler.get("interpolation") == poses.CUBICSPLINE else 1
+    keys = reference(accessors[source].get("count")) or 0
+    return bool(accessors[output].get("count") == keys * each * targets)
+
+
+def narrowed(document: Document, channels: Sequence[Narrowed]) -> tuple[Document, list[Notice]]:
+    """Return the document with new samplers of the first weights alone, and a notice."""
+    if not channels:
+        return document, []
+    additions = Additions(document)
+    animations = [dict(one) for one in document.objects("animations")]
+    for one in channels:
+        animation = animations[one.animation]
+        moving, samplers = list(animation["channels"]), list(animation["samplers"])
+        sampler = samplers[int(moving[one.channel]["sampler"])]
+        keys = element_count(document, int(sampler["input"]), document.place)
+        each = 3 if sampler.get("interpolation") == poses.CUBICSPLINE else 1
+        values = read_accessor(document, int(sampler["output"]), document.place).decoded()
+        few = np.ascontiguousarray(values.reshape(keys * each, -1)[:, : one.targets], dtype="<f4")
+        output = additions.add_described(
+            {
+                "bufferView": additions.add_stream(few.tobytes()),
+                "componentType": 5126,
+                "count": few.size,
+                "type": "SCALAR",
+            }
+        )
+        moving[one.channel] = {**moving[one.channel], "sampler": len(samplers)}
+        animation |= {"channels": moving, "samplers": [*samplers, {**sampler, "output": output}]}
+    message = (
+        "another tool has rearranged the animations since the bake: the weights of the file's own targets "
+        "are kept, with keys at the times of the correctives"
+    )
+    return additions.applied({"animations": animations}), [Notice("weights-kept", message, document.place)]

@@ -1,0 +1,424 @@
+"""Write correctives into a document: morph targets of normals, and the weights that clips play.
+
+What engines need of a file that has them (docs/correctives.md):
+
+- Once one target of a primitive has NORMAL, every target has one, and likewise POSITION. Some loaders take
+  the base mesh for a difference where a target lacks what others have. A target that moves nothing has an
+  accessor without a buffer view: zeros, without a byte.
+- All primitives of a mesh have the same number of targets, also those that are not corrected.
+- The targets and weights that are there come first, and keep their values.
+- A clip that moves the skin and has no correctives plays zeros, because players keep the last value.
+
+The metadata ``extras.skinbake`` of the mesh says what was added, so that ``strip`` takes it out again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.choices import Encoding
+from skinbake.errors import InputError, Place, UnsupportedFeatureError
+from skinbake.format.corrective_channels import Keys, with_correctives
+from skinbake.format.metadata import KEY, VERSION, array_digest, digests, read_metadata
+from skinbake.geometry import poses
+from skinbake.geometry.skinned import Float32Array, Float64Array, SkinnedPrimitive
+from skinbake.gltf.accessors import element_count, read_accessor
+from skinbake.gltf.additions import Additions
+from skinbake.gltf.animation import MESH_POINTER, MORPH_WEIGHTS, POINTER, POINTER_EXTENSION
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import JsonObject, entries_of, object_of, objects, reference
+from skinbake.gltf.morphs import resting_weights, target_count
+from skinbake.gltf.primitives import PrimitiveSource
+from skinbake.gltf.views import COMPONENT_CODES, TYPES
+from skinbake.version import __version__
+
+QUANTIZATION = "KHR_mesh_quantization"
+
+TARGET_NAMES = "targetNames"
+
+TYPES_OF_TARGETS: dict[Encoding, type[np.generic]] = {
+    Encoding.FLOAT32: np.float32,
+    Encoding.SNORM16: np.int16,
+    Encoding.PACKED8: np.int8,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ClipWeights:
+    """The weights (N, K) of a mesh's targets at times (N,), float32, in one animation for one skin."""
+
+    animation: int
+    skin: int
+    times: Float32Array
+    weights: Float32Array
+
+
+@dataclass(frozen=True, slots=True)
+class MeshCorrectives:
+    """The correctives of one mesh: targets (K, V, 3) of the normals of each of its sources, and clips.
+
+    primitives are the arrays of the sources, for their digests. settings go into the metadata as they are.
+    """
+
+    mesh: int
+    sources: Sequence[PrimitiveSource]
+    primitives: Sequence[SkinnedPrimitive]
+    targets: Sequence[Float64Array]
+    clips: Sequence[ClipWeights]
+    settings: JsonObject
+
+    @property
+    def count(self) -> int:
+        """The number of targets."""
+        return len(self.targets[0])
+
+
+def corrective_note(mesh: JsonObject) -> JsonObject | None:
+    """Return the metadata of a mesh's correctives, None if it has none."""
+    note = object_of(mesh.get("extras")).get(KEY)
+    if not isinstance(note, dict) or not isinstance(note.get("version"), int | float):
+        return None
+    return note if reference(note.get("targets")) else None
+
+
+def refuse_other_kind(document: Document, *, correctives: bool) -> None:
+    """Raise InputError if a document has the other kind of bake: α/β for correctives, and the reverse."""
+    for number, mesh in enumerate(document.objects("meshes")):
+        if correctives:
+            is_other = any(read_metadata(document, one) for one in entries_of(mesh.get("primitives")))
+        else:
+            is_other = corrective_note(mesh) is not None
+        if is_other:
+            there, wanted = ("α/β", "correctives") if correctives else ("correctives", "α/β")
+            message = (
+                f"it has {there} already, and both would correct its normals twice: run skinbake strip "
+                f"first, or bake {wanted} into the source file"
+            )
+            raise InputError(message, Place(document.name, number))
+
+
+def nodes_with(document: Document, mesh: int, skin: int | None = None) -> list[int]:
+    """Return the nodes that draw a mesh: all, or those with a skin."""
+    return [
+        number
+        for number, node in enumerate(document.objects("nodes"))
+        if reference(node.get("mesh")) == mesh and (skin is None or reference(node.get("skin")) == skin)
+    ]
+
+
+def check_targets(document: Document, mesh: int, place: Place) -> None:
+    """Raise UnsupportedFeatureError if a mesh cannot get correctives: its clips or extras leave no place."""
+    content = document.objects("meshes")[mesh]
+    if not isinstance(content.get("extras", {}), dict):
+        message = '"extras" of its mesh are no object, so there is no place for targetNames and metadata'
+        raise UnsupportedFeatureError(message, place)
+    nodes = set(nodes_with(document, mesh))
+    for animation in document.objects("animations"):
+        for channel in objects(animation, "channels", place):
+            target = object_of(channel.get("target"))
+            extension = object_of(object_of(target.get("extensions")).get(POINTER_EXTENSION))
+            pointer = str(extension.get("pointer", "")).partition("/weights")
+            path = pointer[0] + pointer[1]
+            of_node, of_mesh = POINTER.fullmatch(path), MESH_POINTER.fullmatch(path)
+            if (of_node and of_node[2] == MORPH_WEIGHTS and int(of_node[1]) in nodes) or (
+                of_mesh and int(of_mesh[1]) == mesh
+            ):
+                message = (
+                    f"its morph weights are animated through {POINTER_EXTENSION}, which correctives cannot "
+                    "be merged with: animate them by a channel of the path weights"
+                )
+                raise UnsupportedFeatureError(message, place)
+
+
+def with_mesh_correctives(
+    document: Document, items: Sequence[MeshCorrectives], encoding: Encoding
+) -> tuple[Document, list[int]]:
+    """Return the document with correctives, and the added bytes by mesh.
+
+    The document holds no bake. Raises InputError if targets or weights of the file are broken.
+    """
+    additions = Additions(document, note_key=KEY)
+    meshes, nodes = list(document.objects("meshes")), list(document.objects("nodes"))
+    animations = [dict(animation) for animation in document.objects("animations")]
+    lengths = []
+    for item in items:
+        before = additions.byte_length
+        note: JsonObject = {
+            "version": VERSION,
+            "generator": f"skinbake {__version__}",
+            "targets": item.count,
+            **item.settings,
+        }
+        there = target_count(document, item.mesh)
+        note |= _add_clips(document, additions, item, animations, there)
+        meshes[item.mesh] = _with_targets(document, additions, item, there, encoding, note)
+        for number in nodes_with(document, item.mesh):
+            if nodes[number].get("weights") is not None:
+                nodes[number] = {**nodes[number], "weights": [*nodes[number]["weights"], *[0] * item.count]}
+        lengths.append(additions.byte_length - before)
+    changes: dict[str, Any] = {"meshes": meshes, "nodes": nodes, "animations": animations}
+    if encoding.is_scaled:
+        for key in ("extensionsUsed", "extensionsRequired"):
+            named = document.json.get(key, [])
+            if QUANTIZATION not in named:
+                changes[key] = [*named, QUANTIZATION]
+    return additions.applied(changes), lengths
+
+
+def _with_targets(
+    document: Document,
+    additions: Additions,
+    item: MeshCorrectives,
+    there: int,
+    encoding: Encoding,
+    note: JsonObject,
+) -> JsonObject:
+    """Return the JSON of a mesh with targets, weights, names of targets, and the metadata."""
+    mesh = document.objects("meshes")[item.mesh]
+    place = item.sources[0].place
+    of_sources = {source.primitive: number for number, source in enumerate(item.sources)}
+    primitives, noted = [], []
+    for position, primitive in enumerate(objects(mesh, "primitives", place)):
+        number = of_sources.get(position)
+        own = None if number is None else item.targets[number]
+        changed, filled = _with_own(document, additions, primitive, (there, item.count), own, encoding)
+        entry: JsonObject = {"filled": filled} if filled else {}
+        if number is not None and own is not None:
+            stored = item.primitives[number]
+            entry |= {"digest": digests(stored, "normal"), "targets": targets_digest(own, encoding)}
+        primitives.append(changed)
+        noted.append(entry)
+    note["primitives"] = noted
+    names = object_of(mesh.get("extras")).get(TARGET_NAMES)
+    extras = dict(object_of(mesh.get("extras")))
+    if there == 0 or (isinstance(names, list) and len(names) == there):
+        ours = [f"corrective normal {number + 1}" for number in range(item.count)]
+        extras[TARGET_NAMES] = [*(names if isinstance(names, list) and there else []), *ours]
+    note["former"] = [key for key in ("weights", "extras") if key in mesh]
+    note["names"] = TARGET_NAMES in object_of(mesh.get("extras"))
+    if there == 0 and names is not None:
+        note["formerNames"] = names
+    if encoding.is_scaled:
+        note["encoding"] = str(encoding)
+        note["required"] = [
+            key
+            for key in ("extensionsUsed", "extensionsRequired")
+            if QUANTIZATION not in document.json.get(key, [])
+        ]
+    extras[KEY] = note
+    weights = [*mesh.get("weights", [0] * there), *[0] * item.count]
+    return {**mesh, "primitives": primitives, "weights": weights, "extras": extras}
+
+
+def targets_digest(targets: Float64Array, encoding: Encoding) -> str:
+    """Return the digest of targets (K, V, 3) as they are decoded to float32."""
+    stored = stored_targets(targets, encoding)
+    decoded = stored if stored.dtype.kind == "f" else np.maximum(stored / np.iinfo(stored.dtype).max, -1.0)
+    return array_digest(decoded.reshape(-1, 3), "<f4")
+
+
+def stored_targets(targets: Float64Array, encoding: Encoding) -> npt.NDArray[Any]:
+    """Return targets as numbers of an encoding. Integers are normalised."""
+    dtype = TYPES_OF_TARGETS[encoding]
+    if not encoding.is_scaled:
+        return targets.astype(np.float32)
+    most = np.iinfo(np.dtype(dtype).str).max
+    return np.clip(np.rint(targets * most), -most, most).astype(dtype)
+
+
+def _with_own(
+    document: Document,
+    additions: Additions,
+    primitive: JsonObject,
+    counts: tuple[int, int],
+    targets: Float64Array | None,
+    encoding: Encoding,
+) -> tuple[JsonObject, dict[str, list[int]]]:
+    """Return the JSON of a primitive with targets behind its own, and what its own ones were filled with.
+
+    counts are the targets of the mesh before, and the added ones. Zeros are added wherever a target lacks
+    what another one has. The second value names the targets by attribute.
+    """
+    there, added = counts
+    place = document.place
+    attributes = object_of(primitive.get("attributes"))
+    base = reference(attributes.get("POSITION"))
+    if base is None:
+        raise InputError("one of its primitives has no POSITION, so it cannot have morph targets", place)
+    count = element_count(document, base, place)
+    own = objects(primitive, "targets", place)
+    if len(own) != there:  # a mesh of which some primitives have no targets
+        own = [{} for _ in range(there)]
+    names = dict.fromkeys(["POSITION", *(["NORMAL"] if "NORMAL" in attributes else [])])
+    names |= dict.fromkeys(name for target in own for name in target)
+    kinds = dict.fromkeys(names, "VEC3")
+    for target in own:
+        for name, number in target.items():
+            kinds[name] = str(document.objects("accessors")[int(number)].get("type"))
+
+    def zeros(wanted: Iterable[str]) -> JsonObject:
+        return {name: _zeros(additions, count, kinds[name], bounded=name == "POSITION") for name in wanted}
+
+    filled: dict[str, list[int]] = {}
+    complete = []
+    for number, target in enumerate(own):
+        lacking = [name for name in ("POSITION", "NORMAL") if name in names and name not in target]
+        for name in lacking:
+            filled.setdefault(name, []).append(number)
+        complete.append({**target, **zeros(lacking)} if lacking else target)
+    stored = None if targets is None or "NORMAL" not in names else stored_targets(targets, encoding)
+    for number in range(added):
+        normal = {}
+        if stored is not None and stored[number].any():
+            normal["NORMAL"] = _add_target(additions, stored[number], encoding)
+        complete.append({**zeros(name for name in names if name not in normal), **normal})
+    return {**primitive, "targets": complete}, filled
+
+
+def _zeros(additions: Additions, count: int, kind: str, *, bounded: bool) -> int:
+    """Return the accessor of so many elements of zeros, without a buffer view."""
+    bounds: JsonObject = {"min": [0, 0, 0], "max": [0, 0, 0]} if bounded else {}
+    return additions.add_described({"componentType": 5126, "count": count, "type": kind, **bounds})
+
+
+def _add_target(additions: Additions, values: npt.NDArray[Any], encoding: Encoding) -> int:
+    """Add the normals (V, 3) of a target, sparse where that is smaller. Return the index of the accessor."""
+    rows = np.flatnonzero(values.any(axis=1))
+    kind = next(one for one in (np.uint8, np.uint16, np.uint32) if len(values) <= np.iinfo(one).max)
+    indices, some = rows.astype(kind), np.ascontiguousarray(values[rows])
+    stride = values.itemsize * 3 + -values.itemsize * 3 % 4
+    described: JsonObject = {
+        "componentType": COMPONENT_CODES[values.dtype],
+        "count": len(values),
+        "type": TYPES[3],
+        **({"normalized": True} if encoding.is_scaled else {}),
+    }
+    if stride * len(values) <= indices.nbytes + some.nbytes:
+        return additions.add_described({"bufferView": additions.add_values(values, None), **described})
+    # The vertices are those of all targets of a primitive, and stored once. Sparse values are tightly packed.
+    sparse = {
+        "count": len(rows),
+        "indices": {
+            "bufferView": additions.add_stream(indices.tobytes()),
+            "componentType": COMPONENT_CODES[indices.dtype],
+        },
+        "values": {"bufferView": additions.add_stream(some.tobytes())},
+    }
+    return additions.add_described({**described, "sparse": sparse})
+
+
+def _add_clips(
+    document: Document,
+    additions: Additions,
+    item: MeshCorrectives,
+    animations: list[JsonObject],
+    there: int,
+) -> JsonObject:
+    """Add the weights of a mesh's targets to animations, and return what the metadata says of them.
+
+    A channel of weights that is there gets a sampler with more weights; otherwise one is added. ``channels``
+    of the metadata are the animation, the channel, and its former sampler, or null for an added one.
+    ``samplers`` are the numbers of samplers before.
+    """
+    place = item.sources[0].place
+    changed: list[list[Any]] = []
+    before: dict[int, int] = {}
+    of_clip = {(clip.animation, clip.skin): clip for clip in item.clips}
+    # A node has no skin where it stands still: it has no clips.
+    skins = {
+        node: reference(document.objects("nodes")[node].get("skin"))
+        for node in nodes_with(document, item.mesh)
+    }
+    for number in range(len(animations)):
+        animation = animations[number]
+        channels, samplers = list(animation.get("channels", [])), list(animation.get("samplers", []))
+        count = len(samplers)
+        shared: dict[int | None, int] = {}
+        for node, skin in skins.items():
+            clip = of_clip.get((number, -1 if skin is None else skin))
+            position = _weights_channel(channels, node)
+            if clip is None and position is None:
+                continue
+            sampler = shared.get(skin) if position is None and not there else None
+            if sampler is None:
+                own = None if position is None else samplers[int(channels[position]["sampler"])]
+                keys = _keys(document, own, clip, (node, there, item.count), place)
+                sampler = len(samplers)
+                samplers.append(_add_keys(additions, keys))
+                shared[skin] = sampler
+            if position is None:
+                changed.append([number, len(channels), None])
+                channels.append({"sampler": sampler, "target": {"node": node, "path": MORPH_WEIGHTS}})
+            else:
+                changed.append([number, position, channels[position]["sampler"]])
+                channels[position] = {**channels[position], "sampler": sampler}
+        if len(samplers) > count:
+            before[number] = count
+            animations[number] = {**animation, "channels": channels, "samplers": samplers}
+    return {"channels": changed, "samplers": [list(one) for one in before.items()]}
+
+
+def _weights_channel(channels: Sequence[JsonObject], node: int) -> int | None:
+    """Return the number of the channel that moves the morph weights of a node, None if there is none."""
+    for number, channel in enumerate(channels):
+        target = object_of(channel.get("target"))
+        if target.get("path") == MORPH_WEIGHTS and reference(target.get("node")) == node:
+            return number
+    return None
+
+
+def _keys(
+    document: Document,
+    sampler: JsonObject | None,
+    clip: ClipWeights | None,
+    of_node: tuple[int, int, int],
+    place: Place,
+) -> Keys:
+    """Return the keys of all weights of a node: those of a sampler, or its weights at rest, then correctives.
+
+    of_node are the node, the number of targets before, and the added ones. Without a clip, these are 0.
+    """
+    node, there, added = of_node
+    if sampler is None:
+        assert clip is not None
+        rest = resting_weights(document, node).astype(np.float32)
+        former = np.broadcast_to(rest, (len(clip.times), there)).astype(np.float32)
+        return Keys(clip.times, np.concatenate([former, clip.weights], axis=1), poses.LINEAR)
+    method = str(sampler.get("interpolation", poses.LINEAR))
+    times = read_accessor(document, int(sampler["input"]), place).decoded()[:, 0].astype(np.float32)
+    values = read_accessor(document, int(sampler["output"]), place).decoded().astype(np.float32)
+    each = 3 if method == poses.CUBICSPLINE else 1
+    if values.size != len(times) * each * there:
+        raise InputError(f"the weights of node {node} do not fit its {there} morph targets", place)
+    shape = (len(times), 3, there) if each == 3 else (len(times), there)
+    own = Keys(times, values.reshape(shape), method)
+    if clip is None:
+        ends = times[[0, -1]] if len(times) > 1 else times[:1]
+        return with_correctives(own, ends, np.zeros((len(ends), added), dtype=np.float32))
+    return with_correctives(own, clip.times, clip.weights)
+
+
+def _add_keys(additions: Additions, keys: Keys) -> JsonObject:
+    """Add the keys of a sampler, and return its JSON."""
+    numbers: Iterator[int] = (
+        additions.add_described(
+            {
+                "bufferView": additions.add_stream(np.ascontiguousarray(values, dtype="<f4").tobytes()),
+                "componentType": 5126,
+                "count": values.size,
+                "type": "SCALAR",
+                **bounds,
+            }
+        )
+        for values, bounds in (
+            (keys.times, {"min": [float(keys.times.min())], "max": [float(keys.times.max())]}),
+            (keys.values, {}),
+        )
+    )
+    source, output = numbers
+    return {"input": source, "output": output, "interpolation": keys.method}

@@ -1,0 +1,1 @@
+"""Tests of correctives, and of stock viewers that play them."""

@@ -1,0 +1,166 @@
+"""Files with correctives: what is written, what stays, and what they draw."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from skinbake.gltf.document import read_document
+from skinbake.gltf.primitives import read_primitive, skinned_sources
+from tests.correctives.models import SHEET, TUBE, parted
+from tests.correctives.played import drawn, weights_at
+from tests.support import corpus, gltf_reading, khronos
+from tests.support.characters import Array, angles
+from tests.support.command_line import invoke
+from tests.support.triangle_truth import true_normals
+
+
+def bake(source: Path, target: Path, *options: str, code: int = 0) -> str:
+    result = invoke("bake", source, "-o", target, "--correctives", *(options or ("auto",)))
+    assert result.exit_code == code, result.output
+    return result.output
+
+
+def mean_errors(path: Path, clip: int, times: list[float], **how: Any) -> Array:
+    """Return the mean angles (2,) to the normals of posed triangles: standard, and corrected."""
+    primitive = read_primitive(*_first(path))
+    found = []
+    for time in times:
+        standard, corrected = (next(drawn(path, clip, time, corrected=one, **how)) for one in (False, True))
+        truth = true_normals(primitive, standard.positions[None])[0]
+        known = np.isfinite(truth[:, 0])
+        found.append([angles(one.normals[known], truth[known]).mean() for one in (standard, corrected)])
+    mean: Array = np.mean(found, axis=0)
+    return mean
+
+
+def _first(path: Path) -> tuple[Any, Any]:
+    document = read_document(str(path))
+    return document, skinned_sources(document)[0][0]
+
+
+@pytest.mark.parametrize("encoding", ["float32", "snorm16", "packed8"])
+def test_normals_of_posed_triangles_are_nearer_than_those_of_standard_lighting(
+    tmp_path: Path, encoding: str
+) -> None:
+    bake(corpus.character("CesiumMan/CesiumMan.glb"), tmp_path / "out.glb", "auto", "--encoding", encoding)
+    for store in ("difference", "direction"):
+        if (store, encoding) == ("direction", "packed8"):
+            continue  # bytes are for engines that keep differences
+        standard, corrected = mean_errors(tmp_path / "out.glb", 0, [0.13, 0.42, 0.71], store=store)
+        assert corrected < 0.5 * standard
+
+
+@pytest.mark.parametrize("source", [TUBE, SHEET], ids=lambda path: path.stem)
+@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
+def test_strip_gives_the_input_back_and_a_second_bake_changes_nothing(
+    tmp_path: Path, source: Path, suffix: str
+) -> None:
+    given = tmp_path / f"in{suffix}"
+    if suffix == ".glb":
+        given.write_bytes(source.read_bytes())
+    else:
+        content = gltf_reading.read(source)
+        (tmp_path / "in.bin").write_bytes(content.binary_chunk or b"")
+        content.content["buffers"][0]["uri"] = "in.bin"
+        given.write_text(json.dumps(content.content, indent=2))
+    made, again, back = (tmp_path / f"{name}{suffix}" for name in ("made", "again", "back"))
+    bake(given, made)
+    bake(made, again)
+    assert again.read_bytes() == made.read_bytes()
+    assert invoke("strip", made, "-o", back).exit_code == 0
+    assert back.read_bytes() == given.read_bytes()
+    report = khronos.validate(made)
+    before = khronos.validate(given)
+    assert report["errors"] == before["errors"] and report["warnings"] == before["warnings"]
+
+
+def test_every_target_of_every_primitive_has_what_others_have(tmp_path: Path) -> None:
+    bake(parted(tmp_path / "in.glb"), tmp_path / "out.glb", "3")
+    file = gltf_reading.read(tmp_path / "out.glb")
+    mesh = file.content["meshes"][0]
+    assert [len(one["targets"]) for one in mesh["primitives"]] == [3, 3, 3]
+    names = [set(target) for one in mesh["primitives"] for target in one["targets"]]
+    assert all(one == {"POSITION", "NORMAL"} for one in names)
+    nodes = [number for number, node in enumerate(file.content["nodes"]) if "skin" in node]
+    assert len(nodes) == 2
+    assert all(np.any(weights_at(file, 0, node, 0.4)) for node in nodes)
+    invoke("strip", tmp_path / "out.glb", "-o", tmp_path / "back.glb")
+    assert (tmp_path / "back.glb").read_bytes() == (tmp_path / "in.glb").read_bytes()
+    assert mesh["weights"] == [0, 0, 0]
+    assert mesh["extras"]["targetNames"] == [f"corrective normal {number}" for number in (1, 2, 3)]
+
+
+def test_targets_and_weights_of_the_file_come_first_and_keep_their_values(tmp_path: Path) -> None:
+    bake(SHEET, tmp_path / "sheet.glb", "2")
+    before, after = gltf_reading.read(SHEET), gltf_reading.read(tmp_path / "sheet.glb")
+    for old, new in zip(before.primitive(0)["targets"], after.primitive(0)["targets"], strict=False):
+        assert all(new[name] == number for name, number in old.items())
+    own = len(before.primitive(0)["targets"])
+    for clip in range(len(before.content["animations"])):
+        for time in np.linspace(0, 1, 9):
+            old, new = (
+                weights_at(file, clip, node, time) for file in (before, after) for node in [_drawer(file)]
+            )
+            rest = before.content["meshes"][0].get("weights", [0.0] * own)
+            assert new is not None
+            assert new[:own] == pytest.approx(rest if old is None else old, abs=1e-6)
+
+
+def _drawer(file: gltf_reading.GltfFile) -> int:
+    return next(number for number, node in enumerate(file.content["nodes"]) if "skin" in node)
+
+
+def test_a_clip_that_is_left_out_plays_zeros(tmp_path: Path) -> None:
+    source = corpus.model("RiggedElf/RiggedElf.gltf")
+    names = [one["name"] for one in json.loads(source.read_text())["animations"]]
+    bake(source, tmp_path / "elf.glb", "2", "--clips", names[0])
+    file = gltf_reading.read(tmp_path / "elf.glb")
+    node = _drawer(file)
+    assert np.any(weights_at(file, 0, node, 0.3))
+    for clip in range(1, len(names)):
+        assert weights_at(file, clip, node, 0.3) == pytest.approx([0.0, 0.0])
+
+
+def test_an_unknown_clip_is_an_error_with_the_known_ones(tmp_path: Path) -> None:
+    assert "its clips are: " in bake(TUBE, tmp_path / "out.glb", "2", "--clips", "fly", code=3)
+    assert not (tmp_path / "out.glb").exists()
+
+
+def test_a_file_has_one_kind_of_bake(tmp_path: Path) -> None:
+    assert invoke("bake", TUBE, "-o", tmp_path / "gradients.glb").exit_code == 0
+    said = bake(tmp_path / "gradients.glb", tmp_path / "out.glb", code=3)
+    assert "it has α/β already" in said and "skinbake strip" in said
+    bake(TUBE, tmp_path / "corrected.glb")
+    result = invoke("bake", tmp_path / "corrected.glb", "-o", tmp_path / "out.glb")
+    assert result.exit_code == 3 and "it has correctives already" in result.output
+    assert not (tmp_path / "out.glb").exists()
+
+
+@pytest.mark.parametrize("threads", ["1", "3"])
+def test_bytes_do_not_depend_on_the_number_of_threads(tmp_path: Path, threads: str) -> None:
+    bake(TUBE, tmp_path / "any.glb")
+    bake(TUBE, tmp_path / "some.glb", "auto", "--threads", threads)
+    assert (tmp_path / "some.glb").read_bytes() == (tmp_path / "any.glb").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        (["--layout", "custom"], "contradicts"),
+        (["--limit-influences", "4"], "contradicts"),
+        (["--generate-normals"], "contradicts"),
+        (["--gradients", "poses"], "--corrective-aim gradients"),
+    ],
+)
+def test_options_of_gradients_are_refused(tmp_path: Path, option: list[str], words: str) -> None:
+    assert words in bake(TUBE, tmp_path / "out.glb", "auto", *option, code=2)
+
+
+def test_clips_without_correctives_are_refused(tmp_path: Path) -> None:
+    result = invoke("bake", TUBE, "-o", tmp_path / "out.glb", "--clips", "bend")
+    assert result.exit_code == 2 and "--correctives auto" in result.output
