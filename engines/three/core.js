@@ -121,6 +121,15 @@ class MeshReport {
         return this.#found()[1];
     }
 
+    // 'none'; 'accurate'; 'derivatives': without TANGENT, three.js finds its frame at the pixel, from the triangles as
+    // they are now; 'standard': three.js's frame, of normal and tangent alone.
+    get normalMap() {
+        const drawn = state.meshes.get(this.mesh) ?? new WeakMap();
+        const found = materialsOf(this.mesh).map((material) => drawn.get(material)?.normalMap ?? 'none');
+        if (this.lighting !== 'accurate') return found.every((one) => one === 'none') ? 'none' : 'standard';
+        return ['standard', 'derivatives', 'accurate'].find((one) => found.includes(one)) ?? 'none';
+    }
+
     #found() {
         const { geometry } = this.mesh;
         const adopted = state.geometries.get(geometry);
@@ -477,11 +486,22 @@ function assembled(sources) {
     return both.map((array) => new state.three.BufferAttribute(array, 3));
 }
 
-function tell(mesh, reason) {
+function tell(mesh, reason, what = "three.js's standard lighting") {
     const messages = state.told.get(mesh) ?? state.told.set(mesh, new Set()).get(mesh);
     if (messages.has(reason)) return;
     messages.add(reason);
-    console.warn(`skinbake: "${mesh.name}" has three.js's standard lighting: ${reason}`);
+    console.warn(`skinbake: "${mesh.name}" has ${what}: ${reason}`);
+}
+
+function tellOfMap(mesh, { name, type, normalMapType }) {
+    const why = normalMapType === 1 ? 'its normal map is in object space' : 'its shader has no varyings for them';
+    tell(mesh, why, `three.js's own tangents for the normal map of its ${type} "${name}"`);
+}
+
+// Whether a material reads a tangent frame, and three.js gives it TANGENT.
+export function framedBy({ geometry }, { normalMap, clearcoatNormalMap, anisotropy }) {
+    if (!normalMap && !clearcoatNormalMap && !(anisotropy > 0)) return 'none';
+    return geometry.attributes.tangent && (normalMap || anisotropy > 0) ? 'tangent' : 'derivatives';
 }
 
 // Watch each draw of skinned meshes, of whatever origin: gltfjsx and clone() make new ones.
@@ -599,6 +619,7 @@ function afterDraw(renderer, scene, camera, geometry, material) {
     if (found === before) return;
     drawn.set(material, found);
     if (found.lighting === 'standard') tell(this, found.reason);
+    else if (found.normalMap === 'standard') tellOfMap(this, material);
 }
 
 const UNSERVED = {

@@ -18,6 +18,12 @@ export interface MeshReport {
     readonly lighting: DrawnLighting;
     /** Why the lighting is not accurate. Empty if it is. */
     readonly reason: string;
+    /**
+     * How normal maps, that of the clear coat, and anisotropy follow the surface. `accurate`: as a relief over it.
+     * `derivatives`: without TANGENT, by three.js's frame of the triangle at the pixel. `standard`: by three.js's frame
+     * of normal and tangent.
+     */
+    readonly normalMap: 'accurate' | 'derivatives' | 'standard' | 'none';
 }
 
 export interface SkinbakeReport {

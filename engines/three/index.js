@@ -8,8 +8,19 @@
 //     loader.register((parser) => new SkinbakePlugin(parser)); // GLTFLoader; or applySkinbake(scene)
 
 import { BufferAttribute, InstancedBufferAttribute, ShaderChunk, SkinnedMesh } from 'three';
-import { apply, applyToAll, DUAL, serve } from './core.js';
-import { AFTER_NORMAL, AFTER_POSITION, BEFORE_NORMAL, BEFORE_POSITION, DECLARATIONS, METHOD } from './shaders.js';
+import { apply, applyToAll, DUAL, framedBy, serve } from './core.js';
+import {
+    AFTER_ANISOTROPY,
+    AFTER_FRAME,
+    AFTER_NORMAL,
+    AFTER_POSITION,
+    AFTER_VARYINGS,
+    BEFORE_NORMAL,
+    BEFORE_POSITION,
+    DECLARATIONS,
+    METHOD,
+    VARYINGS,
+} from './shaders.js';
 
 export { dispose, lighting } from './core.js';
 
@@ -49,6 +60,11 @@ const CHUNKS = {
     skinning_pars_vertex: ['', DECLARATIONS],
     skinnormal_vertex: [BEFORE_NORMAL, AFTER_NORMAL],
     skinning_vertex: [BEFORE_POSITION, AFTER_POSITION],
+    normal_pars_vertex: ['', VARYINGS],
+    normal_vertex: ['', AFTER_VARYINGS],
+    normal_pars_fragment: ['', VARYINGS],
+    normal_fragment_begin: ['', AFTER_FRAME],
+    lights_physical_fragment: ['', AFTER_ANISOTROPY],
 };
 const CHUNKED = Object.values(CHUNKS).join();
 const usual = {};
@@ -77,15 +93,34 @@ function renew(material) {
 }
 
 const failed = new WeakSet(); // materials whose program does not link with alpha and beta
+const unmapped = new WeakSet(); // materials whose program does not link with what normal maps need
 
-// With this define, the program of a material is three.js's own.
+// With the one define, the program of a material is three.js's own. With the other one, normal maps and anisotropy
+// follow the surface.
 function choose(mesh, material, isSettled) {
     const { defines = {}, isRawShaderMaterial, isNodeMaterial } = material;
+    if (isRawShaderMaterial || isNodeMaterial) return;
     const isPlain = isSettled || failed.has(material);
-    if ((defines.SKINBAKE_STANDARD !== undefined) === isPlain || isRawShaderMaterial || isNodeMaterial) return;
-    const { SKINBAKE_STANDARD, ...others } = defines;
-    material.defines = isPlain ? { ...others, SKINBAKE_STANDARD: '' } : others;
+    const isMapped = !unmapped.has(material) && (defines.SKINBAKE_NORMAL_MAP !== undefined || framedBy(mesh, material) === 'tangent');
+    if (
+        (defines.SKINBAKE_STANDARD !== undefined) === isPlain &&
+        (defines.SKINBAKE_NORMAL_MAP !== undefined) === isMapped
+    ) {
+        return;
+    }
+    const { SKINBAKE_STANDARD, SKINBAKE_NORMAL_MAP, ...others } = defines;
+    if (isPlain) others.SKINBAKE_STANDARD = '';
+    if (isMapped) others.SKINBAKE_NORMAL_MAP = '';
+    material.defines = others;
     material.needsUpdate = true;
+}
+
+// Look whether the program takes the texels of a normal map over the surface as it is now.
+function normalMapOf(renderer, mesh, material, program) {
+    const frame = framedBy(mesh, material);
+    if (frame !== 'tangent') return material.normalMapType === 1 && frame !== 'none' ? 'standard' : frame;
+    const text = renderer.getContext().getShaderSource(program.fragmentShader) ?? '';
+    return material.normalMapType !== 1 && text.includes('tbn[0] *= vSkinbakeLengths') ? 'accurate' : 'standard';
 }
 
 // Look at the program that drew a mesh: the compiler drops attributes that nothing reads.
@@ -95,8 +130,16 @@ function verifyProgram(renderer, mesh, material, before) {
     if (before?.program === program && before.isDual === isDual) return before;
     const attributes = program?.getAttributes() ?? {};
     const found = { program, isDual, lighting: 'accurate', reason: '', repaired: before?.repaired };
-    if (attributes.morphSkinbakeAlpha) return found;
-    if (program && !Object.keys(attributes).length && !isLinked(renderer, program)) failed.add(material);
+    if (attributes.morphSkinbakeAlpha) {
+        return { ...found, normalMap: normalMapOf(renderer, mesh, material, program) };
+    }
+    if (program && !Object.keys(attributes).length && !isLinked(renderer, program)) {
+        if (material.defines?.SKINBAKE_NORMAL_MAP !== undefined) {
+            unmapped.add(material);
+            return { ...found, lighting: 'not drawn' };
+        }
+        failed.add(material);
+    }
     if (failed.has(material)) {
         const reason = `its ${material.type} "${material.name}" does not link with alpha and beta: see the error above`;
         return { ...found, lighting: 'standard', reason };

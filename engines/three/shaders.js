@@ -31,111 +31,6 @@ bool skinbake_hasDualQuaternions()
     return morphSkinbakeStorage.z > 0.5;
 }
 
-#ifndef SKINBAKE_VERTEX
-#define SKINBAKE_VERTEX
-// A skinned vertex. Its vectors have any length. tangent and bitangent are the images of t0 and b0.
-struct skinbake_Vertex {
-    vec3 position;
-    vec3 normal;
-    vec3 tangent;
-    vec3 bitangent;
-};
-
-// The tangent frame at rest.
-struct skinbake_Frame {
-    vec3 normal;
-    vec3 tangent;
-    vec3 bitangent;
-    float handedness; // n0 = handedness * cross(t0, b0) / |t0|^2
-};
-#endif
-
-#ifndef SKINBAKE_FRAME_FROM_TANGENT
-#define SKINBAKE_FRAME_FROM_TANGENT
-// The frame of NORMAL, which must have length 1, and TANGENT.
-skinbake_Frame skinbake_frame(vec3 n, vec4 tangent)
-{
-    return skinbake_Frame(n, tangent.xyz, cross(n, tangent.xyz) * tangent.w, tangent.w);
-}
-#endif
-
-#ifndef SKINBAKE_FRAME_FROM_NORMAL
-#define SKINBAKE_FRAME_FROM_NORMAL
-// The frame that bake took from NORMAL alone. n must have length 1. Every product in a sum is exact, so a compiler
-// that fuses multiply-adds gets the same bits. side is the last factor, because Mesa turns side * ((x * x) * a)
-// into side * (x * (x * a)).
-skinbake_Frame skinbake_frame(vec3 n)
-{
-    float side = n.z >= 0.0 ? 1.0 : -1.0; // 1 also at -0.0
-    float a = -1.0 / (side + n.z);
-    float b = (n.x * n.y) * a;
-    vec3 t0 = vec3(1.0 + ((n.x * n.x) * a) * side, side * b, -side * n.x);
-    vec3 b0 = vec3(b, side * (1.0 + ((n.y * n.y) * a) * side), -n.y);
-    return skinbake_Frame(n, t0, b0, 1.0);
-}
-#endif
-
-#ifndef SKINBAKE_DECODED
-#define SKINBAKE_DECODED
-// alpha or beta of slots 1 to 3, from set 0. xyz are relative to the scale of the vertex. w is the square root of
-// that scale, relative to the scale of the file.
-vec3 skinbake_decoded(vec4 stored, float scale)
-{
-    return (scale * stored.w * stored.w) * stored.xyz;
-}
-#endif
-
-#ifndef SKINBAKE_MORPHED
-#define SKINBAKE_MORPHED
-// The frame under morph targets, by the morphed normal n: NORMAL plus the weighted sum of its targets, of any
-// length. The frame at rest turns by the smallest rotation that takes its normal to n. Do not use
-// skinbake_frame(n): alpha and beta belong to the frame at rest.
-skinbake_Frame skinbake_morphed_frame(skinbake_Frame rest, vec3 n)
-{
-    float square = dot(n, n);
-    vec3 normal = square > 0.0 ? n * inversesqrt(square) : rest.normal;
-    vec3 s = rest.normal + normal;
-    vec3 d = normal - rest.normal;
-    bool opposite = dot(s, s) < 1e-4; // then every half turn is the smallest: take the one about t0
-    float k = opposite ? 0.0 : 2.0 / dot(s, s);
-    vec3 tangent = rest.tangent - s * (k * dot(d, rest.tangent));
-    vec3 bitangent = rest.bitangent - s * (k * dot(d, rest.bitangent));
-    return skinbake_Frame(normal, tangent, opposite ? -bitangent : bitangent, rest.handedness);
-}
-#endif
-
-#ifndef SKINBAKE_MOVED
-#define SKINBAKE_MOVED
-// M p: the position p moved by the joint matrix M alone.
-vec3 skinbake_moved(mat4 M, vec3 p)
-{
-    return M[0].xyz * p.x + (M[1].xyz * p.y + (M[2].xyz * p.z + M[3].xyz));
-}
-#endif
-
-// The frame moves by the derivative of the skinned position along t0 and b0.
-// M: the joint matrices of slots 0 to 3.
-skinbake_Vertex skinbake_lbs_accurate(vec3 p, skinbake_Frame frame, mat4 M[4], vec4 weights_0, vec3 alpha_0,
-        vec3 beta_0)
-{
-    mat3 T = weights_0.x * mat3(M[0]) // 1
-            + weights_0.y * mat3(M[1])
-            + weights_0.z * mat3(M[2])
-            + weights_0.w * mat3(M[3]);
-    vec3 q0 = skinbake_moved(M[0], p); // 2
-    vec3 q1 = skinbake_moved(M[1], p);
-    vec3 q2 = skinbake_moved(M[2], p);
-    vec3 q3 = skinbake_moved(M[3], p);
-    vec3 d1 = q1 - q0; // 3
-    vec3 d2 = q2 - q0;
-    vec3 d3 = q3 - q0;
-    skinbake_Vertex v;
-    v.tangent = T * frame.tangent + alpha_0.x * d1 + alpha_0.y * d2 + alpha_0.z * d3; // 4
-    v.bitangent = T * frame.bitangent + beta_0.x * d1 + beta_0.y * d2 + beta_0.z * d3; // 5
-    v.normal = frame.handedness * cross(v.tangent, v.bitangent); // 6
-    v.position = q0 + weights_0.y * d1 + weights_0.z * d2 + weights_0.w * d3; // 7
-    return v;
-}
 
 #ifndef SKINBAKE_VERTEX
 #define SKINBAKE_VERTEX
@@ -145,6 +40,8 @@ struct skinbake_Vertex {
     vec3 normal;
     vec3 tangent;
     vec3 bitangent;
+    vec3 cotangent; // for normal maps: the cofactors of (t', b', T n0), of which normal is the third
+    vec3 cobitangent;
 };
 
 // The tangent frame at rest.
@@ -274,6 +171,116 @@ skinbake_Vertex skinbake_dqs_exact(vec3 p, skinbake_Frame frame, mat2x4 Q[4], ve
     v.tangent = skinbake_derivative(b, k, p, i, delta, frame.tangent, db_t); // 7
     v.bitangent = skinbake_derivative(b, k, p, i, delta, frame.bitangent, db_b); // 8
     v.normal = frame.handedness * cross(v.tangent, v.bitangent); // 9
+    vec3 carried = frame.normal + k * cross(b[0].xyz, b[0].w * frame.normal + cross(b[0].xyz,
+            frame.normal)); // 10
+    v.cotangent = frame.handedness * cross(v.bitangent, carried); // 11
+    v.cobitangent = frame.handedness * cross(carried, v.tangent); // 12
+    return v;
+}
+
+#ifndef SKINBAKE_VERTEX
+#define SKINBAKE_VERTEX
+// A skinned vertex. Its vectors have any length. tangent and bitangent are the images of t0 and b0.
+struct skinbake_Vertex {
+    vec3 position;
+    vec3 normal;
+    vec3 tangent;
+    vec3 bitangent;
+};
+
+// The tangent frame at rest.
+struct skinbake_Frame {
+    vec3 normal;
+    vec3 tangent;
+    vec3 bitangent;
+    float handedness; // n0 = handedness * cross(t0, b0) / |t0|^2
+};
+#endif
+
+#ifndef SKINBAKE_FRAME_FROM_TANGENT
+#define SKINBAKE_FRAME_FROM_TANGENT
+// The frame of NORMAL, which must have length 1, and TANGENT.
+skinbake_Frame skinbake_frame(vec3 n, vec4 tangent)
+{
+    return skinbake_Frame(n, tangent.xyz, cross(n, tangent.xyz) * tangent.w, tangent.w);
+}
+#endif
+
+#ifndef SKINBAKE_FRAME_FROM_NORMAL
+#define SKINBAKE_FRAME_FROM_NORMAL
+// The frame that bake took from NORMAL alone. n must have length 1. Every product in a sum is exact, so a compiler
+// that fuses multiply-adds gets the same bits. side is the last factor, because Mesa turns side * ((x * x) * a)
+// into side * (x * (x * a)).
+skinbake_Frame skinbake_frame(vec3 n)
+{
+    float side = n.z >= 0.0 ? 1.0 : -1.0; // 1 also at -0.0
+    float a = -1.0 / (side + n.z);
+    float b = (n.x * n.y) * a;
+    vec3 t0 = vec3(1.0 + ((n.x * n.x) * a) * side, side * b, -side * n.x);
+    vec3 b0 = vec3(b, side * (1.0 + ((n.y * n.y) * a) * side), -n.y);
+    return skinbake_Frame(n, t0, b0, 1.0);
+}
+#endif
+
+#ifndef SKINBAKE_DECODED
+#define SKINBAKE_DECODED
+// alpha or beta of slots 1 to 3, from set 0. xyz are relative to the scale of the vertex. w is the square root of
+// that scale, relative to the scale of the file.
+vec3 skinbake_decoded(vec4 stored, float scale)
+{
+    return (scale * stored.w * stored.w) * stored.xyz;
+}
+#endif
+
+#ifndef SKINBAKE_MORPHED
+#define SKINBAKE_MORPHED
+// The frame under morph targets, by the morphed normal n: NORMAL plus the weighted sum of its targets, of any
+// length. The frame at rest turns by the smallest rotation that takes its normal to n. Do not use
+// skinbake_frame(n): alpha and beta belong to the frame at rest.
+skinbake_Frame skinbake_morphed_frame(skinbake_Frame rest, vec3 n)
+{
+    float square = dot(n, n);
+    vec3 normal = square > 0.0 ? n * inversesqrt(square) : rest.normal;
+    vec3 s = rest.normal + normal;
+    vec3 d = normal - rest.normal;
+    bool opposite = dot(s, s) < 1e-4; // then every half turn is the smallest: take the one about t0
+    float k = opposite ? 0.0 : 2.0 / dot(s, s);
+    vec3 tangent = rest.tangent - s * (k * dot(d, rest.tangent));
+    vec3 bitangent = rest.bitangent - s * (k * dot(d, rest.bitangent));
+    return skinbake_Frame(normal, tangent, opposite ? -bitangent : bitangent, rest.handedness);
+}
+#endif
+
+#ifndef SKINBAKE_MOVED
+#define SKINBAKE_MOVED
+// M p: the position p moved by the joint matrix M alone.
+vec3 skinbake_moved(mat4 M, vec3 p)
+{
+    return M[0].xyz * p.x + (M[1].xyz * p.y + (M[2].xyz * p.z + M[3].xyz));
+}
+#endif
+
+// The frame moves by the derivative of the skinned position along t0 and b0.
+// M: the joint matrices of slots 0 to 3.
+skinbake_Vertex skinbake_lbs_accurate(vec3 p, skinbake_Frame frame, mat4 M[4], vec4 weights_0, vec3 alpha_0,
+        vec3 beta_0)
+{
+    mat3 T = weights_0.x * mat3(M[0]) // 1
+            + weights_0.y * mat3(M[1])
+            + weights_0.z * mat3(M[2])
+            + weights_0.w * mat3(M[3]);
+    vec3 q0 = skinbake_moved(M[0], p); // 2
+    vec3 q1 = skinbake_moved(M[1], p);
+    vec3 q2 = skinbake_moved(M[2], p);
+    vec3 q3 = skinbake_moved(M[3], p);
+    vec3 d1 = q1 - q0; // 3
+    vec3 d2 = q2 - q0;
+    vec3 d3 = q3 - q0;
+    skinbake_Vertex v;
+    v.tangent = T * frame.tangent + alpha_0.x * d1 + alpha_0.y * d2 + alpha_0.z * d3; // 4
+    v.bitangent = T * frame.bitangent + beta_0.x * d1 + beta_0.y * d2 + beta_0.z * d3; // 5
+    v.normal = frame.handedness * cross(v.tangent, v.bitangent); // 6
+    v.position = q0 + weights_0.y * d1 + weights_0.z * d2 + weights_0.w * d3; // 7
     return v;
 }
 
@@ -300,8 +307,23 @@ skinbake_Vertex skinbake_turned(vec3 p, skinbake_Frame frame, mat4 M[4], vec3 al
     v.tangent = first * v.tangent;
     v.bitangent = first * v.bitangent;
     v.normal = frame.handedness * cross(v.tangent, v.bitangent);
+    mat3 cofactors = mat3(cross(first[1], first[2]), cross(first[2], first[0]), cross(first[0], first[1]));
+    v.cotangent = cofactors * v.cotangent;
+    v.cobitangent = cofactors * v.cobitangent;
     return v;
 }
+
+#ifdef SKINBAKE_NORMAL_MAP
+// A normal of the mesh in view space, as three.js moves it, but never to the side of the back.
+vec3 skinbake_viewed(vec3 n)
+{
+#ifdef USE_INSTANCING
+    mat3 instance = mat3(instanceMatrix);
+    n = instance * (n / vec3(dot(instance[0], instance[0]), dot(instance[1], instance[1]), dot(instance[2], instance[2])));
+#endif
+    return normalMatrix * n;
+}
+#endif
 
 #endif
 `;
@@ -309,6 +331,11 @@ skinbake_Vertex skinbake_turned(vec3 p, skinbake_Frame frame, mat4 M[4], vec3 al
 export const BEFORE_NORMAL = /* glsl */ `
 #if defined(USE_SKINNING) && !defined(SKINBAKE_STANDARD)
 vec3 skinbakeMorphedNormal = objectNormal;
+#ifdef SKINBAKE_NORMAL_MAP
+vec3 skinbakeCotangent = vec3(0.0);
+vec3 skinbakeCobitangent = vec3(0.0);
+vec3 skinbakeThird = vec3(0.0); // n' = t' x b', which the other two belong to
+#endif
 #endif
 `;
 
@@ -338,6 +365,11 @@ if (skinbake_isBaked()) {
     mat3 bind = mat3(bindMatrix);
     moved.tangent = bind * frame.tangent;
     moved.bitangent = bind * frame.bitangent;
+#ifdef SKINBAKE_NORMAL_MAP
+    moved.normal = bind * frame.normal;
+    // What is displaced along the normal moves as three.js moves normals.
+    vec3 carried = objectNormal / max(length(skinbakeMorphedNormal), 1e-20);
+#endif
     mat4 M[4] = mat4[4](boneMatX, boneMatY, boneMatZ, boneMatW);
     vec3 q = (bindMatrix * vec4(p, 1.0)).xyz;
     vec3 alpha = skinbake_decoded(morphSkinbakeAlpha, morphSkinbakeStorage.x);
@@ -355,6 +387,32 @@ if (skinbake_isBaked()) {
     }
 #ifdef USE_TANGENT
     objectTangent = back * (along.x * v.tangent + along.y * v.bitangent);
+#ifdef SKINBAKE_NORMAL_MAP
+    vec3 image = back * v.tangent;
+    vec3 other = back * v.bitangent;
+    skinbakeThird = frame.handedness * cross(image, other);
+    vec3 first = frame.handedness * cross(other, carried);
+    vec3 second = frame.handedness * cross(carried, image);
+    if (skinbake_hasDualQuaternions()) {
+        first = cofactors * v.cotangent;
+        second = cofactors * v.cobitangent;
+    }
+    if (skinbake_hasTangentFrame()) {
+        skinbakeCotangent = length(frame.tangent) * first;
+        skinbakeCobitangent = length(frame.tangent) * second;
+    } else {
+        // Cofactors are linear: those of t and b follow from those of t0, b0 and n0. t may lean from n0.
+        skinbake_Frame rest = skinbake_frame(n0);
+        vec3 t = normalize(tangent.xyz);
+        vec3 b = tangent.w * normalize(cross(n0, t));
+        skinbakeCotangent = dot(t, rest.tangent) * first + dot(t, rest.bitangent) * second + dot(t, n0) * skinbakeThird;
+        skinbakeCobitangent = dot(b, rest.tangent) * first + dot(b, rest.bitangent) * second;
+    }
+    // The normal may be turned outside.
+    float side = dot(skinbakeThird, objectNormal) < 0.0 ? -1.0 : 1.0;
+    skinbakeCotangent *= side;
+    skinbakeCobitangent *= side;
+#endif
 #endif
 }
 #endif
@@ -374,5 +432,51 @@ if (skinbake_isBaked() && skinbake_hasDualQuaternions()) {
     vec3 q = (bindMatrix * vec4(skinbakeUnskinned, 1.0)).xyz;
     transformed = (bindMatrixInverse * vec4(skinbake_turned(q, frame, M, vec3(0.0), vec3(0.0)).position, 1.0)).xyz;
 }
+#endif
+`;
+
+// For normal maps: directions of length 1, in place of three.js's, and their lengths over that of the normal. tbn then
+// takes a texel as a relief over the surface. Meshes that are not baked have three.js's own, and 1.
+export const VARYINGS = /* glsl */ `
+#if defined(SKINBAKE_NORMAL_MAP) && defined(USE_TANGENT) && !defined(FLAT_SHADED) && !defined(SKINBAKE_STANDARD)
+varying vec2 vSkinbakeLengths;
+#endif
+`;
+
+export const AFTER_VARYINGS = /* glsl */ `
+#if defined(SKINBAKE_NORMAL_MAP) && defined(USE_TANGENT) && !defined(FLAT_SHADED) && !defined(SKINBAKE_STANDARD)
+vSkinbakeLengths = vec2(1.0);
+#ifdef USE_SKINNING
+if (skinbake_isBaked()) {
+    vTangent = skinbake_viewed(skinbakeCotangent);
+    vBitangent = skinbake_viewed(skinbakeCobitangent);
+    vSkinbakeLengths = vec2(length(vTangent), length(vBitangent)) / length(skinbake_viewed(skinbakeThird));
+    vTangent = normalize(vTangent);
+    vBitangent = normalize(vBitangent);
+}
+#endif
+#endif
+`;
+
+export const AFTER_FRAME = /* glsl */ `
+#if defined(SKINBAKE_NORMAL_MAP) && defined(USE_TANGENT) && !defined(FLAT_SHADED) && !defined(SKINBAKE_STANDARD)
+#if defined(USE_NORMALMAP_TANGENTSPACE) || defined(USE_CLEARCOAT_NORMALMAP) || defined(USE_ANISOTROPY)
+tbn[0] *= vSkinbakeLengths.x;
+tbn[1] *= vSkinbakeLengths.y;
+#endif
+#ifdef USE_CLEARCOAT_NORMALMAP
+tbn2[0] *= vSkinbakeLengths.x;
+tbn2[1] *= vSkinbakeLengths.y;
+#endif
+#endif
+`;
+
+// Hair and brushed metal follow t' and b' themselves.
+export const AFTER_ANISOTROPY = /* glsl */ `
+#if defined(SKINBAKE_NORMAL_MAP) && defined(USE_TANGENT) && !defined(FLAT_SHADED) && !defined(SKINBAKE_STANDARD)
+#ifdef USE_ANISOTROPY
+material.anisotropyT = normalize(cross(tbn[1], tbn[2]) * anisotropyV.x + cross(tbn[2], tbn[0]) * anisotropyV.y);
+material.anisotropyB = cross(tbn[2], material.anisotropyT);
+#endif
 #endif
 `;

@@ -93,6 +93,8 @@ class Character:
             beta=beta,
         )
         self._along = self._tangents_in_frame()
+        self.unmorphed = self.rest
+        self.triangles = file.triangles()
         self._morph(file)
 
     def _tangents_in_frame(self) -> Array | None:
@@ -136,9 +138,9 @@ class Character:
             np.linalg.inv(placement.world) @ placement.root @ self.joints @ placement.bind, np.float64
         )
 
-    def positions(self, placement: Placement) -> Array:
+    def positions(self, placement: Placement, algorithm: Algorithm = Algorithm.LBS_ACCURATE) -> Array:
         """Return the skinned positions (V, 3) in the world."""
-        posed = replay(Algorithm.LBS_ACCURATE, self.rest, self.matrices(placement)[None])
+        posed = replay(algorithm, self.rest, self.matrices(placement)[None])
         return np.asarray(posed.positions[0] @ placement.world[:3, :3].T + placement.world[:3, 3])
 
     def expected(self, algorithm: Algorithm, placement: Placement, *, cap: float | None = None) -> Normals:

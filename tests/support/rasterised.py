@@ -43,15 +43,29 @@ def fragments(
     positions, normals = posed.positions[0].astype(float), unit(posed.normals[0])
     clip = np.column_stack([positions, np.ones(len(positions))]) @ matrix.T
     places = (clip[:, :3] / clip[:, 3:] * [1, -1, 1] * 0.5 + 0.5) * [*size, 1]
+    covered, corners, shares = covering(places, clip[:, 3], view.now.triangles, size)
+    mixed = [np.einsum("hwk,hwki->hwi", shares, values[corners]) for values in (positions, normals)]
+    mixed[1] = mixed[1] / np.maximum(np.linalg.norm(mixed[1], axis=-1, keepdims=True), 1e-9)
+    return Fragments(covered, *mixed)
+
+
+def covering(
+    places: Array, depths: Array, triangles: np.ndarray, size: tuple[int, int], *, clockwise: bool = False
+) -> tuple[np.ndarray, np.ndarray, Array]:
+    """Return the pixels (H, W) that the nearest triangle covers, its vertices, and their shares, (H, W, 3).
+
+    places (V, 3) are pixels, from the top, and the depth. depths (V,) are those by which varyings are
+    divided. Triangles that seem clockwise are left out, or the others are.
+    """
     width, height = size
     depth = np.full((height, width), np.inf)
     owner = np.full((height, width), -1)
     shares = np.zeros((height, width, 3))
-    for number, triangle in enumerate(view.now.triangles):
+    for number, triangle in enumerate(triangles):
         corners = places[triangle]
         (x0, y0), (x1, y1), (x2, y2) = corners[:, :2]
         area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
-        if area >= 0:  # counter-clockwise, with y downwards
+        if (area <= 0) if clockwise else (area >= 0):  # counter-clockwise is negative, with y downwards
             continue
         columns = slice(max(0, int(min(x0, x1, x2) - 0.5)), min(width, int(max(x0, x1, x2) + 1.5)))
         rows = slice(max(0, int(min(y0, y1, y2) - 0.5)), min(height, int(max(y0, y1, y2) + 1.5)))
@@ -63,13 +77,10 @@ def fragments(
         nearer = (weights >= 0).all(axis=-1) & (z < depth[rows, columns])
         depth[rows, columns][nearer] = z[nearer]
         owner[rows, columns][nearer] = number
-        true_shares = weights / clip[triangle, 3]
+        true_shares = weights / depths[triangle]
         shares[rows, columns][nearer] = (true_shares / true_shares.sum(axis=-1, keepdims=True))[nearer]
     covered = owner >= 0
-    corners = view.now.triangles[np.where(covered, owner, 0)]
-    mixed = [np.einsum("hwk,hwki->hwi", shares, values[corners]) for values in (positions, normals)]
-    mixed[1] = mixed[1] / np.maximum(np.linalg.norm(mixed[1], axis=-1, keepdims=True), 1e-9)
-    return Fragments(covered, *mixed)
+    return covered, triangles[np.where(covered, owner, 0)], shares
 
 
 def eroded(mask: np.ndarray, steps: int) -> np.ndarray:

@@ -223,6 +223,40 @@ const api = {
         return images;
     },
 
+    // A vector of the fragment shader at every pixel, from a camera, with one texel as normal map for the base and the
+    // clear coat. Options: those of load; module, or none; method; texel; expression; camera; size; side.
+    async mapped({ module, method, texel, expression, camera, size, anisotropy = 0, ...options }) {
+        const scene = await load(options);
+        const skinbake = module && (await imported(module));
+        const [mesh] = skinnedMeshes(scene);
+        mesh.frustumCulled = mesh.matrixWorldAutoUpdate = false;
+        const map = new THREE.DataTexture(new Uint8Array([...texel, 255]), 1, 1);
+        map.needsUpdate = true;
+        mesh.material = new THREE.MeshPhysicalMaterial({
+            normalMap: map,
+            clearcoat: 1,
+            clearcoatNormalMap: map,
+            anisotropy,
+            side: THREE.FrontSide,
+        });
+        mesh.material.onBeforeCompile = (shader) => {
+            shader.fragmentShader = beforeLastBrace(shader.fragmentShader, `
+                gl_FragColor = vec4(${expression}, 1.0);`);
+        };
+        const seen = new THREE.Camera();
+        seen.matrixWorldAutoUpdate = false;
+        seen.projectionMatrix.fromArray(camera.projection);
+        seen.matrixWorldInverse.fromArray(camera.view);
+        seen.matrixWorld.copy(seen.matrixWorldInverse).invert();
+        const report = skinbake?.applySkinbake(mesh, { method });
+        drawn(mesh, seen, size, size);
+        const image = base64(drawn(mesh, seen, size, size));
+        const told = report?.meshes.map(({ lighting, normalMap }) => `${lighting} ${normalMap}`);
+        skinbake?.dispose(mesh);
+        mesh.material.dispose();
+        return { image, told, world: mesh.matrixWorld.toArray() };
+    },
+
     // Draw the model once in each material, lit, fogged and with shadows; the console has what goes wrong.
     async compile({ module, materials, ...options }) {
         const { applySkinbake, dispose } = await import(module);

@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import dataclasses
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,7 +38,9 @@ from tests.support.characters import (
     column_by_column,
     unit,
 )
+from tests.support.mapped import TEXELS, columns, pixels
 from tests.support.node import package_folder, require_node
+from tests.support.rasterised import covering, eroded
 from tests.support.stage import Stage, opened_page, page_of
 from tests.support.whole_fields import shader_text
 from tests.three.drawn import with_morphs
@@ -444,9 +446,10 @@ class TestMaterials:
         ):
             character = stage.character(source, RANDOM, frame)
             module = stage.module(for_frame(frame))
-            result = stage.call(
+            result = stage.page.call(
                 "compile", {**character.told(Placement()), "module": module, "materials": names}
             )
+            assert stage.messages() == [OBJECT_SPACE] * ("object-space map" in names)
             assert result["error"] == 0
             assert dict(zip(names, result["found"], strict=True)) == {
                 name: "unlit" if name in UNLIT else "accurate" for name in names
@@ -476,6 +479,10 @@ class TestMaterials:
         assert deviation(found.values[0], expected.normals) < TOLERANCE
 
 
+OBJECT_SPACE = (
+    'skinbake: "mirror" has three.js\'s own tangents for the normal map of its MeshStandardMaterial "": '
+    "its normal map is in object space"
+)
 UNLIT = {"depth"}
 """Materials whose programs read no normals."""
 
@@ -550,6 +557,139 @@ def look_at(
     view[:3, 3] = -0.5 * (seen.max(axis=0) + seen.min(axis=0))
     half = 0.52 * np.ptp(seen, axis=0).max()
     return np.diag([1 / half, 1 / half, -1 / half, 1.0]), view
+
+
+RELIEF_DEGREES = 0.2
+"""Between the pixels of a relief and the replay."""
+AT_REST = Pose(clip=None, angle=0.0)
+RELIEF = 160
+"""The width and height of pictures of a relief, in pixels."""
+
+
+class TestNormalMaps:
+    """Every pixel of a relief of constant tilt, in four directions, against the replay."""
+
+    def pixels(
+        self,
+        stage: ModuleStage,
+        character: Character,
+        choices: ShaderChoices | None,
+        texel: tuple[int, ...],
+        placement: Placement | None = None,
+        **options: object,
+    ) -> tuple[Array, Array, Callable[[Array], Array], Any]:
+        """Return the normals (P, 3) of the pixels that are drawn, in the world, and what they should be.
+
+        With them are what interpolates vectors of vertices there, and what the module reports.
+        """
+        placed = placement or Placement()
+        world = stage.vertices(character, None, placed).placement
+        x, y, z = placed.root[:3, :3] @ [0.4, 0.5, 1.0]
+        projection, view = look_at(character, world, (x, y, z))
+        found = stage.call(
+            "mapped",
+            {
+                **character.told(placed),
+                "module": None if choices is None else stage.module(choices),
+                "texel": texel,
+                "camera": {"projection": column_by_column(projection), "view": column_by_column(view)},
+                "size": RELIEF,
+                "expression": "normal",
+                **options,
+            },
+        )
+        drawn = floats(found["image"]).reshape(RELIEF, RELIEF, 4)[::-1]
+        algorithm = Algorithm.DQS_EXACT if options.get("method") == "dqs" else Algorithm.LBS_ACCURATE
+        varying = columns(character, algorithm, world)
+        points = np.insert(character.positions(world, algorithm), 3, 1, axis=1) @ (projection @ view).T
+        places = (points[:, :3] * [1, -1, 1] * 0.5 + 0.5) * [RELIEF, RELIEF, 1]
+        mirrors = np.linalg.det(world.world[:3, :3]) < 0
+        covered, corners, shares = covering(
+            places, points[:, 3], character.triangles, (RELIEF, RELIEF), clockwise=bool(mirrors)
+        )
+        # Over the edge between two triangles, a pixel may be either's.
+        both = eroded(covered & (drawn[..., 3] == 1), 1) & (shares.min(axis=-1) > 0.01)
+        assert both.mean() > 0.1
+        expected = pixels(varying, texel, corners, shares)
+
+        def between(vectors: Array) -> Array:
+            return np.asarray(np.einsum("pk,pki->pi", shares[both], vectors[corners[both]]))
+
+        return drawn[both][:, :3] @ view[:3, :3], expected[both], between, found.get("told")
+
+    def deviation(
+        self,
+        stage: ModuleStage,
+        character: Character,
+        choices: ShaderChoices,
+        placement: Placement | None = None,
+        **options: object,
+    ) -> float:
+        """Return the largest angle in degrees over the directions of the relief.
+
+        Of a thousand pixels one is left out: in folds, normals turn by degrees from one pixel to the next.
+        """
+        largest = 0.0
+        for texel in TEXELS:
+            found, wanted, _, told = self.pixels(stage, character, choices, texel, placement, **options)
+            assert told == ["accurate accurate"]
+            largest = max(largest, float(np.percentile(angles(found, wanted), 99.9)))
+        return largest
+
+    @pytest.mark.parametrize(
+        ("frame", "expression"),
+        [("normal", "normal"), ("tangent", "normal"), ("tangent", "clearcoatNormal")],
+    )
+    def test_pixels_in_a_pose_are_those_of_the_replay(
+        self, stage: ModuleStage, frame: str, expression: str
+    ) -> None:
+        character = stage.character(MIRRORED, RANDOM, frame)
+        choices = for_frame(frame)
+        assert self.deviation(stage, character, choices, expression=expression) < RELIEF_DEGREES
+        found, wanted, *_ = self.pixels(stage, character, None, TEXELS[0])
+        assert np.median(angles(found, wanted)) > 2
+
+    @pytest.mark.parametrize("frame", ["normal", "tangent"])
+    def test_dual_quaternions_have_pixels_of_their_own(self, stage: ModuleStage, frame: str) -> None:
+        character = stage.character(MIRRORED, RANDOM, frame)
+        assert self.deviation(stage, character, for_frame(frame), method="dqs") < RELIEF_DEGREES
+
+    def test_direct_lighting_has_the_same_pixels(self, stage: ModuleStage) -> None:
+        character = stage.character(MIRRORED, RANDOM, "tangent")
+        choices = for_frame("tangent", Lighting.DIRECT)
+        assert self.deviation(stage, character, choices) < RELIEF_DEGREES
+
+    @pytest.mark.parametrize("frame", ["normal", "tangent"])
+    def test_morph_targets_carry_the_relief_along(self, stage: ModuleStage, frame: str) -> None:
+        source = with_morphs(stage.models, MIRRORED)
+        character = stage.character(source, RANDOM, frame, morphs=(0.1, -0.1))
+        assert self.deviation(stage, character, for_frame(frame)) < RELIEF_DEGREES
+
+    @pytest.mark.parametrize("root", [PLACED, PLACED @ FLIPPED, SKEWED], ids=["", "mirrored", "skewed"])
+    def test_a_relief_is_placed_as_its_surface_is(self, stage: ModuleStage, root: Array) -> None:
+        """three.js mirrors a bitangent twice, and so takes bumps of a mirrored mesh for dents along it."""
+        character = stage.character(MIRRORED, RANDOM, "tangent")
+        assert self.deviation(stage, character, CHOICES, Placement(root)) < RELIEF_DEGREES
+
+    @pytest.mark.parametrize("frame", ["normal", "tangent"])
+    def test_pixels_at_rest_are_three_s_own(self, stage: ModuleStage, frame: str) -> None:
+        character = stage.character(MIRRORED, AT_REST, frame)
+        for texel in TEXELS[:2]:
+            own, wanted, *_ = self.pixels(stage, character, None, texel)
+            found, *_ = self.pixels(stage, character, for_frame(frame), texel)
+            assert angles(found, own).max() < 0.01
+            assert angles(own, wanted).max() < RELIEF_DEGREES
+
+    def test_anisotropy_follows_the_image_of_tangent(self, stage: ModuleStage) -> None:
+        character = stage.character(MIRRORED, RANDOM, "normal")
+        """Its sign has no effect. Grooves are directions in the surface, not slopes: no cofactors here."""
+        images = character.expected(Algorithm.LBS_ACCURATE, Placement()).tangents
+        assert images is not None
+        given = (stage, character, for_frame("normal"), TEXELS[0])
+        found, _, between, _ = self.pixels(*given, expression="material.anisotropyT", anisotropy=0.5)
+        wanted = between(images)
+        wanted *= np.sign(np.einsum("pi,pi->p", found, wanted))[:, None]
+        assert np.percentile(angles(found, wanted), 99) < 1
 
 
 @pytest.mark.parametrize(("model", "fixture", "pose"), [MODELS[0], MODELS[2]])

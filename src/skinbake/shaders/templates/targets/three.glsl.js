@@ -9,7 +9,7 @@
 //% endif
 //% set blended = lighting if method == "lbs" else "accurate"
 //% set lbs = text_for(reads=["packed8"], morphs="normal", frame="tangent", encoding="packed8", layout="attributes", attributes=None, method="lbs", lighting=blended, also=["frame_normal"])
-//% set dqs = text_for(reads=["packed8"], morphs="normal", frame="tangent", encoding="packed8", layout="attributes", attributes=None, method="dqs", lighting="exact", mirrored_joints=False)
+//% set dqs = text_for(reads=["packed8"], morphs="normal", frame="tangent", encoding="packed8", layout="attributes", attributes=None, method="dqs", lighting="exact", mirrored_joints=False, normal_map=True)
 // Shader text, written by skinbake @{ version }:
 //     @{ command }
 //
@@ -43,9 +43,12 @@ bool skinbake_hasDualQuaternions()
     return morphSkinbakeStorage.z > 0.5;
 }
 
-@{ lbs.snippet }
+//# First the vertex that has cotangents.
+//% for name, part in dqs.parts.items() if name != "normal_map"
+@{ part }
 
-@{ dqs.snippet }
+//% endfor
+@{ lbs.snippet }
 
 mat2x4 skinbake_motion(mat4 M, mat3 back, vec3 origin)
 {
@@ -70,8 +73,23 @@ skinbake_Vertex skinbake_turned(vec3 p, skinbake_Frame frame, mat4 M[4], vec3 al
     v.tangent = first * v.tangent;
     v.bitangent = first * v.bitangent;
     v.normal = frame.handedness * cross(v.tangent, v.bitangent);
+    mat3 cofactors = mat3(cross(first[1], first[2]), cross(first[2], first[0]), cross(first[0], first[1]));
+    v.cotangent = cofactors * v.cotangent;
+    v.cobitangent = cofactors * v.cobitangent;
     return v;
 }
+
+#ifdef SKINBAKE_NORMAL_MAP
+// A normal of the mesh in view space, as three.js moves it, but never to the side of the back.
+vec3 skinbake_viewed(vec3 n)
+{
+#ifdef USE_INSTANCING
+    mat3 instance = mat3(instanceMatrix);
+    n = instance * (n / vec3(dot(instance[0], instance[0]), dot(instance[1], instance[1]), dot(instance[2], instance[2])));
+#endif
+    return normalMatrix * n;
+}
+#endif
 
 #endif
 `;
@@ -79,6 +97,11 @@ skinbake_Vertex skinbake_turned(vec3 p, skinbake_Frame frame, mat4 M[4], vec3 al
 export const BEFORE_NORMAL = /* glsl */ `
 #if defined(USE_SKINNING) && !defined(SKINBAKE_STANDARD)
 vec3 skinbakeMorphedNormal = objectNormal;
+#ifdef SKINBAKE_NORMAL_MAP
+vec3 skinbakeCotangent = vec3(0.0);
+vec3 skinbakeCobitangent = vec3(0.0);
+vec3 skinbakeThird = vec3(0.0); // n' = t' x b', which the other two belong to
+#endif
 #endif
 `;
 
@@ -108,6 +131,11 @@ if (skinbake_isBaked()) {
     mat3 bind = mat3(bindMatrix);
     moved.tangent = bind * frame.tangent;
     moved.bitangent = bind * frame.bitangent;
+#ifdef SKINBAKE_NORMAL_MAP
+    moved.normal = bind * frame.normal;
+    // What is displaced along the normal moves as three.js moves normals.
+    vec3 carried = objectNormal / max(length(skinbakeMorphedNormal), 1e-20);
+#endif
     mat4 M[4] = mat4[4](boneMatX, boneMatY, boneMatZ, boneMatW);
     vec3 q = (bindMatrix * vec4(p, 1.0)).xyz;
     vec3 alpha = skinbake_decoded(morphSkinbakeAlpha, morphSkinbakeStorage.x);
@@ -137,6 +165,32 @@ if (skinbake_isBaked()) {
     }
 #ifdef USE_TANGENT
     objectTangent = back * (along.x * v.tangent + along.y * v.bitangent);
+#ifdef SKINBAKE_NORMAL_MAP
+    vec3 image = back * v.tangent;
+    vec3 other = back * v.bitangent;
+    skinbakeThird = frame.handedness * cross(image, other);
+    vec3 first = frame.handedness * cross(other, carried);
+    vec3 second = frame.handedness * cross(carried, image);
+    if (skinbake_hasDualQuaternions()) {
+        first = cofactors * v.cotangent;
+        second = cofactors * v.cobitangent;
+    }
+    if (skinbake_hasTangentFrame()) {
+        skinbakeCotangent = length(frame.tangent) * first;
+        skinbakeCobitangent = length(frame.tangent) * second;
+    } else {
+        // Cofactors are linear: those of t and b follow from those of t0, b0 and n0. t may lean from n0.
+        skinbake_Frame rest = skinbake_frame(n0);
+        vec3 t = normalize(tangent.xyz);
+        vec3 b = tangent.w * normalize(cross(n0, t));
+        skinbakeCotangent = dot(t, rest.tangent) * first + dot(t, rest.bitangent) * second + dot(t, n0) * skinbakeThird;
+        skinbakeCobitangent = dot(b, rest.tangent) * first + dot(b, rest.bitangent) * second;
+    }
+    // The normal may be turned outside.
+    float side = dot(skinbakeThird, objectNormal) < 0.0 ? -1.0 : 1.0;
+    skinbakeCotangent *= side;
+    skinbakeCobitangent *= side;
+#endif
 #endif
 }
 #endif
@@ -156,5 +210,51 @@ if (skinbake_isBaked() && skinbake_hasDualQuaternions()) {
     vec3 q = (bindMatrix * vec4(skinbakeUnskinned, 1.0)).xyz;
     transformed = (bindMatrixInverse * vec4(skinbake_turned(q, frame, M, vec3(0.0), vec3(0.0)).position, 1.0)).xyz;
 }
+#endif
+`;
+
+// For normal maps: directions of length 1, in place of three.js's, and their lengths over that of the normal. tbn then
+// takes a texel as a relief over the surface. Meshes that are not baked have three.js's own, and 1.
+export const VARYINGS = /* glsl */ `
+#if defined(SKINBAKE_NORMAL_MAP) && defined(USE_TANGENT) && !defined(FLAT_SHADED) && !defined(SKINBAKE_STANDARD)
+varying vec2 vSkinbakeLengths;
+#endif
+`;
+
+export const AFTER_VARYINGS = /* glsl */ `
+#if defined(SKINBAKE_NORMAL_MAP) && defined(USE_TANGENT) && !defined(FLAT_SHADED) && !defined(SKINBAKE_STANDARD)
+vSkinbakeLengths = vec2(1.0);
+#ifdef USE_SKINNING
+if (skinbake_isBaked()) {
+    vTangent = skinbake_viewed(skinbakeCotangent);
+    vBitangent = skinbake_viewed(skinbakeCobitangent);
+    vSkinbakeLengths = vec2(length(vTangent), length(vBitangent)) / length(skinbake_viewed(skinbakeThird));
+    vTangent = normalize(vTangent);
+    vBitangent = normalize(vBitangent);
+}
+#endif
+#endif
+`;
+
+export const AFTER_FRAME = /* glsl */ `
+#if defined(SKINBAKE_NORMAL_MAP) && defined(USE_TANGENT) && !defined(FLAT_SHADED) && !defined(SKINBAKE_STANDARD)
+#if defined(USE_NORMALMAP_TANGENTSPACE) || defined(USE_CLEARCOAT_NORMALMAP) || defined(USE_ANISOTROPY)
+tbn[0] *= vSkinbakeLengths.x;
+tbn[1] *= vSkinbakeLengths.y;
+#endif
+#ifdef USE_CLEARCOAT_NORMALMAP
+tbn2[0] *= vSkinbakeLengths.x;
+tbn2[1] *= vSkinbakeLengths.y;
+#endif
+#endif
+`;
+
+// Hair and brushed metal follow t' and b' themselves.
+export const AFTER_ANISOTROPY = /* glsl */ `
+#if defined(SKINBAKE_NORMAL_MAP) && defined(USE_TANGENT) && !defined(FLAT_SHADED) && !defined(SKINBAKE_STANDARD)
+#ifdef USE_ANISOTROPY
+material.anisotropyT = normalize(cross(tbn[1], tbn[2]) * anisotropyV.x + cross(tbn[2], tbn[0]) * anisotropyV.y);
+material.anisotropyB = cross(tbn[2], material.anisotropyT);
+#endif
 #endif
 `;

@@ -1,0 +1,91 @@
+"""Mapped normals of the replay, at every pixel: what engines should draw of a relief of constant tilt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.components import PosedVertex
+from skinbake.skinning.normal_maps import engine_mapped_normal, in_frame, mapped_normal
+from tests.support.characters import Array, Character, Placement, unit
+from tests.support.replay import replay
+
+TILT = 25.0
+TEXELS = tuple(
+    tuple(
+        round(127.5 + 127.5 * part)
+        for part in (
+            np.sin(np.radians(TILT)) * np.cos(turn),
+            np.sin(np.radians(TILT)) * np.sin(turn),
+            np.cos(np.radians(TILT)),
+        )
+    )
+    for turn in np.radians([20, 110, 200, 290])
+)
+"""Bytes of texels that tilt the normal by 25° in four directions."""
+
+
+def texel_normal(texel: tuple[int, ...]) -> Array:
+    """Return the normal that a shader makes of the bytes of a texel."""
+    return np.array(texel) / 127.5 - 1.0
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What mapped normals are made of at each vertex: the images of TANGENT, its bitangent, and n0, (V, 3).
+
+    They are covectors of the world, of any length: m' = m_x t + m_y b + m_z n.
+    """
+
+    t: Array
+    b: Array
+    n: Array
+
+    def carried(self, inverse: np.ndarray) -> Columns:
+        """Return them after a linear map of space, given by its inverse (3, 3)."""
+        return Columns(self.t @ inverse, self.b @ inverse, self.n @ inverse)
+
+
+def columns(character: Character, algorithm: Algorithm, placement: Placement) -> Columns:
+    """Return the columns of a character in its pose, in the world. Its file has TANGENT.
+
+    A joint that mirrors turns all three outside, as J⁻ᵀ n is.
+    """
+    assert character.tangents is not None
+    rest, matrices = character.rest, character.matrices(placement)[None]
+    at_rest = character.unmorphed
+    posed = replay(algorithm, rest, matrices, normal_map=True)
+    assert posed.cotangents is not None
+    assert posed.cobitangents is not None
+    given = (posed.normals, posed.tangents, posed.bitangents, posed.cotangents, posed.cobitangents)
+    vertex = PosedVertex((), *(tuple(vectors[0].T) for vectors in given))
+    tangent = tuple(character.tangents.T.astype(np.float64))
+    frame = [tuple(v.T.astype(np.float64)) for v in (at_rest.tangents, at_rest.bitangents, at_rest.normals)]
+    length = np.linalg.norm(rest.tangents, axis=1)
+    if algorithm.uses_dual_quaternions:
+        length = length * np.cbrt(np.linalg.det(matrices[0, 0, :3, :3]))
+    found = []
+    for axis in np.eye(3):
+        # What morph targets turn, TANGENT is not: its parts in the frame at rest stay.
+        drawn = engine_mapped_normal(frame[2], tangent[:3], tangent[3], tuple(axis))
+        found.append(np.stack(mapped_normal(vertex, length, in_frame(drawn, *frame)), axis=1))
+    side = np.sign(np.linalg.det(matrices[0, rest.joints[:, 0], :3, :3]))[:, None]
+    return Columns(*(side * vectors for vectors in found)).carried(np.linalg.inv(placement.world[:3, :3]))
+
+
+def pixels(varying: Columns, texel: tuple[int, ...], corners: np.ndarray, shares: Array) -> Array:
+    """Return the mapped normals (H, W, 3) between the vertices, interpolated as three.js does.
+
+    Directions have length 1 at the vertices and again at the pixel. Lengths over the normal's vary beside.
+    """
+    x, y, z = texel_normal(texel)
+    size = np.linalg.norm(varying.n, axis=1)
+    total = np.zeros((*shares.shape[:2], 3))
+    for part, vectors in ((x, varying.t), (y, varying.b), (z, varying.n)):
+        lengths = np.linalg.norm(vectors, axis=1)
+        direction = np.einsum("hwk,hwki->hwi", shares, unit(vectors)[corners])
+        direction /= np.maximum(np.linalg.norm(direction, axis=-1, keepdims=True), 1e-9)
+        total += part * np.einsum("hwk,hwk->hw", shares, (lengths / size)[corners])[..., None] * direction
+    return total
