@@ -141,7 +141,7 @@ def measured(
 ) -> Errors:
     """Measure algorithms 1 and 3, and both truths, on a tube whose exact normals (P, V, 3) are known."""
     operator = gradient_operator([primitive])
-    posed = {one: replay(one, rest, matrices) for one in (Algorithm.LBS_APPROXIMATED, Algorithm.LBS_ACCURATE)}
+    posed = {one: replay(one, rest, matrices) for one in (Algorithm.LBS_STANDARD, Algorithm.LBS_ACCURATE)}
     accurate = posed[Algorithm.LBS_ACCURATE]
     truths = Truths.of(operator, [rest], len(matrices), USUAL_TRUTHS)
     deformed = np.ascontiguousarray(np.transpose(accurate.positions, (2, 1, 0)), dtype=np.float64)
@@ -159,7 +159,7 @@ def measured(
 
     return Errors(
         len(primitive.positions),
-        mean(posed[Algorithm.LBS_APPROXIMATED].normals, exact),
+        mean(posed[Algorithm.LBS_STANDARD].normals, exact),
         mean(accurate.normals, exact),
         {truth: mean(accurate.normals, normals) for truth, normals in found.items()},
         {truth: mean(normals, exact) for truth, normals in found.items()},

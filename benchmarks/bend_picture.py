@@ -93,9 +93,7 @@ def strongest_bend() -> Bend:
     )
     (clip,) = read_clips(document)
     poses = clip_poses(read_skeleton(document, 0), clip, np.unique(clip.channels[0].times))
-    standard, accurate = (
-        replay(a, rest, poses) for a in (Algorithm.LBS_APPROXIMATED, Algorithm.LBS_ACCURATE)
-    )
+    standard, accurate = (replay(a, rest, poses) for a in (Algorithm.LBS_STANDARD, Algorithm.LBS_ACCURATE))
     frames = rest_frames(
         gradient_operator([primitive]),
         primitive.positions,

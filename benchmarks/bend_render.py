@@ -2,7 +2,7 @@
 
 Usage: python -m benchmarks.bend_render [OUTPUT.png | --figures]
 
-The fixture is baked and posed where standard lighting is worst. The WGSL of approximated and of accurate
+The fixture is baked and posed where standard lighting is worst. The WGSL of standard and of accurate
 lighting skins it, once in a compute pass, whose normals are held against
 ``skinbake.truth.normals``, and once in the vertex stage of the picture. The errors printed are
 those of the compute pass: float32, on the GPU, weighted by rest area. ``--figures`` prints them and draws
@@ -40,7 +40,7 @@ from tests.support.whole_fields import angular_errors, reference_normals, shader
 Array = npt.NDArray[np.float64]
 Single = npt.NDArray[np.float32]
 
-STANDARD, ACCURATE = Lighting.APPROXIMATED, Lighting.ACCURATE
+STANDARD, ACCURATE = Lighting.STANDARD, Lighting.ACCURATE
 PANEL = (440, 310)
 MARGIN, HEADER = 14, 84
 SUPERSAMPLING = 4
@@ -155,7 +155,7 @@ def strongest_bend() -> Bend:
     rest, now = rest_primitive(view), view.now
     (clip,) = read_clips(document)
     poses = clip_poses(read_skeleton(document, 0), clip, np.unique(clip.channels[0].times))
-    standard = replay(Algorithm.LBS_APPROXIMATED, rest, poses)
+    standard = replay(Algorithm.LBS_STANDARD, rest, poses)
     operator = gradient_operator([now])
     frames = rest_frames(operator, now.positions, now.normals, view.tangents, view.bitangents)
     expected, _ = reference_normals(frames, standard.positions)

@@ -100,7 +100,7 @@ def measured(paths: list[Path]) -> Iterator[Model]:
         lbs = (verdict.normals or {}).get("lbs", {})
         if verdict.passed and (vertices < FEWEST or gain(lbs) is None):
             continue
-        key = vertices, round(lbs["approximated"].mean, 2) if lbs else None
+        key = vertices, round(lbs["standard"].mean, 2) if lbs else None
         if key not in seen:
             seen.add(key)
             yield Model(name, vertices, verdict, gain((other.normals or {}).get("lbs", {})))
@@ -141,7 +141,7 @@ def row(model: Model) -> Iterator[str]:
 
 def means(figures: dict[str, ErrorFigures]) -> Iterator[str]:
     """Yield the mean errors in degrees, and the gain."""
-    for name in ("approximated", "accurate"):
+    for name in ("standard", "accurate"):
         yield f"{figures[name].mean:.2f}" if name in figures else "—"
     yield times(gain(figures))
 

@@ -60,11 +60,11 @@ def lit_both_ways(path: Path) -> Lit:
         view = baked_views(document, skinned_sources(document)[0])[0][0]
         poses = pose_set(document, 0, read_clips(document), PoseRequest())
         fields = error_fields(document, [view], poses, "lbs")
-        for kind, lighting in (("standard", "approximated"), (str(gradients), "accurate")):
+        for kind, lighting in (("standard", "standard"), (str(gradients), "accurate")):
             by_truth = [np.nan_to_num(fields[truth, lighting, 0][0]).mean(axis=0) for truth in USUAL_TRUTHS]
             found.setdefault(kind, np.mean(by_truth, axis=0))
     rest = pose_set(document, 0, [], PoseRequest(PoseKind.REST)).joint_matrices
-    positions = replay(Algorithm.LBS_APPROXIMATED, rest_primitive(view), rest).positions[0]
+    positions = replay(Algorithm.LBS_STANDARD, rest_primitive(view), rest).positions[0]
     return Lit(positions, view.now.triangles, vertex_areas(view.now.positions, view.now.triangles), found)
 
 

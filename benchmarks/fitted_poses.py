@@ -116,7 +116,7 @@ def lit_by_kinds(path: Path) -> Model | None:
         held_back = replace(usual, samples=max(4, HELD_BACK // max(clips, 1)))
         request = held_back if poses == CLIPS else usual
         surface = measured(baked["surface"], request)
-        bends = surface.mean(Truth.TANGENTS, "approximated") > BENDS
+        bends = surface.mean(Truth.TANGENTS, "standard") > BENDS
         if bends and (poses != CLIPS or surface.from_clips):
             others = {kind: measured(baked[kind], request) for kind in KINDS if kind != "surface"}
             lit[poses] = {"surface": surface, **others}
@@ -148,7 +148,7 @@ def figures(models: Sequence[Model]) -> Iterator[str]:
     )
     lost = {
         kind: sum(
-            lit[kind].mean(truth) > lit["surface"].mean(truth, "approximated")
+            lit[kind].mean(truth) > lit["surface"].mean(truth, "standard")
             for model in models
             for lit in model.lit.values()
             for truth in USUAL_TRUTHS

@@ -92,7 +92,7 @@ def figures(points: analytic.Sample, displacement: morphing.Displacement) -> lis
         expected = true_image(image, by_normal.normals, bend)
         rows.append(
             [
-                mean(posed(by_normal, Algorithm.LBS_APPROXIMATED, bend), expected),
+                mean(posed(by_normal, Algorithm.LBS_STANDARD, bend), expected),
                 *(
                     mean(posed(one, Algorithm.LBS_ACCURATE, bend), expected)
                     for one in (by_normal, by_tangent)
@@ -179,7 +179,7 @@ def verdict_row(path: Path) -> str:
     """Return the cells of one verdict."""
     verdict: FileVerdict = verify_file(str(path), VerifyOptions(methods=("lbs",)))
     lbs = (verdict.normals or {})["lbs"]
-    standard, accurate = lbs["approximated"], lbs["accurate"]
+    standard, accurate = lbs["standard"], lbs["accurate"]
     return f"{standard.mean:.2f} | {accurate.mean:.2f} | {standard.mean / accurate.mean:.1f}"
 
 

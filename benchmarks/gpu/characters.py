@@ -136,7 +136,7 @@ def gpu_normals(device: Any, variant: Variant, character: Character) -> Wide:
 
 def true_normals(character: Character, method: Method) -> dict[Truth, tuple[Wide, Any]]:
     """Return by each truth the normals (P, V, 3) of the surface that a method moves, and where they exist."""
-    algorithm = Algorithm.LBS_APPROXIMATED if method is Method.LBS else Algorithm.DQS_APPROXIMATED
+    algorithm = Algorithm.LBS_STANDARD if method is Method.LBS else Algorithm.DQS_STANDARD
     positions = character.replayed(algorithm).positions
     deformed = np.ascontiguousarray(np.transpose(positions, (2, 1, 0)), np.float64)
     truths, normals = character.truths, np.empty((len(USUAL_TRUTHS), *positions.shape))

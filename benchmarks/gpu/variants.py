@@ -149,7 +149,7 @@ _SKIN = ("position", "joints", "weights", "matrices")
 STANDARD, PACKED8, FLOATS = "LBS standard", "LBS accurate, packed8", "LBS accurate, float32"
 SCATTER, GATHER = "LBS recomputed, scatter", "LBS recomputed, gather"
 VARIANTS = (
-    _shader(STANDARD, Method.LBS, Lighting.APPROXIMATED),
+    _shader(STANDARD, Method.LBS, Lighting.STANDARD),
     _shader(FLOATS, Method.LBS, Lighting.ACCURATE),
     _shader("LBS accurate, snorm16", Method.LBS, Lighting.ACCURATE, Encoding.SNORM16),
     _shader(PACKED8, Method.LBS, Lighting.ACCURATE, Encoding.PACKED8),
@@ -168,7 +168,7 @@ VARIANTS = (
             Step("gather", VERTEX, ("ranges", "ring", "turns", "posed_position"), ("posed_frame",)),
         ),
     ),
-    _shader("DQS standard", Method.DQS, Lighting.APPROXIMATED),
+    _shader("DQS standard", Method.DQS, Lighting.STANDARD),
     _shader("DQS accurate", Method.DQS, Lighting.ACCURATE),
     _shader("DQS exact", Method.DQS, Lighting.EXACT),
 )

@@ -126,19 +126,11 @@ class Method(StrEnum):
 class Lighting(StrEnum):
     """The computation of the normal: algorithms 1 and 4, 2, 3 and 5, and 6."""
 
-    APPROXIMATED = "approximated"
-    """The paper's name of the lighting that verify, view and render call ``STANDARD``."""
+    STANDARD = "standard"
+    """The lighting of common engines; the paper calls it approximated."""
     DIRECT = "direct"
     ACCURATE = "accurate"
     EXACT = "exact"
-
-    @classmethod
-    def _missing_(cls, value: object) -> Lighting | None:
-        return cls.APPROXIMATED if value == STANDARD else None
-
-
-STANDARD = "standard"
-"""Another name of ``Lighting.APPROXIMATED``."""
 
 
 class Baseline(StrEnum):

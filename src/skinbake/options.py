@@ -17,7 +17,6 @@ from typing import Any, NamedTuple, TypeAlias, cast
 from skinbake.choices import (
     POSES_EXPECTED,
     SLOTS_PER_SET,
-    STANDARD,
     Baseline,
     CorrectiveAim,
     Encoding,
@@ -482,7 +481,7 @@ RENDER = (
         OUTPUT._replace(metavar="PICTURE", is_required=True, help=
             "Output file: .png, or .webp or .gif that move.")),
     *_under("Shader",
-        Option("lighting", (STANDARD, str(Lighting.ACCURATE)), None, help=
+        Option("lighting", (str(Lighting.STANDARD), str(Lighting.ACCURATE)), None, help=
             "Lighting without --split, accurate by default.")),
     *_under("Poses",
         Option("clip", str, None, metavar="NAME", help=
@@ -524,9 +523,9 @@ SHADER = (
             "Match this baked file (.glb, .gltf, .vrm; - for a GLB on stdin), and refuse options that "
             "contradict it."),
         Option("method", Method, Method.LBS, help="Linear blend skinning, or dual quaternions."),
-        Option("lighting", (STANDARD, *Lighting), None, help=
-            "standard or approximated (the same: that of common engines), direct (LBS only), accurate, exact "
-            "(DQS only). By default accurate for LBS, exact for DQS."),
+        Option("lighting", Lighting, None, help=
+            "standard (that of common engines), direct (LBS only), accurate, exact (DQS only). By default "
+            "accurate for LBS, exact for DQS."),
         INFLUENCES,
         Option("morphs", Morphs, None, help=
             "Direction that t0 and b0 follow under morph targets: the morphed normal, or the morphed "

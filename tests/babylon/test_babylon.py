@@ -71,7 +71,7 @@ def test_every_normal_is_that_of_the_replay(stage: Stage, model: str, pose: Pose
     (drawn,) = found["draws"]
     assert worst(drawn, expected(character)) < DEGREES
     assert found["report"] == RIGHT
-    standard = expected(character, Algorithm.LBS_APPROXIMATED)
+    standard = expected(character, Algorithm.LBS_STANDARD)
     drawn_normals = vectors(drawn)[: len(standard)]
     assert np.percentile(angles(drawn_normals, standard[: len(drawn_normals)]), 99) > 100 * DEGREES
 
@@ -292,7 +292,7 @@ def test_a_mesh_whose_attributes_a_page_alters_has_standard_normals(stage: Stage
     assert {name: one["report"] for name, one in found.items()} == wanted
     said = "\n".join(stage.messages())
     assert [reason for reason in reasons.values() if reason not in said] == []
-    standard = dict.fromkeys(found, expected(character, Algorithm.LBS_APPROXIMATED))
+    standard = dict.fromkeys(found, expected(character, Algorithm.LBS_STANDARD))
     right = standard | dict.fromkeys(unaltered, expected(character))
     right |= dict.fromkeys(
         ["normals in place", "a buffer of normals in place"], -standard["normals in place"]
@@ -345,7 +345,7 @@ def test_standard_lighting_is_babylon_s_own(
     """Else the tests above would not see it."""
     character = stage.character(TUBE, BENT)
     found = stage.normals(character, **options)
-    assert largest(found["draws"][0], expected(character, Algorithm.LBS_APPROXIMATED)) < DEGREES
+    assert largest(found["draws"][0], expected(character, Algorithm.LBS_STANDARD)) < DEGREES
     assert found["report"] == report
 
 
@@ -356,7 +356,7 @@ def test_lighting_switches_materials_that_babylon_does_not_look_at_again(stage: 
     switched = [["standard", "lighting() has switched it"]]
     not_drawn = [["not drawn", "it has not been drawn yet"]]
     standard, accurate = found["standard"], found["accurate"]
-    assert largest(standard["draws"][0], expected(character, Algorithm.LBS_APPROXIMATED)) < DEGREES
+    assert largest(standard["draws"][0], expected(character, Algorithm.LBS_STANDARD)) < DEGREES
     assert standard["report"] == switched
     assert largest(accurate["draws"][0], expected(character)) < DEGREES
     assert accurate["report"] == RIGHT
@@ -508,4 +508,4 @@ def test_a_file_that_lost_its_metadata_has_standard_normals(stage: Stage) -> Non
     reason = "it has lost the metadata of its bake: keep the extras of primitives, or bake last"
     assert found["report"] == [["standard", reason]]
     assert len(stage.messages()) == 1
-    assert largest(found["draws"][0], expected(character, Algorithm.LBS_APPROXIMATED)) < DEGREES
+    assert largest(found["draws"][0], expected(character, Algorithm.LBS_STANDARD)) < DEGREES

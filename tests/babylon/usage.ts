@@ -14,6 +14,6 @@ export async function show(scene: Scene): Promise<string[]> {
     lighting(scene, 'accurate');
     unregisterSkinbake();
     // @ts-expect-error: there are two lightings
-    lighting(scene, 'approximated');
+    lighting(scene, 'other');
     return found.map((one) => `${one.mesh.name} ${one.lighting}: ${one.reason}`);
 }

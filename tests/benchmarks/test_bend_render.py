@@ -43,7 +43,7 @@ def printed() -> dict[str, list[float]]:
 
 
 def test_the_shaders_have_the_errors_of_the_replay(printed: dict[str, list[float]]) -> None:
-    expected = dict(zip(("approximated", "accurate"), strongest_bend().summaries, strict=True))
+    expected = dict(zip(("standard", "accurate"), strongest_bend().summaries, strict=True))
     assert printed.keys() == expected.keys()
     for lighting, summary in expected.items():
         # Printed to two digits, of float32; the worst vertex lies in a fold, where normals are least certain.
@@ -55,7 +55,7 @@ def test_the_page_quotes_them(printed: dict[str, list[float]]) -> None:
     text = " ".join((REPOSITORY / "docs" / "shaders.md").read_text(encoding="utf-8").split())
     quoted = re.search(r"is ([\d.]+)° with standard lighting and ([\d.]+)° with accurate", text)
     assert quoted
-    for figure, lighting in zip(quoted.groups(), ("approximated", "accurate"), strict=True):
+    for figure, lighting in zip(quoted.groups(), ("standard", "accurate"), strict=True):
         assert float(figure) == pytest.approx(printed[lighting][0], abs=0.006)
 
 

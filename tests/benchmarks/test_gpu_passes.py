@@ -132,7 +132,7 @@ class TestShaders:
 class TestRecomputes:
     def expected(self, mesh: Mesh) -> Any:
         """The authored normals and tangents (P, V, 6), carried by rotation matrices of libigl's normals."""
-        surface = replay(Algorithm.LBS_APPROXIMATED, rest(mesh, Encoding.FLOAT32), matrices()).positions
+        surface = replay(Algorithm.LBS_STANDARD, rest(mesh, Encoding.FLOAT32), matrices()).positions
         tangents, _ = frames.frame_from_normal(mesh.normals)
         at_rest = surface_frames(mesh, mesh.positions)
         found = []
@@ -228,7 +228,7 @@ def assert_like_verify(errors: list[dict[str, Any]], folder: Path) -> None:
     }
     for truth, figures in (("tangents", verdict.normals), ("triangles", verdict.by_triangles)):
         assert figures is not None
-        for lighting, name in (("approximated", "LBS standard"), ("accurate", "LBS accurate, float32")):
+        for lighting, name in (("standard", "LBS standard"), ("accurate", "LBS accurate, float32")):
             assert means[name, truth] == pytest.approx(figures["lbs"][lighting].mean, abs=1e-3)
         assert means["DQS exact", truth] == pytest.approx(figures["dqs"]["exact"].mean, abs=1e-3)
     # The rule of the recompute is that of this truth, up to the edge in place of a tangent.

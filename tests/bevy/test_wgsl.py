@@ -264,7 +264,7 @@ def test_integers_are_what_the_file_means(
     rest = case.given.rest(Frame.NORMAL)
     expected = replay(Algorithm(case.choices.algorithm), rest, case.given.matrices[None])
     assert degrees_between(found.normals, expected.normals[0]).max() < DEGREES
-    standard = replay(Algorithm.LBS_APPROXIMATED, rest, case.given.matrices[None])
+    standard = replay(Algorithm.LBS_STANDARD, rest, case.given.matrices[None])
     assert np.percentile(degrees_between(found.normals, standard.normals[0]), 95) > 5
     assert found.positions[:, :3] == pytest.approx(expected.positions[0], abs=1e-5)
 
@@ -281,7 +281,7 @@ def test_a_mesh_that_is_not_baked_is_lit_as_bevy_does(name: str, seen: dict[str,
     ("choices", "reason"),
     [
         ({"method": Method.DQS, "lighting": Lighting.EXACT}, "--method lbs"),
-        ({"lighting": Lighting.APPROXIMATED}, "Bevy's own"),
+        ({"lighting": Lighting.STANDARD}, "Bevy's own"),
         ({"influences": 5}, "four influences per vertex, not 5"),
         ({"influences": 1}, "one influence"),
         ({"language": Language.GLSL}, "needs language='wgsl'"),

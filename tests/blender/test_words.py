@@ -109,7 +109,7 @@ def test_a_measurement_says_that_nothing_bends(tmp_path: Path) -> None:
 
 def test_an_exact_correction_has_errors_and_no_gain() -> None:
     # The gain of a verdict is null if the mean error of accurate lighting is only rounding.
-    lbs = {"approximated": {"mean": 3.25}, "accurate": {"mean": 2e-6}, "gain": None}
+    lbs = {"standard": {"mean": 3.25}, "accurate": {"mean": 2e-6}, "gain": None}
     lines, gain = baking._figures({"normals": {"lbs": lbs}, "normals_by_triangles": {}, "poses": "2 poses"})
     assert gain is None
     assert [line.text for line in lines] == ["error of normals 3.25° -> 0.00°, over 2 poses"]
@@ -132,7 +132,7 @@ def test_an_exact_correction_has_errors_and_no_gain() -> None:
     ],
 )
 def test_a_loss_is_never_shown_as_no_change(gain: float, shown: str) -> None:
-    lbs = {"approximated": {"mean": 3.25 * gain}, "accurate": {"mean": 3.25}, "gain": gain}
+    lbs = {"standard": {"mean": 3.25 * gain}, "accurate": {"mean": 3.25}, "gain": gain}
     lines, _ = baking._figures({"normals": {"lbs": lbs}, "normals_by_triangles": {}, "poses": "2 poses"})
     (line,) = lines
     assert re.findall(r"gain (.*)x, over 2 poses", line.text) == [shown]

@@ -55,16 +55,6 @@ def test_each_method_has_its_best_lighting_by_default(method: str, lighting: str
     assert f"skinbake_{method}_{lighting}(" in text
 
 
-@pytest.mark.parametrize("method", ["lbs", "dqs"])
-def test_standard_is_another_name_of_approximated(method: str) -> None:
-    texts = [
-        invoke("shader", "--lang", "glsl", "--method", method, "--lighting", name).stdout
-        for name in ("standard", "approximated")
-    ]
-    assert texts[0] == texts[1]
-    assert f"skinbake_{method}_approximated(" in texts[0]
-
-
 def test_output_goes_to_a_file_and_says_what_it_is(tmp_path: Path) -> None:
     target = tmp_path / "skinbake.wgsl"
     result = invoke("shader", "--lang", "wgsl", "--frame", "normal", "-o", target)
@@ -308,7 +298,7 @@ class TestForFile:
         assert result.exit_code == 3
         assert f"{file}: this file does not fit --target {target}" in result.stderr
         assert "four influences per vertex, not 8; bake with --limit-influences 4" in result.stderr
-        asked = invoke("shader", "--target", target, "--for", file, "--lighting", "approximated")
+        asked = invoke("shader", "--target", target, "--for", file, "--lighting", "standard")
         assert asked.exit_code == 2
 
     @pytest.mark.parametrize("target", ["three", "babylon", "godot", "playcanvas"])

@@ -137,7 +137,7 @@ def test_the_index_has_the_figures_of_the_truth_that_counts(tmp_path: Path) -> N
     text = (tmp_path / "all.html").read_text(encoding="utf-8")
     row = next(line for line in text.splitlines() if "bent_tube.glb" in line)
     cells = re.findall(r'data-label="(\w+)" data-value="([^"]+)"', row)
-    values = [counts["approximated"]["mean"], counts["accurate"]["mean"], counts["gain"]]
+    values = [counts["standard"]["mean"], counts["accurate"]["mean"], counts["gain"]]
     assert [float(value) for _, value in cells] == pytest.approx(values)
     assert "by the truth with the smaller gain" in text
     assert "by tangents" not in text
@@ -186,7 +186,7 @@ def test_the_index_shows_the_figures_of_the_smaller_gain_with_two_decimals(tmp_p
     entry = json.loads(invoke("verify", tmp_path / "tube.glb", "--json").stdout)["files"][0]
     assert entry["normals"]["lbs"]["gain"] > entry["normals_by_triangles"]["lbs"]["gain"]
     told = entry["normals_by_triangles"]["lbs"]
-    assert ["{approximated[mean]:.2f}° {accurate[mean]:.2f}° {gain:.2f}×".format(**told).split()] == [
+    assert ["{standard[mean]:.2f}° {accurate[mean]:.2f}° {gain:.2f}×".format(**told).split()] == [
         row for row in numbers(page) if "—" not in row
     ]
     assert "by the truth with the smaller gain" in page.read_text(encoding="utf-8")

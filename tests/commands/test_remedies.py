@@ -161,7 +161,7 @@ def test_exact_lighting_is_named_where_only_accurate_dual_quaternions_are_worse(
 
     def least(method: str, lighting: str) -> float:
         errors = [truth[method] for truth in truths]
-        return float(min(error["approximated"]["mean"] / error[lighting]["mean"] for error in errors))
+        return float(min(error["standard"]["mean"] / error[lighting]["mean"] for error in errors))
 
     lbs, accurate, exact = least("lbs", "accurate"), least("dqs", "accurate"), least("dqs", "exact")
     assert lbs > 10
@@ -194,10 +194,10 @@ def measured(
 
     all_in_all = lbs if whole is None else whole
     there = {
-        "lbs": figures(approximated=1.0, accurate=lbs),
-        "dqs": figures(approximated=1.0, accurate=accurate, exact=exact),
+        "lbs": figures(standard=1.0, accurate=lbs),
+        "dqs": figures(standard=1.0, accurate=accurate, exact=exact),
     }
-    everywhere = {"lbs": figures(approximated=1.0, accurate=all_in_all)}
+    everywhere = {"lbs": figures(standard=1.0, accurate=all_in_all)}
     return FileVerdict(
         "hero.glb",
         normals=everywhere,
@@ -310,7 +310,7 @@ def test_lighting_that_errs_where_standard_lighting_is_right_is_worse(
     """Its gain is 0, which is none."""
     right = ErrorFigures(0.0, 0.0, 0.0, 0.0, Worst(HERE, 0, "walk", 0.0))
     wrong = replace(right, mean=1.0, p99=2.0, max=3.0)
-    normals = {"lbs": {"approximated": right, "accurate": wrong}}
+    normals = {"lbs": {"standard": right, "accurate": wrong}}
     verdict = FileVerdict("hero.glb", normals=normals, primitives=((HERE, normals),))
     assert told(monkeypatch, verdict, {}) == [
         "α/β make its lighting worse: the LBS gain is 0.00. "

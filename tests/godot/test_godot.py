@@ -197,7 +197,7 @@ def assert_accurate(character: Character, found: dict[str, Any]) -> None:
     drawn, wanted = normals(found), expected(character, found)
     assert largest(drawn, expected(as_stored(character), found)) < DEGREES
     assert np.percentile(angles(drawn, wanted), 99) < DEGREES
-    standard = expected(character, found, Algorithm.LBS_APPROXIMATED)
+    standard = expected(character, found, Algorithm.LBS_STANDARD)
     assert np.percentile(angles(drawn, standard), 99) > 100 * DEGREES
 
 
@@ -333,7 +333,7 @@ def test_undone_the_mesh_is_skinned_and_lit_by_godot(stage: Stage) -> None:
     character = stage.character(TUBE, BENT)
     found = stage.show(character, isStandard=True)
     assert found["skinned"] == [True]
-    standard = expected(character, found, Algorithm.LBS_APPROXIMATED)
+    standard = expected(character, found, Algorithm.LBS_STANDARD)
     # Godot rounds the normals before and after.
     assert largest(normals(found), standard) < 5 * DEGREES
 
@@ -433,7 +433,7 @@ def assert_standard(character: Character, found: dict[str, Any]) -> None:
     drawn = drawn_vectors(found)
     assert drawn
     for one in drawn:
-        assert largest(one, expected(character, found, Algorithm.LBS_APPROXIMATED)) < 5 * DEGREES
+        assert largest(one, expected(character, found, Algorithm.LBS_STANDARD)) < 5 * DEGREES
 
 
 def test_a_shader_of_one_s_own_leaves_what_godot_has_skinned(stage: Stage) -> None:
@@ -458,7 +458,7 @@ def test_a_mesh_that_was_moved_away_is_skinned_by_godot(stage: Stage) -> None:
         drawn_vectors(found), key=lambda one: largest(one, expected(as_stored(character), found))
     )
     assert largest(there, expected(as_stored(character), found)) < DEGREES
-    assert largest(moved, expected(character, found, Algorithm.LBS_APPROXIMATED)) < 5 * DEGREES
+    assert largest(moved, expected(character, found, Algorithm.LBS_STANDARD)) < 5 * DEGREES
 
 
 def test_a_mesh_that_was_freed_leaves_the_report(stage: Stage) -> None:

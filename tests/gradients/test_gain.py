@@ -80,7 +80,7 @@ def rest_primitives(primitives: Sequence[SkinnedPrimitive], settings: BakeSettin
 def mean_errors(name: str, matrices: Sequence[Float64Array], settings: BakeSettings) -> tuple[float, float]:
     """Return the mean errors of standard and accurate normals in degrees, weighted by rest area."""
     errors: dict[Algorithm, list[Float64Array]] = {
-        Algorithm.LBS_APPROXIMATED: [],
+        Algorithm.LBS_STANDARD: [],
         Algorithm.LBS_ACCURATE: [],
     }
     weights = []
@@ -90,7 +90,7 @@ def mean_errors(name: str, matrices: Sequence[Float64Array], settings: BakeSetti
         outcomes = {
             algorithm: [replay(algorithm, surface, poses) for surface in surfaces] for algorithm in errors
         }
-        deformed = np.concatenate([one.positions for one in outcomes[Algorithm.LBS_APPROXIMATED]], axis=1)
+        deformed = np.concatenate([one.positions for one in outcomes[Algorithm.LBS_STANDARD]], axis=1)
         measured = rest_frames(
             gradient_operator(primitives),
             np.concatenate([surface.positions for surface in surfaces]),

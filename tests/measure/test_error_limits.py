@@ -18,7 +18,7 @@ def lit(standard: float, accurate: float) -> Normals:
     """Make figures whose 95th percentile is four times their mean."""
     found = {
         name: ErrorFigures(mean, 4.0 * mean, 5.0 * mean, 6.0 * mean, Worst(HERE, 7, "run", 0.25))
-        for name, mean in (("approximated", standard), ("accurate", accurate))
+        for name, mean in (("standard", standard), ("accurate", accurate))
     }
     return {"lbs": found}
 

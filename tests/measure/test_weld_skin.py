@@ -84,7 +84,7 @@ def test_no_option_of_bake_changes_the_standard_error(name: str, tolerance: floa
         path = tmp_path / f"{number}.glb"
         baked(cut, path, **how)
         file = verify(path, *FEW).file
-        found.append([file[truth]["lbs"]["approximated"] for truth in ("normals", "normals_by_triangles")])
+        found.append([file[truth]["lbs"]["standard"] for truth in ("normals", "normals_by_triangles")])
     for figures in found[1:]:
         for one, other in zip(figures, found[0], strict=True):
             for figure in ("mean", "p95", "p99"):
@@ -104,7 +104,7 @@ def test_slots_that_integer_weights_adopt_tear_no_surface_apart(tmp_path: Path) 
         baked(model, tmp_path / "baked.glb")
         file = verify(tmp_path / "baked.glb", *FEW).file
         for truth in ("normals", "normals_by_triangles"):
-            found += [file[truth]["lbs"][lighting]["mean"] for lighting in ("approximated", "accurate")]
+            found += [file[truth]["lbs"][lighting]["mean"] for lighting in ("standard", "accurate")]
     assert found[:4] == pytest.approx(found[4:], rel=0.01)
 
 
@@ -123,7 +123,7 @@ def test_verify_measures_a_cut_mesh_as_it_does_the_whole(tmp_path: Path) -> None
 def by_both_truths(path: Path) -> dict[str, float]:
     """Return the mean error of standard lighting by each truth."""
     found = verify(path, *FEW).file
-    return {key: found[key]["lbs"]["approximated"]["mean"] for key in ("normals", "normals_by_triangles")}
+    return {key: found[key]["lbs"]["standard"]["mean"] for key in ("normals", "normals_by_triangles")}
 
 
 def test_the_truths_owe_nothing_to_the_weld_of_the_bake(tmp_path: Path) -> None:

@@ -352,7 +352,7 @@ def test_an_instance_may_get_another_mesh(stage: DrawingStage, storage: Gradient
         path.write_bytes(TUBE.read_bytes())
     first = stage.character(TUBE, RANDOM)
     found = stage.draw(first, change="another mesh", other=f"/models/{path.name}")
-    algorithm = Algorithm.LBS_APPROXIMATED if storage is None else Algorithm.LBS_ACCURATE
+    algorithm = Algorithm.LBS_STANDARD if storage is None else Algorithm.LBS_ACCURATE
     assert largest(found["values"][0], expected(character, found, algorithm).normals) < DEGREES
 
 
@@ -365,7 +365,7 @@ def test_without_it_a_mesh_has_the_engine_s_own_normals(
     require_backend(stage, backend)
     character = stage.character(TUBE, RANDOM)
     found = stage.draw(character, change=change, backend=backend)
-    wanted = expected(character, found, Algorithm.LBS_APPROXIMATED).normals
+    wanted = expected(character, found, Algorithm.LBS_STANDARD).normals
     assert largest(found["values"][0], wanted) < DEGREES
     assert found["report"][0][0] != "accurate"
 
@@ -388,7 +388,7 @@ def test_a_mesh_that_stays_switched_has_the_engine_s_own_program(
     found = stage.draw(character, change=change, backend=backend)
     assert found["programs"] == programs
     assert found["report"] == [["standard", "lighting() has switched it"]]
-    wanted = expected(character, found, Algorithm.LBS_APPROXIMATED).normals
+    wanted = expected(character, found, Algorithm.LBS_STANDARD).normals
     assert largest(found["values"][0], wanted) < DEGREES
 
 

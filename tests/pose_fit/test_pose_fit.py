@@ -76,7 +76,7 @@ def even(matrices: Float64Array) -> list[FitPoses]:
 
 def true_normals(operator: GradientOperator, surface: RestPrimitive, matrices: Float64Array) -> Float64Array:
     """Return the unit means (P, V, 3) of both truths by their parts."""
-    positions = replay(Algorithm.LBS_APPROXIMATED, surface, matrices).positions
+    positions = replay(Algorithm.LBS_STANDARD, surface, matrices).positions
     truths = Truths.of(operator, [surface], len(matrices), USUAL_TRUTHS)
     deformed = np.ascontiguousarray(positions.transpose(2, 1, 0), dtype=np.float64)
     with threads.Threads(1) as one:

@@ -79,7 +79,7 @@ def test_pixels_are_those_of_the_replay(
     options = [] if time is None else ["--time", str(time)]
     found = drawn(path, tmp_path / "picture.png", "--mode", "normals", "--lighting", lighting, *options)
     matrix = cameras[0].projected(YAW, SIZE[0] / SIZE[1])
-    algorithm = Algorithm.LBS_ACCURATE if lighting == "accurate" else Algorithm.LBS_APPROXIMATED
+    algorithm = Algorithm.LBS_ACCURATE if lighting == "accurate" else Algorithm.LBS_STANDARD
     wanted = fragments(path, algorithm, time, matrix, SIZE)
     inside = eroded(wanted.covered, 2)
     assert inside.sum() > 2000

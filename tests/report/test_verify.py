@@ -38,9 +38,9 @@ def figure(mean: float) -> ErrorFigures:
 
 def lit(standard: float = 4.0, accurate: float = 1.0) -> Normals:
     return {
-        "lbs": {"approximated": figure(standard), "direct": figure(accurate), "accurate": figure(accurate)},
+        "lbs": {"standard": figure(standard), "direct": figure(accurate), "accurate": figure(accurate)},
         "dqs": {
-            "approximated": figure(standard),
+            "standard": figure(standard),
             "accurate": figure(accurate),
             "exact": figure(accurate / 2),
         },
@@ -86,7 +86,7 @@ def test_figures_of_the_truth_fine_are_told_where_they_were_asked_for() -> None:
     jsonschema.validate(document, VERIFY)
     asked, usual = document["files"]
     assert asked["normals_fine"]["lbs"]["accurate"]["mean"] == 5.5
-    assert asked["primitives"][0]["normals_fine"]["lbs"]["approximated"]["mean"] == 7.0
+    assert asked["primitives"][0]["normals_fine"]["lbs"]["standard"]["mean"] == 7.0
     assert usual["normals_fine"] is None
     assert usual["primitives"][0]["normals_fine"] is None
     text = as_text(FINE)
@@ -102,7 +102,7 @@ def test_json_is_as_the_schema_has_it() -> None:
     jsonschema.validate(document, VERIFY)
     assert json.loads(json.dumps(document, allow_nan=False)) == document
     assert [entry["passed"] for entry in document["files"]] == [True, False, False]
-    assert document["files"][0]["normals"]["lbs"]["approximated"]["p99"] == 12.0
+    assert document["files"][0]["normals"]["lbs"]["standard"]["p99"] == 12.0
     assert document["files"][0]["primitives"][0]["normals"]["dqs"]["exact"]["mean"] == 0.5
     for entry in (document["files"][0], document["files"][0]["primitives"][0]):
         assert entry["normals_by_triangles"]["lbs"]["accurate"]["p95"] == 4.0
@@ -251,7 +251,7 @@ def test_the_truth_with_the_smaller_gain_counts(
     tangents: tuple[float, float], triangles: tuple[float, float], worse: float
 ) -> None:
     found = replace(PASSED, normals=lit(*tangents), by_triangles=without_direct(lit(*triangles)))
-    assert by_worse_truth(found)["approximated"].mean == worse
+    assert by_worse_truth(found)["standard"].mean == worse
     assert by_worse_truth(replace(PASSED, normals=None, by_triangles=None)) == {}
 
 

@@ -31,12 +31,12 @@ def term_lengths(choices: ShaderChoices, scene: Scene) -> Wide:
     """
     choices, mapped = replace(choices, normal_map=False), choices.normal_map
     posed = scene.posed(choices, np.float64)
-    plain = replace(choices, lighting=Lighting.APPROXIMATED, cap=None, mirrored_joints=False)
+    plain = replace(choices, lighting=Lighting.STANDARD, cap=None, mirrored_joints=False)
     blended = scene.posed(plain, np.float64)
     own, other = (np.linalg.norm(vectors, axis=2) for vectors in (posed, blended))
     farthest, steps = _reach(scene, choices.influences)
     longest = np.maximum(own, other)
-    corrected = choices.lighting is not Lighting.APPROXIMATED
+    corrected = choices.lighting is not Lighting.STANDARD
     tangent, bitangent = longest[:, 2:].T + corrected * ROUNDING / TOLERANCE * steps
     if not corrected:
         normal = own[:, 1]
@@ -48,7 +48,7 @@ def term_lengths(choices: ShaderChoices, scene: Scene) -> Wide:
         normal = tangent * bitangent
     if mapped:
         # The terms are |b'| |T n0|, |T n0| |t'| and |t'| |b'|. All are divided by |n'|, and multiplied by it.
-        turned = replace(choices, lighting=Lighting.APPROXIMATED, cap=None, mirrored_joints=False)
+        turned = replace(choices, lighting=Lighting.STANDARD, cap=None, mirrored_joints=False)
         carried = np.linalg.norm(scene.posed(turned, np.float64)[:, 1], axis=1)
         ends = np.tile(np.linalg.norm(scene.rest(choices).tangents, axis=1), len(scene.matrices))
         scale = scene.rigid(choices).scale if choices.method is Method.DQS else np.ones(len(scene.matrices))

@@ -60,9 +60,9 @@ def test_costs_are_those_of_the_replay(frame: str) -> None:
 
 
 ON_GPU = {
-    ("lbs_approximated", "normal"): 69,
-    ("lbs_approximated", "normal tangent"): 78,
-    ("lbs_approximated", "normal tangent bitangent"): 96,
+    ("lbs_standard", "normal"): 69,
+    ("lbs_standard", "normal tangent"): 78,
+    ("lbs_standard", "normal tangent bitangent"): 96,
     ("lbs_accurate", "normal"): 144,
     ("lbs_accurate", "normal tangent bitangent"): 144,
 }

@@ -98,7 +98,7 @@ def test_pixels_at_rest_are_the_engine_s_own(method: Method, frame: Frame, hand:
 
 @pytest.mark.parametrize(
     ("method", "lighting"),
-    [(Method.LBS, Lighting.DIRECT), (Method.LBS, Lighting.APPROXIMATED), (Method.DQS, Lighting.APPROXIMATED)],
+    [(Method.LBS, Lighting.DIRECT), (Method.LBS, Lighting.STANDARD), (Method.DQS, Lighting.STANDARD)],
 )
 def test_lighting_without_derivatives_has_no_normal_map(method: Method, lighting: Lighting) -> None:
     with pytest.raises(ChoiceError) as caught:

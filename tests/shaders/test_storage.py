@@ -249,10 +249,10 @@ class TestText:
         assert "TEXCOORD_2 " not in text
 
     def test_float32_attributes_need_nothing_of_it(self) -> None:
-        for lighting in (Lighting.ACCURATE, Lighting.APPROXIMATED):
+        for lighting in (Lighting.ACCURATE, Lighting.STANDARD):
             text = shader_text(ShaderChoices(GLSL, lighting=lighting))
             assert not re.search("scale|decoded|pair|stored_|snorm", text)
-        text = shader_text(ShaderChoices(GLSL, lighting=Lighting.APPROXIMATED, encoding=Encoding.PACKED8))
+        text = shader_text(ShaderChoices(GLSL, lighting=Lighting.STANDARD, encoding=Encoding.PACKED8))
         assert "skinbake_decoded" not in text
 
     @pytest.mark.parametrize(
@@ -305,8 +305,8 @@ class TestRefusals:
         monkeypatch.setattr(shader_texts, "TEMPLATES", tmp_path / "templates")
         with pytest.raises(ChoiceError, match="target='bare': it reads alpha and beta as floats"):
             shader_text(ShaderChoices(GLSL, target="bare", **storage))
-        approximated = ShaderChoices(GLSL, lighting=Lighting.APPROXIMATED, target="bare", **storage)
-        assert "skinbake_lbs_approximated" in shader_text(approximated)
+        standard = ShaderChoices(GLSL, lighting=Lighting.STANDARD, target="bare", **storage)
+        assert "skinbake_lbs_standard" in shader_text(standard)
         assert "skinbake_lbs_accurate" in shader_text(
             ShaderChoices(GLSL, target="bare", layout=Layout.CUSTOM)
         )

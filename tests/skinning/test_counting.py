@@ -20,7 +20,7 @@ from skinbake.skinning.counting import (
 
 # Right margin of the supplemental material's pseudo-code, line by line, n being the paper's N_max.
 PAPER: dict[Algorithm, Callable[[int], list[int]]] = {
-    Algorithm.LBS_APPROXIMATED: lambda n: [12 * n, 12, 9, 9, 9],
+    Algorithm.LBS_STANDARD: lambda n: [12 * n, 12, 9, 9, 9],
     Algorithm.LBS_DIRECT: lambda n: [12 * n, 9 * n, 9 * n, 31, 12, 9, 9, 9],
     Algorithm.LBS_ACCURATE: lambda n: [
         9 * n,
@@ -31,7 +31,7 @@ PAPER: dict[Algorithm, Callable[[int], list[int]]] = {
         6,
         3 * (n - 1),
     ],
-    Algorithm.DQS_APPROXIMATED: lambda n: [12 * n, 13, 27, 18, 18, 18],
+    Algorithm.DQS_STANDARD: lambda n: [12 * n, 13, 27, 18, 18, 18],
     Algorithm.DQS_ACCURATE: lambda n: [
         12 * n,
         13,

@@ -270,15 +270,15 @@ GAIN = {"type": ["number", "null"], "minimum": 0}
 NORMALS = strict(
     {},
     optional={
-        "lbs": strict({"approximated": FIGURES, "direct": FIGURES, "accurate": FIGURES, "gain": GAIN}),
-        "dqs": strict({"approximated": FIGURES, "accurate": FIGURES, "exact": FIGURES, "gain": GAIN}),
+        "lbs": strict({"standard": FIGURES, "direct": FIGURES, "accurate": FIGURES, "gain": GAIN}),
+        "dqs": strict({"standard": FIGURES, "accurate": FIGURES, "exact": FIGURES, "gain": GAIN}),
     },
 )
 NORMALS_BY_TRIANGLES = strict(
     {},
     optional={
-        "lbs": strict({"approximated": FIGURES, "accurate": FIGURES, "gain": GAIN}),
-        "dqs": strict({"approximated": FIGURES, "accurate": FIGURES, "exact": FIGURES, "gain": GAIN}),
+        "lbs": strict({"standard": FIGURES, "accurate": FIGURES, "gain": GAIN}),
+        "dqs": strict({"standard": FIGURES, "accurate": FIGURES, "exact": FIGURES, "gain": GAIN}),
     },
 )
 CONCLUSIONS = ("nothing to correct", "little to win", "small gain", "clear gain")

@@ -87,7 +87,7 @@ def test_every_normal_is_that_of_the_replay(
     wanted = expected(character, found["world"])
     assert largest(drawn, wanted) < DEGREES
     assert found["report"] == found["loaded"] == [["accurate", ""]]
-    standard = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+    standard = expected(character, found["world"], Algorithm.LBS_STANDARD)
     assert np.percentile(angles(vectors(drawn), standard[: len(vectors(drawn))]), 99) > 100 * DEGREES
 
 
@@ -156,7 +156,7 @@ def test_tangents_of_a_frame_may_be_others_but_must_be_there(stage: ThreeStage, 
     assert largest(anew["draws"][0], expected(character, anew["world"])) < DEGREES
     told = {**character.told(Placement()), "change": "no tangents", "when": when}
     without = stage.page.call("normals", told)
-    wanted = expected(character, without["world"], Algorithm.LBS_APPROXIMATED)
+    wanted = expected(character, without["world"], Algorithm.LBS_STANDARD)
     assert largest(without["draws"][0], wanted) < DEGREES
     reason = "it has lost the attribute tangent, which its bake needs: bake last"
     assert without["report"] == [["standard", reason]]
@@ -221,7 +221,7 @@ def test_joints_that_are_not_rigid_are_drawn_as_three_js_does_and_told_of(stage:
     assert stage.messages() == [f'skinbake: "tube" has three.js\'s standard lighting: {STRETCHED}']
     plain, stretched, undone, again, hidden = found["found"]
     assert stretched["draws"] == plain["draws"]
-    own = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+    own = expected(character, found["world"], Algorithm.LBS_STANDARD)
     assert largest(undone["draws"][0], own) < DEGREES
     assert largest(again["draws"][0], expected(character, found["world"], Algorithm.DQS_EXACT)) < DEGREES
     reports = [one["report"] for one in (stretched, undone, again, hidden)]
@@ -253,7 +253,7 @@ def test_a_copy_of_a_geometry_has_the_lighting_from_its_first_or_second_frame(
     character = stage.character(MIRRORED, RANDOM, frame)
     found = stage.call("copied", {**character.told(Placement()), "copy": copy})
     accurate = expected(character, found["world"])
-    standard = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+    standard = expected(character, found["world"], Algorithm.LBS_STANDARD)
     first, second = found["frames"]
     assert largest(first, accurate if copy == "clone()" else standard) < DEGREES
     assert largest(second, accurate) < DEGREES
@@ -351,7 +351,7 @@ def test_a_program_without_room_for_alpha_and_beta_is_three_s_own(stage: ThreeSt
     found = stage.page.call("crowded", character.told(Placement()))
     reason = 'its MeshNormalMaterial "many" does not link with alpha and beta: see the error above'
     assert found["report"] == [["standard", reason]]
-    wanted = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+    wanted = expected(character, found["world"], Algorithm.LBS_STANDARD)
     assert largest(found["draws"][0], wanted) < DEGREES
     said = stage.messages()
     assert [line for line in said if line.startswith("skinbake")] == [
@@ -374,14 +374,14 @@ def test_without_the_module_three_has_its_own_normals(stage: ThreeStage) -> None
     """Else the tests above would not see it. The page has used the module before, and disposed of it."""
     character = stage.character(TUBE, BENT)
     found = stage.normals(character, plugin=False)
-    wanted = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+    wanted = expected(character, found["world"], Algorithm.LBS_STANDARD)
     assert largest(found["draws"][0], wanted) < DEGREES
 
 
 def test_standard_lighting_is_three_s_own(stage: ThreeStage) -> None:
     character = stage.character(TUBE, BENT)
     found = stage.normals(character, lighting="standard")
-    wanted = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+    wanted = expected(character, found["world"], Algorithm.LBS_STANDARD)
     assert largest(found["draws"][0], wanted) < DEGREES
     assert found["report"] == [["standard", "lighting() has switched it"]]
 
@@ -391,7 +391,7 @@ def test_a_mesh_that_was_drawn_before_is_taken_up_and_given_back(stage: ThreeSta
     found = stage.call("late", character.told(Placement()))
     normals = [
         expected(character, found["world"], algorithm)
-        for algorithm in (Algorithm.LBS_APPROXIMATED, Algorithm.LBS_ACCURATE, Algorithm.DQS_EXACT)
+        for algorithm in (Algorithm.LBS_STANDARD, Algorithm.LBS_ACCURATE, Algorithm.DQS_EXACT)
     ]
     reports = [one["report"] for one in found["found"]]
     right = [["accurate", ""]]
@@ -418,7 +418,7 @@ def test_several_views_and_instances(
     character = stage.character(TUBE, BENT)
     found = stage.call("views", {**character.told(Placement()), "kind": kind, "lighting": lighting})
     accurate = lighting == "accurate"
-    algorithm = Algorithm.LBS_ACCURATE if accurate else Algorithm.LBS_APPROXIMATED
+    algorithm = Algorithm.LBS_ACCURATE if accurate else Algorithm.LBS_STANDARD
     wanted = expected(character, found["world"], algorithm)
     for draw, turns in zip(found["draws"], views, strict=True):
         drawn = vectors(draw["values"]).reshape(len(turns), -1, 3)
@@ -446,7 +446,7 @@ def test_meshes_that_are_not_lit_accurately_are_told_of_once(stage: ThreeStage) 
 def test_classes_with_hooks_are_served_and_those_of_another_three_told_of(stage: ThreeStage) -> None:
     character = stage.character(TUBE, BENT)
     found = stage.page.call("classes", character.told(Placement()))
-    wanted = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+    wanted = expected(character, found["world"], Algorithm.LBS_STANDARD)
     assert largest(found["draws"][0], wanted) < DEGREES
     assert found["hooked"]
     reason = "it is of another copy of three.js: let every import of 'three' find the same files"
@@ -477,7 +477,7 @@ def test_the_shadow_of_a_switched_mesh_is_three_s_own(stage: ThreeStage) -> None
     character = stage.character(TUBE, BENT)
     told = {**character.told(Placement()), "method": "dqs", "lighting": "standard"}
     found = stage.call("shadows", told)
-    assert shadow_is_of(character, found, Algorithm.LBS_APPROXIMATED)
+    assert shadow_is_of(character, found, Algorithm.LBS_STANDARD)
 
 
 @pytest.mark.parametrize("method", ["lbs", "dqs"])
@@ -489,7 +489,7 @@ def test_a_material_whose_meshes_stay_switched_has_three_s_own_program(
     found = stage.call("switched", {**character.told(Placement()), "method": method})
     lit = Algorithm.LBS_ACCURATE if method == "lbs" else Algorithm.DQS_EXACT
     accurate = expected(character, found["world"], lit)
-    standard = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+    standard = expected(character, found["world"], Algorithm.LBS_STANDARD)
     first, *rounds = found["found"]
     steps = [(True, True, True), (True, False, True), (False, False, True), (False, False, False)]
     for draws, (one, other, ours) in zip(
@@ -543,7 +543,7 @@ def test_clones_share_all_and_are_switched_apart(stage: ThreeStage) -> None:
     character = stage.character(TUBE, BENT)
     found = stage.call("clones", character.told(Placement()))
     accurate = expected(character, found["world"])
-    standard = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+    standard = expected(character, found["world"], Algorithm.LBS_STANDARD)
     pairs = [(found["draws"], (accurate, standard)), (found["again"], (accurate, accurate))]
     for draws, wanted in [*pairs, (found["disposed"], (standard, standard))]:
         assert len(draws) == 2

@@ -66,4 +66,4 @@ def test_react_three_fiber_built_by_vite_keeps_inline_materials_accurate(tmp_pat
     for one in found:
         world = one["reports"][0][2]
         assert largest(one["values"], expected(character, world)) < DEGREES
-        assert largest(one["values"], expected(character, world, Algorithm.LBS_APPROXIMATED)) > 10
+        assert largest(one["values"], expected(character, world, Algorithm.LBS_STANDARD)) > 10

@@ -203,7 +203,7 @@ class TestEveryVertex:
         character = stage.character(fixture or corpus.character(model or ""), pose)
         found = stage.vertices(character, None)
         assert found.patched == 0
-        expected = character.expected(Algorithm.LBS_APPROXIMATED, found.placement)
+        expected = character.expected(Algorithm.LBS_STANDARD, found.placement)
         assert deviation(found.values[0], expected.normals) < TOLERANCE
 
     @pytest.mark.parametrize("lighting", [Lighting.ACCURATE, Lighting.DIRECT])
@@ -219,7 +219,7 @@ class TestEveryVertex:
         assert found.patched == 1
         algorithm = Algorithm.LBS_ACCURATE if lighting is Lighting.ACCURATE else Algorithm.LBS_DIRECT
         expected = character.expected(algorithm, found.placement)
-        standard = character.expected(Algorithm.LBS_APPROXIMATED, found.placement)
+        standard = character.expected(Algorithm.LBS_STANDARD, found.placement)
         assert deviation(found.values[0], expected.normals) < TOLERANCE
         assert np.percentile(angles(found.values[0], standard.normals), 99) > 2
         size = np.ptp(character.rest.positions, axis=0).max()
@@ -523,9 +523,9 @@ class TestMisfits:
     @pytest.mark.parametrize(
         ("changes", "words"),
         [
-            ({"method": Method.DQS, "lighting": Lighting.APPROXIMATED}, "three.js's own"),
+            ({"method": Method.DQS, "lighting": Lighting.STANDARD}, "three.js's own"),
             ({"method": Method.DQS}, "--lighting exact"),
-            ({"lighting": Lighting.APPROXIMATED}, "three.js's own"),
+            ({"lighting": Lighting.STANDARD}, "three.js's own"),
             ({"influences": 5}, "four influences"),
             ({"influences": 1}, "use --influences 4"),
             ({"language": Language.WGSL}, "language='glsl'"),
@@ -700,7 +700,7 @@ class TestPictures:
         """MeshNormalMaterial before and after, against the replay's difference drawn as a colour."""
         character = stage.character(fixture or corpus.character(model or ""), pose)
         placement = stage.vertices(character, None).placement
-        standard = character.expected(Algorithm.LBS_APPROXIMATED, placement).normals
+        standard = character.expected(Algorithm.LBS_STANDARD, placement).normals
         accurate = character.expected(Algorithm.LBS_ACCURATE, placement).normals
         expected = angles(standard, accurate).astype("<f4")
         projection, view = look_at(character, placement, (0.5, 0.3, 1.0))

@@ -181,7 +181,7 @@ def test_standard_lighting_is_three_s_own(stage: ThreeStage, backend: str) -> No
     character = stage.character(TUBE, BENT)
     for options in ({"lighting": "standard"}, {"plugin": False}):
         found = stage.normals(character, backend=backend, **options)
-        wanted = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+        wanted = expected(character, found["world"], Algorithm.LBS_STANDARD)
         assert largest(found["draws"][0], wanted) < DEGREES
 
 
@@ -194,7 +194,7 @@ def test_a_mesh_that_was_drawn_before_is_taken_up_switched_and_given_back(
     found = stage.call("late", {**character.told(Placement()), "backend": backend})
     standard, accurate, dual = (
         expected(character, found["world"], algorithm)
-        for algorithm in (Algorithm.LBS_APPROXIMATED, Algorithm.LBS_ACCURATE, Algorithm.DQS_EXACT)
+        for algorithm in (Algorithm.LBS_STANDARD, Algorithm.LBS_ACCURATE, Algorithm.DQS_EXACT)
     )
     switched, right = ["standard", "lighting() has switched it"], ["accurate", ""]
     reports = [one["report"] for one in found["found"]]
@@ -219,7 +219,7 @@ def test_the_shadow_of_a_switched_mesh_is_three_s_own(stage: ThreeStage) -> None
     character = stage.character(TUBE, BENT)
     told = {**character.told(Placement()), "method": "dqs", "lighting": "standard"}
     found = stage.call("shadows", told)
-    assert shadow_is_of(character, found, Algorithm.LBS_APPROXIMATED)
+    assert shadow_is_of(character, found, Algorithm.LBS_STANDARD)
 
 
 @pytest.mark.parametrize("method", ["lbs", "dqs"])
@@ -235,7 +235,7 @@ def test_a_mesh_that_stays_switched_has_three_s_own_program(
     found = stage.call("switched", told)
     lit = Algorithm.LBS_ACCURATE if method == "lbs" else Algorithm.DQS_EXACT
     accurate = expected(character, found["world"], lit)
-    standard = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+    standard = expected(character, found["world"], Algorithm.LBS_STANDARD)
     first, *rounds = found["found"]
     text = first[0]["text"]
     assert "morphSkinbakeAlpha" in text
@@ -284,7 +284,7 @@ def test_joints_that_are_not_rigid_are_drawn_as_three_js_does_and_told_of(
     assert stage.messages() == [f'skinbake: "tube" has three.js\'s standard lighting: {STRETCHED}']
     plain, stretched, undone, again = found["found"]
     assert stretched["draws"] == plain["draws"]
-    own = expected(character, found["world"], Algorithm.LBS_APPROXIMATED)
+    own = expected(character, found["world"], Algorithm.LBS_STANDARD)
     assert largest(undone["draws"][0], own) < DEGREES
     assert largest(again["draws"][0], expected(character, found["world"], Algorithm.DQS_EXACT)) < DEGREES
     reports = [one["report"] for one in (stretched, undone, again)]
@@ -330,7 +330,7 @@ def test_node_materials_of_webgl_renderer_need_both_modules(stage: ThreeStage) -
     assert stage.page.messages() == [f'skinbake: "hero" has three.js\'s standard lighting: {reason}']
     alone, both = found
     assert [alone["report"], both["report"]] == [[["standard", reason]], [["accurate", ""]]]
-    standard = expected(character, alone["world"], Algorithm.LBS_APPROXIMATED)
+    standard = expected(character, alone["world"], Algorithm.LBS_STANDARD)
     assert largest(alone["draws"][0], standard) < DEGREES
     assert largest(both["draws"][0], expected(character, both["world"])) < DEGREES
 

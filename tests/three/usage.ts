@@ -18,6 +18,6 @@ export async function show(scene: Scene): Promise<string[]> {
     // @ts-expect-error: the methods are lbs and dqs
     applySkinbake(scene, { method: 'other' });
     // @ts-expect-error: there are two lightings
-    lighting(scene, 'approximated');
+    lighting(scene, 'other');
     return [...meshes.map((mesh) => mesh.name), ...report.meshes.map((one) => `${one.lighting}: ${one.reason}`)];
 }

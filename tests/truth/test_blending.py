@@ -15,7 +15,7 @@ from skinbake.truth import blending
 from skinbake.truth.blending import BlendedPrimitive, blended_blocks
 from tests.support.replay import replay
 
-ALGORITHMS = (Algorithm.LBS_APPROXIMATED, Algorithm.LBS_DIRECT, Algorithm.LBS_ACCURATE)
+ALGORITHMS = (Algorithm.LBS_STANDARD, Algorithm.LBS_DIRECT, Algorithm.LBS_ACCURATE)
 JOINTS, VERTICES = 200, 23
 
 

@@ -48,7 +48,7 @@ class Browsing:
     def expected(self, lighting: str) -> Array:
         """Return the normals (V, 3) of the replay under a lighting of the page."""
         path = self.surface if lighting == "surface" else self.path
-        algorithms = {"standard": Algorithm.LBS_APPROXIMATED, "dqs": Algorithm.DQS_EXACT}
+        algorithms = {"standard": Algorithm.LBS_STANDARD, "dqs": Algorithm.DQS_EXACT}
         algorithm = algorithms.get(lighting, Algorithm.LBS_ACCURATE)
         return Character(path, Pose(0, self.time)).expected(algorithm, Placement()).normals
 
@@ -100,7 +100,7 @@ def test_errors_on_the_page_are_those_of_verify(browsing: Browsing) -> None:
     assert found["truth"] < DEGREES
     browsing.page.call("(() => { right.value = 'rig'; application.chooseSides(); })")
     wanted = errors_by_verify(browsing.path, browsing.time)
-    for lighting, name in (("standard", "approximated"), ("rig", "accurate")):
+    for lighting, name in (("standard", "standard"), ("rig", "accurate")):
         assert found[lighting] == pytest.approx(wanted[name], rel=0.002), lighting
 
 

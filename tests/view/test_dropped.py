@@ -41,7 +41,7 @@ CASES = [
 """Both frames, one and two sets of influences, and every way to store α and β."""
 
 LIGHTINGS = {
-    "standard": Algorithm.LBS_APPROXIMATED,
+    "standard": Algorithm.LBS_STANDARD,
     "rig": Algorithm.LBS_ACCURATE,
     "dqs": Algorithm.DQS_EXACT,
 }

@@ -185,7 +185,7 @@ def test_primitives_have_the_figures_of_the_truth_that_counts() -> None:
     for primitive in given:
         truths = [primitive[name]["lbs"] for name in ("normals", "normals_by_triangles")]
         counts = min(truths, key=lambda figures: figures["gain"])
-        expected += [f"{counts[name]['mean']:.2f}" for name in ("approximated", "accurate")]
+        expected += [f"{counts[name]['mean']:.2f}" for name in ("standard", "accurate")]
         assert counts is truths[1], "a file whose truths are told apart"
     assert [text for text in rows if not text.endswith("×")] == expected
     assert "by the truth with the smaller gain" in words

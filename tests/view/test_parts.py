@@ -46,7 +46,7 @@ def test_the_texts_are_what_skinbake_shader_writes() -> None:
     dual = ["--method", "dqs", "--influences", "8", "--encoding", "packed8"]
     for name, options in (
         ("lbs_accurate/4/normal/float32/none/plain", plain),
-        ("lbs_approximated/4/normal/float32/none/plain", ["--lighting", "approximated", *plain]),
+        ("lbs_standard/4/normal/float32/none/plain", ["--lighting", "standard", *plain]),
         ("dqs_exact/8/normal/packed8/none/plain", [*dual, *plain]),
         ("lbs_accurate/4/tangent/snorm16/tangent/mirrored", tangent),
     ):

@@ -63,7 +63,7 @@ def test_pixels_are_those_of_the_replay(
     )
     found = picture(page)[::-1].astype(np.float64)
     height, width = found.shape[:2]
-    algorithm = Algorithm.LBS_ACCURATE if lighting == "rig" else Algorithm.LBS_APPROXIMATED
+    algorithm = Algorithm.LBS_ACCURATE if lighting == "rig" else Algorithm.LBS_STANDARD
     matrix, eye, turn = page.call(
         "((aspect) => [application.camera.projected(aspect), application.camera.eye, application.turn])",
         width / height,

@@ -179,8 +179,8 @@ def _figures(verdict: Mapping[str, Any]) -> tuple[tuple[Line, ...], float | None
     if not truths:
         return (), None
     lbs = min(truths, key=lambda found: math.inf if found["gain"] is None else found["gain"])
-    standard, accurate = lbs["approximated"]["mean"], lbs["accurate"]["mean"]
-    if lbs["gain"] is None and max(found["approximated"]["mean"] for found in truths) < SHOWN:
+    standard, accurate = lbs["standard"]["mean"], lbs["accurate"]["mean"]
+    if lbs["gain"] is None and max(found["standard"]["mean"] for found in truths) < SHOWN:
         text = "nothing bends: standard normals are right already"
     else:
         gain = "" if lbs["gain"] is None else f", gain {_gain_in_words(lbs['gain'])}x"

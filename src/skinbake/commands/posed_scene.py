@@ -61,7 +61,7 @@ HALF_TURN = np.diag([-1.0, 1.0, -1.0, 1.0])
 """A turn of the whole scene around the vertical."""
 
 RANDOM_ANGLE = float(np.radians(30.0))
-NAMES = {"standard": "approximated", "accurate": "accurate"}
+NAMES = ("standard", "accurate")
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,8 +166,8 @@ def lighting_errors_of(draws: Sequence[Draw], posed: Sequence[PosedDraw]) -> lis
         ]
 
         def record(block: MeasuredBlock, own: Any = own) -> None:
-            for name, lighting in NAMES.items():
-                if block.lighting == lighting:
+            for name in NAMES:
+                if block.lighting == name:
                     poses = slice(block.pose, block.pose + block.errors.shape[0])
                     rows = slice(block.vertex, block.vertex + block.errors.shape[1])
                     own[block.primitive][name][0, poses, rows] = np.where(block.valid, block.errors, 0.0)
@@ -198,7 +198,7 @@ def _worst(document: Document, draws: Sequence[Draw], clip: Clip, count: int) ->
         areas = [vertex_areas(view.now.positions, view.now.triangles) for view in draw.views]
 
         def record(block: MeasuredBlock, areas: Any = areas) -> None:
-            if block.lighting == NAMES["standard"]:
+            if block.lighting == "standard":
                 poses, vertices = block.errors.shape
                 of_block = areas[block.primitive][block.vertex : block.vertex + vertices]
                 errors = np.where(block.valid, block.errors, 0.0)

@@ -306,7 +306,7 @@ def _positions(draws: Sequence[Draw], posed: Sequence[PosedDraw]) -> Iterator[Fl
         for rest, matrices in posed_primitives(draw, one):
             skinning = Skinning.of(rest, matrices, dual_quaternions=False, options=Options())
             every = slice(0, len(matrices)), slice(0, len(rest.positions))
-            (found,) = skinning.run((Algorithm.LBS_APPROXIMATED,), *every)
+            (found,) = skinning.run((Algorithm.LBS_STANDARD,), *every)
             yield np.stack([np.asarray(component, np.float64) for component in found.position], axis=-1)
 
 

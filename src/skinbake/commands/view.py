@@ -316,7 +316,7 @@ def _listed(verdict: FileVerdict, link: str | None, picture: bytes | None) -> Li
         picture=picture,
         outcome=verdict.outcome,
         remark=_remark(verdict),
-        standard=figures["approximated"].mean if figures else None,
+        standard=figures["standard"].mean if figures else None,
         accurate=figures["accurate"].mean if figures else None,
         gain=gain(figures) if figures else None,
     )

@@ -118,7 +118,7 @@ class Surface:
         """
         blended = [BlendedPrimitive(one, matrices, Options()) for one in self.rest]
         sides = sides_of(self.rest, matrices)
-        algorithm = Algorithm.LBS_ACCURATE if accurate else Algorithm.LBS_APPROXIMATED
+        algorithm = Algorithm.LBS_ACCURATE if accurate else Algorithm.LBS_STANDARD
         with Threads(thread_count()) as threads:
             for first in range(0, len(matrices), POSES):
                 poses = slice(first, min(first + POSES, len(matrices)))

@@ -28,12 +28,12 @@ from skinbake.truth.truths import ChunkMemory, FineTruth, PosedSurface, Truths, 
 
 METHODS: dict[str, dict[str, Algorithm]] = {
     "lbs": {
-        "approximated": Algorithm.LBS_APPROXIMATED,
+        "standard": Algorithm.LBS_STANDARD,
         "direct": Algorithm.LBS_DIRECT,
         "accurate": Algorithm.LBS_ACCURATE,
     },
     "dqs": {
-        "approximated": Algorithm.DQS_APPROXIMATED,
+        "standard": Algorithm.DQS_STANDARD,
         "accurate": Algorithm.DQS_ACCURATE,
         "exact": Algorithm.DQS_EXACT,
     },
@@ -318,7 +318,7 @@ class SteppedPrimitive:
     def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
         """Return the normals that algorithms 4–6 give a block."""
         normals = kernel.dqs_normals(self._skinning, pose, part)
-        chosen = (normals[algorithm - Algorithm.DQS_APPROXIMATED] for algorithm in algorithms)
+        chosen = (normals[algorithm - Algorithm.DQS_STANDARD] for algorithm in algorithms)
         return [tuple(axis.T for axis in normal) for normal in chosen]
 
 

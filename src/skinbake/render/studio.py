@@ -43,8 +43,6 @@ ONE_PIXEL: dict[str, Levels] = {
 }
 """What stands for an image that a material does not have."""
 
-LIGHTINGS = {"standard": Lighting.APPROXIMATED, "accurate": Lighting.ACCURATE}
-
 Picture = npt.NDArray[np.uint8]
 
 
@@ -303,7 +301,7 @@ def shader(lighting: str, slots: int, mirrored: bool) -> str:
     """Return the text of ``skinbake shader`` for so many slots, and the stages that call it."""
     choices = ShaderChoices(
         Language.WGSL,
-        lighting=LIGHTINGS[lighting],
+        lighting=Lighting(lighting),
         influences=slots,
         frame=Frame.TANGENT,  # frames are computed before; of both texts it is the one that has a handedness
         mirrored_joints=mirrored and lighting == "accurate",

@@ -27,7 +27,7 @@ OUTCOMES = ("passed", "up-to-date", "failed")
 
 Outcome = Literal["passed", "failed", "skipped"]
 
-SHOWN_LIGHTINGS = {"approximated": "standard", "accurate": "accurate", "exact": "exact"}
+SHOWN_LIGHTINGS = ("standard", "accurate", "exact")
 """The rows of the table, by name. Direct lighting equals accurate lighting up to its sign in folds."""
 
 ROUNDING = 1e-4
@@ -84,7 +84,7 @@ class ErrorFigures:
 
 
 Normals = dict[str, dict[str, ErrorFigures]]
-"""Figures by method (lbs, dqs) and lighting (approximated, direct, accurate, exact)."""
+"""Figures by method (lbs, dqs) and lighting (standard, direct, accurate, exact)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +159,7 @@ def gain(figures: Mapping[str, ErrorFigures], lighting: str = "accurate") -> flo
     """Return the standard mean error divided by that of a lighting, None if the latter is rounding."""
     if lighting not in figures or figures[lighting].mean < ROUNDING:
         return None
-    return figures["approximated"].mean / figures[lighting].mean
+    return figures["standard"].mean / figures[lighting].mean
 
 
 def by_worse_truth(verdict: FileVerdict) -> dict[str, ErrorFigures]:
@@ -215,7 +215,7 @@ def as_brief(verdict: FileVerdict) -> str:
     lines += _check_lines([check for check in verdict.checks if check.outcome == "failed"])
     if found := _worse(verdict):
         _, method, figures = found
-        errors = f"standard {figures['approximated'].mean:.2f}°, accurate {figures['accurate'].mean:.2f}°"
+        errors = f"standard {figures['standard'].mean:.2f}°, accurate {figures['accurate'].mean:.2f}°"
         lines.append(f"  {method.upper()} error: {errors}, in the mean over {verdict.poses}. -v shows more")
     return "\n".join([*lines, *_advised(verdict)])
 
@@ -229,7 +229,7 @@ def as_line(verdict: FileVerdict) -> str:
         truth, method, figures = found
         factor = gain(figures)
         parts += [] if factor is None else [f"{method.upper()} gain {gain_in_words(factor)}x by {truth}"]
-        parts += [f"mean error {figures['approximated'].mean:.2f}° -> {figures['accurate'].mean:.2f}°"]
+        parts += [f"mean error {figures['standard'].mean:.2f}° -> {figures['accurate'].mean:.2f}°"]
         verdict_words = conclusion(verdict)
         if verdict_words is not None and verdict_words.leave:
             parts += [f"{verdict_words.short}: leave it unbaked"]
@@ -302,7 +302,7 @@ def _on_gain(figures: Mapping[str, ErrorFigures], look: str, *, advised: bool) -
 
     ``look`` is the command that shows the file. advised: a warning knows a better bake.
     """
-    standard, factor = figures["approximated"].mean, gain(figures)
+    standard, factor = figures["standard"].mean, gain(figures)
     nearer = "" if factor is None else f"{factor:.1f}" if CLEAR <= factor < 100 else gain_in_words(factor)
     told = f"{nearer} times nearer to the true normals" if nearer else "exact but for rounding"
     if standard < NEGLIGIBLE:
@@ -326,7 +326,7 @@ def _table(normals: Normals, by_triangles: Normals, fine: Normals | None) -> Ite
     numbers = f"{'mean':>10}{'p95':>8}" * len(more)
     yield f"  {'':<16}{'mean':>8}{'p95':>8}{'p99':>8}{'max':>8}{numbers}  worst at"
     for method, figures in normals.items():
-        for lighting, shown in SHOWN_LIGHTINGS.items():
+        for lighting in SHOWN_LIGHTINGS:
             if lighting in figures:
                 error = figures[lighting]
                 numbers = "".join(f"{value:8.2f}" for value in (error.mean, error.p95, error.p99, error.max))
@@ -335,7 +335,7 @@ def _table(normals: Normals, by_triangles: Normals, fine: Normals | None) -> Ite
                     numbers += (
                         f"{'—':>10}{'—':>8}" if other is None else f"{other.mean:10.2f}{other.p95:8.2f}"
                     )
-                yield f"  {method.upper() + ' ' + shown:<16}{numbers}  {_where(error.worst)}"
+                yield f"  {method.upper() + ' ' + lighting:<16}{numbers}  {_where(error.worst)}"
         factors = {truth: gain(found.get(method, {})) for truth, found in more.items()}
         factors = {Truth.TANGENTS: gain(figures), **factors}
         told = [

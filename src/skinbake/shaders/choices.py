@@ -20,10 +20,10 @@ AT_RUN_TIME = {"three", "babylon", "godot", "playcanvas"}
 """The targets whose code reads all but the lighting from the file when it runs, and divides its weights."""
 
 ALGORITHMS = {
-    (Method.LBS, Lighting.APPROXIMATED): 1,
+    (Method.LBS, Lighting.STANDARD): 1,
     (Method.LBS, Lighting.DIRECT): 2,
     (Method.LBS, Lighting.ACCURATE): 3,
-    (Method.DQS, Lighting.APPROXIMATED): 4,
+    (Method.DQS, Lighting.STANDARD): 4,
     (Method.DQS, Lighting.ACCURATE): 5,
     (Method.DQS, Lighting.EXACT): 6,
 }
@@ -127,7 +127,7 @@ class ShaderChoices:
     @property
     def reads_gradients(self) -> bool:
         """Tell whether α and β are read (in all algorithms except 1 and 4); one influence alone has none."""
-        return self.lighting is not Lighting.APPROXIMATED and self.influences > 1
+        return self.lighting is not Lighting.STANDARD and self.influences > 1
 
     @property
     def influence_sets(self) -> int:

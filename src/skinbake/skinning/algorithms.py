@@ -12,29 +12,32 @@ from skinbake.skinning.rest import Options
 
 
 class Algorithm(IntEnum):
-    """Numbers and names; 1–3 are linear blend skinning, 4–6 dual quaternion skinning."""
+    """Numbers and names; 1–3 are linear blend skinning, 4–6 dual quaternion skinning.
 
-    LBS_APPROXIMATED = 1
+    The standard lighting of 1 and 4 is called approximated in the paper.
+    """
+
+    LBS_STANDARD = 1
     LBS_DIRECT = 2
     LBS_ACCURATE = 3
-    DQS_APPROXIMATED = 4
+    DQS_STANDARD = 4
     DQS_ACCURATE = 5
     DQS_EXACT = 6
 
     @property
     def uses_dual_quaternions(self) -> bool:
         """Tell whether it is dual quaternion skinning, which needs rigid joints."""
-        return self >= Algorithm.DQS_APPROXIMATED
+        return self >= Algorithm.DQS_STANDARD
 
 
 # The second argument has an entry for each slot: Rows for 1–3, dual quaternions for 4–6.
 Steps: TypeAlias = Callable[[RestVertex, Sequence[Any], Options, LineMark], PosedVertex]
 
 STEPS: dict[Algorithm, Steps] = {
-    Algorithm.LBS_APPROXIMATED: lbs.approximated,
+    Algorithm.LBS_STANDARD: lbs.standard,
     Algorithm.LBS_DIRECT: lbs.direct,
     Algorithm.LBS_ACCURATE: lbs.accurate,
-    Algorithm.DQS_APPROXIMATED: dqs.approximated,
+    Algorithm.DQS_STANDARD: dqs.standard,
     Algorithm.DQS_ACCURATE: dqs.accurate,
     Algorithm.DQS_EXACT: dqs.exact,
 }

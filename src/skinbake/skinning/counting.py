@@ -31,17 +31,17 @@ class Surcharge:
 
 SURCHARGES = (
     Surcharge(
-        frozenset({(Algorithm.LBS_APPROXIMATED, 2), (Algorithm.LBS_DIRECT, 5)}),
+        frozenset({(Algorithm.LBS_STANDARD, 2), (Algorithm.LBS_DIRECT, 5)}),
         3,
         "T p is charged 12, the homogeneous 1 included, where q = M p of the same size is charged 9",
     ),
     Surcharge(
-        frozenset({(Algorithm.DQS_APPROXIMATED, 1), (Algorithm.DQS_ACCURATE, 1), (Algorithm.DQS_EXACT, 1)}),
+        frozenset({(Algorithm.DQS_STANDARD, 1), (Algorithm.DQS_ACCURATE, 1), (Algorithm.DQS_EXACT, 1)}),
         4,
         "mixing is charged 12 an influence, 8 to add and 4 for the hemisphere, also of slot 0, its pivot",
     ),
     Surcharge(
-        frozenset({(Algorithm.DQS_APPROXIMATED, 3), (Algorithm.DQS_ACCURATE, 3), (Algorithm.DQS_EXACT, 3)}),
+        frozenset({(Algorithm.DQS_STANDARD, 3), (Algorithm.DQS_ACCURATE, 3), (Algorithm.DQS_EXACT, 3)}),
         3,
         "a position is charged 27, one for differences 24: adding p to its displacement is charged apart",
     ),
@@ -202,7 +202,7 @@ def vertex_bytes(algorithm: Algorithm, influences: int, stored: StoredTypes | No
 
 def _derivatives(algorithm: Algorithm, influences: int) -> tuple[int, int]:
     """Return the numbers that an algorithm adds to a vertex, and the groups of them that may have a scale."""
-    if algorithm in (Algorithm.LBS_APPROXIMATED, Algorithm.DQS_APPROXIMATED):
+    if algorithm in (Algorithm.LBS_STANDARD, Algorithm.DQS_STANDARD):
         return 0, 0
     if algorithm is Algorithm.LBS_DIRECT:
         return 3 * influences, influences

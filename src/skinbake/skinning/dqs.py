@@ -32,12 +32,13 @@ from skinbake.skinning.lbs import plus_gradient, with_normal_map
 from skinbake.skinning.rest import Options
 
 
-def approximated(
+def standard(
     vertex: RestVertex, quaternions: Sequence[Vector], options: Options, line: LineMark
 ) -> PosedVertex:
     """Run algorithm 4: move the frame by the normalised mix, as if the weights were constant.
 
-    A mix of length zero leaves the vertex where it is. ``options`` have no effect here.
+    The paper calls it approximated lighting. A mix of length zero leaves the vertex where it is. ``options``
+    have no effect here.
     """
     line(1)
     mixed = weighted_sum(_signed(vertex.weights, _hemispheres(quaternions)), quaternions)

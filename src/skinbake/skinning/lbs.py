@@ -32,12 +32,11 @@ from skinbake.skinning.components import (
 from skinbake.skinning.rest import Options
 
 
-def approximated(
-    vertex: RestVertex, matrices: Sequence[Rows], options: Options, line: LineMark
-) -> PosedVertex:
+def standard(vertex: RestVertex, matrices: Sequence[Rows], options: Options, line: LineMark) -> PosedVertex:
     """Run algorithm 1: move the frame by the blended matrix, as if the weights were constant.
 
-    The normal of line 3 is that of ``options.baseline``. The paper uses ``Baseline.BLENDED``.
+    The paper calls it approximated lighting. The normal of line 3 is that of ``options.baseline``. The paper
+    uses ``Baseline.BLENDED``.
     """
     line(1)
     blended = _blend(vertex.weights, matrices, columns=4)

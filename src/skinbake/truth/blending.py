@@ -93,7 +93,7 @@ class BlendedPrimitive:
     def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
         """Return the normals that algorithms 1–3 give some vertices. They are not of unit length."""
         steps = {
-            Algorithm.LBS_APPROXIMATED: self._approximated,
+            Algorithm.LBS_STANDARD: self._standard,
             Algorithm.LBS_DIRECT: self._direct_normals,
             Algorithm.LBS_ACCURATE: self._accurate,
         }
@@ -111,7 +111,7 @@ class BlendedPrimitive:
         rest = self._rest
         return Forms(rest.joints[part], rest.weights[part], rest.positions[part], directions, changes)
 
-    def _approximated(self, pose: slice, part: slice) -> Float64Array:
+    def _standard(self, pose: slice, part: slice) -> Float64Array:
         """Return T n, T⁻ᵀ n or Σ w cof(M[s]) n: (3, B, P)."""
         normal = self._rest.normals[part]
         if self._options.baseline is Baseline.INVERSE_TRANSPOSE:

@@ -40,7 +40,7 @@ def shown_choices() -> Iterator[tuple[str, ShaderChoices]]:
 
 
 def _algorithms(usual: ShaderChoices) -> Iterator[tuple[str, ShaderChoices]]:
-    yield _named(usual, Method.LBS, Lighting.APPROXIMATED, Encoding.FLOAT32)
+    yield _named(usual, Method.LBS, Lighting.STANDARD, Encoding.FLOAT32)
     for encoding in Encoding:
         yield _named(usual, Method.LBS, Lighting.ACCURATE, encoding)
         yield _named(usual, Method.LBS, Lighting.ACCURATE, encoding, mirrored=True)

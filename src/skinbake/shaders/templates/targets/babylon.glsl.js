@@ -3,7 +3,7 @@
 //% elif lighting == "direct"
 //%   set _ = refuse("lighting", "its module corrects normals by the accurate algorithm only; use --lighting accurate")
 //% elif lighting != "accurate"
-//%   set _ = refuse("lighting", "use --lighting accurate; approximated lighting is Babylon.js's own")
+//%   set _ = refuse("lighting", "use --lighting accurate; standard lighting is Babylon.js's own")
 //% elif influences > 8
 //%   set _ = refuse("influences", "Babylon.js reads eight influences per vertex, not " ~ influences ~ "; bake with --limit-influences 8")
 //% elif influences < 4

@@ -1,5 +1,5 @@
-//% if lighting == "approximated"
-//%   set _ = refuse("lighting", "approximated lighting is PlayCanvas's own; use --lighting accurate or direct")
+//% if lighting == "standard"
+//%   set _ = refuse("lighting", "standard lighting is PlayCanvas's own; use --lighting accurate or direct")
 //% elif method == "dqs" and lighting != "exact"
 //%   set _ = refuse("method", "use --lighting exact with --method dqs")
 //% elif influences > 4

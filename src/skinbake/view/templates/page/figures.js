@@ -1,9 +1,9 @@
 // What skinbake verify has measured, beside the model. Every text of a file goes in as text.
 
 const ROWS = [
-    ['lbs', 'approximated', 'Standard'],
+    ['lbs', 'standard', 'Standard'],
     ['lbs', 'accurate', 'Accurate'],
-    ['dqs', 'approximated', 'Dual quaternions, standard'],
+    ['dqs', 'standard', 'Dual quaternions, standard'],
     ['dqs', 'accurate', 'Dual quaternions, accurate'],
     ['dqs', 'exact', 'Dual quaternions, exact'],
 ];
@@ -22,7 +22,7 @@ export function showFigures(byId, given) {
             (least.gain < 1
                 ? 'Accurate lighting is not nearer to the true normals of this file than standard lighting: '
                 : 'Accurate lighting is that much nearer to the true normals than standard lighting: ') +
-            `${degrees(least.accurate.mean)} instead of ${degrees(least.approximated.mean)} in the mean, ${least.truth}` +
+            `${degrees(least.accurate.mean)} instead of ${degrees(least.standard.mean)} in the mean, ${least.truth}` +
             (figures.lbs ? '.' : ', with dual quaternions.') +
             (other ? ` The gain ${other.truth} is ${times(other.gain)}.` : '');
     }
@@ -100,8 +100,8 @@ function showPrimitives(byId, primitives) {
     head.append(row('th', ['', 'standard', 'accurate', 'gain']));
     const body = element('tbody');
     for (const { mesh, mesh_name: name, primitive, normals, normals_by_triangles: triangles } of rows) {
-        const { approximated, accurate, gain } = byGain(normals, triangles)[0] ?? normals.lbs ?? normals.dqs;
-        const line = row('td', [approximated.mean.toFixed(2), accurate.mean.toFixed(2), gain ? times(gain) : '—']);
+        const { standard, accurate, gain } = byGain(normals, triangles)[0] ?? normals.lbs ?? normals.dqs;
+        const line = row('td', [standard.mean.toFixed(2), accurate.mean.toFixed(2), gain ? times(gain) : '—']);
         const title = element('th', `${isolated(name ?? `mesh ${mesh}`)}, ${primitive}`);
         title.scope = 'row';
         line.prepend(title);

@@ -10,11 +10,11 @@ const CLAY = [0.60, 0.585, 0.56, 1];
 
 // How each lighting is drawn: the algorithm, the kind of its α and β, and whether its normals are the true ones.
 export const LIGHTINGS = {
-    standard: { stem: 'lbs_approximated', method: 'lbs' },
+    standard: { stem: 'lbs_standard', method: 'lbs' },
     surface: { stem: 'lbs_accurate', method: 'lbs', gradients: 'surface' },
     rig: { stem: 'lbs_accurate', method: 'lbs', gradients: 'rig' },
     dqs: { stem: 'dqs_exact', method: 'dqs' },
-    truth: { stem: 'lbs_approximated', method: 'lbs', isTrue: true },
+    truth: { stem: 'lbs_standard', method: 'lbs', isTrue: true },
 };
 
 export class Renderer {
@@ -266,12 +266,12 @@ export class Renderer {
         }
         const { stem, gradients: wanted } = LIGHTINGS[lighting];
         const kinds = Object.keys(primitive.gradients);
-        const kind = stem === 'lbs_approximated' ? '' : kinds.includes(wanted) ? wanted : kinds[0];
-        const isLit = kind !== undefined && stem !== 'lbs_approximated';
+        const kind = stem === 'lbs_standard' ? '' : kinds.includes(wanted) ? wanted : kinds[0];
+        const isLit = kind !== undefined && stem !== 'lbs_standard';
         const gradients = isLit ? primitive.gradients[kind] : null;
         const frame = primitive.metadata?.frame ?? 'normal';
         const choices = {
-            stem: isLit ? stem : 'lbs_approximated',
+            stem: isLit ? stem : 'lbs_standard',
             sets: primitive.joints.length,
             frame,
             storage: gradients?.storage ?? 'float32',

@@ -55,7 +55,7 @@ export class Scene {
         const { gradients, stem } = LIGHTINGS[lighting];
         if (!lit.length) return lighting === 'standard' ? '' : 'nothing in it is skinned';
         if (gradients && !lit.some((part) => part.primitive.gradients[gradients])) return 'the page holds no such α and β of this file';
-        if (stem !== 'lbs_approximated' && !lit.some((part) => part.primitive.metadata)) return 'it is not baked';
+        if (stem !== 'lbs_standard' && !lit.some((part) => part.primitive.metadata)) return 'it is not baked';
         if (stem === 'dqs_exact' && this.motions.some((motion, skin) => !motion && this.usedJoints[skin].length)) return 'its joints are not rigid';
         return '';
     }

@@ -10,7 +10,7 @@ export const TEXCOORDS = ['v_texcoord.xy', 'v_texcoord.zw', 'v_further_texcoord'
 
 // The name under which the page holds a text of skinbake shader.
 export function textName({ stem, sets, frame, storage, morphs, mirrored }) {
-    const how = stem === 'lbs_approximated' ? 'float32' : storage;
+    const how = stem === 'lbs_standard' ? 'float32' : storage;
     return [stem, 4 * sets, frame, how, morphs, mirrored && stem === 'lbs_accurate' ? 'mirrored' : 'plain'].join('/');
 }
 
@@ -25,7 +25,7 @@ export function vertexText(text, choices) {
     const { stem, sets, frame, storage, morphs } = choices;
     const numbers = Array.from({ length: sets }, (_, set) => set);
     const isDual = stem === 'dqs_exact';
-    const reads = stem !== 'lbs_approximated';
+    const reads = stem !== 'lbs_standard';
     const [type, make, name] = isDual ? ['mat2x4', 'motion', 'Q'] : ['mat4', 'motion', 'M'];
     // An attribute holds the joints of both sets: the second one's in the upper halves of its integers.
     const slots = numbers.flatMap((set) => ['x', 'y', 'z', 'w'].map((c) => `${make}(int(joints.${c} >> ${16 * set}u & 65535u))`));

@@ -1,6 +1,6 @@
 // The frame moves by the blended matrix T, as if the weights were constant over the surface.
 // M: the joint matrices of @{ slot_words }.
-fn skinbake_lbs_approximated(p: vec3<f32>, frame: skinbake_Frame, M: array<mat4x4<f32>, @{ influences }>@{ params(weight_params) }) -> skinbake_Vertex {
+fn skinbake_lbs_standard(p: vec3<f32>, frame: skinbake_Frame, M: array<mat4x4<f32>, @{ influences }>@{ params(weight_params) }) -> skinbake_Vertex {
 //% for slot in slots
     @{ "let T =" if loop.first else "      +" } @{ slot.weight } * skinbake_rows(M[@{ slot.index }])@{ ";" if loop.last }@{ " // 1" if loop.first }
 //% endfor

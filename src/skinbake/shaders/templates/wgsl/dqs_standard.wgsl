@@ -1,6 +1,6 @@
 // The frame moves by the normalised mix b, as if the weights were constant over the surface.
 // Q: the dual quaternions of @{ slot_words }.
-fn skinbake_dqs_approximated(p: vec3<f32>, frame: skinbake_Frame, Q: array<mat2x4<f32>, @{ influences }>@{ params(weight_params) }) -> skinbake_Vertex {
+fn skinbake_dqs_standard(p: vec3<f32>, frame: skinbake_Frame, Q: array<mat2x4<f32>, @{ influences }>@{ params(weight_params) }) -> skinbake_Vertex {
 //% set mixed = "mixed"
 //% include "wgsl/mix.wgsl"
 //% include "wgsl/unit.wgsl"

@@ -1,8 +1,8 @@
-// Lighting for skinned meshes that skinbake has baked: linear blend skinning, approximated lighting,
+// Lighting for skinned meshes that skinbake has baked: linear blend skinning, standard lighting,
 // 4 influences a vertex, normal frame.
 //
 // Written by skinbake 0.1.0:
-//     skinbake shader --lang hlsl --method lbs --lighting approximated --influences 4 --frame normal
+//     skinbake shader --lang hlsl --method lbs --lighting standard --influences 4 --frame normal
 //
 // Algorithm 1 of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned
 // Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. The numbers beside the lines
@@ -22,11 +22,11 @@
 // a transpose. With row_major packing (-Zpr) transpose them first.
 // Use:
 //     skinbake_Frame frame = skinbake_frame(normal);
-//     skinbake_Vertex v = skinbake_lbs_approximated(position, frame, M, weights_0);
+//     skinbake_Vertex v = skinbake_lbs_standard(position, frame, M, weights_0);
 //     // v.position; normalize(v.normal); normalize(v.tangent)
 
-#ifndef SKINBAKE_LBS_APPROXIMATED_4_NORMAL_HLSL
-#define SKINBAKE_LBS_APPROXIMATED_4_NORMAL_HLSL
+#ifndef SKINBAKE_LBS_STANDARD_4_NORMAL_HLSL
+#define SKINBAKE_LBS_STANDARD_4_NORMAL_HLSL
 
 #ifndef SKINBAKE_VERTEX
 #define SKINBAKE_VERTEX
@@ -68,7 +68,7 @@ skinbake_Frame skinbake_frame(float3 n)
 
 // The frame moves by the blended matrix T, as if the weights were constant over the surface.
 // M: the joint matrices of slots 0 to 3.
-skinbake_Vertex skinbake_lbs_approximated(float3 p, skinbake_Frame frame, float4x4 M[4], float4 weights_0)
+skinbake_Vertex skinbake_lbs_standard(float3 p, skinbake_Frame frame, float4x4 M[4], float4 weights_0)
 {
     float3x4 T = weights_0.x * (float3x4)M[0] // 1
               + weights_0.y * (float3x4)M[1]

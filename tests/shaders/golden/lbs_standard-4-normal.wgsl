@@ -1,8 +1,8 @@
-// Lighting for skinned meshes that skinbake has baked: linear blend skinning, approximated lighting,
+// Lighting for skinned meshes that skinbake has baked: linear blend skinning, standard lighting,
 // 4 influences a vertex, normal frame.
 //
 // Written by skinbake 0.1.0:
-//     skinbake shader --lang wgsl --method lbs --lighting approximated --influences 4 --frame normal
+//     skinbake shader --lang wgsl --method lbs --lighting standard --influences 4 --frame normal
 //
 // Algorithm 1 of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned
 // Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. The numbers beside the lines
@@ -19,7 +19,7 @@
 // M[s] is the joint matrix of the joint in slot s: its global transform * its inverse bind matrix.
 // Use:
 //     let frame = skinbake_frame(normal);
-//     let v = skinbake_lbs_approximated(position, frame, M, weights_0);
+//     let v = skinbake_lbs_standard(position, frame, M, weights_0);
 //     // v.position; normalize(v.normal); normalize(v.tangent)
 
 // A skinned vertex. Its vectors have any length. tangent and bitangent are the images of t0 and b0.
@@ -57,7 +57,7 @@ fn skinbake_rows(M: mat4x4<f32>) -> mat4x3<f32> {
 
 // The frame moves by the blended matrix T, as if the weights were constant over the surface.
 // M: the joint matrices of slots 0 to 3.
-fn skinbake_lbs_approximated(p: vec3<f32>, frame: skinbake_Frame, M: array<mat4x4<f32>, 4>,
+fn skinbake_lbs_standard(p: vec3<f32>, frame: skinbake_Frame, M: array<mat4x4<f32>, 4>,
         weights_0: vec4<f32>) -> skinbake_Vertex {
     let T = weights_0.x * skinbake_rows(M[0]) // 1
           + weights_0.y * skinbake_rows(M[1])

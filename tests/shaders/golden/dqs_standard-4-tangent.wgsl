@@ -1,8 +1,8 @@
-// Lighting for skinned meshes that skinbake has baked: dual quaternion skinning, approximated lighting,
+// Lighting for skinned meshes that skinbake has baked: dual quaternion skinning, standard lighting,
 // 4 influences a vertex, tangent frame.
 //
 // Written by skinbake 0.1.0:
-//     skinbake shader --lang wgsl --method dqs --lighting approximated --influences 4 --frame tangent
+//     skinbake shader --lang wgsl --method dqs --lighting standard --influences 4 --frame tangent
 //
 // Algorithm 4 of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned
 // Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. The numbers beside the lines
@@ -20,7 +20,7 @@
 // Q[s] is the dual quaternion of the joint in slot s, made of its joint matrix by skinbake_dual_quaternion().
 // Use:
 //     let frame = skinbake_frame(normal, tangent);
-//     let v = skinbake_dqs_approximated(position, frame, Q, weights_0);
+//     let v = skinbake_dqs_standard(position, frame, Q, weights_0);
 //     // v.position; normalize(v.normal); normalize(v.tangent)
 
 // A skinned vertex. Its vectors have any length. tangent and bitangent are the images of t0 and b0.
@@ -90,7 +90,7 @@ fn skinbake_rotated(q: vec4<f32>, v: vec3<f32>) -> vec3<f32> {
 
 // The frame moves by the normalised mix b, as if the weights were constant over the surface.
 // Q: the dual quaternions of slots 0 to 3.
-fn skinbake_dqs_approximated(p: vec3<f32>, frame: skinbake_Frame, Q: array<mat2x4<f32>, 4>,
+fn skinbake_dqs_standard(p: vec3<f32>, frame: skinbake_Frame, Q: array<mat2x4<f32>, 4>,
         weights_0: vec4<f32>) -> skinbake_Vertex {
     let s1 = skinbake_hemisphere(Q[1], Q[0]); // 1
     let s2 = skinbake_hemisphere(Q[2], Q[0]);

@@ -1,8 +1,8 @@
-// Lighting for skinned meshes that skinbake has baked: linear blend skinning, approximated lighting,
+// Lighting for skinned meshes that skinbake has baked: linear blend skinning, standard lighting,
 // 4 influences a vertex, normal frame.
 //
 // Written by skinbake 0.1.0:
-//     skinbake shader --lang glsl --method lbs --lighting approximated --influences 4 --frame normal
+//     skinbake shader --lang glsl --method lbs --lighting standard --influences 4 --frame normal
 //
 // Algorithm 1 of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned
 // Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. The numbers beside the lines
@@ -19,11 +19,11 @@
 // M[s] is the joint matrix of the joint in slot s: its global transform * its inverse bind matrix.
 // Use:
 //     skinbake_Frame frame = skinbake_frame(normal);
-//     skinbake_Vertex v = skinbake_lbs_approximated(position, frame, M, weights_0);
+//     skinbake_Vertex v = skinbake_lbs_standard(position, frame, M, weights_0);
 //     // v.position; normalize(v.normal); normalize(v.tangent)
 
-#ifndef SKINBAKE_LBS_APPROXIMATED_4_NORMAL_GLSL
-#define SKINBAKE_LBS_APPROXIMATED_4_NORMAL_GLSL
+#ifndef SKINBAKE_LBS_STANDARD_4_NORMAL_GLSL
+#define SKINBAKE_LBS_STANDARD_4_NORMAL_GLSL
 
 #ifndef SKINBAKE_VERTEX
 #define SKINBAKE_VERTEX
@@ -62,7 +62,7 @@ skinbake_Frame skinbake_frame(vec3 n)
 
 // The frame moves by the blended matrix T, as if the weights were constant over the surface.
 // M: the joint matrices of slots 0 to 3.
-skinbake_Vertex skinbake_lbs_approximated(vec3 p, skinbake_Frame frame, mat4 M[4], vec4 weights_0)
+skinbake_Vertex skinbake_lbs_standard(vec3 p, skinbake_Frame frame, mat4 M[4], vec4 weights_0)
 {
     mat4x3 T = weights_0.x * mat4x3(M[0]) // 1
               + weights_0.y * mat4x3(M[1])
