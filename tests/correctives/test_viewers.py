@@ -1,0 +1,159 @@
+"""Stock viewers that play files with correctives, with none of our code: their normals against a replay.
+
+Each viewer loads the file and plays its clip as a page does. What its vertex shaders hand on is read back.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.correctives.models import SHEET, parted, rewritten
+from tests.correctives.played import drawn
+from tests.support import corpus
+from tests.support.characters import Array, angles
+from tests.support.command_line import invoke
+from tests.support.node import build_page, package_folder, require_node
+from tests.support.stage import Stage, opened_page, page_of, require_backend
+
+pytestmark = pytest.mark.slow
+
+PAGES = Path(__file__).resolve().parent / "pages"
+TESTS = PAGES.parents[1]
+DEGREES = 0.1
+"""Between a viewer and the replay: viewers keep targets in float32, PlayCanvas in half floats."""
+
+CASES = {
+    "character": (corpus.character, "CesiumMan/CesiumMan.glb", 0.63),
+    "face targets": (None, "", 0.3),
+    "parts": (None, "", 0.45),
+    "fast clip": (corpus.model, "TRex/trex.gltf", 1.37),
+}
+
+
+def source_of(case: str, folder: Path) -> tuple[Path, float]:
+    """Return the model of a case, and a time of its clip."""
+    find, name, time = CASES[case]
+    if find is not None:
+        return find(name), time
+    return (SHEET if case == "face targets" else parted(folder / "parted.glb")), time
+
+
+def corrected(case: str, folder: Path, encoding: str) -> tuple[Path, float]:
+    """Bake the model of a case into a folder from which pages load it."""
+    source, time = source_of(case, folder.parent)
+    target = folder / f"{case.replace(' ', '-')}-{encoding}.glb"
+    if not target.exists():
+        result = invoke("bake", source, "-o", target, "--correctives", "auto", "--encoding", encoding)
+        assert result.exit_code == 0, result.output
+        # The corpus has no images beside its models, and viewers refuse a file without them.
+        rewritten(target, target, without_materials)
+    return target, time
+
+
+def without_materials(content: Any) -> None:
+    for key in ("images", "textures", "samplers", "materials"):
+        content.pop(key, None)
+    for mesh in content["meshes"]:
+        for primitive in mesh["primitives"]:
+            primitive.pop("material", None)
+
+
+def largest(
+    found: list[str], path: Path, time: float, *, store: str = "difference", is_corrected: bool = True
+) -> float:
+    """Return the largest angle of any vertex between what a page has drawn and the replay.
+
+    Draws have no names: each primitive and node is that draw which is nearest to it. A draw may leave out the
+    last vertices.
+    """
+    draws = [np.frombuffer(base64.b64decode(text), "<f4").reshape(-1, 3).astype(np.float64) for text in found]
+    expected = list(drawn(path, 0, time, store=store, corrected=is_corrected))
+    assert len(draws) == len(expected)
+    return max(min(_apart(draw, one.normals) for draw in draws) for one in expected)
+
+
+def _apart(draw: Array, normals: Array) -> float:
+    used = np.linalg.norm(draw, axis=1) > 0.5
+    assert used.any()
+    return float(angles(draw[used], normals[: len(draw)][used]).max())
+
+
+class ViewerStage(Stage):
+    """A page that plays files. build is the module of an engine that has several."""
+
+    unasked = (*Stage.unasked, "THREE.TempNode")
+
+    build = ""
+
+
+@pytest.fixture(scope="module", params=["three.module.js", "three.webgpu.js"])
+def three(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ViewerStage]:
+    require_node("three")
+    imports = {"three": f"/three/build/{request.param}", "three/addons/": "/three/examples/jsm/"}
+    imports["three/webgpu"] = "/three/build/three.webgpu.js"
+    scripts = ["/support/capture.js", "/capture/capture_webgpu.js"]
+    page = page_of("/pages/three.mjs", imports, scripts=scripts)
+    folders = {"three": package_folder("three"), "pages": PAGES, "capture": TESTS / "three"}
+    with opened_page(page, tmp_path_factory.mktemp("three"), folders) as found:
+        stage = ViewerStage(*found)
+        stage.build = request.param
+        yield stage
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("encoding", ["float32", "packed8"])
+def test_three_draws_what_the_replay_says(three: ViewerStage, case: str, encoding: str) -> None:
+    path, time = corrected(case, three.models, encoding)
+    for backend in ["webgl", "webgpu"] if "webgpu" in three.build else ["webgl"]:
+        if backend == "webgpu":
+            require_backend(three, backend)
+        options = {"url": f"/models/{path.name}", "clip": 0, "time": time, "backend": backend}
+        found = three.call("played", options)
+        assert largest(found, path, time) < DEGREES
+        assert largest(found, path, time, is_corrected=False) > 10 * DEGREES
+
+
+@pytest.fixture(scope="module")
+def babylon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ViewerStage]:
+    require_node("vite", "@babylonjs/core", "@babylonjs/loaders")
+    folder = tmp_path_factory.mktemp("babylon")
+    (folder / "project").mkdir()
+    # Its modules are too many to be fetched one by one.
+    packages = {name: str(package_folder(name)) for name in ("@babylonjs/core", "@babylonjs/loaders")}
+    build_page(folder / "project", PAGES / "babylon.mjs", packages)
+    page = page_of("/built/app.js", scripts=["/support/capture.js"])
+    with opened_page(page, folder, {"built": folder / "project" / "dist"}) as found:
+        yield ViewerStage(*found)
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("encoding", ["float32", "packed8"])
+def test_babylon_draws_what_the_replay_says(babylon: ViewerStage, case: str, encoding: str) -> None:
+    path, time = corrected(case, babylon.models, encoding)
+    found = babylon.call("played", {"url": f"/models/{path.name}", "clip": 0, "time": time})
+    assert largest(found, path, time) < DEGREES
+
+
+@pytest.fixture(scope="module")
+def playcanvas(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ViewerStage]:
+    require_node("playcanvas")
+    imports = {"playcanvas": "/playcanvas/build/playcanvas.mjs"}
+    page = page_of("/pages/playcanvas.mjs", imports, scripts=["/support/capture.js"])
+    folders = {"playcanvas": package_folder("playcanvas"), "pages": PAGES}
+    with opened_page(page, tmp_path_factory.mktemp("playcanvas"), folders) as found:
+        yield ViewerStage(*found)
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("encoding", ["float32", "packed8"])
+def test_playcanvas_draws_what_the_replay_says(playcanvas: ViewerStage, case: str, encoding: str) -> None:
+    path, time = corrected(case, playcanvas.models, encoding)
+    for is_precise in (True, False):
+        options = {"url": f"/models/{path.name}", "clip": 0, "time": time, "isPrecise": is_precise}
+        assert largest(playcanvas.call("played", options), path, time) < DEGREES
