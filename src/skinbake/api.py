@@ -51,7 +51,7 @@ LayoutName: TypeAlias = Layout | Literal["attributes", "texcoord", "custom"]
 MethodName: TypeAlias = Method | Literal["lbs", "dqs"]
 NeighboursName: TypeAlias = Neighbours | Literal["adopt", "extend", "drop"]
 SchemeName: TypeAlias = Scheme | Literal["keep", "none", "draco", "meshopt"]
-TruthName: TypeAlias = Truth | Literal["tangents", "triangles", "fine"]
+TruthName: TypeAlias = Truth | Literal["tangents", "triangles", "fine", "relief"]
 WeightingName: TypeAlias = Weighting | Literal["max", "angle", "area", "angle-area"]
 WeldName: TypeAlias = Weld | Literal["mesh", "skin"]
 

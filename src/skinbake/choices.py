@@ -153,6 +153,8 @@ class Truth(StrEnum):
     """The angle-weighted normal of the triangles (Thürmer and Wüthrich 1998)."""
     FINE = "fine"
     """The normal of the rest mesh rounded to curved PN triangles, cut finely, and skinned then."""
+    RELIEF = "relief"
+    """The normal that a normal map shows: that of a relief over the surface, skinned with it."""
 
 
 USUAL_TRUTHS = Truth.TANGENTS, Truth.TRIANGLES

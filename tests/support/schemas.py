@@ -281,6 +281,27 @@ NORMALS_BY_TRIANGLES = strict(
         "dqs": strict({"standard": FIGURES, "accurate": FIGURES, "exact": FIGURES, "gain": GAIN}),
     },
 )
+RELIEF_FIGURES = strict(
+    {},
+    optional={
+        "lbs": strict({"approximated": FIGURES, "engine_frame": FIGURES, "accurate": FIGURES, "gain": GAIN}),
+        "dqs": strict(
+            {
+                "approximated": FIGURES,
+                "engine_frame": FIGURES,
+                "accurate": FIGURES,
+                "exact": FIGURES,
+                "gain": GAIN,
+            }
+        ),
+    },
+)
+RELIEFS = {
+    "anyOf": [
+        {"type": "null"},
+        strict({"normals": RELIEF_FIGURES, "normals_by_area": RELIEF_FIGURES}),
+    ]
+}
 CONCLUSIONS = ("nothing to correct", "little to win", "small gain", "clear gain")
 
 VERIFY = strict(
@@ -319,6 +340,7 @@ VERIFY = strict(
                     "normals": {"anyOf": [{"type": "null"}, NORMALS]},
                     "normals_by_triangles": {"anyOf": [{"type": "null"}, NORMALS_BY_TRIANGLES]},
                     "normals_fine": {"anyOf": [{"type": "null"}, NORMALS_BY_TRIANGLES]},
+                    "reliefs": RELIEFS,
                     "primitives": {
                         "type": "array",
                         "items": strict(
@@ -328,6 +350,7 @@ VERIFY = strict(
                                 "normals": NORMALS,
                                 "normals_by_triangles": NORMALS_BY_TRIANGLES,
                                 "normals_fine": {"anyOf": [{"type": "null"}, NORMALS_BY_TRIANGLES]},
+                                "reliefs": RELIEFS,
                             },
                             optional={"mesh_name": PLACE["mesh_name"]},
                         ),

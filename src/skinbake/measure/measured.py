@@ -27,6 +27,7 @@ from skinbake.measure.angles import (
 from skinbake.measure.draws import Draw, draws, true_surfaces
 from skinbake.measure.morphing import Morphing, morph_count, morphing_of
 from skinbake.measure.options import VerifyOptions, limits_check
+from skinbake.measure.reliefs import ReliefTallies
 from skinbake.measure.tally import ErrorTally
 from skinbake.report.verify import Check, ErrorFigures, FileVerdict, Normals, Worst
 from skinbake.skinning.rest import Options, RestPrimitive
@@ -72,6 +73,7 @@ class _Measurement:
         self._at_rest: tuple[tuple[int, int, bool], Truths] | None = None
         self._morphed: dict[int, Morphing] = {}
         self._room = MORPHED_BYTES
+        self._reliefs = ReliefTallies(document, Options(options.cap, options.baseline))
 
     def verdict(
         self, meshes: Sequence[Sequence[BakedView]], operators: Sequence[GradientOperator]
@@ -93,6 +95,7 @@ class _Measurement:
             check = Check("lighting", "failed", (problem,))
             return FileVerdict(self._document.name, (check,), without_dqs=reason)
         self._total = sum(len(draw.poses.clips) for draw in drawn) * len(methods)
+        self._reliefs.expect(drawn)
         # The figures are checked to be finite.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             for method in methods:
@@ -111,6 +114,7 @@ class _Measurement:
         if len(draw.operator.positions) >= MANY_VERTICES:
             give_back_freed_memory()
         morphing = self._morphing(draw, again=again)
+        truths = self._truths(draw, morphing)
         identity = lighting_errors(
             draw.operator,
             draw.rest,
@@ -120,9 +124,11 @@ class _Measurement:
             count=self._tallies.counting(method, draw),
             options=Options(self._options.cap, self._options.baseline),
             morphing=morphing,
-            at_rest=self._truths(draw, morphing),
+            at_rest=truths,
             advance=self._advance,
         )
+        with stage("reliefs"):
+            self._reliefs.measure(method, draw, truths, morphing)
         self._identity = max(self._identity, identity)
 
     def _morphing(self, draw: Draw, *, again: bool) -> Morphing | None:
@@ -153,6 +159,9 @@ class _Measurement:
 
     def _verdict(self, drawn: Sequence[Draw], without_dqs: str | None) -> FileVerdict:
         by_truth = {truth: self._tallies.figures(truth) for truth in self._options.truths}
+        reliefs = self._reliefs.reliefs()
+        if Truth.RELIEF in by_truth:
+            by_truth[Truth.RELIEF] = {} if reliefs is None else reliefs.figures
         self._refuse_overflow(by_truth)
         primitives = {truth: self._tallies.figures_of_primitives(truth) for truth in by_truth}
         seconds = sum(clip.duration - clip.start for clip in self._clips)
@@ -167,6 +176,7 @@ class _Measurement:
             primitives_by_triangles=primitives[Truth.TRIANGLES],
             fine=by_truth.get(Truth.FINE),
             primitives_fine=primitives.get(Truth.FINE, ()),
+            reliefs=reliefs,
         )
 
     def _refuse_overflow(self, by_truth: Mapping[Truth, Normals]) -> None:

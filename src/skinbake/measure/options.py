@@ -86,10 +86,10 @@ def _exceeded(by_truth: Mapping[Truth, Normals], options: VerifyOptions, place: 
             yield from _errors_over(method, found, options, place)
             yield from _gain_under(method, found, options, place)
         else:
-            message = (
-                f"{method.upper()}: it cannot meet {' and '.join(options.limits)}, because there is no true "
-                "normal at any vertex in these poses"
-            )
+            why = "there is no true normal at any vertex in these poses"
+            if options.truth is Truth.RELIEF:
+                why = "no baked primitive has a normal map and TANGENT"
+            message = f"{method.upper()}: it cannot meet {' and '.join(options.limits)}, because {why}"
             yield Notice("no-figures", message, place)
 
 

@@ -88,6 +88,20 @@ Normals = dict[str, dict[str, ErrorFigures]]
 
 
 @dataclass(frozen=True, slots=True)
+class Reliefs:
+    """Figures of mapped normals by method and lighting: of the file, and of each primitive that has a map.
+
+    ``engine_frame`` is accurate lighting under an engine's own frame, rebuilt from n' and t'. figures and
+    primitives have T n0 as third column of the truth, by_area and primitives_by_area F n0.
+    """
+
+    figures: Normals
+    by_area: Normals
+    primitives: tuple[tuple[Place, Normals], ...]
+    primitives_by_area: tuple[tuple[Place, Normals], ...]
+
+
+@dataclass(frozen=True, slots=True)
 class MorphCount:
     """The number of morph targets of the baked meshes, and the number that move in the poses."""
 
@@ -111,7 +125,8 @@ class FileVerdict:
     was not verified again, because it has passed and is unchanged. record is the entry for a state file.
     timings are seconds by stage, None if they were not requested. normals and
     primitives have the figures by tangents, by_triangles and primitives_by_triangles those by triangles, fine
-    and primitives_fine those of the fine mesh if they were asked for. All are of the same places.
+    and primitives_fine those of the fine mesh if they were asked for. All are of the same places. reliefs are
+    of mapped normals, None if no primitive has a normal map and TANGENT.
     """
 
     input: str
@@ -130,6 +145,7 @@ class FileVerdict:
     primitives_by_triangles: tuple[tuple[Place, Normals], ...] = ()
     fine: Normals | None = None
     primitives_fine: tuple[tuple[Place, Normals], ...] = ()
+    reliefs: Reliefs | None = None
 
     @property
     def by_truth(self) -> dict[str, Normals]:
@@ -203,6 +219,7 @@ def as_text(verdict: FileVerdict) -> str:
         morphs = f"; {verdict.morphs.words}" if verdict.morphs else ""
         over = f"{verdict.poses}{morphs}"
         lines.append(f"  Angle in degrees between each method's normals and the true ones, over {over}.")
+        lines += _relief_lines(verdict.reliefs)
     lines += [f"  {printable(remark)}" for remark in _left_out(verdict)]
     return "\n".join([*lines, *_advised(verdict)])
 
@@ -217,6 +234,7 @@ def as_brief(verdict: FileVerdict) -> str:
         _, method, figures = found
         errors = f"standard {figures['standard'].mean:.2f}°, accurate {figures['accurate'].mean:.2f}°"
         lines.append(f"  {method.upper()} error: {errors}, in the mean over {verdict.poses}. -v shows more")
+        lines += list(_relief_lines(verdict.reliefs))[:1]
     return "\n".join([*lines, *_advised(verdict)])
 
 
@@ -236,6 +254,17 @@ def as_line(verdict: FileVerdict) -> str:
     warnings = sum(notice.code != "not-baked" for notice in verdict.notices)  # the outcome says so
     parts += [counted(warnings, "warning")] if warnings else []
     return ", ".join(parts)
+
+
+def _relief_lines(reliefs: Reliefs | None) -> Iterator[str]:
+    """Yield a line for each method on the mean errors of mapped normals."""
+    for method, figures in ({} if reliefs is None else reliefs.figures).items():
+        assert reliefs is not None
+        best = "exact" if "exact" in figures else "accurate"
+        shown = {"approximated": "standard", "engine_frame": f"{best} in an engine's frame", best: best}
+        words = ", ".join(f"{words} {figures[name].mean:.2f}°" for name, words in shown.items())
+        other = reliefs.by_area[method][best].mean
+        yield f"  {method.upper()} error of normal maps: {words} ({other:.2f}° if area lifts the relief)"
 
 
 def _check_lines(checks: Sequence[Check]) -> Iterator[str]:
@@ -364,6 +393,8 @@ def as_json(
 def file_json(verdict: FileVerdict) -> dict[str, Any]:
     """Return the result of verify for one file as a JSON object."""
     by_triangles, fine = dict(verdict.primitives_by_triangles), dict(verdict.primitives_fine)
+    mapped = dict(verdict.reliefs.primitives) if verdict.reliefs else {}
+    mapped_by_area = dict(verdict.reliefs.primitives_by_area) if verdict.reliefs else {}
     return {
         "input": verdict.input,
         "passed": verdict.passed,
@@ -385,12 +416,16 @@ def file_json(verdict: FileVerdict) -> dict[str, Any]:
         "normals": None if verdict.normals is None else _normals_json(verdict.normals),
         "normals_by_triangles": None if verdict.by_triangles is None else _normals_json(verdict.by_triangles),
         "normals_fine": None if verdict.fine is None else _normals_json(verdict.fine),
+        "reliefs": None
+        if (reliefs := verdict.reliefs) is None
+        else _relief_json(reliefs.figures, reliefs.by_area),
         "primitives": [
             {
                 **place_fields(place),
                 "normals": _normals_json(normals),
                 "normals_by_triangles": _normals_json(by_triangles.get(place, {})),
                 "normals_fine": None if verdict.fine is None else _normals_json(fine.get(place, {})),
+                "reliefs": _relief_json(mapped[place], mapped_by_area[place]) if place in mapped else None,
             }
             for place, normals in verdict.primitives
         ],
@@ -407,6 +442,10 @@ def _normals_json(normals: Normals) -> dict[str, Any]:
         result[method] = {lighting: _figures_json(error) for lighting, error in figures.items()}
         result[method]["gain"] = gain(figures)
     return result
+
+
+def _relief_json(normals: Normals, by_area: Normals) -> dict[str, Any]:
+    return {"normals": _normals_json(normals), "normals_by_area": _normals_json(by_area)}
 
 
 def _figures_json(error: ErrorFigures) -> dict[str, Any]:

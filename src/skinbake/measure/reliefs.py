@@ -1,0 +1,340 @@
+"""How far mapped normals err: those of a relief over the surface, as a normal map shows one.
+
+The relief tilts the normal of each vertex by RELIEF_TILT in a direction of its own. Its truth is the relief
+displaced along n0 and skinned with the mesh. So it is carried by the cofactors of a map whose columns are F t
+and F b, the true images of the tangents (``truth.normals``, along tangents), and a third one: what skinning
+does to n0. Two things can stand for it. T n0 is what skinning does to a displacement. It is the same vector
+that accurate lighting uses, so a fault of it would not show. The other one is F n0 of the truth itself, which
+grows by the root of the change of area, and knows nothing of T. Figures are made with both.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skinbake.choices import Baseline
+from skinbake.errors import Place
+from skinbake.freshness.baked_views import BakedView
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import listed, object_of
+from skinbake.measure.draws import Draw
+from skinbake.measure.morphing import Morphing
+from skinbake.measure.tally import ErrorTally
+from skinbake.report.verify import ErrorFigures, Normals, Reliefs, Worst
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.components import PosedVertex, Vector, cross, dot, plus_scaled, scaled
+from skinbake.skinning.normal_maps import engine_mapped_normal, in_frame, mapped_normal
+from skinbake.skinning.rest import Options, RestPrimitive
+from skinbake.skinning.run import Skinning
+from skinbake.truth.areas import total_area
+from skinbake.truth.blending import BlendedPrimitive, sides_of
+from skinbake.truth.kernel import dqs_positions
+from skinbake.truth.normals import FLAT_FRAME
+from skinbake.truth.truths import Truths, VertexBlock
+from skinbake.truth.values import SparseRows
+
+RELIEF_TILT = 25.0
+"""Degrees by which the relief tilts the normal: a deep normal map, as of cloth or scales."""
+
+GOLDEN_TURN = math.pi * (3.0 - math.sqrt(5.0))
+"""From one vertex to the next, the direction of the tilt turns by so much: all directions are as frequent."""
+
+RELIEF_SAMPLES = 1 << 17
+"""The vertices × poses that a relief is measured in, of evenly spread poses. Each takes 5 µs."""
+
+CHUNK_POSES, CHUNK_SAMPLES = 16, 1 << 20
+"""The poses in work at a time, and the vertices × poses, each at most."""
+
+ALGORITHMS = {
+    "lbs": {"accurate": Algorithm.LBS_ACCURATE},
+    "dqs": {"accurate": Algorithm.DQS_ACCURATE, "exact": Algorithm.DQS_EXACT},
+}
+STANDARD = {"lbs": Algorithm.LBS_APPROXIMATED, "dqs": Algorithm.DQS_APPROXIMATED}
+THIRDS = ("carried", "area")
+"""The two kinds of the third column: T n0, and F n0."""
+
+
+def has_normal_map(document: Document, view: BakedView) -> bool:
+    """Tell whether the material of a primitive has a normal map, or one for its clear coat."""
+    material = listed(document.json, "materials", view.source.json.get("material")) or {}
+    coat = object_of(object_of(material.get("extensions")).get("KHR_materials_clearcoat"))
+    return "normalTexture" in material or "clearcoatNormalTexture" in coat
+
+
+class ReliefTallies:
+    """The errors of the reliefs of a file, draw by draw."""
+
+    def __init__(self, document: Document, options: Options) -> None:
+        self._document, self._options = document, options
+        self._weights: dict[Place | None, float] = {}
+        self._tallies: dict[tuple[str, str, str], dict[Place | None, ErrorTally]] = {}
+        self._worst: list[tuple[Place, Draw, IntArray]] = []
+
+    def expect(self, drawn: Sequence[Draw]) -> None:
+        """Take the draws of the file. A tally must know how much weight may come."""
+        for draw in drawn:
+            for number in self._mapped(draw):
+                weight = len(draw.poses.clips) * total_area(draw.areas[number])
+                for key in (None, draw.views[number].source.place):
+                    self._weights[key] = self._weights.get(key, 0.0) + weight
+
+    def _mapped(self, draw: Draw) -> list[int]:
+        """Return the numbers of a draw's primitives that have a normal map, and TANGENT for its frame."""
+        return [
+            number
+            for number, view in enumerate(draw.views)
+            if view.now.tangents is not None and has_normal_map(self._document, view)
+        ]
+
+    def measure(self, method: str, draw: Draw, truths: Truths, morphing: Morphing | None) -> None:
+        """Measure the primitives of a draw that have a normal map. truths are the draw's, at rest."""
+        mapped = self._mapped(draw)
+        samples = sum(len(draw.rest[number].positions) for number in mapped) * len(draw.poses.clips)
+        if not samples:
+            return
+        chosen = np.arange(0, len(draw.poses.clips), -(-samples // RELIEF_SAMPLES))
+        first = len(self._worst)
+        self._worst += [(view.source.place, draw, chosen) for view in draw.views]
+        size = max(1, min(CHUNK_POSES, CHUNK_SAMPLES // len(draw.operator.positions)))
+        size = 1 if morphing is not None else size
+        for start in range(0, len(chosen), size):
+            poses = chosen[start : start + size]
+            primitives = draw.rest if morphing is None else morphing.primitives(draw.rest, int(poses[0]))
+            posed = _PosedRelief.of(method, primitives, draw.poses.joint_matrices[poses], self._options)
+            moved = _joined(primitives, "positions").T[:, :, None]
+            for block in truths.vertex_blocks:
+                if block.primitive not in mapped:
+                    continue
+                view, areas = draw.views[block.primitive], draw.areas[block.primitive][block.rows]
+                texel = _texels(view, draw.rest[block.primitive], block.rows)
+                for kind, lighting, errors, valid in posed.errors(truths, block, moved, texel):
+                    for key in (None, view.source.place):
+                        tally = self._tally(kind, method, lighting, key)
+                        where = first + block.primitive, start, block.rows.start
+                        tally.take(tally.counted(errors, areas, valid=valid), where)
+
+    def _tally(self, kind: str, method: str, lighting: str, key: Place | None) -> ErrorTally:
+        tallies = self._tallies.setdefault((kind, method, lighting), {})
+        if key not in tallies:
+            tallies[key] = ErrorTally(self._weights[key])
+        return tallies[key]
+
+    def reliefs(self) -> Reliefs | None:
+        """Return the figures of what was measured; None if no primitive has a normal map with TANGENT."""
+        if not self._tallies:
+            return None
+        places = [place for place in self._weights if place is not None]
+        of_places = {kind: tuple((place, self._normals(kind, place)) for place in places) for kind in THIRDS}
+        carried, area = THIRDS
+        return Reliefs(
+            self._normals(carried, None), self._normals(area, None), of_places[carried], of_places[area]
+        )
+
+    def _normals(self, wanted: str, key: Place | None) -> Normals:
+        result: Normals = {}
+        for (kind, method, lighting), tallies in self._tallies.items():
+            summary = tallies[key].summary() if kind == wanted and key in tallies else None
+            if summary is not None:
+                place, draw, chosen = self._worst[summary.worst_part]
+                pose = int(chosen[summary.worst_pose])
+                worst = Worst(place, summary.worst_vertex, draw.poses.clips[pose], draw.poses.times[pose])
+                result.setdefault(method, {})[lighting] = ErrorFigures(
+                    summary.mean, summary.p95, summary.p99, summary.max, worst
+                )
+        return result
+
+
+@dataclass(frozen=True, slots=True)
+class _Texel:
+    """The relief at B vertices: the texel itself, in TANGENT's frame, and in that of bake at rest.
+
+    tangent is TANGENT, and handedness its sign. parts (3, B) are those of unit TANGENT along unit t0, b0, n0.
+    All are components.
+    """
+
+    texel: Vector
+    drawn: Vector
+    parts: Vector
+    handedness: FloatArray
+
+
+def _texels(view: BakedView, rest: RestPrimitive, rows: slice) -> _Texel:
+    """Return the relief at some vertices of a primitive, at rest and before morph targets."""
+    assert view.now.tangents is not None
+    turns = GOLDEN_TURN * np.arange(rows.start, rows.stop)
+    tilt = math.radians(RELIEF_TILT)
+    texel = (
+        math.sin(tilt) * np.cos(turns),
+        math.sin(tilt) * np.sin(turns),
+        np.full(turns.shape, math.cos(tilt)),
+    )
+    x, y, z, w = view.now.tangents[rows].T.astype(np.float64)
+    frame = tuple(
+        tuple(vectors[rows].T.astype(np.float64))
+        for vectors in (rest.tangents, rest.bitangents, rest.normals)
+    )
+    handedness = np.where(w < 0, -1.0, 1.0)
+    drawn = engine_mapped_normal(frame[2], (x, y, z), handedness, texel)
+    along = in_frame((x, y, z), *frame)
+    length = np.sqrt(dot(along, along))
+    return _Texel(texel, in_frame(drawn, *frame), scaled(1.0 / length, along), handedness)
+
+
+@dataclass(frozen=True, slots=True)
+class _PosedRelief:
+    """The primitives of a draw in some poses of a method: positions (3, V, P), and what skins each of them.
+
+    standard has the normals of the baseline, plain T n0. sides (P, V) are those of ``sides_of``.
+    """
+
+    method: str
+    rest: Sequence[RestPrimitive]
+    positions: Float64Array
+    plain: Sequence[Skinning]
+    standard: Sequence[Skinning]
+    sides: Float64Array | None
+
+    @classmethod
+    def of(
+        cls,
+        method: str,
+        primitives: Sequence[RestPrimitive],
+        joint_matrices: Float64Array,
+        options: Options,
+    ) -> _PosedRelief:
+        """Skin the primitives (V vertices in all) by joint matrices (P, J, 4, 4)."""
+        mapped = replace(options, baseline=Baseline.BLENDED, normal_map=True)
+        of_baseline = replace(mapped, baseline=options.baseline)
+        is_dual = method == "dqs"
+
+        def skinned(by: Options) -> list[Skinning]:
+            if is_dual:
+                return Skinning.of_mesh(primitives, joint_matrices, by)
+            return [
+                Skinning.of(rest, joint_matrices, dual_quaternions=False, options=by) for rest in primitives
+            ]
+
+        plain = skinned(mapped)
+        whole, count = slice(0, len(joint_matrices)), sum(len(rest.positions) for rest in primitives)
+        positions = np.empty((3, count, len(joint_matrices)))
+        row = 0
+        for rest, skinning in zip(primitives, plain, strict=True):
+            part = slice(0, len(rest.positions))
+            if is_dual:
+                dqs_positions(skinning, whole, part, positions, row)
+            else:
+                BlendedPrimitive(rest, joint_matrices, options).put_positions(whole, part, positions, row)
+            row += len(rest.positions)
+        standard = plain if options.baseline is Baseline.BLENDED else skinned(of_baseline)
+        return cls(method, primitives, positions, plain, standard, sides_of(primitives, joint_matrices))
+
+    def errors(
+        self, truths: Truths, block: VertexBlock, moved: Float64Array, at: _Texel
+    ) -> Iterator[tuple[str, str, FloatArray, BoolArray]]:
+        """Yield kind of third column, lighting, errors (P, B) in degrees, and where they are valid.
+
+        moved (3, V, 1) are the positions before skinning.
+        """
+        rest = self.rest[block.primitive].rows(block.rows)
+        t0, b0, n0 = (tuple(v.T.astype(np.float64)) for v in (rest.tangents, rest.bitangents, rest.normals))
+        hand, whole = rest.handedness(), slice(0, self.positions.shape[2])
+        skinning = self.plain[block.primitive]
+        standard = STANDARD[self.method]
+        algorithms = ALGORITHMS[self.method]
+        plain, *accurate = skinning.run((standard, *algorithms.values()), whole, block.rows)
+        scale = skinning.motions.scale
+        times = 1.0 if scale is None else scale[:, None]
+        length = times * np.sqrt(dot(t0, t0))
+        carried = scaled(times, plain.normal)
+        side = 1.0 if self.sides is None else self.sides[:, block.part]
+        # The standard frame has T t of TANGENT, the accurate one its image under the differential.
+        found = {"approximated": self._standard(block, plain, standard, length, at)}
+        for lighting, posed in zip(algorithms, accurate, strict=True):
+            found[lighting] = scaled(side, mapped_normal(posed, length, at.drawn))
+        tangent = plus_scaled(scaled(at.parts[0], posed.tangent), at.parts[1], posed.bitangent)
+        outside = scaled(side, posed.normal)
+        found["engine_frame"] = engine_mapped_normal(outside, tangent, at.handedness, at.texel)
+
+        along = truths.frames.derivatives[block.number]
+        before = [_derivative(rows, moved) for rows in along]
+        after = [_derivative(rows, self.positions) for rows in along]
+        (images, third), valid = _images(before, after, (t0, b0, n0), side)
+        for kind, column in zip(THIRDS, (carried, third), strict=True):
+            wanted = plus_scaled(
+                plus_scaled(
+                    scaled(at.drawn[0], cross(images[1], column)), at.drawn[1], cross(column, images[0])
+                ),
+                at.drawn[2],
+                cross(*images),
+            )
+            wanted = scaled(side * hand, wanted)
+            exists = valid & np.isfinite(wanted[0]) & (dot(wanted, wanted) > 0)
+            for lighting, normals in found.items():
+                across = cross(normals, wanted)
+                angles = np.degrees(np.arctan2(np.sqrt(dot(across, across)), dot(normals, wanted)))
+                angles[dot(normals, normals) == 0] = np.nan
+                yield kind, lighting, angles.astype(np.float32), exists
+
+    def _standard(
+        self, block: VertexBlock, plain: PosedVertex, algorithm: Algorithm, length: FloatArray, at: _Texel
+    ) -> Vector:
+        (posed,) = (
+            [plain]
+            if self.standard is self.plain
+            else self.standard[block.primitive].run(
+                (algorithm,), slice(0, self.positions.shape[2]), block.rows
+            )
+        )
+        images = scaled(1.0 / length, plain.tangent), scaled(1.0 / length, plain.bitangent), plain.normal
+        tangent = scaled(at.parts[0], images[0])
+        for part, image in zip(at.parts[1:], images[1:], strict=True):
+            tangent = plus_scaled(tangent, part, image)
+        return engine_mapped_normal(posed.normal, tangent, at.handedness, at.texel)
+
+
+def _derivative(rows: SparseRows, positions: Float64Array) -> Vector:
+    """Differentiate positions (3, V, P) along one tangent: components (P, B). It needs no SciPy."""
+    entries, starts = rows.entries, rows.starts - rows.starts[0]
+    columns, values = rows.columns[entries], rows.values[entries, None]
+    filled = np.flatnonzero(np.diff(starts))
+    result = np.zeros((3, len(rows), positions.shape[2]))
+    for axis, component in enumerate(positions):
+        if len(filled):
+            result[axis, filled] = np.add.reduceat(values * component[columns], starts[filled], axis=0)
+    return tuple(component.T for component in result)
+
+
+def _images(
+    before: Sequence[Vector],
+    after: Sequence[Vector],
+    frame: tuple[Vector, Vector, Vector],
+    side: FloatArray | float,
+) -> tuple[tuple[tuple[Vector, Vector], Vector], BoolArray]:
+    """Return F t and F b of unit tangents, F n0, all components (P, B), and where F is known.
+
+    F maps the frame (a, b, ĉ) before skinning, c = a × b, onto (a', b', ĉ') after it, where ĉ' is as long as
+    the root of the change of area. frame is (t0, b0, n0) of any lengths.
+    """
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what is not finite is not valid
+        (a0, b0), (a, b) = before, after
+        c0, c = cross(a0, b0), cross(a, b)
+        area0, area = np.sqrt(dot(c0, c0)), np.sqrt(dot(c, c))
+        m = scaled(side / np.sqrt(area * area0), c)
+        images = []
+        for vector in frame:
+            unit = scaled(1.0 / np.sqrt(dot(vector, vector)), vector)
+            up = dot(unit, c0) / area0
+            by_a, by_b = dot(cross(b0, c0), unit) / area0**2, dot(cross(c0, a0), unit) / area0**2
+            images.append(plus_scaled(plus_scaled(scaled(by_a, a), by_b, b), up, m))
+        valid = (area > FLAT_FRAME * np.sqrt(dot(a, a) * dot(b, b))) & np.isfinite(images[0][0])
+        valid &= area0 > FLAT_FRAME * np.sqrt(dot(a0, a0) * dot(b0, b0))
+    return ((images[0], images[1]), images[2]), valid
+
+
+def _joined(primitives: Sequence[RestPrimitive], name: str) -> Float64Array:
+    return np.concatenate([getattr(one, name) for one in primitives]).astype(np.float64)
