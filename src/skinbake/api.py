@@ -85,6 +85,7 @@ class BakeOptions(TypedDict, total=False):
     texcoord_bits: int | None
     encoding: EncodingName
     layout: LayoutName
+    leave_under: float | None
     require_baked: bool
     warnings_as_errors: bool
 

@@ -289,6 +289,8 @@ LAYOUT = Option("layout", Layout, Layout.ATTRIBUTES, By.ALL, help=
     "Attributes of α and β: their own, free TEXCOORD_n, or _CUSTOM0 and _CUSTOM1.")
 REQUIRE_BAKED = Option("require_baked", bool, False, By.ALL, help=
     "Fail (exit 3) if nothing in a file can be baked.")
+LEAVE_UNDER = Option("leave_under", Range(0), None, By.ALL, "X", help=
+    "Leave a file unbaked, and note it, if its gain is under X or standard lighting is off by under 0.3°.")
 REQUIRE_TRACKED = Option("require_tracked", bool, False, help=
     "Fail (exit 4) if an output names a file that git does not track, such as a new buffer.")
 WARNINGS_AS_ERRORS = Option("warnings_as_errors", bool, False, By.ALL, help=
@@ -394,7 +396,7 @@ BAKE = (
             "Quantise NORMAL in the same way."),
         Option("texcoord_bits", Range(1, 24, is_whole=True), None, By.ALL, "N", help=
             "Quantise TEXCOORD_0 in the same way.")),
-    *_under("Conditions", REQUIRE_BAKED, REQUIRE_TRACKED, WARNINGS_AS_ERRORS),
+    *_under("Conditions", LEAVE_UNDER, REQUIRE_BAKED, REQUIRE_TRACKED, WARNINGS_AS_ERRORS),
     *_under("Reports", JSON, SUMMARY, DEPFILE, TIMINGS),
     *_under("Many files", JOBS, THREADS_OPTION, SKIP_UNCHANGED, STATE, DASK),
     *LIMITS,

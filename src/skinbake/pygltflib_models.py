@@ -35,7 +35,7 @@ def baked_model(model: GLTF2, baker: Baker) -> GLTF2:
     original, _, _ = stripped(given)
     prepared, _ = for_target(original, AS_GLB)
     made = baker.bake_document(prepared)
-    if made.is_baked:
+    if made.is_baked or made.left:
         document = made.document
     elif baker.require_baked:
         raise InputError("nothing in it can be baked (require_baked)", prepared.place)

@@ -235,7 +235,7 @@ def lines_schema(whole: dict[str, Any], schema: str, outcomes: list[str]) -> dic
     }
 
 
-BAKE_LINES = lines_schema(BAKE, "skinbake.bake/1", ["baked", "unchanged", "up_to_date", "failed"])
+BAKE_LINES = lines_schema(BAKE, "skinbake.bake/1", ["baked", "left", "unchanged", "up_to_date", "failed"])
 VERIFY_LINES = lines_schema(VERIFY, "skinbake.verify/1", ["passed", "up_to_date", "failed"])
 
 

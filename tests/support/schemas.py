@@ -142,7 +142,19 @@ BAKE = strict(
                 {
                     "input": TEXT,
                     "output": {"type": ["string", "null"]},
-                    "status": {"enum": ["baked", "unchanged", "up-to-date", "failed"]},
+                    "status": {"enum": ["baked", "left", "unchanged", "up-to-date", "failed"]},
+                    "left": {
+                        "anyOf": [
+                            {"type": "null"},
+                            strict(
+                                {
+                                    "gain": {"type": ["number", "null"], "minimum": 0},
+                                    "standard_error": {"type": "number", "minimum": 0},
+                                    "under": {"type": "number", "minimum": 0},
+                                }
+                            ),
+                        ]
+                    },
                     "skipped": COUNT,
                     "primitives": {"type": "array", "items": BAKED},
                     "encoding": ENCODING,
@@ -335,6 +347,7 @@ VERIFY = strict(
                             }
                         ),
                     },
+                    "left": {"type": "boolean"},
                     "conclusion": {"enum": [*CONCLUSIONS, None]},
                     "poses": {"type": ["string", "null"]},
                     "normals": {"anyOf": [{"type": "null"}, NORMALS]},

@@ -332,7 +332,7 @@ def _outcomes(
 
     Closing ends the work, removes the bar, reports the outcome of all files, and closes the kept files.
     """
-    from skinbake.report.totals import closing_line, failure_lines
+    from skinbake.report.totals import closing_line, failure_lines, lowest_lines
 
     with ExitStack() as stack:
         for one in kept:
@@ -348,6 +348,8 @@ def _outcomes(
     for line in failure_lines(totals):
         say.note(line)
     if totals.files > FEW or len(totals.failures) > 1 or (totals.files > 1 and say.verbosity > 0):
+        for line in lowest_lines(totals):
+            say.note(line)
         say.note(closing_line(totals, clock.working))
 
 

@@ -18,6 +18,7 @@ from skinbake.format.attribute_store import level_ignored, stored_otherwise
 from skinbake.format.baked import with_baked, with_scale
 from skinbake.format.correctives import refuse_other_kind
 from skinbake.format.layouts import GradientFormat
+from skinbake.format.metadata import with_left
 from skinbake.format.strip import stripped
 from skinbake.gltf.beside import files_read
 from skinbake.gltf.container import for_target
@@ -32,7 +33,7 @@ from skinbake.gltf.primitives import (
 )
 from skinbake.gradients.baker import BakeSettings
 from skinbake.gradients.normals import lean_notices
-from skinbake.report.bake import BakedCounts, CorrectiveCounts, EncodingCost, FileResult
+from skinbake.report.bake import BakedCounts, CorrectiveCounts, EncodingCost, FileResult, Left
 from skinbake.report.depfile import prerequisites
 from skinbake.timing import stage
 
@@ -83,7 +84,7 @@ class Baker(CheckedOptions):
         return FileResult(
             source,
             target,
-            "baked" if made.is_baked else "unchanged",
+            "baked" if made.is_baked else "left" if made.left else "unchanged",
             made.primitives,
             made.skipped,
             tuple(notices),
@@ -91,6 +92,7 @@ class Baker(CheckedOptions):
             correctives=made.correctives,
             written=written,
             read=read,
+            left=made.left,
         )
 
     def _rebaked(
@@ -106,7 +108,7 @@ class Baker(CheckedOptions):
             original, _, undone = stripped(document)
             prepared, moved = (original, []) if target is None else for_target(original, target, pack=pack)
         made = self.bake_document(prepared)
-        if made.is_baked:
+        if made.is_baked or made.left:
             return made, made.document, [*undone, *moved, *made.notices]
         reason = "none of its skinned primitives can be baked" if made.skipped else why_nothing(document)
         if self.correctives is not None and made.notices:
@@ -163,7 +165,30 @@ class Baker(CheckedOptions):
             (bake.source.place, bake.counts(self.encoding, length))
             for bake, length in zip(bakes, lengths, strict=True)
         )
+        if self.leave_under is not None:
+            with stage("gain"):
+                left, noted = self._left(given, written)
+            if left is not None and noted is not None:
+                return BakedDocument(noted, (), skipped, tuple(reasons), left=left)
         return BakedDocument(written, primitives, skipped, tuple(notices), cost)
+
+    def _left(self, given: Document, baked: Document) -> tuple[Left | None, Document | None]:
+        """Return why a document is better left unbaked, and the given one with a note of it; None if not.
+
+        Measured as verify does, by linear blend skinning. The lower gain of both truths counts.
+        """
+        from skinbake.commands.verify import lighting_of
+        from skinbake.measure.options import VerifyOptions
+        from skinbake.report.verify import NEGLIGIBLE, by_worse_truth, gain
+
+        figures = by_worse_truth(lighting_of(baked, VerifyOptions(methods=("lbs",))))
+        if not figures or self.leave_under is None:
+            return None, None
+        factor, standard = gain(figures), figures["approximated"].mean
+        if standard >= NEGLIGIBLE and (factor is None or factor >= self.leave_under):
+            return None, None
+        left = Left(factor, standard, self.leave_under)
+        return left, with_left(given, left.note)
 
     def _bakes(
         self, document: Document, sources: Sequence[PrimitiveSource]
@@ -236,7 +261,8 @@ class BakedDocument:
     Or one with correctives, and the numbers of each mesh.
 
     skipped is the number of skinned primitives that were left out. If no primitive can be baked, the document
-    is the given one, primitives is empty and encoding is None.
+    is the given one, primitives is empty and encoding is None. left says why a bake has left the document as
+    it was, but for a note.
     """
 
     document: Document
@@ -244,6 +270,7 @@ class BakedDocument:
     skipped: int
     notices: tuple[Notice, ...]
     encoding: EncodingCost | None = None
+    left: Left | None = None
     correctives: tuple[tuple[Place, CorrectiveCounts], ...] = ()
 
     @property

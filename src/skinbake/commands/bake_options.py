@@ -60,6 +60,7 @@ class CheckedOptions:
     texcoord_bits: int | None = USUAL["texcoord_bits"]
     encoding: Encoding = USUAL["encoding"]
     layout: Layout = USUAL["layout"]
+    leave_under: float | None = USUAL["leave_under"]
     require_baked: bool = USUAL["require_baked"]
     warnings_as_errors: bool = USUAL["warnings_as_errors"]
 

@@ -8,10 +8,11 @@ from dataclasses import replace
 from skinbake.commands.remedies import worse_lighting
 from skinbake.errors import Notice
 from skinbake.files.bounds import BESIDE, Bounds
-from skinbake.format.metadata import read_metadata
+from skinbake.format.metadata import read_left, read_metadata
 from skinbake.freshness.baked_views import BakedView, baked_views, gathered_together, is_baked
 from skinbake.freshness.staleness import fits_begun, freshness_check, surface_operator
 from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources
 from skinbake.gradients.influences import weight_sum_notices
 from skinbake.gradients.normals import lean_notices
@@ -36,6 +37,14 @@ def verify_file(source: str, options: VerifyOptions, bounds: Bounds = BESIDE) ->
         problem = Check("warnings", "failed", verdict.notices)
         return replace(verdict, checks=(*verdict.checks, problem))
     return verdict
+
+
+def lighting_of(document: Document, options: VerifyOptions) -> FileVerdict:
+    """Return the lighting of a document that has just been baked. Its freshness is not in question."""
+    wanted, _, _ = _sorted_out(document)
+    surfaces = gathered_together(document, baked_views(document, wanted)[0])
+    operators = [surface_operator(document, surface) for surface in surfaces]
+    return lighting_verdict(document, options, surfaces, operators)
 
 
 def verify_document(document: Document, options: VerifyOptions) -> FileVerdict:
@@ -117,6 +126,9 @@ def _unbaked(
 ) -> FileVerdict:
     """Return the verdict for a file without a bake. Limits are for those that draw a skinned surface."""
     unlit = not wanted and any(notice.code == "unlit" for notice in notices)
+    left = read_left(document)
+    if left is not None and wanted:
+        return _left(document, left, notices)
     nothing = "nothing that light reaches is baked in it" if unlit else "nothing in it is baked"
     missing = Notice("not-baked", nothing, document.place)
     command = "skinbake bake" if wanted else ""
@@ -135,6 +147,16 @@ def _unbaked(
         failed = Check("limits", "failed", (replace(missing, message=message),), message)
         return FileVerdict(document.name, (check, failed), notices=tuple(notices))
     return FileVerdict(document.name, (check,), notices=(*notices, missing))
+
+
+def _left(document: Document, left: JsonObject, notices: list[Notice]) -> FileVerdict:
+    """Return the verdict for a file that bake has left on purpose. It passes, whatever limits there are."""
+    gain, error = left.get("gain"), left.get("standardError")
+    found = [f"gain {gain:.15g}"] if isinstance(gain, int | float) else []
+    found += [f"standard lighting {error:.15g}° off"] if isinstance(error, int | float) else []
+    remark = f"left unbaked by bake --leave-under: {', '.join(found) or 'little to win'}"
+    check = Check("structure", "skipped", (), remark)
+    return FileVerdict(document.name, (check,), notices=tuple(notices), left=True)
 
 
 def _counted(views: Sequence[BakedView]) -> str:

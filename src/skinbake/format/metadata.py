@@ -12,7 +12,14 @@ import numpy.typing as npt
 from skinbake.choices import Frame
 from skinbake.geometry.skinned import SkinnedPrimitive, blocks
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, entries_inside, is_deeper, reference, with_integers
+from skinbake.gltf.json_access import (
+    JsonObject,
+    entries_inside,
+    is_deeper,
+    object_of,
+    reference,
+    with_integers,
+)
 from skinbake.threads import Threads, thread_count
 from skinbake.version import FILE_FORMAT
 
@@ -41,6 +48,9 @@ STRAIGHTENED = "straightened"
 
 INFLUENCE_TYPES = {"JOINTS": "<u2", "WEIGHTS": "<f4"}
 """The types to which influences are converted for their digests."""
+
+LEFT = "left"
+"""The member of ``asset.extras.skinbake`` that says why a bake has left the file as it was."""
 
 FORMER_ATTRIBUTES = "formerAttributes"
 """The member that lists a primitive's attributes before a bake that changed the number of its influences."""
@@ -114,6 +124,35 @@ def changed_arrays(note: JsonObject, primitive: SkinnedPrimitive) -> tuple[str, 
     noted = noted if isinstance(noted, dict) else {}
     now = digests(primitive, str(note.get("frame")))
     return tuple(name for name in {**now, **noted} if noted.get(name) != now.get(name))
+
+
+def read_left(document: Document) -> JsonObject | None:
+    """Return the note of a bake that has left the file as it was, because it has little to win, or None."""
+    note = _noted(object_of(document.json.get("asset")))
+    left = None if note is None else note.get(LEFT)
+    return left if isinstance(left, dict) else None
+
+
+def with_left(document: Document, left: JsonObject) -> Document | None:
+    """Return the document with that note; None where another one's extras of the asset leave no place."""
+    asset = object_of(document.json.get("asset"))
+    extras = asset.get("extras", {})
+    if not isinstance(extras, dict) or KEY in extras:
+        return None
+    note = {"version": VERSION, LEFT: left, **({"keepExtras": True} if asset.get("extras") == {} else {})}
+    return document.edited(json={**document.json, "asset": {**asset, "extras": {**extras, KEY: note}}})
+
+
+def without_left(document: Document) -> Document:
+    """Return the document as it was before that note."""
+    if read_left(document) is None:
+        return document
+    asset = dict(document.json["asset"])
+    note, extras = asset["extras"][KEY], {key: asset["extras"][key] for key in asset["extras"] if key != KEY}
+    asset["extras"] = extras
+    if not extras and not note.get("keepExtras"):
+        del asset["extras"]
+    return document.edited(json={**document.json, "asset": asset})
 
 
 def read_metadata(document: Document, primitive: JsonObject) -> JsonObject | None:

@@ -10,7 +10,7 @@ from skinbake.errors import Notice, Place, UnsupportedFeatureError
 from skinbake.format.corrective_strip import narrowed, without_correctives
 from skinbake.format.former import former_attributes, former_sets, former_tangent, with_former_stream
 from skinbake.format.layouts import added_slot_names
-from skinbake.format.metadata import FORMER_ATTRIBUTES, KEY, VERSION, noted_names, read_metadata
+from skinbake.format.metadata import FORMER_ATTRIBUTES, KEY, VERSION, noted_names, read_metadata, without_left
 from skinbake.gltf import json_access
 from skinbake.gltf.additions import BUFFER_ADDED, BUFFER_LENGTH, FALLBACK_ADDED
 from skinbake.gltf.codecs import draco, meshopt
@@ -26,8 +26,10 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
     A document without a bake is returned as it is. Accessors, buffer views and bytes are removed if they are
     still at the end, where bake put them. If another tool has rearranged the file since, they stay in it
     unused, and a notice says so. Raises InputError if the structure of the file is broken, or if a later
-    version of skinbake has baked it: what its metadata means is unknown.
+    version of skinbake has baked it: what its metadata means is unknown. The note of a bake that has left the
+    file unbaked is removed, too.
     """
+    document = without_left(document)
     root, to_narrow, corrected = without_correctives(document)
     if corrected:
         found: list[Notice] = []

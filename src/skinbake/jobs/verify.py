@@ -51,5 +51,5 @@ class Verify:
         self, job: Job, result: FileVerdict, before: state.Seen
     ) -> tuple[state.Digests, state.Digests] | None:
         """Return the digests of the files read, if a bake in it passed and no file changed meanwhile."""
-        was_checked = result.passed and not result.found_no_bake
+        was_checked = result.passed and not result.found_no_bake and not result.left
         return (before.digests, {}) if was_checked and before.still_there else None

@@ -16,10 +16,10 @@ from skinbake.report.totals import (
     run_json,
     timing_fields,
 )
-from skinbake.wording import counted, percent
+from skinbake.wording import counted, gain_in_words, percent
 
 SCHEMA = "skinbake.bake/1"
-OUTCOMES = ("baked", "unchanged", "up-to-date", "failed")
+OUTCOMES = ("baked", "left", "unchanged", "up-to-date", "failed")
 
 SHOWN_LOSS = 0.0005
 """The share of the gradient from which a short line tells its loss."""
@@ -33,8 +33,10 @@ SEEN = 0.0001
 SEEN_SHARE = 0.0001
 """Below this share of the size, the exact movement of a position does not matter."""
 
-Status = Literal["baked", "unchanged", "up-to-date", "failed"]
-"""``unchanged``: passed through, because nothing in it can be baked.
+Status = Literal["baked", "left", "unchanged", "up-to-date", "failed"]
+"""``left``: left unbaked, with a note, because there is little to win.
+
+``unchanged``: passed through, because nothing in it can be baked.
 
 ``up-to-date``: not baked again, because the result would be the same.
 """
@@ -146,6 +148,25 @@ class EncodingCost:
 
 
 @dataclass(frozen=True, slots=True)
+class Left:
+    """Why --leave-under has left a file unbaked.
+
+    gain is the lower one, None where accurate lighting is exact. standard_error is the mean of standard
+    lighting in degrees. under is the gain that was asked for.
+    """
+
+    gain: float | None
+    standard_error: float
+    under: float
+
+    @property
+    def note(self) -> dict[str, float]:
+        """Return the note for the file, rounded: it must not change with the order of sums."""
+        found = {"gain": self.gain, "standardError": self.standard_error, "under": self.under}
+        return {name: float(f"{value:.4g}") for name, value in found.items() if value is not None}
+
+
+@dataclass(frozen=True, slots=True)
 class FileResult:
     """The result of one input.
 
@@ -153,7 +174,7 @@ class FileResult:
     error is the reason of a failure. encoding is the encoding of α and β (None if nothing was baked). written
     has digests of the written files, by path, if they were requested. record is the entry for a state file.
     timings are seconds by stage, None if they were not requested. read are the paths of the files beside the
-    input that were read, if they were requested.
+    input that were read, if they were requested. left is the reason of the status ``left``.
     """
 
     input: str
@@ -169,6 +190,7 @@ class FileResult:
     record: bytes | None = None
     timings: dict[str, float] | None = None
     read: tuple[str, ...] = ()
+    left: Left | None = None
 
 
 def count(totals: Totals, result: FileResult) -> None:
@@ -211,6 +233,10 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
         return f"{name}: failed, nothing written"
     if result.status == "up-to-date":
         return f"{where}: up to date"
+    if result.left is not None:
+        left = result.left
+        found = f"gain {gain_in_words(left.gain)}x, " if left.gain is not None else ""
+        return f"{where}: left unbaked: {found}standard lighting {left.standard_error:.2f}° off"
     counts = [count for _, count in result.primitives]
     parts = [f"{result.status}: {_baked(counts)}" if counts else result.status]
     if result.correctives:
@@ -385,6 +411,7 @@ def file_json(result: FileResult) -> dict[str, Any]:
         "correctives": [{**place_fields(place), **asdict(one)} for place, one in result.correctives],
         "warnings": notice_list(result.notices),
         "encoding": None if result.encoding is None else _encoding_json(result.encoding),
+        "left": None if result.left is None else asdict(result.left),
         "error": error_fields(result.error),
         **timing_fields(result.timings),
     }

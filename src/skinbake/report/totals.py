@@ -8,10 +8,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from skinbake.errors import Notice, Place, SkinbakeError, printable
-from skinbake.wording import counted
+from skinbake.wording import counted, gain_in_words
 
 LISTED = 100
 """The number of failures that the end lists."""
+
+LOWEST = 3
+"""The number of files with the smallest gains that the end lists."""
 
 
 @dataclass(slots=True)
@@ -19,12 +22,16 @@ class Totals:
     """Counts of files by outcome, in the order of the report; files is their number.
 
     ``not_baked`` is the number of files that passed ``verify`` only because nothing in them is baked.
+    ``left`` is that of those which a bake has left so on purpose. ``gains`` are those of files, with their
+    names.
     """
 
     files: int
     outcomes: tuple[str, ...]
     counts: Counter[str] = field(default_factory=Counter)
     not_baked: int = 0
+    left: int = 0
+    gains: list[tuple[float, str]] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
     timings: dict[str, float] = field(default_factory=dict)
 
@@ -62,6 +69,14 @@ def failure_lines(totals: Totals) -> Iterator[str]:
         yield f"  … and {count - LISTED:,} more"
 
 
+def lowest_lines(totals: Totals) -> Iterator[str]:
+    """Yield a line with the files of the smallest gains, if there are several."""
+    if len(totals.gains) > 1:
+        lowest = sorted(totals.gains)[:LOWEST]
+        found = [f"{gain_in_words(gain)}x {printable(name)}" for gain, name in lowest]
+        yield f"lowest gains: {', '.join(found)}"
+
+
 def closing_line(totals: Totals, seconds: float, *, interrupted: bool = False) -> str:
     """Return one line about all files."""
     parts = [
@@ -69,8 +84,9 @@ def closing_line(totals: Totals, seconds: float, *, interrupted: bool = False) -
         for outcome in totals.outcomes
         if totals.counts[outcome]
     ]
-    if totals.not_baked:
-        parts[0] += f" ({totals.not_baked:,} not baked)"
+    unbaked = {"not baked": totals.not_baked, "left unbaked": totals.left}
+    if told := [f"{count:,} {what}" for what, count in unbaked.items() if count]:
+        parts[0] += f" ({', '.join(told)})"
     which = counted(totals.files, "file")
     if interrupted:
         which = f"interrupted after {totals.done:,} of {which}"

@@ -127,6 +127,7 @@ class FileVerdict:
     primitives have the figures by tangents, by_triangles and primitives_by_triangles those by triangles, fine
     and primitives_fine those of the fine mesh if they were asked for. All are of the same places. reliefs are
     of mapped normals, None if no primitive has a normal map and TANGENT.
+    left: a bake has left the file unbaked on purpose, and noted it.
     """
 
     input: str
@@ -146,6 +147,7 @@ class FileVerdict:
     fine: Normals | None = None
     primitives_fine: tuple[tuple[Place, Normals], ...] = ()
     reliefs: Reliefs | None = None
+    left: bool = False
 
     @property
     def by_truth(self) -> dict[str, Normals]:
@@ -161,14 +163,15 @@ class FileVerdict:
     @property
     def found_no_bake(self) -> bool:
         """Tell whether the file passed only because nothing in it is baked, so that nothing was checked."""
-        return self.passed and bool(self.checks) and all(one.outcome == "skipped" for one in self.checks)
+        found = self.passed and bool(self.checks) and not self.left
+        return found and all(one.outcome == "skipped" for one in self.checks)
 
     @property
     def outcome(self) -> str:
-        """Return the outcome in words: passed, failed, or not baked."""
+        """Return the outcome in words: passed, failed, not baked, or left unbaked."""
         if not self.passed:
             return "failed"
-        return "not baked" if self.found_no_bake else "passed"
+        return "left unbaked" if self.left else "not baked" if self.found_no_bake else "passed"
 
 
 def gain(figures: Mapping[str, ErrorFigures], lighting: str = "accurate") -> float | None:
@@ -198,6 +201,9 @@ def count(totals: Totals, verdict: FileVerdict) -> None:
         totals.add("failed", f"{verdict.input}: {first_problem(verdict)}", verdict.timings)
     else:
         totals.not_baked += verdict.found_no_bake
+        totals.left += verdict.left
+        factor = gain(by_worse_truth(verdict))
+        totals.gains += [] if factor is None else [(factor, verdict.input)]
         totals.add("up-to-date" if verdict.up_to_date else "passed", "", verdict.timings)
 
 
@@ -315,6 +321,8 @@ def conclusion(verdict: FileVerdict) -> Conclusion | None:
     failed = [check.name for check in verdict.checks if check.outcome == "failed"]
     if failed and failed != ["limits"]:
         return Conclusion(f"Failed: {', '.join(failed)}.", "do what the error says, then verify again")
+    if verdict.left:
+        return Conclusion("A bake has left it as it is: there is little to win.", "nothing")
     name, found = shlex.quote(printable(verdict.input)), _worse(verdict)
     if found is not None:
         advised = any(
@@ -408,6 +416,7 @@ def file_json(verdict: FileVerdict) -> dict[str, Any]:
             }
             for check in verdict.checks
         ],
+        "left": verdict.left,
         "conclusion": None if (found := conclusion(verdict)) is None else found.short or None,
         "poses": verdict.poses or None,
         "morphs": None
