@@ -55,8 +55,8 @@ def expected_means(path: Path, method: str) -> dict[str, dict[str, float]]:
     turn, tilt = GOLDEN_TURN * np.arange(count), np.radians(RELIEF_TILT)
     m = np.stack([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.full(count, np.cos(tilt))])
     algorithms = {
-        "lbs": [Algorithm.LBS_APPROXIMATED, Algorithm.LBS_ACCURATE],
-        "dqs": [Algorithm.DQS_APPROXIMATED, Algorithm.DQS_EXACT],
+        "lbs": [Algorithm.LBS_STANDARD, Algorithm.LBS_ACCURATE],
+        "dqs": [Algorithm.DQS_STANDARD, Algorithm.DQS_EXACT],
     }[method]
     standard, best = (replay(one, rest, character.matrices(Placement())[None]) for one in algorithms)
 
@@ -79,7 +79,7 @@ def expected_means(path: Path, method: str) -> dict[str, dict[str, float]]:
     errors: dict[str, dict[str, float]] = {}
     own = w * _cofactor(*lit, carried, m)
     engine = {
-        "approximated": _engine(
+        "standard": _engine(
             carried, along[0] * standard.tangents[0] + along[1] * standard.bitangents[0], w, m
         ),
         "engine_frame": _engine(w * np.cross(*lit), lit[0], w, m),
@@ -133,7 +133,7 @@ def test_errors_of_mapped_normals_are_those_of_a_skinned_relief(
         if lighting != "gain"
     }
     best = "exact" if method == "dqs" else "accurate"
-    assert means[best] < 0.6 * means["engine_frame"] < means["approximated"]
+    assert means[best] < 0.6 * means["engine_frame"] < means["standard"]
 
 
 def test_a_limit_can_ask_for_mapped_normals(tmp_path: Path) -> None:
@@ -164,12 +164,10 @@ def test_a_map_of_the_clear_coat_counts_and_a_mesh_without_tangents_does_not(tmp
 
 def test_mapped_normals_at_rest_have_no_error(tmp_path: Path) -> None:
     found = verify(baked(with_map(tmp_path)), "--poses", "rest").file["reliefs"]["normals"]["lbs"]
-    assert max(found[lighting]["max"] for lighting in ("approximated", "engine_frame", "accurate")) < 0.01
+    assert max(found[lighting]["max"] for lighting in ("standard", "engine_frame", "accurate")) < 0.01
 
 
 def test_morph_targets_take_the_relief_along(tmp_path: Path) -> None:
     found = verify(baked(with_map(tmp_path, "morphed_sheet.glb")), "--method", "lbs").file["reliefs"]
-    means = {
-        name: found["normals"]["lbs"][name]["mean"] for name in ("approximated", "engine_frame", "accurate")
-    }
-    assert means["accurate"] < 0.6 * means["engine_frame"] < 0.6 * means["approximated"]
+    means = {name: found["normals"]["lbs"][name]["mean"] for name in ("standard", "engine_frame", "accurate")}
+    assert means["accurate"] < 0.6 * means["engine_frame"] < 0.6 * means["standard"]

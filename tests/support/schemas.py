@@ -296,10 +296,10 @@ NORMALS_BY_TRIANGLES = strict(
 RELIEF_FIGURES = strict(
     {},
     optional={
-        "lbs": strict({"approximated": FIGURES, "engine_frame": FIGURES, "accurate": FIGURES, "gain": GAIN}),
+        "lbs": strict({"standard": FIGURES, "engine_frame": FIGURES, "accurate": FIGURES, "gain": GAIN}),
         "dqs": strict(
             {
-                "approximated": FIGURES,
+                "standard": FIGURES,
                 "engine_frame": FIGURES,
                 "accurate": FIGURES,
                 "exact": FIGURES,

@@ -184,7 +184,7 @@ class Baker(CheckedOptions):
         figures = by_worse_truth(lighting_of(baked, VerifyOptions(methods=("lbs",))))
         if not figures or self.leave_under is None:
             return None, None
-        factor, standard = gain(figures), figures["approximated"].mean
+        factor, standard = gain(figures), figures["standard"].mean
         if standard >= NEGLIGIBLE and (factor is None or factor >= self.leave_under):
             return None, None
         left = Left(factor, standard, self.leave_under)

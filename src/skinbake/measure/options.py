@@ -79,7 +79,7 @@ def limits_check(by_truth: Mapping[Truth, Normals], options: VerifyOptions, plac
 
 def _gain_counts(figures: Mapping[str, ErrorFigures]) -> bool:
     """Tell whether there is something to correct: else a small gain is no fault of the bake."""
-    return gain(figures) is not None and figures["approximated"].mean >= NEGLIGIBLE
+    return gain(figures) is not None and figures["standard"].mean >= NEGLIGIBLE
 
 
 def _exceeded(by_truth: Mapping[Truth, Normals], options: VerifyOptions, place: Place) -> Iterator[Notice]:

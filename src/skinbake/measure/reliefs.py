@@ -54,7 +54,7 @@ ALGORITHMS = {
     "lbs": {"accurate": Algorithm.LBS_ACCURATE},
     "dqs": {"accurate": Algorithm.DQS_ACCURATE, "exact": Algorithm.DQS_EXACT},
 }
-STANDARD = {"lbs": Algorithm.LBS_APPROXIMATED, "dqs": Algorithm.DQS_APPROXIMATED}
+STANDARD = {"lbs": Algorithm.LBS_STANDARD, "dqs": Algorithm.DQS_STANDARD}
 THIRDS = ("carried", "area")
 """The two kinds of the third column: T n0, and F n0."""
 
@@ -253,7 +253,7 @@ class _PosedRelief:
         carried = scaled(times, plain.normal)
         side = 1.0 if self.sides is None else self.sides[:, block.part]
         # The standard frame has T t of TANGENT, the accurate one its image under the differential.
-        found = {"approximated": self._standard(block, plain, standard, length, at)}
+        found = {"standard": self._standard(block, plain, standard, length, at)}
         for lighting, posed in zip(algorithms, accurate, strict=True):
             found[lighting] = scaled(side, mapped_normal(posed, length, at.drawn))
         tangent = plus_scaled(scaled(at.parts[0], posed.tangent), at.parts[1], posed.bitangent)

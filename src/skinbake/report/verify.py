@@ -267,7 +267,7 @@ def _relief_lines(reliefs: Reliefs | None) -> Iterator[str]:
     for method, figures in ({} if reliefs is None else reliefs.figures).items():
         assert reliefs is not None
         best = "exact" if "exact" in figures else "accurate"
-        shown = {"approximated": "standard", "engine_frame": f"{best} in an engine's frame", best: best}
+        shown = {"standard": "standard", "engine_frame": f"{best} in an engine's frame", best: best}
         words = ", ".join(f"{words} {figures[name].mean:.2f}°" for name, words in shown.items())
         other = reliefs.by_area[method][best].mean
         yield f"  {method.upper()} error of normal maps: {words} ({other:.2f}° if area lifts the relief)"
