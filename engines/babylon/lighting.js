@@ -5,10 +5,11 @@ import { Material } from '@babylonjs/core/Materials/material.js';
 import { MaterialPluginBase } from '@babylonjs/core/Materials/materialPluginBase.js';
 import { PushMaterial } from '@babylonjs/core/Materials/pushMaterial.js';
 import { ATTRIBUTES, isLike, kindsOf, printOf, state, tell, watchBuffer } from './loading.js';
-import { GLSL, WGSL } from './shaders.js';
+import { GLSL, GLSL_FRAGMENT, WGSL, WGSL_FRAGMENT } from './shaders.js';
 
 const PLUGIN = 'Skinbake';
-const HOOKS = [GLSL, WGSL]; // by Babylon.js's numbers of the languages
+// By Babylon.js's numbers of the languages.
+const HOOKS = { vertex: [GLSL, WGSL], fragment: [GLSL_FRAGMENT, WGSL_FRAGMENT] };
 
 // What a material needs to light baked meshes. Meshes that are not baked run Babylon.js's own lines alone.
 class Plugin extends MaterialPluginBase {
@@ -48,7 +49,7 @@ class Plugin extends MaterialPluginBase {
     }
 
     getCustomCode(type, language = 0) {
-        return type === 'vertex' ? HOOKS[language] : null;
+        return HOOKS[type]?.[language] ?? null;
     }
 }
 

@@ -24,6 +24,8 @@ struct skinbake_Vertex {
     vec3 normal;
     vec3 tangent;
     vec3 bitangent;
+    vec3 cotangent; // for normal maps: the cofactors of (t', b', T n0), of which normal is the third
+    vec3 cobitangent;
 };
 
 // The tangent frame at rest.
@@ -158,8 +160,13 @@ skinbake_Vertex skinbake_lbs_accurate(vec3 p, skinbake_Frame frame, mat4 M[8], v
     v.bitangent = T * frame.bitangent + beta_0.x * d1 + beta_0.y * d2 + beta_0.z * d3 + beta_1.x * d4
             + beta_1.y * d5 + beta_1.z * d6 + beta_1.w * d7; // 5
     v.normal = frame.handedness * cross(v.tangent, v.bitangent); // 6
+    vec3 carried = T * frame.normal; // 8
+    v.cotangent = frame.handedness * cross(v.bitangent, carried); // 9
+    v.cobitangent = frame.handedness * cross(carried, v.tangent); // 10
     float outside = determinant(T) < 0.0 ? -1.0 : 1.0; // a joint that mirrors turns t x b to the inside
     v.normal *= outside;
+    v.cotangent *= outside;
+    v.cobitangent *= outside;
     v.position = q0 + weights_0.y * d1 + weights_0.z * d2 + weights_0.w * d3 + weights_1.x * d4
             + weights_1.y * d5 + weights_1.z * d6 + weights_1.w * d7; // 7
     return v;
@@ -185,8 +192,13 @@ skinbake_Vertex skinbake_lbs_accurate(vec3 p, skinbake_Frame frame, mat4 M[4], v
     v.tangent = T * frame.tangent + alpha_0.x * d1 + alpha_0.y * d2 + alpha_0.z * d3; // 4
     v.bitangent = T * frame.bitangent + beta_0.x * d1 + beta_0.y * d2 + beta_0.z * d3; // 5
     v.normal = frame.handedness * cross(v.tangent, v.bitangent); // 6
+    vec3 carried = T * frame.normal; // 8
+    v.cotangent = frame.handedness * cross(v.bitangent, carried); // 9
+    v.cobitangent = frame.handedness * cross(carried, v.tangent); // 10
     float outside = determinant(T) < 0.0 ? -1.0 : 1.0; // a joint that mirrors turns t x b to the inside
     v.normal *= outside;
+    v.cotangent *= outside;
+    v.cobitangent *= outside;
     v.position = q0 + weights_0.y * d1 + weights_0.z * d2 + weights_0.w * d3; // 7
     return v;
 }
@@ -284,16 +296,22 @@ vNormalW = skinbakeSide * normalize(skinbakeCofactors * skinbakeLit.normal);
     CUSTOM_VERTEX_MAIN_END: /* glsl */ `
 #if SKINBAKE > 0 && defined(TANGENT)
 #if defined(BUMP) || defined(PARALLAX) || defined(CLEARCOAT_BUMP) || defined(ANISOTROPIC) || defined(GEOMETRY_NORMAL) || defined(GEOMETRY_COAT_NORMAL) || defined(FUZZ)
+// A normal map is a relief over the surface: its slopes are carried by cofactors, as the normal is.
 #if SKINBAKE > 2
-vec3 skinbakeTangent = skinbakeLit.tangent;
+vec3 skinbakeCotangent = length(skinbakeFrame.tangent) * skinbakeLit.cotangent;
+vec3 skinbakeCobitangent = length(skinbakeFrame.tangent) * skinbakeLit.cobitangent;
 #else
-vec3 skinbakeTangent = dot(tangent.xyz, skinbakeRest.tangent) * skinbakeLit.tangent
-    + dot(tangent.xyz, skinbakeRest.bitangent) * skinbakeLit.bitangent;
+// Cofactors are linear: those of t and b follow from those of t0, b0 and n0. t may lean from n0.
+vec3 skinbakeT = normalize(tangent.xyz);
+vec3 skinbakeB = tangent.w * normalize(cross(skinbakeRest.normal, skinbakeT));
+vec3 skinbakeCotangent = dot(skinbakeT, skinbakeRest.tangent) * skinbakeLit.cotangent
+    + dot(skinbakeT, skinbakeRest.bitangent) * skinbakeLit.cobitangent
+    + dot(skinbakeT, skinbakeRest.normal) * skinbakeLit.normal;
+vec3 skinbakeCobitangent = dot(skinbakeB, skinbakeRest.tangent) * skinbakeLit.cotangent
+    + dot(skinbakeB, skinbakeRest.bitangent) * skinbakeLit.cobitangent;
 #endif
-skinbakeTangent = normalize(skinbakeWorld * skinbakeTangent);
-skinbakeSide *= sign(dot(cross(skinbakeLit.tangent, skinbakeLit.bitangent), skinbakeLit.normal));
-skinbakeSide *= skinbakeFrame.handedness; // a joint that mirrors turns it round
-vTBN = mat3(skinbakeTangent, skinbakeSide * tangent.w * cross(vNormalW, skinbakeTangent), vNormalW);
+vTBN = skinbakeCofactors * mat3(skinbakeCotangent, skinbakeCobitangent, skinbakeLit.normal);
+vTBN *= skinbakeSide / length(vTBN[2]);
 #endif
 #endif
 `,
@@ -316,6 +334,8 @@ struct skinbake_Vertex {
     normal: vec3<f32>,
     tangent: vec3<f32>,
     bitangent: vec3<f32>,
+    cotangent: vec3<f32>, // for normal maps: the cofactors of (t', b', T n0), of which normal is the third
+    cobitangent: vec3<f32>,
 }
 
 // The tangent frame at rest.
@@ -430,7 +450,10 @@ fn skinbake_lbs_accurate(p: vec3<f32>, frame: skinbake_Frame, M: array<mat4x4<f3
     let normal = outside * frame.handedness * cross(tangent, bitangent); // 6
     let position = q0 + weights_0.y * d1 + weights_0.z * d2 + weights_0.w * d3 + weights_1.x * d4
             + weights_1.y * d5 + weights_1.z * d6 + weights_1.w * d7; // 7
-    return skinbake_Vertex(position, normal, tangent, bitangent);
+    let carried = T * frame.normal; // 8
+    let cotangent = outside * frame.handedness * cross(bitangent, carried); // 9
+    let cobitangent = outside * frame.handedness * cross(carried, tangent); // 10
+    return skinbake_Vertex(position, normal, tangent, bitangent, cotangent, cobitangent);
 }
 #else
 // The frame moves by the derivative of the skinned position along t0 and b0.
@@ -453,7 +476,10 @@ fn skinbake_lbs_accurate(p: vec3<f32>, frame: skinbake_Frame, M: array<mat4x4<f3
     let outside = select(1.0, -1.0, determinant(T) < 0.0); // a joint that mirrors turns t x b to the inside
     let normal = outside * frame.handedness * cross(tangent, bitangent); // 6
     let position = q0 + weights_0.y * d1 + weights_0.z * d2 + weights_0.w * d3; // 7
-    return skinbake_Vertex(position, normal, tangent, bitangent);
+    let carried = T * frame.normal; // 8
+    let cotangent = outside * frame.handedness * cross(bitangent, carried); // 9
+    let cobitangent = outside * frame.handedness * cross(carried, tangent); // 10
+    return skinbake_Vertex(position, normal, tangent, bitangent, cotangent, cobitangent);
 }
 #endif
 
@@ -556,18 +582,57 @@ vertexOutputs.vNormalW = skinbakeSide * normalize(skinbakeCofactors * skinbakeLi
 #if SKINBAKE > 0 && defined(TANGENT)
 #if defined(BUMP) || defined(PARALLAX) || defined(CLEARCOAT_BUMP) || defined(ANISOTROPIC) || defined(GEOMETRY_NORMAL) || defined(FUZZ)
 #if SKINBAKE > 2
-let skinbakeAlong = skinbakeLit.tangent;
+let skinbakeCotangent = length(skinbakeFrame.tangent) * skinbakeLit.cotangent;
+let skinbakeCobitangent = length(skinbakeFrame.tangent) * skinbakeLit.cobitangent;
 #else
-let skinbakeAlong = dot(vertexInputs.tangent.xyz, skinbakeRest.tangent) * skinbakeLit.tangent
-    + dot(vertexInputs.tangent.xyz, skinbakeRest.bitangent) * skinbakeLit.bitangent;
+let skinbakeT = normalize(vertexInputs.tangent.xyz);
+let skinbakeB = vertexInputs.tangent.w * normalize(cross(skinbakeRest.normal, skinbakeT));
+let skinbakeCotangent = dot(skinbakeT, skinbakeRest.tangent) * skinbakeLit.cotangent
+    + dot(skinbakeT, skinbakeRest.bitangent) * skinbakeLit.cobitangent
+    + dot(skinbakeT, skinbakeRest.normal) * skinbakeLit.normal;
+let skinbakeCobitangent = dot(skinbakeB, skinbakeRest.tangent) * skinbakeLit.cotangent
+    + dot(skinbakeB, skinbakeRest.bitangent) * skinbakeLit.cobitangent;
 #endif
-skinbakeSide *= sign(dot(cross(skinbakeLit.tangent, skinbakeLit.bitangent), skinbakeLit.normal));
-skinbakeSide *= skinbakeFrame.handedness; // a joint that mirrors turns it round
-vertexOutputs.vTBN0 = normalize(skinbakeWorld * skinbakeAlong);
-skinbakeSide *= vertexInputs.tangent.w;
-vertexOutputs.vTBN1 = skinbakeSide * cross(vertexOutputs.vNormalW, vertexOutputs.vTBN0);
+let skinbakeSize = skinbakeSide / length(skinbakeCofactors * skinbakeLit.normal);
+vertexOutputs.vTBN0 = skinbakeSize * (skinbakeCofactors * skinbakeCotangent);
+vertexOutputs.vTBN1 = skinbakeSize * (skinbakeCofactors * skinbakeCobitangent);
 vertexOutputs.vTBN2 = vertexOutputs.vNormalW;
 #endif
+#endif
+`,
+};
+
+// Anisotropy and fuzz follow t' and b' themselves. They are at right angles to the cofactors in TBN.
+export const GLSL_FRAGMENT = {
+    '!mat3 anisoTBN=[^;]*;': /* glsl */ `
+#if SKINBAKE > 0 && defined(TANGENT)
+mat3 anisoTBN = mat3(normalize(cross(TBN[1], TBN[2])), normalize(cross(TBN[2], TBN[0])), normalize(TBN[2]));
+#else
+$0
+#endif
+`,
+    '!vec3 fuzzTangent=normalize[^;]*;': /* glsl */ `
+#if SKINBAKE > 0 && defined(TANGENT)
+vec3 fuzzTangent = normalize(cross(TBN[1], TBN[2]));
+#else
+$0
+#endif
+`,
+};
+
+export const WGSL_FRAGMENT = {
+    '!(?:let|var) anisoTBN[^;]*;': /* wgsl */ `
+#if SKINBAKE > 0 && defined(TANGENT)
+let anisoTBN = mat3x3f(normalize(cross(TBN[1], TBN[2])), normalize(cross(TBN[2], TBN[0])), normalize(TBN[2]));
+#else
+$0
+#endif
+`,
+    '!var fuzzTangent[^;]*;': /* wgsl */ `
+#if SKINBAKE > 0 && defined(TANGENT)
+var fuzzTangent: vec3f = normalize(cross(TBN[1], TBN[2]));
+#else
+$0
 #endif
 `,
 };

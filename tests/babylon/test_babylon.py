@@ -23,6 +23,7 @@ from tests.support import corpus, gltf_reading
 from tests.support.baked_files import Editable
 from tests.support.baking import bake_file
 from tests.support.characters import Array, Character, Placement, Pose, angles, baked, unit
+from tests.support.mapped import columns
 from tests.support.stage import Stage, require_backend
 from tests.three.drawn import BENT, MIRRORED, RANDOM, TUBE, largest, turn_rest, vectors, with_morphs
 
@@ -213,25 +214,27 @@ def with_morphed_tangents(folder: Path, source: Path) -> Path:
         ("tangent", False, "webgpu", "openpbr"),
     ],
 )
-def test_normal_maps_have_the_matrix_of_tangents(
+def test_normal_maps_have_the_matrix_of_a_relief(
     stage: Stage, frame: str, left: bool, backend: str, material: str
 ) -> None:
     require_backend(stage, backend)
     character = stage.character(MIRRORED, RANDOM, frame)
     found = stage.normals(character, left=left, bump=True, material=material, backend=backend)
-    right = character.expected(Algorithm.LBS_ACCURATE, Placement())
-    assert right.tangents is not None
+    right = columns(character, Algorithm.LBS_ACCURATE, Placement())
+    size = np.linalg.norm(right.n, axis=1, keepdims=True)
+    wanted = [part / size * ((-1, 1, 1) if left else 1) for part in (right.t, right.b, right.n)]
     assert character.tangents is not None
-    bitangents = np.cross(right.normals, right.tangents) * character.tangents[:, 3:]
-    wanted = [part * ((-1, 1, 1) if left else 1) for part in (right.tangents, bitangents, right.normals)]
     assert (character.tangents[:, 3] < 0).any()
     if backend == "webgl":
         (drawn,) = found["draws"]
-        columns = vectors(drawn).reshape(-1, 3, 3).transpose(1, 0, 2)
+        matrices = vectors(drawn).reshape(-1, 3, 3).transpose(1, 0, 2)
     else:
-        columns = np.array([vectors(drawn)[: len(right.normals)] for drawn in found["draws"]])
-    for found_column, one in zip(columns, wanted, strict=True):
+        matrices = np.array([vectors(drawn)[: len(right.n)] for drawn in found["draws"]])
+    for found_column, one in zip(matrices, wanted, strict=True):
         assert angles(found_column, one[: len(found_column)]).max() < DEGREES
+        np.testing.assert_allclose(
+            np.linalg.norm(found_column, axis=1), np.linalg.norm(one[: len(found_column)], axis=1), rtol=1e-4
+        )
 
 
 @pytest.mark.parametrize("kind", ["instances", "thin instances"])

@@ -9,7 +9,7 @@
 //% elif influences < 4
 //%   set _ = refuse("influences", "Babylon.js always reads four or eight influences per vertex; use --influences 4")
 //% endif
-//% set common = {"reads": ["packed8"], "morphs": "normal", "frame": "tangent", "encoding": "packed8", "layout": "attributes", "attributes": None, "mirrored_joints": True}
+//% set common = {"reads": ["packed8"], "morphs": "normal", "frame": "tangent", "encoding": "packed8", "layout": "attributes", "attributes": None, "mirrored_joints": True, "normal_map": True}
 //% set glsl = text_for(language="glsl", influences=8, also=["frame_normal", "morphed_tangent"], **common)
 //% set glsl_four = text_for(language="glsl", influences=4, **common)
 //% set wgsl = text_for(language="wgsl", influences=8, also=["frame_normal", "morphed_tangent"], **common)
@@ -32,7 +32,7 @@ attribute vec4 skinbakeBeta1;
 #endif
 uniform float skinbakeScale;
 
-//% for name, part in glsl.parts.items() if name not in [glsl.stem, "morphed_tangent"]
+//% for name, part in glsl.parts.items() if name not in [glsl.stem, "morphed_tangent", "normal_map"]
 @{ part }
 
 //% endfor
@@ -134,16 +134,22 @@ vNormalW = skinbakeSide * normalize(skinbakeCofactors * skinbakeLit.normal);
     CUSTOM_VERTEX_MAIN_END: /* glsl */ `
 #if SKINBAKE > 0 && defined(TANGENT)
 #if defined(BUMP) || defined(PARALLAX) || defined(CLEARCOAT_BUMP) || defined(ANISOTROPIC) || defined(GEOMETRY_NORMAL) || defined(GEOMETRY_COAT_NORMAL) || defined(FUZZ)
+// A normal map is a relief over the surface: its slopes are carried by cofactors, as the normal is.
 #if SKINBAKE > 2
-vec3 skinbakeTangent = skinbakeLit.tangent;
+vec3 skinbakeCotangent = length(skinbakeFrame.tangent) * skinbakeLit.cotangent;
+vec3 skinbakeCobitangent = length(skinbakeFrame.tangent) * skinbakeLit.cobitangent;
 #else
-vec3 skinbakeTangent = dot(tangent.xyz, skinbakeRest.tangent) * skinbakeLit.tangent
-    + dot(tangent.xyz, skinbakeRest.bitangent) * skinbakeLit.bitangent;
+// Cofactors are linear: those of t and b follow from those of t0, b0 and n0. t may lean from n0.
+vec3 skinbakeT = normalize(tangent.xyz);
+vec3 skinbakeB = tangent.w * normalize(cross(skinbakeRest.normal, skinbakeT));
+vec3 skinbakeCotangent = dot(skinbakeT, skinbakeRest.tangent) * skinbakeLit.cotangent
+    + dot(skinbakeT, skinbakeRest.bitangent) * skinbakeLit.cobitangent
+    + dot(skinbakeT, skinbakeRest.normal) * skinbakeLit.normal;
+vec3 skinbakeCobitangent = dot(skinbakeB, skinbakeRest.tangent) * skinbakeLit.cotangent
+    + dot(skinbakeB, skinbakeRest.bitangent) * skinbakeLit.cobitangent;
 #endif
-skinbakeTangent = normalize(skinbakeWorld * skinbakeTangent);
-skinbakeSide *= sign(dot(cross(skinbakeLit.tangent, skinbakeLit.bitangent), skinbakeLit.normal));
-skinbakeSide *= skinbakeFrame.handedness; // a joint that mirrors turns it round
-vTBN = mat3(skinbakeTangent, skinbakeSide * tangent.w * cross(vNormalW, skinbakeTangent), vNormalW);
+vTBN = skinbakeCofactors * mat3(skinbakeCotangent, skinbakeCobitangent, skinbakeLit.normal);
+vTBN *= skinbakeSide / length(vTBN[2]);
 #endif
 #endif
 `,
@@ -160,7 +166,7 @@ attribute skinbakeBeta1: vec4f;
 #endif
 uniform skinbakeScale: f32;
 
-//% for name, part in wgsl.parts.items() if name not in [wgsl.stem, "morphed_tangent", "frame_tangent", "frame_normal"]
+//% for name, part in wgsl.parts.items() if name not in [wgsl.stem, "morphed_tangent", "frame_tangent", "frame_normal", "normal_map"]
 @{ part }
 
 //% endfor
@@ -275,18 +281,57 @@ vertexOutputs.vNormalW = skinbakeSide * normalize(skinbakeCofactors * skinbakeLi
 #if SKINBAKE > 0 && defined(TANGENT)
 #if defined(BUMP) || defined(PARALLAX) || defined(CLEARCOAT_BUMP) || defined(ANISOTROPIC) || defined(GEOMETRY_NORMAL) || defined(FUZZ)
 #if SKINBAKE > 2
-let skinbakeAlong = skinbakeLit.tangent;
+let skinbakeCotangent = length(skinbakeFrame.tangent) * skinbakeLit.cotangent;
+let skinbakeCobitangent = length(skinbakeFrame.tangent) * skinbakeLit.cobitangent;
 #else
-let skinbakeAlong = dot(vertexInputs.tangent.xyz, skinbakeRest.tangent) * skinbakeLit.tangent
-    + dot(vertexInputs.tangent.xyz, skinbakeRest.bitangent) * skinbakeLit.bitangent;
+let skinbakeT = normalize(vertexInputs.tangent.xyz);
+let skinbakeB = vertexInputs.tangent.w * normalize(cross(skinbakeRest.normal, skinbakeT));
+let skinbakeCotangent = dot(skinbakeT, skinbakeRest.tangent) * skinbakeLit.cotangent
+    + dot(skinbakeT, skinbakeRest.bitangent) * skinbakeLit.cobitangent
+    + dot(skinbakeT, skinbakeRest.normal) * skinbakeLit.normal;
+let skinbakeCobitangent = dot(skinbakeB, skinbakeRest.tangent) * skinbakeLit.cotangent
+    + dot(skinbakeB, skinbakeRest.bitangent) * skinbakeLit.cobitangent;
 #endif
-skinbakeSide *= sign(dot(cross(skinbakeLit.tangent, skinbakeLit.bitangent), skinbakeLit.normal));
-skinbakeSide *= skinbakeFrame.handedness; // a joint that mirrors turns it round
-vertexOutputs.vTBN0 = normalize(skinbakeWorld * skinbakeAlong);
-skinbakeSide *= vertexInputs.tangent.w;
-vertexOutputs.vTBN1 = skinbakeSide * cross(vertexOutputs.vNormalW, vertexOutputs.vTBN0);
+let skinbakeSize = skinbakeSide / length(skinbakeCofactors * skinbakeLit.normal);
+vertexOutputs.vTBN0 = skinbakeSize * (skinbakeCofactors * skinbakeCotangent);
+vertexOutputs.vTBN1 = skinbakeSize * (skinbakeCofactors * skinbakeCobitangent);
 vertexOutputs.vTBN2 = vertexOutputs.vNormalW;
 #endif
+#endif
+`,
+};
+
+// Anisotropy and fuzz follow t' and b' themselves. They are at right angles to the cofactors in TBN.
+export const GLSL_FRAGMENT = {
+    '!mat3 anisoTBN=[^;]*;': /* glsl */ `
+#if SKINBAKE > 0 && defined(TANGENT)
+mat3 anisoTBN = mat3(normalize(cross(TBN[1], TBN[2])), normalize(cross(TBN[2], TBN[0])), normalize(TBN[2]));
+#else
+$0
+#endif
+`,
+    '!vec3 fuzzTangent=normalize[^;]*;': /* glsl */ `
+#if SKINBAKE > 0 && defined(TANGENT)
+vec3 fuzzTangent = normalize(cross(TBN[1], TBN[2]));
+#else
+$0
+#endif
+`,
+};
+
+export const WGSL_FRAGMENT = {
+    '!(?:let|var) anisoTBN[^;]*;': /* wgsl */ `
+#if SKINBAKE > 0 && defined(TANGENT)
+let anisoTBN = mat3x3f(normalize(cross(TBN[1], TBN[2])), normalize(cross(TBN[2], TBN[0])), normalize(TBN[2]));
+#else
+$0
+#endif
+`,
+    '!var fuzzTangent[^;]*;': /* wgsl */ `
+#if SKINBAKE > 0 && defined(TANGENT)
+var fuzzTangent: vec3f = normalize(cross(TBN[1], TBN[2]));
+#else
+$0
 #endif
 `,
 };
