@@ -205,12 +205,12 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
     ): RACE,
     (
         "files/bounds.py",
-        "spots",
+        "bounded_paths",
         "if not found: -> for name in relative_names(uri):",
     ): "no document of the fuzzer has such a name: tests/files/test_containment.py",
     (
         "files/bounds.py",
-        "spot_of",
+        "bounded_path",
         'if name is None: -> raise OutsideError(f"it is not below {root}")',
     ): "no document of the fuzzer has such a name: tests/files/test_containment.py",
     ("files/folders.py", "", 'if sys.platform != "win32": -> MOST_LINKS = 40'): WINDOWS,

@@ -11,7 +11,7 @@ from fuzz.atheris_target import fuzz
 def load() -> Callable[[bytes], object]:
     """Return the target."""
     from skinbake.errors import Place
-    from skinbake.files.bounds import Bounds, RefusedError, spots
+    from skinbake.files.bounds import Bounds, RefusedError, bounded_paths
     from skinbake.gltf import resources
 
     def target(data: bytes) -> None:
@@ -20,7 +20,7 @@ def load() -> Callable[[bytes], object]:
             resources.decode_data_uri(uri, Place("fuzz"))
         else:
             with suppress(RefusedError):  # a refusal is an answer
-                spots(uri, "/models", Bounds("/models"))
+                bounded_paths(uri, "/models", Bounds("/models"))
 
     return target
 

@@ -16,14 +16,14 @@ from fixtures.make_fixtures import FOLDER
 from skinbake.files import folders
 from skinbake.files.bounds import (
     NOWHERE,
+    BoundedPath,
     Bounds,
     OutsideError,
     RefusedError,
-    Spot,
+    bounded_path,
+    bounded_paths,
     moved_uri,
     relative_names,
-    spot_of,
-    spots,
 )
 from skinbake.files.folders import beneath, open_beneath
 from tests.outside.names import uris
@@ -64,12 +64,12 @@ def test_no_spot_is_outside_its_root(tmp_path: Path) -> None:
     found = 0
     for uri in uris(COUNT):
         try:
-            places = spots(uri, str(home), Bounds(str(tmp_path / "root")))
+            places = bounded_paths(uri, str(home), Bounds(str(tmp_path / "root")))
         except RefusedError:
             continue
-        for spot in places:
+        for file in places:
             found += 1
-            assert Path(os.path.normpath(spot.path)).is_relative_to(tmp_path / "root"), uri
+            assert Path(os.path.normpath(file.path)).is_relative_to(tmp_path / "root"), uri
     assert found > COUNT / 20
 
 
@@ -116,14 +116,14 @@ def root(tmp_path: Path) -> Path:
 class TestOpening:
     @pytest.mark.parametrize("name", ["a/f.bin", "in", "chain", "a/dots", "a/more dots", "folder/f.bin"])
     def test_files_below_are_opened(self, root: Path, name: str) -> None:
-        descriptor = open_beneath(Spot(str(root), name))
+        descriptor = open_beneath(BoundedPath(str(root), name))
         assert os.read(descriptor, 100) == b"content"
         os.close(descriptor)
 
     @pytest.mark.parametrize("name", ["out", "abs", "a/up/secret"])
     def test_links_that_lead_out_are_not_followed(self, root: Path, name: str) -> None:
         with pytest.raises(OSError, match="a link leads out of the folder") as caught:
-            open_beneath(Spot(str(root), name))
+            open_beneath(BoundedPath(str(root), name))
         assert caught.value.errno == errno.EXDEV
 
     @pytest.mark.parametrize(
@@ -132,19 +132,19 @@ class TestOpening:
     )
     def test_only_regular_files_are_opened(self, root: Path, name: str, code: int) -> None:
         with pytest.raises(OSError, match=r"\w") as caught:
-            open_beneath(Spot(str(root), name))
+            open_beneath(BoundedPath(str(root), name))
         assert caught.value.errno == code
 
     def test_a_circle_of_links_ends(self, root: Path) -> None:
         with pytest.raises(OSError, match=r"\w") as caught:
-            open_beneath(Spot(str(root), "loop"))
+            open_beneath(BoundedPath(str(root), "loop"))
         assert caught.value.errno in {errno.ELOOP, errno.ENOENT}
 
     def test_no_descriptor_is_left_open(self, root: Path) -> None:
         before = len(list(Path("/dev/fd").iterdir()))
         for name in ("in", "a/dots", "out", "abs", "fifo", "a", "gone", "loop", "a/up/secret"):
             with suppress(OSError):  # most of them are refused
-                os.close(open_beneath(Spot(str(root), name)))
+                os.close(open_beneath(BoundedPath(str(root), name)))
         assert len(list(Path("/dev/fd").iterdir())) == before
 
 
@@ -154,9 +154,9 @@ def test_links_are_followed_as_often_as_by_linux(way: str, root: Path) -> None:
     (root / "link 1").symlink_to("a/f.bin")
     for number in range(2, 42):
         (root / f"link {number}").symlink_to(f"link {number - 1}")
-    os.close(open_beneath(Spot(str(root), "link 40")))
+    os.close(open_beneath(BoundedPath(str(root), "link 40")))
     with pytest.raises(OSError, match=r"\w") as caught:
-        open_beneath(Spot(str(root), "link 41"))
+        open_beneath(BoundedPath(str(root), "link 41"))
     assert caught.value.errno == errno.ELOOP
 
 
@@ -205,7 +205,7 @@ def test_what_the_kernel_makes_up_is_no_file() -> None:
             continue
         for opened in (
             lambda name=name: folders.open_regular(name),
-            lambda name=name: open_beneath(Spot("/", name[1:])),
+            lambda name=name: open_beneath(BoundedPath("/", name[1:])),
         ):
             _refused(opened)
 
@@ -218,24 +218,24 @@ def _refused(opened: Callable[[], int]) -> None:
 class TestBounds:
     def test_a_document_without_a_folder_names_allowed_files_alone(self, tmp_path: Path) -> None:
         with pytest.raises(OutsideError, match="it has no folder"):
-            spots("a.bin", str(tmp_path), Bounds(NOWHERE))
-        (spot,) = spots("a.bin", str(tmp_path), Bounds(NOWHERE, (str(tmp_path),)))
-        assert (spot.path, spot.is_own) == (str(tmp_path / "a.bin"), False)
+            bounded_paths("a.bin", str(tmp_path), Bounds(NOWHERE))
+        (file,) = bounded_paths("a.bin", str(tmp_path), Bounds(NOWHERE, (str(tmp_path),)))
+        assert (file.path, file.is_own) == (str(tmp_path / "a.bin"), False)
 
     def test_names_of_neighbours_are_outside(self, tmp_path: Path) -> None:
         (tmp_path / "art").mkdir()
         with pytest.raises(OutsideError):
-            spots("../artificial/a.bin", str(tmp_path / "art"), Bounds())
+            bounded_paths("../artificial/a.bin", str(tmp_path / "art"), Bounds())
 
     def test_of_two_readings_the_one_inside_counts(self, tmp_path: Path) -> None:
         """Read literally, the name leads out. Decoded, it leads back into the folder."""
-        (spot,) = spots("../%61rt/a.bin", str(tmp_path / "art"), Bounds())
-        assert (spot.root, spot.name) == (os.path.realpath(tmp_path / "art"), "a.bin")
+        (file,) = bounded_paths("../%61rt/a.bin", str(tmp_path / "art"), Bounds())
+        assert (file.root, file.name) == (os.path.realpath(tmp_path / "art"), "a.bin")
 
     def test_a_path_outside_has_no_spot(self, tmp_path: Path) -> None:
-        assert spot_of(str(tmp_path / "art" / "a.bin"), str(tmp_path)).name == "art/a.bin"
+        assert bounded_path(str(tmp_path / "art" / "a.bin"), str(tmp_path)).name == "art/a.bin"
         with pytest.raises(OutsideError, match="it is not below"):
-            spot_of(str(tmp_path / "a.bin"), str(tmp_path / "art"))
+            bounded_path(str(tmp_path / "a.bin"), str(tmp_path / "art"))
 
     def test_a_uri_keeps_its_meaning_in_another_folder(self, tmp_path: Path) -> None:
         home, other = tmp_path / "a" / "b", tmp_path / "out"

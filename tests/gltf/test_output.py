@@ -19,7 +19,7 @@ import pytest
 from skinbake.commands.strip import strip_file
 from skinbake.errors import InputError, OutputError
 from skinbake.files import Bytes, folders, replacing
-from skinbake.files.bounds import Spot
+from skinbake.files.bounds import BoundedPath
 from skinbake.gltf import beside
 from skinbake.gltf.additions import content_digest
 from skinbake.gltf.document import read_document
@@ -292,10 +292,10 @@ class TestTargets:
         before = tree(target.parent)
         original = folders.open_beneath
 
-        def open_beneath(spot: Spot) -> int:
-            if spot.name.endswith(".png"):
+        def open_beneath(file: BoundedPath) -> int:
+            if file.name.endswith(".png"):
                 raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-            return original(spot)
+            return original(file)
 
         monkeypatch.setattr("skinbake.gltf.resources.open_beneath", open_beneath)
         assert "a.png: cannot be copied: Permission denied" in str(write(source, target))

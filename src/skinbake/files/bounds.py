@@ -62,8 +62,8 @@ OWN_FOLDERS = Within()
 """The folders of a file that the user named, and of a target that the user named."""
 
 
-class Spot(NamedTuple):
-    """The place to which a name leads: a path below a folder, in forward slashes.
+class BoundedPath(NamedTuple):
+    """The path to which a name leads: below a folder, in forward slashes.
 
     ``is_own`` tells that the folder is the document's own root.
     """
@@ -134,8 +134,8 @@ def path_uri(path: str) -> str:
     return quote(os.fsencode(path), safe="/!$&'()*+,;=@~-._")
 
 
-def spots(uri: str, folder: str, bounds: Bounds) -> list[Spot]:
-    """Return the places to which a document's URI may lead, the likelier first. ``folder`` is the document's.
+def bounded_paths(uri: str, folder: str, bounds: Bounds) -> list[BoundedPath]:
+    """Return the paths to which a document's URI may lead, the likelier first. ``folder`` is the document's.
 
     On the disk only the folders are looked at, to find their names. Raises RefusedError, and OutsideError if
     the first name leads out of all bounds.
@@ -143,18 +143,18 @@ def spots(uri: str, folder: str, bounds: Bounds) -> list[Spot]:
     home = os.path.realpath(folder)
     own = folder if bounds.root is None else bounds.root
     roots = [*([own] if own != NOWHERE else []), *bounds.allowed]
-    found: list[Spot] = []
+    found: list[BoundedPath] = []
     for name in relative_names(uri):
         path = os.path.normpath(os.path.join(home, *name.split("/")))
         for number, root in enumerate(map(os.path.realpath, roots)):
             inside = below(path, root)
             if inside is not None:
-                found.append(Spot(root, inside, number == 0 and own != NOWHERE))
+                found.append(BoundedPath(root, inside, number == 0 and own != NOWHERE))
                 break
         else:
             if not found:
-                where = f"it leads out of {own or os.curdir}" if own != NOWHERE else "it has no folder"
-                raise OutsideError(where)
+                reason = f"it leads out of {own or os.curdir}" if own != NOWHERE else "it has no folder"
+                raise OutsideError(reason)
     return found
 
 
@@ -166,8 +166,8 @@ def below(path: str, root: str) -> str | None:
     return path[len(prefix) :].replace(os.sep, "/") or None
 
 
-def spot_of(path: str, root: str) -> Spot:
-    """Return the place of a path below a folder. Links below the folder are not followed.
+def bounded_path(path: str, root: str) -> BoundedPath:
+    """Return a path as one below a folder. Links below the folder are not followed.
 
     Raises OutsideError if the path is outside.
     """
@@ -176,7 +176,7 @@ def spot_of(path: str, root: str) -> Spot:
     name = below(os.path.normpath(os.path.abspath(path)), given)
     if name is None:
         raise OutsideError(f"it is not below {root}")
-    return Spot(folder, name)
+    return BoundedPath(folder, name)
 
 
 def moved_uri(uri: str, folder: str, target: str) -> str:

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 
-from skinbake.files.bounds import Spot, below
+from skinbake.files.bounds import BoundedPath, below
 
 if sys.platform != "win32":
     import fcntl
@@ -42,13 +42,13 @@ _READ_FLAGS = (
 _FOLDER_FLAGS = os.O_RDONLY | getattr(os, "O_DIRECTORY", 0) | getattr(os, "O_CLOEXEC", 0)
 
 
-def open_beneath(spot: Spot) -> int:
-    """Return a descriptor of a regular file, opened for reading without leaving the spot's root.
+def open_beneath(file: BoundedPath) -> int:
+    """Return a descriptor of a regular file, opened for reading without leaving its root.
 
     Raises OSError: EXDEV if a link leads out, EINVAL for devices, FIFOs, sockets and files that the system
     generates (/proc, /sys).
     """
-    return _regular(_open(spot.root, spot.name, _READ_FLAGS))
+    return _regular(_open(file.root, file.name, _READ_FLAGS))
 
 
 def open_regular(path: str) -> int:

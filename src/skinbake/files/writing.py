@@ -21,7 +21,7 @@ from typing import NamedTuple, Protocol
 
 from skinbake.errors import OutputError, Place, ReaderGoneError
 from skinbake.files import Bytes
-from skinbake.files.bounds import Spot
+from skinbake.files.bounds import BoundedPath
 from skinbake.files.folders import BY_DESCRIPTOR, Folder, beneath, check_regular, flush
 from skinbake.files.temporary import remove_abandoned, temporary_name
 from skinbake.files.versions import Signature, Version, signature_of
@@ -105,7 +105,7 @@ def write_file(pieces: Iterable[Bytes], target: str, *, sync: bool = True) -> No
 class Noting(Protocol):
     """Notes of files beside a target, which hold if they get their names."""
 
-    def note(self, written: Mapping[Path, Spot]) -> None:
+    def note(self, written: Mapping[Path, BoundedPath]) -> None:
         """Note the files that are at these temporary places. Raises OSError."""
 
     def forget(self) -> None:
@@ -146,7 +146,7 @@ def write_files(
                 _check_still_so(serving or {}, replaces, place)
                 if notes is not None:
                     begun.notes = notes
-                    notes.note({path: one.spot for path, one in zip(files, begun.written, strict=True)})
+                    notes.note({path: one.file for path, one in zip(files, begun.written, strict=True)})
                 try:
                     _rename(begun, replaces, place)
                 except BaseException:
@@ -168,9 +168,9 @@ class _Written(NamedTuple):
     pieces: Iterable[Bytes]
 
     @property
-    def spot(self) -> Spot:
+    def file(self) -> BoundedPath:
         """The place of the temporary file."""
-        return Spot(self.folder.path, self.temporary)
+        return BoundedPath(self.folder.path, self.temporary)
 
 
 @dataclass(slots=True)

@@ -12,15 +12,15 @@ from typing import Any, NamedTuple
 from skinbake.errors import Notice, OutputError, Place
 from skinbake.files import Bytes
 from skinbake.files.bounds import (
+    BoundedPath,
     OutsideError,
     RefusedError,
-    Spot,
     below,
+    bounded_path,
     is_relative,
     moved_uri,
     path_uri,
     relative_names,
-    spot_of,
 )
 from skinbake.files.versions import Signature, signature_of
 from skinbake.gltf.additions import content_digest
@@ -99,20 +99,20 @@ class Beside:
         if self._home == self._folder:
             return uri
         try:
-            spot = self._found(uri)
+            file = self._found(uri)
         except (OutsideError, _LinkedOutError) as error:
             return self._left(uri, str(error), is_buffer=is_buffer)
-        if spot is None:
+        if file is None:
             return uri
-        name = Path(os.path.relpath(spot.path, self._home)).as_posix()
-        if not (spot.is_own and below(self._path(name), os.fspath(self._root))):
-            return path_uri(Path(os.path.relpath(spot.path, self._folder)).as_posix())
-        return self._copied(uri, name, FileContent(spot), is_buffer=is_buffer)
+        name = Path(os.path.relpath(file.path, self._home)).as_posix()
+        if not (file.is_own and below(self._path(name), os.fspath(self._root))):
+            return path_uri(Path(os.path.relpath(file.path, self._folder)).as_posix())
+        return self._copied(uri, name, FileContent(file), is_buffer=is_buffer)
 
-    def _found(self, uri: str) -> Spot | None:
+    def _found(self, uri: str) -> BoundedPath | None:
         """Return the place of a file; None, with a note, if it is missing or its URI is refused."""
         try:
-            spot, descriptor = find(uri, self._document.folder, self._document.bounds)
+            file, descriptor = find(uri, self._document.folder, self._document.bounds)
         except OutsideError:
             raise
         except RefusedError as error:
@@ -127,7 +127,7 @@ class Beside:
             self._missing.append(uri)
             return None
         os.close(descriptor)
-        return spot
+        return file
 
     def _path(self, name: str) -> str:
         """Return the path of a relative one, seen from the target's folder."""
@@ -168,7 +168,7 @@ class Beside:
         else:
             self._serving[path] = before if free == name else signature_of(path)
         if self._copies is not None and isinstance(pieces, FileContent):
-            source, plain = pieces.spot.path, Path(self._path(name))
+            source, plain = pieces.file.path, Path(self._path(name))
             self._copies.used[path] = source
             taken = free == name or plain in self._files or plain in self._copies.replacing
             if not taken and self._copies.is_replaceable(plain, source, is_buffer=is_buffer):
@@ -199,7 +199,7 @@ class Beside:
         if not os.path.lexists(path):
             return False
         try:
-            return not _same(FileContent(spot_of(path, os.fspath(self._root))), pieces)
+            return not _same(FileContent(bounded_path(path, os.fspath(self._root))), pieces)
         except OSError:
             return True
 
@@ -290,10 +290,10 @@ def files_read(document: Document, target: str | None, *, pack: bool) -> tuple[s
         if resource.array == "images" and not (pack or moves):
             continue
         with suppress(OSError, RefusedError):
-            spot, descriptor = find(resource.uri, document.folder, document.bounds)
+            file, descriptor = find(resource.uri, document.folder, document.bounds)
             os.close(descriptor)
-            if resource.array == "buffers" or pack or spot.is_own:
-                found.append(spot.path)
+            if resource.array == "buffers" or pack or file.is_own:
+                found.append(file.path)
     return tuple(dict.fromkeys(found))
 
 

@@ -27,7 +27,7 @@ from urllib.parse import quote
 
 from skinbake.errors import SkinbakeError
 from skinbake.files import Bytes
-from skinbake.files.bounds import Spot, below, is_relative, relative_names, spot_of
+from skinbake.files.bounds import BoundedPath, below, bounded_path, is_relative, relative_names
 from skinbake.files.folders import Folder, beneath, check_regular, open_beneath
 from skinbake.files.temporary import temporary_name
 from skinbake.files.versions import DIGITS, signature_of
@@ -135,7 +135,7 @@ def _written(folder: Folder, name: str, text: str) -> None:
 
 def _read(root: Path, folder: Path) -> Iterator[tuple[str, Copy]]:
     """Yield the notes of a folder. Raises OSError, or any error of values that are not as expected."""
-    with os.fdopen(open_beneath(spot_of(os.fspath(folder / NAME), os.fspath(root))), "rb") as file:
+    with os.fdopen(open_beneath(bounded_path(os.fspath(folder / NAME), os.fspath(root))), "rb") as file:
         data = file.read(LONGEST + 1)
     found = json.loads(data) if len(data) <= LONGEST else {}
     if found["kind"] != KIND:
@@ -184,7 +184,7 @@ class Copies:
         is_shared = any(os.path.lexists(path.parent / name) for name in copy.targets - {ours})
         return not (is_buffer and is_shared) and not self._is_named(path, notes.targets)
 
-    def note(self, written: Mapping[Path, Spot]) -> None:
+    def note(self, written: Mapping[Path, BoundedPath]) -> None:
         """Note copies that get their names next, and that this target uses copies that are noted.
 
         ``written`` are the places of the files until then. Raises OSError.
@@ -243,7 +243,7 @@ class Copies:
             for notes in self._cache.values():
                 notes.save()
             for path, new in self.replacing.items():
-                content = FileContent(spot_of(os.fspath(new), os.fspath(self.root)))
+                content = FileContent(bounded_path(os.fspath(new), os.fspath(self.root)))
                 write_files(self.root, {path: content}, os.fspath(self.target), sync=sync)
                 notes = self._notes(path.parent)
                 digest = _digest(path)

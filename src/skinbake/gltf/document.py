@@ -23,9 +23,9 @@ from skinbake.files.bounds import (
     Bounds,
     OutsideError,
     RefusedError,
+    bounded_path,
+    bounded_paths,
     relative_names,
-    spot_of,
-    spots,
 )
 from skinbake.files.folders import open_beneath
 from skinbake.files.urls import STDIO
@@ -197,7 +197,7 @@ def refuse_buffers_outside(document: Document) -> None:
         if not isinstance(uri, str) or resources.is_data_uri(uri) or uri in document.new_files:
             continue
         try:
-            spots(uri, os.fspath(document.folder), document.bounds)
+            bounded_paths(uri, os.fspath(document.folder), document.bounds)
         except OutsideError as error:
             raise resources.outside(uri, str(error), document.place) from error
         except RefusedError as error:
@@ -216,7 +216,7 @@ def read_named(path: str, root: str | None, budget: Budget) -> Bytes:
     try:
         if root is None:
             return resources.read_file(Path(path), claim)
-        descriptor = open_beneath(spot_of(path, root))
+        descriptor = open_beneath(bounded_path(path, root))
         try:
             return resources.read_open_file(descriptor, claim)
         finally:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from skinbake.errors import InputError, Notice, OutputError, Place
 from skinbake.files import Bytes
-from skinbake.files.bounds import OutsideError, RefusedError, below, relative_names, spot_of
+from skinbake.files.bounds import OutsideError, RefusedError, below, bounded_path, relative_names
 from skinbake.files.urls import STDIO
 from skinbake.files.versions import Signature, Version
 from skinbake.files.writing import TakenError, check_target, write_files, write_stdout
@@ -135,7 +135,7 @@ def plan_output(
         return plan_output(document, target, root=root, keeps_notes=keeps_notes)
 
     try:
-        path, base = _place_of(target, root)
+        path, base = _path_of(target, root)
         check_target(path, target)
         copies = Copies(path, base) if keeps_notes else None
         placed = Beside(document, path, base, copies)
@@ -160,13 +160,13 @@ def plan_output(
     )
 
 
-def _place_of(target: str, root: str | None) -> tuple[Path, Path]:
+def _path_of(target: str, root: str | None) -> tuple[Path, Path]:
     """Return the path of a target without links, and the folder that nothing is written outside of."""
     if root is None:  # the user named the file, so a link in its path is followed
         path = Path(os.path.realpath(target))
         return path, path.parent
     base = os.path.realpath(root)
-    path = Path(os.path.realpath(spot_of(target, root).path))
+    path = Path(os.path.realpath(bounded_path(target, root).path))
     if below(os.fspath(path), base) is None:
         raise OutputError(f"a link leads out of {root}", Place(target))
     return path, Path(base)
@@ -183,13 +183,13 @@ def refuse_own_input(document: Document, source: str, target: str) -> None:
         return
     for resource in named_files(document):
         try:
-            spot, descriptor = find(resource.uri, document.folder, document.bounds)
+            file, descriptor = find(resource.uri, document.folder, document.bounds)
         except OutsideError:  # the file is not opened, and its identity is not read
             is_own = _leads_to(resource.uri, document.folder, written)
         except (OSError, RefusedError):
             continue
         else:
-            is_own = Path(spot.path) == written or os.path.samestat(os.fstat(descriptor), there)
+            is_own = Path(file.path) == written or os.path.samestat(os.fstat(descriptor), there)
             os.close(descriptor)
         if is_own:
             raise OutputError("it is a file of the input", Place(target))

@@ -14,7 +14,7 @@ from urllib.parse import unquote, unquote_to_bytes
 
 from skinbake.errors import InputError, Place
 from skinbake.files import Bytes
-from skinbake.files.bounds import Bounds, OutsideError, RefusedError, Spot, spots
+from skinbake.files.bounds import BoundedPath, Bounds, OutsideError, RefusedError, bounded_paths
 from skinbake.files.folders import open_beneath, open_regular
 
 Claim = Callable[[int], None]
@@ -107,11 +107,11 @@ def _own_pages(size: int) -> memoryview:
 class FileContent:
     """The bytes of a file beside the document, read a block at a time when they are needed."""
 
-    spot: Spot
+    file: BoundedPath
 
     def __iter__(self) -> Iterator[bytes]:
         """Yield the blocks; raises OSError."""
-        descriptor = open_beneath(self.spot)
+        descriptor = open_beneath(self.file)
         try:
             while block := os.read(descriptor, BLOCK):
                 yield block
@@ -119,16 +119,16 @@ class FileContent:
             os.close(descriptor)
 
 
-def find(uri: str, folder: Path, bounds: Bounds) -> tuple[Spot, int]:
+def find(uri: str, folder: Path, bounds: Bounds) -> tuple[BoundedPath, int]:
     """Return the path of a document's URI, and a descriptor of the regular file there.
 
     Raises RefusedError if the URI may not be opened (OutsideError: it leads out of ``bounds``). Raises
     OSError if there is no such file, or if a link on the way leads out.
     """
     missing: OSError | None = None
-    for spot in spots(uri, os.fspath(folder), bounds):
+    for file in bounded_paths(uri, os.fspath(folder), bounds):
         try:
-            return spot, open_beneath(spot)
+            return file, open_beneath(file)
         except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
             missing = missing or error
         except ValueError as error:  # not a valid name on this system

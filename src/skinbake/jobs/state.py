@@ -22,7 +22,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from skinbake.errors import InputError, Notice, OutputError, Place, SkinbakeError
-from skinbake.files.bounds import BESIDE, OWN_FOLDERS, Bounds, RefusedError, Spot, Within, spots
+from skinbake.files.bounds import (
+    BESIDE,
+    OWN_FOLDERS,
+    BoundedPath,
+    Bounds,
+    RefusedError,
+    Within,
+    bounded_paths,
+)
 from skinbake.files.folders import flush, open_beneath, open_regular
 from skinbake.files.versions import DIGITS, digest_of
 from skinbake.files.writing import write_file
@@ -78,7 +86,7 @@ class Seen:
     digests: Digests
     signatures: dict[str, tuple[int, ...]]
     young: frozenset[str]
-    named: Mapping[str, Spot]
+    named: Mapping[str, BoundedPath]
 
     @property
     def still_there(self) -> bool:
@@ -211,9 +219,9 @@ def seen(source: str, bounds: Bounds = BESIDE) -> Seen | None:
         signatures = {path: _signature(path)}
         document = read_document(source, bounds)
         digests: Digests = {path: digest_of([document.raw or b""])}
-        named = {spot.path: spot for spot in _named_files(document)}
-        for other, spot in named.items():
-            signatures[other], digests[other] = _signature_at(spot), _digest_at(spot)
+        named = {file.path: file for file in _named_files(document)}
+        for other, file in named.items():
+            signatures[other], digests[other] = _signature_at(file), _digest_at(file)
     except (OSError, ValueError, SkinbakeError):
         return None
     young = frozenset(path for path, found in signatures.items() if found and start - max(found[-2:]) < YOUNG)
@@ -349,20 +357,20 @@ class State:
         return descriptor
 
 
-def _named_files(document: Document) -> Iterable[Spot]:
+def _named_files(document: Document) -> Iterable[BoundedPath]:
     """Return the places to which the document's URIs may lead in its bounds, each once."""
-    found: dict[str, Spot] = {}
+    found: dict[str, BoundedPath] = {}
     for named in named_files(document):
         with suppress(RefusedError):  # out of bounds
-            for spot in spots(named.uri, os.fspath(document.folder), document.bounds):
-                found[spot.path] = spot
+            for file in bounded_paths(named.uri, os.fspath(document.folder), document.bounds):
+                found[file.path] = file
     return found.values()
 
 
-def _signature_at(spot: Spot) -> tuple[int, ...]:
+def _signature_at(file: BoundedPath) -> tuple[int, ...]:
     """Return the signature of a file that a document names: empty if it cannot be read."""
     try:
-        descriptor = open_beneath(spot)
+        descriptor = open_beneath(file)
     except (OSError, ValueError):
         return ()
     try:
@@ -371,10 +379,10 @@ def _signature_at(spot: Spot) -> tuple[int, ...]:
         os.close(descriptor)
 
 
-def _digest_at(spot: Spot) -> str | None:
+def _digest_at(file: BoundedPath) -> str | None:
     """Return the digest of a file that a document names, or None if it cannot be read."""
     try:
-        return digest_of(FileContent(spot))
+        return digest_of(FileContent(file))
     except (OSError, ValueError):
         return None
 

@@ -218,7 +218,7 @@ class _Tail:
         last = int(bin_of(binned.max()))
         found = []
         for wanted in (share * weight for share in _SHARES):
-            own = min(_place_of(cumulative, wanted), last)
+            own = min(_index_of(cumulative, wanted), last)
             inside = np.flatnonzero((binned >= least_of_bin(own)) & (binned < least_of_bin(own + 1)))
             start = float(cumulative[own - 1]) if own else below
             found.append(_in_bin(values[inside], kept.weights_at(inside), start, wanted))
@@ -231,17 +231,17 @@ def _in_bin(values: FloatArray, weights: Float64Array, below: float, wanted: flo
     ``below`` is the weight of the bins below. A bin may hold many values, so only those of one fine bin are
     sorted.
     """
-    places = fine_bin_of(values)
-    cumulative = below + np.cumsum(np.bincount(places, weights, minlength=FINE_BINS), dtype=np.float64)
-    own = min(_place_of(cumulative, wanted), int(places.max()))
-    inside = np.flatnonzero(places == own)
+    bins = fine_bin_of(values)
+    cumulative = below + np.cumsum(np.bincount(bins, weights, minlength=FINE_BINS), dtype=np.float64)
+    own = min(_index_of(cumulative, wanted), int(bins.max()))
+    inside = np.flatnonzero(bins == own)
     order = inside[np.argsort(values[inside])]
     start = float(cumulative[own - 1]) if own else below
     return _at(values[order], start + np.cumsum(weights[order]), wanted)
 
 
-def _place_of(sums: Float64Array, weight: float) -> int:
-    """Return the place of the first sum that is at least a weight.
+def _index_of(sums: Float64Array, weight: float) -> int:
+    """Return the index of the first sum that is at least a weight.
 
     Rounding may leave a sum a few units below its own share. That must not push a percentile up.
     """
@@ -250,4 +250,4 @@ def _place_of(sums: Float64Array, weight: float) -> int:
 
 def _at(ordered: FloatArray, sums: Float64Array, weight: float) -> float:
     """Return the first value whose sum is at least a weight, the last one if none is."""
-    return float(ordered[min(_place_of(sums, weight), len(ordered) - 1)])
+    return float(ordered[min(_index_of(sums, weight), len(ordered) - 1)])

@@ -204,7 +204,7 @@ def short_line(result: FileResult, *, dry_run: bool) -> str:
     if result.correctives:
         parts = [f"baked: {_corrected(result)}"]
         parts += [counted(len(result.notices), "warning")] if result.notices else []
-        return f"{_where(result, dry_run=dry_run)}: {', '.join(parts)}"
+        return f"{_names(result, dry_run=dry_run)}: {', '.join(parts)}"
     if not counts:
         return closing_line(result, dry_run=dry_run)
     size = counted(sum(count.added_bytes for count in counts), "byte")
@@ -214,10 +214,10 @@ def short_line(result: FileResult, *, dry_run: bool) -> str:
     lost = _lost(counts)
     parts += [f"{percent(lost, 1)} of the gradient left out{_remedy(counts)}"] if lost >= SHOWN_LOSS else []
     parts += [counted(len(result.notices), "warning")] if result.notices else []
-    return f"{_where(result, dry_run=dry_run)}: {', '.join(parts)}"
+    return f"{_names(result, dry_run=dry_run)}: {', '.join(parts)}"
 
 
-def _where(result: FileResult, *, dry_run: bool) -> str:
+def _names(result: FileResult, *, dry_run: bool) -> str:
     """Return the names of the input and of the output."""
     name = printable(result.input)
     if dry_run:
@@ -228,15 +228,15 @@ def _where(result: FileResult, *, dry_run: bool) -> str:
 def closing_line(result: FileResult, *, dry_run: bool) -> str:
     """Return one line with the numbers of baked, skipped and assumed things."""
     name = printable(result.input)
-    where = _where(result, dry_run=dry_run)
+    names = _names(result, dry_run=dry_run)
     if result.status == "failed":
         return f"{name}: failed, nothing written"
     if result.status == "up-to-date":
-        return f"{where}: up to date"
+        return f"{names}: up to date"
     if result.left is not None:
         left = result.left
         found = f"gain {gain_in_words(left.gain)}x, " if left.gain is not None else ""
-        return f"{where}: left unbaked: {found}standard lighting {left.standard_error:.2f}° off"
+        return f"{names}: left unbaked: {found}standard lighting {left.standard_error:.2f}° off"
     counts = [count for _, count in result.primitives]
     parts = [f"{result.status}: {_baked(counts)}" if counts else result.status]
     if result.correctives:
@@ -267,7 +267,7 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
         parts.append(f"{counted(degenerate, 'triangle')} without area ignored")
     if result.notices:
         parts.append(counted(len(result.notices), "warning"))
-    return f"{where}: {', '.join(parts)}"
+    return f"{names}: {', '.join(parts)}"
 
 
 def detail_lines(result: FileResult) -> Iterator[str]:

@@ -372,7 +372,7 @@ def _table(normals: Normals, by_triangles: Normals, fine: Normals | None) -> Ite
                     numbers += (
                         f"{'—':>10}{'—':>8}" if other is None else f"{other.mean:10.2f}{other.p95:8.2f}"
                     )
-                yield f"  {method.upper() + ' ' + lighting:<16}{numbers}  {_where(error.worst)}"
+                yield f"  {method.upper() + ' ' + lighting:<16}{numbers}  {_worst_in_words(error.worst)}"
         factors = {truth: gain(found.get(method, {})) for truth, found in more.items()}
         factors = {Truth.TANGENTS: gain(figures), **factors}
         told = [
@@ -382,7 +382,7 @@ def _table(normals: Normals, by_triangles: Normals, fine: Normals | None) -> Ite
             yield f"  {method.upper() + ' gain':<16}  {', '.join(told)}  (standard mean / accurate mean)"
 
 
-def _where(worst: Worst) -> str:
+def _worst_in_words(worst: Worst) -> str:
     pose = printable(worst.clip)
     when = pose if worst.time is None else f'clip "{pose}" at {worst.time:.2f} s'
     return f"{worst.place.within_file}, vertex {worst.vertex}, {when}"

@@ -18,7 +18,7 @@ from typing import Generic
 
 from skinbake.errors import ChoiceError, InputError, OutputError, Place, noticed
 from skinbake.files import Bytes
-from skinbake.files.bounds import Bounds, RefusedError, below, spot_of
+from skinbake.files.bounds import Bounds, RefusedError, below, bounded_path
 from skinbake.files.urls import STDIO, is_url
 from skinbake.files.versions import Version, version_of
 from skinbake.files.writing import TakenError
@@ -206,7 +206,7 @@ def _files_to_write(
 
 def _has_content(path: Path, root: Path, data: bytes) -> bool:
     try:
-        return b"".join(FileContent(spot_of(os.fspath(path), os.fspath(root)))) == data
+        return b"".join(FileContent(bounded_path(os.fspath(path), os.fspath(root)))) == data
     except OSError as error:
         raise OutputError(f"cannot be read: {error.strerror}", Place(str(path))) from error
 
@@ -269,7 +269,7 @@ def _read(source: End, target: End | None, bounds: Bounds, *, pack: bool) -> dic
     folder = Path(source.given).parent
     for resource, with_content in needed(resources_of(source.given, bounds), source, target, pack=pack):
         try:
-            spot, descriptor = find(resource.uri, folder, bounds)
+            file, descriptor = find(resource.uri, folder, bounds)
         except RefusedError:
             continue
         except OSError as error:
@@ -278,7 +278,7 @@ def _read(source: End, target: End | None, bounds: Bounds, *, pack: bool) -> dic
                 raise InputError(message, place) from error
             continue
         try:
-            name = Path(spot.path).as_posix()
+            name = Path(file.path).as_posix()
             if name not in files:
                 claim = partial(budget.back, path=name, what=f'"{resource.uri}"', place=place)
                 files[name] = bytes(read_open_file(descriptor, claim)) if with_content else b""

@@ -22,7 +22,7 @@ from skinbake.files.writing import SAVED_ANEW
 from skinbake.gltf.document import GLB_SUFFIXES
 from skinbake.jobs.remote.ends import End, is_copied, leads_out, names_of, needed, resources_of
 from skinbake.jobs.remote.private_folder import PrivateFolder
-from skinbake.jobs.remote.storages import Storage, located, writing
+from skinbake.jobs.remote.storages import Storage, storage_of, writing
 from skinbake.jobs.work import Makes, ResultT
 from skinbake.timing import stage
 
@@ -78,14 +78,14 @@ class Staging:
 
         Only the folders of ``bounds`` in the same storage count.
         """
-        storage, name = self._place_of(given)
+        storage, name = self._storage_of(given)
         if storage is None:
             roots = [posixpath.dirname(name) if bounds.root is None else bounds.root, *bounds.allowed]
             here = (on_disk(root) for root in roots)
             tops = tuple(Path(os.path.realpath(root)).as_posix() for root in here if root is not None)
             return End(given, None, name, tops)
-        own = posixpath.dirname(name) if bounds.root is None else _top(self._place_of(bounds.root)[1])
-        allowed = [self._place_of(folder) for folder in bounds.allowed if given != STDIO]
+        own = posixpath.dirname(name) if bounds.root is None else _top(self._storage_of(bounds.root)[1])
+        allowed = [self._storage_of(folder) for folder in bounds.allowed if given != STDIO]
         return End(given, storage, name, (own, *(_top(top) for other, top in allowed if other == storage)))
 
     def _target_end(self, target: str, root: str | None) -> End:
@@ -94,10 +94,10 @@ class Staging:
         except InputError as error:
             raise OutputError(error.message, error.place) from error
 
-    def _place_of(self, given: str) -> tuple[Storage | None, str]:
+    def _storage_of(self, given: str) -> tuple[Storage | None, str]:
         """Return the storage of a path or URL, None for this machine's disk, and the name in it."""
         if is_url(given):
-            return located(given)
+            return storage_of(given)
         if self.disk is None or given == STDIO:
             return None, given
         return self.disk, self.disk.name_of(given)

@@ -115,7 +115,7 @@ class UrlStorage:
         return str(self._filesystem.unstrip_protocol(self._root + name))
 
 
-def located(url: str) -> tuple[UrlStorage | None, str]:
+def storage_of(url: str) -> tuple[UrlStorage | None, str]:
     """Return the storage of a URL and the name in it, or None and a path of this machine.
 
     Raises InputError if fsspec or the driver of the URL's protocol is missing.
