@@ -22,6 +22,7 @@ static void find_angles(Components measured, const double *expected, float *angl
     float ratios[STRIP];
     for (Py_ssize_t first = 0; first < size; first += STRIP) {
         const Py_ssize_t count = least(STRIP, size - first);
+        /* Unit normals, NaN for those of no finite length. */
         for (Py_ssize_t p = 0; p < count; p++) {
             const Vector vector = vector_at(measured, first + p);
             const double square = dot(vector, vector);
@@ -32,12 +33,14 @@ static void find_angles(Components measured, const double *expected, float *angl
             const Components wanted = components(expected + 3 * truth * size, size, first);
             int large = 0;
             for (Py_ssize_t p = 0; p < count; p++) {
+                /* tan²(angle / 2) = chord² / (4 − chord²) of unit vectors. */
                 const Vector apart = minus((Vector){x[p], y[p], z[p]}, vector_at(wanted, p));
                 const double chord = dot(apart, apart);
                 ratios[p] = (float)chord / (float)(4.0 - chord);
             }
             for (Py_ssize_t p = 0; p < count; p++)
                 large |= ratios[p] > SMALL_RATIO;
+            /* Small angles need fewer terms of the arctangent. */
             float *found = angles + truth * size + first;
             if (large)
                 for (Py_ssize_t p = 0; p < count; p++)

@@ -50,6 +50,7 @@ typedef struct {
 static ALWAYS_INLINE double angle_of(double signed_cotangent)
 {
     const double cotangent = fabs(signed_cotangent);
+    /* The arctangent takes a ratio of at most 1, and the rest is a right angle. */
     const int steep = cotangent < 1.0;
     const double acute = arctangent(steep ? cotangent : 1.0, steep ? 1.0 : cotangent);
     const double upright = steep ? HALF - acute : acute;
@@ -71,13 +72,16 @@ static ALWAYS_INLINE void measure_face(const Components at[3], double flat, Py_s
                                        Corners *wide, FloatCorners *narrow)
 {
     for (Py_ssize_t p = 0; p < count; p++) {
+        /* Two edges from the first corner; n = e1 × e2 is twice the area long. */
         const Vector here = vector_at(at[0], p);
         const Vector e1 = minus(vector_at(at[1], p), here), e2 = minus(vector_at(at[2], p), here);
         const Vector normal = cross(e1, e2);
+        /* The cotangents at the first two corners: e1 · e2 / |n| and e1 · (e1 − e2) / |n|. */
         const double aa = dot(e1, e1), ab = dot(e1, e2);
         const double reciprocal = 1.0 / sqrt(dot(normal, normal));
         const int sound = (fabs(ab * reciprocal) < flat) & (fabs((aa - ab) * reciprocal) < flat);
         const double at_first = sound ? ab * reciprocal : 0.0, at_second = sound ? (aa - ab) * reciprocal : 0.0;
+        /* A triangle without area has no normal, and so adds nothing. */
         if (wide)
             wide->cotangents[0][p] = at_first, wide->cotangents[1][p] = at_second;
         else
@@ -133,6 +137,7 @@ static ALWAYS_INLINE int add_face(const Sums *s, int32_t triangle, Py_ssize_t fi
     Py_ssize_t rows[3];
     if (triangle < 0 || triangle >= s->triangle_count)
         return 1;
+    /* The corners: where their positions are, and the row of each one's class. */
     for (int corner = 0; corner < 3; corner++) {
         const int32_t vertex = s->triangles[3 * (Py_ssize_t)triangle + corner];
         if (vertex < 0 || vertex >= s->vertices)
@@ -140,11 +145,13 @@ static ALWAYS_INLINE int add_face(const Sums *s, int32_t triangle, Py_ssize_t fi
         at[corner] = components(s->positions, s->vertices * s->poses, vertex * s->poses + first);
         rows[corner] = s->classes[vertex] - s->first_class;
     }
+    /* Normal and angles, in all poses of the strip. */
     measure_face(at, s->flat, count, &face, is_wide ? &wide : NULL, &narrow);
     if (is_wide)
         find_corners(&wide, count);
     else
         find_float_corners(&narrow, count);
+    /* The share of each corner whose class is in work. */
     const Py_ssize_t apart = s->class_count * s->width;
     for (int corner = 0; corner < 3; corner++)
         if (rows[corner] >= 0 && rows[corner] < s->class_count) {
@@ -160,6 +167,7 @@ static ALWAYS_INLINE void store_totals(const Sums *s, Py_ssize_t row, Py_ssize_t
 {
     const Py_ssize_t axis = row / s->class_count, class = s->first_class + row % s->class_count;
     const Py_ssize_t at = (axis * s->all_classes + class) * s->poses + first;
+    /* Sums are added as doubles and stored as what the array holds. */
     const double *totals = s->totals + row * s->width;
     for (Py_ssize_t p = 0; p < count; p++)
         if (s->is_wide)
@@ -176,6 +184,7 @@ static int sum_classes(const Sums *s)
     const Py_ssize_t rows = 3 * s->class_count;
     for (Py_ssize_t first = 0; first < s->poses; first += s->width) {
         const Py_ssize_t count = least(s->width, s->poses - first);
+        /* All triangles in some poses, then in the next ones. */
         memset(s->totals, 0, (size_t)(rows * s->width) * sizeof(double));
         for (Py_ssize_t n = 0; n < s->met_count; n++)
             if (s->is_wide ? add_face(s, s->met[n], first, count, 1) : add_face(s, s->met[n], first, count, 0))

@@ -47,6 +47,7 @@ static ALWAYS_INLINE void combine_fours(const Table *table, const double *factor
 {
     Four x[2], y[2], z[2];
     memset(x, 0, sizeof x), memset(y, 0, sizeof y), memset(z, 0, sizeof z);
+    /* Each row of the table adds factor × its values, component by component. */
     for (Py_ssize_t k = 0; k < count; k++) {
         const double *from = table->base + rows[k] * table->stride + first + p;
         for (int n = 0; n < fours; n++) {
@@ -63,6 +64,7 @@ static ALWAYS_INLINE void combine_fours(const Table *table, const double *factor
 static ALWAYS_INLINE void combine(const Table *table, const double *factors, const int32_t *rows, Py_ssize_t count,
                                   Py_ssize_t first, Py_ssize_t poses, Strips *out)
 {
+    /* Eight poses at a time, then four, then single ones: each rounds in the same way. */
     Py_ssize_t p = 0;
     for (; p + 8 <= poses; p += 8)
         combine_fours(table, factors, rows, count, first, p, 2, out);
@@ -92,6 +94,7 @@ static ALWAYS_INLINE Py_ssize_t take_entries(const Table *table, const double *v
         const int32_t row = columns[looked];
         if (row < 0 || row >= table->count)
             return -1;
+        /* An entry of 0 adds nothing. */
         if (factor != 0.0)
             factors[*taken] = factor, rows[(*taken)++] = row;
     }
@@ -114,6 +117,7 @@ static ALWAYS_INLINE int combine_entries(const Table *table, const double *value
     if (looked < 0)
         return 1;
     combine(table, factors, rows, taken, first, poses, out);
+    /* A longer row is summed up in parts of WIDEST entries. */
     for (Py_ssize_t done = looked; done < count; done += looked) {
         Strips more;
         looked = take_entries(table, values + done, columns + done, count - done, factors, rows, &taken);

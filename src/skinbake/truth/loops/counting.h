@@ -41,6 +41,7 @@ static ALWAYS_INLINE void count_one(const Counting *c, Counted *n, float error, 
     const float value = undefined ? 180.0f : error;
     n->undefined += undefined;
     *sum += value;
+    /* Of equal errors the one in the earliest pose counts as the largest. */
     if (value > n->largest || (value == n->largest && pose < n->pose))
         n->largest = value, n->pose = pose, n->vertex = row;
     if (value >= c->least)
@@ -81,15 +82,18 @@ static ALWAYS_INLINE double sum_row(const float *errors, Py_ssize_t poses, float
     Py_ssize_t p = 0;
     for (int lane = 0; lane < LANES; lane++)
         most[lane] = -1.0f;
+    /* Whole groups of lanes. */
     for (; p + LANES <= poses; p += LANES)
         for (int lane = 0; lane < LANES; lane++) {
             sums[lane] += errors[p + lane];
             most[lane] = errors[p + lane] > most[lane] ? errors[p + lane] : most[lane];
         }
+    /* What is left goes into the first lane. */
     for (; p < poses; p++) {
         sums[0] += errors[p];
         most[0] = errors[p] > most[0] ? errors[p] : most[0];
     }
+    /* The lanes are added in a fixed order, which is the same on every processor. */
     double total = 0.0;
     for (int lane = 0; lane < LANES; lane++) {
         total += sums[lane];
@@ -106,12 +110,14 @@ static Counted count_rows(const Counting *c)
         const double weight = c->weights[row];
         if (!(weight > 0.0))
             continue;
+        /* The sum and the largest error, as if all errors counted. */
         const float *errors = c->errors + row * c->poses;
         const char *valid = c->valid ? c->valid + row * c->poses : NULL;
         float largest = -1.0f;
         double sum = sum_row(errors, c->poses, &largest);
         Py_ssize_t samples = c->poses, first = n.kept;
         if (valid && memchr(valid, 0, (size_t)c->poses)) {
+            /* Some errors of the row do not count. */
             samples = 0, sum = 0.0;
             for (Py_ssize_t p = 0; p < c->poses; p++)
                 if (valid[p])
@@ -121,11 +127,13 @@ static Counted count_rows(const Counting *c)
             for (Py_ssize_t p = 0; p < c->poses; p++)
                 count_one(c, &n, errors[p], row, p, &sum);
         } else {
+            /* The usual row: all errors count and are numbers. */
             if (largest >= c->least)
                 n.kept += keep_values(errors, c->poses, c->least, c->tail + first);
             if (c->poses > 0 && largest >= n.largest)
                 note_largest(c, &n, errors, largest, row);
         }
+        /* What the row has put into the tail is a run with the weight of its vertex. */
         if (n.kept > first) {
             c->run_weights[n.runs] = weight;
             c->run_lengths[n.runs++] = (int32_t)(n.kept - first);
@@ -149,6 +157,7 @@ static PyObject *count_errors(PyObject *Py_UNUSED(module), PyObject *args)
         return NULL;
     if (read_arrays(o, count_arrays, COUNT_ARRAYS, a, sizes) < 0)
         goto done;
+    /* All errors may be in the tail. */
     if (SIZE('N') < SIZE('B') * SIZE('P') || SIZE('R') < SIZE('B') || SIZE('P') > INT32_MAX) {
         PyErr_SetString(PyExc_ValueError, "the tail has no room for all errors");
         goto done;
@@ -212,6 +221,7 @@ static Found keep_runs(const WeightedRuns *from, float least, float *kept, doubl
         const Py_ssize_t length = length_of_run(from, run, first);
         if (length < 0)
             return OTHER_RUNS;
+        /* A run without values that large is overwritten by the next one. */
         const double weight = from->weights[run];
         const Py_ssize_t own = keep_values(from->values + first, length, least, kept + *number);
         weights[*runs] = weight, lengths[*runs] = (int32_t)own;
@@ -231,6 +241,7 @@ static Found fill_bins(const WeightedRuns *from, double *bins, Py_ssize_t size, 
             return OTHER_RUNS;
         const double weight = from->weights[run];
         for (Py_ssize_t n = first; n < first + length; n++) {
+            /* The upper bits of a float are its bin: bins of one exponent are of equal width. */
             uint32_t bits;
             memcpy(&bits, &from->values[n], sizeof bits);
             const Py_ssize_t bin = (Py_ssize_t)((bits & INT32_MAX) >> shift);
@@ -265,6 +276,7 @@ static PyObject *keep_at_least(PyObject *Py_UNUSED(module), PyObject *args)
         return NULL;
     if (read_arrays(o, kept_arrays, KEPT_ARRAYS, a, sizes) < 0)
         goto done;
+    /* All values may be kept. */
     if (SIZE('M') < SIZE('N') || SIZE('S') < SIZE('R')) {
         PyErr_SetString(PyExc_ValueError, "there is no room for all values");
         goto done;

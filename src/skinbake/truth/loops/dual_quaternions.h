@@ -101,15 +101,18 @@ static ALWAYS_INLINE Vector half_turn(DualQuaternion q, Vector lever)
 static ALWAYS_INLINE Vector derivative(DualQuaternion mix, DualQuaternion rate, Vector tangent, Vector point,
                                        Vector lever, double factor, Vector displacement)
 {
+    /* The derivative of the lever i, by the product rule over r × p + r₀ p + d. */
     Vector lever_rate = plus_times(rate.dual_vector, mix.real, tangent);
     lever_rate = plus_cross(lever_rate, mix.vector, tangent);
     lever_rate = plus_times(lever_rate, rate.real, point);
     lever_rate = plus_cross(lever_rate, rate.vector, point);
+    /* That of h, by the product rule over r × i + r₀ d − d₀ r. */
     Vector turn_rate = plus_cross(scaled(mix.real, rate.dual_vector), mix.vector, lever_rate);
     turn_rate = plus_cross(turn_rate, rate.vector, lever);
     turn_rate = plus_times(turn_rate, rate.real, mix.dual_vector);
     turn_rate = plus_times(turn_rate, -rate.dual, mix.vector);
     turn_rate = plus_times(turn_rate, -mix.dual, rate.vector);
+    /* That of k, which divides by |r|²: it takes (r · ṙ) δ away. */
     turn_rate = plus_times(turn_rate, -real_dot(mix, rate), displacement);
     return plus_times(tangent, factor, turn_rate);
 }
@@ -176,6 +179,7 @@ static ALWAYS_INLINE const double *motions_of(const Dqs *s, Py_ssize_t row, Py_s
 static ALWAYS_INLINE Posing posing_of(const Dqs *s, Py_ssize_t row, Py_ssize_t first)
 {
     Posing at = {motions_of(s, row, first, 0), row, first, least(MIXED, s->poses - first), {0.0}};
+    /* The scale that all joints of a pose share; it is applied before the motion. */
     for (Py_ssize_t p = 0; p < at.poses; p++)
         at.scale[p] = s->scales ? s->scales[s->first_pose + first + p] : 1.0;
     return at;
@@ -192,8 +196,10 @@ static ALWAYS_INLINE int mix_motions(const Dqs *s, const Posing *at, Mix mix)
     const double *weights = s->weights + at->row * s->slots;
     if (at->pivots == NULL)
         return 1;
+    /* Slot 0 is the pivot: its sign is +. */
     for (Py_ssize_t p = 0; p < at->poses; p++)
         put(mix, p, times(weights[0], dual_at(at->pivots, s->apart, p)));
+    /* Every other slot takes the sign that brings it to the hemisphere of the pivot. */
     for (Py_ssize_t slot = 1; slot < s->slots; slot++) {
         const double *motions = motions_of(s, at->row, at->first, slot);
         if (motions == NULL)
@@ -224,10 +230,13 @@ static ALWAYS_INLINE int add_slot(const Dqs *s, const Posing *at, Py_ssize_t slo
         return 1;
     const Vector rest = vertex_at(s->positions, at->row);
     for (Py_ssize_t p = 0; p < at->poses; p++) {
+        /* The difference from the pivot, on one hemisphere. */
         const DualQuaternion pivot = dual_at(at->pivots, s->apart, p), q = dual_at(motions, s->apart, p);
         const DualQuaternion change = apart_from(pivot, hemisphere(q, pivot), q);
+        /* Algorithm 6: ḃ = Σ α (σ Q − Q₀). */
         put(t->rate, p, plus_share(mixed_at(t->rate, p), alpha, change));
         put(b->rate, p, plus_share(mixed_at(b->rate, p), beta, change));
+        /* Algorithm 5: Σ α (Q p − Q₀ p), as the difference of displacements. */
         const Vector point = scaled(at->scale[p], rest);
         const Vector displacement = scaled(2.0, half_turn(q, lever_of(q, point)));
         const Vector difference = minus(displacement, scaled(2.0, half_turn(pivot, lever_of(pivot, point))));
@@ -255,12 +264,15 @@ static ALWAYS_INLINE void put_normals(const Dqs *s, const Posing *at, Mix mixes,
 {
     const Py_ssize_t row = at->row, out = row * s->poses + at->first;
     const double *components = s->frame + row;
+    /* n0, t0 and b0 of the vertex. */
     Vector frame[3];
     for (int n = 0; n < 3; n++, components += 3 * s->rows)
         frame[n] = (Vector){components[0], components[s->rows], components[2 * s->rows]};
     const Vector rest = vertex_at(s->positions, row);
+    /* Algorithm 4: the rotation of the mix alone. */
     for (Py_ssize_t p = 0; p < at->poses; p++)
         put_normal(s, 0, out + p, rotated(normalised(mixed_at(mixes, p)), frame[0]));
+    /* Algorithm 5: the rotated tangents and their corrections; the normal is their cross product. */
     for (Py_ssize_t p = 0; p < at->poses; p++) {
         const DualQuaternion unit = normalised(mixed_at(mixes, p));
         const Vector t = plus(rotated(unit, scaled(at->scale[p], frame[1])), correction_at(along_t, p));
@@ -268,10 +280,12 @@ static ALWAYS_INLINE void put_normals(const Dqs *s, const Posing *at, Mix mixes,
         put_normal(s, 1, out + p, scaled(s->handedness[row], cross(t, b)));
     }
     for (Py_ssize_t p = 0; p < at->poses; p++) {
+        /* Algorithm 6: the mix is not normalised, so k = 2 / |r|² stands in its place. */
         const DualQuaternion mix = mixed_at(mixes, p);
         const double square = real_dot(mix, mix), factor = 2.0 / (square == 0.0 ? 1.0 : square);
         const Vector point = scaled(at->scale[p], rest), lever = lever_of(mix, point);
         const Vector displacement = scaled(factor, half_turn(mix, lever));
+        /* t' and b', and the normal from both. */
         const DualQuaternion rate_t = dual_at(along_t->rate[0], MIXED, p), rate_b = dual_at(along_b->rate[0], MIXED, p);
         const Vector tangent = scaled(at->scale[p], frame[1]), bitangent = scaled(at->scale[p], frame[2]);
         const Vector t = derivative(mix, rate_t, tangent, point, lever, factor, displacement);
@@ -292,6 +306,7 @@ static int move_by_dqs(const Dqs *s)
                 return 1;
             double *out = s->out + (s->first_row + row) * s->poses + first;
             const Py_ssize_t apart = s->all_rows * s->poses;
+            /* p' = s p + 2 h of the normalised mix. */
             for (Py_ssize_t p = 0; p < at.poses; p++) {
                 const DualQuaternion unit = normalised(mixed_at(mix, p));
                 const Vector point = scaled(at.scale[p], rest);
@@ -314,6 +329,7 @@ static int turn_by_dqs(const Dqs *s)
             const Posing at = posing_of(s, row, first);
             if (mix_motions(s, &at, mix))
                 return 1;
+            /* What α and β add. Most slots have neither. */
             memset(&t, 0, sizeof t), memset(&b, 0, sizeof b);
             for (Py_ssize_t slot = 1; slot < s->slots; slot++)
                 if ((alpha[slot - 1] != 0.0 || beta[slot - 1] != 0.0) &&
@@ -336,6 +352,7 @@ static int read_dqs(const Array *a, const Py_ssize_t *sizes, Py_ssize_t first, D
         PyErr_SetString(PyExc_ValueError, "the motions have fewer poses than are asked for");
         return -1;
     }
+    /* The motions are those of all poses Q, of which P are in work. */
     *work = (Dqs){
         .motions = DATA(MOTIONS),
         .scales = DATA(SCALES),
@@ -390,6 +407,7 @@ static PyObject *dqs_normals(PyObject *Py_UNUSED(module), PyObject *args)
         return NULL;
     if (read_arrays(o, dqs_normal_arrays, DQS_NORMAL_ARRAYS, a, sizes) < 0 || read_dqs(a, sizes, first, &work) < 0)
         goto done;
+    /* Slot 0 has neither α nor β. */
     if (SIZE('L') != SIZE('K') - 1) {
         PyErr_Format(PyExc_ValueError, "alpha has %zd columns, not %zd", SIZE('L'), SIZE('K') - 1);
         goto done;

@@ -34,6 +34,7 @@ typedef struct {
 
 static double corner_weight(Vector e1, Vector e2, double area, int weighting)
 {
+    /* area is twice that of the triangle. A common factor of all weights does not matter. */
     switch (weighting) {
     case BY_MAX:
         return area / (dot(e1, e1) * dot(e2, e2));
@@ -50,10 +51,12 @@ static double corner_weight(Vector e1, Vector e2, double area, int weighting)
 static int add_entry(const GradientRows *g, Py_ssize_t row, Py_ssize_t column, Vector gradient, int32_t *end)
 {
     int32_t place = g->places[column];
+    /* places may hold what an earlier row has left there. */
     if (place < g->starts[row] || place >= *end || g->columns[place] != column) {
         if (*end >= g->room)
             return 1;
         place = g->places[column] = (*end)++;
+        /* A new entry begins at zero, in every direction. */
         g->columns[place] = (int32_t)column;
         for (Py_ssize_t d = 0; d < g->direction_count; d++)
             g->values[d * g->room + place] = 0.0;
@@ -69,16 +72,20 @@ static int add_triangle(const GradientRows *g, Py_ssize_t row, int32_t corner, d
     Py_ssize_t at[3];
     if (corner < 0 || corner / 3 >= g->triangle_count)
         return 1;
+    /* The vertices of the triangle, from the corner on. */
     for (int turn = 0; turn < 3; turn++) {
         at[turn] = g->triangles[3 * (Py_ssize_t)(corner / 3) + (corner + turn) % 3];
         if (at[turn] < 0 || at[turn] >= g->vertices)
             return 1;
     }
+    /* Two edges from the corner, and the normal that is twice the area long. */
     const Vector here = vertex_at(g->positions, at[0]);
     const Vector e1 = minus(vertex_at(g->positions, at[1]), here), e2 = minus(vertex_at(g->positions, at[2]), here);
     const Vector normal = cross(e1, e2);
     const double square = dot(normal, normal);
+    /* The share of the corner in the mean of its class, and 1 / |n|² of the gradients. */
     const double share = corner_weight(e1, e2, sqrt(square), g->weighting) / total / square;
+    /* ∇ of the hat functions: (e2 × n) / |n|² and (n × e1) / |n|². The three sum up to zero. */
     const Vector first = scaled(share, cross(e2, normal)), second = scaled(share, cross(normal, e1));
     const Vector own = {-(first.x + second.x), -(first.y + second.y), -(first.z + second.z)};
     return add_entry(g, row, at[0], own, end) || add_entry(g, row, at[1], first, end) ||
@@ -94,6 +101,7 @@ static int make_rows(const GradientRows *g)
         g->starts[row] = end;
         if (class < 0 || class >= g->class_count)
             return 1;
+        /* The corners that meet at the class of the row. */
         const int64_t from = g->ends[class], to = g->ends[class + 1];
         if (from < 0 || to < from || to > g->corner_count)
             return 1;

@@ -50,6 +50,7 @@ static ALWAYS_INLINE int take_slots(const Forms *f, Py_ssize_t form, Py_ssize_t 
     const Py_ssize_t last = least(f->slots, first + WIDEST / 4);
     const double *weights = f->weights + row * f->slots;
     const double *changes = f->changes ? f->changes + (form * f->rows + row) * f->slots : NULL;
+    /* Without directions u is the point itself, and both have the fourth coordinate 1. */
     const Vector p = vertex_at(f->points, row);
     const Vector u = f->directions ? vertex_at(f->directions, form * f->rows + row) : p;
     const double direction[4] = {u.x, u.y, u.z, f->directions ? 0.0 : 1.0}, point[4] = {p.x, p.y, p.z, 1.0};
@@ -58,6 +59,7 @@ static ALWAYS_INLINE int take_slots(const Forms *f, Py_ssize_t form, Py_ssize_t 
         const int32_t joint = f->joints[row * f->slots + slot];
         if (joint < 0 || joint >= f->table.count / 4)
             return 1;
+        /* Column i of the joint's matrix has the factor w u[i] + c p̃[i]. */
         for (int i = 0; i < 4; i++) {
             const double factor = weights[slot] * direction[i] + (changes ? changes[slot] * point[i] : 0.0);
             if (factor != 0.0)
@@ -71,10 +73,12 @@ static ALWAYS_INLINE int take_slots(const Forms *f, Py_ssize_t form, Py_ssize_t 
 static ALWAYS_INLINE int blend_form(const Forms *f, Py_ssize_t form, Py_ssize_t row, Py_ssize_t first,
                                     Py_ssize_t poses, Strips *out)
 {
+    /* The first slots, which are all of them in usual meshes. */
     Entries entries;
     if (take_slots(f, form, row, 0, &entries))
         return 1;
     combine(&f->table, entries.factors, entries.rows, entries.count, first, poses, out);
+    /* Further slots are summed up apart and added. */
     for (Py_ssize_t slot = WIDEST / 4; slot < f->slots; slot += WIDEST / 4) {
         Strips more;
         if (take_slots(f, form, row, slot, &entries))
@@ -98,6 +102,7 @@ static int blend_rows(const Blend *b)
     for (Py_ssize_t form = 0; form < b->forms.count; form++)
         for (Py_ssize_t row = 0; row < b->forms.rows; row++) {
             double *out = b->out + (3 * form * b->all_rows + b->first_row + row) * b->poses;
+            /* A strip of poses at a time, for which the entries are taken once. */
             for (Py_ssize_t first = 0; first < b->poses; first += STRIP) {
                 const Py_ssize_t poses = least(STRIP, b->poses - first);
                 if (blend_form(&b->forms, form, row, first, poses, &found))
@@ -153,9 +158,11 @@ typedef struct {
 /* Return M⁻ᵀ n for a matrix given by its columns, or cof(M) n if det M is 0. */
 static ALWAYS_INLINE Vector inverse_transposed(Vector a, Vector b, Vector c, Vector normal)
 {
+    /* The rows of M; their cross products are the rows of its cofactors. */
     const Vector first = {a.x, b.x, c.x}, second = {a.y, b.y, c.y}, third = {a.z, b.z, c.z};
     const Vector x = cross(second, third), y = cross(third, first), z = cross(first, second);
     const double determinant = dot(first, x);
+    /* M⁻ᵀ = cof(M) / det M. */
     const Vector turned = {dot(x, normal), dot(y, normal), dot(z, normal)};
     return scaled(1.0 / (determinant == 0.0 ? 1.0 : determinant), turned);
 }
@@ -169,10 +176,12 @@ static ALWAYS_INLINE Vector in_strips(const Strips *from, Py_ssize_t p)
 static ALWAYS_INLINE int normals_of_forms(const BlendNormals *b, Py_ssize_t row, Py_ssize_t first, Py_ssize_t poses,
                                           Strips *forms)
 {
+    /* The columns of M for M⁻ᵀ n, or t' and b' for their cross product. */
     for (Py_ssize_t form = 0; form < (b->normals ? 3 : 2); form++)
         if (blend_form(&b->forms, form, row, first, poses, &forms[form]))
             return 1;
     const Vector normal = b->normals ? vertex_at(b->normals, row) : (Vector){0.0, 0.0, 0.0};
+    /* The normal takes the place of the first form. */
     for (Py_ssize_t p = 0; p < poses; p++) {
         const Vector one = in_strips(&forms[0], p), other = in_strips(&forms[1], p);
         const Vector found =

@@ -60,14 +60,17 @@ static ALWAYS_INLINE int differentiate(const TrueNormals *w, const Rows *rows, P
    n0 in the rest frame; area: of that frame, NaN if it is not usable. */
 static ALWAYS_INLINE Vector by_tangents(Vector a, Vector b, Vector rest, double area, double side, double flat)
 {
+    /* The metric of the deformed frame. */
     const Vector c = cross(a, b);
     const double aa = dot(a, a), ab = dot(a, b), bb = dot(b, b), square = dot(c, c);
+    /* cof(F) n0 by the dual basis of a and b, and c for what n0 has along the normal. */
     const double reciprocal = 1.0 / sqrt(sqrt(square) * area);
     const double along_a = (rest.x * bb - rest.y * ab) * reciprocal;
     const double along_b = (rest.y * aa - rest.x * ab) * reciprocal;
     const double along_c = rest.z * side;
     const Vector found = {along_a * a.x + along_b * b.x + along_c * c.x, along_a * a.y + along_b * b.y + along_c * c.y,
                           along_a * a.z + along_b * b.z + along_c * c.z};
+    /* A frame whose sine is below `flat` has no normal. */
     const Vector unit = scaled(1.0 / sqrt(dot(found, found)), found);
     const int sound = (square > flat * flat * aa * bb) & (fabs(unit.x) <= DBL_MAX);
     return scaled(sound ? 1.0 : NAN, unit);
@@ -78,13 +81,16 @@ static ALWAYS_INLINE Vector by_tangents(Vector a, Vector b, Vector rest, double 
 static ALWAYS_INLINE Vector by_triangles(Vector a, Vector b, Vector sum, Vector carried, double side, double flat)
 {
     const Vector n = scaled(1.0 / sqrt(dot(sum, sum)), sum);
+    /* The area of the frame, seen along the normal of the triangles. Its sign tells on which side n0 is. */
     const double area = dot(cross(a, b), n);
     const double root = 1.0 / sqrt(fabs(area));
     const double lean_a = carried.x * root, lean_b = carried.y * root, up = copysign(side, side * area) * carried.z;
+    /* The cofactors carry what n0 leans from the triangles at rest. */
     const Vector across_a = cross(b, n), across_b = cross(n, a);
     const Vector found = {lean_a * across_a.x + lean_b * across_b.x + up * n.x,
                           lean_a * across_a.y + lean_b * across_b.y + up * n.y,
                           lean_a * across_a.z + lean_b * across_b.z + up * n.z};
+    /* A frame that is flat, or seen from its edge, has no normal. */
     const Vector unit = scaled(1.0 / sqrt(dot(found, found)), found);
     const int sound = (area * area > flat * flat * dot(a, a) * dot(b, b)) & (fabs(unit.x) <= DBL_MAX);
     return scaled(sound ? 1.0 : NAN, unit);
@@ -106,10 +112,13 @@ static ALWAYS_INLINE int normals_of_strip(const TrueNormals *w, Py_ssize_t row, 
     const Py_ssize_t block = w->block, at = row * w->poses + first;
     Strips a, b, found;
     Strip sides;
+    /* The surface's derivatives along t0 and b0. */
     if (differentiate(w, &w->along_t, row, first, count, &a) || differentiate(w, &w->along_b, row, first, count, &b))
         return 1;
+    /* The side is −1 where a mirroring joint turns the surface inside out. */
     for (Py_ssize_t p = 0; p < count; p++)
         sides[p] = w->sides ? w->sides[at + p] : 1.0;
+    /* The first truth: by tangents. */
     const Vector rest = {w->coefficients[row], w->coefficients[block + row], w->coefficients[2 * block + row]};
     const double area = w->valid[row] ? w->areas[row] : NAN;
     for (Py_ssize_t p = 0; p < count; p++) {
@@ -118,6 +127,7 @@ static ALWAYS_INLINE int normals_of_strip(const TrueNormals *w, Py_ssize_t row, 
         found.x[p] = normal.x, found.y[p] = normal.y, found.z[p] = normal.z;
     }
     store_normals(w, 0, at, count, &found);
+    /* The second truth: by the summed normals of the triangles. */
     if (w->carried == NULL)
         return 0;
     const int32_t class = w->classes[row];
