@@ -186,6 +186,12 @@ SUMMARY = strict(
         },
         "compression": {"type": ["string", "null"]},
         "morph_targets": COUNT,
+        "correctives": {
+            "oneOf": [
+                {"type": "null"},
+                strict({"generator": TEXT, "targets": COUNT, "clips": NAMES, "changed": NAMES}),
+            ]
+        },
         "baked": {
             "oneOf": [
                 {"type": "null"},
@@ -282,14 +288,19 @@ GAIN = {"type": ["number", "null"], "minimum": 0}
 NORMALS = strict(
     {},
     optional={
-        "lbs": strict({"standard": FIGURES, "direct": FIGURES, "accurate": FIGURES, "gain": GAIN}),
+        "lbs": strict(
+            {"standard": FIGURES, "direct": FIGURES, "accurate": FIGURES, "gain": GAIN},
+            optional={"corrected": FIGURES},
+        ),
         "dqs": strict({"standard": FIGURES, "accurate": FIGURES, "exact": FIGURES, "gain": GAIN}),
     },
 )
 NORMALS_BY_TRIANGLES = strict(
     {},
     optional={
-        "lbs": strict({"standard": FIGURES, "accurate": FIGURES, "gain": GAIN}),
+        "lbs": strict(
+            {"standard": FIGURES, "accurate": FIGURES, "gain": GAIN}, optional={"corrected": FIGURES}
+        ),
         "dqs": strict({"standard": FIGURES, "accurate": FIGURES, "exact": FIGURES, "gain": GAIN}),
     },
 )
@@ -370,6 +381,10 @@ VERIFY = strict(
                     },
                     "morphs": {"anyOf": [{"type": "null"}, strict({"targets": COUNT, "moving": COUNT})]},
                     "without_dqs": {"type": ["string", "null"]},
+                    "mixtures": {
+                        "type": "array",
+                        "items": strict({"name": TEXT, "standard": BY_TRUTH, "corrected": BY_TRUTH}),
+                    },
                     "warnings": WARNINGS,
                     "error": {
                         "anyOf": [

@@ -123,7 +123,7 @@ def _check_names(options: CheckedOptions) -> None:
 
 
 ONLY_FOR_GRADIENTS = (
-    *("layout", "alpha_name", "beta_name", "limit_influences", "generate_normals"),
+    *("layout", "alpha_name", "beta_name", "limit_influences", "generate_normals", "leave_under"),
     *("compress", "compress_level", "position_bits", "normal_bits", "texcoord_bits"),
 )
 """The options that say how α and β are stored, or change what they are baked into."""

@@ -11,13 +11,14 @@ from skinbake.choices import FrameChoice
 from skinbake.errors import Notice
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.format.attribute_store import meshopt_of
+from skinbake.format.correctives import corrective_note
 from skinbake.format.metadata import changed_arrays, read_metadata, slot_names
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.accessors import described
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.codecs.meshopt import is_fallback
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.json_access import index
+from skinbake.gltf.json_access import entries_of, index
 from skinbake.gltf.primitives import (
     PrimitiveSource,
     has_float_tangents,
@@ -29,7 +30,13 @@ from skinbake.gltf.resources import is_data_uri
 from skinbake.gradients.influences import weight_field, weight_sum_notices
 from skinbake.gradients.normals import lean_notices
 from skinbake.gradients.tangents import chosen_frame, with_straight_tangents
-from skinbake.report.inspect import AttributeSummary, BakeSummary, InspectResult, PrimitiveSummary
+from skinbake.report.inspect import (
+    AttributeSummary,
+    BakeSummary,
+    CorrectiveSummary,
+    InspectResult,
+    PrimitiveSummary,
+)
 from skinbake.timing import stage
 
 BYTES_A_VERTEX, BYTES_A_SLOT = 64, 40
@@ -123,6 +130,25 @@ def _summary(document: Document, source: PrimitiveSource, primitive: SkinnedPrim
         compression=_compression(document, source),
         morph_targets=len(targets) if isinstance(targets, list) else 0,
         bake=bake,
+        correctives=_correctives(document, source, primitive),
+    )
+
+
+def _correctives(
+    document: Document, source: PrimitiveSource, primitive: SkinnedPrimitive
+) -> CorrectiveSummary | None:
+    """Return what the metadata of its mesh says of the correctives of a primitive, None if it has none."""
+    note = corrective_note(document.objects("meshes")[source.mesh])
+    if note is None:
+        return None
+    entries = entries_of(note.get("primitives"))
+    entry = entries[source.primitive] if source.primitive < len(entries) else {}
+    changed = changed_arrays({**entry, "frame": "normal"}, primitive) if "digest" in entry else ()
+    clips = note.get("clips")
+    named = [clip for clip in clips if isinstance(clip, str)] if isinstance(clips, list) else []
+    generator = note.get("generator")
+    return CorrectiveSummary(
+        generator if isinstance(generator, str) else "skinbake", int(note["targets"]), tuple(named), changed
     )
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from skinbake.commands.remedies import worse_lighting
 from skinbake.errors import Notice
 from skinbake.files.bounds import BESIDE, Bounds
+from skinbake.format.correctives import corrective_note
 from skinbake.format.metadata import read_left, read_metadata
 from skinbake.freshness.baked_views import BakedView, baked_views, gathered_together, is_baked
 from skinbake.freshness.staleness import fits_begun, freshness_check, surface_operator
@@ -49,6 +50,10 @@ def lighting_of(document: Document, options: VerifyOptions) -> FileVerdict:
 
 def verify_document(document: Document, options: VerifyOptions) -> FileVerdict:
     """Verify a document, as it is in memory. Raises InputError if a part of it cannot be read."""
+    if any(corrective_note(mesh) for mesh in document.objects("meshes")):
+        from skinbake.commands.verify_correctives import corrected_verdict  # most files have α and β
+
+        return corrected_verdict(document, options)
     with stage("read"):
         wanted, lost, notices = _sorted_out(document)
     if not lost and not any(is_baked(document, entry) for entry in wanted):

@@ -26,7 +26,7 @@ from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.format.corrective_channels import Keys, with_correctives
 from skinbake.format.metadata import KEY, VERSION, array_digest, digests, read_metadata
 from skinbake.geometry import poses
-from skinbake.geometry.skinned import Float32Array, Float64Array, SkinnedPrimitive
+from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.accessors import element_count, read_accessor
 from skinbake.gltf.additions import Additions
 from skinbake.gltf.animation import MESH_POINTER, MORPH_WEIGHTS, POINTER, POINTER_EXTENSION
@@ -216,10 +216,15 @@ def _with_targets(
 
 
 def targets_digest(targets: Float64Array, encoding: Encoding) -> str:
-    """Return the digest of targets (K, V, 3) as they are decoded to float32."""
+    """Return the digest of targets (K, V, 3) as an encoding stores them."""
     stored = stored_targets(targets, encoding)
     decoded = stored if stored.dtype.kind == "f" else np.maximum(stored / np.iinfo(stored.dtype).max, -1.0)
-    return array_digest(decoded.reshape(-1, 3), "<f4")
+    return decoded_digest(decoded)
+
+
+def decoded_digest(targets: FloatArray) -> str:
+    """Return the digest of targets (K, V, 3) as renderers read them, in float32."""
+    return array_digest(targets.reshape(-1, 3), "<f4")
 
 
 def stored_targets(targets: Float64Array, encoding: Encoding) -> npt.NDArray[Any]:

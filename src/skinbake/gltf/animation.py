@@ -142,6 +142,11 @@ def random_poses(skeleton: Skeleton, count: int, *, angle: float, seed: int) -> 
 
 def clip_poses(skeleton: Skeleton, clip: Clip, at: Float64Array) -> Float64Array:
     """Return the joint matrices (P, J, 4, 4) of a clip at the times ``at`` (P,) in seconds."""
+    return skeleton.joint_matrices(clip_values(clip, at), None, len(at))
+
+
+def clip_values(clip: Clip, at: Float64Array) -> dict[tuple[int, str], Float64Array]:
+    """Return the values (P, C) of each node and path that a clip moves, at the times ``at`` (P,)."""
     # Exporters write all channels of a clip with the same keys. Together they take as long as one.
     moving = [channel for channel in clip.channels if channel.path != MORPH_WEIGHTS]
     # Channels with equal values too are evaluated once.
@@ -156,13 +161,12 @@ def clip_poses(skeleton: Skeleton, clip: Clip, at: Float64Array) -> Float64Array
         found.update(
             ((times, one, path, method), result) for one, result in zip(channels, sampled, strict=True)
         )
-    animated = {
+    return {
         (channel.node, channel.path): found[
             id(channel.times), id(channel.values), channel.path, channel.method
         ]
         for channel in moving
     }
-    return skeleton.joint_matrices(animated, None, len(at))
 
 
 def clip_weights(node: int, clip: Clip, at: Float64Array, resting: Float64Array) -> Float64Array:

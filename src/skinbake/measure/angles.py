@@ -66,6 +66,28 @@ class MeasuredBlock:
     valid: BoolArray
 
 
+@dataclass(frozen=True, slots=True)
+class Corrections:
+    """The correctives of a mesh, in the poses of a draw: standard lighting of normals that targets change.
+
+    By primitive, targets are changes of unit normals (K, V, 3), and weights (P, K).
+    """
+
+    targets: Sequence[Float64Array]
+    weights: Sequence[Float64Array]
+
+    def normals(
+        self, primitive: int, skinned: BlendedPrimitive, at: slice, first_pose: int, rows: slice
+    ) -> Vector:
+        """Return the drawn normals of some vertices, components (P, B). first_pose is that of ``at``."""
+        count = at.stop - at.start
+        change = np.zeros((3, rows.stop - rows.start, count))
+        weights = self.weights[primitive][first_pose : first_pose + count]
+        for target, weight in zip(self.targets[primitive], weights.T, strict=True):
+            change += target[rows].T[:, :, None] * weight
+        return tuple(axis.T for axis in skinned.changed_normals(at, rows, change))
+
+
 def not_rigid_joints(primitives: Sequence[RestPrimitive], joint_matrices: Float64Array) -> list[int]:
     """Return the joints in use that dual quaternions cannot represent, in joint matrices (P, J, 4, 4)."""
     in_use = joints_in_use(primitives, joint_matrices.shape[1])
@@ -83,6 +105,7 @@ def lighting_errors(  # noqa: PLR0913  # five arguments are optional, and by key
     options: Options | None = None,
     morphing: Morphing | None = None,
     at_rest: Truths | None = None,
+    corrections: Corrections | None = None,
     advance: Callable[[float], None] = lambda poses: None,
 ) -> float:
     """Run every algorithm of a method over all poses, and measure its normals block by block.
@@ -92,12 +115,13 @@ def lighting_errors(  # noqa: PLR0913  # five arguments are optional, and by key
     order that does not depend on the number of threads. With count, the thread that measured a block calls
     it, and record is called with its result instead. advance is called with poses done. With morphing, every
     pose starts from its own primitives, so poses are measured one at a time. at_rest is the result of
-    ``truths_at_rest`` for the same mesh. Returns the largest angle in degrees between the normals of
-    algorithms 2 and 3, or 0 if they are not compared.
+    ``truths_at_rest`` for the same mesh. With corrections, LBS has the lighting ``corrected`` too. Returns
+    the largest angle in degrees between the normals of algorithms 2 and 3, or 0 if they are not compared.
     """
     vertices, poses = len(operator.positions), len(joint_matrices)
     truths = truths_at_rest(operator, primitives, poses, morphing) if at_rest is None else at_rest
-    mesh = _PosedMesh(primitives, joint_matrices, method, options or Options(), truths)
+    played = corrections if method == "lbs" else None
+    mesh = _PosedMesh(primitives, joint_matrices, method, options or Options(), truths, played)
     identity, memory, of_fine = Identity(), ChunkMemory(), ChunkMemory()
     with Threads(thread_count()) as threads:
         for chunk in mesh.in_chunks() if morphing is None else mesh.pose_by_pose(morphing):
@@ -148,6 +172,7 @@ class _PosedMesh:
     method: str
     options: Options
     truths: Truths
+    corrections: Corrections | None = None
 
     def in_chunks(self) -> Iterator[_Chunk]:
         """Yield many poses at a time. All poses start from the same primitives.
@@ -171,6 +196,7 @@ class _PosedMesh:
                 algorithms=without_direct if number % stride else every,
                 sides=None if sides is None else sides[pose],
                 compares=self.options.cap is None,
+                corrections=self.corrections,
             )
 
     def pose_by_pose(self, morphing: Morphing) -> Iterator[_Chunk]:
@@ -186,6 +212,7 @@ class _PosedMesh:
                 algorithms=METHODS[self.method],
                 sides=None if sides is None else sides[pose : pose + 1],
                 compares=self.options.cap is None,
+                corrections=self.corrections,
             )
 
     def _skinned(
@@ -222,6 +249,7 @@ class _Chunk:
     algorithms: Mapping[str, Algorithm]
     sides: Float64Array | None
     compares: bool
+    corrections: Corrections | None = None
 
     def positions(self, threads: Threads, memory: ChunkMemory) -> Float64Array:
         """Return the positions of all vertices: (3, V, P)."""
@@ -267,6 +295,12 @@ class _Chunk:
             steps = tuple(self.algorithms.values())
             found = self.skinned[block.primitive].normals(steps, self.at, block.rows)
             normals = dict(zip(self.algorithms, found, strict=True))
+            if self.corrections is not None:
+                one = self.skinned[block.primitive]
+                assert isinstance(one, BlendedPrimitive)
+                normals["corrected"] = self.corrections.normals(
+                    block.primitive, one, self.at, self.first_pose, block.rows
+                )
             expected, exist = surfaces[0].normals(block.number, side)
             for surface in surfaces[1:]:
                 more, also = surface.normals(block.number, side)

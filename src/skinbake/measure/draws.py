@@ -14,6 +14,7 @@ from skinbake.freshness.expected import true_operator_of
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import Clip
 from skinbake.gltf.document import Document
+from skinbake.measure.angles import Corrections
 from skinbake.skinning.rest import RestPrimitive
 from skinbake.truth.areas import RestAreas
 from skinbake.truth.fine import BYTES_A_CORNER, FineMesh
@@ -56,7 +57,7 @@ class Draw:
     operator is that of the truths, over all primitives. rest are these for the replay, areas the
     areas around their vertices, (V,) each, in the squared unit of the scene. They are the weights of errors.
     poses are those of the skin, and of the node if the mesh has morph targets. fine is the mesh of the truth
-    *fine*, None without it.
+    *fine*, None without it. skin is its number. corrections are the correctives that its clips play, if any.
     """
 
     views: Sequence[BakedView]
@@ -65,6 +66,8 @@ class Draw:
     areas: Sequence[Float64Array]
     poses: PoseSet
     fine: FineMesh | None = None
+    skin: int = 0
+    corrections: Corrections | None = None
 
 
 def true_surfaces(
@@ -142,7 +145,8 @@ def draws(
             sets[draw] = planned_poses(document, plans[draw])
         space = RestAreas(document, draw[0])
         areas = [space.of(view.now) for view in views]
-        found.append(Draw(views, operator, rests[id(views)], areas, sets[draw], fine.get(id(views))))
+        of_fine = fine.get(id(views))
+        found.append(Draw(views, operator, rests[id(views)], areas, sets[draw], of_fine, draw[0]))
     return found, notices
 
 

@@ -52,20 +52,24 @@ def lighting_verdict(
     options: VerifyOptions,
     meshes: Sequence[Sequence[BakedView]],
     operators: Sequence[GradientOperator],
+    corrected: Callable[[Draw], Draw] | None = None,
 ) -> FileVerdict:
     """Measure the lighting of a document. Return a verdict with the checks of the lighting and its figures.
 
     meshes are the surfaces of the bakes. operators have the settings of the bakes, one for each surface.
+    ``corrected`` gives a draw its correctives, which are then measured too.
     Raises InputError if the file cannot be posed, or asks for work out of proportion to its size.
     """
-    return _Measurement(document, options).verdict(meshes, operators)
+    return _Measurement(document, options, corrected).verdict(meshes, operators)
 
 
 class _Measurement:
     """The measurement of a document, draw by draw, with what serves more than one draw or method."""
 
-    def __init__(self, document: Document, options: VerifyOptions) -> None:
-        self._document, self._options = document, options
+    def __init__(
+        self, document: Document, options: VerifyOptions, corrected: Callable[[Draw], Draw] | None
+    ) -> None:
+        self._document, self._options, self._corrected = document, options, corrected
         with stage("poses"):
             self._clips, self._unread = _readable_clips(document, options.poses.kind)
         self._done, self._total, self._identity = 0.0, 0, 0.0
@@ -85,6 +89,8 @@ class _Measurement:
             drawn, left_out = draws(
                 self._document, surfaces, self._clips, self._options.poses, self._options.truths
             )
+        if self._corrected is not None:
+            drawn = list(map(self._corrected, drawn))
         not_rigid = list(
             dict.fromkeys(n for draw in drawn for n in joints_without_dqs(draw.rest, draw.poses))
         )
@@ -125,6 +131,7 @@ class _Measurement:
             options=Options(self._options.cap, self._options.baseline),
             morphing=morphing,
             at_rest=truths,
+            corrections=draw.corrections,
             advance=self._advance,
         )
         with stage("reliefs"):
@@ -254,6 +261,8 @@ class FileTallies:
                 weights[view.source.place] = weights.get(view.source.place, 0.0) + weight
         for truth in self._truths:
             lightings = [one for one in METHODS[method] if (truth, one) not in NOT_MEASURED]
+            if method == "lbs" and any(draw.corrections for draw in drawn):
+                lightings.append("corrected")
             self._whole[truth, method] = {one: ErrorTally(sum(weights.values())) for one in lightings}
             for place, weight in weights.items():
                 # A single primitive has the figures of the whole, so nothing is counted twice.

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 from skinbake.choices import USUAL_TRUTHS, Baseline, Truth, pose_choice
 from skinbake.errors import Notice, Place
 from skinbake.options import VERIFY, By, checked, defaults
-from skinbake.report.verify import NEGLIGIBLE, Check, ErrorFigures, Normals, gain
+from skinbake.report.verify import NEGLIGIBLE, Check, ErrorFigures, Normals, baked_lighting, gain
 from skinbake.truth.poses import PoseRequest
 from skinbake.wording import told_apart
 
@@ -86,7 +86,7 @@ def _exceeded(by_truth: Mapping[Truth, Normals], options: VerifyOptions, place: 
     """Yield a problem for each limit that the accurate lighting of a method exceeds, by the worst truth."""
     for method in options.methods or ("lbs",):
         of_truths = {truth: normals.get(method, {}) for truth, normals in by_truth.items()}
-        found = {truth: figures for truth, figures in of_truths.items() if "accurate" in figures}
+        found = {truth: figures for truth, figures in of_truths.items() if baked_lighting(figures) in figures}
         if found:
             yield from _errors_over(method, found, options, place)
             yield from _gain_under(method, found, options, place)
@@ -105,13 +105,17 @@ _OfTruths: TypeAlias = Mapping[Truth, dict[str, ErrorFigures]]
 def _errors_over(method: str, found: _OfTruths, options: VerifyOptions, place: Place) -> Iterator[Notice]:
     """Yield a problem for each figure of the error in degrees that is over its limit."""
     for name, limit, values in (
-        ("mean", options.max_mean_error, {by: one["accurate"].mean for by, one in found.items()}),
-        ("95th percentile", options.max_p95_error, {by: one["accurate"].p95 for by, one in found.items()}),
+        ("mean", options.max_mean_error, {by: one[baked_lighting(one)].mean for by, one in found.items()}),
+        (
+            "95th percentile",
+            options.max_p95_error,
+            {by: one[baked_lighting(one)].p95 for by, one in found.items()},
+        ),
     ):
         worst = max(values, key=lambda truth: values[truth])
         if limit is not None and not values[worst] <= limit:
             message = (
-                f"{method.upper()} accurate: the {name} of the error is "
+                f"{method.upper()} {baked_lighting(found[worst])}: the {name} of the error is "
                 f"{told_apart(values[worst], limit, 3)}° by {worst}, over {limit:.15g}°"
             )
             yield Notice("limit", message, place)

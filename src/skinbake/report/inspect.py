@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from skinbake.choices import Gradients
@@ -51,6 +51,16 @@ class BakeSummary:
 
 
 @dataclass(frozen=True, slots=True)
+class CorrectiveSummary:
+    """The correctives of a primitive: targets, the clips that play them, and arrays that changed since."""
+
+    generator: str
+    targets: int
+    clips: tuple[str, ...]
+    changed: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class PrimitiveSummary:
     """One skinned primitive.
 
@@ -72,6 +82,7 @@ class PrimitiveSummary:
     compression: str | None
     morph_targets: int
     bake: BakeSummary | None
+    correctives: CorrectiveSummary | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +134,7 @@ def _baked_text(primitives: Sequence[PrimitiveSummary]) -> str:
     """Return how many primitives are baked, and of how many the bake is stale."""
     if not primitives:
         return "nothing to bake"
-    baked = [primitive.bake for primitive in primitives if primitive.bake is not None]
+    baked = [found for primitive in primitives if (found := primitive.bake or primitive.correctives)]
     if not baked:
         return "not baked"
     changed = sum(bool(bake.changed) for bake in baked)
@@ -168,14 +179,24 @@ def _primitive_lines(primitive: PrimitiveSummary) -> Iterator[str]:
     yield f"    attributes  {stored}"
     if primitive.compression is not None:
         yield f"    compressed  {primitive.compression}; bytes are those of the decoded data"
-    yield f"    baked       {_bake_text(primitive.bake)}"
+    if primitive.correctives is None:
+        yield f"    baked       {_bake_text(primitive.bake)}"
+        return
+    found = primitive.correctives
+    state = _state(found.changed)
+    targets, clips = counted(found.targets, "corrective normal"), ", ".join(found.clips) or "no clip"
+    yield printable(f"    baked       by {found.generator}, {targets} in {clips}, {state}")
+
+
+def _state(changed: Sequence[str]) -> str:
+    return f"but {', '.join(changed)} changed since: bake again" if changed else "up to date"
 
 
 def _bake_text(bake: BakeSummary | None) -> str:
     if bake is None:
         return "no"
     noted = bake.metadata
-    state = f"but {', '.join(bake.changed)} changed since: bake again" if bake.changed else "up to date"
+    state = _state(bake.changed)
     return printable(
         f"by {noted.get('generator', 'skinbake')}, gradients {noted.get('gradients', Gradients.SURFACE)}, "
         f"frame from {noted.get('frame')}, weighting {noted.get('weighting')}, "
@@ -253,4 +274,5 @@ def _primitive_json(primitive: PrimitiveSummary) -> dict[str, Any]:
             "changed": list(primitive.bake.changed),
             "bytes": primitive.bake.byte_length,
         },
+        "correctives": None if primitive.correctives is None else asdict(primitive.correctives),
     }

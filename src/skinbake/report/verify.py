@@ -6,7 +6,7 @@ import math
 import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from skinbake.choices import Truth
@@ -27,7 +27,7 @@ OUTCOMES = ("passed", "up-to-date", "failed")
 
 Outcome = Literal["passed", "failed", "skipped"]
 
-SHOWN_LIGHTINGS = ("standard", "accurate", "exact")
+SHOWN_LIGHTINGS = ("standard", "accurate", "exact", "corrected")
 """The rows of the table, by name. Direct lighting equals accurate lighting up to its sign in folds."""
 
 ROUNDING = 1e-4
@@ -84,7 +84,7 @@ class ErrorFigures:
 
 
 Normals = dict[str, dict[str, ErrorFigures]]
-"""Figures by method (lbs, dqs) and lighting (standard, direct, accurate, exact)."""
+"""Figures by method (lbs, dqs) and lighting (standard, direct, accurate, exact, corrected)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +117,21 @@ class MorphCount:
 
 
 @dataclass(frozen=True, slots=True)
+class Mixture:
+    """Poses that no corrective was made for, as applications mix them; mean errors in degrees by truth."""
+
+    name: str
+    standard: dict[str, float]
+    corrected: dict[str, float]
+
+    @property
+    def words(self) -> str:
+        """Return the figures for people."""
+        told = [f"{self.standard[by]:.2f}° -> {self.corrected[by]:.2f}° by {by}" for by in self.standard]
+        return f"{self.name}: {', '.join(told)}"
+
+
+@dataclass(frozen=True, slots=True)
 class FileVerdict:
     """The result of verify for one file.
 
@@ -127,7 +142,8 @@ class FileVerdict:
     primitives have the figures by tangents, by_triangles and primitives_by_triangles those by triangles, fine
     and primitives_fine those of the fine mesh if they were asked for. All are of the same places. reliefs are
     of mapped normals, None if no primitive has a normal map and TANGENT.
-    left: a bake has left the file unbaked on purpose, and noted it.
+    left: a bake has left the file unbaked on purpose, and noted it. mixtures are further poses of a file with
+    correctives.
     """
 
     input: str
@@ -148,6 +164,7 @@ class FileVerdict:
     primitives_fine: tuple[tuple[Place, Normals], ...] = ()
     reliefs: Reliefs | None = None
     left: bool = False
+    mixtures: tuple[Mixture, ...] = ()
 
     @property
     def by_truth(self) -> dict[str, Normals]:
@@ -174,8 +191,17 @@ class FileVerdict:
         return "left unbaked" if self.left else "not baked" if self.found_no_bake else "passed"
 
 
-def gain(figures: Mapping[str, ErrorFigures], lighting: str = "accurate") -> float | None:
-    """Return the standard mean error divided by that of a lighting, None if the latter is rounding."""
+def baked_lighting(figures: Mapping[str, ErrorFigures]) -> str:
+    """Return the lighting that the bake of a file gives: corrected by targets, or accurate by α and β."""
+    return "corrected" if "corrected" in figures else "accurate"
+
+
+def gain(figures: Mapping[str, ErrorFigures], lighting: str | None = None) -> float | None:
+    """Return the standard mean error divided by that of a lighting, None if the latter is rounding.
+
+    Without a name it is the ``baked_lighting``.
+    """
+    lighting = lighting or baked_lighting(figures)
     if lighting not in figures or figures[lighting].mean < ROUNDING:
         return None
     return figures["standard"].mean / figures[lighting].mean
@@ -226,6 +252,7 @@ def as_text(verdict: FileVerdict) -> str:
         over = f"{verdict.poses}{morphs}"
         lines.append(f"  Angle in degrees between each method's normals and the true ones, over {over}.")
         lines += _relief_lines(verdict.reliefs)
+    lines += [f"  Correctives {printable(mixture.words)}." for mixture in verdict.mixtures]
     lines += [f"  {printable(remark)}" for remark in _left_out(verdict)]
     return "\n".join([*lines, *_advised(verdict)])
 
@@ -238,7 +265,8 @@ def as_brief(verdict: FileVerdict) -> str:
     lines += _check_lines([check for check in verdict.checks if check.outcome == "failed"])
     if found := _worse(verdict):
         _, method, figures = found
-        errors = f"standard {figures['standard'].mean:.2f}°, accurate {figures['accurate'].mean:.2f}°"
+        baked = baked_lighting(figures)
+        errors = f"standard {figures['standard'].mean:.2f}°, {baked} {figures[baked].mean:.2f}°"
         lines.append(f"  {method.upper()} error: {errors}, in the mean over {verdict.poses}. -v shows more")
         lines += list(_relief_lines(verdict.reliefs))[:1]
     return "\n".join([*lines, *_advised(verdict)])
@@ -253,7 +281,9 @@ def as_line(verdict: FileVerdict) -> str:
         truth, method, figures = found
         factor = gain(figures)
         parts += [] if factor is None else [f"{method.upper()} gain {gain_in_words(factor)}x by {truth}"]
-        parts += [f"mean error {figures['standard'].mean:.2f}° -> {figures['accurate'].mean:.2f}°"]
+        parts += [
+            f"mean error {figures['standard'].mean:.2f}° -> {figures[baked_lighting(figures)].mean:.2f}°"
+        ]
         verdict_words = conclusion(verdict)
         if verdict_words is not None and verdict_words.leave:
             parts += [f"{verdict_words.short}: leave it unbaked"]
@@ -379,7 +409,8 @@ def _table(normals: Normals, by_triangles: Normals, fine: Normals | None) -> Ite
             f"{gain_in_words(factor)}x by {truth}" for truth, factor in factors.items() if factor is not None
         ]
         if told:
-            yield f"  {method.upper() + ' gain':<16}  {', '.join(told)}  (standard mean / accurate mean)"
+            ratio = f"(standard mean / {baked_lighting(figures)} mean)"
+            yield f"  {method.upper() + ' gain':<16}  {', '.join(told)}  {ratio}"
 
 
 def _worst_in_words(worst: Worst) -> str:
@@ -439,6 +470,7 @@ def file_json(verdict: FileVerdict) -> dict[str, Any]:
             for place, normals in verdict.primitives
         ],
         "without_dqs": verdict.without_dqs,
+        "mixtures": [asdict(mixture) for mixture in verdict.mixtures],
         "warnings": notice_list(verdict.notices),
         "error": error_fields(verdict.error),
         **timing_fields(verdict.timings),

@@ -80,7 +80,7 @@ class PoseSet:
     """Joint matrices (P, J, 4, 4) of one skin, with each pose's clip and time in seconds (None: no clip).
 
     joint_names (J,) are for messages. morph_weights (P, N) belong to the node of the poses. They are None if
-    the poses are for no node, or if its mesh has no targets.
+    the poses are for no node, or if its mesh has no targets. numbers are those of the animations.
     """
 
     joint_names: tuple[str, ...]
@@ -88,6 +88,7 @@ class PoseSet:
     clips: tuple[str, ...]
     times: tuple[float | None, ...]
     morph_weights: Float64Array | None = None
+    numbers: tuple[int | None, ...] = ()
 
     @property
     def moving_targets(self) -> list[int]:
@@ -288,6 +289,7 @@ def _sampled(plan: PosePlan, joint_names: tuple[str, ...]) -> PoseSet:
     each = plan.of_each
     known: dict[object, Float64Array] = {}
     matrices, weights, names, times = [], [], [], []
+    numbers: list[int | None] = []
     for clip in plan.sampled:
         at = _moments(clip, each, plan.request.offset)
         key = _key(clip)
@@ -298,8 +300,11 @@ def _sampled(plan: PosePlan, joint_names: tuple[str, ...]) -> PoseSet:
             weights.append(clip_weights(plan.node, clip, at, plan.resting))
         names += [clip.name] * each
         times += at.tolist()
+        numbers += [clip.number] * each
     morph_weights = np.concatenate(weights) if weights else None
-    return PoseSet(joint_names, np.concatenate(matrices), tuple(names), tuple(times), morph_weights)
+    return PoseSet(
+        joint_names, np.concatenate(matrices), tuple(names), tuple(times), morph_weights, tuple(numbers)
+    )
 
 
 def _key(clip: Clip) -> tuple[object, ...]:

@@ -1,0 +1,359 @@
+"""``skinbake verify`` of a file with correctives: whether they fit the file, and how much they improve it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from skinbake.choices import PoseKind
+from skinbake.commands.bake import Baker
+from skinbake.commands.corrective_bake import poses_fingerprint
+from skinbake.correctives.fit import Motion
+from skinbake.errors import InputError, Notice, Place
+from skinbake.format.correctives import corrective_note, decoded_digest, nodes_with
+from skinbake.format.metadata import VERSION, changed_arrays, read_metadata
+from skinbake.format.strip import stripped
+from skinbake.freshness.baked_views import baked_views, gathered_together
+from skinbake.freshness.staleness import surface_operator
+from skinbake.geometry.poses import is_fingerprint_of, normalised
+from skinbake.geometry.skinned import Float64Array
+from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.animation import (
+    PATHS,
+    Clip,
+    Skeleton,
+    clip_values,
+    clip_weights,
+    read_clips,
+    read_skeleton,
+)
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import JsonObject, entries_of, is_number, object_of, reference, text
+from skinbake.gltf.morphs import resting_weights, target_count
+from skinbake.gltf.primitives import PrimitiveSource, read_primitive, reason_to_skip, skinned_sources
+from skinbake.measure.angles import Corrections, MeasuredBlock, lighting_errors
+from skinbake.measure.draws import Draw
+from skinbake.measure.measured import lighting_verdict
+from skinbake.measure.options import VerifyOptions
+from skinbake.report.verify import Check, FileVerdict, Mixture
+from skinbake.timing import stage
+from skinbake.truth.poses import joint_clips
+from skinbake.wording import counted
+
+WORSE, ROUNDING = 1.005, 1e-3
+"""From where on an error is worse than another one: its share, and degrees."""
+
+BAKE = "run skinbake bake --correctives again"
+
+
+def corrected_verdict(document: Document, options: VerifyOptions) -> FileVerdict:
+    """Verify a document with correctives, as it is in memory. Raises InputError if it cannot be read.
+
+    Standard lighting, the correctives, and what α and β would give are measured in the same poses.
+    """
+    with stage("read"):
+        sources, notices = skinned_sources(document)
+        problems = list(_damaged(document, sources))
+    if problems:
+        structure = Check("structure", "failed", tuple(problems))
+        skipped = [Check(name, "skipped", (), "structure failed") for name in ("freshness", "lighting")]
+        return FileVerdict(document.name, (structure, *skipped), notices=tuple(notices))
+    with stage("freshness"):
+        fresh = _freshness(document, sources)
+    with stage("α and β"):
+        plain, _, _ = stripped(document)
+        gradients = Baker().bake_document(plain).document
+        every, _ = skinned_sources(gradients)
+        wanted = [one for one in every if reason_to_skip(gradients, one, generate_normals=False) is None]
+        views, problems = baked_views(gradients, wanted)
+    if problems:
+        return FileVerdict(document.name, (Check("structure", "failed", tuple(problems)),))
+    played = _Played(document, read_clips(document))
+    surfaces = gathered_together(gradients, views)
+    operators = [surface_operator(gradients, surface) for surface in surfaces]
+    by_lbs = replace(options, methods=("lbs",))
+    verdict = lighting_verdict(gradients, by_lbs, surfaces, operators, played.corrected)
+    targets = sum(played.targets.values())
+    meshes = counted(len(played.targets), "mesh", "meshes")
+    structure = Check("structure", "passed", (), f"{counted(targets, 'corrective normal')} of {meshes}")
+    # That algorithms 2 and 3 agree says nothing of correctives.
+    checks = [check for check in verdict.checks if check.name != "identity"]
+    worse = list(_worse(verdict))
+    mixtures: list[Mixture] = []
+    with stage("mixtures"):
+        for place, mixture in played.mixtures() if options.poses.kind is PoseKind.ANIMATION else ():
+            mixtures.append(mixture)
+            if any(mixture.corrected[by] > WORSE * mixture.standard[by] for by in mixture.standard):
+                message = f"its correctives are worse than standard lighting {mixture.words}"
+                worse.append(Notice("correctives-mixed", message, place))
+    return replace(
+        verdict,
+        input=document.name,
+        checks=(structure, fresh, *checks),
+        notices=(*notices, *verdict.notices, *worse),
+        mixtures=tuple(mixtures),
+    )
+
+
+def _damaged(document: Document, sources: Sequence[PrimitiveSource]) -> Iterator[Notice]:
+    """Yield a problem for each mesh whose targets or metadata are not those of a bake."""
+    for number, mesh in enumerate(document.objects("meshes")):
+        note = corrective_note(mesh)
+        if note is None:
+            continue
+        place = Place(document.name, number, text(mesh, "name", document.place))
+        primitives = entries_of(mesh.get("primitives"))
+        if note["version"] != VERSION:
+            message = f"its metadata has version {note['version']}, this skinbake reads {VERSION}"
+            yield Notice("version", f"{message}: update skinbake", place)
+        elif any(read_metadata(document, one) for one in primitives):
+            yield Notice("both-bakes", f"it has α/β and correctives, which correct it twice: {BAKE}", place)
+        elif any(len(entries_of(one.get("targets"))) < int(note["targets"]) for one in primitives):
+            yield Notice("targets-missing", f"its morph targets were removed since the bake: {BAKE}", place)
+        elif len(_noted(note)) != len(primitives):
+            yield Notice("metadata-broken", f'its metadata is damaged: "primitives"; {BAKE}', place)
+
+
+def _noted(note: JsonObject) -> list[JsonObject]:
+    """Return what the metadata says of each primitive."""
+    return entries_of(note.get("primitives"))
+
+
+def _freshness(document: Document, sources: Sequence[PrimitiveSource]) -> Check:
+    """Return whether meshes, targets, weights and clips are those of the bake."""
+    problems: list[Notice] = []
+    for source in sources:
+        note = corrective_note(document.objects("meshes")[source.mesh])
+        entry = {} if note is None else _noted(note)[source.primitive]
+        if note is None or "digest" not in entry:
+            continue
+        now = read_primitive(document, source)
+        changed = changed_arrays({**entry, "frame": "normal"}, now)
+        if changed:
+            message = f"{' and '.join(changed)} changed since the bake of its correctives: {BAKE}"
+            problems.append(Notice("stale", message, source.place))
+        count, added = len(now.positions), int(note["targets"])
+        if entry.get("targets") != decoded_digest(_targets(document, source, added, count)):
+            message = f"its corrective normals are not those of the bake any more: {BAKE}"
+            problems.append(Notice("stale-targets", message, source.place))
+    clips = {clip.number: clip for clip in read_clips(document)}
+    for number, mesh in enumerate(document.objects("meshes")):
+        note = corrective_note(mesh)
+        if note is not None:
+            place = Place(document.name, number, text(mesh, "name", document.place))
+            problems += _stale_clips(document, number, note, clips, place)
+    return Check("freshness", "failed" if problems else "passed", tuple(problems))
+
+
+def _stale_clips(
+    document: Document, mesh: int, note: JsonObject, clips: dict[int, Clip], place: Place
+) -> Iterator[Notice]:
+    """Yield a problem if the clips of a mesh have changed, or do not play its correctives any more."""
+    noted = object_of(note.get("poses"))
+    skins = len(document.objects("skins"))
+    pairs = [
+        (int(skin), int(clip))
+        for skin, clip in noted.get("clips", [])
+        if reference(skin) is not None and 0 <= skin < skins and clip in clips
+    ]
+    motions = []
+    for skin, clip in pairs:
+        own = joint_clips(document, skin, [clips[clip]])
+        motions += [Motion(skin, read_skeleton(document, skin), one) for one in own]
+    prints = noted.get("fingerprint")
+    numbers = prints if isinstance(prints, list) and all(map(is_number, prints)) else []
+    if len(motions) != len(noted.get("clips", [])) or not motions:
+        yield Notice("stale-clips", f"clips of its correctives are gone: {BAKE}", place)
+        return
+    if not is_fingerprint_of(poses_fingerprint(motions), numbers):
+        message = f"its clips or its rig changed since the bake of its correctives: {BAKE}"
+        yield Notice("stale-clips", message, place)
+    there = target_count(document, mesh)
+    for motion in motions:
+        if motion.clip.name not in note.get("clips", []):
+            continue
+        for node in nodes_with(document, mesh, motion.skin):
+            at = np.linspace(motion.clip.start, motion.clip.duration, 9)
+            weights = clip_weights(node, clips[motion.clip.number], at, np.zeros(there))
+            if not weights[:, -int(note["targets"]) :].any():
+                message = f'clip "{motion.clip.name}" does not play its correctives any more: {BAKE}'
+                yield Notice("stale-clips", message, place)
+
+
+def _targets(document: Document, source: PrimitiveSource, added: int, count: int) -> Float64Array:
+    """Return the last targets of a primitive, (K, V, 3), as a renderer reads them."""
+    found = np.zeros((added, count, 3))
+    for number, target in enumerate(entries_of(source.json.get("targets"))[-added:]):
+        accessor = reference(target.get("NORMAL"))
+        if accessor is not None:
+            values = read_accessor(document, accessor, source.place.at("NORMAL")).decoded()
+            if values.shape != found[number].shape:
+                raise InputError("its corrective normals do not fit its vertices", source.place)
+            found[number] = values
+    return found
+
+
+class _Played:
+    """The correctives of a document, as its clips play them in the poses of a draw."""
+
+    def __init__(self, document: Document, clips: Sequence[Clip]) -> None:
+        self._document, self._clips = document, {clip.number: clip for clip in clips}
+        notes = {
+            n: note for n, one in enumerate(document.objects("meshes")) if (note := corrective_note(one))
+        }
+        self.targets = {mesh: int(note["targets"]) for mesh, note in notes.items()}
+        self.clips_of = {mesh: list(note.get("clips", [])) for mesh, note in notes.items()}
+        self.drawn: list[Draw] = []
+
+    def corrected(self, draw: Draw) -> Draw:
+        """Return the draw with its correctives. A mesh without any has none."""
+        targets, weights = [], []
+        for view in draw.views:
+            mesh, count = view.source.mesh, len(view.now.positions)
+            added = self.targets.get(mesh, 0)
+            source = view.source.in_document(self._document)
+            lengths = np.linalg.norm(view.now.normals.astype(np.float64), axis=1)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                own = _targets(self._document, source, added, count) if added else np.zeros((0, count, 3))
+                targets.append(np.nan_to_num(own / lengths[:, None]))
+            weights.append(self._weights(draw, mesh, added))
+        found = replace(draw, corrections=Corrections(targets, weights))
+        self.drawn.append(found)
+        return found
+
+    def _weights(self, draw: Draw, mesh: int, added: int) -> Float64Array:
+        """Return the weights (P, K) of a mesh's correctives in the poses of a draw; 0 outside clips."""
+        found = np.zeros((len(draw.poses.clips), added))
+        times = np.array([0.0 if time is None else time for time in draw.poses.times])
+        for number in set(draw.poses.numbers) - {None}:
+            rows = np.flatnonzero([one == number for one in draw.poses.numbers])
+            found[rows] = self._at(mesh, draw.skin, self._clips[int(number or 0)], times[rows])
+        return found
+
+    def _at(self, mesh: int, skin: int, clip: Clip, times: Float64Array) -> Float64Array:
+        """Return the weights (P, K) that a clip gives a mesh's correctives at times (P,)."""
+        added = self.targets.get(mesh, 0)
+        nodes = nodes_with(self._document, mesh, skin) or nodes_with(self._document, mesh)
+        if not added or not nodes:
+            return np.zeros((len(times), added))
+        resting = resting_weights(self._document, nodes[0])
+        # joint_clips leaves out channels of morph weights.
+        whole = self._clips[clip.number]
+        return clip_weights(nodes[0], whole, times, resting)[:, -added:]
+
+    def mixtures(self) -> Iterator[tuple[Place, Mixture]]:
+        """Yield what correctives do in poses that they were not made for, by surface.
+
+        These are poses half-way between the first two clips that play them, as in a cross-fade, and those of
+        the first one with a limb turned by 60°, as by IK.
+        """
+        for draw in self.drawn:
+            mesh = next((v.source.mesh for v in draw.views if v.source.mesh in self.targets), None)
+            names = [] if mesh is None else self.clips_of[mesh]
+            moving = joint_clips(self._document, draw.skin, list(self._clips.values()))
+            playing = [clip for clip in moving if clip.name in names][:2]
+            if not playing or draw.corrections is None:
+                continue
+            place = replace(draw.views[0].source.place, primitive=None)
+            skeleton = read_skeleton(self._document, draw.skin)
+            times = [clip.start + (clip.duration - clip.start) * MOMENTS for clip in playing]
+            weights = [
+                [self._at(view.source.mesh, draw.skin, clip, at) for view in draw.views]
+                for clip, at in zip(playing, times, strict=True)
+            ]
+            if len(playing) == 2:
+                first, second = (clip_values(*pair) for pair in zip(playing, times, strict=True))
+                matrices = skeleton.joint_matrices(_half_way(skeleton, first, second), None, len(MOMENTS))
+                mean = [(one + other) / 2.0 for one, other in zip(*weights, strict=True)]
+                name = f'half-way between "{playing[0].name}" and "{playing[1].name}"'
+                yield place, _mixture(name, draw, matrices, mean)
+            limb = _limb(skeleton)
+            if limb is not None:
+                turned = np.zeros((len(skeleton.joints), len(MOMENTS), 4))
+                turned[..., 0] = 1.0
+                turned[limb] = TURN
+                matrices = skeleton.joint_matrices(clip_values(playing[0], times[0]), turned, len(MOMENTS))
+                joint = self._document.objects("nodes")[skeleton.nodes[skeleton.joints[limb]]].get("name")
+                name = f'in "{playing[0].name}" with {joint or f"joint {limb}"} turned by 60°'
+                yield place, _mixture(name, draw, matrices, weights[0])
+
+
+MOMENTS: Float64Array = np.linspace(0.0, 1.0, 12, endpoint=False) + 0.382 / 12.0
+"""The moments of a clip that mixtures take, as shares of its length."""
+
+TURN = np.cos(np.pi / 6.0), *(np.sin(np.pi / 6.0) / np.sqrt(3.0) * np.ones(3))
+"""A turn by 60°, as a quaternion (w, x, y, z). Its axis is none of a joint's own."""
+
+
+def _half_way(
+    skeleton: Skeleton,
+    first: dict[tuple[int, str], Float64Array],
+    second: dict[tuple[int, str], Float64Array],
+) -> dict[tuple[int, str], Float64Array]:
+    """Return the mean of the values (P, C) of two clips. A node that one of them leaves alone is at rest."""
+    at_rest = dict(zip(PATHS, (skeleton.translations, skeleton.rotations, skeleton.scales), strict=True))
+    found = {}
+    for node, path in {**first, **second}:
+        if node not in skeleton.nodes:
+            continue
+        rest = np.tile(at_rest[path][skeleton.nodes.index(node)], (len(MOMENTS), 1))
+        one, other = (values.get((node, path), rest) for values in (first, second))
+        if path == "rotation":
+            near = np.where((one * other).sum(axis=1, keepdims=True) < 0.0, -other, other)
+            found[node, path] = normalised(one + near)
+        else:
+            found[node, path] = (one + other) / 2.0
+    return found
+
+
+def _limb(skeleton: Skeleton) -> int | None:
+    """Return the joint that carries the most others, but at most a quarter of them; None if there is none."""
+    carried = np.zeros(len(skeleton.nodes), dtype=np.int64)
+    carried[skeleton.joints] = 1
+    for node in reversed(range(len(skeleton.nodes))):  # parents come before their children
+        if skeleton.parents[node] >= 0:
+            carried[skeleton.parents[node]] += carried[node]
+    of_joints = carried[skeleton.joints]
+    few = (of_joints > 1) & (of_joints <= max(2, len(of_joints) // 4))
+    return int(np.argmax(np.where(few, of_joints, 0))) if few.any() else None
+
+
+def _mixture(name: str, draw: Draw, matrices: Float64Array, weights: Sequence[Float64Array]) -> Mixture:
+    """Measure poses, joint matrices (P, J, 4, 4), with weights (P, K) of the correctives by primitive."""
+    assert draw.corrections is not None
+    sums: dict[tuple[str, str], list[float]] = {}
+
+    def add(block: MeasuredBlock) -> None:
+        if block.lighting in {"standard", "corrected"}:
+            areas = draw.areas[block.primitive][block.vertex : block.vertex + block.errors.shape[1]]
+            total = sums.setdefault((block.lighting, block.truth), [0.0, 0.0])
+            total[0] += float(
+                (np.where(block.valid, np.nan_to_num(block.errors, nan=180.0), 0.0) * areas).sum()
+            )
+            total[1] += float((block.valid * areas).sum())
+
+    corrections = replace(draw.corrections, weights=weights)
+    lighting_errors(draw.operator, draw.rest, matrices, "lbs", add, corrections=corrections)
+    means = {key: total / max(weight, 1e-300) for key, (total, weight) in sums.items()}
+    by_truth = [
+        {truth: mean for (of, truth), mean in means.items() if of == lighting}
+        for lighting in ("standard", "corrected")
+    ]
+    return Mixture(name, *by_truth)
+
+
+def _worse(verdict: FileVerdict) -> Iterator[Notice]:
+    """Yield a notice for each primitive that the correctives make worse by a truth."""
+    told = set()
+    for place, normals in (*verdict.primitives, *verdict.primitives_by_triangles):
+        figures = normals.get("lbs", {})
+        if "corrected" not in figures or place in told:
+            continue
+        before, after = figures["standard"].mean, figures["corrected"].mean
+        if after > WORSE * before + ROUNDING:
+            told.add(place)
+            change = f"from {before:.2f}° to {after:.2f}°"
+            message = f"its correctives make its lighting worse in these poses, {change}: {BAKE}"
+            yield Notice("correctives-worse", message, place)

@@ -1,0 +1,122 @@
+"""Verify of files with correctives: freshness, figures, limits, and poses that no corrective was made for."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.correctives.models import SHEET, TUBE, parted, rewritten
+from tests.support import corpus, gltf_reading
+from tests.support.baked_files import Answer, verify
+from tests.support.command_line import invoke
+
+
+@pytest.fixture(scope="module")
+def tube(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return made(TUBE, tmp_path_factory.mktemp("tube") / "tube.glb")
+
+
+def made(source: Path, target: Path, *options: str) -> Path:
+    result = invoke("bake", source, "-o", target, "--correctives", "auto", *options)
+    assert result.exit_code == 0, result.output
+    return target
+
+
+def checks(answer: Answer) -> dict[str, str]:
+    return {check["name"]: check["outcome"] for check in answer.file["checks"]}
+
+
+def test_corrected_lighting_is_measured_beside_the_others(tube: Path) -> None:
+    answer = verify(tube)
+    assert checks(answer) == {"structure": "passed", "freshness": "passed"}
+    for by in ("normals", "normals_by_triangles"):
+        figures = answer.file[by]["lbs"]
+        assert figures["corrected"]["mean"] < 0.1 * figures["standard"]["mean"]
+        assert figures["accurate"]["mean"] < figures["standard"]["mean"]
+        assert figures["gain"] == pytest.approx(figures["standard"]["mean"] / figures["corrected"]["mean"])
+
+
+def test_poses_without_a_clip_play_nothing(tube: Path) -> None:
+    figures = verify(tube, "--poses", "random:3").file["normals"]["lbs"]
+    assert figures["corrected"]["mean"] == pytest.approx(figures["standard"]["mean"], rel=1e-5)
+
+
+def test_limits_hold_the_corrected_lighting(tube: Path) -> None:
+    assert checks(verify(tube, "--min-gain", "5"))["limits"] == "passed"
+    assert checks(verify(tube, "--max-mean-error", "0.01"))["limits"] == "failed"
+
+
+def _moved(content: Any) -> None:
+    content["nodes"][2]["translation"] = [0.0, 1.7, 0.1]
+
+
+def _fewer(content: Any) -> None:
+    for primitive in content["meshes"][0]["primitives"]:
+        primitive["targets"].pop()
+
+
+def _silent(content: Any) -> None:
+    animation = content["animations"][0]
+    animation["channels"] = [one for one in animation["channels"] if one["target"]["path"] != "weights"]
+
+
+def _other_normals(content: Any) -> None:
+    attributes = content["meshes"][0]["primitives"][0]["attributes"]
+    attributes["NORMAL"] = attributes["POSITION"]
+
+
+def _swapped(content: Any) -> None:
+    targets = content["meshes"][0]["primitives"][0]["targets"]
+    targets[0]["NORMAL"], targets[1]["NORMAL"] = targets[1]["NORMAL"], targets[0]["NORMAL"]
+
+
+@pytest.mark.parametrize(
+    ("change", "check", "code"),
+    [
+        (_moved, "freshness", "stale-clips"),
+        (_silent, "freshness", "stale-clips"),
+        (_fewer, "structure", "targets-missing"),
+        (_other_normals, "freshness", "stale"),
+        (_swapped, "freshness", "stale-targets"),
+    ],
+)
+def test_what_no_longer_fits_is_stale(
+    tube: Path, tmp_path: Path, change: Callable[[Any], None], check: str, code: str
+) -> None:
+    answer = verify(rewritten(tube, tmp_path / "other.glb", change))
+    assert checks(answer)[check] == "failed"
+    assert code in {one["code"] for found in answer.file["checks"] for one in found["problems"]}
+
+
+def test_a_face_moves_its_own_targets_while_it_is_measured(tmp_path: Path) -> None:
+    answer = verify(made(SHEET, tmp_path / "sheet.glb"))
+    assert answer.file["morphs"]["moving"]
+    figures = answer.file["normals"]["lbs"]
+    assert figures["corrected"]["mean"] < 0.3 * figures["standard"]["mean"]
+
+
+def test_every_primitive_has_figures(tmp_path: Path) -> None:
+    answer = verify(made(parted(tmp_path / "in.glb"), tmp_path / "out.glb"))
+    assert len(answer.file["primitives"]) == 3
+    assert all("corrected" in one["normals"]["lbs"] for one in answer.file["primitives"])
+
+
+@pytest.mark.slow
+def test_cross_fades_and_a_turned_limb_are_measured(tmp_path: Path) -> None:
+    answer = verify(made(corpus.model("RiggedElf/RiggedElf.gltf"), tmp_path / "elf.glb"))
+    between, turned = answer.file["mixtures"]
+    assert between["name"].startswith("half-way between") and "turned by 60°" in turned["name"]
+    for mixture in (between, turned):
+        for truth in ("tangents", "triangles"):
+            assert mixture["corrected"][truth] < mixture["standard"][truth]
+
+
+def test_inspect_names_the_clips_that_play_them(tube: Path) -> None:
+    assert "2 corrective normals in bend, up to date" in invoke("inspect", tube).output
+    (found,) = json.loads(invoke("inspect", tube, "--json").stdout)["primitives"]
+    assert found["correctives"]["targets"] == 2 and found["correctives"]["changed"] == []
+    assert len(gltf_reading.read(tube).primitive(0)["targets"]) == 2
