@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from skinbake.choices import USUAL_TRUTHS, FrameChoice, Neighbours, PoseKind, Weighting
+from skinbake.choices import USUAL_TRUTHS, FrameChoice, Gradients, Neighbours, PoseKind, Weighting
 from skinbake.commands.verify import verify_file
 from skinbake.freshness.baked_views import baked_views
 from skinbake.freshness.staleness import surface_operator
@@ -565,7 +565,7 @@ def test_where_rounding_parts_the_algorithms_the_joint_to_mend_is_named(
         content["skins"][0]["joints"] = [joints[place] for place in order]
 
     original = write_model(tmp_path / "three.glb", [sheet()], joints=3, change=spoil)
-    path = baked(original, tmp_path / "baked")
+    path = baked(original, tmp_path / "baked", gradients=Gradients.SURFACE)
     monkeypatch.setattr(lighting, "BlendedPrimitive", Tilted)
     verdict = measured(path, methods=("lbs",), poses=PoseRequest(PoseKind.REST))
     ((_, code, message),) = failing(verdict)

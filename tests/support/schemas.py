@@ -72,6 +72,7 @@ EXTENDED = {
         strict({"influences": COUNT, "vertices": COUNT, "bytes": COUNT, "multiply_adds": COUNT}),
     ]
 }
+SHARE = {"type": "number", "minimum": 0, "maximum": 1}
 BAKED = strict(
     {
         "mesh": COUNT,
@@ -85,12 +86,13 @@ BAKED = strict(
         "generated_normals": {"type": "boolean"},
         "adopting_vertices": COUNT,
         "overflowing_vertices": COUNT,
-        "lost_gradient": {"type": "number", "minimum": 0, "maximum": 1},
+        "lost_gradient": SHARE,
         "gradient": {"type": "number", "minimum": 0},
         "added_bytes": COUNT,
         "bytes_per_vertex": {"type": "integer", "minimum": 6},
         "limited": LIMITED,
         "extended": EXTENDED,
+        "kept": {"oneOf": [{"type": "null"}, strict({"fit": SHARE, "gradients": SHARE})]},
     },
     optional={"mesh_name": {"type": "string"}},
 )

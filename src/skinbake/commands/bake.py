@@ -42,10 +42,6 @@ from skinbake.timing import stage
 class Baker(CheckedOptions):
     """Bake files and documents with these options."""
 
-    def with_gradients(self, kind: Gradients) -> Baker:
-        """Return a baker of another kind of gradients. Only gradients fitted to poses have poses."""
-        return replace(self, gradients=kind, fit_poses=self.fit_poses if kind is Gradients.POSES else ())
-
     def bake_file(
         self, source: str, target: str | None, writing: Writing = AS_USUAL, within: Within = OWN_FOLDERS
     ) -> FileResult:
@@ -199,12 +195,16 @@ class Baker(CheckedOptions):
         """
         surfaces, apart = _surfaces(document, sources, self.weld)
         targets = [FitTarget.of(document, surface, self.gradients, self.fit_poses) for surface in surfaces]
-        bakes = [
-            bake
+        read = [
+            SurfaceBake.of(document, surface, self.settings, target)
             for surface, target in zip(surfaces, targets, strict=True)
-            for bake in self._baked(SurfaceBake.of(document, surface, self.settings, target))
         ]
-        return bakes, [*apart, *(notice for target in targets for notice in target.notices)]
+        made = [self._baked(surface) for surface in read]
+        notices = [*apart, *(notice for target in targets for notice in target.notices)]
+        if self.gradients is Gradients.RIG:
+            made, found = _guarded(document, read, made, self.settings)
+            notices += found
+        return [bake for bakes in made for bake in bakes], notices
 
     def _bakeable(self, document: Document) -> tuple[list[PrimitiveSource], int, list[Notice]]:
         """Return the primitives to bake, the number of skinned ones left out, and notices on the latter."""
@@ -292,6 +292,23 @@ def _surfaces(
 
     groups, apart = meshes_of_one_skin(document, by_mesh)
     return [[source for mesh in group for source in by_mesh[mesh]] for group in groups], apart
+
+
+def _guarded(
+    document: Document,
+    surfaces: Sequence[SurfaceBake],
+    made: Sequence[Sequence[PrimitiveBake]],
+    settings: BakeSettings,
+) -> tuple[list[list[PrimitiveBake]], list[Notice]]:
+    """Return the bakes of surfaces, of which those that would be lit worse keep a share, and notices."""
+    with stage("guard"):
+        from skinbake.measure.guard import Judged, judged_shares  # it poses: most kinds of bakes do not
+
+        judged = [Judged(unwritten(own), one.target.rig) for one, own in zip(surfaces, made, strict=True)]
+        shares, notices = judged_shares(document, judged, settings)
+        groups = zip(surfaces, made, shares, strict=True)
+        kept = [surface.keeping(bakes, own) for surface, bakes, own in groups]
+    return kept, notices
 
 
 def _encoding_cost(

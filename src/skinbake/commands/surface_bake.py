@@ -10,7 +10,7 @@ from skinbake.choices import SLOTS_PER_SET, Encoding, FrameChoice, Gradients
 from skinbake.errors import Notice
 from skinbake.format.baked import Baked
 from skinbake.format.encodings import vertex_bytes
-from skinbake.format.metadata import STORED_POSE
+from skinbake.format.metadata import KEPT, STORED_POSE
 from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gltf.document import Document
@@ -19,14 +19,17 @@ from skinbake.gltf.primitives import PrimitiveSource, has_float_tangents, read_i
 from skinbake.gltf.rigs import fitting_rig
 from skinbake.gradients.assumptions import assumptions, check_finite
 from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_primitives
+from skinbake.gradients.kept import Slots, mixed, scaled
 from skinbake.gradients.tangents import with_straight_tangents
-from skinbake.report.bake import BakedCounts, ExtensionCost, LimitCost
+from skinbake.report.bake import BakedCounts, ExtensionCost, KeptCounts, LimitCost
 from skinbake.timing import stage
 from skinbake.version import FIT
 
 if TYPE_CHECKING:
     from skinbake.format.influences import Extended
-    from skinbake.measure.costs import Limited, UnwrittenBake
+    from skinbake.measure.costs import Limited
+    from skinbake.measure.guard import KeptShare
+    from skinbake.measure.unwritten import UnwrittenBake
     from skinbake.pose_fit.poses import FoundPoses, PoseSource
 
 BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 128, 48, 24
@@ -171,13 +174,31 @@ class SurfaceBake:
             bakes if self.target.poses is None else _fitted_to_poses(self.document, bakes, self.target.poses)
         )
 
+    def keeping(
+        self, bakes: Sequence[PrimitiveBake], shares: Sequence[KeptShare | None]
+    ) -> list[PrimitiveBake]:
+        """Return the bakes of the surface, of which some keep only a share. None keeps all."""
+        if not any(shares):
+            return list(bakes)
+        slots: list[Slots] = [(bake.result.alpha, bake.result.beta) for bake in bakes]
+        classes = [bake.result.classes for bake in bakes]
+        fits = [1.0 if share is None else share.fit for share in shares]
+        if min(fits) < 1.0:
+            found = bake_primitives([bake.primitive for bake in bakes], self.settings)
+            slots = mixed(slots, [(result.alpha, result.beta) for result, _ in found], classes, fits)
+        kept = scaled(slots, classes, [None if share is None else share.eighths for share in shares])
+        return [
+            replace(bake, result=bake.result.with_slots(*own), share=share)
+            for bake, own, share in zip(bakes, kept, shares, strict=True)
+        ]
+
 
 @dataclass(frozen=True, slots=True)
 class PrimitiveBake:
     """One primitive: the arrays that were baked, the result, the findings, and the loss by a limit.
 
     asked is the kind of gradients that the user asked for. fitted is what the metadata says of the fit,
-    nothing for the gradients of the surface.
+    nothing for the gradients of the surface. share is how much of it is kept, None for all.
     """
 
     source: PrimitiveSource
@@ -189,6 +210,7 @@ class PrimitiveBake:
     asked: Gradients = Gradients.SURFACE
     fitted: JsonObject = field(default_factory=dict)
     extended: Extended | None = None
+    share: KeptShare | None = None
 
     @property
     def notices(self) -> list[Notice]:
@@ -208,7 +230,10 @@ class PrimitiveBake:
         """Return the data to write. settings is noted in the metadata."""
         changed = self.limited or self.extended
         influences = changed.stored if changed else None
-        return Baked(self.source, self.primitive, self.result, {**settings, **self.fitted}, influences)
+        kept = {} if self.share is None else {KEPT: {"fit": self.share.fit}}
+        return Baked(
+            self.source, self.primitive, self.result, {**settings, **self.fitted, **kept}, influences
+        )
 
     def counts(self, encoding: Encoding, added_bytes: int) -> BakedCounts:
         """Return the numbers of the report."""
@@ -219,6 +244,7 @@ class PrimitiveBake:
             degenerate_triangles=self.findings.degenerate_triangles,
             influences=influences,
             gradients=self.fitted.get("gradients", str(Gradients.SURFACE)),
+            kept=None if self.share is None else KeptCounts(self.share.fit, self.share.mean),
             frame=str(self.result.frame),
             generated_normals="NORMAL" not in self.source.attributes,
             adopting_vertices=self.findings.adopting_vertices,
@@ -281,7 +307,7 @@ def _finite(bakes: list[PrimitiveBake]) -> list[PrimitiveBake]:
 
 def unwritten(bakes: Sequence[PrimitiveBake]) -> list[UnwrittenBake]:
     """Return the bakes as a replay reads them, before anything is written."""
-    from skinbake.measure.costs import UnwrittenBake
+    from skinbake.measure.unwritten import UnwrittenBake
 
     return [UnwrittenBake(bake.source, bake.primitive, bake.result) for bake in bakes]
 

@@ -75,8 +75,7 @@ def verify_document(document: Document, options: VerifyOptions) -> FileVerdict:
     operators, fresh = _operators_and_freshness(document, surfaces)
     verdict = lighting_verdict(document, options, surfaces, operators)
     if fresh.outcome == "passed":
-        with stage("remedies"):
-            notices += worse_lighting(document, views, verdict, options)
+        notices += worse_lighting(views, verdict)
     checks = (structure, fresh, *verdict.checks)
     return replace(verdict, checks=checks, notices=(*notices, *verdict.notices))
 

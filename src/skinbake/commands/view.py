@@ -13,7 +13,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from skinbake.choices import Gradients, Scheme
+from skinbake.choices import FrameChoice, Gradients, Neighbours, Scheme, Weld
 from skinbake.commands.posed_scene import (
     baked_in_memory,
     damaged_bakes,
@@ -21,7 +21,6 @@ from skinbake.commands.posed_scene import (
     telling_moment,
     unplaced,
 )
-from skinbake.commands.remedies import noted_baker
 from skinbake.commands.render import small_picture
 from skinbake.commands.verify import verify_document
 from skinbake.errors import InputError, Notice
@@ -138,10 +137,24 @@ def _other_gradients(document: Document, views: Sequence[BakedView]) -> Iterator
     """
     if not views:
         return
-    kind = Gradients.RIG if noted_kind(views[0]) is Gradients.SURFACE else Gradients.SURFACE
+    from skinbake.commands.bake import Baker  # a file without a bake needs no other
+
+    kind, noted = Gradients.RIG, views[0].metadata
+    if noted_kind(views[0]) is not Gradients.SURFACE:
+        kind = Gradients.SURFACE
+    known = noted.get("neighbours")
+    baker = Baker(
+        gradients=kind,
+        weighting=noted["weighting"],
+        crease_angle=noted["creaseAngle"],
+        neighbours=Neighbours(known) if known in list(Neighbours) else Neighbours.ADOPT,
+        frame=FrameChoice(noted["frame"]),
+        weld=noted.get("weld", Weld.MESH),
+        generate_normals=True,  # strip takes generated ones away
+    )
     try:
         plain, _, _ = stripped(document)
-        made = noted_baker(views[0]).with_gradients(kind).bake_document(plain)
+        made = baker.bake_document(plain)
         others = {view.source.place: view for view in sound_views(made.document)}
     except InputError:
         return

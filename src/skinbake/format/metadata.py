@@ -43,6 +43,9 @@ POSES = "poses"
 STORED_POSE = "storedPose"
 """The member about the stored pose to which α and β are fitted: a fingerprint of it, and a digest of both."""
 
+KEPT = "kept"
+"""The member that tells how much of its fit a primitive kept, if it kept a part. See ``gradients.kept``."""
+
 STRAIGHTENED = "straightened"
 """The member that names the accessor of the TANGENT before a bake that straightened some of it."""
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from skinbake.choices import Frame, Gradients, Weighting, Weld
 from skinbake.errors import Notice
-from skinbake.format.metadata import POSES, STORED_POSE, VERSION, changed_arrays, read_metadata
+from skinbake.format.metadata import KEPT, POSES, STORED_POSE, VERSION, changed_arrays, read_metadata
 from skinbake.format.stored_slots import BAKE, read_slots, shown, wrong_storage
 from skinbake.geometry import frames
 from skinbake.geometry.frames import unit_normals
@@ -166,18 +166,16 @@ def _other_version(metadata: JsonObject) -> str | None:
 
 def _wrong_members(metadata: JsonObject, source: PrimitiveSource) -> Iterator[str]:
     """Yield each defect of a member of the metadata (docs/reference/file-format.md)."""
-    if metadata.get("frame") not in list(Frame):
-        yield f'"frame" is {shown(metadata.get("frame"))}'
-    if metadata.get("weld", Weld.MESH) not in list(Weld):
-        yield f'"weld" is {shown(metadata.get("weld"))}'
-    if metadata.get("gradients", Gradients.SURFACE) not in list(Gradients):
-        yield f'"gradients" is {shown(metadata.get("gradients"))}'
+    usual = {"weld": Weld.MESH, "gradients": Gradients.SURFACE}
+    names = {"frame": Frame, "weighting": Weighting, "weld": Weld, "gradients": Gradients}
+    for name, known in names.items():
+        if metadata.get(name, usual.get(name)) not in list(known):
+            yield f'"{name}" is {shown(metadata.get(name))}'
     if metadata.get("gradients") == Gradients.POSES and not _names_poses(metadata.get(POSES)):
         yield f'"{POSES}" is {shown(metadata.get(POSES))}'
-    if STORED_POSE in metadata and not _has_fingerprint(metadata[STORED_POSE]):
-        yield f'"{STORED_POSE}" is {shown(metadata[STORED_POSE])}'
-    if metadata.get("weighting") not in list(Weighting):
-        yield f'"weighting" is {shown(metadata.get("weighting"))}'
+    for name, is_complete in ((STORED_POSE, _has_fingerprint), (KEPT, _tells_fit)):
+        if name in metadata and not is_complete(metadata[name]):
+            yield f'"{name}" is {shown(metadata[name])}'
     angle = metadata.get("creaseAngle")
     if isinstance(angle, bool) or not isinstance(angle, int | float) or not 0 <= angle <= 180:
         yield f'"creaseAngle" is {shown(angle)}'
@@ -210,6 +208,11 @@ def _has_fingerprint(noted: object) -> TypeGuard[JsonObject]:
         return False
     numbers = noted.get("fingerprint")
     return isinstance(numbers, list) and all(map(is_number, numbers))
+
+
+def _tells_fit(noted: object) -> bool:
+    """Tell whether a member has the share of a fit that was kept."""
+    return isinstance(noted, dict) and is_number(noted.get("fit")) and 0 <= noted["fit"] <= 1
 
 
 def _rest_frame(primitive: SkinnedPrimitive, kind: str) -> tuple[FloatArray, FloatArray] | None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from skinbake.choices import SLOTS_PER_SET, Gradients, Weighting
 from skinbake.format.former import former_attributes, former_sets
-from skinbake.format.metadata import FORMER_ATTRIBUTES, POSES, STORED_POSE
+from skinbake.format.metadata import FORMER_ATTRIBUTES, KEPT, POSES, STORED_POSE
 from skinbake.freshness.baked_views import BakedView, rest_primitive
 from skinbake.geometry.skinned import TINY_WEIGHT, UNIT, Float64Array, FloatArray, IntArray, SkinnedPrimitive
 from skinbake.gltf.accessors import read_accessor
@@ -129,17 +129,20 @@ def prepared_rig_fit(document: Document, views: Sequence[BakedView], weighting: 
     primitives = [_without_given_weights(document, view) for view in views]
     tangents = np.concatenate([np.asarray(view.tangents, dtype=np.float64) for view in views])
     bitangents = np.concatenate([np.asarray(view.bitangents, dtype=np.float64) for view in views])
+    # Bakes that keep all of their fit note nothing.
+    kept = [view.metadata[KEPT]["fit"] if KEPT in view.metadata else None for view in views]
 
     def fit() -> Expected:
         slots = slots_of_surface(
-            primitives, (tangents, bitangents), weighting=weighting, crease_angle=crease_angle, rig=rig
+            primitives,
+            (tangents, bitangents),
+            weighting=weighting,
+            crease_angle=crease_angle,
+            rig=rig,
+            kept=kept,
+            stored=[(view.alpha, view.beta) for view in views],
         )
-        found, start = [], 0
-        for vertices, width in (primitive.joints.shape for primitive in primitives):
-            own = slice(start, start + vertices), slice(width - 1)
-            found.append((slots.alpha[own].astype(np.float64), slots.beta[own].astype(np.float64)))
-            start += vertices
-        return found
+        return [(alpha.astype(np.float64), beta.astype(np.float64)) for alpha, beta in slots]
 
     return fit
 

@@ -7,15 +7,17 @@ stored pose. Or an older version of the fit made them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from skinbake.choices import Gradients
 from skinbake.errors import Notice
-from skinbake.format.metadata import POSES, STORED_POSE, slot_names, slots_digest
+from skinbake.format.metadata import KEPT, POSES, STORED_POSE, slot_names, slots_digest
 from skinbake.freshness.baked_views import BakedView
 from skinbake.freshness.expected import noted_kind, noted_poses, rest_primitives_of, surface_slots
 from skinbake.geometry.poses import is_fingerprint_of
+from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import integer
@@ -130,10 +132,17 @@ def _without_effect(
     stored = rest_primitives_of(document, views, slots)
     plain = rest_primitives_of(document, views, surface_slots(views, operator))
     both = [tilts(true, surfaces, groups) for surfaces in (stored, plain)]
+    none: list[Float64Array] = []
+    if any(KEPT in view.metadata for view in views):
+        none = tilts(
+            true, [replace(one, alpha=0.0 * one.alpha, beta=0.0 * one.beta) for one in stored], groups
+        )
     what = "poses" if noted_kind(views[0]) is Gradients.POSES else "the rig"
     for number, view in enumerate(views):
         areas = vertex_areas(view.now.positions, view.now.triangles)
         fitted, usual = (float(np.nansum(areas * found[number])) for found in both)
+        if KEPT in view.metadata:  # without any α and β, light may have been better at the bake
+            usual = max(usual, float(np.nansum(areas * none[number])))
         if fitted > NO_BETTER * usual:
             yield (
                 f"α/β leave {_times(fitted, usual)} the error of the gradients of the surface, "

@@ -76,7 +76,7 @@ class BakedPrimitive:
     alpha, beta (V, K − 1) float32, 1 / length unit of POSITION: ∇w · t0 and ∇w · b0 of slots 1 … K − 1. The
     values of slot 0 are minus their sum. adopting (A,) are the vertices that adopt joints, ascending. adopted
     (A, K) integer is the joint that each of their slots adopts, −1 for none. frame is ``tangent`` or
-    ``normal``.
+    ``normal``. classes (V,) are the weld classes of the vertices, as numbered over the whole surface.
     """
 
     alpha: Float32Array
@@ -84,6 +84,7 @@ class BakedPrimitive:
     adopting: IntArray
     adopted: IntArray
     frame: str
+    classes: IntArray
 
     @property
     def adopted_joints(self) -> IntArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -329,12 +329,30 @@ def _inverse_bind(document: Document, number: int | None, count: int) -> Float64
     return np.swapaxes(values[:count].reshape(-1, 4, 4), 1, 2)
 
 
-def read_clips(document: Document) -> list[Clip]:
-    """Return the animations that move, turn, scale or morph; InputError if one is broken."""
-    clips = []
-    times: dict[int, Float64Array] = {}
-    outputs: dict[tuple[object, ...], Float64Array] = {}
+def animations_of(document: Document, nodes: Container[int]) -> list[int]:
+    """Return the numbers of the animations that move, turn or scale any of some nodes. Keys are not read.
+
+    Raises InputError if a target is broken.
+    """
+    place, found = document.place, []
     for number, animation in enumerate(document.objects("animations")):
+        targets = (
+            _target(document, channel, f"animation {number}")
+            for channel in objects(animation, "channels", place)
+        )
+        if any(path in PATHS and node in nodes for node, path, _ in targets):
+            found.append(number)
+    return found
+
+
+def read_clips(document: Document, some: Sequence[int] | None = None) -> list[Clip]:
+    """Return the animations that move, turn, scale or morph, or some of them; InputError if one is broken."""
+    clips = []
+    times: dict[int | bytes, Float64Array] = {}
+    outputs: dict[tuple[object, ...], Float64Array] = {}
+    animations = document.objects("animations")
+    for number in range(len(animations)) if some is None else some:
+        animation = animations[number]
         place = document.place
         samplers = objects(animation, "samplers", place)
         name = text(animation, "name", place) or f"animation {number}"
@@ -361,12 +379,13 @@ def _channel(
     clip: str,
     samplers: list[JsonObject],
     channel: JsonObject,
-    known: dict[int, Float64Array],
+    known: dict[int | bytes, Float64Array],
     outputs: dict[tuple[object, ...], Float64Array],
 ) -> Channel | None:
     """Return one channel, or None if it moves no node and morphs no skinned mesh.
 
-    known are the times that were read before, by accessor. outputs are the values, by accessor and use.
+    known are the times that were read before, by accessor and by value. outputs are the values, by
+    accessor and use.
     """
     place, owner = document.place, f'clip "{clip}"'
     node, path, nodes = _target(document, channel, owner)
@@ -389,7 +408,8 @@ def _channel(
         fault = _time_fault(stored)
         if fault is not None:
             raise _refused(document, clip, node, fault)
-        known[source] = stored[:, 0]
+        # Many exporters store the same times for each channel. Channels of one array are evaluated together.
+        known[source] = known.setdefault(stored.tobytes(), stored[:, 0])
     times = known[source]
     method = text(sampler, "interpolation", place) or poses.LINEAR
     if method not in {poses.STEP, poses.LINEAR, poses.CUBICSPLINE}:

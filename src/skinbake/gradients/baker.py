@@ -24,6 +24,7 @@ from skinbake.geometry.skinned import (
 )
 from skinbake.gradients import kernel
 from skinbake.gradients.influences import ADOPTING_SUM, needs_tiny_weights, weight_field
+from skinbake.gradients.kept import Slots, kept_eighths, mixed, scaled
 from skinbake.gradients.surface import Surface, SurfaceSlots, WeightDefects, WeightField, concatenate_fields
 from skinbake.gradients.tangents import ChosenFrame, chosen_frame, frame_vectors
 from skinbake.gradients.weld import weld
@@ -157,6 +158,7 @@ def _of_primitive(
         adopting=slots.adopting[own] - rows.start,
         adopted=slots.adopted[own, :influences],
         frame=choice.kind,
+        classes=gathered.classes[rows],
     )
     return result, findings
 
@@ -168,14 +170,32 @@ def slots_of_surface(
     weighting: Weighting,
     crease_angle: float,
     rig: Rig | None,
-) -> SurfaceSlots:
-    """Return α and β of all primitives of one surface, for given t0 and b0, each (V, 3). No slot adopts.
+    kept: Sequence[float | None] = (),
+    stored: Sequence[Slots] = (),
+) -> list[Slots]:
+    """Return α and β of each primitive of one surface, for given t0 and b0, each (V, 3). No slot adopts.
 
-    The arguments are as for ``bake_primitives``; crease_angle is in radians.
+    The arguments are as for ``bake_primitives``; crease_angle is in radians. kept is how much of its fit each
+    primitive keeps, None for those that keep all of α and β too. The others keep as much of these as the
+    ``stored`` ones are.
     """
     gathered = _gathered(primitives, crease_angle)
-    with stage("gradients"):
-        return kernel.bake_surface(gathered.surface(frame, rig), weighting=weighting, adopt=False)
+    parts = [slice(*part) for part in itertools.pairwise([0, *gathered.ends])]
+
+    def slots(of: Rig | None) -> list[Slots]:
+        with stage("gradients"):
+            found = kernel.bake_surface(gathered.surface(frame, of), weighting=weighting, adopt=False)
+        widths = [primitive.joints.shape[1] - 1 for primitive in primitives]
+        pairs = zip(parts, widths, strict=True)
+        return [(found.alpha[part, :width], found.beta[part, :width]) for part, width in pairs]
+
+    found, fits = slots(rig), [1.0 if fit is None else fit for fit in kept]
+    if all(fit is None for fit in kept):
+        return found
+    classes = [gathered.classes[part] for part in parts]
+    if min(fits) < 1.0:
+        found = mixed(found, slots(None), classes, fits)
+    return scaled(found, classes, kept_eighths(found, stored, classes, [fit is not None for fit in kept]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,21 +10,19 @@ import numpy as np
 from skinbake.format.encodings import rounded
 from skinbake.format.influences import with_limit
 from skinbake.format.layouts import GradientFormat
-from skinbake.geometry import frames
-from skinbake.geometry.skinned import BakedPrimitive, Float64Array, FloatArray, SkinnedPrimitive
+from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.animation import read_clips, skins_of
 from skinbake.gltf.document import Document
 from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, read_influences
 from skinbake.gradients.influences import limited_slots
-from skinbake.gradients.tangents import frame_vectors
 from skinbake.measure.tally import ErrorTally
+from skinbake.measure.unwritten import UnwrittenBake
 from skinbake.report.bake import LimitCost, Spread
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import dot
 from skinbake.skinning.rest import RestPrimitive
 from skinbake.truth.areas import RestAreas, angles_between, total_area
 from skinbake.truth.blending import blended_blocks
-from skinbake.truth.mesh import normalised_weights
 from skinbake.truth.poses import PoseRequest, PoseSet, described, pose_set
 
 
@@ -213,29 +211,3 @@ def _primitives(
             stored = replace(exact, alpha=alpha, beta=beta)
             areas = RestAreas(document, skin).of(bake.primitive)
             yield EncodedPrimitive(stored, exact.alpha, exact.beta, areas, sets[skin].joint_matrices)
-
-
-@dataclass(frozen=True, slots=True)
-class UnwrittenBake:
-    """One primitive, the arrays that were baked, and the result of the bake."""
-
-    source: PrimitiveSource
-    primitive: SkinnedPrimitive
-    baked: BakedPrimitive
-
-    def rest_primitive(self) -> RestPrimitive:
-        """Return it as float64. Adopted joints have weight 0, and joints past the skin become 0."""
-        primitive, baked = self.primitive, self.baked
-        tangents, bitangents = frame_vectors(primitive, baked.frame)
-        named = np.where(baked.adopted_joints >= 0, baked.adopted_joints, primitive.joints)
-        joints = np.where(named < self.source.joint_count, named, 0)
-        return RestPrimitive(
-            positions=primitive.positions.astype(np.float64),
-            normals=frames.unit_normals(primitive.normals).astype(np.float64),
-            tangents=tangents.astype(np.float64),
-            bitangents=bitangents.astype(np.float64),
-            joints=joints,
-            weights=normalised_weights(primitive.weights, joints),
-            alpha=baked.alpha.astype(np.float64),
-            beta=baked.beta.astype(np.float64),
-        )

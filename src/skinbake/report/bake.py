@@ -85,6 +85,14 @@ class ExtensionCost:
 
 
 @dataclass(frozen=True, slots=True)
+class KeptCounts:
+    """How much of its fit, and of its α and β on average, a primitive keeps, each from 0 to 1."""
+
+    fit: float
+    gradients: float
+
+
+@dataclass(frozen=True, slots=True)
 class BakedCounts:
     """The bake of one primitive, in numbers.
 
@@ -92,7 +100,7 @@ class BakedCounts:
     overflowing_vertices had more such joints than free slots. gradient is the summed length of the weight
     gradients, in 1 / length unit, and lost_gradient the share of it that no slot holds. added_bytes is the
     growth of the file by the primitive, bytes_per_vertex the size of α and β for a vertex. limited is the
-    effect of --limit-influences, extended that of --neighbours extend.
+    effect of --limit-influences, extended that of --neighbours extend. kept is None where all is kept.
     """
 
     vertices: int
@@ -110,6 +118,7 @@ class BakedCounts:
     bytes_per_vertex: int
     limited: LimitCost | None = None
     extended: ExtensionCost | None = None
+    kept: KeptCounts | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,6 +271,7 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
             f"{counted(overflowing, 'vertex', 'vertices')} left out some joints of their neighbours "
             f"({percent(_lost(counts), 2)} of the gradient{_remedy(counts)})"
         )
+    parts += _held_back(counts)
     degenerate = sum(count.degenerate_triangles for count in counts)
     if degenerate:
         parts.append(f"{counted(degenerate, 'triangle')} without area ignored")
@@ -288,7 +298,7 @@ def detail_lines(result: FileResult) -> Iterator[str]:
             f"frame from {count.frame}, "
             f"{counted(count.adopting_vertices, 'vertex', 'vertices')} adopting, "
             f"{count.overflowing_vertices:,} leaving joints out ({lost} of the gradient), "
-            f"{counted(count.added_bytes, 'byte')}"
+            f"{counted(count.added_bytes, 'byte')}{_kept(count.kept)}"
         )
 
 
@@ -312,6 +322,20 @@ def _corrected(result: FileResult) -> str:
         f"{targets} corrective normal{plural}{meshes} in {counted(clips, 'clip')}, {', '.join(changes)}, "
         f"{counted(size, 'byte')} added ({size / vertices:.1f} a vertex)"
     )
+
+
+def _held_back(counts: Sequence[BakedCounts]) -> Iterator[str]:
+    """Yield how many primitives keep only a part of their fit."""
+    kept = sum(count.kept is not None for count in counts)
+    if kept:
+        they = "it" if kept == 1 else "them"
+        yield f"{counted(kept, 'primitive')} held back (all of the fit would light {they} worse)"
+
+
+def _kept(share: KeptCounts | None) -> str:
+    if share is None:
+        return ""
+    return f", keeping {percent(share.fit, 1)} of the fit and {percent(share.gradients, 1)} of α/β"
 
 
 def _baked(counts: Sequence[BakedCounts]) -> str:

@@ -138,19 +138,28 @@ class BlendedPrimitive:
 
     def _accurate(self, pose: slice, part: slice) -> Float64Array:
         """Return ± t' × b' with the sign of b': (3, B, P)."""
-        rest, table = self._rest, self._matrices.of(pose)
-        sign = self._handedness[part, None]
-        frame = np.stack([rest.tangents[part], sign * rest.bitangents[part]])
+        cap = self._options.cap
+        if cap is None or self._rest.joints.shape[1] == 1:
+            forms = self._forms(part, *self._frame_and_changes(part))
+            return kernel.blended_normals(forms, self._matrices.of(pose))
+        t, b = (corrected(tuple(v), tuple(by), cap) for v, by in zip(*self.tangents(pose, part), strict=True))
+        return np.stack(cross(t, b))
+
+    def tangents(self, pose: slice, part: slice) -> Float64Array:
+        """Return t' and ± b' of some vertices without α and β, and what these add: (2, 2, 3, B, P)."""
+        frame, changes = self._frame_and_changes(part)
+        table = self._matrices.of(pose)
+        found = np.empty((2, *np.shape(np.swapaxes(frame, 1, 2)), pose.stop - pose.start))
+        kernel.blend(self._forms(part, frame), table, found[0])
+        kernel.blend(self._forms(part, np.zeros_like(frame), changes), table, found[1])
+        return found
+
+    def _frame_and_changes(self, part: slice) -> tuple[Float64Array, Float64Array]:
+        """Return t and ± b (2, B, 3), with the sign of the frame, and α and ± β of all slots (2, B, K)."""
+        rest, sign = self._rest, self._handedness[part, None]
         others = rest.alpha[part], sign * rest.beta[part]
         changes = np.stack([all_slots(np.asarray(derivatives, dtype=np.float64)) for derivatives in others])
-        cap = self._options.cap
-        if cap is None or changes.shape[2] == 1:
-            return kernel.blended_normals(self._forms(part, frame, changes), table)
-        still, moved = np.empty((2, 2, 3, len(sign), pose.stop - pose.start))
-        kernel.blend(self._forms(part, frame), table, still)
-        kernel.blend(self._forms(part, np.zeros_like(frame), changes), table, moved)
-        t, b = (corrected(tuple(v), tuple(by), cap) for v, by in zip(still, moved, strict=True))
-        return np.stack(cross(t, b))
+        return np.stack([rest.tangents[part], sign * rest.bitangents[part]]), changes
 
 
 def _axes(count: int) -> Float64Array:

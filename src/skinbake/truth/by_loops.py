@@ -6,7 +6,7 @@ The same operations in numpy, ``by_numpy``, describe the results.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -15,12 +15,13 @@ from skinbake.choices import Weighting
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray
 from skinbake.skinning.components import Vector
 from skinbake.skinning.rest import RestPrimitive
-from skinbake.skinning.run import Skinning
 from skinbake.truth import _loops as loops
-from skinbake.truth import by_numpy
 from skinbake.truth.mesh import WeldedMesh
 from skinbake.truth.normals import FLAT_FRAME, FLAT_TRIANGLE, ClassBlock, ClassSums, RestFrames
 from skinbake.truth.values import BIN_SHIFT, CountedErrors, Extent, Forms, SparseRows, WeightedRuns
+
+if TYPE_CHECKING:
+    from skinbake.skinning.run import Skinning
 
 
 def blend(forms: Forms, table: Float64Array, out: Float64Array, first_row: int = 0) -> None:
@@ -67,6 +68,8 @@ def dqs_positions(
 def dqs_normals(skinning: Skinning, pose: slice, part: slice) -> Float64Array:
     """Return the normals of algorithms 4–6 for some vertices: (3, 3, B, P). They are not of unit length."""
     if skinning.options.cap is not None:
+        from skinbake.truth import by_numpy  # few ask for it
+
         return by_numpy.dqs_normals(skinning, pose, part)
     rest = skinning.vertices.rest.rows(part)
     out = np.empty((3, 3, len(rest.joints), pose.stop - pose.start))
@@ -186,6 +189,8 @@ def count_errors(
 ) -> CountedErrors:
     """Count errors (P, B) with weights (B,), and return those of at least ``least``."""
     if errors.dtype != np.float32:
+        from skinbake.truth import by_numpy  # few ask for it
+
         return by_numpy.count_errors(errors, weights, valid, least)
     rows = np.ascontiguousarray(errors.T)
     room = WeightedRuns.room(rows.size, len(rows))
@@ -208,6 +213,8 @@ def count_errors(
 def keep_at_least(found: WeightedRuns, room: WeightedRuns, least: float) -> Extent:
     """Fill room with those of the values found that are at least ``least``, and return their end."""
     if not found.values.dtype == room.values.dtype == np.float32:
+        from skinbake.truth import by_numpy  # few ask for it
+
         return by_numpy.keep_at_least(found, room, least)
     return Extent(*loops.keep_at_least(*found.arrays, *room.arrays, least))
 

@@ -27,7 +27,6 @@ from skinbake.gltf.animation import (
 )
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import MOST
-from skinbake.gltf.morphs import resting_weights, target_count
 from skinbake.wording import counted
 
 SHARED_SAMPLES = 60
@@ -102,6 +101,8 @@ def draws_of(document: Document, mesh: int, clips: Sequence[Clip]) -> list[tuple
 
     Nodes of one skin are one draw if their targets rest at the same weights and no clip moves them.
     """
+    from skinbake.gltf.morphs import resting_weights, target_count  # bake poses meshes without it
+
     if not target_count(document, mesh):
         return [(skin, None) for skin in skins_of(document, mesh)]
     morphing = [channel for clip in clips for channel in clip.channels if channel.path == MORPH_WEIGHTS]
@@ -148,9 +149,12 @@ class PosePlan:
         cls, document: Document, skin: int, clips: Sequence[Clip], request: PoseRequest, node: int | None
     ) -> PosePlan:
         """Choose the clips. A clip of the file counts if it moves joints, their ancestors, or the weights."""
-        resting = None if node is None else resting_weights(document, node)
-        if resting is not None and not resting.size:
-            resting = None
+        resting = None
+        if node is not None:
+            from skinbake.gltf.morphs import resting_weights  # bake poses meshes without it
+
+            resting = resting_weights(document, node)
+            resting = resting if resting.size else None
         morphed = None if resting is None else node
         moving = _moving(document, skin, clips, morphed)
         return cls(skin, read_skeleton(document, skin), tuple(moving), request, morphed, resting)

@@ -1,0 +1,433 @@
+"""Whether fitted α and β light a primitive no worse than standard lighting, judged on a sample of it.
+
+The fit knows turns of the joints. A mesh of few triangles, or joints that stretch, may make it worse than no
+correction at all, or than the gradients of the surface. Both truths of ``verify`` tell, in the file's own
+clips, or in random poses if it has none. A primitive that is worse keeps only a part of its fit, and each of
+its vertices as many eighths of α and β as light it best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from skinbake.choices import USUAL_TRUTHS, PoseKind
+from skinbake.errors import InputError, Notice
+from skinbake.geometry.rig import NO_PARENT, Rig
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray, SkinnedPrimitive
+from skinbake.gltf.animation import animations_of, read_clips, read_skeleton, skins_of
+from skinbake.gltf.document import Document
+from skinbake.gltf.scenes import meshes_of_one_skin
+from skinbake.gradients.baker import BakeSettings, bake_primitives
+from skinbake.gradients.kept import EIGHTHS
+from skinbake.measure.unwritten import UnwrittenBake, cut_out
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.components import cross
+from skinbake.skinning.rest import Options, RestPrimitive
+from skinbake.threads import Threads
+from skinbake.truth import kernel
+from skinbake.truth.areas import RestAreas
+from skinbake.truth.blending import BlendedPrimitive, sides_of
+from skinbake.truth.operator import GradientOperator, true_operator
+from skinbake.truth.poses import FALLBACK_POSES, LEAST_SAMPLES, PoseRequest, pose_set
+from skinbake.truth.truths import Truths
+
+LEAST_POSES = 12
+"""The poses in which a surface is looked at, at least. Many clips and skins share them."""
+
+
+class _Look(NamedTuple):
+    """How closely to look at a surface, and how much error a primitive may have there to keep all it has.
+
+    vertices are those of the surface to look at, among those whose light α and β change. Each primitive has
+    at least ``LEAST_VERTICES`` of them. poses are the most of them. of_standard is the share of the error of
+    standard lighting that may be left, and of_surface that of the surface's gradients where joints stretch.
+    """
+
+    vertices: int
+    poses: int
+    of_standard: float
+    of_surface: float
+
+
+GLANCE = _Look(256, LEAST_POSES, 0.8, 0.9)
+"""It tells that most primitives are sound. A sample of so few vertices may tell a gain a tenth too large."""
+
+CLOSE = _Look(2048, 96, 0.98, 1.02)
+"""It decides. Of a gain that is told too large by 2 %, at most 1 % is lost against standard lighting."""
+
+WHOLE = _Look(1 << 14, 96, 0.98, 1.02)
+"""It chooses for each vertex of the primitives that keep a part. Vertices of larger ones keep the same."""
+
+LEAST_VERTICES = 128
+
+SAMPLES = 1 << 16
+"""The vertices × poses of a look, with the vertices around those that are looked at."""
+
+GOLDEN = 0.6180339887498949
+"""The golden section. Its multiples, without their whole parts, lie evenly between 0 and 1."""
+
+UNSEEN, FEW = 0.1, 0.01
+"""An error in degrees that nobody sees, and the share of the area that may have a larger one.
+
+A smaller angle changes a light's cosine by less than half a step of 8 bits.
+"""
+
+STRETCHED = 0.01
+"""The share by which joints must move or scale against those that carry them, not to count as rigid."""
+
+TINY = 1e-9
+"""Degrees. An error below it is rounding."""
+
+TIE = 1e-6
+"""The share of an error up to which two are the same. Rounding must not choose between them."""
+
+STEPS = np.arange(EIGHTHS, -1, -1)
+"""The eighths of a fit, of α and β, and of one truth's importance that are tried, the largest first."""
+
+
+class KeptShare(NamedTuple):
+    """How much of its fit a primitive keeps, 0 to 1, how many eighths of α and β each vertex (V,), and lit.
+
+    lit are the vertices whose α or β is not 0.
+    """
+
+    fit: float
+    eighths: IntArray
+    lit: IntArray
+
+    @property
+    def mean(self) -> float:
+        """The share of α and β that is kept, on average."""
+        return float(self.eighths[self.lit].mean() / EIGHTHS)
+
+
+class Judged(NamedTuple):
+    """The bakes of one surface, and the rig to which α and β are fitted, None if they are not."""
+
+    bakes: Sequence[UnwrittenBake]
+    rig: Rig | None
+
+
+def judged_shares(
+    document: Document, surfaces: Sequence[Judged], settings: BakeSettings
+) -> tuple[list[list[KeptShare | None]], list[Notice]]:
+    """Return for each surface how much each primitive should keep, None for all.
+
+    surfaces are all of the document. Meshes are judged without their morph targets. Those that cannot be
+    posed keep everything, with a notice.
+    """
+    shares: list[list[KeptShare | None]] = [[None] * len(surface.bakes) for surface in surfaces]
+    notices = []
+    for group in _wholes(document, surfaces):
+        if not any(surfaces[number].rig for number in group):
+            continue
+        try:
+            with document.budget.passing():
+                found = _Whole(document, [surfaces[number] for number in group], settings).shares()
+        except InputError as error:
+            message = f"its lighting was not compared with standard lighting: {error.message}"
+            place = replace(surfaces[group[0]].bakes[0].source.place, primitive=None)
+            notices.append(Notice("not-judged", message, place))
+            continue
+        for number in group:
+            shares[number] = [found.pop(0) for _ in shares[number]]
+    return shares, notices
+
+
+def _wholes(document: Document, surfaces: Sequence[Judged]) -> list[list[int]]:
+    """Return the numbers of the surfaces that the truths take as one, as ``whole_surfaces`` does."""
+    meshes = [surface.bakes[0].source.mesh for surface in surfaces]
+    morphed = [any("targets" in bake.source.json for bake in surface.bakes) for surface in surfaces]
+    plain = [mesh for mesh, morphs in zip(meshes, morphed, strict=True) if not morphs]
+    groups = meshes_of_one_skin(document, plain)[0] if len(plain) > 1 else [plain] if plain else []
+    alone = [[number] for number, morphs in enumerate(morphed) if morphs]
+    return [[meshes.index(mesh) for mesh in group] for group in groups] + alone
+
+
+class _Whole:
+    """The surfaces of a document that the truths take as one."""
+
+    def __init__(self, document: Document, surfaces: Sequence[Judged], settings: BakeSettings) -> None:
+        self._document, self._settings = document, settings
+        self._bakes = [bake for surface in surfaces for bake in surface.bakes]
+        self._rigs = [surface.rig for surface in surfaces for _ in surface.bakes]
+        # Bake gathers the primitives of each surface by itself.
+        self._surface_of = [number for number, surface in enumerate(surfaces) for _ in surface.bakes]
+
+    def shares(self) -> list[KeptShare | None]:
+        """Return how much each primitive should keep, None for all."""
+        shares: list[KeptShare | None] = [None] * len(self._bakes)
+        lit = [
+            _lit(bake) if rig else np.empty(0, dtype=np.int64)
+            for bake, rig in zip(self._bakes, self._rigs, strict=True)
+        ]
+        for look in (GLANCE, CLOSE):
+            if not any(map(len, lit)):
+                return shares
+            rows = _evenly_spread(lit, look.vertices)
+            found = self._seen(rows, look)
+            lit = [own if found[number].are_large(look) else own[:0] for number, own in enumerate(lit)]
+        if sum(map(len, rows)) < sum(map(len, lit)) <= WHOLE.vertices:
+            rows = lit
+            found = self._seen(rows, WHOLE)
+        for number in np.flatnonzero([len(own) for own in lit]).tolist():
+            classes, own = self._bakes[number].baked.classes, rows[number]
+            points = classes[own] if len(own) == len(lit[number]) else np.zeros(len(own), dtype=np.int64)
+            fit, kept = found[number].best(points)
+            eighths = np.full(len(classes), EIGHTHS)
+            eighths[lit[number]] = kept if len(own) == len(lit[number]) else kept[0]
+            shares[number] = KeptShare(fit, eighths, lit[number])
+        return shares
+
+    def _seen(self, rows: Sequence[IntArray], look: _Look) -> list[_Errors]:
+        """Return the errors of some vertices of each primitive, in the poses of a look."""
+        numbers, parts, rows = cut_out(self._bakes, rows)
+        primitives, rests = [part.primitive for part in parts], [part.rest_primitive() for part in parts]
+        operator = true_operator(primitives)
+        poses = _poses(self._document, self._bakes[0].source.mesh, len(operator.positions), look)
+        rig = next(rig for rig in self._rigs if rig)
+        stretches = any(_stretch(rig, matrices, operator.positions) for _, matrices in poses)
+        plain = list(self._plain(numbers, primitives, rests)) if stretches else []
+        lights: list[list[_Light]] = [[] for _ in self._bakes]
+        for skin, matrices in poses:
+            areas = RestAreas(self._document, skin)
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no normal gets NaN
+                expected, exist, sides = _true_normals(operator, rests, matrices)
+                for place, own in enumerate(rows):
+                    weights = areas.of(primitives[place])[own]
+                    here = operator.slices[place].start + own
+                    surface = plain[place].rows(own) if plain else None
+                    true = expected[:, :, here], exist[:, here], sides[here]
+                    light = _Light.of(rests[place].rows(own), surface, matrices, weights, true)
+                    lights[numbers[place]].append(light)
+        return [_Errors(own) for own in lights]
+
+    def _plain(
+        self, numbers: Sequence[int], primitives: Sequence[SkinnedPrimitive], rests: Sequence[RestPrimitive]
+    ) -> Iterator[RestPrimitive]:
+        """Yield parts of some primitives with the gradients of their surfaces."""
+        for _, own in groupby(range(len(numbers)), key=lambda place: self._surface_of[numbers[place]]):
+            places = list(own)
+            found = bake_primitives([primitives[place] for place in places], self._settings)
+            for place, (made, _) in zip(places, found, strict=True):
+                alpha, beta = (slots.astype(np.float64) for slots in (made.alpha, made.beta))
+                yield replace(rests[place], alpha=alpha, beta=beta)
+
+
+def _lit(bake: UnwrittenBake) -> IntArray:
+    """Return the vertices whose light α and β change."""
+    alpha, beta = bake.baked.alpha, bake.baked.beta
+    return np.flatnonzero((alpha != 0.0).any(axis=1) | (beta != 0.0).any(axis=1))
+
+
+def _evenly_spread(lit: Sequence[IntArray], count: int) -> list[IntArray]:
+    """Return about so many of the vertices of a surface's primitives, evenly spread over them."""
+    every, found = max(1, sum(map(len, lit))), []
+    for rows in lit:
+        own = max(LEAST_VERTICES, count * len(rows) // every)
+        places = np.arange(1, own + 1) * GOLDEN % 1.0 * len(rows)
+        found.append(rows if len(rows) <= own else rows[np.unique(places.astype(np.int64))])
+    return found
+
+
+def _poses(document: Document, mesh: int, vertices: int, look: _Look) -> list[tuple[int, Float64Array]]:
+    """Return skins that draw a mesh, each with sets of joint matrices (P, J, 4, 4) in which to judge it.
+
+    Skins with other joints share the poses, and so do the clips that move a skin. Where no clip does, each
+    joint turns at random by up to 30°, as ``verify`` does, and in further sets if the mesh is small. vertices
+    are those of the look. Raises InputError as ``pose_set``, or if a clip is broken.
+    """
+    count = min(max(SAMPLES // vertices, LEAST_POSES), look.poses)
+    skins = list({id(read_skeleton(document, skin)): skin for skin in skins_of(document, mesh)}.values())
+    skins = skins[: count // LEAST_POSES]
+    each, known = count // len(skins), document.derived.setdefault("poses to judge", {})
+    for skin in skins:
+        if (skin, each) not in known:
+            numbers = animations_of(document, set(read_skeleton(document, skin).nodes))
+            some = min(len(numbers), each)
+            clips = read_clips(document, [numbers[place * len(numbers) // some] for place in range(some)])
+            samples = max(1, each // max(1, len(clips)))
+            # The moments of verify, if there are as many as it takes at least.
+            requests = [PoseRequest(samples=samples, offset=None if samples >= LEAST_SAMPLES else 0.5)]
+            if not clips:
+                seeds = range(max(1, each // FALLBACK_POSES))
+                requests = [
+                    PoseRequest(PoseKind.RANDOM, min(each, FALLBACK_POSES), seed=seed) for seed in seeds
+                ]
+            sets = [pose_set(document, skin, clips, request).joint_matrices for request in requests]
+            known[skin, each] = [(skin, matrices) for matrices in sets]
+    return [entry for skin in skins for entry in known[skin, each]]
+
+
+@dataclass(frozen=True, slots=True)
+class _Light:
+    """The light of B vertices of a primitive in P poses of a skin.
+
+    standard (3, B, P) is the standard normal. still, by_fit, by_surface (2, 3, B, P) are t' and b' without α
+    and β, and what these add: those of the fit, and those of the surface, None if they were not made.
+    expected (2, 3, B, P) is the true normal by each truth, and weights (2, B, P) is the area of the vertex,
+    0 where there is none. sides (B, P) is −1 where joints mirror.
+    """
+
+    standard: Float64Array
+    still: Float64Array
+    by_fit: Float64Array
+    by_surface: Float64Array | None
+    expected: Float64Array
+    weights: Float64Array
+    sides: Float64Array
+
+    @classmethod
+    def of(
+        cls,
+        rest: RestPrimitive,
+        plain: RestPrimitive | None,
+        matrices: Float64Array,
+        areas: Float64Array,
+        true: tuple[Float64Array, BoolArray, Float64Array],
+    ) -> _Light:
+        """Light vertices with areas (B,) by the joint matrices (P, J, 4, 4).
+
+        plain are the same vertices with the gradients of the surface. true is the result of
+        ``_true_normals`` for them.
+        """
+        poses, rows, (expected, exist, sides) = slice(0, len(matrices)), slice(0, len(areas)), true
+        posed = BlendedPrimitive(rest, matrices, Options())
+        [standard] = posed.normals((Algorithm.LBS_STANDARD,), poses, rows)
+        still, by_fit = posed.tangents(poses, rows)
+        by_surface = None
+        if plain is not None:
+            by_surface = BlendedPrimitive(plain, matrices, Options()).tangents(poses, rows)[1]
+        return cls(
+            np.stack([axis.T for axis in standard]),
+            still,
+            by_fit,
+            by_surface,
+            np.ascontiguousarray(expected),
+            areas[:, None] * exist,
+            sides,
+        )
+
+    def errors(self, fit: float | None, share: float = 1.0) -> Float64Array:
+        """Return the angles to both truths (2, B, P), in degrees, of parts of the fit and of α and β.
+
+        With None, return those of standard lighting.
+        """
+        normal = self.standard
+        if fit is not None:
+            added = self.by_fit
+            if self.by_surface is not None and fit < 1.0:
+                added = self.by_surface + fit * (added - self.by_surface)
+            t, b = self.still + share * added
+            normal = self.sides * np.stack(cross(tuple(t), tuple(b)))
+        found = kernel.angles(tuple(axis.T for axis in normal), self.expected)
+        return np.where(np.isnan(found), 180.0, found)  # a normal without direction
+
+
+def _true_normals(
+    operator: GradientOperator, rests: Sequence[RestPrimitive], matrices: Float64Array
+) -> tuple[Float64Array, BoolArray, Float64Array]:
+    """Return the normals (2, 3, V, P) by both truths, where they exist (2, V, P), and the sides (V, P)."""
+    vertices, poses = len(operator.positions), len(matrices)
+    deformed = np.empty((3, vertices, poses))
+    for rest, own in zip(rests, operator.slices, strict=True):
+        whole = slice(0, len(rest.positions))
+        BlendedPrimitive(rest, matrices, Options()).put_positions(slice(0, poses), whole, deformed, own.start)
+    truths, sides = Truths.of(operator, rests, poses, USUAL_TRUTHS), sides_of(rests, matrices)
+    sums = truths.sums(deformed, Threads(1))
+    expected, exist = np.empty((2, 3, vertices, poses)), np.empty((2, vertices, poses), dtype=np.bool_)
+    for block in truths.vertex_blocks:
+        side = None if sides is None else sides[:, block.part]
+        expected[:, :, block.part], exist[:, block.part] = truths.normals(block.number, deformed, sums, side)
+    return expected, exist, np.ones((vertices, poses)) if sides is None else sides.T
+
+
+def _stretch(rig: Rig, matrices: Float64Array, positions: Float64Array) -> bool:
+    """Tell whether a joint moves against the joint that carries it, or scales a direction or all of them.
+
+    matrices are (P, J, 4, 4), positions (V, 3). The fit knows turns only.
+    """
+    count = min(len(rig.parents), matrices.shape[1])
+    held = np.flatnonzero((rig.parents[:count] != NO_PARENT) & np.isfinite(rig.pivots[:count]).all(axis=1))
+    held = held[rig.parents[held] < count]
+    own, above = matrices[:, held], matrices[:, rig.parents[held]]
+    pivots = np.append(rig.pivots[held], np.ones((len(held), 1)), axis=1)
+    against = np.einsum("pjik,jk->pji", (own - above)[..., :3, :], pivots)
+    extent = float(np.linalg.norm(np.ptp(positions, axis=0)))
+    lengths = np.linalg.norm(above[..., :3, :3], axis=(2, 3))
+    moves = np.linalg.norm(against, axis=2) > STRETCHED * extent * lengths
+    # A turn keeps all products of the columns. They are those of the identity, but for one factor.
+    squares = np.einsum("pjki,pjkl->pjil", own[..., :3, :3], own[..., :3, :3])
+    scales = np.abs(squares - (lengths**2 / 3.0)[..., None, None] * np.eye(3)).max(axis=(2, 3))
+    return bool((moves | (scales > 2.0 * STRETCHED * lengths**2 / 3.0)).any())
+
+
+class _Errors:
+    """The mean errors of a primitive over its vertices: in each set of poses, by both truths."""
+
+    def __init__(self, lights: Sequence[_Light]) -> None:
+        self._lights = [light for light in lights if (light.weights.sum(axis=(1, 2)) > 0.0).all()]
+
+    def of(self, fit: float | None) -> Float64Array:
+        """Return the mean errors (2 N,) of a part of the fit, None for standard lighting, in degrees."""
+        return self._means([light.errors(fit) for light in self._lights])
+
+    def _means(self, values: Sequence[FloatArray]) -> Float64Array:
+        pairs, axes = zip(self._lights, values, strict=True), (1, 2)
+        means = [(light.weights * own).sum(axes) / light.weights.sum(axes) for light, own in pairs]
+        return np.array(means).ravel()
+
+    def are_large(self, look: _Look) -> bool:
+        """Tell whether a primitive may not keep all it has. It may if nobody sees its errors."""
+        if not self._lights:
+            return False
+        errors = [light.errors(1.0) for light in self._lights]
+        if (self._means([(own >= UNSEEN).astype(np.float64) for own in errors]) < FEW).all():
+            return False
+        limits = [look.of_standard * self.of(None)]
+        if self._lights[0].by_surface is not None:
+            limits.append(look.of_surface * self.of(0.0))
+        return not all(bool((self._means(errors) <= limit).all()) for limit in limits)
+
+    def best(self, points: IntArray) -> tuple[float, IntArray]:
+        """Return the part of its fit that a primitive should keep, and the eighths (B,) of α and β.
+
+        points (B,) numbers the points of the surface: all vertices of one keep as much. Less of the fit is
+        kept only where joints stretch, and less of α and β only if they are still worse than standard
+        lighting then.
+        """
+        standard, fit = self.of(None), 1.0
+        if self._lights[0].by_surface is not None:
+            surface = np.maximum(self.of(0.0), TINY)
+            if not (self.of(1.0) <= CLOSE.of_surface * surface).all():
+                parts = (STEPS / EIGHTHS).tolist()
+                fit = parts[_first_least(np.array([(self.of(part) / surface).max() for part in parts]))]
+        if (self.of(fit) <= CLOSE.of_standard * standard).all():
+            return fit, np.full(len(points), EIGHTHS)
+        # The share of each point in the error of standard lighting: steps × sets and truths × points.
+        _, place = np.unique(points, return_inverse=True)
+        errors = np.array([self._by_point(fit, step / EIGHTHS, place) for step in STEPS])
+        errors /= np.maximum(self._by_point(None, 1.0, place).sum(axis=1), TINY)[:, None]
+        tried = []
+        for step in STEPS:
+            # Each point is lit best by a mean of both truths. That mean is best in which the worse one is.
+            importance = np.tile([step, EIGHTHS - step], len(self._lights))
+            chosen = _first_least(np.einsum("t,stp->sp", importance / EIGHTHS, errors))
+            worst = np.take_along_axis(errors, chosen[None, None], axis=0)[0].sum(axis=1).max()
+            tried.append((float(worst), chosen))
+        return fit, STEPS[tried[_first_least(np.array([worst for worst, _ in tried]))][1]][place]
+
+    def _by_point(self, fit: float | None, share: float, place: IntArray) -> Float64Array:
+        """Return the summed errors of all points, in each set of poses and by both truths: (2 N, points)."""
+        sums = [(light.weights * light.errors(fit, share)).sum(axis=2) for light in self._lights]
+        return np.array([np.bincount(place, row) for pair in sums for row in pair])
+
+
+def _first_least(values: Float64Array) -> Any:
+    """Return the place of the least of the values along the first axis, and of equal ones of the first."""
+    return (values <= values.min(axis=0) + TIE * np.abs(values).max(initial=TINY)).argmax(axis=0)
