@@ -348,21 +348,29 @@ function prepare(app, kept, material) {
 function isPrepared(material) {
     if (!material.hasShaderChunks) return false;
     const chunks = [SHADERLANGUAGE_GLSL, SHADERLANGUAGE_WGSL].map((language) => material.getShaderChunks(language));
-    return Object.keys(GLSL).every((name) => chunks.some((one) => one.get(name)?.includes('skinbake')));
+    const isOurs = (name) => chunks.some((one) => one.get(name)?.includes('skinbake'));
+    if (!isOurs('skinVS') || !isOurs('normalVS')) return false;
+    return !GLSL.TBNPS || isOurs('TBNPS') === isOurs('litUserMainEndVS');
 }
 
 // The text that follows PlayCanvas's own of each chunk.
 const ADDED = { [SHADERLANGUAGE_GLSL]: GLSL, [SHADERLANGUAGE_WGSL]: WGSL };
+
+// What normal maps need. It goes before what a page has at the end of main(). Where a page has another frame of tangents,
+// neither is added.
+const FOR_MAPS = ['litUserMainEndVS', 'TBNPS'];
 
 // PlayCanvas's own functions stay under another name: a mesh that is not baked runs them alone.
 const FUNCTIONS = {
     [SHADERLANGUAGE_GLSL]: {
         skinVS: [/mat4\s+getSkinMatrix\s*\(/, 'mat4 skinbake_usualSkinMatrix('],
         normalVS: [/vec3\s+getNormal\s*\(/, 'vec3 skinbake_usualNormal('],
+        TBNPS: [/void\s+getTBN\s*\(/, 'void skinbake_usualTBN('],
     },
     [SHADERLANGUAGE_WGSL]: {
         skinVS: [/fn\s+getSkinMatrix\s*\(/, 'fn skinbake_usualSkinMatrix('],
         normalVS: [/fn\s+getNormal\s*\(/, 'fn skinbake_usualNormal('],
+        TBNPS: [/fn\s+getTBN\s*\(/, 'fn skinbake_usualTBN('],
     },
 };
 
@@ -370,14 +378,24 @@ function chunksFor(device, material) {
     const texts = [];
     for (const [language, added] of Object.entries(ADDED)) {
         const chunks = {};
+        const chunkOf = (name) => (material.hasShaderChunks ? material.getShaderChunks(language).get(name) : undefined);
+        const frame = chunkOf('TBNPS') ?? ShaderChunks.get(device, language).get('TBNPS') ?? '';
+        const hasFrame = frame.includes('skinbake') ||
+            isUsual(frame, usualChunks.get(device)[language].TBNPS, FUNCTIONS[language].TBNPS[0]);
         for (const [name, text] of Object.entries(added)) {
-            const own = material.hasShaderChunks ? material.getShaderChunks(language).get(name) : undefined;
+            if (FOR_MAPS.includes(name) && !hasFrame) continue;
+            const own = chunkOf(name);
             const current = own ?? ShaderChunks.get(device, language).get(name);
             // A device has the chunks of one language only.
             if (current === undefined) continue;
-            const [signature, renamed] = FUNCTIONS[language][name];
             // The copy of a material has them already.
             const isOurs = current.includes('skinbake');
+            if (!FUNCTIONS[language][name]) {
+                chunks[name] = isOurs ? current : `${text}${current}`;
+                if (!isOurs) ownChunks.set(chunks[name], own);
+                continue;
+            }
+            const [signature, renamed] = FUNCTIONS[language][name];
             if (!isOurs && !isUsual(current, usualChunks.get(device)[language][name], signature)) return null;
             if (isOurs) {
                 chunks[name] = current;

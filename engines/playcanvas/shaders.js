@@ -23,6 +23,8 @@ struct skinbake_Vertex {
     vec3 normal;
     vec3 tangent;
     vec3 bitangent;
+    vec3 cotangent; // for normal maps: the cofactors of (t', b', T n0), of which normal is the third
+    vec3 cobitangent;
 };
 
 // The tangent frame at rest.
@@ -107,6 +109,9 @@ skinbake_Vertex skinbake_lbs_accurate(vec3 p, skinbake_Frame frame, mat4 M[4], v
     v.tangent = T * frame.tangent + alpha_0.x * d1 + alpha_0.y * d2 + alpha_0.z * d3; // 4
     v.bitangent = T * frame.bitangent + beta_0.x * d1 + beta_0.y * d2 + beta_0.z * d3; // 5
     v.normal = frame.handedness * cross(v.tangent, v.bitangent); // 6
+    vec3 carried = T * frame.normal; // 8
+    v.cotangent = frame.handedness * cross(v.bitangent, carried); // 9
+    v.cobitangent = frame.handedness * cross(carried, v.tangent); // 10
     v.position = q0 + weights_0.y * d1 + weights_0.z * d2 + weights_0.w * d3; // 7
     return v;
 }
@@ -191,6 +196,10 @@ skinbake_Vertex skinbake_dqs_exact(vec3 p, skinbake_Frame frame, mat2x4 Q[4], ve
     v.tangent = skinbake_derivative(b, k, p, i, delta, frame.tangent, db_t); // 7
     v.bitangent = skinbake_derivative(b, k, p, i, delta, frame.bitangent, db_b); // 8
     v.normal = frame.handedness * cross(v.tangent, v.bitangent); // 9
+    vec3 carried = frame.normal + k * cross(b[0].xyz, b[0].w * frame.normal + cross(b[0].xyz,
+            frame.normal)); // 10
+    v.cotangent = frame.handedness * cross(v.bitangent, carried); // 11
+    v.cobitangent = frame.handedness * cross(carried, v.tangent); // 12
     return v;
 }
 
@@ -267,12 +276,17 @@ skinbake_Vertex skinbake_turned(vec3 p, skinbake_Frame frame, mat4 M[4], vec3 al
     skinbake_Relation joints = skinbake_related(M);
     frame.tangent = joints.stretch * frame.tangent;
     frame.bitangent = joints.stretch * frame.bitangent;
+    frame.normal = joints.stretch * frame.normal; // moves what is displaced along it
     skinbake_Vertex v = skinbake_dqs_exact(
         joints.stretch * p, frame, joints.motions, skinbake_weights(), alpha, beta);
     v.position = joints.outer * v.position + M[0][3].xyz;
     v.tangent = joints.outer * v.tangent;
     v.bitangent = joints.outer * v.bitangent;
     v.normal = frame.handedness * skinbake_side(M) * cross(v.tangent, v.bitangent);
+    mat3 outer = joints.outer;
+    mat3 cofactors = mat3(cross(outer[1], outer[2]), cross(outer[2], outer[0]), cross(outer[0], outer[1]));
+    v.cotangent = skinbake_side(M) * (cofactors * v.cotangent);
+    v.cobitangent = skinbake_side(M) * (cofactors * v.cobitangent);
     return v;
 }
 
@@ -291,7 +305,16 @@ mat4 getSkinMatrix(const in vec4 indices, const in vec4 weights)
 }
 `,
     normalVS: /* glsl */ `
+#ifdef TANGENTS
+varying vec2 vSkinbakeLengths;
+#endif
 #if defined(SKIN) && !defined(BATCH)
+// For normal maps.
+skinbake_Vertex skinbakeLit;
+skinbake_Frame skinbakeRest;
+float skinbakeUnit; // the length of t0
+mat3 skinbakeCofactors;
+
 vec3 skinbake_normal()
 {
     vec3 n0 = dot(vertex_normal, vertex_normal) > 0.0 ? normalize(vertex_normal) : vec3(0.0, 0.0, 1.0);
@@ -310,6 +333,8 @@ vec3 skinbake_normal()
     } else {
         v = skinbake_lbs_accurate(p, frame, M, skinbake_weights(), alpha, beta);
         v.normal *= skinbake_side(M);
+        v.cotangent *= skinbake_side(M);
+        v.cobitangent *= skinbake_side(M);
     }
     mat3 world = mat3(matrix_model);
     mat3 cofactors = mat3(cross(world[1], world[2]), cross(world[2], world[0]), cross(world[0], world[1]));
@@ -320,6 +345,10 @@ vec3 skinbake_normal()
 #ifndef TANGENTS
     dNormalMatrix += outerProduct(normal, n0);
 #endif
+    skinbakeLit = v;
+    skinbakeRest = rest;
+    skinbakeUnit = length(frame.tangent);
+    skinbakeCofactors = cofactors * (determinant(world) < 0.0 ? -1.0 : 1.0);
     return normal;
 }
 #endif
@@ -330,6 +359,54 @@ vec3 getNormal()
     if (skinbake_isBaked()) return skinbake_normal();
 #endif
     return skinbake_usualNormal();
+}
+`,
+    // A normal map is a relief over the surface: its slopes are carried by cofactors, as the normal is. Directions have
+    // length 1, and their lengths over that of the normal vary beside them.
+    litUserMainEndVS: /* glsl */ `
+#ifdef TANGENTS
+vSkinbakeLengths = vec2(1.0);
+#if defined(SKIN) && !defined(BATCH)
+if (skinbake_isBaked()) {
+    vec3 cotangent = skinbakeUnit * skinbakeLit.cotangent;
+    vec3 cobitangent = skinbakeUnit * skinbakeLit.cobitangent;
+    if (skinbakeConstants.x < 2.5) {
+        // Cofactors are linear: those of t and b follow from those of t0, b0 and n0. t may lean from n0.
+        vec3 t = normalize(vertex_tangent.xyz);
+        vec3 b = vertex_tangent.w * normalize(cross(skinbakeRest.normal, t));
+        vec3 c = cotangent;
+        cotangent = dot(t, skinbakeRest.tangent) * c + dot(t, skinbakeRest.bitangent) * cobitangent
+            + dot(t, skinbakeRest.normal) * skinbakeLit.normal;
+        cobitangent = dot(b, skinbakeRest.tangent) * c + dot(b, skinbakeRest.bitangent) * cobitangent;
+    }
+    vTangentW = skinbakeCofactors * cotangent;
+    vBinormalW = skinbakeCofactors * cobitangent;
+    vSkinbakeLengths = vec2(length(vTangentW), length(vBinormalW)) / length(skinbakeCofactors * skinbakeLit.normal);
+    vTangentW = normalize(vTangentW);
+    vBinormalW = normalize(vBinormalW);
+}
+#endif
+#endif
+`,
+    TBNPS: /* glsl */ `
+#ifdef TBN_TANGENTS
+varying vec2 vSkinbakeLengths;
+#endif
+
+void getTBN(vec3 tangent, vec3 binormal, vec3 normal)
+{
+    skinbake_usualTBN(tangent, binormal, normal);
+#ifdef TBN_TANGENTS
+#ifdef LIT_GGX_SPECULAR
+    // Anisotropy follows the image of TANGENT itself.
+    float side = dot(cross(dTBN[0], dTBN[1]), dTBN[2]) < 0.0 ? -1.0 : 1.0;
+    dTBN[0] = side * normalize(cross(dTBN[1], dTBN[2]));
+    dTBN[1] = side * cross(dTBN[2], dTBN[0]);
+#else
+    dTBN[0] *= vSkinbakeLengths.x;
+    dTBN[1] *= vSkinbakeLengths.y;
+#endif
+#endif
 }
 `,
 };
@@ -346,6 +423,8 @@ struct skinbake_Vertex {
     normal: vec3<f32>,
     tangent: vec3<f32>,
     bitangent: vec3<f32>,
+    cotangent: vec3<f32>, // for normal maps: the cofactors of (t', b', T n0), of which normal is the third
+    cobitangent: vec3<f32>,
 }
 
 // The tangent frame at rest.
@@ -417,7 +496,10 @@ fn skinbake_lbs_accurate(p: vec3<f32>, frame: skinbake_Frame, M: array<mat4x4<f3
     let bitangent = T * frame.bitangent + beta_0.x * d1 + beta_0.y * d2 + beta_0.z * d3; // 5
     let normal = frame.handedness * cross(tangent, bitangent); // 6
     let position = q0 + weights_0.y * d1 + weights_0.z * d2 + weights_0.w * d3; // 7
-    return skinbake_Vertex(position, normal, tangent, bitangent);
+    let carried = T * frame.normal; // 8
+    let cotangent = frame.handedness * cross(bitangent, carried); // 9
+    let cobitangent = frame.handedness * cross(carried, tangent); // 10
+    return skinbake_Vertex(position, normal, tangent, bitangent, cotangent, cobitangent);
 }
 
 // The unit dual quaternion of a rigid joint matrix. [0] is its real part (x, y, z, w), w the scalar; [1] is its
@@ -487,7 +569,11 @@ fn skinbake_dqs_exact(p: vec3<f32>, frame: skinbake_Frame, Q: array<mat2x4<f32>,
     let tangent = skinbake_derivative(b, k, p, i, delta, frame.tangent, db_t); // 7
     let bitangent = skinbake_derivative(b, k, p, i, delta, frame.bitangent, db_b); // 8
     let normal = frame.handedness * cross(tangent, bitangent); // 9
-    return skinbake_Vertex(position, normal, tangent, bitangent);
+    let carried = frame.normal + k * cross(b[0].xyz, b[0].w * frame.normal + cross(b[0].xyz,
+            frame.normal)); // 10
+    let cotangent = frame.handedness * cross(bitangent, carried); // 11
+    let cobitangent = frame.handedness * cross(carried, tangent); // 12
+    return skinbake_Vertex(position, normal, tangent, bitangent, cotangent, cobitangent);
 }
 
 fn skinbake_isBaked() -> bool {
@@ -567,12 +653,15 @@ fn skinbake_turned(
 ) -> skinbake_Vertex {
     let joints = skinbake_related(M);
     let tangent = joints.stretch * rest.tangent;
-    let frame = skinbake_Frame(rest.normal, tangent, joints.stretch * rest.bitangent, rest.handedness);
+    let frame = skinbake_Frame(
+        joints.stretch * rest.normal, tangent, joints.stretch * rest.bitangent, rest.handedness);
     var v = skinbake_dqs_exact(joints.stretch * p, frame, joints.motions, skinbake_weights(), alpha, beta);
     v.position = joints.outer * v.position + M[0][3].xyz;
     v.tangent = joints.outer * v.tangent;
     v.bitangent = joints.outer * v.bitangent;
     v.normal = rest.handedness * skinbake_side(M) * cross(v.tangent, v.bitangent);
+    v.cotangent = skinbake_side(M) * (skinbake_cofactors(joints.outer) * v.cotangent);
+    v.cobitangent = skinbake_side(M) * (skinbake_cofactors(joints.outer) * v.cobitangent);
     return v;
 }
 
@@ -587,7 +676,15 @@ fn getSkinMatrix(indices: vec4f, weights: vec4f) -> mat4x4f {
 }
 `,
     normalVS: /* wgsl */ `
+#ifdef TANGENTS
+varying vSkinbakeLengths: vec2f;
+#endif
 #if defined(SKIN) && !defined(BATCH)
+var<private> skinbakeLit: skinbake_Vertex;
+var<private> skinbakeRest: skinbake_Frame;
+var<private> skinbakeUnit: f32;
+var<private> skinbakeCofactors: mat3x3f;
+
 // The matrix whose columns are a * b.x, a * b.y, a * b.z.
 fn skinbake_outer(a: vec3f, b: vec3f) -> mat3x3f {
     return mat3x3f(a * b.x, a * b.y, a * b.z);
@@ -618,6 +715,8 @@ fn skinbake_normal() -> vec3f {
     } else {
         v = skinbake_lbs_accurate(p, frame, M, skinbake_weights(), alpha, beta);
         v.normal *= skinbake_side(M);
+        v.cotangent *= skinbake_side(M);
+        v.cobitangent *= skinbake_side(M);
     }
     let world = skinbake_linear(skinbake_model());
     let normal = normalize((skinbake_cofactors(world) * v.normal) * select(1.0, -1.0, determinant(world) < 0.0));
@@ -626,6 +725,10 @@ fn skinbake_normal() -> vec3f {
 #ifndef TANGENTS
     dNormalMatrix = dNormalMatrix + skinbake_outer(normal, n0);
 #endif
+    skinbakeLit = v;
+    skinbakeRest = rest;
+    skinbakeUnit = length(frame.tangent);
+    skinbakeCofactors = skinbake_cofactors(world) * select(1.0, -1.0, determinant(world) < 0.0);
     return normal;
 }
 #endif
@@ -635,6 +738,49 @@ fn getNormal() -> vec3f {
     if (skinbake_isBaked()) { return skinbake_normal(); }
 #endif
     return skinbake_usualNormal();
+}
+`,
+    litUserMainEndVS: /* wgsl */ `
+#ifdef TANGENTS
+output.vSkinbakeLengths = vec2f(1.0);
+#if defined(SKIN) && !defined(BATCH)
+if (skinbake_isBaked()) {
+    var cotangent = skinbakeUnit * skinbakeLit.cotangent;
+    var cobitangent = skinbakeUnit * skinbakeLit.cobitangent;
+    if (uniform.skinbakeConstants.x < 2.5) {
+        let t = normalize(vertex_tangent.xyz);
+        let b = vertex_tangent.w * normalize(cross(skinbakeRest.normal, t));
+        let c = cotangent;
+        cotangent = dot(t, skinbakeRest.tangent) * c + dot(t, skinbakeRest.bitangent) * cobitangent
+            + dot(t, skinbakeRest.normal) * skinbakeLit.normal;
+        cobitangent = dot(b, skinbakeRest.tangent) * c + dot(b, skinbakeRest.bitangent) * cobitangent;
+    }
+    cotangent = skinbakeCofactors * cotangent;
+    cobitangent = skinbakeCofactors * cobitangent;
+    output.vSkinbakeLengths =
+        vec2f(length(cotangent), length(cobitangent)) / length(skinbakeCofactors * skinbakeLit.normal);
+    output.vTangentW = normalize(cotangent);
+    output.vBinormalW = normalize(cobitangent);
+}
+#endif
+#endif
+`,
+    TBNPS: /* wgsl */ `
+#ifdef TBN_TANGENTS
+varying vSkinbakeLengths: vec2f;
+#endif
+
+fn getTBN(tangent: vec3f, binormal: vec3f, normal: vec3f) {
+    skinbake_usualTBN(tangent, binormal, normal);
+#ifdef TBN_TANGENTS
+#ifdef LIT_GGX_SPECULAR
+    let side = select(1.0, -1.0, dot(cross(dTBN[0], dTBN[1]), dTBN[2]) < 0.0);
+    let t = side * normalize(cross(dTBN[1], dTBN[2]));
+    dTBN = mat3x3f(t, side * cross(dTBN[2], t), dTBN[2]);
+#else
+    dTBN = mat3x3f(vSkinbakeLengths.x * dTBN[0], vSkinbakeLengths.y * dTBN[1], dTBN[2]);
+#endif
+#endif
 }
 `,
 };

@@ -92,7 +92,11 @@ const FRAGMENT = {
     [pc.SHADERLANGUAGE_WGSL]: 'output.color = vec4f(VARYING, 1.0);',
 };
 // Shadows are drawn without the varyings.
-const guarded = (text, varying) => `\n#ifdef VARYING_${varying.toUpperCase()}\n${text.replace('VARYING', varying)}\n#endif\n`;
+// dNormalW is the mapped normal of the pixel.
+const guarded = (text, varying) => {
+    const name = varying === 'dNormalW' ? 'VNORMALW' : varying.toUpperCase();
+    return `\n#ifdef VARYING_${name}\n${text.replace('VARYING', varying)}\n#endif\n`;
+};
 
 
 // Draw, and return the varying of each vertex of one mesh, and what `look` finds before anything else is drawn.
@@ -143,7 +147,7 @@ async function read({ app, camera }, instance, varying, look) {
 
 // Load a character, change it as a page might, draw it, and return what its vertex shader hands on.
 export async function draw(options) {
-    const { backend = 'webgl2', change = '', mapped = false, morphs = [], node = null, root = null, shadows = false, varyings = ['vNormalW'] } = options;
+    const { backend = 'webgl2', change = '', anisotropic = false, mapped = null, morphs = [], node = null, root = null, shadows = false, varyings = ['vNormalW'] } = options;
     const one = await application(backend);
     const { app } = one;
     one.sun.castShadows = shadows;
@@ -163,7 +167,7 @@ export async function draw(options) {
         pose(instance, options.pose ?? {}, morphs);
         if (node) place(instance.node, node);
         instance.cull = false;
-        if (mapped) map(app, instance.material);
+        if (mapped) map(app, instance.material, mapped, anisotropic);
     }
     const report = skinbake.skinbakeReport(entity).meshes;
     app.update(0);
@@ -187,11 +191,12 @@ export async function draw(options) {
     return result;
 }
 
-function map(app, material) {
+function map(app, material, texel, anisotropic) {
     const texture = new pc.Texture(app.graphicsDevice, { width: 1, height: 1, format: pc.PIXELFORMAT_RGBA8 });
-    texture.lock().set([128, 128, 255, 255]);
+    texture.lock().set([...texel, 255]);
     texture.unlock();
     material.normalMap = texture;
+    material.enableGGXSpecular = anisotropic;
     material.update();
 }
 

@@ -22,6 +22,7 @@ from tests.support import browser, corpus, gltf_reading
 from tests.support.baked_files import Editable
 from tests.support.baking import bake_file
 from tests.support.characters import AS_USUAL, Array, Character, Normals, Placement, Pose, angles, baked
+from tests.support.mapped import TEXELS, Columns, columns, texel_normal
 from tests.support.node import package_folder, require_node
 from tests.support.replay import replay
 from tests.support.stage import Stage, opened_page, page_of, require_backend
@@ -133,10 +134,46 @@ def test_a_placed_character_has_normals_and_tangents(
 ) -> None:
     require_backend(stage, backend)
     character = stage.character(MIRRORED, RANDOM, frame)
-    found = stage.draw(character, backend=backend, root=root, mapped=True, varyings=["vNormalW", "vTangentW"])
-    wanted = expected(character, found)
-    assert largest(found["values"][0], wanted.normals) < DEGREES
-    assert largest(found["values"][1], wanted.tangents) < DEGREES
+    varyings = ["vNormalW", "vTangentW", "vBinormalW"]
+    found = stage.draw(character, backend=backend, root=root, mapped=TEXELS[0], varyings=varyings)
+    relief = relief_of(character, found)
+    for values, wanted in zip(found["values"], (relief.n, relief.t, relief.b), strict=True):
+        assert largest(values, wanted) < DEGREES
+
+
+def relief_of(
+    character: Character, found: dict[str, Any], algorithm: Algorithm = Algorithm.LBS_ACCURATE
+) -> Columns:
+    world = np.array(found["world"]).reshape(4, 4).T
+    return columns(character, algorithm, at(character, found, world))
+
+
+@pytest.mark.parametrize("texel", TEXELS[:2])
+@pytest.mark.parametrize(("frame", "method"), [("normal", "lbs"), ("tangent", "lbs"), ("normal", "dqs")])
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_relief_has_the_mapped_normals_of_the_replay(
+    stage: DrawingStage, frame: str, method: str, backend: str, texel: tuple[int, ...]
+) -> None:
+    """At the pixel of each vertex, as its fragment shader has them. Below a mirror, bumps stay bumps."""
+    require_backend(stage, backend)
+    character = stage.character(MIRRORED, RANDOM, frame)
+    root = FLIPPED if method == "lbs" else TURNED
+    options = {"backend": backend, "root": root, "method": method, "mapped": texel}
+    found = stage.draw(character, varyings=["dNormalW"], **options)
+    algorithm = Algorithm.LBS_ACCURATE if method == "lbs" else Algorithm.DQS_EXACT
+    relief, (x, y, z) = relief_of(character, found, algorithm), texel_normal(texel)
+    assert largest(found["values"][0], x * relief.t + y * relief.b + z * relief.n) < 0.2
+    assert found["report"] == [["accurate", ""]]
+
+
+def test_anisotropic_materials_keep_the_frame_of_playcanvas(stage: DrawingStage) -> None:
+    character = stage.character(MIRRORED, RANDOM, "normal")
+    found = stage.draw(character, varyings=["dNormalW"], mapped=TEXELS[0], anisotropic=True)
+    wanted, (x, y, z) = expected(character, found), texel_normal(TEXELS[0])
+    assert wanted.tangents is not None
+    assert character.tangents is not None
+    bitangents = character.tangents[:, 3:] * np.cross(wanted.normals, wanted.tangents)
+    assert largest(found["values"][0], x * wanted.tangents + y * bitangents + z * wanted.normals) < 0.2
 
 
 @pytest.mark.parametrize(("frame", "backend"), [("normal", "webgl2"), ("tangent", "webgpu")])
@@ -229,7 +266,7 @@ def test_only_the_root_moves_a_skinned_mesh(
     algorithm = Algorithm.DQS_EXACT if method == "dqs" else Algorithm.LBS_ACCURATE
     varyings = ["vPositionW", "vNormalW", "vTangentW"]
     found = stage.draw(
-        character, backend=backend, method=method, node=node, root=root, mapped=True, varyings=varyings
+        character, backend=backend, method=method, node=node, root=root, mapped=TEXELS[0], varyings=varyings
     )
     matrix = np.array(found["root"]).reshape(4, 4).T
     posed = replay(algorithm, character.rest, character.joints[None])
@@ -237,7 +274,8 @@ def test_only_the_root_moves_a_skinned_mesh(
     wanted = character.expected(algorithm, dataclasses.replace(Placement(), root=matrix, world=matrix))
     assert np.abs(vectors(found["values"][0]) - positions).max() < 1e-5 * np.ptp(positions)
     assert largest(found["values"][1], wanted.normals) < DEGREES
-    assert largest(found["values"][2], wanted.tangents) < DEGREES
+    relief = columns(character, algorithm, dataclasses.replace(Placement(), root=matrix, world=matrix))
+    assert largest(found["values"][2], relief.t) < DEGREES
     assert found["report"] == [["accurate", ""]]
 
 

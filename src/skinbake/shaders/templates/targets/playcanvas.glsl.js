@@ -8,13 +8,14 @@
 //%   set _ = refuse("influences", "PlayCanvas always reads four influences per vertex; use --influences 4")
 //% endif
 //% set blended = lighting if method == "lbs" else "accurate"
-//% set common = {"morphs": "normal", "frame": "tangent", "encoding": "float32", "layout": "attributes", "attributes": None, "also": ["frame_normal"]}
+//% set mapped = blended == "accurate"
+//% set common = {"morphs": "normal", "frame": "tangent", "encoding": "float32", "layout": "attributes", "attributes": None, "also": ["frame_normal"], "normal_map": mapped}
 //% set lbs = text_for(language="glsl", method="lbs", lighting=blended, **common)
 //% set dqs = text_for(language="glsl", method="dqs", lighting="exact", mirrored_joints=False, **common)
-//% set glsl = dict(lbs.parts, **dqs.parts).values() | join("\n\n")
+//% set glsl = dict(lbs.parts, **dqs.parts).items() | rejectattr(0, "equalto", "normal_map") | map(attribute=1) | join("\n\n")
 //% set lbs = text_for(language="wgsl", method="lbs", lighting=blended, **common)
 //% set dqs = text_for(language="wgsl", method="dqs", lighting="exact", mirrored_joints=False, **common)
-//% set wgsl = dict(lbs.parts, **dqs.parts).values() | join("\n\n")
+//% set wgsl = dict(lbs.parts, **dqs.parts).items() | rejectattr(0, "equalto", "normal_map") | map(attribute=1) | join("\n\n")
 // Shader text, written by skinbake @{ version }:
 //     @{ command }
 //
@@ -107,12 +108,21 @@ skinbake_Vertex skinbake_turned(vec3 p, skinbake_Frame frame, mat4 M[4], vec3 al
     skinbake_Relation joints = skinbake_related(M);
     frame.tangent = joints.stretch * frame.tangent;
     frame.bitangent = joints.stretch * frame.bitangent;
+//% if mapped
+    frame.normal = joints.stretch * frame.normal; // moves what is displaced along it
+//% endif
     skinbake_Vertex v = skinbake_dqs_exact(
         joints.stretch * p, frame, joints.motions, skinbake_weights(), alpha, beta);
     v.position = joints.outer * v.position + M[0][3].xyz;
     v.tangent = joints.outer * v.tangent;
     v.bitangent = joints.outer * v.bitangent;
     v.normal = frame.handedness * skinbake_side(M) * cross(v.tangent, v.bitangent);
+//% if mapped
+    mat3 outer = joints.outer;
+    mat3 cofactors = mat3(cross(outer[1], outer[2]), cross(outer[2], outer[0]), cross(outer[0], outer[1]));
+    v.cotangent = skinbake_side(M) * (cofactors * v.cotangent);
+    v.cobitangent = skinbake_side(M) * (cofactors * v.cobitangent);
+//% endif
     return v;
 }
 
@@ -131,7 +141,20 @@ mat4 getSkinMatrix(const in vec4 indices, const in vec4 weights)
 }
 `,
     normalVS: /* glsl */ `
+//% if mapped
+#ifdef TANGENTS
+varying vec2 vSkinbakeLengths;
+#endif
+//% endif
 #if defined(SKIN) && !defined(BATCH)
+//% if mapped
+// For normal maps.
+skinbake_Vertex skinbakeLit;
+skinbake_Frame skinbakeRest;
+float skinbakeUnit; // the length of t0
+mat3 skinbakeCofactors;
+
+//% endif
 vec3 skinbake_normal()
 {
     vec3 n0 = dot(vertex_normal, vertex_normal) > 0.0 ? normalize(vertex_normal) : vec3(0.0, 0.0, 1.0);
@@ -153,6 +176,10 @@ vec3 skinbake_normal()
 //% else
         v = skinbake_lbs_accurate(p, frame, M, skinbake_weights(), alpha, beta);
         v.normal *= skinbake_side(M);
+//%   if mapped
+        v.cotangent *= skinbake_side(M);
+        v.cobitangent *= skinbake_side(M);
+//%   endif
 //% endif
     }
     mat3 world = mat3(matrix_model);
@@ -164,6 +191,12 @@ vec3 skinbake_normal()
 #ifndef TANGENTS
     dNormalMatrix += outerProduct(normal, n0);
 #endif
+//% if mapped
+    skinbakeLit = v;
+    skinbakeRest = rest;
+    skinbakeUnit = length(frame.tangent);
+    skinbakeCofactors = cofactors * (determinant(world) < 0.0 ? -1.0 : 1.0);
+//% endif
     return normal;
 }
 #endif
@@ -176,6 +209,56 @@ vec3 getNormal()
     return skinbake_usualNormal();
 }
 `,
+//% if mapped
+    // A normal map is a relief over the surface: its slopes are carried by cofactors, as the normal is. Directions have
+    // length 1, and their lengths over that of the normal vary beside them.
+    litUserMainEndVS: /* glsl */ `
+#ifdef TANGENTS
+vSkinbakeLengths = vec2(1.0);
+#if defined(SKIN) && !defined(BATCH)
+if (skinbake_isBaked()) {
+    vec3 cotangent = skinbakeUnit * skinbakeLit.cotangent;
+    vec3 cobitangent = skinbakeUnit * skinbakeLit.cobitangent;
+    if (skinbakeConstants.x < 2.5) {
+        // Cofactors are linear: those of t and b follow from those of t0, b0 and n0. t may lean from n0.
+        vec3 t = normalize(vertex_tangent.xyz);
+        vec3 b = vertex_tangent.w * normalize(cross(skinbakeRest.normal, t));
+        vec3 c = cotangent;
+        cotangent = dot(t, skinbakeRest.tangent) * c + dot(t, skinbakeRest.bitangent) * cobitangent
+            + dot(t, skinbakeRest.normal) * skinbakeLit.normal;
+        cobitangent = dot(b, skinbakeRest.tangent) * c + dot(b, skinbakeRest.bitangent) * cobitangent;
+    }
+    vTangentW = skinbakeCofactors * cotangent;
+    vBinormalW = skinbakeCofactors * cobitangent;
+    vSkinbakeLengths = vec2(length(vTangentW), length(vBinormalW)) / length(skinbakeCofactors * skinbakeLit.normal);
+    vTangentW = normalize(vTangentW);
+    vBinormalW = normalize(vBinormalW);
+}
+#endif
+#endif
+`,
+    TBNPS: /* glsl */ `
+#ifdef TBN_TANGENTS
+varying vec2 vSkinbakeLengths;
+#endif
+
+void getTBN(vec3 tangent, vec3 binormal, vec3 normal)
+{
+    skinbake_usualTBN(tangent, binormal, normal);
+#ifdef TBN_TANGENTS
+#ifdef LIT_GGX_SPECULAR
+    // Anisotropy follows the image of TANGENT itself.
+    float side = dot(cross(dTBN[0], dTBN[1]), dTBN[2]) < 0.0 ? -1.0 : 1.0;
+    dTBN[0] = side * normalize(cross(dTBN[1], dTBN[2]));
+    dTBN[1] = side * cross(dTBN[2], dTBN[0]);
+#else
+    dTBN[0] *= vSkinbakeLengths.x;
+    dTBN[1] *= vSkinbakeLengths.y;
+#endif
+#endif
+}
+`,
+//% endif
 };
 
 export const WGSL = {
@@ -263,12 +346,17 @@ fn skinbake_turned(
 ) -> skinbake_Vertex {
     let joints = skinbake_related(M);
     let tangent = joints.stretch * rest.tangent;
-    let frame = skinbake_Frame(rest.normal, tangent, joints.stretch * rest.bitangent, rest.handedness);
+    let frame = skinbake_Frame(
+        joints.stretch * rest.normal, tangent, joints.stretch * rest.bitangent, rest.handedness);
     var v = skinbake_dqs_exact(joints.stretch * p, frame, joints.motions, skinbake_weights(), alpha, beta);
     v.position = joints.outer * v.position + M[0][3].xyz;
     v.tangent = joints.outer * v.tangent;
     v.bitangent = joints.outer * v.bitangent;
     v.normal = rest.handedness * skinbake_side(M) * cross(v.tangent, v.bitangent);
+//% if mapped
+    v.cotangent = skinbake_side(M) * (skinbake_cofactors(joints.outer) * v.cotangent);
+    v.cobitangent = skinbake_side(M) * (skinbake_cofactors(joints.outer) * v.cobitangent);
+//% endif
     return v;
 }
 
@@ -283,7 +371,19 @@ fn getSkinMatrix(indices: vec4f, weights: vec4f) -> mat4x4f {
 }
 `,
     normalVS: /* wgsl */ `
+//% if mapped
+#ifdef TANGENTS
+varying vSkinbakeLengths: vec2f;
+#endif
+//% endif
 #if defined(SKIN) && !defined(BATCH)
+//% if mapped
+var<private> skinbakeLit: skinbake_Vertex;
+var<private> skinbakeRest: skinbake_Frame;
+var<private> skinbakeUnit: f32;
+var<private> skinbakeCofactors: mat3x3f;
+
+//% endif
 // The matrix whose columns are a * b.x, a * b.y, a * b.z.
 fn skinbake_outer(a: vec3f, b: vec3f) -> mat3x3f {
     return mat3x3f(a * b.x, a * b.y, a * b.z);
@@ -317,6 +417,10 @@ fn skinbake_normal() -> vec3f {
 //% else
         v = skinbake_lbs_accurate(p, frame, M, skinbake_weights(), alpha, beta);
         v.normal *= skinbake_side(M);
+//%   if mapped
+        v.cotangent *= skinbake_side(M);
+        v.cobitangent *= skinbake_side(M);
+//%   endif
 //% endif
     }
     let world = skinbake_linear(skinbake_model());
@@ -326,6 +430,12 @@ fn skinbake_normal() -> vec3f {
 #ifndef TANGENTS
     dNormalMatrix = dNormalMatrix + skinbake_outer(normal, n0);
 #endif
+//% if mapped
+    skinbakeLit = v;
+    skinbakeRest = rest;
+    skinbakeUnit = length(frame.tangent);
+    skinbakeCofactors = skinbake_cofactors(world) * select(1.0, -1.0, determinant(world) < 0.0);
+//% endif
     return normal;
 }
 #endif
@@ -337,4 +447,49 @@ fn getNormal() -> vec3f {
     return skinbake_usualNormal();
 }
 `,
+//% if mapped
+    litUserMainEndVS: /* wgsl */ `
+#ifdef TANGENTS
+output.vSkinbakeLengths = vec2f(1.0);
+#if defined(SKIN) && !defined(BATCH)
+if (skinbake_isBaked()) {
+    var cotangent = skinbakeUnit * skinbakeLit.cotangent;
+    var cobitangent = skinbakeUnit * skinbakeLit.cobitangent;
+    if (uniform.skinbakeConstants.x < 2.5) {
+        let t = normalize(vertex_tangent.xyz);
+        let b = vertex_tangent.w * normalize(cross(skinbakeRest.normal, t));
+        let c = cotangent;
+        cotangent = dot(t, skinbakeRest.tangent) * c + dot(t, skinbakeRest.bitangent) * cobitangent
+            + dot(t, skinbakeRest.normal) * skinbakeLit.normal;
+        cobitangent = dot(b, skinbakeRest.tangent) * c + dot(b, skinbakeRest.bitangent) * cobitangent;
+    }
+    cotangent = skinbakeCofactors * cotangent;
+    cobitangent = skinbakeCofactors * cobitangent;
+    output.vSkinbakeLengths =
+        vec2f(length(cotangent), length(cobitangent)) / length(skinbakeCofactors * skinbakeLit.normal);
+    output.vTangentW = normalize(cotangent);
+    output.vBinormalW = normalize(cobitangent);
+}
+#endif
+#endif
+`,
+    TBNPS: /* wgsl */ `
+#ifdef TBN_TANGENTS
+varying vSkinbakeLengths: vec2f;
+#endif
+
+fn getTBN(tangent: vec3f, binormal: vec3f, normal: vec3f) {
+    skinbake_usualTBN(tangent, binormal, normal);
+#ifdef TBN_TANGENTS
+#ifdef LIT_GGX_SPECULAR
+    let side = select(1.0, -1.0, dot(cross(dTBN[0], dTBN[1]), dTBN[2]) < 0.0);
+    let t = side * normalize(cross(dTBN[1], dTBN[2]));
+    dTBN = mat3x3f(t, side * cross(dTBN[2], t), dTBN[2]);
+#else
+    dTBN = mat3x3f(vSkinbakeLengths.x * dTBN[0], vSkinbakeLengths.y * dTBN[1], dTBN[2]);
+#endif
+#endif
+}
+`,
+//% endif
 };
