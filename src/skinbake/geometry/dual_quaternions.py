@@ -58,6 +58,7 @@ def rigid_motions(
     used = np.ones(joints, dtype=np.bool_) if in_use is None else in_use
     scale, deviation = _scale_and_deviation(matrices, used)
     rigid = used & (deviation <= tolerance)
+    # What is left of the matrix without the common scale; the identity where it is no rotation.
     motions = np.tile(np.eye(4), (poses, joints, 1, 1))
     motions[:, rigid] = matrices[:, rigid]
     motions[:, rigid, :3, :3] /= scale[:, None, None, None]
@@ -77,6 +78,7 @@ def _scale_and_deviation(matrices: Float64Array, used: BoolArray) -> tuple[Float
     """Return the common scale (P,), and the largest deviation (J,) of each joint in use, 0 for the others."""
     finite = np.all(np.isfinite(matrices), axis=(2, 3))
     linear = np.where(finite[..., None, None], matrices[..., :3, :3], 0.0)
+    # A mirrored matrix has a negative determinant, and one that is not finite 0: neither is rigid.
     determinant = np.linalg.det(linear)
     scale = _common_scale(determinant, used)
     by_pose = np.where(determinant > 0, _deviation(linear, scale), np.inf)
@@ -113,6 +115,7 @@ def quaternions_from_rotations(rotations: FloatArray) -> Float64Array:
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (
         tuple(r[..., row, col] for col in range(3)) for row in range(3)
     )
+    # The matrix 4 q qᵀ, row by row.
     outer = np.stack(
         [
             np.stack([1 + xx + yy + zz, zy - yz, xz - zx, yx - xy], axis=-1),
@@ -122,6 +125,7 @@ def quaternions_from_rotations(rotations: FloatArray) -> Float64Array:
         ],
         axis=-2,
     )
+    # Its longest row, at unit length.
     largest = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
     row = np.take_along_axis(outer, largest[..., None, None], axis=-2)[..., 0, :]
     unit: Float64Array = row / np.linalg.norm(row, axis=-1, keepdims=True)
@@ -138,6 +142,7 @@ def dual_quaternions_from_matrices(matrices: FloatArray) -> Float64Array:
     wide = np.asarray(matrices, dtype=np.float64)
     real = quaternions_from_rotations(wide[..., :3, :3])
     translation = wide[..., :3, 3]
+    # The product (0, τ) r of two quaternions, by scalar and vector parts.
     scalar, vector = real[..., :1], real[..., 1:]
     dual_scalar = -np.sum(translation * vector, axis=-1, keepdims=True)
     dual_vector = scalar * translation + np.cross(translation, vector)
@@ -171,5 +176,6 @@ def joint_dual_quaternions(
             f"joints {shown}{(', …' if motions.not_rigid.size > 8 else '')} are not rigid, even "
             "with one scale for all joints: use linear blend skinning for them"
         )
+    # Shaders take the scalar last.
     parts = motions.dual_quaternions.reshape(*poses, joints, 2, 4)[..., _X_Y_Z_W]
     return motions.scale.reshape(poses).astype(np.float32), parts.astype(np.float32)

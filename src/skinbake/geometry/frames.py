@@ -24,6 +24,7 @@ def unit_vectors(vectors: FloatArray) -> Float64Array:
     with np.errstate(invalid="ignore"):  # a signalling NaN
         wide = vectors.astype(np.float64)
     sound = has_direction(vectors)
+    # Squares of very long or short vectors overflow or lose digits: these are scaled first.
     square = _squared_lengths(wide)
     extreme = sound & ~((square >= TINY_SQUARE) & np.isfinite(square))
     if extreme.any():
@@ -80,6 +81,7 @@ def frame_from_normal(normals: Float32Array) -> tuple[Float32Array, Float32Array
     contract: every shader that keeps it in float32 gets the same bits.
     """
     x, y, z = normals.T
+    # The paper's listing, with every operation in float32.
     one = np.float32(1.0)
     sign = np.where(z >= 0, one, -one)
     a = -one / (sign + z)
@@ -109,10 +111,12 @@ def straightened(normals: Float32Array, tangents: FloatArray) -> Float32Array:
     with np.errstate(invalid="ignore", over="ignore"):  # a signalling NaN, or a huge TANGENT
         wide, upward = tangents.astype(np.float64), normals.astype(np.float64)
         tangent = wide[:, :3]
+        # The part across the normal, at the length of the whole.
         flat = tangent - upward * np.einsum("ij,ij->i", upward, tangent)[:, None]
         before, after = np.linalg.norm(tangent, axis=1), np.linalg.norm(flat, axis=1)
         usable = (before < HUGE) & (after > ALONG * before)
         scaled = flat * (before / np.where(usable, after, 1.0))[:, None]
+        # A tangent without such a part is made from the normal.
         found = np.where(usable[:, None], scaled, frame_from_normal(normals)[0])
         handedness = np.where(np.abs(wide[:, 3:]) == 1.0, wide[:, 3:], 1.0)
     return np.concatenate([found, handedness], axis=1).astype(np.float32)
@@ -127,6 +131,7 @@ def tangent_deviation(normals: Float32Array, tangents: FloatArray) -> Float64Arr
         wide = tangents.astype(np.float64)
         tangent, bitangent = frame_from_tangent(normals, wide)
         handedness = np.nan_to_num(wide[:, 3])
+        # The normal that TANGENT stands for, and its angle to NORMAL.
         rebuilt = np.cross(tangent, bitangent) * handedness[:, None]
         sine = np.linalg.norm(np.cross(normals, rebuilt), axis=1)
         cosine = np.einsum("ij,ij->i", normals.astype(np.float64), rebuilt)

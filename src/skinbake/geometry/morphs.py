@@ -87,6 +87,7 @@ def carried_by_normal(
     s, d = normals + morphed, morphed - normals
     square = dot(s, s)
     opposite = square < OPPOSITE
+    # 2 / s · s, and 0 where n0 and n are opposite: t0 stays there, and b0 turns over.
     factor = np.where(opposite, square.dtype.type(0), 2 / np.where(opposite, square.dtype.type(1), square))
     tangent, bitangent = (vector - s * (factor * dot(d, vector))[:, None] for vector in vectors)
     return tangent, np.where(opposite[:, None], -bitangent, bitangent)
@@ -106,9 +107,11 @@ def carried_by_tangent(
     equals t0 bit for bit if nothing moves. Its length is that of the sum. If targets are isometric, this is
     the length of the image. If targets cancel t0 (CANCELLED), the frame is ``carried_by_normal``.
     """
+    # T may lean from the plane across n only as much as t0 leans from that across n0.
     lean = dot(morphed, tangents) - dot(normals, vectors[0])
     tangent = tangents - morphed * lean[:, None]
     bitangent = np.cross(morphed, tangent) * handedness[:, None]
+    # Where targets have cancelled the tangent, its rest has no direction.
     cancelled = dot(tangent, tangent) < tangent.dtype.type(CANCELLED) * dot(vectors[0], vectors[0])
     if not cancelled.any():
         return tangent, bitangent
@@ -123,6 +126,7 @@ def morphed_normals(normals: FloatArray, differences: FloatArray) -> FloatArray:
     """Return n0 + Σ w ΔN, each (V, 3), at length 1; n0 if nothing is added or the sum is 0."""
     total = normals + differences
     square = dot(total, total)
+    # A sum without a length, or a vertex that no target moves, keeps n0.
     sound = (square > 0) & np.isfinite(square) & differences.any(axis=1)
     root = np.sqrt(np.where(sound, square, square.dtype.type(1)))
     return np.where(sound[:, None], total / root[:, None], normals)

@@ -31,12 +31,14 @@ def interpolated(
     P, M). Before the first and after the last key the value stays. Rotations are quaternions (w, x, y, z),
     interpolated along the shorter arc for LINEAR, and normalised.
     """
+    # The keys around each time, and how far it is from one to the other.
     last = len(times) - 1
     before = np.clip(np.searchsorted(times, at, side="right") - 1, 0, max(last - 1, 0))
     after = np.minimum(before + 1, last)
     span = times[after] - times[before]
     share = np.divide(at - times[before], span, out=np.zeros_like(at), where=span > 0)
     share = np.clip(share, 0.0, 1.0)
+    # The values at these keys.
     left, right = (values.take(key, axis=-3 if method == CUBICSPLINE else -2) for key in (before, after))
     if method == CUBICSPLINE:
         result = _hermite(left, right, share[:, None], span[:, None])
@@ -63,10 +65,12 @@ def _hermite(left: Float64Array, right: Float64Array, s: Float64Array, span: Flo
 def _slerp(first: Float64Array, second: Float64Array, share: Float64Array) -> Float64Array:
     """Return quaternions (…, P, 4) on the shorter arc; linear if the arc is too short for its sine."""
     first, second = normalised(first), normalised(second)
+    # q and −q are one rotation: the nearer one is taken.
     cosine = np.einsum("...c,...c->...", first, second)
     second = np.where(cosine[..., None] < 0, -second, second)
     angle = np.arccos(np.minimum(np.abs(cosine), 1.0))
     sine = np.sin(angle)
+    # sin((1 − s) φ) / sin φ and sin(s φ) / sin φ, or their limits 1 − s and s.
     short = sine < 1e-9
     safe = np.where(short, 1.0, sine)
     a = np.where(short, 1.0 - share, np.sin((1.0 - share) * angle) / safe)
@@ -112,6 +116,7 @@ def global_transforms(local: Float64Array, parents: Sequence[int]) -> Float64Arr
 def random_rotations(shape: tuple[int, ...], angle: float, seed: int) -> Float64Array:
     """Return unit quaternions (…, 4), w first: uniform axes, angles uniform in ± ``angle`` radians."""
     generator = np.random.default_rng(seed)
+    # Normal components, scaled to length 1, are uniform on the sphere.
     axes: npt.NDArray[np.float64] = generator.normal(size=(*shape, 3))
     axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
     half = 0.5 * generator.uniform(-angle, angle, size=(*shape, 1))
@@ -126,6 +131,7 @@ def random_weights(resting: Float64Array, count: int, at_once: int, seed: int) -
     """
     generator = np.random.default_rng([seed, MORPH_STREAM])
     weights = np.tile(resting, (count, 1))
+    # The first entries of a random order are a choice without repetition.
     chosen = generator.random(weights.shape).argsort(axis=1)[:, :at_once]
     np.put_along_axis(weights, chosen, generator.random(chosen.shape), axis=1)
     return weights
@@ -138,6 +144,7 @@ def fingerprint(matrices: Sequence[Float64Array]) -> tuple[float, ...]:
     """
     values = np.nan_to_num(np.concatenate([each.ravel() for each in matrices]))
     length = float(np.linalg.norm(values)) or 1.0  # inverse bind matrices may be zero
+    # A few terms of a Fourier series of all numbers in a row.
     steps = np.arange(1, len(values) + 1)
     found = [float(values @ np.cos(number * steps)) / length for number in range(1, FINGERS + 1)]
     return tuple(round(value, 9) for value in found)

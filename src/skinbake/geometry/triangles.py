@@ -28,11 +28,14 @@ def unrolled(indices: IntArray, mode: int) -> npt.NDArray[np.uint32]:
     fan are (i + 1, i + 2, 0), as in glTF 2.0 §3.7.2.1. Surplus indices of a list are ignored.
     """
     corners = indices.astype(np.uint32, copy=False)
+    # A list: as it is.
     if mode == TRIANGLES:
         return corners[: len(corners) // 3 * 3].reshape(-1, 3)
     count = max(len(corners) - 2, 0)
+    # A fan: all triangles end at the first vertex.
     if mode == TRIANGLE_FAN:
         return np.stack([corners[1:][:count], corners[2:], np.repeat(corners[:1], count)], axis=1)
+    # A strip: every other triangle swaps its last two corners.
     first = np.arange(count)
     odd = first % 2
     return np.stack([corners[first], corners[first + 1 + odd], corners[first + 2 - odd]], axis=1)
@@ -49,6 +52,7 @@ def _proper(components: Float64Array, triangles: IntArray) -> BoolArray:
     """Return the mask of some triangles (T, 3), from positions by component (3, V)."""
     i, j, k = np.ascontiguousarray(triangles.T)
     x, y, z = components
+    # Two edges, the squares of all three lengths, and twice the area.
     ax, ay, az = x[j] - x[i], y[j] - y[i], z[j] - z[i]
     bx, by, bz = x[k] - x[i], y[k] - y[i], z[k] - z[i]
     first, second = ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz
@@ -66,10 +70,12 @@ def smooth_normals(positions: FloatArray, triangles: IntArray, groups: IntArray)
     for turn in range(3):
         corners = np.roll(triangles, -turn, axis=1)
         first, second, cross = _edges(positions, corners)
+        # n / (|e1|² |e2|²): Max's weight of the unit normal is the sine over both lengths.
         scale = _squared(first) * _squared(second)
         weighted = np.divide(cross, scale[:, None], out=np.zeros_like(cross), where=scale[:, None] > 0)
         for axis in range(3):
             total[:, axis] += np.bincount(groups[corners[:, 0]], weighted[:, axis], len(total))
+    # A sum without a length has no direction.
     length = np.sqrt(_squared(total))[:, None]
     unit = np.divide(total, length, out=np.tile([0.0, 0.0, 1.0], (len(total), 1)), where=length > 0)
     return np.asarray(unit[groups])

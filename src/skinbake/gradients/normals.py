@@ -160,10 +160,12 @@ def _around(
     starts = np.cumsum([0, *(len(primitive.positions) for primitive in primitives)])
     positions = np.concatenate([primitive.positions for primitive in primitives])
     points = kernel.label_equal_rows(positions)
+    # All vertices at the positions of the chosen ones.
     chosen = np.concatenate([part + start for part, start in zip(rows, starts, strict=False)])
     wanted = np.zeros(len(positions), dtype=np.bool_)
     wanted[points[chosen]] = True
     at_points = np.split(wanted[points], starts[1:-1])
+    # The triangles at them, renumbered.
     corners = [
         primitive.triangles[wanted_here[primitive.triangles].any(axis=1)].ravel() + start
         for primitive, wanted_here, start in zip(primitives, at_points, starts, strict=False)
@@ -192,6 +194,7 @@ def _is_doubtful(primitive: SkinnedPrimitive) -> bool:
     with np.errstate(invalid="ignore"):  # normals that are not finite are not far
         normals = primitive.normals[triangles.T].astype(np.float64)
         dots, squares = np.einsum("tj,ctj->ct", cross, normals), np.einsum("ctj,ctj->ct", normals, normals)
+        # n · c < cos FAR |n| |c| is a lean of more than FAR, without an arccosine.
         near = np.cos(np.radians(FAR)) * np.sqrt(np.einsum("tj,tj->t", cross, cross) * squares)
     return bool(np.count_nonzero(dots < near) > MOST * dots.size)
 
@@ -238,17 +241,21 @@ def _leans(primitive: SkinnedPrimitive, rows: IntArray, labels: IntArray | None)
     NaN if the triangles at a vertex have no area, or cancel out.
     """
     own = rows if labels is None else labels[rows]
+    # Number the planes that are asked for from 1; 0 is any other.
     numbers = np.zeros(len(primitive.positions), dtype=np.int32)
     numbers[own] = 1
     numbers = np.cumsum(numbers, dtype=np.int32) * numbers
     corners = numbers[primitive.triangles if labels is None else labels[primitive.triangles]]
+    # Only the triangles that touch one of them.
     touching = corners.any(axis=1)
     corners, triangles = corners[touching], primitive.triangles[touching]
     sides = _sides(primitive, triangles)
     cross = _normals(sides)
+    # The angle at each corner over twice the area: its share of the triangle's normal.
     doubled = np.sqrt(np.einsum("ij,ij->i", cross, cross))
     dots = -np.einsum("tij,tij->ti", sides, sides[[2, 0, 1]])
     shares = np.divide(np.arctan2(doubled, dots), doubled, out=np.zeros_like(dots), where=doubled > 0)
+    # Each plane is the sum over its corners.
     planes = np.zeros((int(numbers.max(initial=0)) + 1, 3))
     for axis in range(3):
         planes[:, axis] = np.bincount(corners.T.ravel(), (shares * cross[:, axis]).ravel(), len(planes))

@@ -89,12 +89,14 @@ def _solved(matrix: Float64Array, right: Float64Array) -> Float64Array:
     """
     least = FLAT * FLAT * np.einsum("vii->vi", matrix)
     left, found = matrix.copy(), right.copy()
+    # Elimination from the top, without pivoting: the systems are symmetric and positive.
     for row in range(matrix.shape[1]):
         pivot = left[:, row, row]
         pivot[~(pivot > least[:, row])] = np.nan
         factors = left[:, row + 1 :, row] / pivot[:, None]
         left[:, row + 1 :] -= factors[:, :, None] * left[:, None, row]
         found[:, row + 1 :] -= factors[:, :, None] * found[:, None, row]
+    # The unknowns from the last to the first.
     for row in reversed(range(matrix.shape[1])):
         known = np.einsum("vu,vut->vt", left[:, row, row + 1 :], found[:, row + 1 :])
         found[:, row] = (found[:, row] - known) / left[:, row, row, None]
@@ -110,11 +112,14 @@ def _presence(vertices: FittedVertices, gradients: VertexGradients) -> tuple[Flo
     lengths = np.linalg.norm(gradients.gradients[entry], axis=1)
     total = np.bincount(owner, lengths, len(vertices.classes))
     row, slot = np.nonzero(vertices.named[owner] == gradients.joints[entry, None])
+    # The weight of the slot's joint, 0 where the slot adopts.
     weights = vertices.field.weights * (vertices.named == vertices.field.joints)
     presence = np.where(vertices.named >= 0, weights, 0.0)
+    # Its share of all gradients at the vertex.
     whole = total[owner]
     shares = np.divide(lengths, whole, out=np.zeros_like(lengths), where=whole > 0.0)
     presence[owner[row], slot] += shares[row]
+    # What no slot of the vertex names.
     missing = (vertices.named[owner] != gradients.joints[entry, None]).all(axis=1)
     missing_share = np.bincount(owner, np.where(missing, shares, 0.0), len(vertices.classes))
     return presence, missing_share.astype(np.float64)
@@ -170,6 +175,7 @@ def _turning_pairs(vertices: FittedVertices, named: IntArray, turns: RingTurns, 
     felt = turns.arms[entry].any(axis=(1, 2)) | turns.spins[entry].any(axis=(1, 2))
     owner, entry = owner[felt], entry[felt]
     row, slot = np.nonzero(named >= 0)
+    # Each entry is a vertex, a joint, and the arms and spins of the joint alone.
     vertex = np.concatenate([owner, row])
     joint = np.concatenate([turns.joints[entry], named[row, slot]])
     values = np.concatenate([turns.arms[entry], turns.spins[entry]], axis=1).reshape(-1, 12)
@@ -178,13 +184,16 @@ def _turning_pairs(vertices: FittedVertices, named: IntArray, turns: RingTurns, 
     lineage, count = Lineage(rig), len(named)
     # How many joints each way passes.
     climbs = lineage.depths[joint] - lineage.depths[lineage.lowest_above(vertex, joint, count)[vertex]]
+    # A vertex whose ways are very long is left unfitted.
     too_many = np.zeros(count, dtype=np.bool_)
     too_many[vertex[climbs > MOST_TURNS]] = True
     repeated, above = lineage.upwards(joint, np.where(too_many[vertex], 0, climbs))
     size = len(rig.parents)
+    # Added up by vertex and turning joint.
     keys, place = np.unique(vertex[repeated] * size + above, return_inverse=True)
     sums = summed_rows(place, values[repeated], len(keys))
     at, turning = np.divmod(keys, size)
+    # A turn parts the slots if it carries some of them and not all.
     fitted_at = named[at] >= 0
     carries = lineage.carries(turning[:, None], named[at]) & fitted_at
     parting = carries.any(axis=1) & (carries != fitted_at).any(axis=1)
@@ -216,6 +225,7 @@ def _gradients_of_slots(
     """Return the surface's gradient of each slot's joint along the class's two tangents, (V, K, 2)."""
     owner, entry = _entries(gradients.offsets, vertices.classes)
     along = np.einsum("eti,ei->et", turns.tangents[vertices.classes[owner]], gradients.gradients[entry])
+    # The slot that names the joint of the entry.
     row, slot = np.nonzero(vertices.named[owner] == gradients.joints[entry, None])
     found = np.zeros((*vertices.named.shape, 2))
     found[owner[row], slot] = along[row]
@@ -306,6 +316,7 @@ def _effects_of_turns(
     turn that carries the last slot takes 1 from the sign of every unknown.
     """
     at = pairs.vertices
+    # α of the last slot is minus the sum of the unknowns.
     carries_last = pairs.carries[np.arange(len(at)), pairs.last[at]]
     signs = np.where(unknowns[at], pairs.carries.astype(np.float64) - carries_last[:, None], 0.0)
     return _TurnEffects(
@@ -325,6 +336,7 @@ def _add_turns(sums: _Sums, pairs: _Pairs, effects: _TurnEffects, stiffness: Flo
     """Add Σ_j |R_j|² + λ Σ_j |x_j|² (ᾱ_j − ∇̄_j)², the residuals and pulls of single turns."""
     matrix, right = sums
     at, signs = pairs.vertices, effects.signs
+    # Both terms are quadratic in ᾱ, so their factors add up.
     pulls = stiffness[at] * effects.squared_levers
     squares = effects.squares + pulls
     aims = effects.aims + pulls[:, None] * effects.carried
@@ -357,13 +369,16 @@ def _add_stored_pose(
     """
     matrix, right = sums
     at, every = vertices.classes, np.arange(len(vertices.classes))
+    # What each unknown moves, and how much of that is along the normal.
     normals, tilts, weights = stored.normals[at], stored.tilts[at], STORED * stored.weights[at]
     displaced = stored.displacements(at, pairs.named, vertices.positions)
     over = np.where((pairs.named >= 0)[:, :, None], displaced - displaced[every, pairs.last, None], 0.0)
     raised = np.einsum("vki,vi->vk", over, normals)
+    # The matrix: squared tilts, and the pull on the tangents.
     pulls = (stiffness * weights)[:, None, None]
     matrix += weights[:, None, None] * raised[:, :, None] * raised[:, None, :]
     matrix += pulls * np.einsum("vki,vli->vkl", over, over)
+    # The right side: the tilt without corrections, and the tangents of the gradients.
     by_gradients = np.einsum("vki,vkt->vit", displaced, given)
     right -= (weights[:, None] * raised)[:, :, None] * tilts[:, None, :]
     right += pulls * np.einsum("vki,vit->vkt", over, by_gradients)
@@ -382,6 +397,7 @@ def _add_pulls_of_slots(
     count, slots = pairs.named.shape
     with np.errstate(divide="ignore"):  # a slot that has no presence is not named
         more = np.maximum(np.square(FAINT / presence), 1.0) - 1.0
+    # A joint that is hardly there is pulled harder.
     pull = strength[:, None] * (EVEN + np.where(pairs.named >= 0, more, 0.0))
     last = np.arange(count), pairs.last
     matrix += pull[last][:, None, None]
@@ -414,6 +430,7 @@ def _curls(
     """
     rows = np.flatnonzero(pairs.chains != NO_CHAIN)
     size = int(pairs.chains.max(initial=0)) + 1
+    # The pairs of one vertex and one long chain are a group.
     keys, place, counts = np.unique(
         pairs.vertices[rows] * size + pairs.chains[rows], return_inverse=True, return_counts=True
     )

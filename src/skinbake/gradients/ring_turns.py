@@ -65,10 +65,12 @@ def ring_turns(surface: Surface) -> RingTurns:
     ring = _ring_sums(surface, classes, tangents)
     # In a class without an area all of this is NaN, and it is not sound.
     derivatives = ring.derivatives / ring.weights[:, None, None]
+    # u and v of both tangents, and whether the ring has a plane at all.
     leverage, area = _leverage(derivatives, tangents, normals)
     alignment = np.nan_to_num(np.linalg.norm(ring.faces, axis=1) / ring.areas)
     sound = (area > NARROW) & (alignment > FLAT) & (ring.areas > FLAT * ring.lengths) & directed
     sound &= np.bincount(classes[surface.triangles.ravel()], minlength=count) <= MOST_CORNERS
+    # What the turn of a joint does by Δw g (arms) and by Δw g e (spins).
     owner = np.repeat(np.arange(count), np.diff(ring.offsets))
     changes = np.where(sound[owner, None], ring.changes / ring.weights[owner, None], 0.0)
     by_coefficient, by_edge = changes[:, :2], changes[:, 2:].reshape(-1, 2, 3)
@@ -111,6 +113,7 @@ def _ring_sums(surface: Surface, classes: IntArray, tangents: Float64Array) -> _
     joint_count = int(surface.field.joints.max(initial=0)) + 1
     for corners in corners_of(surface.positions, surface.triangles, ROOT):
         at = classes[corners.origin]
+        # Sums over the corner itself.
         weights += np.bincount(at, corners.weight, count)
         areas += np.bincount(at, np.linalg.norm(corners.faces, axis=1), count)
         lengths += np.bincount(at, np.linalg.norm(corners.edges, axis=2).prod(axis=0), count)
@@ -119,8 +122,10 @@ def _ring_sums(surface: Surface, classes: IntArray, tangents: Float64Array) -> _
             along = np.einsum("cti,ci->ct", tangents[at], coefficients)  # g and h
             products = along[:, :, None] * edges[:, None, :]
             derivatives += _summed(at, products, count)
+            # The change of each joint's weight along the edge.
             corner, joints, difference = corner_differences(surface.field, corners.origin, neighbour)
             added = np.concatenate([along, products.reshape(-1, 6)], axis=1)
+            # The eight numbers of a joint: Δw (g, h), then Δw g e and Δw h e.
             keys.append(at[corner] * joint_count + joints)
             values.append(added[corner] * difference[:, None])
     offsets, joints, changes = summed_by_key(keys, values, joint_count, count)
@@ -171,12 +176,15 @@ def _leverage(
     c = np.cross(a, b)
     area = np.linalg.norm(c, axis=1)
     unit = c / area[:, None]
+    # q without its factor t · ĉ / |c|: n less half of its part along ĉ.
     lean = normals - 0.5 * unit * np.einsum("ci,ci->c", unit, normals)[:, None]
     found = np.empty((len(a), 2, 2, 3))
     for number in range(2):
         t = tangents[:, number]
+        # The parts of t along a and b.
         t_a, t_b = parts_along(t, a, b).T
         q = (np.einsum("ci,ci->c", t, unit) / area)[:, None] * lean
+        # u = t_a n + b × q, v = t_b n + q × a.
         found[:, number, 0] = t_a[:, None] * normals + np.cross(b, q)
         found[:, number, 1] = t_b[:, None] * normals + np.cross(q, a)
     return found, area

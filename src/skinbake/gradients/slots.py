@@ -57,10 +57,12 @@ def assign(
         entries = _Entries(gradients, classes[rows])
         part = field.rows(rows)
         foreign = _foreign(entries, part)
+        # Without adoption a slot holds the gradient of the joint that it names.
         named[rows] = part.joints
         if capacity is not None and len(foreign.vertices):
             adopted[rows] = _adopt(foreign, part, capacity[rows])
             named[rows] = _named_slots(adopted[rows], part)
+        # α and β, and what they leave out.
         alpha[rows], beta[rows], left = _project(entries, named[rows], (frame[0][rows], frame[1][rows]))
         placed = (named[rows][foreign.vertices] == foreign.joints[:, None]).any(axis=1)
         overflowing += len(np.unique(foreign.vertices[~placed]))
@@ -74,6 +76,7 @@ def shared_capacity(field: WeightField, classes: IntArray) -> IntArray:
     Copies that adopted differently would no longer be one vertex to a reader of the baked file.
     """
     free = np.count_nonzero(field.free, axis=1)
+    # The least number of free slots in each class.
     least = np.full(int(classes.max(initial=-1)) + 1, field.free.shape[1])
     np.minimum.at(least, classes, free)
     return np.asarray(least[classes])
@@ -127,6 +130,7 @@ def _foreign(entries: _Entries, field: WeightField) -> _Foreign:
     own_joints = np.ascontiguousarray(np.where(field.weights > 0, field.joints, NO_JOINT).T)
     for rank in entries.ranks:
         joints = entries.gradients.joints[rank.numbers]
+        # Tiny gradients are rounding: they are no reason to take a slot.
         foreign = rank.magnitudes > NEGLIGIBLE * entries.sums[rank.vertices]
         for column in own_joints:
             foreign &= column[rank.vertices] != joints
@@ -136,9 +140,11 @@ def _foreign(entries: _Entries, field: WeightField) -> _Foreign:
 
 def _adopt(foreign: _Foreign, field: WeightField, capacity: IntArray) -> IntArray:
     """Return the joint that each free slot adopts (V, K). The largest gradients take the first free slots."""
+    # By vertex, then the largest gradient first; of equal ones the lower joint.
     order = np.lexsort((foreign.joints, -foreign.magnitudes, foreign.vertices))
     vertices, joints = foreign.vertices[order], foreign.joints[order]
     rank = np.arange(len(vertices)) - np.searchsorted(vertices, vertices)
+    # The n-th foreign joint of a vertex takes its n-th free slot.
     free_first = np.argsort(~field.free[vertices], axis=1, kind="stable")
     fits = rank < capacity[vertices]
     slot = free_first[fits, rank[fits]]
@@ -155,6 +161,7 @@ def _named_slots(adopted: IntArray, field: WeightField) -> IntArray:
     """
     named = np.where(adopted != NO_JOINT, adopted, field.joints)
     rows = np.flatnonzero((adopted != NO_JOINT).any(axis=1))
+    # A joint that a free slot has adopted is named by that slot alone.
     moved = (field.joints[rows, :, None] == adopted[rows, None, :]).any(axis=2) & (adopted[rows] == NO_JOINT)
     named[rows] = np.where(moved, NO_JOINT, named[rows])
     return named
@@ -167,10 +174,12 @@ def _project(
     alpha, beta = np.zeros(named.shape), np.zeros(named.shape)
     unheld = 0.0
     for rank in entries.ranks:
+        # The slots that hold the gradients of this rank.
         at = named[rank.vertices] == entries.gradients.joints[rank.numbers][:, None]
         row, slot = np.divmod(np.flatnonzero(at), named.shape[1])
         held = rank.vertices[row]
         gradients = entries.gradients.gradients[rank.numbers[row]]
+        # α = ∇w · t0, β = ∇w · b0.
         alpha[held, slot] = np.einsum("ij,ij->i", gradients, frame[0][held])
         beta[held, slot] = np.einsum("ij,ij->i", gradients, frame[1][held])
         unheld += float(rank.magnitudes.sum() - rank.magnitudes[row].sum()) if len(row) < len(at) else 0.0

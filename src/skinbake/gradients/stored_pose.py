@@ -96,18 +96,22 @@ def _tilts(
     # A matrix that is not finite must not count where its joint has no weight: 0 times NaN is NaN.
     own = np.where((weights > 0.0)[:, :, None, None], own, 0.0)
     blended = np.einsum("ck,ckij->cij", weights, own)
+    # Where the pose puts each class, and the derivatives of its positions.
     points = _moved(blended, positions)
     posed = np.einsum("cij,cnj->cni", blended[:, :, :3], derivatives)
     terms = np.einsum("ck,ck->c", weights, _terms(own, positions[:, None]))
     added, bounds = _added_by_changes(matrices, changes, positions, points, terms)
     posed += added
+    # The tangents that the mesh has there, and their lengths with and without stretching.
     mapped = _mapped(derivatives, posed, tangents)
     lengths = np.square(mapped).sum(axis=(1, 2))
     turned = np.einsum("ckij,cnj->ckni", own[..., :3], tangents)
     unstretched = np.einsum("ck,ck->c", weights, np.square(turned).sum(axis=(2, 3)))
+    # The normal of the posed surface, and how far the blended tangents leave it.
     normals = np.cross(mapped[:, 0], mapped[:, 1])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     tilts = np.einsum("cij,cnj,ci->cn", blended[:, :, :3], tangents, normals)
+    # A class does not count where the pose stretches it too much.
     counts = (lengths <= STRETCHED * unstretched) & (unstretched <= STRETCHED * lengths)
     # Where the surface shrinks to a line, or large terms cancel, the normal is rounding.
     areas = np.linalg.norm(np.cross(posed[:, 0], posed[:, 1]), axis=1)
@@ -136,9 +140,11 @@ def _added_by_changes(
     Return a bound (C,) of what is added, too, 0 where no weight changes. terms (C,) are those of the points.
     """
     at, own = changes.classes, matrices[changes.joints]
+    # Δw g L e, and Δw g (M p − p').
     turned = np.einsum("eij,enj->eni", own[:, :, :3], changes.edges)
     moved = _moved(own, positions[at]) - points[at]
     added = turned + changes.coefficients[:, :, None] * moved[:, None]
+    # A bound of their lengths: the rounding of the sum is a share of it.
     bounds = np.linalg.norm(turned, axis=(1, 2))
     bounds += np.linalg.norm(changes.coefficients, axis=1) * (terms[at] + _terms(own, positions[at]))
     summed = summed_rows(at, np.hstack([added.reshape(-1, 6), bounds[:, None]]), len(positions))
@@ -153,10 +159,12 @@ def _mapped(derivatives: Float64Array, posed: Float64Array, tangents: Float64Arr
     """
     across, posed_across = (np.cross(both[:, 0], both[:, 1]) for both in (derivatives, posed))
     area, posed_area = (np.linalg.norm(vectors, axis=1)[:, None] for vectors in (across, posed_across))
+    # The unit vector across the posed surface, by the root of how the area grows.
     third = posed_across / posed_area * np.sqrt(posed_area / area)
     found = np.empty_like(tangents)
     for number in range(2):
         t = tangents[:, number]
+        # F t from the parts of t along a, b and across them.
         parts = parts_along(t, derivatives[:, 0], derivatives[:, 1])
         along_third = np.einsum("ci,ci->c", t, across / area)
         found[:, number] = np.einsum("ct,cti->ci", parts, posed) + along_third[:, None] * third

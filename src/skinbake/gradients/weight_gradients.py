@@ -51,11 +51,14 @@ def weight_gradients(
     keys, vectors = [], []
     joint_count = int(field.joints.max(initial=0)) + 1
     for corners in corners_of(positions, triangles, WEIGHTINGS[weighting]):
+        # The weight of the corner counts, whether a joint varies there or not.
         total += np.bincount(classes[corners.origin], corners.weight, count)
+        # Each joint adds the hat's gradient times its change of weight along the edge.
         for neighbour, _, coefficients in corners.ends():
             corner, joints, difference = corner_differences(field, corners.origin, neighbour)
             keys.append(classes[corners.origin[corner]] * joint_count + joints)
             vectors.append(coefficients[corner] * difference[:, None])
+    # One entry for each class and joint, divided by the weight of all corners.
     offsets, joints, sums = summed_by_key(keys, vectors, joint_count, count)
     owner = np.repeat(np.arange(count), np.diff(offsets))
     return VertexGradients(offsets, joints, sums / total[owner, None])
@@ -107,8 +110,10 @@ def corner_differences(
     """
     joints0, weights0 = field.joints[origin], field.weights[origin]
     joints1, weights1 = field.joints[neighbour], field.weights[neighbour]
+    # Joints of the neighbour: less what they weigh at the origin, if they are there.
     same = joints1[:, :, None] == joints0[:, None, :]
     gained = weights1 - np.einsum("pij,pj->pi", same, weights0)
+    # Joints that only the origin has fall to 0.
     lost = np.where(same.any(axis=1), 0.0, -weights0)
     difference = np.concatenate([gained, lost], axis=1)
     joints = np.concatenate([joints1, joints0], axis=1)
@@ -126,6 +131,7 @@ def summed_by_key(
     unique, inverse = np.unique(np.concatenate(keys), return_inverse=True)
     rows = np.concatenate(values)
     sums = summed_rows(inverse, rows, len(unique))
+    # The keys ascend by class and then by joint, as rows of CSR do.
     owner, joints = np.divmod(unique, joint_count)
     offsets = np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=count))])
     return offsets, joints, sums
@@ -152,11 +158,13 @@ def corner_coefficients(e1: Any, e2: Any, weighting: int) -> Any:
     """
     e1x, e1y, e1z = e1
     e2x, e2y, e2z = e2
+    # n = e1 × e2, as long as twice the area.
     nx = e1y * e2z - e1z * e2y
     ny = e1z * e2x - e1x * e2z
     nz = e1x * e2y - e1y * e2x
     squared_area2 = nx * nx + ny * ny + nz * nz
     area2 = np.sqrt(squared_area2)
+    # |e1|² |e2|², and the weight of the corner.
     squared_lengths = (e1x * e1x + e1y * e1y + e1z * e1z) * (e2x * e2x + e2y * e2y + e2z * e2z)
     if weighting == MAX:
         weight = area2 / squared_lengths
@@ -168,6 +176,7 @@ def corner_coefficients(e1: Any, e2: Any, weighting: int) -> Any:
         weight = np.arctan2(area2, e1x * e2x + e1y * e2y + e1z * e2z)
         if weighting == ANGLE_AREA:
             weight = weight * area2
+    # The weight times ∇ of the hats at the two ends: e2 × n / |n|² and n × e1 / |n|².
     scale = weight / squared_area2
     c1 = ((e2y * nz - e2z * ny) * scale, (e2z * nx - e2x * nz) * scale, (e2x * ny - e2y * nx) * scale)
     c2 = ((ny * e1z - nz * e1y) * scale, (nz * e1x - nx * e1z) * scale, (nx * e1y - ny * e1x) * scale)

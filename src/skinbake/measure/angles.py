@@ -181,6 +181,7 @@ class _PosedMesh:
         Then most chunks go without algorithm 2.
         """
         vertices, poses = len(self.truths.operator.positions), len(self.joint_matrices)
+        # Every stride-th chunk compares algorithms 2 and 3.
         stride = max(1, -(-vertices * poses // IDENTITY_SAMPLES))
         every = METHODS[self.method]
         without_direct = {lighting: every[lighting] for lighting in every if lighting != "direct"}
@@ -292,6 +293,7 @@ class _Chunk:
         """
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no normal gets NaN
             side = None if self.sides is None else self.sides[:, block.part]
+            # The normals of all lightings.
             steps = tuple(self.algorithms.values())
             found = self.skinned[block.primitive].normals(steps, self.at, block.rows)
             normals = dict(zip(self.algorithms, found, strict=True))
@@ -301,10 +303,12 @@ class _Chunk:
                 normals["corrected"] = self.corrections.normals(
                     block.primitive, one, self.at, self.first_pose, block.rows
                 )
+            # The true normals, by each truth.
             expected, exist = surfaces[0].normals(block.number, side)
             for surface in surfaces[1:]:
                 more, also = surface.normals(block.number, side)
                 expected, exist = np.concatenate([expected, more]), np.concatenate([exist, also])
+            # The angle between the two. Some lightings point inside where joints mirror.
             measured = []
             for lighting, vectors in normals.items():
                 outside = vectors if side is None or lighting not in INSIDE_OUT else scaled(side, vectors)
@@ -386,12 +390,14 @@ def primitive_for_direct(primitive: RestPrimitive, part: slice) -> RestPrimitive
     volume = dot(normal, normal)
     # For very small arrays, numpy's own cross product would take most of the time.
     by_alpha, by_beta = cross(b, normal), cross(normal, t)
+    # ∇w = α t* + β b*, with the dual basis t*, b*; slot 0 has minus the sum.
     gradients = np.empty((*block.joints.shape, 3))
     for axis in range(3):
         gradients[:, 1:, axis] = (
             block.alpha * (by_alpha[axis] / volume)[:, None] + block.beta * (by_beta[axis] / volume)[:, None]
         )
     gradients[:, 0] = -gradients[:, 1:].sum(axis=1)
+    # n0 = ± t0 × b0, on the side of NORMAL.
     sign = np.where(dot(normal, tuple(block.normals.T)) < 0, -1.0, 1.0)
     return replace(block, normals=np.stack(scaled(sign, normal), axis=1), gradients=gradients)
 
@@ -438,6 +444,7 @@ class Identity:
             ratios, lengths = (
                 np.concatenate([block[pose] for block in values]) for values in (self._ratios, self._lengths)
             )
+            # Folds and collapsed parts have no normal to compare.
             longest = lengths[np.isfinite(lengths)].max(initial=0.0)
             sound = lengths > max(WELL_CONDITIONED * _median(lengths), COLLAPSED * longest)
             self.largest = max(self.largest, _angle(np.fmax.reduce(ratios[sound], initial=0.0)))

@@ -85,10 +85,12 @@ def fitted_to_poses(
         # A vertex of a single joint keeps what it has, in any pose.
         open_ones = [np.asarray(system.unknown().any(axis=1)) for system in fitted]
         for group in groups:
+            # The equations of one group, over all of its poses.
             systems = [_LeastSquares.of(primitive) for primitive in primitives]
             for seen in _seen(operator, primitives, group, open_ones):
                 system = systems[seen.primitive]
                 system.add(seen, seen.moved(primitives, group, system.last))
+            # Groups count by their shares, however many poses they have.
             for system, of_group in zip(fitted, systems, strict=True):
                 system.take(of_group, group.share)
         return [system.solved() for system in fitted]
@@ -150,11 +152,13 @@ def _seen(
     matrices, count = group.joint_matrices, len(operator.positions)
     widest = max(primitive.joints.shape[1] for primitive in primitives)
     parts = chunks(count, len(matrices))
+    # The truths of the surface, measured at rest.
     truths = Truths.of(operator, primitives, (parts[0].stop if parts else 0) * widest)
     sides = sides_of(primitives, matrices)
     blended = [BlendedPrimitive(primitive, matrices, Options()) for primitive in primitives]
     with Threads(thread_count()) as threads:
         for poses in parts:
+            # All positions in some poses, and the sums of the triangles there.
             deformed = np.empty((3, count, poses.stop - poses.start))
             for block in truths.vertex_blocks:
                 blended[block.primitive].put_positions(poses, block.rows, deformed, block.part.start)
@@ -163,6 +167,7 @@ def _seen(
                 rows = block.rows.start + np.flatnonzero(chosen[block.primitive][block.rows])
                 if not len(rows):
                     continue
+                # The true normals of the chosen vertices.
                 side = None if sides is None else sides[poses, block.part]
                 normals = _mean(*truths.normals(block.number, deformed, sums, side))
                 own = normals[rows - block.rows.start]
@@ -198,12 +203,15 @@ class _Moved:
         table = np.ascontiguousarray(matrices[:, :, :3].transpose(1, 2, 0, 3)).reshape(-1, 3 * poses, 4)
         joints = table[rest.joints]
         points = np.concatenate([rest.positions, np.ones((count, 1))], axis=1)
+        # M[s] p̃ of all slots, and the levers from the last fitted one.
         ends = np.matmul(joints, points[:, None, :, None]).reshape(count, slots, 3, poses)
         levers = ends - ends[np.arange(count), last][:, None]
+        # t' = T t0 + Σ α lever, and b' likewise.
         frame = np.stack([rest.tangents, rest.bitangents], axis=2)
         blended = np.einsum("bk,bkxi->bxi", rest.weights, joints[..., :3])
         tangents = np.matmul(blended, frame).reshape(count, 3, poses, 2).swapaxes(2, 3)
         tangents = tangents + np.einsum("bkt,bkip->bitp", _pairs_of_slots(rest), levers)
+        # The emphasis: 2 / (|t'|² + |b'|²), bounded where joints collapse the frame.
         rigid = np.einsum("bk,bkxi->bx", rest.weights, np.square(joints[..., :3]))
         rigid = rigid.reshape(count, 3, poses).sum(axis=1) / 3.0
         lengths = np.maximum(np.einsum("bitp,bitp->bp", tangents, tangents), 2.0 * COLLAPSED * rigid)
@@ -259,10 +267,12 @@ class _LeastSquares:
         """Add some poses of some vertices."""
         rows, normals = seen.rows, seen.normals
         weight = np.where((normals != 0.0).any(axis=1), moved.emphasis * seen.share, 0.0)
+        # How far a unit of δ lifts a tangent out of the surface, and how far it is out.
         tilt = np.einsum("bkip,bip->bkp", moved.levers, normals)
         aim = np.einsum("bitp,bip->bpt", moved.tangents, normals)
         flat = moved.levers.reshape(*moved.levers.shape[:2], -1)
         weighted = (moved.levers * weight[:, None, None]).reshape(flat.shape)
+        # Squared tilts, and the pull of the tangents to where they are.
         self.matrix[rows] += np.matmul(tilt * weight[:, None], tilt.swapaxes(1, 2))
         self.matrix[rows] += POSE_STIFFNESS * np.matmul(weighted, flat.swapaxes(1, 2))
         self.right[rows] -= np.matmul(tilt * weight[:, None], aim)
@@ -282,13 +292,16 @@ class _LeastSquares:
         vertices, diagonal = np.arange(count), np.arange(slots)
         fitted, unknown = self.presence > UNFELT, self.unknown()
         more = np.maximum(np.square(FAINT / self.presence), 1.0) - 1.0
+        # The pull of each slot. That of the last slot is on all unknowns.
         pull = POSE_STIFFNESS * self.reach[:, None] * (EVEN + np.where(fitted, more, 0.0))
         matrix = self.matrix + pull[vertices, self.last][:, None, None]
         matrix[:, diagonal, diagonal] += pull
         solvable = np.isfinite(matrix).all(axis=(1, 2)) & (self.reach > 0.0)
         unknown &= solvable[:, None]
+        # Slots without an equation get the identity, so that one call solves all vertices.
         matrix = np.where(unknown[:, :, None] & unknown[:, None], matrix, 0.0)
         matrix[:, diagonal, diagonal] += ~unknown
+        # δ, and minus their sum for the last slot.
         change = np.linalg.solve(matrix, np.where(unknown[..., None], self.right, 0.0))
         change = np.where(np.isfinite(change).all(axis=(1, 2), keepdims=True), change, 0.0)
         change[vertices, self.last] -= change.sum(axis=1)

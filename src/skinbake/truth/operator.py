@@ -106,10 +106,13 @@ def gradient_operator(
     counts = tuple(len(primitive.positions) for primitive in primitives)
     positions = np.concatenate([primitive.positions for primitive in primitives])
     positions = np.ascontiguousarray(positions, dtype=np.float64)
+    # The triangles that have an area, over all primitives.
     triangles = _all_triangles(primitives)
     triangles = triangles[is_sound(positions, triangles)]
+    # Which vertices are one point.
     classes = weld_classes(primitives, crease_angle_degrees=crease_angle_degrees, claim=claim)
     claim(_welding_size(triangles, classes))
+    # The corners of each class, and the sum of their weights.
     places = classes[triangles].ravel()
     count = int(classes.max(initial=-1)) + 1
     totals = np.bincount(
@@ -168,6 +171,7 @@ def expected_alpha_beta(
         found = np.zeros((2, *primitive.joints.shape))
         for part in operator.row_blocks(rows):
             here = slice(part.start - rows.start, part.stop - rows.start)
+            # ∇w · t0 and ∇w · b0 of every joint near a block of vertices, by slot.
             derivatives = operator.rows(part, [directions[here] for directions in frame])
             own = np.tile(primitive.joints[here], (2, 1))
             of_joints = _derivatives_of_joints(derivatives, field, own).reshape(
@@ -192,6 +196,7 @@ def _derivatives_of_joints(derivatives: SparseRows, field: JointField, named: In
     for rows in blocks(count, step):
         first, last = np.searchsorted(owners, (rows.start, rows.stop))
         entries, joints, weights = field.of(columns[first:last])
+        # Each neighbour adds its entry times the weight of each of its joints.
         cells = (owners[first:last][entries] - rows.start) * width + joints
         table = np.bincount(cells, values[first:last][entries] * weights, (rows.stop - rows.start) * width)
         found[rows] = np.take_along_axis(table.reshape(-1, width), named[rows].astype(np.int64), axis=1)
@@ -236,6 +241,7 @@ def _corner_weights(positions: Float64Array, triangles: Int64Array, weighting: W
     edges = _edges(positions, triangles)
     weights = np.empty(triangles.shape)
     for corner in range(3):
+        # The two edges at the corner, both leading away from it.
         following, preceding = edges[corner], scaled(-1.0, edges[corner - 1])
         weights[:, corner] = weights_of_corners(following, preceding, weighting)
     return weights

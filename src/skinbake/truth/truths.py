@@ -249,6 +249,7 @@ def rest_frames(
     along = []
     for group in operator.together(chosen):
         whole = slice(group[0].start, group[-1].stop)
+        # The tangents along which positions are differentiated.
         axes = (
             perpendicular(normals[whole])
             if tangents is None or bitangents is None
@@ -262,6 +263,7 @@ def _split(stacked: SparseRows, group: Sequence[slice]) -> list[tuple[SparseRows
     """Cut rows along t0, and then along b0, into those of the parts of one group."""
     starts, columns = stacked.starts, stacked.columns
     first, half = group[0].start, len(stacked) // 2
+    # The first half of the rows is along t0, the second along b0.
     end = int(starts[half])
     along_t = SparseRows(starts[: half + 1], columns[:end].copy(), stacked.values[:end])
     along_b = SparseRows(starts[half:] - np.int32(end), columns[end:].copy(), stacked.values[end:])
@@ -279,6 +281,7 @@ def perpendicular(normals: FloatArray) -> tuple[Float64Array, Float64Array]:
     """
     wide = np.asarray(normals, dtype=np.float64)
     with np.errstate(invalid="ignore"):  # a normal that is zero or not finite
+        # The axis that is least along n0 gives the longest cross product.
         axis = np.eye(3)[np.abs(wide).argmin(axis=1)]
         tangents = np.cross(axis, wide)
         tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
@@ -317,6 +320,7 @@ def carried_normals(
     sums of the poses: only sums of the same rounding give back n0 where the pose is the rest pose.
     """
     components = np.ascontiguousarray(np.asarray(positions, dtype=np.float64).T)[:, :, None]
+    # The normals of the triangles at rest: exact ones tell what cancels, and ones rounded as in the poses.
     wide = vertex_normals(mesh, components, classes)
     sums = vertex_normals(mesh, components, classes, dtype)
     sums[:, np.einsum("icp,icp->cp", wide, wide) < CANCELLED**2] = 0.0
@@ -324,9 +328,11 @@ def carried_normals(
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no frame gets NaN
         for part, derivatives in zip(rest.parts, rest.derivatives, strict=True):
             a, b = posed_tangents(derivatives, components)
+            # The frame as seen along that normal.
             n, area, flat = triangle_frame(a, b, block_sums(mesh.classes, sums, part))
             n0 = tuple(np.asarray(normals[part], dtype=np.float64).T[:, None])
             n0 = scaled(1.0 / np.sqrt(dot(n0, n0)), n0)
+            # How far n0 is along it, and how it leans along a and b.
             up, root = dot(n, n0), np.sqrt(np.abs(area))
             lean = [(dot(tangent, n0) - dot(tangent, n) * up) / root for tangent in (a, b)]
             coefficients[:, part] = np.where(flat, np.nan, np.sign(area) * np.concatenate([*lean, up]))
