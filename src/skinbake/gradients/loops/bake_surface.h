@@ -34,10 +34,12 @@ static ALWAYS_INLINE ClassGradients find_gradients(Work *work, Shape shape, Memb
     work->scratch.frame.sound = 0;
     if (corners.count == 0)
         return found;
+    /* The sums over the ring: gradients, and the turns of joints if they are fitted to a rig. */
     double total;
     int32_t used = sum_corners(s, shape, corners, vertices, &work->scratch, &total);
     found.used = used;
     found.turnings = work->scratch.frame.sound ? find_turning(used, &work->scratch) : 0;
+    /* The gradients of the joints, and those of joints that the class does not have. */
     found.entries = make_entries(&work->scratch, used, total, &found.magnitude);
     found.foreign = find_foreign(s, found.entries, found.magnitude, &work->scratch);
     found.capacity = found.foreign && s->adopts ? shared_capacity(s, vertices) : 0;
@@ -66,11 +68,13 @@ static ALWAYS_INLINE void write_vertex(Work *work, Shape shape, size_t vertex, P
     const Baked *out = work->out;
     Scratch *w = &work->scratch;
     Sums *sums = out->sums + primitive_of(out, vertex);
+    /* Which slot holds the gradient of which joint. */
     if (placing == AS_NAMED)
         sums->adopting += name_slots(s, vertex, found, w, out->adopted + vertex * shape.slots);
     sums->magnitude += found->magnitude;
     sums->unheld += shape.fits ? project_fitted(s, shape, vertex, last, found, out, w)
                                : project(s, shape.slots, vertex, found->entries, placing, out, w);
+    /* A vertex overflows if a foreign joint has found no slot. */
     int overflows = 0;
     for (size_t f = 0; f < found->foreign; f++)
         overflows |= !w->foreign[f]->held;
@@ -85,11 +89,13 @@ static ALWAYS_INLINE Status bake_classes(Work *work, Shape shape)
         if (corners->start[c + 1] < corners->start[c] ||
             (vertices->start && vertices->start[c + 1] < vertices->start[c]))
             return STRAY_INDEX; /* the classes have changed while they were counted */
+        /* The vertices of the class. It may be a single one, of its own number. */
         Members own = {&itself, 1};
         if (vertices->start)
             own = (Members){vertices->members + vertices->start[c], vertices->start[c + 1] - vertices->start[c]};
         if (own.count == 0)
             continue;
+        /* Gradients are those of the class; each vertex then has its own slots and frame. */
         Members around = {corners->members + corners->start[c], corners->start[c + 1] - corners->start[c]};
         ClassGradients found = find_gradients(work, shape, around, own);
         for (size_t n = 0; n < own.count; n++) {
@@ -115,6 +121,7 @@ static Status bake_all_classes(Work *work)
 /* Bake the weld classes from first up to last. */
 static Status bake_grouped(const Surface *s, const Grouped *grouped, size_t first, size_t last, const Baked *out)
 {
+    /* Each thread has room of its own to work in. */
     Work work;
     memset(&work, 0, sizeof work);
     work.surface = s, work.grouped = grouped, work.first = first, work.last = last, work.out = out;
@@ -132,6 +139,7 @@ static int check_surface(Surface *s)
         PyErr_SetString(PyExc_ValueError, "there are more weld classes than vertices, or less than none");
         return -1;
     }
+    /* Joints: they may be missing only where the weight is 0. */
     int32_t largest = 0;
     for (Py_ssize_t n = 0; n < s->vertices * s->slots; n++) {
         largest = s->joints[n] > largest ? s->joints[n] : largest;
@@ -141,6 +149,7 @@ static int check_surface(Surface *s)
         }
     }
     s->joint_count = (Py_ssize_t)largest + 1;
+    /* Weld classes and sizes, which the loops then need not check. */
     for (Py_ssize_t v = 0; v < s->vertices; v++)
         if (s->classes[v] < 0 || s->classes[v] >= s->class_count) {
             PyErr_SetString(PyExc_IndexError, "a weld class is out of range");
@@ -160,6 +169,7 @@ static int check_rig(Surface *s)
         PyErr_SetString(PyExc_ValueError, "the rig has too few joints");
         return -1;
     }
+    /* Joints of the rig may turn that no vertex names. */
     s->joint_count = s->parents ? s->rig_joints : s->joint_count;
     if (s->joint_count > INT32_MAX - s->slots) { /* local numbers count both */
         PyErr_SetString(PyExc_ValueError, "too many joints for one surface");

@@ -10,6 +10,7 @@ static ALWAYS_INLINE void find_ends(const Surface *s, Members some, Corners *c, 
 {
     const size_t vertices = (size_t)s->vertices;
     for (size_t n = 0; n < some.count; n++) {
+        /* A corner is 4 t + i: corner i of triangle t. */
         static const uint8_t following[] = {1, 2, 0}, last[] = {2, 0, 1};
         const uint32_t *triangle = s->triangles + 3 * (size_t)(some.first[n] >> 2);
         uint32_t one = triangle[following[some.first[n] & 3]], other = triangle[last[some.first[n] & 3]];
@@ -27,6 +28,7 @@ static ALWAYS_INLINE void find_edges(const Surface *s, Shape shape, Vector origi
         e1[n] = minus(row3(s->positions, shape.wide, c->ends[n][0]), origin);
         e2[n] = minus(row3(s->positions, shape.wide, c->ends[n][1]), origin);
     }
+    /* What is missing is filled up, so that four corners go through at once. */
     for (size_t n = some.count; n < AT_ONCE; n++)
         e1[n] = e1[0], e2[n] = e2[0];
     c->edges[X1] = four(e1[0].x, e1[1].x, e1[2].x, e1[3].x);
@@ -52,6 +54,7 @@ static ALWAYS_INLINE void weigh_corners(Corners *c, Weighting weighting, Facets 
         subtract(multiply(e1[2], e2[0]), multiply(e1[0], e2[2])),
         subtract(multiply(e1[0], e2[1]), multiply(e1[1], e2[0])),
     };
+    /* The squares that weights and coefficients share. */
     Four squared_area2 = four_dot(normal, normal), dots = four_dot(e1, e2);
     Four squared1 = four_dot(e1, e1), squared2 = four_dot(e2, e2), area2 = root(squared_area2), scale;
     if (facets != NULL)
@@ -69,6 +72,7 @@ static ALWAYS_INLINE void weigh_corners(Corners *c, Weighting weighting, Facets 
         }
         scale = divide(load(c->weight), squared_area2);
     }
+    /* The weight times the gradients of both hats. */
     Four mixed = multiply(dots, scale), own1 = multiply(squared2, scale), own2 = multiply(squared1, scale);
     for (int axis = 0; axis < 3; axis++) {
         store(c->coefficients[X1 + axis], subtract(multiply(e1[axis], own1), multiply(e2[axis], mixed)));
@@ -99,12 +103,14 @@ static ALWAYS_INLINE int32_t add_differences(const Surface *s, size_t neighbour,
             w->stray = 1;
             continue;
         }
+        /* A joint that is new to the class gets the next local number. */
         int32_t number = w->local[joint];
         if (number < 0) {
             number = w->local[joint] = used++;
             w->met[number] = joint;
             w->x[number] = w->y[number] = w->z[number] = 0.0;
         }
+        /* w there − w here; a joint without a slot of the class weighs 0 here. */
         w->seen[number] = w->visit;
         add_scaled(w, number, c, number < slots ? weight[k] - w->own[number] : weight[k]);
     }

@@ -58,6 +58,7 @@ enum { PROBES_A_ROW = 64 };
    their number. Then the loop ends. `first` keeps a row of each label. */
 static Status label_rows(const Array *rows, int32_t *labels, Py_ssize_t *labelled)
 {
+    /* The table has at least twice as many places as rows. The hash says where to begin. */
     size_t size = 16;
     while (size < 2 * (size_t)rows->rows)
         size *= 2;
@@ -74,12 +75,14 @@ static Status label_rows(const Array *rows, int32_t *labels, Py_ssize_t *labelle
     for (Py_ssize_t next = 0; status == DONE && next < rows->rows + AHEAD; next++) {
         Py_ssize_t row = next - AHEAD;
         uint64_t hash = hashes[next % AHEAD];
+        /* Hash the row that comes AHEAD rows later, and fetch its place. */
         if (next < rows->rows) {
             hashes[next % AHEAD] = hash_row(data + (size_t)next * width, rows->kind, rows->columns);
             PREFETCH(&table[(size_t)hashes[next % AHEAD] & (size - 1)]);
         }
         if (row < 0)
             continue;
+        /* Look from the row's place on for an equal row, or a free place. */
         const char *here = data + (size_t)row * width;
         uint32_t tag = (uint32_t)(hash >> 32);
         size_t at = (size_t)hash & (size - 1);

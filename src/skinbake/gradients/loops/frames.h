@@ -11,6 +11,7 @@ static ALWAYS_INLINE int unit_normal(Vector normal, Vector *unit)
     int sound = isfinite(normal.x) && isfinite(normal.y) && isfinite(normal.z) &&
                 (normal.x != 0.0 || normal.y != 0.0 || normal.z != 0.0);
     double square = dot(normal, normal);
+    /* The square of a very long or short normal loses digits: it is scaled first. */
     if (sound && !(square >= tiny_square && isfinite(square))) {
         double largest = fmax(fmax(fabs(normal.x), fabs(normal.y)), fabs(normal.z));
         normal = (Vector){normal.x / largest, normal.y / largest, normal.z / largest};

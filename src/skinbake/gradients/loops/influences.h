@@ -29,6 +29,7 @@ static void normalise_vertex(const Influences *field, Py_ssize_t vertex, Defects
     for (Py_ssize_t k = 0; k < slots; k++)
         largest = weights[k] > largest ? weights[k] : largest;
     for (Py_ssize_t k = 0; k < slots; k++) {
+        /* Weights far below the largest count as 0. */
         if (weights[k] > 0.0 && weights[k] < field->least * largest)
             weights[k] = 0.0;
         free_slots[k] = weights[k] == 0.0;
@@ -38,12 +39,15 @@ static void normalise_vertex(const Influences *field, Py_ssize_t vertex, Defects
         }
         total += weights[k];
     }
+    /* A vertex adopts nothing if a weight is negative, or if all of them are too small. */
     if (negative || !(total > field->adopting_sum) || !(largest > field->adopting_weight))
         memset(free_slots, 0, (size_t)slots);
+    /* Without any weight the first joint has all of it. */
     if (total == 0.0) {
         defects->all_zero++;
         weights[0] = total = 1.0;
     }
+    /* A joint in several slots stays in one of them, with the sum. */
     for (Py_ssize_t later = 1; later < slots; later++)
         for (Py_ssize_t earlier = 0; earlier < later; earlier++) {
             if (joints[later] != joints[earlier] || joints[later] == NO_JOINT)

@@ -14,9 +14,11 @@ static ALWAYS_INLINE void find_leverage(RingFrame *f, const Vector derivatives[2
     f->sound &= area > narrow;
     if (!f->sound)
         return;
+    /* q of ring_turns._leverage, for both tangents at once. */
     const Vector unit = times(c, 1.0 / area), lean = minus(f->normal, times(unit, 0.5 * dot(unit, f->normal)));
     const Vectors t = f->along, normal = both_vectors(f->normal);
     const Vectors q = times_each(both_vectors(lean), divide_pairs(dots(t, both_vectors(unit)), both(area)));
+    /* u = t_a n + b × q, v = t_b n + q × a. */
     const Parts parts = parts_along(t, a, b, c, area);
     f->leverage[0] = plus_each(times_each(normal, parts.a), crosses(both_vectors(b), q));
     f->leverage[1] = plus_each(times_each(normal, parts.b), crosses(q, both_vectors(a)));
@@ -33,6 +35,7 @@ static ALWAYS_INLINE Vector sum_normals(const Surface *s, Members corners, Membe
             vertex = s->triangles[3 * (size_t)(corners.first[n] >> 2) + (corners.first[n] & 3)];
         if (vertex >= (size_t)s->vertices)
             continue; /* find_ends notes what has changed since the check */
+        /* A class of one vertex has one normal for all of its corners. */
         if (n == 0 || vertices.count > 1) {
             Vector found = unit_of(s, vertex, latest);
             unit = latest->directed ? four(found.x, found.y, found.z, 0.0) : all(0.0);
@@ -42,6 +45,7 @@ static ALWAYS_INLINE Vector sum_normals(const Surface *s, Members corners, Membe
     double each[AT_ONCE];
     store(each, sums);
     const Vector sum = {each[0], each[1], each[2]};
+    /* Normals that cancel out leave no direction. */
     double least = s->fit.flat * (double)corners.count;
     return dot(sum, sum) > least * least ? sum : (Vector){0.0, 0.0, 0.0};
 }
@@ -88,6 +92,7 @@ static ALWAYS_INLINE size_t place_of(uint32_t vertex, const Neighbour *ring, siz
     const size_t place = places[vertex % PLACES];
     if (place >= count)
         return count;
+    /* Usually the vertex stood there not long ago: neighbouring corners share their ends. */
     const uint32_t held = ring[place].vertex;
     if (held == vertex && place + LOOKED_BACK >= count)
         return place;
@@ -111,6 +116,7 @@ static ALWAYS_INLINE void find_neighbours(const Surface *s, Shape shape, size_t 
     for (int end = 0; end < 2; end++) {
         const double *edges[AT_ONCE];
         for (size_t n = 0; n < some; n++) {
+            /* The entry of the end, or the place behind the last one. */
             const uint32_t there = c->ends[n][end];
             const size_t place = place_of(there, ring, count, w->places);
             Neighbour *found = c->neighbours[end][n] = &ring[place];
@@ -119,6 +125,7 @@ static ALWAYS_INLINE void find_neighbours(const Surface *s, Shape shape, size_t 
             if (place < count)
                 continue;
             count++;
+            /* A new neighbour: its edge, and the differences of weights if its joints are those of the class. */
             const double *weights = s->weights + there * slots;
             found->vertex = there;
             found->alike = slots == 4 && same_joints(s, slots, vertex, there);
@@ -128,6 +135,7 @@ static ALWAYS_INLINE void find_neighbours(const Surface *s, Shape shape, size_t 
                 store(found->differences, subtract(load(weights), load(here)));
             w->varies = w->varies || !found->alike || memcmp(weights, here, slots * sizeof *here) != 0;
         }
+        /* The edges of four corners by component. The first one fills what is missing. */
         for (size_t n = some; n < AT_ONCE; n++)
             edges[n] = edges[0];
         transpose_rows(edges, c->edges + 3 * end);
@@ -155,6 +163,7 @@ static ALWAYS_INLINE void add_corners(const Surface *s, Corners *c, size_t some,
     const Four weight = load(c->weight), root_weight = divide(facets.area, multiply(lengths, root_lengths));
     /* The weight ROOT over that of the bake. With Max's weights it is the root of |e1| |e2|. */
     const Four factor = s->weighting == BY_MAX ? root_lengths : divide(root_weight, weight);
+    /* The sums of the class; corners that only fill up add nothing. */
     sums->root_weight = add(sums->root_weight, multiply(there, multiply(factor, weight)));
     sums->area = add(sums->area, multiply(there, facets.area));
     sums->lengths = add(sums->lengths, multiply(there, lengths));
@@ -163,6 +172,7 @@ static ALWAYS_INLINE void add_corners(const Surface *s, Corners *c, size_t some,
     for (size_t n = 0; n < some; n++)
         sums->weight += c->weight[n];
     for (int end = 0; end < 2; end++) {
+        /* Six numbers for each end: the coefficients, and g and h along both tangents. */
         const double(*component)[AT_ONCE] = c->coefficients + 3 * end;
         Four numbers[ADDED] = {load(component[X1]), load(component[Y1]), load(component[Z1])};
         for (int n = 0; n < 2; n++)
@@ -170,6 +180,7 @@ static ALWAYS_INLINE void add_corners(const Surface *s, Corners *c, size_t some,
                                                           multiply(numbers[1], all(tangents[n].y))),
                                                       multiply(numbers[2], all(tangents[n].z))));
         numbers[ADDED - 1] = all(0.0);
+        /* They are added to the neighbour at that end. */
         double by_corner[AT_ONCE][ADDED];
         transpose_corners(numbers, by_corner);
         for (size_t n = 0; n < some; n++) {
@@ -192,11 +203,13 @@ static ALWAYS_INLINE void add_products(double *to, const Four products[PRODUCTS 
 static ALWAYS_INLINE int32_t add_neighbour(const Surface *s, const Neighbour *neighbour,
                                            const Four products[PRODUCTS / AT_ONCE], int32_t used, Scratch *w)
 {
+    /* Gradients first: they number the joints that are new to the class. */
     const double *by = neighbour->added + GRADIENT;
     const int32_t before = used;
     used = add_differences(s, neighbour->vertex, (Vector){by[0], by[1], by[2]}, used, w);
     for (int32_t n = before; n < used; n++)
         memset(w->turns + n * TURN, 0, TURN * sizeof *w->turns);
+    /* Products of joints that the neighbour has. */
     const int32_t slots = (int32_t)s->slots;
     const int32_t *there = s->joints + neighbour->vertex * (size_t)slots;
     const double *weight = s->weights + neighbour->vertex * (size_t)slots;
@@ -219,6 +232,7 @@ static ALWAYS_INLINE void find_turn(const RingFrame *f, double shrink, double tu
 {
     const Vectors edges = load_vectors(turn + BY_EDGE), *u = f->leverage;
     const Pair along = scaled(shrink, load_pair(turn + BY_ITSELF));
+    /* Arms: Σ Δw (g u + h v). Spins: Σ Δw g e × u + Σ Δw h e × v. */
     const Vectors by_a = both_vectors(one_of(edges, 0)), by_b = both_vectors(one_of(edges, 1));
     const Vectors arms = plus_each(times_each(u[0], both(part(along, 0))), times_each(u[1], both(part(along, 1))));
     const Vectors spins = times_each(plus_each(crosses(by_a, u[0]), crosses(by_b, u[1])), both(shrink));
@@ -244,6 +258,7 @@ static ALWAYS_INLINE void end_frame(const Surface *s, const CornerSums *sums, Ve
     const Vector facing = sums_of(sums->normal);
     const double area = sum_of(sums->area), alignment = sqrt(dot(facing, facing)) / area;
     f->doubt = doubt_of(s, alignment);
+    /* A ring whose triangles cancel out, or are slivers, has no plane to fit in. */
     f->sound &= alignment > s->fit.flat && area > s->fit.flat * sum_of(sums->lengths);
     const Vector means[2] = {one_of(derivatives, 0), one_of(derivatives, 1)};
     find_leverage(f, means, s->fit.narrow);
@@ -263,11 +278,13 @@ static ALWAYS_INLINE int32_t sum_ring(const Surface *s, Shape shape, int32_t use
             sums[k][m] = none;
     for (size_t n = 0; n < w->neighbours; n++) {
         const Neighbour *neighbour = &w->ring[n];
+        /* g and h of the neighbour, and their products with the edge. */
         const Pair along = load_pair(neighbour->added + ALONG);
         const double *edge = neighbour->edge;
         const Vectors product = {scaled(edge[0], along), scaled(edge[1], along), scaled(edge[2], along)};
         *derivatives = plus_each(*derivatives, product);
         const Four products[PRODUCTS / AT_ONCE] = {join(product.x, product.y), join(product.z, along)};
+        /* The usual case: the neighbour has the joints of the class, slot by slot. */
         if (slots == 4 && neighbour->alike) {
             const Four difference = load(neighbour->differences);
             for (int axis = 0; axis < 3; axis++)
@@ -278,6 +295,7 @@ static ALWAYS_INLINE int32_t sum_ring(const Surface *s, Shape shape, int32_t use
         } else
             used = add_neighbour(s, neighbour, products, used, w);
     }
+    /* What the usual case has summed up in registers. */
     if (slots == 4) {
         double *to[3] = {w->x, w->y, w->z};
         for (int axis = 0; axis < 3; axis++)
@@ -298,14 +316,17 @@ static ALWAYS_INLINE int32_t sum_turns(const Surface *s, Shape shape, Members co
     CornerSums sums = {0.0, none, {none, none, none}, none, none};
     Vectors derivatives;
     begin_frame(s, corners, vertices, w);
+    /* The corners: what each says to its ends, and the sums of the class. */
     for (size_t from = 0; from < corners.count; from += AT_ONCE) {
         size_t some = corners.count - from < AT_ONCE ? corners.count - from : AT_ONCE;
         add_corners(s, w->corners + from / AT_ONCE, some, f->tangents, &sums);
     }
+    /* The ring: gradients, products of all joints, and the derivatives of the positions. */
     used = sum_ring(s, shape, used, &derivatives, w);
     const double shrink = 1.0 / sum_of(sums.root_weight);
     derivatives = times_each(derivatives, both(shrink));
     end_frame(s, &sums, derivatives, f);
+    /* The stored pose needs the products, so it comes before they become turns. */
     if (f->sound && s->stored)
         find_stored_tilt(s, row3(s->positions, shape.wide, vertices.first[0]), derivatives, shrink, used, w);
     for (int32_t n = 0; f->sound && n < used; n++)
@@ -327,6 +348,7 @@ static ALWAYS_INLINE int32_t sum_gradients(const Surface *s, Shape shape, Member
     *total = 0.0;
     for (size_t from = 0; from < corners.count; from += AT_ONCE) {
         const Members some = {corners.first + from, corners.count - from < AT_ONCE ? corners.count - from : AT_ONCE};
+        /* Edges and coefficients of up to four corners. */
         Corners c;
         find_ends(s, some, &c, w);
         find_edges(s, shape, origin, some, &c);
@@ -335,6 +357,7 @@ static ALWAYS_INLINE int32_t sum_gradients(const Surface *s, Shape shape, Member
             for (int end = 0; end < 2; end++) {
                 const size_t there = c.ends[n][end];
                 const double(*component)[AT_ONCE] = c.coefficients + 3 * end;
+                /* Each end adds the coefficient times its difference of weights. */
                 Vector by = {component[X1][n], component[Y1][n], component[Z1][n]};
                 if (slots == 4 && same_joints(s, slots, vertex, there)) {
                     Four difference = subtract(load(s->weights + there * slots), own);
@@ -376,6 +399,7 @@ static ALWAYS_INLINE int32_t sum_corners(const Surface *s, Shape shape, Members 
     const size_t vertex = vertices.first[0];
     const size_t slots = shape.slots;
     const int32_t *joints = s->joints + vertex * slots;
+    /* The first local numbers are those of the class's own slots. */
     int32_t used = (int32_t)slots;
     for (size_t k = 0; k < slots; k++) {
         const int32_t joint = joints[k];
@@ -385,11 +409,13 @@ static ALWAYS_INLINE int32_t sum_corners(const Surface *s, Shape shape, Members 
         if (w->met[k] >= 0)
             w->local[w->met[k]] = (int32_t)k;
     }
+    /* Where no weight varies around the class, all sums stay 0. */
     *total = 1.0;
     if (!shape.fits || corners.count > MOST_CORNERS)
         used = sum_gradients(s, shape, corners, vertex, used, total, w);
     else if (find_ring(s, shape, corners, vertex, w))
         used = sum_turns(s, shape, corners, vertices, used, total, w);
+    /* Local numbers hold for this class only. */
     for (int32_t n = 0; n < used; n++)
         if (w->met[n] >= 0)
             w->local[w->met[n]] = -1;

@@ -28,9 +28,11 @@ static ALWAYS_INLINE size_t make_entries(Scratch *w, int32_t used, double total,
     size_t count = 0;
     double mean = 1.0 / total;
     for (int32_t n = 0; n < used; n++) {
+        /* The mean over all corners; joints whose sum is 0 have no entry. */
         Vector g = {w->x[n] * mean, w->y[n] * mean, w->z[n] * mean};
         if (w->met[n] < 0 || (w->x[n] == 0.0 && w->y[n] == 0.0 && w->z[n] == 0.0))
             continue;
+        /* Sorted by joint, few of them by insertion. */
         size_t at = count++;
         for (; used <= FEW && at > 0 && w->entries[at - 1].joint > w->met[n]; at--)
             w->entries[at] = w->entries[at - 1];
@@ -58,6 +60,7 @@ static ALWAYS_INLINE size_t find_foreign(const Surface *s, size_t entries, doubl
     size_t count = 0;
     for (size_t n = 0; n < entries; n++) {
         Entry *entry = &w->entries[n];
+        /* The class has the joint if one of its slots gives it a weight. */
         int own = entry->local < (int32_t)s->slots && w->own[entry->local] > 0.0;
         if (!own && entry->magnitude > s->negligible * magnitudes)
             w->foreign[count++] = entry;
@@ -76,6 +79,7 @@ static inline int name_slots(const Surface *s, size_t vertex, const ClassGradien
     const uint8_t *free_slots = s->free_slots + vertex * slots;
     size_t moved = 0, wanted = found->foreign < found->capacity ? found->foreign : found->capacity;
     memcpy(w->named, joints, slots * sizeof *joints);
+    /* The largest foreign gradient takes the first free slot. */
     for (size_t k = 0; k < slots && moved < wanted; k++)
         if (free_slots[k]) {
             w->named[k] = w->foreign[moved++]->joint;
@@ -107,6 +111,7 @@ static ALWAYS_INLINE double project(const Surface *s, size_t slots, size_t verte
     memset(beta, 0, (slots - 1) * sizeof *beta);
     for (size_t n = 0; n < entries; n++) {
         Entry *entry = &w->entries[n];
+        /* The slot that names the joint, if there is one. */
         size_t slot = (size_t)entry->local;
         if (placing == AS_NAMED)
             for (slot = 0; slot < slots && w->named[slot] != entry->joint;)

@@ -68,10 +68,12 @@ static double blend_stored(const Surface *s, Vector position, const Scratch *w, 
     for (Py_ssize_t k = 0; k < s->slots; k++) {
         if (!(w->own[k] > 0.0) || w->met[k] < 0)
             continue;
+        /* The blended matrix, and the terms whose rounding its point has. */
         const double *matrix = stored_matrix(s, w->met[k]);
         for (int m = 0; m < MATRIX; m++)
             blended[m] += w->own[k] * matrix[m];
         *terms += w->own[k] * terms_of(matrix, moved_by(matrix, position));
+        /* What each joint alone would make of the tangents' lengths. */
         const Vectors turned = turned_by(matrix, w->frame.along);
         const Pair squares = dots(turned, turned);
         unstretched += w->own[k] * (part(squares, 0) + part(squares, 1));
@@ -91,11 +93,13 @@ static double add_changes(const Surface *s, Vector position, double shrink, int3
         if (w->met[n] < 0 || !turns_at_all(products))
             continue;
         const double *matrix = stored_matrix(s, w->met[n]);
+        /* Σ Δw g e and Σ Δw g of the joint, as means over the corners. */
         const Vectors edges = times_each(load_vectors(products + BY_EDGE), both(shrink));
         const Pair along = scaled(shrink, load_pair(products + BY_ITSELF));
         const Vector moved = moved_by(matrix, position), over = minus(moved, w->frame.stored.point);
         const Vectors turned = turned_by(matrix, edges);
         const Pair squares = multiply_pairs(along, along);
+        /* L Σ Δw g e + Σ Δw g (M p − p'). */
         bound += length_of(turned) + sqrt(part(squares, 0) + part(squares, 1)) * (terms + terms_of(matrix, moved));
         *posed = plus_each(*posed, plus_each(turned, times_each(both_vectors(over), along)));
     }
@@ -108,6 +112,7 @@ static Vectors mapped_tangents(Vectors tangents, Vectors derivatives, Vectors po
     const Vector a = one_of(derivatives, 0), b = one_of(derivatives, 1), across = cross(a, b);
     const Vector posed_a = one_of(posed, 0), posed_b = one_of(posed, 1), posed_across = cross(posed_a, posed_b);
     const double area = sqrt(dot(across, across)), posed_area = sqrt(dot(posed_across, posed_across));
+    /* The vector across the posed surface, by the root of how its area grows. */
     const Vector third = times(posed_across, sqrt(posed_area / area) / posed_area);
     const Parts parts = parts_along(tangents, a, b, across, area);
     const Pair along_third = divide_pairs(dots(tangents, both_vectors(across)), both(area));
@@ -122,18 +127,22 @@ static void find_stored_tilt(const Surface *s, Vector position, Vectors derivati
     StoredTilt *stored = &w->frame.stored;
     double blended[MATRIX], terms = 0.0;
     const double unstretched = blend_stored(s, position, w, blended, &terms);
+    /* The class in the pose: its point, and the derivatives of positions. */
     stored->point = moved_by(blended, position);
     Vectors posed = turned_by(blended, derivatives);
     const double bound = add_changes(s, position, shrink, used, terms, w, &posed);
+    /* Where the surface shrinks to a line, or terms cancel, its normal is rounding. */
     const Vector across = cross(one_of(posed, 0), one_of(posed, 1));
     const double least = s->fit.flat * s->fit.flat * (bound + sqrt(unstretched));
     const int clear = bound > 0.0 && sqrt(dot(across, across)) > least * length_of(posed);
+    /* The tangents that the mesh has there, and the tilt of the blended ones. */
     const Vectors mapped = mapped_tangents(w->frame.along, derivatives, posed);
     const Pair squares = dots(mapped, mapped);
     const double lengths = part(squares, 0) + part(squares, 1), most = s->fit.stretched;
     const Vector normal = cross(one_of(mapped, 0), one_of(mapped, 1));
     stored->normal = times(normal, 1.0 / sqrt(dot(normal, normal)));
     stored->tilts = dots(both_vectors(stored->normal), turned_by(blended, w->frame.along));
+    /* A class counts if all is finite, and the pose does not stretch it much. */
     const double sum = part(stored->tilts, 0) + part(stored->tilts, 1) + dot(stored->normal, stored->normal);
     const int counts = clear && lengths <= most * unstretched && unstretched <= most * lengths && isfinite(sum);
     stored->weight = counts ? 2.0 / lengths : 0.0; /* lengths of 0 do not count: the normal is not finite */

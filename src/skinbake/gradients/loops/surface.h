@@ -77,12 +77,14 @@ static ALWAYS_INLINE Status group(const Surface *s, size_t count, const uint32_t
     if (!groups->start || !groups->members)
         return NO_MEMORY;
     uint32_t *next = groups->start + 1; /* one ahead: filling moves every start to its place */
+    /* Count the members of each class. */
     for (size_t n = 0; n < count; n++) {
         const size_t c = class_of(s, vertices ? vertices[n] : n);
         if (c == classes)
             return STRAY_INDEX;
         next[c + 1]++;
     }
+    /* The sums of the counts are where the classes begin. */
     for (size_t c = 0; c < classes; c++)
         next[c + 1] += next[c];
     for (size_t n = 0; n < count; n++) {

@@ -70,11 +70,13 @@ static ALWAYS_INLINE int choose_slots(const Surface *s, size_t slots, size_t ver
         const int32_t joint = w->named[k];
         if ((size_t)(uint32_t)joint >= (size_t)s->joint_count)
             continue;
+        /* Presence: the weight of the joint and its share of the gradients. */
         double presence = w->shares[k] + (joints[k] == joint ? weights[k] : 0.0);
         if (!(presence > s->fit.unfelt))
             continue;
         if (count == MOST_FITTED)
             return 0;
+        /* The gradient that the surface has, along both tangents of the class. */
         fitted->given[count] = dots(both_vectors(w->gradients[k]), w->frame.along);
         fitted->presence[count] = presence;
         fitted->joints[count] = joint;
@@ -114,6 +116,7 @@ static int climb_up(const Surface *s, Scratch *w)
     Way *way = &w->way;
     size_t left = w->node_count;
     for (int turn = 0; left > 1; turn++) {
+        /* The lowest joint that has not handed up yet: nothing below it is left. */
         Node *lowest = NULL;
         for (size_t n = 0; n < w->node_count; n++)
             if (!w->nodes[n].done && w->nodes[n].joint != NO_JOINT &&
@@ -121,11 +124,13 @@ static int climb_up(const Surface *s, Scratch *w)
                 lowest = &w->nodes[n];
         if (lowest == NULL || turn == MOST_TURNS)
             return 0;
+        /* Its turn, and the joint that carries it. */
         Climb *climb = &way->climb[way->climbs++];
         *climb = climb_from(s, lowest, way->fittings - 1);
         int32_t parent = s->parents[lowest->joint], rank = lowest->rank;
         if (parent < 0 || parent >= s->joint_count || s->ranks[parent] >= rank)
             parent = NO_JOINT;
+        /* What it carries goes to the node above. */
         lowest->done = 1;
         size_t before = w->node_count;
         Node *above = spare_node_of(s, parent, w);
@@ -144,6 +149,7 @@ static void number_curls(Way *way)
         Climb *climb = &way->climb[n];
         if (!climb->parts || climb->chain == NO_CHAIN)
             continue;
+        /* The second joint of a chain that parts the slots makes a curl of the first. */
         for (size_t m = 0; m < n && !climb->curl; m++) {
             Climb *lower = &way->climb[m];
             if (!lower->parts || lower->chain != climb->chain)
@@ -162,6 +168,7 @@ static void plan_way(const Surface *s, size_t turnings, const Fitted *fitted, Sc
     way->turnings = turnings, way->fittings = fitted->unknowns + 1;
     way->spares = way->climbs = 0;
     w->node_count = 0;
+    /* A node for each joint that turns, with the row of its turn. */
     for (size_t n = 0; n < turnings; n++) {
         size_t row = (size_t)(way->turning_numbers[n] = w->turning_numbers[n]);
         way->turning_joints[n] = w->met[row];
@@ -169,10 +176,12 @@ static void plan_way(const Surface *s, size_t turnings, const Fitted *fitted, Sc
         if (node->row != row) /* two slots have the same joint */
             way->climb[way->climbs++] = (Climb){.row = row, .row_above = node->row};
     }
+    /* A node for each fitted joint, which carries its own slot. */
     for (size_t i = 0; i < way->fittings; i++) {
         way->fitted_joints[i] = fitted->joints[i];
         spare_node_of(s, fitted->joints[i], w)->carries |= UINT64_C(1) << i;
     }
+    /* Up the rig, until one node carries all. */
     w->known_turnings = 1;
     way->ends = climb_up(s, w);
     number_curls(way);
@@ -217,6 +226,7 @@ typedef struct {
 static ALWAYS_INLINE void add_turn(Vector position, const Climb *climb, const double turn[TURN],
                                    const RingFrame *frame, Fitted *fitted, Equations e, Curl *curls)
 {
+    /* The tilt of a tangent along the normal by a turn, and how it should tilt. */
     const Vector lever = minus(position, (Vector){climb->pivot[0], climb->pivot[1], climb->pivot[2]});
     const Vector tilt = cross(lever, frame->normal);
     const double squared_lever = dot(lever, lever), square = dot(tilt, tilt);
@@ -224,12 +234,15 @@ static ALWAYS_INLINE void add_turn(Vector position, const Climb *climb, const do
     const Vectors arms = load_vectors(turn + ARMS), spins = load_vectors(turn + SPINS);
     const Vectors wanted = plus_each(crosses(both_vectors(lever), arms), spins);
     const Pair aims = dots(both_vectors(tilt), wanted);
+    /* ∇̄: the surface's gradients of the slots that turn along. */
     Pair carried = both(0.0);
     for (size_t i = 0; i <= e.unknowns; i++)
         carried = add_pairs(carried, scaled(bit_of(climb->carries, i, e.unknowns), fitted->given[i]));
+    /* The tilts that remain with the surface's gradients. */
     const Pair off = subtract_pairs(scaled(square, carried), aims), squared_off = multiply_pairs(off, off);
     fitted->tilts += square > 0.0 ? (part(squared_off, 0) + part(squared_off, 1)) / square : 0.0;
     fitted->reach += squared_lever;
+    /* |R|² and the pull of the turn, over the slots that it moves. */
     const Pair right = scaled(climb->sign, add_pairs(aims, scaled(pull, carried)));
     for (size_t i = 0; i < e.unknowns; i++) {
         const double mask = bit_of(climb->moves, i, e.unknowns);
@@ -237,6 +250,7 @@ static ALWAYS_INLINE void add_turn(Vector position, const Climb *climb, const do
         for (size_t k = 0; k <= i; k++)
             e.matrix[i * e.stride + k] += mask * bit_of(climb->moves, k, e.unknowns) * (square + pull);
     }
+    /* Joints of a long chain turn alike, so their tilts add up. */
     if (climb->curl) {
         Curl *curl = &curls[climb->curl - 1];
         curl->wanted = plus_each(curl->wanted, wanted);
@@ -268,6 +282,7 @@ static ALWAYS_INLINE void gather_turns(const Surface *s, Vector position, const 
     }
     memset(w->turns + w->first_spare * TURN, 0, way->spares * TURN * sizeof *w->turns);
     memset(w->curls, 0, way->curls * sizeof *w->curls);
+    /* From the lowest joint up: each turn takes along those below it. */
     for (size_t n = 0; n < way->climbs; n++) {
         const Climb *climb = &way->climb[n];
         const double *turn = w->turns + climb->row * TURN;
@@ -287,14 +302,17 @@ static void add_stored_pose(const Surface *s, Vector position, const StoredTilt 
     Vector over[MOST_FITTED];
     Vectors by_gradients = both_vectors((Vector){0.0, 0.0, 0.0});
     for (size_t i = 0; i <= e.unknowns; i++) {
+        /* Where each joint moves the vertex, from the point of the class. */
         over[i] = minus(moved_by(stored_matrix(s, fitted->joints[i]), position), stored->point);
         by_gradients = plus_each(by_gradients, times_each(both_vectors(over[i]), fitted->given[i]));
     }
+    /* The tilt that remains with the surface's gradients. */
     const double weight = s->fit.stored * stored->weight, pull = fitted->stiffness * weight;
     const Pair off = add_pairs(stored->tilts, dots(both_vectors(stored->normal), by_gradients));
     const Pair squares = multiply_pairs(off, off);
     fitted->tilts += weight * (part(squares, 0) + part(squares, 1));
     for (size_t i = 0; i < e.unknowns; i++) {
+        /* α of the last slot is minus the sum of the others. */
         over[i] = minus(over[i], over[e.unknowns]);
         const double raised = weight * dot(over[i], stored->normal);
         const Pair pulled = scaled(pull, dots(both_vectors(over[i]), by_gradients));
@@ -321,10 +339,12 @@ static ALWAYS_INLINE int solve(Equations e, double least)
             row[k] = factor;
             e.right[i] = subtract_pairs(e.right[i], scaled(factor, e.right[k]));
         }
+        /* A diagonal entry that elimination takes away is rounding. */
         if (!(diagonal > least * whole))
             return 0;
         row[i] = 1.0 / diagonal;
     }
+    /* D⁻¹, then Lᵀ from the last unknown up. */
     for (size_t i = e.unknowns; i-- > 0;) {
         e.right[i] = scaled(e.matrix[i * e.stride + i], e.right[i]);
         for (size_t n = i + 1; n < e.unknowns; n++)
@@ -349,6 +369,7 @@ static ALWAYS_INLINE void move_gradients(const Surface *s, const Fitted *fitted,
     const size_t unknowns = e.unknowns;
     double last = pull_of(s, fitted, unknowns);
     for (size_t i = 0; i < unknowns; i++) {
+        /* The pull of each slot. That of the last one is on all unknowns. */
         double pull = pull_of(s, fitted, i);
         for (size_t k = 0; k <= i; k++)
             e.matrix[i * e.stride + k] += k == i ? last + pull : last;
@@ -357,11 +378,13 @@ static ALWAYS_INLINE void move_gradients(const Surface *s, const Fitted *fitted,
     }
     if (!solve(e, s->fit.flat * s->fit.flat))
         return;
+    /* Small tilts may be rounding: their change is shrunk. */
     double share = fitted->tilts / (fitted->tilts + w->frame.doubt * w->frame.doubt);
     e.right[unknowns] = both(0.0);
     for (size_t i = 0; i < unknowns; i++)
         e.right[unknowns] = subtract_pairs(e.right[unknowns], e.right[i]);
     for (size_t i = 0; i <= unknowns; i++) {
+        /* The change along both tangents. What is along the normal stays. */
         Vector *gradient = &w->gradients[fitted->slots[i]];
         Pair by = scaled(share, subtract_pairs(e.right[i], fitted->given[i]));
         *gradient = plus(*gradient, plus(times(tangents[0], part(by, 0)), times(tangents[1], part(by, 1))));
@@ -427,6 +450,7 @@ static ALWAYS_INLINE double project_fitted(const Surface *s, Shape shape, size_t
     memset(w->shares, 0, slots * sizeof *w->shares);
     const double whole = found->magnitude > 0.0 ? 1.0 / found->magnitude : 0.0; /* sums that cancel have no shares */
     for (size_t n = 0; n < found->entries; n++) {
+        /* The slot of each joint's gradient, and its share of all of them. */
         Entry *entry = &w->entries[n];
         size_t slot = 0;
         while (slot < slots && w->named[slot] != entry->joint)
@@ -437,6 +461,7 @@ static ALWAYS_INLINE double project_fitted(const Surface *s, Shape shape, size_t
         else
             unheld += entry->magnitude;
     }
+    /* The fit. It adds up turns in place, so they are kept for the next vertex. */
     if (w->frame.sound) {
         const Vector position = row3(s->positions, shape.wide, vertex);
         const size_t size = (size_t)found->used * TURN * sizeof *w->turns;
@@ -446,6 +471,7 @@ static ALWAYS_INLINE double project_fitted(const Surface *s, Shape shape, size_t
         if (!last)
             memcpy(w->turns, w->kept, size);
     }
+    /* α and β in the frame of the vertex. */
     for (size_t k = 1; k < slots; k++) {
         out->alpha[vertex * (slots - 1) + k - 1] = stored(dot(w->gradients[k], t));
         out->beta[vertex * (slots - 1) + k - 1] = stored(dot(w->gradients[k], b));
