@@ -75,7 +75,7 @@ def _executions(lines: Sequence[Line]) -> str:
 def _facts(lines: Sequence[Line]) -> Iterator[str]:
     found = sorted({name for line in lines for name in line["finds"]})
     still = [name for name in found if not mended(name)]
-    state = f"Open: {', '.join(still)}" if still else "All are mended, or were no faults"
+    state = f"Open: {', '.join(still)}" if still else "All are mended, or were not faults"
     yield f"**Finds**: {len(found)} in all. {state}."
     faults = Counter[str]()
     for line in lines:

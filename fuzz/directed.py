@@ -94,7 +94,7 @@ def directed_seeds(plain: Model, morphed: Model, draco: Model) -> list[Model]:
 
 
 def _never(model: Model) -> Model:
-    """Return the model with a key of its clip at a time that is no number."""
+    """Return the model with a key of its clip at a time that is not a number."""
     made = model.copied()
     made.name = "directed-never"
     accessor = made.json["accessors"][made.json["animations"][0]["samplers"][0]["input"]]

@@ -71,7 +71,7 @@ def environment() -> dict[str, str]:
     return {
         **os.environ,
         "LD_PRELOAD": " ".join(libraries),
-        # The interpreter keeps what lasts as long as it does; an allocation too large is no defect.
+        # The interpreter keeps what lasts as long as it does; an allocation too large is not a defect.
         "ASAN_OPTIONS": "detect_leaks=0:allocator_may_return_null=1:exitcode=99:max_allocation_size_mb=2048",
         "UBSAN_OPTIONS": "print_stacktrace=1:halt_on_error=1:exitcode=98",
         "PYTHONPATH": os.pathsep.join([str(BUILD), str(REPOSITORY)]),

@@ -98,9 +98,9 @@ def cpu_quotas(groups: Path = GROUPS, root: Path = GROUP_ROOT) -> Iterator[float
             try:
                 text = " ".join((folder / name).read_text(encoding="ascii") for name in names)
                 quota, period = map(int, text.split())
-            except (OSError, ValueError):  # also "max 100000", which is no limit
+            except (OSError, ValueError):  # also "max 100000", which means no limit
                 continue
-            if quota > 0 and period > 0:  # -1 is no limit
+            if quota > 0 and period > 0:  # -1 means no limit
                 yield quota / period
 
 

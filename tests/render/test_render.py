@@ -250,7 +250,7 @@ def test_a_picture_replaces_pictures_only(tmp_path: Path) -> None:
     target.write_bytes(b"glTF, under a name that is not its own")
     result = invoke("render", TUBE, "-o", target)
     assert result.exit_code == exit_codes.USAGE
-    assert "exists and is no PNG, WebP or GIF; choose another name" in " ".join(result.stderr.split())
+    assert "exists and is not a PNG, WebP or GIF; choose another name" in " ".join(result.stderr.split())
     assert target.read_bytes().startswith(b"glTF")
 
 

@@ -358,7 +358,7 @@ def read_configuration(path: str) -> Configuration | None:
 
 
 def _fault(error: Exception) -> str:
-    """Return what is wrong with a text that is no TOML, and the usual cause of an invalid value."""
+    """Return what is wrong with a text that is not TOML, and the usual cause of an invalid value."""
     if isinstance(error, UnicodeDecodeError):
         return "it is not text in UTF-8"
     return f"{error}{'; text stands in quotes' if str(error).startswith('Invalid value') else ''}"

@@ -80,7 +80,7 @@ def check_picture_target(target: str) -> None:
     if is_model_name(target):
         raise click.UsageError(f"{target} is the name of a model; name the file of the picture")
     if (head := _head(target)) and not head.startswith(PICTURES):
-        raise click.UsageError(f"{target} exists and is no PNG, WebP or GIF; choose another name")
+        raise click.UsageError(f"{target} exists and is not a PNG, WebP or GIF; choose another name")
 
 
 def check_read(option: str, files: Iterable[File], targets: Iterable[tuple[Input, File | None]]) -> None:

@@ -47,7 +47,7 @@ class Baker(CheckedOptions):
     ) -> FileResult:
         """Bake one file and write it to ``target``. With None, or on a dry run, nothing is written.
 
-        Raises SkinbakeError, and then nothing has been written. Its notices are the ones found before the
+        Raises SkinbakeError, and then nothing has been written. Its notices are those found before the
         error.
         """
         replaced = version_of(source) if target == source != STDIO else None

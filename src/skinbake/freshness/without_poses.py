@@ -120,7 +120,7 @@ def _change(document: Document, view: BakedView) -> str | None:
 def _without_effect(
     document: Document, views: Sequence[BakedView], operator: GradientOperator
 ) -> Iterator[str | None]:
-    """Yield for each view why its α/β are no fit to any poses, None if they may be one."""
+    """Yield for each view why its α/β do not fit any poses, None if they may be one."""
     from skinbake.pose_fit.fit import tilts  # few files are fitted to poses
 
     groups = noted_poses(document, views[0]).groups

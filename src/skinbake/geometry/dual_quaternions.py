@@ -58,7 +58,7 @@ def rigid_motions(
     used = np.ones(joints, dtype=np.bool_) if in_use is None else in_use
     scale, deviation = _scale_and_deviation(matrices, used)
     rigid = used & (deviation <= tolerance)
-    # What is left of the matrix without the common scale; the identity where it is no rotation.
+    # What is left of the matrix without the common scale; the identity where it is not a rotation.
     motions = np.tile(np.eye(4), (poses, joints, 1, 1))
     motions[:, rigid] = matrices[:, rigid]
     motions[:, rigid, :3, :3] /= scale[:, None, None, None]

@@ -26,7 +26,7 @@ UNIT = 65535
 
 
 def not_finite(vector: FloatArray) -> str:
-    """Return which component (C ≤ 4) of a vector is the first that is no finite number: "y is NaN"."""
+    """Return which component (C ≤ 4) of a vector is the first that is not a finite number: "y is NaN"."""
     number = int(np.isfinite(vector).argmin())
     return f"{'xyzw'[number]} is {'NaN' if np.isnan(vector[number]) else 'infinite'}"
 

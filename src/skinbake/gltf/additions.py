@@ -130,7 +130,7 @@ class Additions:
         return self._add_accessor({}, values, normalized, extras)
 
     def add_stream(self, data: bytes) -> int:
-        """Add bytes that are no vertex attribute, such as a Draco stream or the keys of a clip.
+        """Add bytes that are not a vertex attribute, such as a Draco stream or the keys of a clip.
 
         Return the index of their buffer view. Equal bytes share one.
         """

@@ -224,7 +224,7 @@ def _shared_skeleton(document: Document, skin_index: int) -> Skeleton:
 
 
 def listed_joints(document: Document, skin_index: int) -> list[int]:
-    """Return the nodes that a skin lists as its joints; raises InputError if one is no node."""
+    """Return the nodes that a skin lists as its joints; raises InputError if one is not a node."""
     skin, place, owner = document.objects("skins")[skin_index], document.place, f"skin {skin_index}"
     count = len(document.objects("nodes"))
     joints = [

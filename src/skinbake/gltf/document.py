@@ -251,7 +251,7 @@ def _read_stdin(budget: Budget) -> Bytes:
 def parse_glb(
     data: Bytes, name: str, folder: Path, bounds: Bounds = BESIDE, budget: Budget | None = None
 ) -> Document:
-    """Return the document in the bytes of a GLB; InputError if they are no GLB.
+    """Return the document in the bytes of a GLB; InputError if they are not a GLB.
 
     ``budget`` has counted the bytes. None: they count now.
     """
@@ -323,7 +323,7 @@ def _parse_json(data: bytes, budget: Budget, place: Place) -> json_access.JsonOb
 
 
 def _fault(error: ValueError) -> str:
-    """Return why a text is no JSON, and where."""
+    """Return why a text is not JSON, and where."""
     if isinstance(error, UnicodeDecodeError):
         return f"its byte {error.start} is {error.object[error.start]:#04x}, which is not UTF-8 text"
     if not isinstance(error, JSONDecodeError):

@@ -63,7 +63,7 @@ def split_glb(data: Bytes, place: Place) -> GlbChunks:
 
 
 def _not_glb(head: bytes, place: Place) -> str:
-    """Return the reason why a file is no GLB, from its first bytes."""
+    """Return the reason why a file is not a GLB, from its first bytes."""
     if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{"):
         piped = "- takes a GLB only; give a .gltf file by its name"
         return f"this is JSON text, not a GLB: {piped if place.file == STDIN else 'name it .gltf instead'}"

@@ -91,7 +91,7 @@ def _rig_of(document: Document, skeleton: Skeleton) -> Rig:
 
 
 def _joint_parents(skeleton: Skeleton) -> npt.NDArray[np.int32]:
-    """Return for each joint the next joint above it. Nodes that are no joints are passed over."""
+    """Return for each joint the next joint above it. Nodes that are not joints are passed over."""
     positions = skeleton.joints.tolist()
     joint_at: dict[int, int] = {}
     for joint, position in enumerate(positions):

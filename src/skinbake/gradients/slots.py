@@ -130,7 +130,7 @@ def _foreign(entries: _Entries, field: WeightField) -> _Foreign:
     own_joints = np.ascontiguousarray(np.where(field.weights > 0, field.joints, NO_JOINT).T)
     for rank in entries.ranks:
         joints = entries.gradients.joints[rank.numbers]
-        # Tiny gradients are rounding: they are no reason to take a slot.
+        # Tiny gradients are rounding: they are not a reason to take a slot.
         foreign = rank.magnitudes > NEGLIGIBLE * entries.sums[rank.vertices]
         for column in own_joints:
             foreign &= column[rank.vertices] != joints

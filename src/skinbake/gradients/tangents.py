@@ -17,7 +17,7 @@ TANGENT_TOLERANCE = 0.1
 FEW = 100
 """TANGENT is straightened if at most one vertex in FEW leans, or only one.
 
-If more lean, they are no slips: quantised tangents lean everywhere, and other programs store other things.
+If more lean, they are not slips: quantised tangents lean everywhere, and other programs store other things.
 """
 
 

@@ -78,7 +78,7 @@ def limits_check(by_truth: Mapping[Truth, Normals], options: VerifyOptions, plac
 
 
 def _gain_counts(figures: Mapping[str, ErrorFigures]) -> bool:
-    """Tell whether there is something to correct: else a small gain is no fault of the bake."""
+    """Tell whether there is something to correct: else a small gain is not a fault of the bake."""
     return gain(figures) is not None and figures["standard"].mean >= NEGLIGIBLE
 
 

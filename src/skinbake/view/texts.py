@@ -30,7 +30,7 @@ def packed_texts() -> dict[str, Any]:
 def shown_choices() -> Iterator[tuple[str, ShaderChoices]]:
     """Yield each choice that the page can make, under the name that its ``textName`` gives.
 
-    Layouts are no choice here: the page has put texture coordinates together before it draws.
+    Layouts are not a choice here: the page has put texture coordinates together before it draws.
     """
     for frame, morphs in MORPHS.items():
         for influences in INFLUENCES:
