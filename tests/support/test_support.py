@@ -23,6 +23,8 @@ from tests.support.tools import required_program
 TUBE = FOLDER / "bent_tube.glb"
 SKIP_BY_ITSELF = re.compile(r"^\s*(?:\w+ = )?pytest\.(?:importorskip\(|skip\(.*installed)", re.MULTILINE)
 IMPORT_OF_A_TEST = re.compile(r"^\s*(?:from|import) tests\b.*\btest_\w+", re.MULTILINE)
+PRIVATE_PATCH = re.compile(r'^\s*\w+\.setattr\(\s*(?:[\w.]+,\s*)?"(?:[\w.]+\.)?_[A-Za-z]', re.MULTILINE)
+UNCLEAR_NAME = re.compile(r"^\s*def test_(?:so|nor|its?|they|th[eo]se|both|others?)_", re.MULTILINE)
 
 
 def report(*, errors: list[str] | None = None, warnings: list[str] | None = None, at: str = "/") -> Report:
@@ -62,6 +64,20 @@ def test_no_test_module_imports_another() -> None:
     assert IMPORT_OF_A_TEST.search("from tests.cli.test_json import BAKE")
     assert IMPORT_OF_A_TEST.search("    from tests.cli import running, test_json")
     assert not IMPORT_OF_A_TEST.search("from tests.support.models import FOLDER")
+
+
+def test_no_test_patches_a_private_name() -> None:
+    """A change inside a module then breaks no test of what it does."""
+    assert modules_that_have(PRIVATE_PATCH, "*.py", least=150) == []
+    assert PRIVATE_PATCH.search('    monkeypatch.setattr(state, "_code", lambda: "")')
+    assert PRIVATE_PATCH.search('patch.setattr(\n    "skinbake.cli.progress._bar", None\n)')
+    assert not PRIVATE_PATCH.search('monkeypatch.setattr(state, "__version__", "0.1.1")')
+
+
+def test_no_name_of_a_test_leans_on_the_test_before_it() -> None:
+    assert modules_that_have(UNCLEAR_NAME, "test_*.py", least=90) == []
+    assert UNCLEAR_NAME.search("    def test_nor_is_a_picture(self) -> None:")
+    assert not UNCLEAR_NAME.search("def test_italics_are_kept() -> None:")
 
 
 class TestKhronos:
