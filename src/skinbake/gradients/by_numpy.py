@@ -74,6 +74,7 @@ def normalise_influences(
     ``tolerance`` from 1. Weights below ``least`` of the vertex's largest count as 0.
     ``influences.weight_field`` has the policy.
     """
+    # Weights that move nothing count as 0, and so do negative ones.
     largest = weights.max(axis=1, keepdims=True, initial=0.0)
     weights[(weights > 0) & (weights < least * largest)] = 0.0
     negative = weights < 0
@@ -81,9 +82,11 @@ def normalise_influences(
     weights[negative] = 0.0
     total = weights.sum(axis=1)
     free &= (total > adopting_sum)[:, None]
+    # Without any weight the first joint has all of it.
     empty = total == 0
     weights[empty, 0] = 1.0
     total[empty] = 1.0
+    # What was assumed, counted by vertex.
     repeated = _merge_repeats(joints, weights)
     defects = WeightDefects(
         negative=int(np.count_nonzero(negative.any(axis=1))),
@@ -105,6 +108,7 @@ def _merge_repeats(joints: npt.NDArray[np.int32], weights: Float64Array) -> int:
             if not same.any():
                 continue
             merged |= same & (weights[:, later] > 0) & (weights[:, earlier] > 0)
+            # The slot with a weight keeps the joint; of two such slots the earlier one takes both weights.
             moves_back = same & (weights[:, earlier] == 0) & (weights[:, later] > 0)
             keeps_first = same & ~moves_back
             weights[keeps_first, earlier] += weights[keeps_first, later]
@@ -126,6 +130,7 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
 def _bake_parts(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlots:
     """Bake the primitives one after the other, with the gradients of the whole surface."""
     field, classes = surface.field, surface.classes
+    # Gradients and turns are those of the weld classes, over all primitives.
     gradients = weight_gradients(surface.positions, surface.triangles, field, classes, weighting=weighting)
     capacity = shared_capacity(field, classes) if adopt else None
     tangents, bitangents = surface.frame or frame_from_normal(unit_normals(surface.normals))
@@ -135,7 +140,9 @@ def _bake_parts(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlot
         rows = slice(start, end)
         frame = (tangents[rows], bitangents[rows])
         room = None if capacity is None else capacity[rows]
+        # The slots of the primitive: α, β and adopted joints.
         part = assign(gradients, classes[rows], field.rows(rows), frame, room)
+        # The fit changes α and β, and no slot.
         if surface.rig is not None and turns is not None:
             vertices = FittedVertices(
                 classes=classes[rows],

@@ -101,11 +101,13 @@ def limited_slots(primitive: SkinnedPrimitive, count: int) -> LimitedSlots:
     """
     field, _ = weight_field(primitive)
     weights = field.weights.astype(np.float32).astype(np.float64)
+    # The largest weights first; of equal ones the lowest joint.
     order = np.lexsort((field.joints, -weights), axis=1)
     kept = order[:, :count]
     chosen = np.take_along_axis(weights, kept, axis=1)
     # The sum goes one by one, so that it does not depend on how many are added.
     total = np.cumsum(chosen, axis=1)[:, -1:]
+    # What is left out, and where joints in several slots were merged.
     dropped = np.take_along_axis(field.weights, order[:, count:], axis=1).sum(axis=1)
     merged = np.count_nonzero(primitive.weights > 0, axis=1) > np.count_nonzero(field.weights, axis=1)
     return LimitedSlots(
@@ -135,6 +137,7 @@ def weight_sum_notices(primitive: SkinnedPrimitive, place: Place) -> list[Notice
     vertices = one_or_many(len(off), "1 vertex", "{} vertices")
     sums_told = _span(low, high)
     up_to = "up to " if "…" in sums_told else ""
+    # Sums below 1 make the correction too strong, and sums above 1 too weak.
     parts = [f"{up_to}{_excess(1.0 / low)} too strong"] if low < 1.0 else []
     parts += [f"{up_to}{_percent(1.0 - 1.0 / high)} too weak"] if high > 1.0 else []
     message = (

@@ -34,16 +34,20 @@ def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crea
     only equal normals weld. The result depends on neither vertex nor slot order, except for the numbers of
     the classes.
     """
+    # Equal positions. Most vertices are alone there.
     labels = kernel.label_equal_rows(positions)
     if int(labels.max(initial=-1)) + 1 == len(labels):
         return labels
+    # Of the others: equal influences too, and then equal normals.
     copies = np.flatnonzero(np.bincount(labels)[labels] > 1)
     points = kernel.label_equal_rows(_point_keys(labels, field, copies))
     oriented = kernel.label_equal_rows(_oriented_keys(points, normals, copies))
+    # One row for each normal of a point is left to compare by angle.
     first = first_rows(oriented)
     distinct = normals[copies[first]]
     directions = np.where(has_direction(distinct)[:, None], unit_vectors(distinct), np.nan)
     linked = _link_by_angle(points[first], directions, crease_angle)
+    # The labels of copies come after all others, so that none is used twice.
     labels[copies] = len(labels) + linked[oriented]
     return number_as_met(labels)
 
@@ -77,14 +81,17 @@ def _influence_keys(field: WeightField) -> npt.NDArray[np.uint64]:
 
 def _link_by_angle(points: Labels, normals: npt.NDArray[np.float64], crease_angle: float) -> Labels:
     """Return single-linkage classes of rows that share a point and have normals within the angle."""
+    # The rows of each point, one after the other.
     order = np.argsort(points, kind="stable")
     starts = np.flatnonzero(np.diff(points[order], prepend=-1))
     sizes = np.diff(np.append(starts, len(order)))
     labels = np.arange(len(points))
+    # Small points: all of one size at once, by all pairs.
     for size in range(2, PAIRED_GROUP + 1):
         members = order[starts[sizes == size][:, None] + np.arange(size)]
         for part in blocks(len(members), PAIRS // size**2):
             _link_groups(members[part], normals, crease_angle, labels)
+    # Large points: one by one, by growing.
     for start, size in zip(starts[sizes > PAIRED_GROUP], sizes[sizes > PAIRED_GROUP], strict=True):
         if size <= LINKED_GROUP:
             _grow_group(order[start : start + size], normals, crease_angle, labels)
@@ -96,6 +103,7 @@ def _link_groups(members: Labels, normals: npt.NDArray[np.float64], angle: float
     near = _within(normals[members][:, :, None], normals[members][:, None, :], angle)
     near |= np.eye(members.shape[1], dtype=np.bool_)
     local = np.tile(np.arange(members.shape[1]), (len(members), 1))
+    # Labels spread along chains until none changes.
     while True:
         reached = np.where(near, local[:, None, :], members.shape[1]).min(axis=2)
         if np.array_equal(reached, local):

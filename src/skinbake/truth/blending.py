@@ -120,8 +120,10 @@ class BlendedPrimitive:
         """Return T n, T⁻ᵀ n or Σ w cof(M[s]) n: (3, B, P)."""
         normal = self._rest.normals[part]
         if self._options.baseline is Baseline.INVERSE_TRANSPOSE:
+            # T⁻ᵀ n, from the columns of T.
             columns = self._forms(part, _axes(len(normal)))
             return kernel.blended_normals(columns, self._matrices.of(pose), normal)
+        # Σ w M n or Σ w cof(M) n: the same blend, of other matrices.
         table = self._cofactors or self._matrices
         found = np.empty((3, len(normal), pose.stop - pose.start))
         kernel.blend(self._forms(part, normal[None]), table.of(pose), found[None])
@@ -132,6 +134,7 @@ class BlendedPrimitive:
         if self._direct is None:
             raise ValueError("algorithm 2 was not prepared for")
         rest = self._direct(part)
+        # The columns of J = T + Σ M p ∇wᵀ.
         gradients = np.moveaxis(rest.weight_gradients(), 2, 0)
         columns = self._forms(part, _axes(len(rest.normals)), gradients)
         return kernel.blended_normals(columns, self._matrices.of(pose), rest.normals)
@@ -142,6 +145,7 @@ class BlendedPrimitive:
         if cap is None or self._rest.joints.shape[1] == 1:
             forms = self._forms(part, *self._frame_and_changes(part))
             return kernel.blended_normals(forms, self._matrices.of(pose))
+        # With a cap the two parts of t' and b' are needed one by one.
         t, b = (corrected(tuple(v), tuple(by), cap) for v, by in zip(*self.tangents(pose, part), strict=True))
         return np.stack(cross(t, b))
 

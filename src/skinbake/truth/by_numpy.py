@@ -68,6 +68,7 @@ def blended_normals(forms: Forms, table: Float64Array, normals: FloatArray | Non
     blend(forms, table, found)
     if normals is None:
         return np.stack(cross(*found))
+    # M⁻ᵀ n = cof(M) n / det M.
     rows: Rows = tuple(zip(*found, strict=True))
     cofactor = cofactors(rows)
     reciprocal = quotient(1.0, dot(rows[0], cofactor[0]))
@@ -97,6 +98,7 @@ def _entries(forms: Forms) -> Float64Array:
         directions = points[None]
     else:
         directions = np.concatenate([forms.directions, np.zeros((*forms.directions.shape[:2], 1))], axis=2)
+    # w u for each slot, and c p̃ where there are changes.
     entries = forms.weights[:, :, None] * directions[:, :, None]
     if forms.changes is not None:
         entries = entries + forms.changes[..., None] * points[:, None]
@@ -127,6 +129,7 @@ def _dense(entries: Float64Array, columns: IntArray, table: Float64Array) -> Flo
     gathered = np.empty((step, width, table.shape[1]))
     by_vertex = np.ascontiguousarray(np.swapaxes(entries, 0, 1))
     for start in range(0, count, step):
+        # The matrices of the joints of a few vertices, times their entries.
         rows = slice(start, min(start + step, count))
         own = gathered[: rows.stop - start]
         np.take(table, columns[rows], axis=0, out=own, mode="clip")
@@ -142,6 +145,7 @@ def gradient_rows(mesh: WeldedMesh, part: slice, directions: Sequence[FloatArray
     import igl
     from scipy.sparse import csr_array, vstack
 
+    # The corners of each vertex, and their triangles from the corner on.
     owners, corners = mesh.corners_of(part)
     flat, first = mesh.triangles.ravel(), corners - corners % 3
     faces = np.stack([flat[first + (corners + turn) % 3] for turn in range(3)], axis=1)
@@ -149,12 +153,15 @@ def gradient_rows(mesh: WeldedMesh, part: slice, directions: Sequence[FloatArray
     if len(corners) == 0:
         empty = np.zeros(0, dtype=np.int32)
         return SparseRows(np.zeros(len(directions) * size + 1, dtype=np.int32), empty, np.zeros(0))
+    # The share of each corner in the mean of its class.
     here, one, other = mesh.positions[faces].transpose(1, 2, 0)
     share = weights_of_corners(tuple(one - here), tuple(other - here), mesh.weighting)
     share /= mesh.totals[mesh.classes[part]][owners]
+    # libigl's gradients of the hats, in the triangles that are met.
     met, triangle = np.unique(corners // 3, return_inverse=True)
     local, numbers = np.unique(mesh.triangles[met], return_inverse=True)
     gradients = csr_array(igl.grad(mesh.positions[local], numbers.reshape(-1, 3).astype(np.int64)))
+    # The mean of the gradients along each direction, as a product of sparse matrices.
     ends = np.searchsorted(owners, np.arange(size + 1))
     places = (triangle[:, None] + len(met) * np.arange(3)).ravel()
     found = []
@@ -163,6 +170,7 @@ def gradient_rows(mesh: WeldedMesh, part: slice, directions: Sequence[FloatArray
         mean = csr_array((weighted.ravel(), places, 3 * ends), shape=(size, 3 * len(met)))
         found.append(mean @ gradients)
     stacked = vstack(found, format="csr")
+    # Columns by the numbers of the whole mesh.
     columns = local[stacked.indices].astype(np.int32)
     return SparseRows(stacked.indptr.astype(np.int32, copy=False), columns, stacked.data)
 
@@ -190,6 +198,7 @@ def true_normals(
     """
     part = rest.parts[number]
     tangents = posed_tangents(rest.derivatives[number], positions)
+    # By tangents, then by triangles.
     found = [tangent_normals(rest, part, tangents, sides)]
     if by_triangles is not None:
         sums = block_sums(by_triangles.classes, by_triangles.sums, part)
@@ -217,12 +226,15 @@ def count_errors(
     counted = np.broadcast_to(weights > 0.0, errors.shape)
     if valid is not None:
         counted = counted & valid
+    # A normal that does not exist is as bad as can be, and what does not count is below all.
     undefined = counted & np.isnan(errors)
     values = np.where(undefined, 180.0, np.where(counted, errors, -1.0)).astype(errors.dtype, copy=False)
     sums = np.sum(values, axis=0, dtype=np.float64, where=counted)
     positive = np.where(weights > 0.0, weights, 0.0)
+    # The largest error; of equal ones the first by pose.
     largest = float(values.max(initial=-1.0))
     pose, vertex = divmod(int(values.argmax()) if values.size else 0, max(1, errors.shape[1]))
+    # The tail, in runs of one vertex.
     kept = max(least, 0.0) <= values.T
     lengths = np.count_nonzero(kept, axis=1).astype(np.int32)
     some = np.flatnonzero(lengths)
@@ -246,6 +258,7 @@ def keep_at_least(found: WeightedRuns, room: WeightedRuns, least: float) -> Exte
     chosen = found.values >= least
     owners = np.repeat(np.arange(len(found.lengths)), found.lengths)[chosen]
     lengths = np.bincount(owners, minlength=len(found.lengths))
+    # Runs that have lost all of their values go.
     some = np.flatnonzero(lengths)
     end = Extent(len(owners), len(some))
     filled = room.part(Extent(0, 0), end)

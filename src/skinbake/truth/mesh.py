@@ -82,12 +82,14 @@ def joint_weights(primitives: Sequence[SkinnedPrimitive]) -> tuple[Int64Array, F
     count = sum(len(primitive.joints) for primitive in primitives)
     width = max((primitive.joints.shape[1] for primitive in primitives), default=0)
     joints, weights = np.full((count, width), -1, dtype=np.int64), np.zeros((count, width))
+    # All primitives side by side, in as many slots as the widest has.
     start = 0
     for primitive in primitives:
         rows, slots = slice(start, start + len(primitive.joints)), slice(0, primitive.joints.shape[1])
         joints[rows, slots] = primitive.joints
         weights[rows, slots] = moving_weights(primitive.weights, primitive.joints)
         start = rows.stop
+    # Joints ascend; equal ones are neighbours then, and the last one takes the sum.
     order = np.argsort(joints, axis=1, kind="stable")
     joints, weights = np.take_along_axis(joints, order, axis=1), np.take_along_axis(weights, order, axis=1)
     for slot in range(1, width):
@@ -157,6 +159,7 @@ def carrying_slots(primitive: SkinnedPrimitive) -> BoolArray:
     for rows in blocks(count, step):
         joints = primitive.joints[rows]
         positive = moving_weights(primitive.weights[rows], joints) > 0.0
+        # A slot outranks another with weight before one without, then by its place.
         mine, other = positive[:, :, None], positive[:, None, :]
         outranks = (other & ~mine) | ((other == mine) & earlier)
         same = joints[:, :, None] == joints[:, None, :]
@@ -261,6 +264,7 @@ def _close_pairs(
     places: Int64Array, normals: Float64Array, angle: float, claim: Callable[[int], None]
 ) -> Int64Array:
     """List the pairs (N, 2) at one place whose normals differ by at most ``angle`` radians."""
+    # Only points with several normals, and not too many.
     counts = np.bincount(places, minlength=len(places))
     counts[counts > MOST_NORMALS] = 0
     shared = np.flatnonzero(counts[places] > 1)
@@ -274,6 +278,7 @@ def _close_pairs(
     chord = 2.0 * np.sin(min(angle, np.pi) / 2.0) + 1e-12
     if counts.max(initial=0) > CROWDED:
         return _pairs_in_crowds(candidates, places[candidates], directions, chord, claim)
+    # By place. Then a pair is so many steps apart, and each number of steps is looked at.
     order = np.argsort(places[candidates], kind="stable")
     candidates, directions = candidates[order], directions[order]
     at = places[candidates]
@@ -314,6 +319,7 @@ def _components(pairs: Int64Array, count: int) -> Int64Array:
         links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
         return np.asarray(connected_components(links, directed=False)[1], dtype=np.int64)
     while True:
+        # Each node takes the least label of its neighbours, and of the node that it names.
         lowest = labels[pairs].min(axis=1, initial=count)
         before = labels.copy()
         for end in range(2):
@@ -394,6 +400,7 @@ class WeldedMesh:
         classes = self.classes[part]
         lengths = self.ends[classes + 1] - self.ends[classes]
         owners = np.repeat(np.arange(len(classes)), lengths)
+        # The corners of each class stand in one piece of the list.
         offsets = np.arange(len(owners)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
         return owners, self.corners[np.repeat(self.ends[classes], lengths) + offsets]
 
