@@ -20,6 +20,7 @@ OTHER_FORMATS = {
     ".blend": "export it from Blender (File > Export > glTF 2.0)",
     ".usd": "Blender imports USD and exports glTF (File > Export > glTF 2.0)",
     ".stl": "STL has no skin: export glTF from the program that rigs the model, like Blender",
+    ".zip": "unpack it",
 }
 """The way to glTF, by the suffix of another format."""
 
@@ -101,13 +102,16 @@ def _folders_beside(path: str) -> list[str]:
     return []
 
 
-def not_gltf(path: str) -> str:
-    """Say that a name is not a glTF file, and how to get one from a known format, or from a near name."""
+def not_gltf(path: str, more: str = ", or - for stdin") -> str:
+    """Say that a name is not a glTF file, and how to get one from a known format, or from a near name.
+
+    ``more`` are the words for what else may be named.
+    """
     suffix = Path(path).suffix.lower()
     way = OTHER_FORMATS.get(ALIASES.get(suffix, suffix))
     if way is not None:
         return f"{suffix[1:].upper()} is not glTF: {way}"
-    told, meant = f"expected a name that ends in {', '.join(SUFFIXES)}, or - for stdin", ""
+    told, meant = f"expected a name that ends in {', '.join(SUFFIXES)}{more}", ""
     if path and not os.path.lexists(path):
         meant = meant_file(path)
         if not suffix:

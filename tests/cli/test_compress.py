@@ -89,11 +89,12 @@ def test_draco_that_grows_a_file_says_the_factor_and_the_remedy(tmp_path: Path) 
     made = []
     for remedy in (["meshopt"], ["draco", "--position-bits", "14", "--normal-bits", "10"]):
         result = invoke("bake", TUBE, "-o", tmp_path / "b.glb", "--compress", *remedy)
-        assert ("times as large" in result.stderr) == (remedy[0] == "draco")
+        assert ("--compress draco makes its buffers" in result.stderr) == (remedy[0] == "draco")
         made.append((tmp_path / "b.glb").stat().st_size)
     assert made[0] < TUBE.stat().st_size < made[1] < (tmp_path / "a.glb").stat().st_size
     twin = draco_twin(TUBE, tmp_path / "twin.glb", sequential=True)
-    assert "times as large" not in invoke("bake", twin, "--dry-run", "--compress", "draco").stderr
+    grown = invoke("bake", twin, "--dry-run", "--compress", "draco").stderr
+    assert "--compress draco makes its buffers" not in grown
 
 
 def test_a_notice_makes_warnings_as_errors_fail(tmp_path: Path) -> None:
@@ -133,7 +134,8 @@ def test_damaged_data_ends_in_exit_3_or_0_and_never_in_a_traceback(kind: str, tm
     text = process.stderr.decode()
     assert "Traceback" not in text
     assert "should not" not in text
-    assert len(process.stdout.splitlines()) == len(sources)
+    failed = [line for line in text.splitlines() if line.startswith("error: ")]
+    assert len(process.stdout.splitlines()) + len(failed) == len(sources)
     errors = [line for line in text.splitlines() if "cannot be decoded" in line or "stream declares" in line]
     assert errors
     assert all("mesh 0" in line or "buffer view" in line for line in errors)

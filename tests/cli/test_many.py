@@ -176,10 +176,14 @@ class TestWhatIsSaidAtTheEnd:
         invoke("bake", FOLDER / "seam.glb", FOLDER / "two_sets.glb", "--out-dir", tmp_path)
         result = invoke("verify", tmp_path, "--poses", "rest", "--min-gain", "1000", "--max-mean-error", "0")
         assert result.exit_code == 1
+        assert "files failed:" not in result.stderr  # a few are told once
+        for number in range(4):
+            shutil.copyfile(tmp_path / "seam.glb", tmp_path / f"{number}.glb")
+        result = invoke("verify", tmp_path, "--poses", "rest", "--min-gain", "1000", "--max-mean-error", "0")
         lines = result.stderr.splitlines()
-        start = lines.index("2 of 2 files failed:")
-        assert lines[start + 1].startswith(f"  {tmp_path / 'seam.glb'}: ")
-        assert lines[start + 3].startswith("2 files: 2 failed, in ")
+        start = lines.index("6 of 6 files failed:")
+        assert lines[start + 1].startswith(f"  {tmp_path / '0.glb'}: ")
+        assert lines[start + 7].startswith("6 files: 6 failed, in ")
 
     def test_of_very_many_the_first_are_listed(self, tmp_path: Path) -> None:
         for number in range(130):

@@ -93,7 +93,7 @@ def test_a_pose_that_changes_later_is_told_and_passes_by_the_digest(_model: Path
     path = turned(baked(turned(_model, 40.0, "turned.glb"), tmp_path), 25.0, "later.glb")
     answer = verify(path)
     assert (answer.exit_code, answer.failed) == (0, [])
-    assert "the nodes are stored in another pose than at the bake" in invoke("verify", path).stdout
+    assert "the nodes are stored in another pose than at the bake" in invoke("verify", path, "-v").stdout
 
 
 @pytest.mark.parametrize(("factor", "failed"), [(1.0, []), (1.01, ["freshness"])])

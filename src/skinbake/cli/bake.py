@@ -120,6 +120,7 @@ def _reporting(
         say.notices(result.notices)
         if result.error is not None:
             say.error(result.error)
+            return
         say.details(detail_lines(result))
         if not given["as_json"]:
             say.written(line_of(result, dry_run=dry_run))

@@ -65,8 +65,8 @@ def depfile_writer(
 ) -> Callable[[Sequence[FileResult | StripResult]], int] | None:
     """Return the function that writes the rules of results and returns its exit code; None for no path.
 
-    If a file failed, nothing is written. Without its rule, a build tool would believe that its output of an
-    earlier run is new.
+    A file that failed has no rule: its output is an earlier run's, and the exit code tells the build tool.
+    If no file worked, nothing is written.
 
     ``also_read`` are files that every output was made of. So are those of ``configuration``, absolute paths
     that become relative if the input was given so.
@@ -77,8 +77,6 @@ def depfile_writer(
     def write(results: Sequence[FileResult | StripResult]) -> int:
         from skinbake.report.depfile import depfile, prerequisites
 
-        if any(result.error is not None for result in results):
-            return exit_codes.OK
         rules = [
             (
                 result.output,
@@ -90,8 +88,10 @@ def depfile_writer(
                 ],
             )
             for result in results
-            if result.output is not None
+            if result.output is not None and result.error is None
         ]
+        if not rules and any(result.error is not None for result in results):
+            return exit_codes.OK
         text = depfile(rules)  # no name is refused by now
         return write_report(path, text, say, sync=not given["no_sync"])
 

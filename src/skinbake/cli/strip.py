@@ -79,7 +79,7 @@ def _reporting(
         say.notices(result.notices)
         if result.error is not None:
             say.error(result.error)
-        if not (given["as_json"] or (is_one and result.error)):
+        elif not given["as_json"]:
             say.written(closing_line(result))
 
     return Reporting(

@@ -6,6 +6,10 @@ from skinbake.errors import Notice
 from skinbake.gltf.codecs import draco, meshopt
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import integer, objects
+from skinbake.wording import percent
+
+LARGER = 1.15
+"""The growth from which it is told as a factor: below it, "1.0 times" would say nothing."""
 
 
 def draco_growth(before: Document, after: Document) -> list[Notice]:
@@ -19,7 +23,9 @@ def draco_growth(before: Document, after: Document) -> list[Notice]:
     first, last = _bytes_of_buffers(before), _bytes_of_buffers(after)
     if last <= first or not first:
         return []
-    sizes = f"{last / first:.2g} times as large ({first:,} to {last:,} bytes)"
+    growth = last / first
+    by = f"{growth:.2g} times as large" if growth >= LARGER else f"{percent(growth - 1.0, 1)} larger"
+    sizes = f"{by} ({first:,} to {last:,} bytes)"
     message = (
         f"--compress draco makes its buffers {sizes}, because floats stay exact: use --compress meshopt; "
         "--position-bits 14 --normal-bits 10 helps less"

@@ -32,7 +32,7 @@ from skinbake.files.urls import STDIO
 from skinbake.gltf import json_access, json_text, resources
 from skinbake.gltf.budget import Budget
 from skinbake.gltf.glb import STDIN, GlbChunks, split_glb
-from skinbake.wording import counted, meant_file, one_or_many
+from skinbake.wording import counted, meant_file, not_gltf, one_or_many
 
 GLB_SUFFIXES = (".glb", ".vrm")
 GLTF_SUFFIX = ".gltf"
@@ -181,7 +181,7 @@ def _parsed(path: str, bounds: Bounds) -> Document:
     file = Path(path)
     suffix = file.suffix.lower()
     if suffix != GLTF_SUFFIX and suffix not in GLB_SUFFIXES:
-        raise InputError("expected a file named .glb, .gltf or .vrm", Place(path))
+        raise InputError(not_gltf(path, ""), Place(path))
     parse = parse_gltf if suffix == GLTF_SUFFIX else parse_glb
     return parse(read_named(path, bounds.root, budget), path, file.parent, bounds, budget)
 

@@ -205,7 +205,10 @@ class _Measurement:
         """Yield the checks of the lighting. One that does not apply is left out."""
         normals = by_truth[Truth.TANGENTS]
         if "lbs" in normals:
-            yield identity_check(self._identity, drawn, self._document.place)
+            if self._options.cap is None:
+                yield identity_check(self._identity, drawn, self._document.place)
+            else:  # a cap bounds algorithm 3 alone
+                yield Check("identity", "skipped", (), "--cap bounds one of both algorithms")
         if not normals:
             yield Check("lighting", "skipped", (), "there is no true normal at any vertex in these poses")
         if self._options.limits:

@@ -236,10 +236,7 @@ def _names(result: FileResult, *, dry_run: bool) -> str:
 
 def closing_line(result: FileResult, *, dry_run: bool) -> str:
     """Return one line with the numbers of baked, skipped and assumed things."""
-    name = printable(result.input)
     names = _names(result, dry_run=dry_run)
-    if result.status == "failed":
-        return f"{name}: failed, nothing written"
     if result.status == "up-to-date":
         return f"{names}: up to date"
     if result.left is not None:

@@ -51,8 +51,6 @@ def count(totals: Totals, result: StripResult) -> None:
 def closing_line(result: StripResult) -> str:
     """Return one line with the number of stripped primitives."""
     name = printable(result.input)
-    if result.status == "failed":
-        return f"{name}: failed, nothing written"
     what = f"stripped {counted(result.primitives, 'primitive')}" if result.primitives else "unchanged"
     where = name if result.output == result.input else f"{name} -> {printable(result.output)}"
     return f"{where}: {what}"
