@@ -141,6 +141,13 @@ class TestBake:
         assert "skipped: it has no NORMAL" in result.stderr
         assert invoke("bake", SEAM, "-o", tmp_path / "out.glb", "--warnings-as-errors").exit_code == 0
 
+    def test_warnings_as_errors_of_verify_tell_each_warning_once(self, tmp_path: Path) -> None:
+        path = write_model(tmp_path / "half.glb", [sheet(), sheet(NORMAL=None)])
+        invoke("bake", path, "-o", tmp_path / "out.glb")
+        result = invoke("verify", tmp_path / "out.glb", "--poses", "rest", "--warnings-as-errors")
+        assert result.exit_code == 1
+        assert result.stderr.count("skipped: it has no NORMAL") == 1
+
     def test_a_dry_run_writes_nothing_and_returns_the_same_code(self, tmp_path: Path) -> None:
         source = copied("seam.glb", tmp_path / "in")
         before = source.read_bytes()

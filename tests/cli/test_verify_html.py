@@ -14,7 +14,11 @@ import pytest
 from fixtures.make_fixtures import FOLDER
 from skinbake.cli import exit_codes
 from skinbake.commands import view
+from skinbake.commands.verify import verify_file
+from skinbake.commands.view import write_report
 from skinbake.errors import InputError, Notice, Place
+from skinbake.files.bounds import BESIDE
+from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import Check, FileVerdict
 from skinbake.view.index import Listed, index
 from tests.support.baked_files import Editable, baked
@@ -123,6 +127,24 @@ def test_several_files_give_an_index_with_the_worst_first(tmp_path: Path) -> Non
     assert text.count('<img class="picture" src="data:image/png;base64,') == 2
     assert "Limits: gain at least 50×." in text
     assert "not a GLB" in text
+
+
+def test_a_page_that_fails_leaves_the_pages_of_the_others(tmp_path: Path) -> None:
+    """The file that is verified first can no longer be read when its page is made."""
+    for source in (TUBE, SEAM):
+        bake(source, tmp_path / source.name)
+    paths = [str(tmp_path / source.name) for source in (TUBE, SEAM)]
+    options = VerifyOptions.of(poses="rest", methods=["lbs"])
+    verdicts = [verify_file(path, options) for path in paths]
+    Path(paths[0]).unlink()
+    target = str(tmp_path / "all.html")
+    folder, failed = write_report(verdicts, dict.fromkeys(paths, options), target, lambda _: BESIDE)
+    assert folder == tmp_path / "all"
+    assert [str(error.place) for error in failed] == paths[:1]
+    assert {name: link is None for name, _, link in rows(tmp_path / "all.html")} == {
+        "bent_tube.glb": True,
+        "seam.glb": False,
+    }
 
 
 def test_the_index_has_the_figures_of_the_truth_that_counts(tmp_path: Path) -> None:

@@ -220,7 +220,7 @@ REARRANGED = {
 }
 BROKEN = {
     "attribute renamed": Case(renamed, "attribute-missing", ["_SKINBAKE_BETA_0", "removed or renamed"]),
-    "metadata removed": Case(metadata_removed, "metadata-missing", ["no metadata", "run skinbake bake"]),
+    "metadata removed": Case(metadata_removed, "metadata-missing", ["no metadata", "on its source"]),
     "attributes removed": Case(attributes_removed, "attribute-missing", ["_SKINBAKE_ALPHA_0", "removed"]),
     "alpha NaN": Case(not_finite(np.nan), "attribute-not-finite", ["_SKINBAKE_ALPHA_0", "finite"]),
     "alpha infinite": Case(not_finite(np.inf), "attribute-not-finite", ["_SKINBAKE_ALPHA_0", "finite"]),

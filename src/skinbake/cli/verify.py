@@ -115,7 +115,8 @@ def _reporting(
     words_of = as_text if given["verbose"] else as_brief if is_one else as_line
 
     def tell(verdict: FileVerdict) -> None:
-        say.notices(verdict.notices)
+        if not any(check.name == "warnings" for check in verdict.checks):  # else they are told as problems
+            say.notices(verdict.notices)
         say.problems(problem for check in verdict.checks for problem in check.problems)
         if verdict.error is not None:
             say.error(verdict.error)
@@ -139,12 +140,14 @@ def _reporting(
             return Bounds(searched.get(source), given["allow_outside"])
 
         try:
-            folder = write_report(verdicts, options, target, bounds, sync=not given["no_sync"])
+            folder, failed = write_report(verdicts, options, target, bounds, sync=not given["no_sync"])
         except SkinbakeError as error:
             say.error(error)
             return exit_codes.of_error(error)
+        for one in failed:
+            say.error(one)
         tell_of_report(target, given, say, pages=folder)
-        return exit_codes.OK
+        return max((exit_codes.of_error(one) for one in failed), default=exit_codes.OK)
 
     return Reporting(
         schema=SCHEMA,

@@ -23,7 +23,7 @@ from skinbake.commands.posed_scene import (
 )
 from skinbake.commands.render import small_picture
 from skinbake.commands.verify import verify_document
-from skinbake.errors import InputError, Notice
+from skinbake.errors import InputError, Notice, SkinbakeError
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.urls import STDIO
 from skinbake.files.writing import write_file, write_files, write_stdout
@@ -292,32 +292,37 @@ def write_report(
     bounds: Callable[[str], Bounds],
     *,
     sync: bool = True,
-) -> Path | None:
+) -> tuple[Path | None, list[SkinbakeError]]:
     """Write the page of one verdict, or an index and the pages of several in a folder of its name.
 
     ``options`` are those of each input. ``bounds`` gives the folders in which the document of an input may
     name files. A file that cannot be read, or was not verified again, has no page. The index tells the limits
     that are the same for all, and that there are others. Return the folder of the pages, None if there is
-    none. Raises SkinbakeError; the files that were written before stay.
+    none, and the errors of single pages, which the index goes without. Raises SkinbakeError if the page of a
+    single verdict, or the index, cannot be written.
     """
     if len(verdicts) == 1 and verdicts[0].error is None and not verdicts[0].up_to_date:
         source = verdicts[0].input
         document = read_document(source, bounds(source))
         write_file([_page(document, verdicts[0], options[source])], target, sync=sync)
-        return None
-    listed, folder = [], None
+        return None, []
+    listed, folder, failed = [], None, []
     for verdict, path in zip(verdicts, pages(target, [one.input for one in verdicts]), strict=True):
         link = picture = None
         if verdict.error is None and not verdict.up_to_date:
-            document = read_document(verdict.input, bounds(verdict.input))
-            page, picture = _page(document, verdict, options[verdict.input]), small_picture(document)
-            write_files(path.parent, {path: [page]}, str(path), sync=sync)
-            folder = path.parent
-            link = f"{quote(folder.name)}/{path.name}"
+            try:
+                document = read_document(verdict.input, bounds(verdict.input))
+                page, picture = _page(document, verdict, options[verdict.input]), small_picture(document)
+                write_files(path.parent, {path: [page]}, str(path), sync=sync)
+            except SkinbakeError as error:
+                failed.append(error)
+            else:
+                folder = path.parent
+                link = f"{quote(folder.name)}/{path.name}"
         listed.append(_listed(verdict, link, picture))
     limits = [limits_in_words(options[verdict.input]) for verdict in verdicts]
     write_file([index(listed, _limits_of_all(limits))], target, sync=sync)
-    return folder
+    return folder, failed
 
 
 def _listed(verdict: FileVerdict, link: str | None, picture: bytes | None) -> Listed:

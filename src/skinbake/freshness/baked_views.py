@@ -120,8 +120,13 @@ def _weld(view: BakedView) -> str:
 def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
     metadata = read_metadata(document, source.json)
     if metadata is None:
-        what = "has α/β but no metadata that can be read" if is_baked(document, source) else "is not baked"
-        return Notice("metadata-missing", f"it {what}: {BAKE}", source.place)
+        message = f"it is not baked: {BAKE}"
+        if is_baked(document, source):
+            message = (
+                "it has α/β but no metadata that can be read, so a bake would take adopted joints for its own: "
+                f"{BAKE} on its source"
+            )
+        return Notice("metadata-missing", message, source.place)
     other = _other_version(metadata)
     if other is not None:
         return Notice("version", other, source.place)
