@@ -164,6 +164,7 @@ def _fitted(
             accurate=baker.corrective_aim is CorrectiveAim.GRADIENTS,
             claim=lambda size: document.budget.claim(size, "fitting its correctives", place),
         )
+    moved = [clip for clip in clips if clip.number in {motion.clip.number for motion in motions}]
     found = []
     for mesh, here, part, one in zip(meshes, places, parts, made, strict=True):
         item = None
@@ -175,7 +176,7 @@ def _fitted(
                 primitives=primitives[part],
                 targets=[_by_length(*pair) for pair in zip(one.targets, primitives[part], strict=True)],
                 clips=_weights(document, mesh, skins, one, idle),
-                settings=_settings(one, baker),
+                settings=_settings(document, mesh, one, baker, moved),
             )
         found.append((here, one, item))
     return found
@@ -243,22 +244,26 @@ def _weights(
     return found
 
 
-def poses_fingerprint(motions: Sequence[Motion]) -> tuple[float, ...]:
-    """Return a fingerprint of clips: that of the joint matrices in some poses of each."""
-    times = [np.linspace(one.clip.start, one.clip.duration, FINGERPRINT_POSES) for one in motions]
-    pairs = zip(motions, times, strict=True)
-    return fingerprint([clip_poses(one.skeleton, one.clip, at) for one, at in pairs])
+def poses_fingerprint(document: Document, mesh: int, clips: Sequence[Clip]) -> tuple[float, ...]:
+    """Return a fingerprint of clips as they move a mesh: that of the joint matrices in some poses of each."""
+    found = []
+    for skin in skins_of(document, mesh):
+        skeleton = read_skeleton(document, skin)
+        for clip in joint_clips(document, skin, clips):
+            times = np.linspace(clip.start, clip.duration, FINGERPRINT_POSES)
+            found.append(clip_poses(skeleton, clip, times))
+    return fingerprint(found) if found else ()
 
 
-def _settings(made: Correctives, baker: Baker) -> JsonObject:
-    """Return what the metadata says of a fit."""
+def _settings(
+    document: Document, mesh: int, made: Correctives, baker: Baker, clips: Sequence[Clip]
+) -> JsonObject:
+    """Return what the metadata says of a fit to clips."""
+    names = list(dict.fromkeys(clip.name for clip in clips))
     return {
         "aim": str(baker.corrective_aim),
         "clips": list(dict.fromkeys(track.motion.clip.name for track in made.tracks if track.plays)),
-        "poses": {
-            "clips": [[track.motion.skin, track.motion.clip.number] for track in made.tracks],
-            "fingerprint": list(poses_fingerprint([track.motion for track in made.tracks])),
-        },
+        "poses": {"clips": names, "fingerprint": list(poses_fingerprint(document, mesh, clips))},
     }
 
 

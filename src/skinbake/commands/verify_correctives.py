@@ -10,14 +10,13 @@ import numpy as np
 from skinbake.choices import PoseKind
 from skinbake.commands.bake import Baker
 from skinbake.commands.corrective_bake import poses_fingerprint
-from skinbake.correctives.fit import Motion
 from skinbake.errors import InputError, Notice, Place
 from skinbake.format.correctives import corrective_note, decoded_digest, nodes_with
 from skinbake.format.metadata import VERSION, changed_arrays, read_metadata
 from skinbake.format.strip import stripped
 from skinbake.freshness.baked_views import baked_views, gathered_together
 from skinbake.freshness.staleness import surface_operator
-from skinbake.geometry.poses import is_fingerprint_of, normalised
+from skinbake.geometry.poses import normalised
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.animation import (
@@ -28,6 +27,7 @@ from skinbake.gltf.animation import (
     clip_weights,
     read_clips,
     read_skeleton,
+    skins_of,
 )
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, entries_of, is_number, object_of, reference, text
@@ -44,6 +44,12 @@ from skinbake.wording import counted
 
 WORSE, ROUNDING = 1.005, 1e-3
 """From where on an error is worse than another one: its share, and degrees."""
+
+SAME_POSES = 3e-5
+"""By how much numbers of a fingerprint may differ: tools that write matrices as rotations change 6e-6.
+
+A joint that turns by a degree in one pose of a clip changes them by about 1e-4.
+"""
 
 BAKE = "run skinbake bake --correctives again"
 
@@ -152,34 +158,28 @@ def _stale_clips(
 ) -> Iterator[Notice]:
     """Yield a problem if the clips of a mesh have changed, or do not play its correctives any more."""
     noted = object_of(note.get("poses"))
-    skins = len(document.objects("skins"))
-    pairs = [
-        (int(skin), int(clip))
-        for skin, clip in noted.get("clips", [])
-        if reference(skin) is not None and 0 <= skin < skins and clip in clips
-    ]
-    motions = []
-    for skin, clip in pairs:
-        own = joint_clips(document, skin, [clips[clip]])
-        motions += [Motion(skin, read_skeleton(document, skin), one) for one in own]
-    prints = noted.get("fingerprint")
+    names, prints = noted.get("clips"), noted.get("fingerprint")
+    names = names if isinstance(names, list) else []
+    own = [clip for clip in clips.values() if clip.name in names]
     numbers = prints if isinstance(prints, list) and all(map(is_number, prints)) else []
-    if len(motions) != len(noted.get("clips", [])) or not motions:
+    if {clip.name for clip in own} != set(names) or not own:
         yield Notice("stale-clips", f"clips of its correctives are gone: {BAKE}", place)
         return
-    if not is_fingerprint_of(poses_fingerprint(motions), numbers):
+    found = poses_fingerprint(document, mesh, own)
+    if len(found) != len(numbers) or not np.allclose(found, numbers, rtol=0.0, atol=SAME_POSES):
         message = f"its clips or its rig changed since the bake of its correctives: {BAKE}"
         yield Notice("stale-clips", message, place)
-    there = target_count(document, mesh)
-    for motion in motions:
-        if motion.clip.name not in note.get("clips", []):
-            continue
-        for node in nodes_with(document, mesh, motion.skin):
-            at = np.linspace(motion.clip.start, motion.clip.duration, 9)
-            weights = clip_weights(node, clips[motion.clip.number], at, np.zeros(there))
-            if not weights[:, -int(note["targets"]) :].any():
-                message = f'clip "{motion.clip.name}" does not play its correctives any more: {BAKE}'
-                yield Notice("stale-clips", message, place)
+    there, playing = target_count(document, mesh), note.get("clips")
+    for skin in skins_of(document, mesh):
+        moving = {clip.number for clip in joint_clips(document, skin, own)}
+        for clip in own:
+            if clip.number not in moving or clip.name not in (playing if isinstance(playing, list) else []):
+                continue
+            at = np.linspace(clip.start, clip.duration, 9)
+            for node in nodes_with(document, mesh, skin):
+                if not clip_weights(node, clip, at, np.zeros(there))[:, -int(note["targets"]) :].any():
+                    message = f'clip "{clip.name}" does not play its correctives any more: {BAKE}'
+                    yield Notice("stale-clips", message, place)
 
 
 def _targets(document: Document, source: PrimitiveSource, added: int, count: int) -> Float64Array:
