@@ -170,12 +170,14 @@ class _Blend:
         lever_rate = plus_cross(lever_rate, vector, tangent)
         lever_rate = plus_scaled(lever_rate, real_rate, self.position)
         lever_rate = plus_cross(lever_rate, vector_rate, self.position)
+        # ḣ, by the product rule; the lines before are those of i̇.
         turn_rate = scaled(real, dual_vector_rate)
         turn_rate = plus_cross(turn_rate, vector, lever_rate)
         turn_rate = plus_cross(turn_rate, vector_rate, self.lever)
         turn_rate = plus_scaled(turn_rate, real_rate, dual_vector)
         turn_rate = minus_scaled(turn_rate, dual_rate, vector)
         turn_rate = minus_scaled(turn_rate, dual, vector_rate)
+        # k̇ h, divided by k.
         turn_rate = minus_scaled(turn_rate, dot(self.mixed[:4], rate[:4]), self.displacement)
         if cap is None:
             return plus_scaled(tangent, self.factor, turn_rate)

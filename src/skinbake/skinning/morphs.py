@@ -36,6 +36,7 @@ def morphed(
     def added(vectors: FloatArray, differences: FloatArray) -> FloatArray:
         return np.asarray(vectors.astype(dtype) + differences.astype(dtype))
 
+    # The morphed normal, and the frame carried along with it.
     n0, t0, b0 = (vectors.astype(dtype) for vectors in (rest.normals, rest.tangents, rest.bitangents))
     n = morphed_normals(n0, targets.summed("normals", weights, count).astype(dtype))
     if targets.with_tangents:
@@ -43,6 +44,7 @@ def morphed(
         t, b = carried_by_tangent(n0, (t0, b0), n, moved, rest.handedness().astype(dtype))
     else:
         t, b = carried_by_normal(n0, (t0, b0), n)
+    # Gradients of the rest do not fit a frame that targets stretch.
     primitive = replace(
         rest,
         positions=added(rest.positions, targets.summed("positions", weights, count)),
