@@ -123,8 +123,8 @@ def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
         message = f"it is not baked: {BAKE}"
         if is_baked(document, source):
             message = (
-                "it has α/β but no metadata that can be read, so a bake would take adopted joints for its own: "
-                f"{BAKE} on its source"
+                "it has α/β but no metadata that can be read, so a bake would take adopted joints for its "
+                f"own: {BAKE} on its source"
             )
         return Notice("metadata-missing", message, source.place)
     other = _other_version(metadata)
