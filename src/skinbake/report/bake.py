@@ -403,7 +403,7 @@ def _remedy(counts: Sequence[BakedCounts]) -> str:
         return ""
     if any(count.limited for count in counts):
         return "; try a larger --limit-influences"
-    return "; try --neighbours extend"
+    return "; try --neighbours extend, but three.js, PlayCanvas, Godot and Bevy read four influences only"
 
 
 def as_json(
