@@ -123,11 +123,11 @@ def test_linear_blending_is_that_of_numpy(poses: int, count: int, slots: int) ->
 @pytest.mark.parametrize("operations", [by_loops, by_numpy])
 def test_forms_without_directions_or_changes_are_those_of_points_and_zeros(operations: Any) -> None:
     forms, table = random_forms(2, 4), random_table(9)
-    unchanged = blended(operations, replace(forms, changes=None), 2, table)
+    unchanged = blended(operations, forms._replace(changes=None), 2, table)
     zeros = np.zeros((2, 19, 4))
-    expected = by_definition(replace(forms, changes=zeros), table)
+    expected = by_definition(forms._replace(changes=zeros), table)
     np.testing.assert_allclose(unchanged, expected, rtol=1e-12, atol=1e-12)
-    moved = blended(operations, replace(forms, directions=None, changes=None), 1, table)[0]
+    moved = blended(operations, forms._replace(directions=None, changes=None), 1, table)[0]
     matrices = table.reshape(-1, 4, 3, 9)[forms.joints]
     points = np.concatenate([forms.points, np.ones((19, 1))], axis=1)
     expected = np.einsum("vk,vkjip,vj->ivp", forms.weights, matrices, points)
@@ -162,7 +162,7 @@ def test_blended_normals_are_those_of_numpy(poses: int, slots: int) -> None:
     for of_forms in (forms.directions, forms.changes):
         of_forms[2, 7] = of_forms[1, 7]
     normals = np.random.default_rng(5).normal(size=(19, 3))
-    pair = replace(forms, directions=forms.directions[:2], changes=forms.changes[:2])
+    pair = forms._replace(directions=forms.directions[:2], changes=forms.changes[:2])
     t, b = np.moveaxis(by_definition(pair, table), 1, -1)
     crossed = by_loops.blended_normals(pair, table)
     np.testing.assert_allclose(crossed, np.moveaxis(np.cross(t, b), 2, 0), rtol=1e-9, atol=1e-9)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,8 +17,7 @@ from skinbake.skinning.rest import RestPrimitive
 from skinbake.truth.mesh import normalised_weights
 
 
-@dataclass(frozen=True, slots=True)
-class UnwrittenBake:
+class UnwrittenBake(NamedTuple):
     """One primitive, the arrays that were baked, and the result of the bake."""
 
     source: PrimitiveSource

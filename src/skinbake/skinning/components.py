@@ -9,8 +9,7 @@ that the function itself made.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -20,8 +19,7 @@ Rows: TypeAlias = tuple[Vector, ...]
 LineMark: TypeAlias = Callable[[int], None]
 
 
-@dataclass(frozen=True, slots=True)
-class RestVertex:
+class RestVertex(NamedTuple):
     """The input of an algorithm at one vertex: the fields of RestPrimitive, component by component.
 
     weights and gradients have one entry for each slot, alpha and beta one for each slot after the first.
@@ -39,8 +37,7 @@ class RestVertex:
     handedness: Component
 
 
-@dataclass(frozen=True, slots=True)
-class PosedVertex:
+class PosedVertex(NamedTuple):
     """The output of every algorithm at one vertex; the normal does not have unit length.
 
     cotangent and cobitangent are there if ``Options.normal_map`` asks for them (``normal_maps``).

@@ -7,7 +7,6 @@ paper.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from skinbake.choices import Baseline
 from skinbake.skinning.components import (
@@ -120,7 +119,7 @@ def with_normal_map(
     cotangent = scaled(handedness, cross(posed.bitangent, carried))
     line(first + 1)
     cobitangent = scaled(handedness, cross(carried, posed.tangent))
-    return replace(posed, cotangent=cotangent, cobitangent=cobitangent)
+    return posed._replace(cotangent=cotangent, cobitangent=cobitangent)
 
 
 def plus_gradient(

@@ -7,8 +7,6 @@ several times more slowly, if the package was installed without a compiler.
 
 from __future__ import annotations
 
-import logging
-
 from skinbake.choices import numpy_asked_for
 
 __all__ = [
@@ -24,8 +22,6 @@ __all__ = [
     "keep_at_least",
     "true_normals",
 ]
-
-logger = logging.getLogger(__name__)
 
 try:
     if numpy_asked_for():
@@ -44,6 +40,9 @@ try:
         true_normals,
     )
 except ImportError as error:
+    from logging import getLogger  # it takes some milliseconds
+
+    logger = getLogger(__name__)
     logger.info("without its compiled loops (%s): verify takes several times as long", error)
     from skinbake.truth.by_numpy import (
         add_to_bins,

@@ -17,6 +17,7 @@ of the change of area.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,8 +30,7 @@ FLAT_FRAME = 1e-6
 """The sine between two tangents below which they have no normal. float32 positions leave no exact digit."""
 
 
-@dataclass(frozen=True, slots=True)
-class RestFrames:
+class RestFrames(NamedTuple):
     """The data of the rest pose that the truth by tangents needs.
 
     parts are blocks of B vertices. derivatives are two operators of each block, along t0 and b0: sparse (B,
@@ -213,8 +213,7 @@ def _corner_normals(mesh: WeldedMesh, positions: Float64Array, corners: IntArray
         return tuple(np.where(sound, angle / area * component, 0.0) for component in normal)
 
 
-@dataclass(frozen=True, slots=True)
-class CarriedNormals:
+class CarriedNormals(NamedTuple):
     """The coordinates (3, V) of unit n0 at rest, NaN if a vertex has no frame.
 
     n̂ is the normal by triangles, a and b are the two tangents of the operator, laid into the plane at right
@@ -225,8 +224,7 @@ class CarriedNormals:
     coefficients: Float64Array
 
 
-@dataclass(frozen=True, slots=True)
-class ClassSums:
+class ClassSums(NamedTuple):
     """The sums (3, C, P) of the weld classes of a deformed mesh, float32, and what carries normals there.
 
     classes (V,) are int32.

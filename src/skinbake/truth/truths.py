@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -21,7 +21,6 @@ from skinbake.skinning.rest import RestPrimitive
 from skinbake.threads import Threads
 from skinbake.truth import kernel
 from skinbake.truth.blending import sample_blocks
-from skinbake.truth.fine import FineMesh
 from skinbake.truth.mesh import WeldedMesh
 from skinbake.truth.normals import (
     CarriedNormals,
@@ -37,6 +36,9 @@ from skinbake.truth.normals import (
 )
 from skinbake.truth.operator import GradientOperator
 from skinbake.truth.values import SparseRows
+
+if TYPE_CHECKING:
+    from skinbake.truth.fine import FineMesh
 
 SUMS = np.float32
 """The type of the sums of posed triangles. Doubles would take twice the memory, and tell nothing more."""
@@ -146,8 +148,7 @@ class Truths:
         return normals[named], exist[named]
 
 
-@dataclass(frozen=True, slots=True)
-class FineTruth:
+class FineTruth(NamedTuple):
     """The fine mesh of a truth: its own truth by triangles, and its points as a primitive to be skinned."""
 
     mesh: FineMesh
@@ -155,8 +156,7 @@ class FineTruth:
     points: RestPrimitive
 
 
-@dataclass(frozen=True, slots=True)
-class PosedSurface:
+class PosedSurface(NamedTuple):
     """A mesh in some poses: its positions (3, V, P), and the sums of its weld classes."""
 
     truths: Truths
@@ -190,8 +190,7 @@ class ChunkMemory:
         return self._arrays[name][:size].reshape(shape)
 
 
-@dataclass(frozen=True, slots=True)
-class VertexBlock:
+class VertexBlock(NamedTuple):
     """Some vertices: the numbers of block and primitive, the rows in the primitive, the part of the mesh."""
 
     number: int

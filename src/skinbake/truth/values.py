@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 
-@dataclass(frozen=True, slots=True)
-class Forms:
+class Forms(NamedTuple):
     """Forms F(u, c) = Σ w[s] M[s] u + Σ c[s] M[s] p̃ of B vertices, for any joint matrices M.
 
     joints, weights (B, K) and points (B, 3) are those of the vertices at rest. directions u are
@@ -147,8 +146,7 @@ class Extent(NamedTuple):
     runs: int
 
 
-@dataclass(frozen=True, slots=True)
-class CountedErrors:
+class CountedErrors(NamedTuple):
     """A block of errors in degrees, counted.
 
     samples are counted, among them undefined ones without a measured normal. weight is the weight of the
