@@ -43,6 +43,7 @@ def test_the_texts_are_what_skinbake_shader_writes() -> None:
 
     plain = ["--frame", "normal"]
     tangent = ["--frame", "tangent", "--encoding", "snorm16", "--morphs", "tangent", "--mirrored-joints"]
+    tangent += ["--normal-map"]
     dual = ["--method", "dqs", "--influences", "8", "--encoding", "packed8"]
     for name, options in (
         ("lbs_accurate/4/normal/float32/none/plain", plain),

@@ -15,8 +15,8 @@ struct Varying {
     @location(0) place: vec3<f32>,
     @location(1) normal: vec3<f32>,
     @location(2) error: vec2<f32>,
-    @location(3) tangent: vec3<f32>,
-    @location(4) bitangent: vec3<f32>,
+    @location(3) cotangent: vec4<f32>, // for normal maps: a direction, and its length over that of the normal
+    @location(4) cobitangent: vec4<f32>,
     @location(5) texcoords: vec4<f32>, // of the base colour's image, and of the normal map
     @location(6) glow_texcoord: vec2<f32>,
     @location(7) color: vec4<f32>,
@@ -42,7 +42,7 @@ fn vertex(@builtin(vertex_index) index: u32) -> Varying {
     let frame = skinbake_Frame(row[1].xyz, row[2].xyz, row[3].xyz, row[2].w);
     let v = skinbake_CALL;
     return Varying(scene.projected * vec4<f32>(v.position, 1.0), v.position, normalize(v.normal),
-        vec2<f32>(row[0].w, row[1].w), v.tangent, v.bitangent, row[4], row[5].xy, row[6]);
+        vec2<f32>(row[0].w, row[1].w), COTANGENT, COBITANGENT, row[4], row[5].xy, row[6]);
 }
 
 fn linear(c: vec3<f32>) -> vec3<f32> { return pow(c, vec3<f32>(2.2)); }
@@ -51,7 +51,8 @@ fn linear(c: vec3<f32>) -> vec3<f32> { return pow(c, vec3<f32>(2.2)); }
 fn mapped(n: vec3<f32>, texel: vec3<f32>, in: Varying, px: vec3<f32>, py: vec3<f32>, ux: vec2<f32>, uy: vec2<f32>) -> vec3<f32> {
     let m = (texel * 2.0 - 1.0) * vec3<f32>(vec2<f32>(scene.normal_scale), 1.0);
     if ((scene.flags & HAS_TANGENTS) != 0u) {
-        return normalize(normalize(in.tangent) * m.x + normalize(in.bitangent) * m.y + n * m.z);
+        return normalize(in.cotangent.w * m.x * normalize(in.cotangent.xyz)
+            + in.cobitangent.w * m.y * normalize(in.cobitangent.xyz) + m.z * n);
     }
     let a = cross(py, n);
     let c = cross(n, px);

@@ -305,6 +305,7 @@ def shader(lighting: str, slots: int, mirrored: bool) -> str:
         influences=slots,
         frame=Frame.TANGENT,  # frames are computed before; of both texts it is the one that has a handedness
         mirrored_joints=mirrored and lighting == "accurate",
+        normal_map=lighting == "accurate",
     )
     sets = range(choices.influence_sets)
     first = 7
@@ -316,7 +317,12 @@ def shader(lighting: str, slots: int, mirrored: bool) -> str:
         for set in sets
     ]
     arguments = ["row[0].xyz", "frame", "M", *weights, *(slopes if choices.reads_gradients else [])]
+    relief = [f"skinbake_normal_map(v, frame).{name}" for name in ("cotangent", "cobitangent")]
+    if not choices.normal_map:  # as in engines, standard lighting keeps no lengths
+        relief = [f"vec4<f32>(normalize(v.{name}), 1.0)" for name in ("tangent", "bitangent")]
     words = {
+        "COTANGENT": relief[0],
+        "COBITANGENT": relief[1],
         "ROW": str(first + 4 * len(sets)),
         "INFLUENCES": str(slots),
         "MATRICES": ", ".join(joints),

@@ -59,6 +59,8 @@ def _named(
         mirrored_joints=mirrored,
         encoding=encoding,
         morphs=usual.morphs,
+        # In the normal frame, the page finds the frame of a normal map from derivatives.
+        normal_map=usual.frame is Frame.TANGENT and lighting is not Lighting.STANDARD,
     )
     parts = (choices.stem, usual.influences, usual.frame, encoding, usual.morphs)
     return "/".join([*map(str, parts), "mirrored" if mirrored else "plain"]), choices

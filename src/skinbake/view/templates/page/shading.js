@@ -16,7 +16,7 @@ export function textName({ stem, sets, frame, storage, morphs, mirrored }) {
 
 // What vertices hand to fragments.
 const VARYINGS = [
-    'vec3 v_position', 'vec3 v_normal', 'vec3 v_tangent', 'vec3 v_bitangent', 'vec4 v_texcoord', 'vec2 v_further_texcoord',
+    'vec3 v_position', 'vec3 v_normal', 'vec4 v_cotangent', 'vec4 v_cobitangent', 'vec4 v_texcoord', 'vec2 v_further_texcoord',
     'vec4 v_color', 'vec2 v_error',
 ];
 const varyings = (direction) => VARYINGS.map((one) => `${direction} ${one};`).join('\n');
@@ -38,6 +38,10 @@ export function vertexText(text, choices) {
     };
     const gradients = reads ? ['alpha', 'beta'].flatMap((kind) => numbers.map((set) => decoded(kind, set))) : [];
     const given = ['scale * morphed_position', 'frame', name, ...lists('weights'), ...gradients].join(', ');
+    // For normal maps: directions in xyz, and their lengths over that of the normal. As in engines, standard lighting
+    // has no lengths.
+    const relief = frame === 'tangent' && reads ? ['map.cotangent', 'map.cobitangent'] :
+        ['tangent', 'bitangent'].map((one) => `vec4(normalize(v.${one}), 1.0)`);
     const followed = {
         none: '',
         normal: 'frame = skinbake_morphed_frame(frame, morphed_normal);',
@@ -84,8 +88,9 @@ void main()
     skinbake_Vertex v = skinbake_${stem}(${given});
     v_position = v.position;
     v_normal = mix(normalize(v.normal), truth.xyz, is_true * truth.w);
-    v_tangent = v.tangent;
-    v_bitangent = v.bitangent;
+    ${frame === 'tangent' && reads ? 'skinbake_NormalMap map = skinbake_normal_map(v, frame);' : ''}
+    v_cotangent = ${relief[0]};
+    v_cobitangent = ${relief[1]};
     v_texcoord = texcoord;
     v_further_texcoord = further_texcoord;
     v_color = color;
@@ -112,7 +117,7 @@ void main()
     mat3 linear = mat3(placed);
     v_position = (placed * vec4(position, 1.0)).xyz;
     v_normal = normalize(transpose(inverse(linear)) * normal);
-    v_tangent = v_bitangent = vec3(0.0);
+    v_cotangent = v_cobitangent = vec4(0.0);
     v_texcoord = texcoord;
     v_further_texcoord = further_texcoord;
     v_color = color;
@@ -154,7 +159,8 @@ vec3 mapped(vec3 n)
     vec3 m = texture(normal_map, NORMAL_TEXCOORD).xyz * 2.0 - 1.0;
     m.xy *= normal_scale;
 #ifdef HAS_TANGENTS
-    return normalize(normalize(v_tangent) * m.x + normalize(v_bitangent) * m.y + n * m.z);
+    m.xy *= vec2(v_cotangent.w, v_cobitangent.w);
+    return normalize(normalize(v_cotangent.xyz) * m.x + normalize(v_cobitangent.xyz) * m.y + n * m.z);
 #else
     // The frame of the texture coordinates, from what changes between pixels.
     vec3 px = dFdx(v_position), py = dFdy(v_position);
