@@ -17,11 +17,13 @@ import {
     FloatType,
     InstancedBufferAttribute,
     NodeMaterial,
+    NormalMapNode,
     SkinnedMesh,
     Vector4,
 } from 'three/webgpu';
 import {
     attribute,
+    cameraViewMatrix,
     cross,
     dot,
     float,
@@ -29,11 +31,16 @@ import {
     int,
     inverseSqrt,
     ivec2,
+    length,
     mat4,
+    max,
+    modelNormalMatrix,
     morphReference,
     normalGeometry,
     normalize,
     normalLocal,
+    normalView,
+    normalViewGeometry,
     OnObjectUpdate,
     positionLocal,
     reference,
@@ -44,6 +51,7 @@ import {
     texture,
     textureSize,
     uniform,
+    varyingProperty,
     vec3,
     vec4,
     vertexIndex,
@@ -56,6 +64,7 @@ import {
     BETA,
     coordinatesOf,
     DUAL,
+    framedBy,
     isBaked,
     isStandard,
     serve,
@@ -145,8 +154,13 @@ function light(builder, position, normal) {
     const { geometry } = builder;
     const isDual = geometry.hasAttribute(DUAL);
     const constants = uniform(new Vector4()).onObjectUpdate(({ object }) => constantsOf(object, isDual));
+    const tangent = geometry.hasAttribute('tangent') ? attribute('tangent', 'vec4') : null;
+    // What is displaced along the normal moves as three.js moves normals.
+    const carried = normalLocal.div(max(length(normal), 1e-20)).toVar();
+    if (tangent && hasRelief(builder)) {
+        passRelief(tangentLocal, cross(normalLocal, tangentLocal).mul(tangent.w), null);
+    }
     If(constants.y.greaterThan(1.5), () => {
-        const tangent = geometry.hasAttribute('tangent') ? attribute('tangent', 'vec4') : null;
         const isTangentFrame = constants.y.greaterThan(2.5);
         const rest = restFrame(tangent, isTangentFrame);
         const frame = geometry.morphAttributes.normal ? morphed(rest, normal) : rest;
@@ -172,12 +186,62 @@ function light(builder, position, normal) {
         const image = turned(back, found.tangent).toVar();
         const other = turned(back, found.bitangent).toVar();
         normalLocal.assign(cross(image, other).mul(frame.handedness));
+        if (tangent && hasRelief(builder)) {
+            if (isDual) carried.assign(turned(back, found.carried(turned(bind, frame.normal))));
+            const first = cross(other, carried).mul(frame.handedness).toVar();
+            const second = cross(carried, image).mul(frame.handedness).toVar();
+            // Cofactors are linear: those of t and b follow from those of t0, b0 and n0. t may lean from n0.
+            const t = normalize(tangent.xyz).toVar();
+            const b = normalize(cross(rest.normal, t)).mul(tangent.w).toVar();
+            const along = (axis) =>
+                first.mul(dot(axis, rest.tangent)).add(second.mul(dot(axis, rest.bitangent))).toVar();
+            const size = length(frame.tangent);
+            passRelief(
+                select(isTangentFrame, first.mul(size), along(t).add(normalLocal.mul(dot(t, rest.normal)))),
+                select(isTangentFrame, second.mul(size), along(b)),
+                normalLocal,
+            );
+        }
         if (tangent) {
             const along = (axis) => dot(tangent.xyz, axis);
             const mixed = image.mul(along(rest.tangent)).add(other.mul(along(rest.bitangent)));
             tangentLocal.assign(select(isTangentFrame, image, mixed));
         }
     });
+}
+
+// What a normal map needs at the pixel: a direction in xyz, and its length over that of the normal in w.
+const RELIEF = ['Cotangent', 'Cobitangent'].map((name) => varyingProperty('vec4', `skinbake${name}`));
+
+// three.js moves instances after this module has lit a mesh.
+const hasRelief = ({ object, material }) => !object.isInstancedMesh && framedBy(object, material) === 'tangent';
+
+// Pass vectors of the mesh that are carried as its normal is. Without a normal they have length 1, as in three.js.
+function passRelief(cotangent, cobitangent, normal) {
+    const viewed = (vector) => cameraViewMatrix.mul(vec4(modelNormalMatrix.mul(vector), 0)).xyz.toVar();
+    const unit = normal && length(viewed(normal)).toVar();
+    [cotangent, cobitangent].forEach((vector, index) => {
+        const seen = viewed(vector);
+        RELIEF[index].assign(vec4(normalize(seen), unit ? length(seen).div(unit) : 1));
+    });
+}
+
+const relieved = new WeakSet(); // materials whose normal maps follow the surface as a relief
+let usualMap;
+
+// three.js sets up each normal map in this method, that of the clear coat too.
+function setupNormalMap(builder) {
+    const { object, material, geometry } = builder;
+    const isLit = object?.isSkinnedMesh !== undefined && isBaked(geometry) && !plain.has(object);
+    if (!isLit || this.normalMapType !== 0 || this.unpackNormalMode || !hasRelief(builder) || builder.isFlatShading()) {
+        return usualMap.call(this, builder);
+    }
+    relieved.add(material);
+    const texel = this.node.mul(2).sub(1).toVar();
+    const slopes = this.scaleNode === null ? texel.xy : texel.xy.mul(this.scaleNode);
+    const side = dot(normalView, normalViewGeometry).sign(); // a back may be seen
+    const [x, y] = RELIEF.map((one, index) => normalize(one.xyz).mul(one.w).mul(index ? slopes.y : slopes.x));
+    return normalize(x.add(y).mul(side).add(normalView.mul(texel.z)));
 }
 
 const GRADIENTS = [ALPHA, BETA];
@@ -359,7 +423,11 @@ function dualQuaternions({ position: p, tangent, bitangent }, { M, weights, alph
         return forth(t.add(dh.mul(k)).toVar());
     };
     const moved = forth(p.add(delta).toVar()).add(origin);
-    return { position: moved, tangent: along(tangent, alpha), bitangent: along(bitangent, beta) };
+    const carried = (n) => {
+        const turn = cross(mix.real.xyz, n.mul(mix.real.w).add(cross(mix.real.xyz, n)));
+        return forth(n.add(turn.mul(k)).toVar());
+    };
+    return { position: moved, tangent: along(tangent, alpha), bitangent: along(bitangent, beta), carried };
 }
 
 // Of the rotation with columns a, b, c, then the shift t.
@@ -395,20 +463,32 @@ function changeMaterials() {
     if (NodeMaterial.prototype.setupPosition === setupPosition) return;
     usual = NodeMaterial.prototype.setupPosition;
     NodeMaterial.prototype.setupPosition = setupPosition;
+    usualMap = NormalMapNode.prototype.setup;
+    NormalMapNode.prototype.setup = setupNormalMap;
 }
 
 function restoreMaterials() {
     NodeMaterial.prototype.setupPosition = usual;
+    NormalMapNode.prototype.setup = usualMap;
 }
 
-const ACCURATE = { lighting: 'accurate', reason: '' };
+const ACCURATE = Object.fromEntries(
+    ['none', 'accurate', 'derivatives', 'standard'].map((normalMap) => [
+        normalMap,
+        { lighting: 'accurate', reason: '', normalMap },
+    ]),
+);
 const UNSEEN = { lighting: 'not drawn', reason: '' };
 
 // A program that lights accurately asks for the constants whenever it draws.
 function verifyMaterial(renderer, mesh, material, before) {
     const isDual = asked.get(mesh);
     asked.delete(mesh);
-    if (isDual === mesh.geometry.hasAttribute(DUAL)) return ACCURATE;
+    if (isDual === mesh.geometry.hasAttribute(DUAL)) {
+        const frame = framedBy(mesh, material);
+        if (frame !== 'tangent') return ACCURATE[frame];
+        return ACCURATE[!material.normalMap || relieved.has(material) ? 'accurate' : 'standard'];
+    }
     if (before?.lighting === 'standard') return before;
     if (before !== UNSEEN) {
         // It may be from before the geometry was changed.

@@ -53,7 +53,11 @@ def cost(*arguments: str | Path) -> Any:
 FIGURES = dict.fromkeys("123456", COUNT)
 LINES = {"type": "object", "patternProperties": {"^[1-9]$": COUNT}, "additionalProperties": False}
 SUMS = {"multiply_adds": strict(FIGURES), "bytes": strict(FIGURES), "added_bytes": strict(FIGURES)}
-COSTS = {**SUMS, "lines": strict(dict.fromkeys("123456", LINES))}
+COSTS = {
+    **SUMS,
+    "normal_map": strict(dict.fromkeys("356", COUNT)),
+    "lines": strict(dict.fromkeys("123456", LINES)),
+}
 SCHEMA = {"const": "skinbake.cost/1"}
 SINGLE = strict({"schema": SCHEMA, "influences": COUNT, **COSTS})
 TABLE = strict(
@@ -100,6 +104,8 @@ class TestNumberOfInfluences:
         # α and β are 3 floats each.
         assert found["bytes"] == by_number(60, 60 + 48, 60 + 24)
         assert found["added_bytes"] == by_number(0, 48, 24)
+        # T n0 by a matrix of 9 or a rotation of 18, and two cross products of 6.
+        assert found["normal_map"] == {"3": 21, "5": 30, "6": 30}
 
     @pytest.mark.parametrize("influences", range(1, 9))
     def test_every_line_costs_what_the_paper_says(self, influences: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import PosedVertex
 from skinbake.skinning.normal_maps import engine_mapped_normal, in_frame, mapped_normal
 from tests.support.characters import Array, Character, Placement, unit
+from tests.support.rasterised import covering, eroded
 from tests.support.replay import replay
 
 TILT = 25.0
@@ -89,3 +91,49 @@ def pixels(varying: Columns, texel: tuple[int, ...], corners: np.ndarray, shares
         direction /= np.maximum(np.linalg.norm(direction, axis=-1, keepdims=True), 1e-9)
         total += part * np.einsum("hwk,hwk->hw", shares, (lengths / size)[corners])[..., None] * direction
     return total
+
+
+def look_at(
+    character: Character, placement: Placement, direction: tuple[float, float, float]
+) -> tuple[Array, Array]:
+    """Return a projection and a view (4, 4) of the whole character, orthographic, from a direction."""
+    points = character.positions(placement)
+    back = unit(np.array([direction]))[0]
+    right = unit(np.cross([0.0, 1.0, 0.0], back)[None])[0]
+    view = np.eye(4)
+    view[:3, :3] = [right, np.cross(back, right), back]
+    seen = points @ view[:3, :3].T
+    view[:3, 3] = -0.5 * (seen.max(axis=0) + seen.min(axis=0))
+    half = 0.52 * np.ptp(seen, axis=0).max()
+    return np.diag([1 / half, 1 / half, -1 / half, 1.0]), view
+
+
+def relief_seen(
+    character: Character,
+    algorithm: Algorithm,
+    placement: Placement,
+    camera: tuple[Array, Array],
+    drawn: Array,
+    texel: tuple[int, ...],
+) -> tuple[Array, Array, Callable[[Array], Array]]:
+    """Return normals (P, 3) of the pixels that a page has drawn, in the world, and what they should be.
+
+    drawn (H, W, 4) are normals in view space, row by row from the top, and 1 where there is any. The third
+    result interpolates vectors of vertices (V, 3) in these pixels. Beside edges of triangles, a pixel may be
+    that of either: they are left out.
+    """
+    (projection, view), (height, width) = camera, drawn.shape[:2]
+    points = np.insert(character.positions(placement, algorithm), 3, 1, axis=1) @ (projection @ view).T
+    places = (points[:, :3] * [1, -1, 1] * 0.5 + 0.5) * [width, height, 1]
+    mirrors = bool(np.linalg.det(placement.world[:3, :3]) < 0)
+    covered, corners, shares = covering(
+        places, points[:, 3], character.triangles, (width, height), clockwise=mirrors
+    )
+    both = eroded(covered & (drawn[..., 3] == 1), 1) & (shares.min(axis=-1) > 0.01)
+    assert both.mean() > 0.1
+    expected = pixels(columns(character, algorithm, placement), texel, corners, shares)
+
+    def between(vectors: Array) -> Array:
+        return np.asarray(np.einsum("pk,pki->pi", shares[both], vectors[corners[both]]))
+
+    return np.asarray(drawn[both][:, :3] @ view[:3, :3], np.float64), expected[both], between

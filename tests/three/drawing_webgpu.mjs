@@ -1,7 +1,7 @@
 // What the tests of WebGPURenderer call in the browser: characters drawn as a page draws them, by either backend.
 
 import * as THREE from 'three/webgpu';
-import { positionLocal, vec3 } from 'three/tsl';
+import { normalView, positionLocal, vec3, vec4 } from 'three/tsl';
 import { WebGLRenderer } from 'three';
 import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
 import { CSMShadowNode } from 'three/addons/csm/CSMShadowNode.js';
@@ -111,6 +111,41 @@ const MATERIALS = {
 };
 
 const api = {
+    // The normal of the fragment shader at every pixel, with one texel as normal map. camera: { half, view }.
+    async mapped({ backend, texel, camera: { half, view }, size, plugin = true, ...options }) {
+        const renderer = await rendererOf(backend);
+        const { scene: model } = await load({ plugin, ...options });
+        const scene = new THREE.Scene();
+        scene.add(model);
+        const [mesh] = skinnedMeshes(model);
+        const normalMap = new THREE.DataTexture(new Uint8Array([...texel, 255]), 1, 1);
+        normalMap.needsUpdate = true;
+        mesh.material = new THREE.MeshStandardNodeMaterial({ normalMap });
+        mesh.material.outputNode = vec4(normalView, 1);
+        const camera = new THREE.OrthographicCamera(-half, half, half, -half, -half, half);
+        camera.matrixAutoUpdate = camera.matrixWorldAutoUpdate = false;
+        camera.matrixWorldInverse.fromArray(view);
+        camera.matrixWorld.copy(camera.matrixWorldInverse).invert();
+        camera.matrix.copy(camera.matrixWorld);
+        const target = new THREE.RenderTarget(size, size, { type: THREE.FloatType });
+        renderer.setRenderTarget(target);
+        renderer.setClearColor(0x000000, 0);
+        const report = plugin ? skinbake.applySkinbake(scene, options).meshes : [];
+        for (let frame = 0; frame < 3; frame++) {
+            renderer.render(scene, camera);
+            await null;
+        }
+        const image = base64(await renderer.readRenderTargetPixelsAsync(target, 0, 0, size, size));
+        const told = report.map(({ lighting, normalMap, reason }) => `${lighting} ${normalMap}${reason}`);
+        renderer.setRenderTarget(null);
+        skinbake.dispose(scene);
+        return {
+            image,
+            told,
+            isFromTop: renderer.backend.isWebGPUBackend === true,
+        };
+    },
+
     changes: () => Object.keys(CHANGES),
 
     // The backend that a renderer really has.
@@ -380,7 +415,7 @@ const api = {
         return { draws, freed, names, report, world: meshes[0].matrixWorld.toArray() };
     },
 
-    // The tangents of a character, which normal maps need.
+    // The tangents of a character, which anisotropy needs.
     async tangents(options) {
         CAPTURE.names = ['v_tangentView'];
         const renderer = new THREE.WebGPURenderer({ forceWebGL: true });
@@ -389,9 +424,7 @@ const api = {
         const scene = new THREE.Scene();
         scene.add(model, new THREE.DirectionalLight());
         const [mesh] = skinnedMeshes(model);
-        const flat = new THREE.DataTexture(new Uint8Array([128, 128, 255, 255]), 1, 1);
-        flat.needsUpdate = true;
-        mesh.material = new THREE.MeshStandardMaterial({ normalMap: flat });
+        mesh.material = new THREE.MeshPhysicalMaterial({ anisotropy: 0.5 });
         const draws = (await draw(renderer, scene, new THREE.PerspectiveCamera())).map(({ values }) => base64(values));
         CAPTURE.names = ['v_normalViewGeometry'];
         skinbake.dispose(scene);

@@ -38,9 +38,8 @@ from tests.support.characters import (
     column_by_column,
     unit,
 )
-from tests.support.mapped import TEXELS, columns, pixels
+from tests.support.mapped import TEXELS, look_at, relief_seen
 from tests.support.node import package_folder, require_node
-from tests.support.rasterised import covering, eroded
 from tests.support.stage import Stage, opened_page, page_of
 from tests.support.whole_fields import shader_text
 from tests.three.drawn import with_morphs
@@ -544,21 +543,6 @@ EIGHT = (
 SIZE = 256
 
 
-def look_at(
-    character: Character, placement: Placement, direction: tuple[float, float, float]
-) -> tuple[Array, Array]:
-    """Return a projection and a view (4, 4) of the whole character, orthographic, from a direction."""
-    points = character.positions(placement)
-    back = unit(np.array([direction]))[0]
-    right = unit(np.cross([0.0, 1.0, 0.0], back)[None])[0]
-    view = np.eye(4)
-    view[:3, :3] = [right, np.cross(back, right), back]
-    seen = points @ view[:3, :3].T
-    view[:3, 3] = -0.5 * (seen.max(axis=0) + seen.min(axis=0))
-    half = 0.52 * np.ptp(seen, axis=0).max()
-    return np.diag([1 / half, 1 / half, -1 / half, 1.0]), view
-
-
 RELIEF_DEGREES = 0.2
 """Between the pixels of a relief and the replay."""
 AT_REST = Pose(clip=None, angle=0.0)
@@ -598,24 +582,10 @@ class TestNormalMaps:
                 **options,
             },
         )
-        drawn = floats(found["image"]).reshape(RELIEF, RELIEF, 4)[::-1]
+        drawn = floats(found["image"]).reshape(RELIEF, RELIEF, 4)[::-1].astype(np.float64)
         algorithm = Algorithm.DQS_EXACT if options.get("method") == "dqs" else Algorithm.LBS_ACCURATE
-        varying = columns(character, algorithm, world)
-        points = np.insert(character.positions(world, algorithm), 3, 1, axis=1) @ (projection @ view).T
-        places = (points[:, :3] * [1, -1, 1] * 0.5 + 0.5) * [RELIEF, RELIEF, 1]
-        mirrors = np.linalg.det(world.world[:3, :3]) < 0
-        covered, corners, shares = covering(
-            places, points[:, 3], character.triangles, (RELIEF, RELIEF), clockwise=bool(mirrors)
-        )
-        # Over the edge between two triangles, a pixel may be either's.
-        both = eroded(covered & (drawn[..., 3] == 1), 1) & (shares.min(axis=-1) > 0.01)
-        assert both.mean() > 0.1
-        expected = pixels(varying, texel, corners, shares)
-
-        def between(vectors: Array) -> Array:
-            return np.asarray(np.einsum("pk,pki->pi", shares[both], vectors[corners[both]]))
-
-        return drawn[both][:, :3] @ view[:3, :3], expected[both], between, found.get("told")
+        seen = relief_seen(character, algorithm, world, (projection, view), drawn, texel)
+        return *seen, found.get("told")
 
     def deviation(
         self,

@@ -19,6 +19,7 @@ from skinbake.shaders.engines import engines_folder
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import corpus
 from tests.support.characters import Array, Character, Placement, Pose, angles, baked
+from tests.support.mapped import TEXELS, look_at, relief_seen
 from tests.support.node import package_folder, require_node
 from tests.support.stage import opened_page, page_of, require_backend
 from tests.three.drawn import (
@@ -382,3 +383,46 @@ def test_webgpu_draws_the_same_picture(stage: ThreeStage, method: str) -> None:
 
 def picture(text: str) -> npt.NDArray[np.float32]:
     return np.frombuffer(base64.b64decode(text), "<f4").reshape(SIZE, SIZE, 4)
+
+
+@pytest.mark.parametrize(("frame", "method"), [("normal", "lbs"), ("tangent", "lbs"), ("tangent", "dqs")])
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_every_pixel_of_a_relief_is_that_of_the_replay(
+    stage: ThreeStage, frame: str, method: str, backend: str
+) -> None:
+    require_backend(stage, backend)
+    character = stage.character(MIRRORED, RANDOM, frame)
+    for texel in TEXELS[:2]:
+        found, wanted, told = relief(stage, character, texel, backend=backend, method=method)
+        assert told == ["accurate accurate"]
+        assert np.percentile(angles(found, wanted), 99.9) < RELIEF_DEGREES
+
+
+@pytest.mark.parametrize("frame", ["normal", "tangent"])
+def test_a_relief_at_rest_is_three_s_own(stage: ThreeStage, frame: str) -> None:
+    character = stage.character(MIRRORED, Pose(clip=None, angle=0.0), frame)
+    own, wanted, _ = relief(stage, character, TEXELS[0], backend="webgl", plugin=False)
+    found, *_ = relief(stage, character, TEXELS[0], backend="webgl")
+    assert angles(found, own).max() < RELIEF_DEGREES
+    assert angles(own, wanted).max() < RELIEF_DEGREES
+
+
+RELIEF_DEGREES = 0.2
+RELIEF = 160
+
+
+def relief(
+    stage: ThreeStage, character: Character, texel: tuple[int, ...], method: str = "lbs", **options: object
+) -> tuple[Array, Array, list[str]]:
+    """Draw a relief of one tilt. Return its pixels, what they should be, and what the module reports."""
+    projection, view = look_at(character, Placement(), (0.4, 0.5, 1.0))
+    camera = {"half": 1 / projection[0, 0], "view": view.T.ravel().tolist()}
+    told = character.told(Placement())
+    found = stage.call(
+        "mapped", {**told, "texel": texel, "camera": camera, "size": RELIEF, "method": method, **options}
+    )
+    rows = np.frombuffer(base64.b64decode(found["image"]), "<f4").reshape(RELIEF, RELIEF, 4)
+    drawn = (rows if found["isFromTop"] else rows[::-1]).astype(np.float64)
+    algorithm = Algorithm.DQS_EXACT if method == "dqs" else Algorithm.LBS_ACCURATE
+    pixels, wanted, _ = relief_seen(character, algorithm, Placement(), (projection, view), drawn, texel)
+    return pixels, wanted, found["told"]

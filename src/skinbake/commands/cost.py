@@ -33,7 +33,15 @@ from skinbake.report.cost import (
     VertexCosts,
 )
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.counting import Cost, StoredTypes, VertexBytes, cost_table, multiply_adds, vertex_bytes
+from skinbake.skinning.counting import (
+    Cost,
+    StoredTypes,
+    VertexBytes,
+    cost_table,
+    multiply_adds,
+    normal_map_cost,
+    vertex_bytes,
+)
 
 TABLE = range(1, 9)
 """The numbers of influences in the table: one or two influence sets of glTF."""
@@ -187,7 +195,11 @@ def _file_costs(influences: int, layout: _Layout) -> dict[Algorithm, Cost]:
 def _reported(costs: dict[Algorithm, Cost]) -> VertexCosts:
     return {
         int(algorithm): VertexCost(
-            cost.multiply_adds, cost.vertex_bytes.total, cost.vertex_bytes.added, cost.lines
+            cost.multiply_adds,
+            cost.vertex_bytes.total,
+            cost.vertex_bytes.added,
+            cost.lines,
+            normal_map_cost(algorithm),
         )
         for algorithm, cost in costs.items()
     }

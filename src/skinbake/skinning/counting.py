@@ -133,6 +133,15 @@ def multiply_adds(algorithm: Algorithm, influences: int, *, normal_map: bool = F
     return tally.lines
 
 
+def normal_map_cost(algorithm: Algorithm) -> int | None:
+    """Return the multiply-adds that a normal map adds to a vertex; None if an algorithm has none for it.
+
+    They are T n0 and two cross products, for any number of influences.
+    """
+    plain, mapped = (sum(multiply_adds(algorithm, 1, normal_map=asked).values()) for asked in (False, True))
+    return mapped - plain or None
+
+
 def _components(tally: Tally, count: int) -> Vector:
     return tuple(Count(tally) for _ in range(count))
 

@@ -101,7 +101,7 @@ func _record(state: GLTFState, surface: Surface, primitive: Dictionary, note: Di
 	if is_morphed or not is_tangent:
 		var normals: PackedVector3Array = surface.array(Mesh.ARRAY_NORMAL)
 		surface.set_custom(2, normals.to_byte_array().to_float32_array(), Mesh.ARRAY_CUSTOM_RGB_FLOAT)
-	if is_morphed and is_tangent:
+	if is_morphed and has_tangents:
 		surface.set_custom(3, surface.array(Mesh.ARRAY_TANGENT), Mesh.ARRAY_CUSTOM_RGBA_FLOAT)
 	return {
 		"why": "",
