@@ -11,7 +11,8 @@ import numpy as np
 
 from skinbake.choices import Truth
 from skinbake.commands.bake import Baker
-from skinbake.errors import InputError, Notice
+from skinbake.errors import InputError, Notice, Place
+from skinbake.format.correctives import corrective_note
 from skinbake.format.strip import stripped
 from skinbake.freshness.baked_views import BakedView, is_baked, rest_primitive, whole_surfaces
 from skinbake.freshness.expected import true_operator_of
@@ -27,7 +28,7 @@ from skinbake.gltf.animation import (
 )
 from skinbake.gltf.document import Document
 from skinbake.gltf.images import images_unplaced
-from skinbake.gltf.json_access import reference
+from skinbake.gltf.json_access import reference, text
 from skinbake.gltf.morphs import resting_weights, target_count
 from skinbake.gltf.primitives import reason_to_skip, skinned_sources, why_nothing
 from skinbake.gltf.scenes import faces_backward, shown_nodes
@@ -250,7 +251,16 @@ def baked_in_memory(document: Document) -> tuple[Document, tuple[Notice, ...]]:
         if "NORMAL" not in source.attributes
         and reason_to_skip(document, source, generate_normals=True) is None
     ]
-    return made.document, (*damaged_bakes(document), *generated, *notices)
+    return made.document, (*damaged_bakes(document), *_not_shown(document), *generated, *notices)
+
+
+def _not_shown(document: Document) -> Iterator[Notice]:
+    """Yield a notice for each mesh with correctives, in place of which α and β are shown."""
+    for number, mesh in enumerate(document.objects("meshes")):
+        if corrective_note(mesh) is not None:
+            message = "its correctives are left out here, and α and β shown in place of them"
+            place = Place(document.name, number, text(mesh, "name", document.place))
+            yield Notice("correctives-not-shown", message, place)
 
 
 def damaged_bakes(document: Document) -> list[Notice]:

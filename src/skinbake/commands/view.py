@@ -27,6 +27,7 @@ from skinbake.errors import InputError, Notice, SkinbakeError
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.urls import STDIO
 from skinbake.files.writing import write_file, write_files, write_stdout
+from skinbake.format.correctives import corrective_note
 from skinbake.format.strip import stripped
 from skinbake.freshness.baked_views import BakedView, sound_views
 from skinbake.freshness.expected import noted_kind
@@ -82,6 +83,8 @@ def view_file(source: str, target: str | None = None, bounds: Bounds = BESIDE) -
     notes: list[str] = []
     if not was_baked:
         before = "The bake of the file is damaged." if damaged_bakes(document) else "The file was not baked."
+        if any(corrective_note(mesh) for mesh in document.objects("meshes")):
+            before = "The file has correctives, which this page leaves out."
         notes = [f"{before} This page baked it in memory, with the defaults."]
         document, notices = baked_in_memory(document)
     verdict = verify_document(document, VerifyOptions())
