@@ -494,7 +494,7 @@ function tell(mesh, reason, what = "three.js's standard lighting") {
 }
 
 function tellOfMap(mesh, { name, type, normalMapType }) {
-    const why = normalMapType === 1 ? 'its normal map is in object space' : 'its shader has no varyings for them';
+    const why = normalMapType === 1 ? 'it is in object space' : 'the shader has none of the lines for it';
     tell(mesh, why, `three.js's own tangents for the normal map of its ${type} "${name}"`);
 }
 

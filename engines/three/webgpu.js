@@ -226,17 +226,15 @@ function passRelief(cotangent, cobitangent, normal) {
     });
 }
 
-const relieved = new WeakSet(); // materials whose normal maps follow the surface as a relief
 let usualMap;
 
 // three.js sets up each normal map in this method, that of the clear coat too.
 function setupNormalMap(builder) {
-    const { object, material, geometry } = builder;
+    const { object, geometry } = builder;
     const isLit = object?.isSkinnedMesh !== undefined && isBaked(geometry) && !plain.has(object);
     if (!isLit || this.normalMapType !== 0 || this.unpackNormalMode || !hasRelief(builder) || builder.isFlatShading()) {
         return usualMap.call(this, builder);
     }
-    relieved.add(material);
     const texel = this.node.mul(2).sub(1).toVar();
     const slopes = this.scaleNode === null ? texel.xy : texel.xy.mul(this.scaleNode);
     const side = dot(normalView, normalViewGeometry).sign(); // a back may be seen
@@ -487,7 +485,8 @@ function verifyMaterial(renderer, mesh, material, before) {
     if (isDual === mesh.geometry.hasAttribute(DUAL)) {
         const frame = framedBy(mesh, material);
         if (frame !== 'tangent') return ACCURATE[frame];
-        return ACCURATE[!material.normalMap || relieved.has(material) ? 'accurate' : 'standard'];
+        const isRelief = !material.normalMap || (material.normalMapType !== 1 && !mesh.isInstancedMesh);
+        return ACCURATE[isRelief ? 'accurate' : 'standard'];
     }
     if (before?.lighting === 'standard') return before;
     if (before !== UNSEEN) {

@@ -480,7 +480,7 @@ class TestMaterials:
 
 OBJECT_SPACE = (
     'skinbake: "mirror" has three.js\'s own tangents for the normal map of its MeshStandardMaterial "": '
-    "its normal map is in object space"
+    "it is in object space"
 )
 UNLIT = {"depth"}
 """Materials whose programs read no normals."""

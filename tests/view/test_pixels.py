@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import base64
+import io
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser
-from tests.support.characters import Array, baked
-from tests.support.rasterised import Fragments, eroded, fragments
+from tests.support.baked_files import Editable
+from tests.support.characters import Array, Character, Placement, Pose, angles, baked
+from tests.support.mapped import TEXELS, columns, pixels
+from tests.support.rasterised import Fragments, covering, eroded, fragments
 from tests.view.pages import picture, shown
 
 TIME = 0.45
@@ -104,3 +109,88 @@ def shaded(drawn: Fragments, eye: Array, turn: float) -> Array:
 def unit_fields(vectors: Array) -> Array:
     """Return vectors (…, 3) divided by their lengths."""
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
+
+PACKED = """(() => {
+    // The shaded normal as two numbers of 16 bits, by the octahedron.
+    const packed = `
+    vec3 o = n / (abs(n.x) + abs(n.y) + abs(n.z));
+    vec2 e = o.z >= 0.0 ? o.xy : (1.0 - abs(o.yx)) * vec2(o.x < 0.0 ? -1.0 : 1.0, o.y < 0.0 ? -1.0 : 1.0);
+    ivec2 q = ivec2(round((0.5 * e + 0.5) * 65535.0));
+    result = vec4(q.x >> 8, q.x & 255, q.y >> 8, q.y & 255) / 255.0;`;
+    const { renderer } = application;
+    const { started } = renderer;
+    renderer.started = function (name, texts, captured) {
+        if (!name.includes('shaded')) return started.call(this, name, texts, captured);
+        const changed = () => {
+            const [vertex, fragment] = texts();
+            return [vertex, fragment.replace('result = vec4(color * alpha, alpha);', packed)];
+        };
+        return started.call(this, `packed ${name}`, changed, captured);
+    };
+})"""
+
+
+def with_relief(folder: Path, texel: tuple[int, ...]) -> Path:
+    """Give the tube TANGENT, and a normal map of one texel."""
+    file = Editable(FOLDER / "bent_tube.glb")
+    normals = file.array("NORMAL").copy()
+    tangents = unit_fields(np.cross(normals, [0.3, 0.2, 0.9]))
+    signed = np.column_stack([tangents, np.full(len(normals), -1.0)])
+    attributes = file.primitive()["attributes"]
+    attributes["TANGENT"] = file.add(signed.astype(np.float32))
+    attributes["TEXCOORD_0"] = file.add(np.full((len(normals), 2), 0.5, np.float32))
+    image = io.BytesIO()
+    Image.new("RGB", (1, 1), texel).save(image, "PNG")
+    uri = f"data:image/png;base64,{base64.b64encode(image.getvalue()).decode()}"
+    file.content |= {"images": [{"uri": uri}], "textures": [{"source": 0}]}
+    file.content["materials"][file.primitive()["material"]]["normalTexture"] = {"index": 0}
+    return baked(file.write(folder / "relief.glb"), folder)
+
+
+@pytest.mark.parametrize(("lighting", "algorithm"), [("rig", 3), ("dqs", 6)])
+def test_pixels_of_a_relief_are_those_of_the_replay(tmp_path: Path, lighting: str, algorithm: int) -> None:
+    path = with_relief(tmp_path, TEXELS[1])
+    with shown(path) as page:
+        page.show_as(900, 640, "light")
+        page.call(
+            """(async (time, lighting) => {
+                while (innerWidth !== 900 || canvas.width !== canvas.clientWidth) {
+                    await new Promise(requestAnimationFrame);
+                }
+                await Promise.all(application.renderer.materials.map((one) => one.loading));
+                application.stopMeasuring();
+                application.seek(time, true);
+                document.getElementById('moving').checked = false;
+                for (const side of [left, right]) side.value = lighting;
+                application.chooseSides();
+                document.querySelector('input[value=shaded]').click();
+                application.goHome();
+            })""",
+            TIME,
+            lighting,
+        )
+        page.call(PACKED)
+        found = picture(page)[::-1].astype(np.int64)
+        matrix = page.call(
+            "((aspect) => application.camera.projected(aspect))", found.shape[1] / found.shape[0]
+        )
+    height, width = found.shape[:2]
+    high = (256 * found[..., ::2] + found[..., 1::2]) / 65535 * 2 - 1
+    up = 1 - np.abs(high).sum(axis=-1, keepdims=True)
+    folded = (1 - np.abs(high[..., ::-1])) * np.where(high < 0, -1.0, 1.0)
+    drawn = np.concatenate([np.where(up >= 0, high, folded), up], axis=-1)
+    character = Character(path, Pose(0, TIME))
+    relief = columns(character, Algorithm(algorithm), Placement())
+    points = character.positions(Placement(), Algorithm(algorithm))
+    clip = np.column_stack([points, np.ones(len(points))]) @ np.array(matrix).reshape(4, 4)
+    places = (clip[:, :3] / clip[:, 3:] * [1, -1, 1] * 0.5 + 0.5) * [width, height, 1]
+    covered, corners, shares = covering(places, clip[:, 3], character.triangles, (width, height))
+    inside = eroded(covered, SILHOUETTE) & (shares.min(axis=-1) > 0.15)
+    assert inside.sum() > 4_000
+    wanted = pixels(relief, TEXELS[1], corners, shares)
+    assert np.percentile(angles(drawn[inside], wanted[inside]), 99) < RELIEF_DEGREES
+
+
+RELIEF_DEGREES = 0.2
+"""Between the page and the replay. Samples of antialiasing beside edges are another one percent."""
