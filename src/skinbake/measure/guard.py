@@ -18,13 +18,13 @@ import numpy as np
 from skinbake.choices import USUAL_TRUTHS, PoseKind
 from skinbake.errors import InputError, Notice
 from skinbake.geometry.rig import NO_PARENT, Rig
-from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray, SkinnedPrimitive
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.gltf.animation import animations_of, read_clips, read_skeleton, skins_of
 from skinbake.gltf.document import Document
 from skinbake.gltf.scenes import meshes_of_one_skin
 from skinbake.gradients.baker import BakeSettings, bake_primitives
 from skinbake.gradients.kept import EIGHTHS
-from skinbake.measure.unwritten import UnwrittenBake, cut_out
+from skinbake.measure.unwritten import UnwrittenBake, cut_out, joined
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import cross
 from skinbake.skinning.rest import Options, RestPrimitive
@@ -43,8 +43,8 @@ LEAST_POSES = 12
 class _Look(NamedTuple):
     """How closely to look at a surface, and how much error a primitive may have there to keep all it has.
 
-    vertices are those of the surface to look at, among those whose light α and β change. Each primitive has
-    at least ``LEAST_VERTICES`` of them. poses are the most of them. of_standard is the share of the error of
+    vertices are those of the surface to look at, among those whose light α and β change. poses are the most
+    of them. of_standard is the share of the error of
     standard lighting that may be left, and of_surface that of the surface's gradients where joints stretch.
     """
 
@@ -63,10 +63,14 @@ CLOSE = _Look(2048, 96, 0.98, 1.02)
 WHOLE = _Look(1 << 14, 96, 0.98, 1.02)
 """It chooses for each vertex of the primitives that keep a part. Vertices of larger ones keep the same."""
 
-LEAST_VERTICES = 128
+LEAST_VERTICES, FEWEST_VERTICES = 128, 32
+"""The vertices of each primitive, at least: the second number if they are very many."""
 
 SAMPLES = 1 << 16
 """The vertices × poses of a look, with the vertices around those that are looked at."""
+
+BYTES_A_PLACE, BYTES_A_SAMPLE = 24, 320
+"""The memory of a vertex in a pose, and of one that is looked at."""
 
 GOLDEN = 0.6180339887498949
 """The golden section. Its multiples, without their whole parts, lie evenly between 0 and 1."""
@@ -171,52 +175,55 @@ class _Whole:
                 return shares
             rows = _evenly_spread(lit, look.vertices)
             found = self._seen(rows, look)
-            lit = [own if found[number].are_large(look) else own[:0] for number, own in enumerate(lit)]
+            lit = [own if large else own[:0] for own, large in zip(lit, found.are_large(look), strict=True)]
         if sum(map(len, rows)) < sum(map(len, lit)) <= WHOLE.vertices:
             rows = lit
             found = self._seen(rows, WHOLE)
         for number in np.flatnonzero([len(own) for own in lit]).tolist():
             classes, own = self._bakes[number].baked.classes, rows[number]
             points = classes[own] if len(own) == len(lit[number]) else np.zeros(len(own), dtype=np.int64)
-            fit, kept = found[number].best(points)
+            fit, kept = found.best(number, points)
             eighths = np.full(len(classes), EIGHTHS)
             eighths[lit[number]] = kept if len(own) == len(lit[number]) else kept[0]
             shares[number] = KeptShare(fit, eighths, lit[number])
         return shares
 
-    def _seen(self, rows: Sequence[IntArray], look: _Look) -> list[_Errors]:
+    def _seen(self, rows: Sequence[IntArray], look: _Look) -> _Errors:
         """Return the errors of some vertices of each primitive, in the poses of a look."""
+        document, place = self._document, self._bakes[0].source.place
         numbers, parts, rows = cut_out(self._bakes, rows)
-        primitives, rests = [part.primitive for part in parts], [part.rest_primitive() for part in parts]
-        operator = true_operator(primitives)
-        poses = _poses(self._document, self._bakes[0].source.mesh, len(operator.positions), look)
+        primitive, rest = joined(parts)
+        counts = np.zeros(len(self._bakes), dtype=np.int64)
+        counts[numbers] = [len(own) for own in rows]
+        starts = np.cumsum([0, *(len(part.primitive.positions) for part in parts)])[:-1]
+        looked_at = np.concatenate([start + own for start, own in zip(starts, rows, strict=True)])
+        poses = _poses(document, place.mesh or 0, len(primitive.positions), look)
+        most = max(len(matrices) for _, matrices in poses)
+        size = most * (
+            BYTES_A_PLACE * len(primitive.positions) + BYTES_A_SAMPLE * len(looked_at) * len(poses)
+        )
+        document.budget.claim(size, "judging its light", place)
         rig = next(rig for rig in self._rigs if rig)
-        stretches = any(_stretch(rig, matrices, operator.positions) for _, matrices in poses)
-        plain = list(self._plain(numbers, primitives, rests)) if stretches else []
-        lights: list[list[_Light]] = [[] for _ in self._bakes]
+        plain = None
+        if any(_stretch(rig, matrices, primitive.positions) for _, matrices in poses):
+            _, plain = joined(list(self._plain(numbers, parts)))
+        operator = true_operator([primitive])
+        lights = []
         for skin, matrices in poses:
-            areas = RestAreas(self._document, skin)
+            areas = RestAreas(document, skin).of(primitive)[looked_at]
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no normal gets NaN
-                expected, exist, sides = _true_normals(operator, rests, matrices)
-                for place, own in enumerate(rows):
-                    weights = areas.of(primitives[place])[own]
-                    here = operator.slices[place].start + own
-                    surface = plain[place].rows(own) if plain else None
-                    true = expected[:, :, here], exist[:, here], sides[here]
-                    light = _Light.of(rests[place].rows(own), surface, matrices, weights, true)
-                    lights[numbers[place]].append(light)
-        return [_Errors(own) for own in lights]
+                true = _true_normals(operator, rest, matrices, looked_at)
+                surface = plain and plain.rows(looked_at)
+                lights.append(_Light.of(rest.rows(looked_at), surface, matrices, areas, true))
+        return _Errors(lights, counts)
 
-    def _plain(
-        self, numbers: Sequence[int], primitives: Sequence[SkinnedPrimitive], rests: Sequence[RestPrimitive]
-    ) -> Iterator[RestPrimitive]:
+    def _plain(self, numbers: Sequence[int], parts: Sequence[UnwrittenBake]) -> Iterator[UnwrittenBake]:
         """Yield parts of some primitives with the gradients of their surfaces."""
-        for _, own in groupby(range(len(numbers)), key=lambda place: self._surface_of[numbers[place]]):
-            places = list(own)
-            found = bake_primitives([primitives[place] for place in places], self._settings)
-            for place, (made, _) in zip(places, found, strict=True):
-                alpha, beta = (slots.astype(np.float64) for slots in (made.alpha, made.beta))
-                yield replace(rests[place], alpha=alpha, beta=beta)
+        for _, own in groupby(zip(numbers, parts, strict=True), key=lambda pair: self._surface_of[pair[0]]):
+            of_surface = [part for _, part in own]
+            found = bake_primitives([part.primitive for part in of_surface], self._settings)
+            for part, (made, _) in zip(of_surface, found, strict=True):
+                yield part._replace(baked=made)
 
 
 def _lit(bake: UnwrittenBake) -> IntArray:
@@ -228,8 +235,9 @@ def _lit(bake: UnwrittenBake) -> IntArray:
 def _evenly_spread(lit: Sequence[IntArray], count: int) -> list[IntArray]:
     """Return about so many of the vertices of a surface's primitives, evenly spread over them."""
     every, found = max(1, sum(map(len, lit))), []
+    least = max(FEWEST_VERTICES, min(LEAST_VERTICES, 2 * CLOSE.vertices // len(lit)))
     for rows in lit:
-        own = max(LEAST_VERTICES, count * len(rows) // every)
+        own = max(least, count * len(rows) // every)
         places = np.arange(1, own + 1) * GOLDEN % 1.0 * len(rows)
         found.append(rows if len(rows) <= own else rows[np.unique(places.astype(np.int64))])
     return found
@@ -312,6 +320,19 @@ class _Light(NamedTuple):
             sides,
         )
 
+    def rows(self, part: slice) -> _Light:
+        """Return the light of some of the vertices."""
+        by_surface = None if self.by_surface is None else self.by_surface[:, :, part]
+        return self._replace(
+            standard=self.standard[:, part],
+            still=self.still[:, :, part],
+            by_fit=self.by_fit[:, :, part],
+            by_surface=by_surface,
+            expected=np.ascontiguousarray(self.expected[:, :, part]),
+            weights=self.weights[:, part],
+            sides=self.sides[part],
+        )
+
     def errors(self, fit: float | None, share: float = 1.0) -> Float64Array:
         """Return the angles to both truths (2, B, P), in degrees, of parts of the fit and of α and β.
 
@@ -329,24 +350,26 @@ class _Light(NamedTuple):
 
 
 def _true_normals(
-    operator: GradientOperator, rests: Sequence[RestPrimitive], matrices: Float64Array
+    operator: GradientOperator, rest: RestPrimitive, matrices: Float64Array, rows: IntArray
 ) -> tuple[Float64Array, BoolArray, Float64Array]:
-    """Return the normals (2, 3, V, P) by both truths, where they exist (2, V, P), and the sides (V, P)."""
-    vertices, poses = len(operator.positions), len(matrices)
-    deformed = np.empty((3, vertices, poses))
-    for rest, own in zip(rests, operator.slices, strict=True):
-        whole = slice(0, len(rest.positions))
-        BlendedPrimitive(rest, matrices, Options()).put_positions(slice(0, poses), whole, deformed, own.start)
-    truths, sides = Truths.of(operator, rests, poses, USUAL_TRUTHS), sides_of(rests, matrices)
+    """Return the normals (2, 3, B, P) of some vertices by both truths, where they exist, and the sides.
+
+    rows (B,) ascend. The sides (B, P) are −1 where joints mirror.
+    """
+    vertices, poses, count = len(operator.positions), len(matrices), len(rows)
+    deformed = BlendedPrimitive(rest, matrices, Options()).positions(slice(0, poses), slice(0, vertices))
+    truths, sides = Truths.of(operator, [rest], poses, USUAL_TRUTHS), sides_of([rest], matrices)
     sums = truths.sums(deformed, Threads(1))
-    expected, exist = np.empty((2, 3, vertices, poses)), np.empty((2, vertices, poses), dtype=np.bool_)
+    expected, exist = np.empty((2, 3, count, poses)), np.empty((2, count, poses), dtype=np.bool_)
     for block in truths.vertex_blocks:
-        side = None if sides is None else sides[:, block.part]
-        expected[:, :, block.part], exist[:, block.part] = truths.normals(block.number, deformed, sums, side)
-    return expected, exist, np.ones((vertices, poses)) if sides is None else sides.T
+        first, last = np.searchsorted(rows, (block.part.start, block.part.stop))
+        own, side = rows[first:last] - block.part.start, None if sides is None else sides[:, block.part]
+        normals, exists = truths.normals(block.number, deformed, sums, side)
+        expected[:, :, first:last], exist[:, first:last] = normals[:, :, own], exists[:, own]
+    return expected, exist, np.ones((count, poses)) if sides is None else sides[:, rows].T
 
 
-def _stretch(rig: Rig, matrices: Float64Array, positions: Float64Array) -> bool:
+def _stretch(rig: Rig, matrices: Float64Array, positions: FloatArray) -> bool:
     """Tell whether a joint moves against the joint that carries it, or scales a direction or all of them.
 
     matrices are (P, J, 4, 4), positions (V, 3). The fit knows turns only.
@@ -367,51 +390,57 @@ def _stretch(rig: Rig, matrices: Float64Array, positions: Float64Array) -> bool:
 
 
 class _Errors:
-    """The mean errors of a primitive over its vertices: in each set of poses, by both truths."""
+    """The mean errors of N primitives over their vertices: in each of S sets of poses, by both truths."""
 
-    def __init__(self, lights: Sequence[_Light]) -> None:
-        self._lights = [light for light in lights if (light.weights.sum(axis=(1, 2)) > 0.0).all()]
+    def __init__(self, lights: Sequence[_Light], counts: IntArray) -> None:
+        """Take the lights of all primitives' vertices, one after the other, and the number of each."""
+        self._lights, self._counts = lights, counts
+        self._owners = np.repeat(np.arange(len(counts)), counts)
 
     def of(self, fit: float | None) -> Float64Array:
-        """Return the mean errors (2 N,) of a part of the fit, None for standard lighting, in degrees."""
+        """Return the mean errors (N, 2 S) of a part of the fit, None for standard lighting, in degrees."""
         return self._means([light.errors(fit) for light in self._lights])
 
     def _means(self, values: Sequence[FloatArray]) -> Float64Array:
-        pairs, axes = zip(self._lights, values, strict=True), (1, 2)
-        means = [(light.weights * own).sum(axes) / light.weights.sum(axes) for light, own in pairs]
-        return np.array(means).ravel()
+        """Return the means (N, 2 S) of values (2, B, P) in each set, 0 where nothing has an area."""
+        found = []
+        for light, own in zip(self._lights, values, strict=True):
+            for row, areas in zip((light.weights * own).sum(2), light.weights.sum(2), strict=True):
+                total, area = (np.bincount(self._owners, each, len(self._counts)) for each in (row, areas))
+                found.append(np.divide(total, area, out=np.zeros(len(area)), where=area > 0.0))
+        return np.array(found).T
 
-    def are_large(self, look: _Look) -> bool:
-        """Tell whether a primitive may not keep all it has. It may if nobody sees its errors."""
-        if not self._lights:
-            return False
+    def are_large(self, look: _Look) -> BoolArray:
+        """Tell which primitives (N,) may not keep all they have. One may if nobody sees its errors."""
         errors = [light.errors(1.0) for light in self._lights]
-        if (self._means([(own >= UNSEEN).astype(np.float64) for own in errors]) < FEW).all():
-            return False
-        limits = [look.of_standard * self.of(None)]
+        whole, seen = self._means(errors), self._means([1.0 * (own >= UNSEEN) for own in errors]) >= FEW
+        within = whole <= look.of_standard * self.of(None)
         if self._lights[0].by_surface is not None:
-            limits.append(look.of_surface * self.of(0.0))
-        return not all(bool((self._means(errors) <= limit).all()) for limit in limits)
+            within &= whole <= look.of_surface * self.of(0.0)
+        return np.asarray(seen.any(axis=1) & ~within.all(axis=1))
 
-    def best(self, points: IntArray) -> tuple[float, IntArray]:
+    def best(self, number: int, points: IntArray) -> tuple[float, IntArray]:
         """Return the part of its fit that a primitive should keep, and the eighths (B,) of α and β.
 
         points (B,) numbers the points of the surface: all vertices of one keep as much. Less of the fit is
         kept only where joints stretch, and less of α and β only if they are still worse than standard
         lighting then.
         """
-        standard, fit = self.of(None), 1.0
+        first = int(self._counts[:number].sum())
+        part, count = slice(first, first + len(points)), np.array([len(points)])
+        own = _Errors([light.rows(part) for light in self._lights], count)
+        [standard], fit = own.of(None), 1.0
         if self._lights[0].by_surface is not None:
-            surface = np.maximum(self.of(0.0), TINY)
-            if not (self.of(1.0) <= CLOSE.of_surface * surface).all():
+            surface = np.maximum(own.of(0.0)[0], TINY)
+            if not (own.of(1.0)[0] <= CLOSE.of_surface * surface).all():
                 parts = (STEPS / EIGHTHS).tolist()
-                fit = parts[_first_least(np.array([(self.of(part) / surface).max() for part in parts]))]
-        if (self.of(fit) <= CLOSE.of_standard * standard).all():
+                fit = parts[_first_least(np.array([(own.of(one)[0] / surface).max() for one in parts]))]
+        if (own.of(fit)[0] <= CLOSE.of_standard * standard).all():
             return fit, np.full(len(points), EIGHTHS)
         # The share of each point in the error of standard lighting: steps × sets and truths × points.
         _, place = np.unique(points, return_inverse=True)
-        errors = np.array([self._by_point(fit, step / EIGHTHS, place) for step in STEPS])
-        errors /= np.maximum(self._by_point(None, 1.0, place).sum(axis=1), TINY)[:, None]
+        errors = np.array([own._by_point(fit, step / EIGHTHS, place) for step in STEPS])
+        errors /= np.maximum(own._by_point(None, 1.0, place).sum(axis=1), TINY)[:, None]
         tried = []
         for step in STEPS:
             # Each point is lit best by a mean of both truths. That mean is best in which the worse one is.
@@ -422,7 +451,7 @@ class _Errors:
         return fit, STEPS[tried[_first_least(np.array([worst for worst, _ in tried]))][1]][place]
 
     def _by_point(self, fit: float | None, share: float, place: IntArray) -> Float64Array:
-        """Return the summed errors of all points, in each set of poses and by both truths: (2 N, points)."""
+        """Return the summed errors of all points, in each set of poses and by both truths: (2 S, points)."""
         sums = [(light.weights * light.errors(fit, share)).sum(axis=2) for light in self._lights]
         return np.array([np.bincount(place, row) for pair in sums for row in pair])
 

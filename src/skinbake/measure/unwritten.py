@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import BakedPrimitive, IntArray, SkinnedPrimitive
@@ -15,6 +16,8 @@ from skinbake.gradients import kernel
 from skinbake.gradients.tangents import frame_vectors
 from skinbake.skinning.rest import RestPrimitive
 from skinbake.truth.mesh import normalised_weights
+
+Array: TypeAlias = npt.NDArray[Any]
 
 
 class UnwrittenBake(NamedTuple):
@@ -90,3 +93,44 @@ def cut_out(
         parts.append(UnwrittenBake(bake.source, part, result))
         places.append(new[own])
     return numbers, parts, places
+
+
+def joined(parts: Sequence[UnwrittenBake]) -> tuple[SkinnedPrimitive, RestPrimitive]:
+    """Return primitives in one space as one, their vertices one after the other, and it as a replay reads it.
+
+    It has as many slots as the one with the most. It has no TANGENT: the frames are in what the replay reads.
+    """
+    rests = [part.rest_primitive() for part in parts]
+    width = max(rest.joints.shape[1] for rest in rests)
+    starts = np.cumsum([0, *(len(rest.positions) for rest in rests)])[:-1]
+
+    def rows(arrays: Iterable[Array], columns: int) -> Array:
+        """Return the rows of several arrays, each filled with zeros to so many columns."""
+        found = list(arrays)
+        whole = np.zeros((sum(map(len, found)), columns), dtype=np.result_type(*found))
+        for one, first in zip(found, starts, strict=True):
+            whole[first : first + len(one), : one.shape[1]] = one
+        return whole
+
+    primitives = [part.primitive for part in parts]
+    whole = SkinnedPrimitive(
+        positions=rows((one.positions for one in primitives), 3),
+        normals=rows((one.normals for one in primitives), 3),
+        tangents=None,
+        joints=rows((one.joints for one in primitives), width),
+        weights=rows((one.weights for one in primitives), width),
+        triangles=np.concatenate(
+            [one.triangles + first for one, first in zip(primitives, starts, strict=True)]
+        ),
+    )
+    rest = RestPrimitive(
+        positions=rows((one.positions for one in rests), 3),
+        normals=rows((one.normals for one in rests), 3),
+        tangents=rows((one.tangents for one in rests), 3),
+        bitangents=rows((one.bitangents for one in rests), 3),
+        joints=rows((one.joints for one in rests), width),
+        weights=rows((one.weights for one in rests), width),
+        alpha=rows((one.alpha for one in rests), width - 1),
+        beta=rows((one.beta for one in rests), width - 1),
+    )
+    return whole, rest
