@@ -1,7 +1,7 @@
 """Bake correctives into real models, measure them by verify, and write the table of docs/correctives.md.
 
-``python -m benchmarks.correctives [FOLDER ...] [--output FILE]``: every .glb and .gltf file with clips below the
-folders; without one, the public part of the corpus and its cases. Errors are means in degrees, as verify
+``python -m benchmarks.correctives [FOLDER ...] [--output FILE]``: every .glb and .gltf file with clips below
+the folders; without one, the public part of the corpus and its cases. Errors are means in degrees, as verify
 measures them at times that are no keys. Files in which nothing bends, or that no corrective improves, are
 listed below the table. Then CesiumMan is baked five times each with correctives and with
 ``--gradients poses``; the ratio of the shortest times is printed.
@@ -31,19 +31,26 @@ from tests.support.corpus_folder import find_corpus
 REPOSITORY = Path(__file__).resolve().parents[1]
 DEFAULT_OUTPUT = REPOSITORY / "docs" / "correctives.md"
 START, END = "<!-- figures: begin -->", "<!-- figures: end -->"
+LISTED = 3_000
+"""The vertices of a model that has a row of its own. The means count all."""
+
 FEWEST_VERTICES, FEWEST_DEGREES = 20, 0.1
 """A model of fewer vertices tests a file format. Under the angle there is nothing to correct."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """A model: vertices, targets, bytes a vertex by encoding, and mean errors by truth and lighting."""
+    """A model: vertices, targets, bytes a vertex by encoding, and mean errors by truth and lighting.
+
+    by_bytes is the corrected error with ``packed8`` as a share of the standard one, as the bake measures it.
+    """
 
     name: str
     vertices: int
     targets: str
     sizes: dict[Encoding, float]
     errors: dict[str, dict[str, float]]
+    by_bytes: dict[str, float]
 
     def ratio(self, truth: str) -> float:
         """Return the corrected error as a share of the standard one."""
@@ -95,6 +102,8 @@ def measured(path: Path) -> Iterator[Row]:
                     print(f"{path.name}: left out ({', '.join(sorted(reasons)) or result.status})")
                     return
                 sizes[encoding] = size(result)
+                if encoding is Encoding.PACKED8:
+                    by_bytes = shares(result)
             verdict = verify_file(target, VerifyOptions())
         except SkinbakeError as error:
             print(f"{path.name}: left out ({error.message[:80]})")
@@ -109,12 +118,22 @@ def measured(path: Path) -> Iterator[Row]:
         return
     counts = sorted({count.targets for _, count in result.correctives})
     targets = str(counts[0]) if len(counts) == 1 else f"{counts[0]}–{counts[-1]}"
-    row = Row(path.stem, vertices, targets, sizes, errors)
+    row = Row(path.stem, vertices, targets, sizes, errors, by_bytes)
     print(
         f"{row.name}: {row.ratio('tangents'):.2f} by tangents, {row.ratio('triangles'):.2f} by triangles",
         flush=True,
     )
     yield row
+
+
+def shares(result: FileResult) -> dict[str, float]:
+    """Return the remaining errors of a bake as shares of the standard ones, by truth."""
+    counts = [count for _, count in result.correctives]
+    return {
+        truth: sum(one.remaining[truth] * one.vertices for one in counts)
+        / sum(one.standard[truth] * one.vertices for one in counts)
+        for truth in counts[0].standard
+    }
 
 
 def size(result: FileResult) -> float:
@@ -125,9 +144,12 @@ def size(result: FileResult) -> float:
 
 def table(rows: list[Row]) -> Iterator[str]:
     """Yield the lines of the table, and the means."""
-    yield "| model | vertices | K | bytes a vertex, packed8 / float32 | tangents: standard / shader / corrected | triangles |"
+    yield (
+        "| model | vertices | K | bytes a vertex, packed8 / float32 | tangents: standard / shader / corrected "
+        "| triangles |"
+    )
     yield "|---|--:|--:|--:|---|---|"
-    for row in rows:
+    for row in (row for row in rows if row.vertices >= LISTED):
         by = [
             " / ".join(f"{row.errors[truth][one]:.2f}" for one in ("standard", "accurate", "corrected"))
             for truth in ("tangents", "triangles")
@@ -141,11 +163,13 @@ def table(rows: list[Row]) -> Iterator[str]:
     mean_sizes = {
         one: sum(row.sizes[one] for row in rows) / len(rows) for one in Encoding if one in rows[0].sizes
     }
-    told = ", ".join(f"{count:.0f} bytes a vertex as {one}" for one, count in mean_sizes.items())
+    by_bytes = {truth: sum(row.by_bytes[truth] for row in rows) / len(rows) for truth in means}
     yield ""
     yield (
-        f"In the mean of these {len(rows)} models correctives leave {means['tangents']:.2f} of the standard error by "
-        f"tangents and {means['triangles']:.2f} by triangles, in the worst {worst:.2f}, with {told}."
+        f"In the mean of {len(rows)} models, of which those from {LISTED:,} vertices on are listed, `float32` leaves "
+        f"{means['tangents']:.2f} of the standard error by tangents and {means['triangles']:.2f} by triangles "
+        f"({worst:.2f} in the worst) with {mean_sizes[Encoding.FLOAT32]:.0f} bytes a vertex; `packed8` leaves "
+        f"{by_bytes['tangents']:.2f} and {by_bytes['triangles']:.2f} with {mean_sizes[Encoding.PACKED8]:.0f}."
     )
     print(json.dumps({"means": means, "worst": worst, "bytes": mean_sizes}))
 

@@ -11,12 +11,12 @@ import pytest
 
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import read_primitive, skinned_sources
-from tests.correctives.models import SHEET, TUBE, parted
+from tests.correctives.models import SHEET, TUBE, parted, rewritten
 from tests.correctives.played import drawn, weights_at
 from tests.support import corpus, gltf_reading, gltf_transform, khronos
 from tests.support.baked_files import verify
 from tests.support.characters import Array, angles
-from tests.support.command_line import invoke
+from tests.support.command_line import invoke, run
 from tests.support.triangle_truth import true_normals
 
 
@@ -182,3 +182,48 @@ def test_a_file_that_another_tool_has_written_anew_is_fresh_and_can_be_stripped(
         old, new = (weights_at(file, 0, _drawer(file), time) for file in (before, after))
         rest = before.content["meshes"][0].get("weights", [0.0] * own)
         assert new == pytest.approx(rest if old is None else old, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"primitives": 3, "channels": "x", "samplers": [[1]], "clips": 5, "former": {}, "required": 1},
+        {"channels": [[0, 0, 99], [7, 7, 7], "x"], "samplers": [[0, -3], [9, 9]], "poses": [1]},
+        {"targets": 30, "names": 4, "formerNames": 7},
+        {
+            "primitives": [{"filled": {"POSITION": [99, "a"]}, "digest": 4, "targets": []}],
+            "poses": {"clips": 1},
+        },
+        {"poses": {"clips": 1, "fingerprint": "x"}},
+        {"version": "1"},
+        {"targets": -2},
+    ],
+)
+def test_damaged_metadata_ends_in_an_answer(tmp_path: Path, damage: dict[str, Any]) -> None:
+    bake(TUBE, tmp_path / "made.glb")
+
+    def change(content: Any) -> None:
+        content["meshes"][0]["extras"]["skinbake"].update(damage)
+
+    path = rewritten(tmp_path / "made.glb", tmp_path / "damaged.glb", change)
+    for command in (["verify"], ["inspect"], ["strip", "-o", tmp_path / "back.glb"]):
+        result = invoke(*command, path)
+        assert result.exit_code in {0, 1, 3}, result.output
+        assert "failed where it should not" not in result.output
+
+
+@pytest.mark.slow
+def test_bytes_are_those_of_other_processors_too(tmp_path: Path) -> None:
+    """BLAS, numpy and the C library choose other routines where a processor lacks instructions."""
+    source = corpus.character("CesiumMan/CesiumMan.glb")
+    bake(source, tmp_path / "here.glb")
+    less = {
+        "OPENBLAS_CORETYPE": "Prescott",
+        "NPY_DISABLE_CPU_FEATURES": "AVX2 FMA3 AVX512F",
+        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F",
+        "PYTHONWARNINGS": "ignore",
+    }
+    options: list[str | Path] = ["-o", tmp_path / "there.glb", "--correctives", "auto"]
+    result = run("bake", source, *options, env=less)
+    assert result.returncode == 0, result.stderr
+    assert (tmp_path / "there.glb").read_bytes() == (tmp_path / "here.glb").read_bytes()
