@@ -144,10 +144,8 @@ def size(result: FileResult) -> float:
 
 def table(rows: list[Row]) -> Iterator[str]:
     """Yield the lines of the table, and the means."""
-    yield (
-        "| model | vertices | K | bytes a vertex, packed8 / float32 | tangents: standard / shader / corrected "
-        "| triangles |"
-    )
+    lightings = "standard / shader / corrected"
+    yield f"| model | vertices | K | bytes a vertex, packed8 / float32 | tangents: {lightings} | triangles |"
     yield "|---|--:|--:|--:|---|---|"
     for row in (row for row in rows if row.vertices >= LISTED):
         by = [
@@ -166,10 +164,11 @@ def table(rows: list[Row]) -> Iterator[str]:
     by_bytes = {truth: sum(row.by_bytes[truth] for row in rows) / len(rows) for truth in means}
     yield ""
     yield (
-        f"In the mean of {len(rows)} models, of which those from {LISTED:,} vertices on are listed, `float32` leaves "
-        f"{means['tangents']:.2f} of the standard error by tangents and {means['triangles']:.2f} by triangles "
-        f"({worst:.2f} in the worst) with {mean_sizes[Encoding.FLOAT32]:.0f} bytes a vertex; `packed8` leaves "
-        f"{by_bytes['tangents']:.2f} and {by_bytes['triangles']:.2f} with {mean_sizes[Encoding.PACKED8]:.0f}."
+        f"In the mean of {len(rows)} models, of which those from {LISTED:,} vertices on are listed, "
+        f"`float32` leaves {means['tangents']:.2f} of the standard error by tangents and "
+        f"{means['triangles']:.2f} by triangles ({worst:.2f} in the worst) with "
+        f"{mean_sizes[Encoding.FLOAT32]:.0f} bytes a vertex; `packed8` leaves {by_bytes['tangents']:.2f} "
+        f"and {by_bytes['triangles']:.2f} with {mean_sizes[Encoding.PACKED8]:.0f}."
     )
     print(json.dumps({"means": means, "worst": worst, "bytes": mean_sizes}))
 
