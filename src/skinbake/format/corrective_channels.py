@@ -56,6 +56,11 @@ def with_correctives(there: Keys, times: Float32Array, weights: Float32Array) ->
     slope = _slope(own, former, at)
     cubic[:, :, : former.shape[2]] = np.stack([slope, values, slope], axis=1)
     cubic[np.searchsorted(union, there.times[kept]), :, : former.shape[2]] = there.values[kept]
+    # Before the first and after the last key that were there, the value stays.
+    if union[0] < there.times[0]:
+        cubic[np.searchsorted(union, there.times[0]), 0, : former.shape[2]] = 0.0
+    if union[-1] > there.times[-1]:
+        cubic[np.searchsorted(union, there.times[-1]), 2, : former.shape[2]] = 0.0
     return Keys(union, cubic, poses.CUBICSPLINE)
 
 
