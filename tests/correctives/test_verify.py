@@ -120,3 +120,11 @@ def test_inspect_names_the_clips_that_play_them(tube: Path) -> None:
     (found,) = json.loads(invoke("inspect", tube, "--json").stdout)["primitives"]
     assert found["correctives"]["targets"] == 2 and found["correctives"]["changed"] == []
     assert len(gltf_reading.read(tube).primitive(0)["targets"]) == 2
+
+
+def test_pages_and_pictures_say_that_they_leave_correctives_out(tube: Path, tmp_path: Path) -> None:
+    result = invoke("view", tube, "-o", tmp_path / "page.html")
+    assert result.exit_code == 0 and "its correctives are left out here" in result.output
+    assert invoke("verify", tube, "--html", tmp_path / "report.html").exit_code == 0
+    for page in ("page.html", "report.html"):
+        assert "The file has correctives. The page does not draw them" in (tmp_path / page).read_text()

@@ -84,7 +84,7 @@ def view_file(source: str, target: str | None = None, bounds: Bounds = BESIDE) -
     if not was_baked:
         before = "The bake of the file is damaged." if damaged_bakes(document) else "The file was not baked."
         if any(corrective_note(mesh) for mesh in document.objects("meshes")):
-            before = "The file has correctives, which this page leaves out."
+            before = LEFT_OUT
         notes = [f"{before} This page baked it in memory, with the defaults."]
         document, notices = baked_in_memory(document)
     verdict = verify_document(document, VerifyOptions())
@@ -123,6 +123,9 @@ def page_of(
 def _sentence(notice: Notice) -> str:
     where = notice.place.within_file
     return f"{notice.message} ({where})" if where else notice.message
+
+
+LEFT_OUT = "The file has correctives. The page does not draw them, but what α and β would give."
 
 
 def write_page(result: ViewResult, target: str, *, sync: bool = True) -> None:
@@ -285,7 +288,11 @@ def _findings(verdict: FileVerdict) -> dict[str, Any]:
 
 def _page(document: Document, verdict: FileVerdict, options: VerifyOptions) -> bytes:
     """Return the page of a file that was verified, with its verdict and the limits that it was held to."""
-    return page_of(document, verdict, [], limits=limits_in_words(options))[0]
+    notes = []
+    if any(corrective_note(mesh) for mesh in document.objects("meshes")):
+        notes = [LEFT_OUT]
+        document, _ = baked_in_memory(document)
+    return page_of(document, verdict, notes, limits=limits_in_words(options))[0]
 
 
 def write_report(
