@@ -86,7 +86,7 @@ def test_a_pose_that_comes_later_does_not_matter_to_a_bake_without_one(_model: P
 def test_a_fit_to_the_stored_pose_lights_that_pose_better(tmp_path: Path) -> None:
     path = baked(corpus.model(POSED), tmp_path)
     skinbake.bake(corpus.model(POSED), tmp_path / "surface.glb", gradients="surface")
-    assert mean(path) < 0.6 * mean(tmp_path / "surface.glb")
+    assert mean(path) < 0.8 * mean(tmp_path / "surface.glb")
 
 
 def test_a_pose_that_changes_later_is_told_and_passes_by_the_digest(_model: Path, tmp_path: Path) -> None:

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from skinbake import threads
-from skinbake.choices import USUAL_TRUTHS
 from skinbake.geometry.frames import frame_from_normal, unit_normals
 from skinbake.geometry.poses import random_rotations, rotation_matrices
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gradients.baker import bake_primitives
-from skinbake.gradients.fit_rules import EVEN, FAINT
+from skinbake.gradients.fit_rules import EVEN
 from skinbake.pose_fit.fit import POSE_STIFFNESS, FitPoses, fitted_to_poses, tilts
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.rest import RestPrimitive
+from skinbake.truth.fine import FineMesh
 from skinbake.truth.operator import GradientOperator, true_operator
 from skinbake.truth.truths import Truths
 from tests.gradients.tubes import BRANCHES, SETTINGS, tube
@@ -74,16 +74,29 @@ def even(matrices: Float64Array) -> list[FitPoses]:
     return [FitPoses(matrices, 1.0)]
 
 
-def true_normals(operator: GradientOperator, surface: RestPrimitive, matrices: Float64Array) -> Float64Array:
-    """Return the unit means (P, V, 3) of both truths by their parts."""
-    positions = replay(Algorithm.LBS_STANDARD, surface, matrices).positions
-    truths = Truths.of(operator, [surface], len(matrices), USUAL_TRUTHS)
-    deformed = np.ascontiguousarray(positions.transpose(2, 1, 0), dtype=np.float64)
+def true_normals(
+    operator: GradientOperator,
+    surface: RestPrimitive,
+    matrices: Float64Array,
+    parts: Sequence[float] = (0.5, 0.1, 0.4),
+) -> Float64Array:
+    """Return the unit means (P, V, 3) of the truths by tangents, by triangles, and fine, by their parts."""
+    truths = Truths.of(operator, [surface], len(matrices), fine=FineMesh.of(operator))
+    assert truths.fine is not None
+    placed = [
+        replay(Algorithm.LBS_STANDARD, one, matrices).positions for one in (surface, truths.fine.points)
+    ]
+    deformed = [
+        np.ascontiguousarray(positions.transpose(2, 1, 0), dtype=np.float64)
+        for positions in (placed[0], np.concatenate(placed, axis=1))
+    ]
+    found: list[Float64Array] = []
     with threads.Threads(1) as one:
-        sums = truths.sums(deformed, one)
-    blocks = [truths.normals(block.number, deformed, sums, None)[0] for block in truths.vertex_blocks]
-    by_tangents, by_triangles = np.concatenate(blocks, axis=2).transpose(0, 3, 2, 1)
-    normals = 0.7 * by_tangents + 0.3 * by_triangles
+        for part, points in zip((truths, truths.fine.truths), deformed, strict=True):
+            sums = part.sums(points, one)
+            blocks = [part.normals(block.number, points, sums, None)[0] for block in part.vertex_blocks]
+            found += list(np.concatenate(blocks, axis=2).transpose(0, 3, 2, 1))
+    normals = np.tensordot(parts, np.stack(found), axes=1)
     return np.asarray(normals / np.linalg.norm(normals, axis=2, keepdims=True))
 
 
@@ -180,8 +193,7 @@ class WrittenOut:
         presence = surface.weights[vertex] + np.hypot(*both) / np.hypot(*both).sum()
         means = np.average(ends, axis=1, weights=presence)
         reach = weight @ np.average(((ends - means[:, None]) ** 2).sum(axis=2), axis=1, weights=presence)
-        faint = np.maximum((FAINT / presence) ** 2, 1.0) - 1.0
-        return np.asarray(np.sqrt(POSE_STIFFNESS * reach * (EVEN + faint)))
+        return np.full(len(presence), np.sqrt(EVEN * reach))
 
 
 def written_out(operator: GradientOperator, surface: RestPrimitive, group: FitPoses) -> WrittenOut:
@@ -236,7 +248,7 @@ def test_tilts_are_the_mean_squared_sines_of_both_tangents() -> None:
     surface, matrices = surface_of(primitive), turned(rig, 7, 30.0, 1)
     poses = even(matrices)
     operator = true_operator([primitive])
-    normals = true_normals(operator, surface, matrices)
+    normals = true_normals(operator, surface, matrices, (0.7, 0.3, 0.0))
     posed = replay(Algorithm.LBS_ACCURATE, surface, matrices)
     size = (posed.tangents**2).sum(axis=2) + (posed.bitangents**2).sum(axis=2)
     along = [np.einsum("pvi,pvi->pv", normals, axis) for axis in (posed.tangents, posed.bitangents)]

@@ -15,7 +15,7 @@ import numpy as np
 
 from skinbake.geometry.rig import NO_CHAIN, Lineage, Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
-from skinbake.gradients.fit_rules import EVEN, FAINT, FLAT, MISSING, STIFFNESS, STORED, TOGETHER, UNFELT
+from skinbake.gradients.fit_rules import DRAWN, EVEN, FLAT, STIFFNESS, STORED, TOGETHER, UNFELT
 from skinbake.gradients.ring_turns import RingTurns
 from skinbake.gradients.stored_pose import StoredTilts
 from skinbake.gradients.surface import NO_JOINT, WeightField
@@ -53,12 +53,10 @@ def fitted(
 
     The fitted gradients of a vertex sum to 0. A vertex that cannot be fitted keeps its α and β.
     """
-    presence, missing = _presence(vertices, gradients)
-    named = np.where(_can_be_fitted(presence), vertices.named, NO_JOINT)
+    named = np.where(_can_be_fitted(vertices, gradients), vertices.named, NO_JOINT)
     given = _gradients_of_slots(vertices, gradients, turns)
     pairs = _turning_pairs(vertices, named, turns, rig)
-    stiffness = STIFFNESS * (1.0 + MISSING * missing)
-    system = _normal_equations(vertices, turns, pairs, given, presence, stiffness)
+    system = _normal_equations(vertices, turns, pairs, given)
     counts = np.count_nonzero(system.unknowns, axis=1)
     change = np.zeros_like(given)
     for count in np.unique(counts):
@@ -73,10 +71,7 @@ def fitted(
         change[here[fits], slots[fits]] = (values - given[here, slots])[fits]
         last = rows[fits], pairs.last[rows[fits]]
         change[last] = -values[fits].sum(axis=1) - given[last]
-    tilts = np.where(system.solvable, system.tilts, 0.0)
-    doubts = turns.doubts[vertices.classes]
-    change *= (tilts / (tilts + doubts * doubts))[:, None, None]
-    moved = np.einsum("vkt,vti->vki", change, turns.tangents[vertices.classes])
+    moved = np.einsum("vkt,vti->vki", DRAWN * change, turns.tangents[vertices.classes])
     along = [np.einsum("vki,vi->vk", moved, axis) for axis in vertices.frame]
     return vertices.alpha + along[0], vertices.beta + along[1]
 
@@ -103,10 +98,10 @@ def _solved(matrix: Float64Array, right: Float64Array) -> Float64Array:
     return found
 
 
-def _presence(vertices: FittedVertices, gradients: VertexGradients) -> tuple[Float64Array, Float64Array]:
-    """Return the presence of the joint of each slot, (V, K): its weight, and its share of the gradients.
+def _can_be_fitted(vertices: FittedVertices, gradients: VertexGradients) -> BoolArray:
+    """Return the slots (V, K) that are fitted. A vertex has none if it would have too many.
 
-    Return the share of the gradients whose joints no slot has, too: (V,).
+    The joint of a slot has a presence at the vertex: its weight, plus its share of the gradients' lengths.
     """
     owner, entry = _entries(gradients.offsets, vertices.classes)
     lengths = np.linalg.norm(gradients.gradients[entry], axis=1)
@@ -119,14 +114,6 @@ def _presence(vertices: FittedVertices, gradients: VertexGradients) -> tuple[Flo
     whole = total[owner]
     shares = np.divide(lengths, whole, out=np.zeros_like(lengths), where=whole > 0.0)
     presence[owner[row], slot] += shares[row]
-    # What no slot of the vertex names.
-    missing = (vertices.named[owner] != gradients.joints[entry, None]).all(axis=1)
-    missing_share = np.bincount(owner, np.where(missing, shares, 0.0), len(vertices.classes))
-    return presence, missing_share.astype(np.float64)
-
-
-def _can_be_fitted(presence: Float64Array) -> BoolArray:
-    """Return the slots (V, K) that are fitted. A vertex has none if it would have too many."""
     chosen: BoolArray = presence > UNFELT
     few: BoolArray = np.count_nonzero(chosen, axis=1, keepdims=True) <= MOST_FITTED
     return chosen & few
@@ -237,29 +224,21 @@ class _NormalEquations:
     """The least squares of V vertices over all their slots.
 
     matrix (V, K, K), right (V, K, 2) for both tangents. unknowns (V, K) tells which slots have an equation,
-    solvable (V,) which vertices. tilts (V,) are the summed squared tilts that turns by a radian would give to
-    both tangents with the surface's gradients.
+    solvable (V,) which vertices.
     """
 
     matrix: Float64Array
     right: Float64Array
-    tilts: Float64Array
     unknowns: BoolArray
     solvable: BoolArray
 
 
 def _normal_equations(
-    vertices: FittedVertices,
-    turns: RingTurns,
-    pairs: _Pairs,
-    given: Float64Array,
-    presence: Float64Array,
-    stiffness: Float64Array,
+    vertices: FittedVertices, turns: RingTurns, pairs: _Pairs, given: Float64Array
 ) -> _NormalEquations:
     """Sum up the terms that docs/fitted.md minimises over α, by vertex.
 
-    given (V, K, 2) are the surface's gradients, ∇. presence (V, K) is q, and stiffness (V,) is λ. The letters
-    here and below are those of that page.
+    given (V, K, 2) are the surface's gradients, ∇. The letters here and below are those of that page.
     """
     count, slots = pairs.named.shape
     unknowns = pairs.named >= 0
@@ -268,15 +247,13 @@ def _normal_equations(
     reach = np.bincount(pairs.vertices, effects.squared_levers, count)
     sums = np.zeros((count, slots, slots)), np.zeros((count, slots, 2))
     # Sums of floats depend on the order of these lines.
-    _add_turns(sums, pairs, effects, stiffness)
+    _add_turns(sums, pairs, effects)
     _add_chains(sums, pairs, effects)
-    tilts = _tilts_of_surface(pairs, effects, count)
     if turns.stored is not None:
-        tilts += _add_stored_pose(sums, pairs, turns.stored, vertices, given, stiffness)
-    _add_pulls_of_slots(sums, pairs, given, presence, stiffness * reach)
-    # Where levers are very long, the tilts overflow.
-    solvable = turns.sound[vertices.classes] & (reach > 0.0) & np.isfinite(tilts)
-    return _NormalEquations(*sums, tilts, unknowns, solvable)
+        _add_stored_pose(sums, pairs, turns.stored, vertices, given)
+    _add_pulls_of_slots(sums, pairs, given, EVEN * reach)
+    solvable = turns.sound[vertices.classes] & (reach > 0.0)
+    return _NormalEquations(*sums, unknowns, solvable)
 
 
 @dataclass(frozen=True, slots=True)
@@ -332,12 +309,12 @@ _Sums: TypeAlias = tuple[Float64Array, Float64Array]
 """The matrix (V, K, K) and the right side (V, K, 2) of the normal equations, to be added to."""
 
 
-def _add_turns(sums: _Sums, pairs: _Pairs, effects: _TurnEffects, stiffness: Float64Array) -> None:
+def _add_turns(sums: _Sums, pairs: _Pairs, effects: _TurnEffects) -> None:
     """Add Σ_j |R_j|² + λ Σ_j |x_j|² (ᾱ_j − ∇̄_j)², the residuals and pulls of single turns."""
     matrix, right = sums
     at, signs = pairs.vertices, effects.signs
     # Both terms are quadratic in ᾱ, so their factors add up.
-    pulls = stiffness[at] * effects.squared_levers
+    pulls = STIFFNESS * effects.squared_levers
     squares = effects.squares + pulls
     aims = effects.aims + pulls[:, None] * effects.carried
     np.add.at(matrix, at, signs[:, :, None] * signs[:, None, :] * squares[:, None, None])
@@ -354,18 +331,12 @@ def _add_chains(sums: _Sums, pairs: _Pairs, effects: _TurnEffects) -> None:
 
 
 def _add_stored_pose(
-    sums: _Sums,
-    pairs: _Pairs,
-    stored: StoredTilts,
-    vertices: FittedVertices,
-    given: Float64Array,
-    stiffness: Float64Array,
-) -> Float64Array:
+    sums: _Sums, pairs: _Pairs, stored: StoredTilts, vertices: FittedVertices, given: Float64Array
+) -> None:
     """Add 10 v ((n' · t')² + λ |t' − t'∇|²), the tilt and the pull in the stored pose.
 
-    Return 10 v (n' · t'∇)² (V,), with the tangents t'∇ of the surface's gradients. α of the last slot is
-    minus the sum of the others. So each unknown moves a tangent by the displacement of its joint over that of
-    the last one.
+    t'∇ are the tangents of the surface's gradients. α of the last slot is minus the sum of the others. So
+    each unknown moves a tangent by the displacement of its joint over that of the last one.
     """
     matrix, right = sums
     at, every = vertices.classes, np.arange(len(vertices.classes))
@@ -375,47 +346,25 @@ def _add_stored_pose(
     over = np.where((pairs.named >= 0)[:, :, None], displaced - displaced[every, pairs.last, None], 0.0)
     raised = np.einsum("vki,vi->vk", over, normals)
     # The matrix: squared tilts, and the pull on the tangents.
-    pulls = (stiffness * weights)[:, None, None]
+    pulls = (STIFFNESS * weights)[:, None, None]
     matrix += weights[:, None, None] * raised[:, :, None] * raised[:, None, :]
     matrix += pulls * np.einsum("vki,vli->vkl", over, over)
     # The right side: the tilt without corrections, and the tangents of the gradients.
     by_gradients = np.einsum("vki,vkt->vit", displaced, given)
     right -= (weights[:, None] * raised)[:, :, None] * tilts[:, None, :]
     right += pulls * np.einsum("vki,vit->vkt", over, by_gradients)
-    off = tilts + np.einsum("vi,vit->vt", normals, by_gradients)
-    return np.asarray(weights * np.square(off).sum(axis=1), dtype=np.float64)
 
 
-def _add_pulls_of_slots(
-    sums: _Sums, pairs: _Pairs, given: Float64Array, presence: Float64Array, strength: Float64Array
-) -> None:
-    """Add λ X Σ_i f_i (α_i − ∇_i)², the pull of each slot to the surface's gradient. strength (V,) is λ X.
+def _add_pulls_of_slots(sums: _Sums, pairs: _Pairs, given: Float64Array, pulls: FloatArray) -> None:
+    """Add the pull of each slot to the surface's gradient, Σ_i (α_i − ∇_i)², times pulls (V,).
 
     α of the last slot is minus the sum of the unknowns. So its pull is on all of them.
     """
     matrix, right = sums
     count, slots = pairs.named.shape
-    with np.errstate(divide="ignore"):  # a slot that has no presence is not named
-        more = np.maximum(np.square(FAINT / presence), 1.0) - 1.0
-    # A joint that is hardly there is pulled harder.
-    pull = strength[:, None] * (EVEN + np.where(pairs.named >= 0, more, 0.0))
-    last = np.arange(count), pairs.last
-    matrix += pull[last][:, None, None]
-    matrix[:, np.arange(slots), np.arange(slots)] += pull
-    right += pull[:, :, None] * given - (pull[last][:, None] * given[last])[:, None]
-
-
-def _tilts_of_surface(pairs: _Pairs, effects: _TurnEffects, count: int) -> Float64Array:
-    """Return e² (V,), from the tilts that remain with the surface's gradients.
-
-    The tilt that a turn by a radian leaves is R · tilt / |tilt|. e² is the sum of its squares, over all turns
-    and both tangents.
-    """
-    squares = effects.squares
-    off = squares[:, None] * effects.carried - effects.aims
-    turned = squares > 0.0
-    tilts = (off * off).sum(axis=1)[turned] / squares[turned]
-    return np.asarray(np.bincount(pairs.vertices[turned], tilts, count), dtype=np.float64)
+    matrix += pulls[:, None, None]
+    matrix[:, np.arange(slots), np.arange(slots)] += pulls[:, None]
+    right += pulls[:, None, None] * (given - given[np.arange(count), pairs.last][:, None])
 
 
 def _curls(

@@ -14,7 +14,7 @@ import numpy as np
 
 from skinbake.geometry.frames import frame_from_normal, has_direction, parts_along, unit_normals
 from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray
-from skinbake.gradients.fit_rules import DOUBT, FLAT, MOST_DOUBT, NARROW, SMOOTH
+from skinbake.gradients.fit_rules import FLAT, NARROW
 from skinbake.gradients.stored_pose import StoredTilts, WeightChanges, stored_tilts
 from skinbake.gradients.surface import Surface
 from skinbake.gradients.weight_gradients import (
@@ -37,8 +37,8 @@ class RingTurns:
     the turn of the class's two tangents. With Δw = w_ki − w_i for the neighbours k, arms (E, 2, 3) are Σ Δw
     a_k, in 1 / length unit, and act through the lever from the pivot. spins (E, 2, 3) are Σ Δw e_k × a_k, and
     act by themselves. normals (C, 3) and tangents (C, 2, 3) are the orthonormal frames in which this holds.
-    sound (C,) tells which classes can be fitted. doubts (C,) are e0, the tilts, for each radian of a turn, of
-    which the fit takes half. stored are the tilts of the classes in the stored pose, if the rig has one.
+    sound (C,) tells which classes can be fitted. stored are the tilts of the classes in the stored pose, if
+    the rig has one.
     """
 
     offsets: IntArray
@@ -48,7 +48,6 @@ class RingTurns:
     normals: Float64Array
     tangents: Float64Array
     sound: BoolArray
-    doubts: Float64Array
     stored: StoredTilts | None
 
 
@@ -77,10 +76,9 @@ def ring_turns(surface: Surface) -> RingTurns:
     own = np.where(sound[owner, None, None, None], leverage[owner], 0.0)
     arms = np.einsum("ed,etdi->eti", by_coefficient, own)
     spins = np.cross(by_edge[:, None], own).sum(axis=2)
-    doubts = _doubts(alignment)
     weight_changes = WeightChanges(owner, ring.joints, by_coefficient, by_edge)
     stored = stored_tilts(surface, weight_changes, derivatives, tangents)
-    return RingTurns(ring.offsets, ring.joints, arms, spins, normals, tangents, sound, doubts, stored)
+    return RingTurns(ring.offsets, ring.joints, arms, spins, normals, tangents, sound, stored)
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,12 +128,6 @@ def _ring_sums(surface: Surface, classes: IntArray, tangents: Float64Array) -> _
             values.append(added[corner] * difference[:, None])
     offsets, joints, changes = summed_by_key(keys, values, joint_count, count)
     return _RingSums(weights, derivatives, faces, areas, lengths, offsets, joints, changes)
-
-
-def _doubts(alignment: Float64Array) -> Float64Array:
-    """Return the doubt of each class (C,) from the length of its mean normal, 1 where all are alike."""
-    smoothness = SMOOTH / np.maximum(1.0 - alignment, FLAT)
-    return np.asarray(DOUBT * np.clip(smoothness**3, 1.0, MOST_DOUBT))
 
 
 def _normals_of_classes(surface: Surface, classes: IntArray, count: int) -> tuple[Float64Array, BoolArray]:

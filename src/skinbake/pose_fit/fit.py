@@ -6,13 +6,13 @@ of poses, and in each group the mean over its poses, of
 
     v w ((n' · (t' + d))² + POSE_STIFFNESS |d|²)
 
-plus POSE_STIFFNESS X Σ f[s] δ[s]², the pull of each slot to its given gradient.
+plus EVEN X Σ δ[s]², the pull of each slot to its given gradient.
 
-- n' is the mean of both true normals, by their parts in AIM.
+- n' is the mean of the true normals, by their parts in AIM.
 - w is 2 / (|t'|² + |b'|²) at the given gradients, with a bound where tangents collapse.
 - v is the group's share of the fit, divided by the mean squared tilt of its poses at the given gradients. So
   gentle clips and wide random poses count by their shares.
-- f is that of ``rig_fit``, and X is the sum of v w times the ``_spread`` of the joints.
+- X is the sum of v w times the ``_spread`` of the joints.
 
 All terms are quadratic in δ with the same matrix for both tangents, so the direction of TANGENT does not
 matter.
@@ -20,20 +20,21 @@ matter.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 
-from skinbake.choices import USUAL_TRUTHS, Truth
-from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
-from skinbake.gradients.fit_rules import EVEN, FAINT, UNFELT
+from skinbake.choices import Truth
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray, blocks
+from skinbake.gradients.fit_rules import EVEN, UNFELT
 from skinbake.skinning.rest import Options, RestPrimitive, all_slots
 from skinbake.threads import Threads, thread_count
-from skinbake.truth.blending import BlendedPrimitive, chunks, sides_of
+from skinbake.truth.blending import BLOCK_VERTICES, BlendedPrimitive, chunks, sides_of
+from skinbake.truth.fine import FineMesh
 from skinbake.truth.operator import GradientOperator
-from skinbake.truth.truths import Truths
+from skinbake.truth.truths import PosedSurface, Truths
 
 POSE_STIFFNESS = 0.08
 """λ': the share of a tangent's whole motion that pulls the fitted gradients to the given ones."""
@@ -48,11 +49,14 @@ Slots: TypeAlias = tuple[Float64Array, Float64Array]
 """α and β (V, K − 1) of the slots after the first."""
 
 
-AIM = {Truth.TANGENTS: 0.7, Truth.TRIANGLES: 0.3}
-"""The parts of both truths in the normal that the tangents follow.
+AIM = {Truth.TANGENTS: 0.5, Truth.TRIANGLES: 0.1, Truth.FINE: 0.4}
+"""The parts of the truths in the normal that the tangents follow.
 
-With halves, the sum of both truths' errors is larger, in clips and in other poses.
+The truths of the drawn mesh have a little more than half, as in clips they gain more than *fine* loses.
 """
+
+DRAWN_AIM = {Truth.TANGENTS: 0.7, Truth.TRIANGLES: 0.3}
+"""The parts of the truths in the normal by which ``tilts`` judges a fit to a rig or to any poses."""
 
 ADDED_TILT = float(np.radians(0.3)) ** 2
 """The squared sine that is added to the mean squared tilt of a group. Otherwise rounding would be fitted."""
@@ -87,7 +91,7 @@ def fitted_to_poses(
         for group in groups:
             # The equations of one group, over all of its poses.
             systems = [_LeastSquares.of(primitive) for primitive in primitives]
-            for seen in _seen(operator, primitives, group, open_ones):
+            for seen in _seen(operator, primitives, group, open_ones, AIM):
                 system = systems[seen.primitive]
                 system.add(seen, seen.moved(primitives, group, system.last))
             # Groups count by their shares, however many poses they have.
@@ -99,13 +103,13 @@ def fitted_to_poses(
 def tilts(
     operator: GradientOperator, primitives: Sequence[RestPrimitive], groups: Sequence[FitPoses]
 ) -> list[Float64Array]:
-    """Return by how much the tangents of each primitive leave the true surface: (V,), mean squared sines."""
+    """Return by how much the tangents of each primitive leave the drawn surface: (V,), mean squared sines."""
     found = [np.zeros(len(primitive.positions)) for primitive in primitives]
     every_one = [np.ones(len(of_one), dtype=np.bool_) for of_one in found]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # likewise
         for group in groups:
             share = group.share / sum(each.share for each in groups)
-            for seen in _seen(operator, primitives, group, every_one):
+            for seen in _seen(operator, primitives, group, every_one, DRAWN_AIM):
                 moved = seen.moved(primitives, group, np.zeros(len(found[seen.primitive]), dtype=np.int64))
                 found[seen.primitive][seen.rows] += share * seen.tilt(moved)
     return found
@@ -141,9 +145,11 @@ def _seen(
     primitives: Sequence[RestPrimitive],
     group: FitPoses,
     chosen: Sequence[BoolArray],
+    aim: Mapping[Truth, float],
 ) -> Iterator[_Seen]:
     """Yield the chosen vertices, (V,) of each primitive, in all poses of a group.
 
+    aim has the parts of the truths in the normals: of both ``USUAL_TRUTHS``, or of all three.
     Every vertex meets each pose once, and its poses in order, so that sums do not depend on the number of
     threads.
     """
@@ -151,33 +157,42 @@ def _seen(
         return
     matrices, count = group.joint_matrices, len(operator.positions)
     widest = max(primitive.joints.shape[1] for primitive in primitives)
-    parts = chunks(count, len(matrices))
     # The truths of the surface, measured at rest.
-    truths = Truths.of(operator, primitives, (parts[0].stop if parts else 0) * widest)
+    mesh = FineMesh.of(operator) if Truth.FINE in aim else None
+    parts = chunks(count if mesh is None else mesh.size, len(matrices))
+    truths = Truths.of(operator, primitives, (parts[0].stop if parts else 0) * widest, fine=mesh)
     sides = sides_of(primitives, matrices)
     blended = [BlendedPrimitive(primitive, matrices, Options()) for primitive in primitives]
+    points = None if truths.fine is None else BlendedPrimitive(truths.fine.points, matrices, Options())
     with Threads(thread_count()) as threads:
         for poses in parts:
             # All positions in some poses, and the sums of the triangles there.
             deformed = np.empty((3, count, poses.stop - poses.start))
             for block in truths.vertex_blocks:
                 blended[block.primitive].put_positions(poses, block.rows, deformed, block.part.start)
-            sums = truths.sums(deformed, threads)
+            surfaces = [PosedSurface.of(truths, deformed, threads)]
+            if truths.fine is not None and points is not None:
+                moved = np.empty((3, truths.fine.mesh.size, deformed.shape[2]))
+                moved[:, :count] = deformed
+                for part in blocks(moved.shape[1] - count, BLOCK_VERTICES):
+                    points.put_positions(poses, part, moved, count + part.start)
+                surfaces += [PosedSurface.of(truths.fine.truths, moved, threads)]
             for block in truths.vertex_blocks:
                 rows = block.rows.start + np.flatnonzero(chosen[block.primitive][block.rows])
                 if not len(rows):
                     continue
                 # The true normals of the chosen vertices.
                 side = None if sides is None else sides[poses, block.part]
-                normals = _mean(*truths.normals(block.number, deformed, sums, side))
+                found = [surface.normals(block.number, side) for surface in surfaces]
+                normals, exist = (np.concatenate(values) for values in zip(*found, strict=True))
+                normals = _mean(normals, exist, list(aim.values()))
                 own = normals[rows - block.rows.start]
                 yield _Seen(block.primitive, rows, poses, own, 1.0 / len(matrices))
 
 
-def _mean(normals: Float64Array, exist: BoolArray) -> Float64Array:
-    """Return the unit mean (B, 3, P) of normals (2, 3, B, P) that exist (2, B, P), 0 if there is none."""
-    parts = np.array([AIM[truth] for truth in USUAL_TRUTHS])[:, None, None, None]
-    mean = np.where(exist[:, None], parts * normals, 0.0).sum(axis=0)
+def _mean(normals: Float64Array, exist: BoolArray, parts: Sequence[float]) -> Float64Array:
+    """Return the unit mean (B, 3, P) of normals (U, 3, B, P) that exist (U, B, P), 0 if there is none."""
+    mean = np.where(exist[:, None], np.reshape(parts, (-1, 1, 1, 1)) * normals, 0.0).sum(axis=0)
     mean /= np.sqrt(np.einsum("ibp,ibp->bp", mean, mean))
     return np.where(np.isfinite(mean), mean, 0.0).transpose(1, 0, 2)
 
@@ -287,15 +302,14 @@ class _LeastSquares:
         self.reach[:] += scale * group.reach
 
     def solved(self) -> Slots:
-        """Return α and β (V, K − 1). A joint that is hardly there is pulled harder, as in ``rig_fit``."""
+        """Return α and β (V, K − 1). The last fitted slot takes minus the sum, and is pulled too."""
         count, slots = self.presence.shape
         vertices, diagonal = np.arange(count), np.arange(slots)
-        fitted, unknown = self.presence > UNFELT, self.unknown()
-        more = np.maximum(np.square(FAINT / self.presence), 1.0) - 1.0
         # The pull of each slot. That of the last slot is on all unknowns.
-        pull = POSE_STIFFNESS * self.reach[:, None] * (EVEN + np.where(fitted, more, 0.0))
-        matrix = self.matrix + pull[vertices, self.last][:, None, None]
-        matrix[:, diagonal, diagonal] += pull
+        unknown = self.unknown()
+        pull = EVEN * self.reach
+        matrix = self.matrix + pull[:, None, None]
+        matrix[:, diagonal, diagonal] += pull[:, None]
         solvable = np.isfinite(matrix).all(axis=(1, 2)) & (self.reach > 0.0)
         unknown &= solvable[:, None]
         # Slots without an equation get the identity, so that one call solves all vertices.

@@ -214,23 +214,22 @@ static int read_surface(PyObject *args, PyObject *keywords, Array *a, Surface *s
 {
     static char *names[] = {"positions", "triangles", "joints", "weights", "free", "classes", "normals", "tangents",
                             "bitangents", "alpha", "beta", "adopted", "ends", "sums", "parents", "ranks", "pivots",
-                            "chains", "stored", "class_count", "weighting", "adopts", "negligible", "missing",
-                            "stiffness", "together", "doubt", "smooth", "most_doubt", "times_stored", "stretched",
-                            "even", "faint", "unfelt", "narrow", "flat", "grouped", "first", "last", NULL};
+                            "chains", "stored", "class_count", "weighting", "adopts", "negligible",
+                            "stiffness", "together", "times_stored", "drawn", "stretched", "even", "unfelt", "narrow",
+                            "flat", "grouped", "first", "last", NULL};
     PyObject *o[ARRAYS];
     Py_ssize_t class_count;
     int weighting, adopts;
     double negligible;
     FitSettings fit;
-    if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOOOOOOnipddddddddddddddOnn", names,
+    if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOOOOOOnipddddddddddOnn", names,
                                      &o[POSITIONS], &o[TRIANGLES], &o[JOINTS], &o[WEIGHTS], &o[FREE_SLOTS],
                                      &o[CLASSES], &o[NORMALS], &o[TANGENTS], &o[BITANGENTS], &o[ALPHA], &o[BETA],
                                      &o[ADOPTED], &o[ENDS], &o[SUMS],
                                      &o[PARENTS], &o[RANKS], &o[PIVOTS], &o[CHAINS], &o[STORED], &class_count,
                                      &weighting, &adopts,
-                                     &negligible, &fit.missing, &fit.stiffness, &fit.together, &fit.doubt,
-                                     &fit.smooth, &fit.most_doubt, &fit.stored, &fit.stretched, &fit.even,
-                                     &fit.faint, &fit.unfelt, &fit.narrow, &fit.flat,
+                                     &negligible, &fit.stiffness, &fit.together, &fit.stored, &fit.drawn,
+                                     &fit.stretched, &fit.even, &fit.unfelt, &fit.narrow, &fit.flat,
                                      &part->grouped, &part->first, &part->last))
         return -1;
     if (read_arrays(o, surface_arrays, ARRAYS, 2, a) < 0)

@@ -50,14 +50,6 @@ static ALWAYS_INLINE Vector sum_normals(const Surface *s, Members corners, Membe
     return dot(sum, sum) > least * least ? sum : (Vector){0.0, 0.0, 0.0};
 }
 
-/* The doubt of a class from the length of its mean normal, 1 where all are alike (twin: ring_turns._doubts). */
-static ALWAYS_INLINE double doubt_of(const Surface *s, double alignment)
-{
-    double spread = 1.0 - alignment > s->fit.flat ? 1.0 - alignment : s->fit.flat;
-    double smoothness = s->fit.smooth / spread, cube = smoothness * smoothness * smoothness;
-    return s->fit.doubt * (cube < 1.0 ? 1.0 : cube < s->fit.most_doubt ? cube : s->fit.most_doubt);
-}
-
 /* Write six numbers of four corners by corner. */
 static ALWAYS_INLINE void transpose_corners(const Four numbers[ADDED], double by_corner[AT_ONCE][ADDED])
 {
@@ -257,7 +249,6 @@ static ALWAYS_INLINE void end_frame(const Surface *s, const CornerSums *sums, Ve
 {
     const Vector facing = sums_of(sums->normal);
     const double area = sum_of(sums->area), alignment = sqrt(dot(facing, facing)) / area;
-    f->doubt = doubt_of(s, alignment);
     /* A ring whose triangles cancel out, or are slivers, has no plane to fit in. */
     f->sound &= alignment > s->fit.flat && area > s->fit.flat * sum_of(sums->lengths);
     const Vector means[2] = {one_of(derivatives, 0), one_of(derivatives, 1)};

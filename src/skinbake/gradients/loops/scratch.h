@@ -83,7 +83,6 @@ typedef struct {
     Vector normal, tangents[2];
     Vectors along;       /* both tangents, component by component */
     Vectors leverage[2]; /* see ring_turns._leverage: by derivative; only of a sound class */
-    double doubt;        /* the tilt for each radian of a turn of which the fit takes half */
     StoredTilt stored;   /* only of a sound class, if the rig has a stored pose */
     int sound;           /* find_gradients writes 0, begin_frame whether there is a normal; end_frame may clear it */
 } RingFrame;

@@ -53,14 +53,12 @@ typedef struct {
     size_t unknowns;
     size_t slots[MOST_FITTED];
     int32_t joints[MOST_FITTED];
-    double presence[MOST_FITTED]; /* the weight and the share of the gradient of each slot's joint, added */
-    Pair given[MOST_FITTED];      /* the surface's gradients along the class's tangents */
-    double stiffness;             /* the share of a turn's squared lever that pulls to the surface's gradients */
-    double reach;                 /* the squared levers of all turns that part the slots, added */
-    double tilts; /* the squared tilts that these turns by a radian give to both tangents, added */
+    Pair given[MOST_FITTED]; /* the surface's gradients along the class's tangents */
+    double reach;            /* the squared levers of all turns that part the slots, added */
 } Fitted;
 
-/* Choose the slots to fit, by the presence of their joints. Returns 0 where there are too few or too many. */
+/* Choose the slots to fit, by the presence of their joints: the weight and the share of the gradients, added. Returns 0
+   where there are too few or too many. */
 static ALWAYS_INLINE int choose_slots(const Surface *s, size_t slots, size_t vertex, const Scratch *w, Fitted *fitted)
 {
     const double *weights = s->weights + vertex * slots;
@@ -70,20 +68,17 @@ static ALWAYS_INLINE int choose_slots(const Surface *s, size_t slots, size_t ver
         const int32_t joint = w->named[k];
         if ((size_t)(uint32_t)joint >= (size_t)s->joint_count)
             continue;
-        /* Presence: the weight of the joint and its share of the gradients. */
-        double presence = w->shares[k] + (joints[k] == joint ? weights[k] : 0.0);
-        if (!(presence > s->fit.unfelt))
+        if (!(w->shares[k] + (joints[k] == joint ? weights[k] : 0.0) > s->fit.unfelt))
             continue;
         if (count == MOST_FITTED)
             return 0;
         /* The gradient that the surface has, along both tangents of the class. */
         fitted->given[count] = dots(both_vectors(w->gradients[k]), w->frame.along);
-        fitted->presence[count] = presence;
         fitted->joints[count] = joint;
         fitted->slots[count++] = k;
     }
     fitted->unknowns = count - 1;
-    fitted->reach = fitted->tilts = 0.0;
+    fitted->reach = 0.0;
     return count >= 2;
 }
 
@@ -223,14 +218,14 @@ typedef struct {
 
 /* Add what the turn of one joint says to the normal equations of the slots, and to its curl. The names are those of
    rig_fit._TurnEffects. */
-static ALWAYS_INLINE void add_turn(Vector position, const Climb *climb, const double turn[TURN],
+static ALWAYS_INLINE void add_turn(const Surface *s, Vector position, const Climb *climb, const double turn[TURN],
                                    const RingFrame *frame, Fitted *fitted, Equations e, Curl *curls)
 {
     /* The tilt of a tangent along the normal by a turn, and how it should tilt. */
     const Vector lever = minus(position, (Vector){climb->pivot[0], climb->pivot[1], climb->pivot[2]});
     const Vector tilt = cross(lever, frame->normal);
     const double squared_lever = dot(lever, lever), square = dot(tilt, tilt);
-    const double pull = fitted->stiffness * squared_lever;
+    const double pull = s->fit.stiffness * squared_lever;
     const Vectors arms = load_vectors(turn + ARMS), spins = load_vectors(turn + SPINS);
     const Vectors wanted = plus_each(crosses(both_vectors(lever), arms), spins);
     const Pair aims = dots(both_vectors(tilt), wanted);
@@ -238,9 +233,6 @@ static ALWAYS_INLINE void add_turn(Vector position, const Climb *climb, const do
     Pair carried = both(0.0);
     for (size_t i = 0; i <= e.unknowns; i++)
         carried = add_pairs(carried, scaled(bit_of(climb->carries, i, e.unknowns), fitted->given[i]));
-    /* The tilts that remain with the surface's gradients. */
-    const Pair off = subtract_pairs(scaled(square, carried), aims), squared_off = multiply_pairs(off, off);
-    fitted->tilts += square > 0.0 ? (part(squared_off, 0) + part(squared_off, 1)) / square : 0.0;
     fitted->reach += squared_lever;
     /* |R|² and the pull of the turn, over the slots that it moves. */
     const Pair right = scaled(climb->sign, add_pairs(aims, scaled(pull, carried)));
@@ -288,7 +280,7 @@ static ALWAYS_INLINE void gather_turns(const Surface *s, Vector position, const 
         const double *turn = w->turns + climb->row * TURN;
         double *above = w->turns + climb->row_above * TURN;
         if (climb->parts)
-            add_turn(position, climb, turn, &w->frame, fitted, e, w->curls);
+            add_turn(s, position, climb, turn, &w->frame, fitted, e, w->curls);
         for (int m = 0; m < TURN; m += AT_ONCE)
             store(above + m, add(load(above + m), load(turn + m)));
     }
@@ -297,7 +289,8 @@ static ALWAYS_INLINE void gather_turns(const Surface *s, Vector position, const 
 
 /* Add the tilt and the pull in the stored pose to the normal equations of the slots (twin:
    rig_fit._add_stored_pose). */
-static void add_stored_pose(const Surface *s, Vector position, const StoredTilt *stored, Fitted *fitted, Equations e)
+static void add_stored_pose(const Surface *s, Vector position, const StoredTilt *stored, const Fitted *fitted,
+                            Equations e)
 {
     Vector over[MOST_FITTED];
     Vectors by_gradients = both_vectors((Vector){0.0, 0.0, 0.0});
@@ -306,11 +299,7 @@ static void add_stored_pose(const Surface *s, Vector position, const StoredTilt 
         over[i] = minus(moved_by(stored_matrix(s, fitted->joints[i]), position), stored->point);
         by_gradients = plus_each(by_gradients, times_each(both_vectors(over[i]), fitted->given[i]));
     }
-    /* The tilt that remains with the surface's gradients. */
-    const double weight = s->fit.stored * stored->weight, pull = fitted->stiffness * weight;
-    const Pair off = add_pairs(stored->tilts, dots(both_vectors(stored->normal), by_gradients));
-    const Pair squares = multiply_pairs(off, off);
-    fitted->tilts += weight * (part(squares, 0) + part(squares, 1));
+    const double weight = s->fit.stored * stored->weight, pull = s->fit.stiffness * weight;
     for (size_t i = 0; i < e.unknowns; i++) {
         /* α of the last slot is minus the sum of the others. */
         over[i] = minus(over[i], over[e.unknowns]);
@@ -354,39 +343,29 @@ static ALWAYS_INLINE int solve(Equations e, double least)
     return part(finite, 0) + part(finite, 1) == 0.0;
 }
 
-/* The pull of one slot to its gradient. It is strong where the joint is hardly there. */
-static ALWAYS_INLINE double pull_of(const Surface *s, const Fitted *fitted, size_t slot)
-{
-    double faint = s->fit.faint / fitted->presence[slot], more = faint > 1.0 ? faint * faint - 1.0 : 0.0;
-    return fitted->stiffness * fitted->reach * (s->fit.even + more);
-}
-
-/* Move the gradients of the fitted slots, in the plane of the class's tangents, to the solution of the least
+/* Move the gradients of the fitted slots, in the plane of the class's tangents, towards the solution of the least
    squares. */
 static ALWAYS_INLINE void move_gradients(const Surface *s, const Fitted *fitted, Equations e, Scratch *w)
 {
     const Vector *tangents = w->frame.tangents;
     const size_t unknowns = e.unknowns;
-    double last = pull_of(s, fitted, unknowns);
+    const double pull = s->fit.even * fitted->reach;
     for (size_t i = 0; i < unknowns; i++) {
         /* The pull of each slot. That of the last one is on all unknowns. */
-        double pull = pull_of(s, fitted, i);
         for (size_t k = 0; k <= i; k++)
-            e.matrix[i * e.stride + k] += k == i ? last + pull : last;
-        e.right[i] = add_pairs(
-            e.right[i], subtract_pairs(scaled(pull, fitted->given[i]), scaled(last, fitted->given[unknowns])));
+            e.matrix[i * e.stride + k] += k == i ? 2.0 * pull : pull;
+        e.right[i] =
+            add_pairs(e.right[i], scaled(pull, subtract_pairs(fitted->given[i], fitted->given[unknowns])));
     }
     if (!solve(e, s->fit.flat * s->fit.flat))
         return;
-    /* Small tilts may be rounding: their change is shrunk. */
-    double share = fitted->tilts / (fitted->tilts + w->frame.doubt * w->frame.doubt);
     e.right[unknowns] = both(0.0);
     for (size_t i = 0; i < unknowns; i++)
         e.right[unknowns] = subtract_pairs(e.right[unknowns], e.right[i]);
     for (size_t i = 0; i <= unknowns; i++) {
         /* The change along both tangents. What is along the normal stays. */
         Vector *gradient = &w->gradients[fitted->slots[i]];
-        Pair by = scaled(share, subtract_pairs(e.right[i], fitted->given[i]));
+        Pair by = scaled(s->fit.drawn, subtract_pairs(e.right[i], fitted->given[i]));
         *gradient = plus(*gradient, plus(times(tangents[0], part(by, 0)), times(tangents[1], part(by, 1))));
     }
 }
@@ -403,18 +382,15 @@ static ALWAYS_INLINE void fit_unknowns(const Surface *s, size_t unknowns, Vector
     gather_turns(s, position, way, fitted, e, w);
     if (s->stored && w->frame.stored.weight > 0.0)
         add_stored_pose(s, position, &w->frame.stored, fitted, e);
-    if (fitted->reach > 0.0 && isfinite(fitted->tilts)) /* where levers are very long the tilts overflow */
+    if (fitted->reach > 0.0)
         move_gradients(s, fitted, e, w);
 }
 
-/* Fit the gradients by slot of one vertex to the rig. `missing` is the share of the gradients whose joints have no
-   slot. */
+/* Fit the gradients by slot of one vertex to the rig. */
 FOR_PROCESSORS
-static void fit_vertex(const Surface *s, size_t vertex, size_t turnings, double missing, const Vector *position,
-                       Scratch *w)
+static void fit_vertex(const Surface *s, size_t vertex, size_t turnings, const Vector *position, Scratch *w)
 {
     Fitted fitted;
-    fitted.stiffness = s->fit.stiffness * (1.0 + s->fit.missing * missing);
     int chosen = s->slots == 4 ? choose_slots(s, 4, vertex, w, &fitted)
                                : choose_slots(s, (size_t)s->slots, vertex, w, &fitted);
     if (!chosen)
@@ -467,7 +443,7 @@ static ALWAYS_INLINE double project_fitted(const Surface *s, Shape shape, size_t
         const size_t size = (size_t)found->used * TURN * sizeof *w->turns;
         if (!last)
             memcpy(w->kept, w->turns, size);
-        fit_vertex(s, vertex, found->turnings, unheld * whole, &position, w);
+        fit_vertex(s, vertex, found->turnings, &position, w);
         if (!last)
             memcpy(w->turns, w->kept, size);
     }
