@@ -40,8 +40,22 @@ function skinnedMeshes(root) {
     return found;
 }
 
-async function sceneOf(url, count) {
+// TANGENT at right angles to each normal, and a normal map of one texel.
+function mapNormals({ geometry, material }) {
+    const { normal } = geometry.attributes;
+    const tangents = new Float32Array(4 * normal.count).fill(1);
+    const [n, t] = [new THREE.Vector3(), new THREE.Vector3()];
+    for (let vertex = 0; vertex < normal.count; vertex++) {
+        t.set(0.3, 0.2, 0.9).cross(n.fromBufferAttribute(normal, vertex)).normalize().toArray(tangents, 4 * vertex);
+    }
+    geometry.setAttribute('tangent', new THREE.BufferAttribute(tangents, 4));
+    material.normalMap = new THREE.DataTexture(new Uint8Array([160, 110, 240, 255]), 1, 1);
+    material.normalMap.needsUpdate = true;
+}
+
+async function sceneOf(url, count, isMapped) {
     const { scene: model } = await new GLTFLoader().loadAsync(url);
+    if (isMapped) skinnedMeshes(model).forEach(mapNormals);
     const scene = new THREE.Scene();
     const light = new THREE.DirectionalLight(0xffffff, 3);
     light.position.set(1, 2, 3);
@@ -61,13 +75,13 @@ async function sceneOf(url, count) {
 }
 
 // Draw every kind until it is compiled. three is untouched: its programs and hooks are its own.
-window.prepare = async ({ name, url, count, size }) => {
+window.prepare = async ({ name, url, count, size, isMapped = false }) => {
     const made = await RENDERERS[name](size);
     if (!made) return false;
     const { renderer, module, finish } = made;
     const kinds = {};
     for (const kind of ['three', 'standard', 'lbs', 'dqs']) {
-        kinds[kind] = await sceneOf(url, count);
+        kinds[kind] = await sceneOf(url, count, isMapped);
         const { scene, camera } = kinds[kind];
         if (kind === 'three') {
             for (const mesh of skinnedMeshes(scene)) {

@@ -4,8 +4,9 @@ Usage: python -m benchmarks.three_frame [--rounds N] [--vertices N]
 
 Chromium draws on the processor (SwiftShader). Beside pixels, vertices cost far more there than on a GPU, and
 SwiftShader runs both sides of every branch of a shader: linear blending pays for dual quaternions too. So the
-ratios are of the worst kind. Two scenes: one mesh of many vertices in a picture of 64 × 64, where the vertex
-shader is nearly all of a frame; and 25 characters of 1518 vertices in a picture of 512 × 512.
+ratios are of the worst kind. Three scenes: one mesh of many vertices in a picture of 64 × 64, where the
+vertex shader is nearly all of a frame; and 25 characters of 1518 vertices in a picture of 512 × 512, without
+and with normal maps.
 
 A round draws one frame of each lighting, in turn, and the turn shifts from round to round. Each ratio is of
 two frames of one round; printed are the median of the rounds and the quartiles. "three.js" is untouched: its
@@ -65,6 +66,7 @@ def main() -> None:
         scenes = {
             f"one mesh, {options.vertices:,} vertices": {"url": grid, "count": 1, "size": 64},
             "25 characters": {"url": tube, "count": 25, "size": 512},
+            "25 characters with normal maps": {"url": tube, "count": 25, "size": 512, "isMapped": True},
         }
         for title, scene in scenes.items():
             for name in RENDERERS:

@@ -307,9 +307,11 @@ skinbake_Vertex skinbake_turned(vec3 p, skinbake_Frame frame, mat4 M[4], vec3 al
     v.tangent = first * v.tangent;
     v.bitangent = first * v.bitangent;
     v.normal = frame.handedness * cross(v.tangent, v.bitangent);
+#ifdef SKINBAKE_NORMAL_MAP
     mat3 cofactors = mat3(cross(first[1], first[2]), cross(first[2], first[0]), cross(first[0], first[1]));
     v.cotangent = cofactors * v.cotangent;
     v.cobitangent = cofactors * v.cobitangent;
+#endif
     return v;
 }
 
