@@ -109,6 +109,10 @@ COMMANDS: dict[str, Callable[[Path, Path], list[str | Path]]] = {
     "verify": lambda source, folder: ["verify", folder / "baked.glb", "-q"],
     "view": lambda source, folder: ["view", source, "-o", folder / "out.html", "-q"],
     "render": lambda source, folder: ["render", source, "-o", folder / "out.png", "-q"],
+    "bake": lambda source, folder: ["bake", source, "-o", folder / "out.glb", "-q"],
+    "correctives": lambda source, folder: [
+        *("bake", source, "-o", folder / "out.glb", "-q", "--correctives", "auto")
+    ],
     "poses": lambda source, folder: ["bake", source, "-o", folder / "out.glb", "-q", "--gradients", "poses"],
     "shader": lambda source, folder: ["shader", "--lang", "glsl", "--for", folder / "baked.glb", "-q"],
 }

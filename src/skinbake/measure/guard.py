@@ -35,6 +35,7 @@ from skinbake.truth.blending import BlendedPrimitive, sides_of
 from skinbake.truth.operator import GradientOperator, true_operator
 from skinbake.truth.poses import FALLBACK_POSES, LEAST_SAMPLES, PoseRequest, pose_set
 from skinbake.truth.truths import Truths
+from skinbake.wording import counted
 
 LEAST_POSES = 12
 """The poses in which a surface is looked at, at least. Many clips and skins share them."""
@@ -90,6 +91,9 @@ TINY = 1e-9
 TIE = 1e-6
 """The share of an error up to which two are the same. Rounding must not choose between them."""
 
+STEPS_A_PRIMITIVE = 5_000
+"""The steps of judging a primitive: see ``budget.STEPS_FREE``."""
+
 STEPS = np.arange(EIGHTHS, -1, -1)
 """The eighths of a fit, of α and β, and of one truth's importance that are tried, the largest first."""
 
@@ -131,6 +135,9 @@ def judged_shares(
         if not any(surfaces[number].rig for number in group):
             continue
         try:
+            count = sum(len(surfaces[number].bakes) for number in group)
+            what = f"judging the lighting of {counted(count, 'primitive')}"
+            document.budget.claim_steps(STEPS_A_PRIMITIVE * count, what, document.place)
             with document.budget.passing():
                 found = _Whole(document, [surfaces[number] for number in group], settings).shares()
         except InputError as error:
