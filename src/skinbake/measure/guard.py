@@ -20,6 +20,7 @@ from skinbake.errors import InputError, Notice
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.gltf.animation import animations_of, read_clips, read_skeleton, skins_of
+from skinbake.gltf.budget import shown
 from skinbake.gltf.document import Document
 from skinbake.gltf.scenes import meshes_of_one_skin
 from skinbake.gradients.baker import BakeSettings, bake_primitives
@@ -72,6 +73,9 @@ SAMPLES = 1 << 16
 
 BYTES_A_PLACE, BYTES_A_SAMPLE = 24, 320
 """The memory of a vertex in a pose, and of one that is looked at."""
+
+MOST_BYTES = 1 << 28
+"""The memory of a look. Only vertices at which thousands of triangles meet take more."""
 
 GOLDEN = 0.6180339887498949
 """The golden section. Its multiples, without their whole parts, lie evenly between 0 and 1."""
@@ -192,7 +196,8 @@ class _Whole:
             fit, kept = found.best(number, points)
             eighths = np.full(len(classes), EIGHTHS)
             eighths[lit[number]] = kept if len(own) == len(lit[number]) else kept[0]
-            shares[number] = KeptShare(fit, eighths, lit[number])
+            if fit < 1.0 or (eighths < EIGHTHS).any():
+                shares[number] = KeptShare(fit, eighths, lit[number])
         return shares
 
     def _seen(self, rows: Sequence[IntArray], look: _Look) -> _Errors:
@@ -209,7 +214,10 @@ class _Whole:
         size = most * (
             BYTES_A_PLACE * len(primitive.positions) + BYTES_A_SAMPLE * len(looked_at) * len(poses)
         )
-        document.budget.claim(size, "judging its light", place)
+        if size > MOST_BYTES:
+            raise InputError(
+                f"so many triangles meet at its vertices that it would take {shown(size)}", place
+            )
         rig = next(rig for rig in self._rigs if rig)
         plain = None
         if any(_stretch(rig, matrices, primitive.positions) for _, matrices in poses):
