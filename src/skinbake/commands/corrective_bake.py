@@ -10,7 +10,15 @@ import numpy as np
 
 from skinbake.choices import CorrectiveAim, Encoding, FrameChoice
 from skinbake.commands.surface_bake import FitTarget, SurfaceBake, unwritten
-from skinbake.correctives.fit import Correctives, Figures, Form, Motion, fitted
+from skinbake.correctives.fit import (
+    LEAST_HELD_BACK,
+    LEAST_KEYS,
+    Correctives,
+    Figures,
+    Form,
+    Motion,
+    fitted,
+)
 from skinbake.correctives.surface import TRUTHS, Surface, rest_of
 from skinbake.errors import InputError, Notice, Place
 from skinbake.format.correctives import (
@@ -34,7 +42,8 @@ from skinbake.skinning.rest import RestPrimitive
 from skinbake.timing import stage
 from skinbake.truth.areas import RestAreas
 from skinbake.truth.operator import true_operator
-from skinbake.truth.poses import joint_clips
+from skinbake.truth.poses import joint_clips, pose_steps
+from skinbake.wording import counted
 
 if TYPE_CHECKING:
     from skinbake.commands.bake import Baker
@@ -55,6 +64,9 @@ UNIT_LENGTH = 1e-2
 
 FINGERPRINT_POSES = 16
 """The poses of each clip whose fingerprint tells whether the clips are still those of the bake."""
+
+STEPS_A_MOTION = 5_000
+"""The steps of a clip that moves a skin, but for its poses: see ``budget.STEPS_FREE``."""
 
 
 def corrected_document(
@@ -151,6 +163,9 @@ def _fitted(
         nothing = Correctives(none, (), Figures((), ()), 1.0, 0)
         return [(place, nothing, None) for place in places]
     place = sources[0].place
+    poses = LEAST_KEYS + LEAST_HELD_BACK
+    steps = sum(STEPS_A_MOTION + pose_steps(one.skeleton, [one.clip], poses) for one in motions)
+    document.budget.claim_steps(steps, f"fitting to {counted(len(motions), 'clip')} of its skins", place)
     operator = true_operator(primitives, claim=lambda size: document.budget.claim_welding(size, place))
     areas = np.concatenate([RestAreas(document, motions[0].skin).of(one) for one in primitives])
     with stage("fit"):
