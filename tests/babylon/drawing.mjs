@@ -19,6 +19,7 @@ import { RawTexture } from '@babylonjs/core/Materials/Textures/rawTexture.js';
 import { RenderTargetTexture } from '@babylonjs/core/Materials/Textures/renderTargetTexture.js';
 import { RawCubeTexture } from '@babylonjs/core/Materials/Textures/rawCubeTexture.js';
 import { SphericalPolynomial } from '@babylonjs/core/Maths/sphericalPolynomial.js';
+import { Color4 } from '@babylonjs/core/Maths/math.color.js';
 import { Matrix, Quaternion, Vector3 } from '@babylonjs/core/Maths/math.vector.js';
 import { DracoDecoder } from '@babylonjs/core/Meshes/Compression/dracoDecoder.js';
 import { MeshoptCompression } from '@babylonjs/core/Meshes/Compression/meshoptCompression.js';
@@ -155,8 +156,8 @@ function frame(scene) {
 const told = (root) => skinbake.report(root).map(({ lighting, reason }) => [lighting, reason]);
 
 // A page that adds a normal map.
-function addBump(scene, { material }) {
-    const texture = RawTexture.CreateRGBATexture(new Uint8Array([128, 128, 255, 255]), 1, 1, scene);
+function addBump(scene, { material }, texel = [128, 128, 255]) {
+    const texture = RawTexture.CreateRGBATexture(new Uint8Array([...texel, 255]), 1, 1, scene);
     material[material instanceof OpenPBRMaterial ? 'geometryNormalTexture' : 'bumpTexture'] = texture;
 }
 
@@ -173,6 +174,29 @@ class Turning extends MaterialPluginBase {
     getCustomCode(type, language = 0) {
         const vector = language === 0 ? 'vec3' : 'vec3f';
         return type === 'vertex' ? { CUSTOM_VERTEX_UPDATE_NORMAL: `normalUpdated += ${vector}(0.5, 0.25, -0.5);` } : null;
+    }
+}
+
+// A page's own code that draws each vertex as a point into a pixel of its own, in its mapped normal.
+const SIDE = 64; // of a picture with a pixel for each vertex
+
+class Reading extends MaterialPluginBase {
+    constructor(material) {
+        super(material, 'Reading', 300, { READING: true }, true, true);
+    }
+
+    getClassName() {
+        return 'ReadingPlugin';
+    }
+
+    getCustomCode(type) {
+        if (type === 'fragment') return { CUSTOM_FRAGMENT_MAIN_END: 'gl_FragColor = vec4(normalW, 1.0);' };
+        return {
+            CUSTOM_VERTEX_MAIN_END: `
+                vec2 pixel = vec2(gl_VertexID % ${SIDE}, gl_VertexID / ${SIDE}) + 0.5;
+                gl_Position = vec4(2.0 * pixel / ${SIDE}.0 - 1.0, 0.0, 1.0);
+                gl_PointSize = 1.0;`,
+        };
     }
 }
 
@@ -332,6 +356,27 @@ const api = {
         for (const name of bump ? names : ['vNormalW']) draws.push(...(await draw(scene, name)));
         const report = told(scene);
         return { draws, report };
+    },
+
+    // The mapped normal in the pixel of each vertex, with one texel as normal map. By WebGL 2.
+    async relief({ texel, ...options }) {
+        const { scene, mesh } = await load(options);
+        const count = mesh.getTotalVertices();
+        addBump(scene, mesh, texel);
+        if (mesh.material.anisotropy) mesh.material.anisotropy.isEnabled = true;
+        mesh.material.backFaceCulling = false;
+        mesh.material.pointsCloud = true;
+        new Reading(mesh.material);
+        const target = new RenderTargetTexture('relief', SIDE, scene, { generateMipMaps: false, type: 1 });
+        target.clearColor = new Color4(0, 0, 0, 0);
+        target.renderList = [mesh];
+        scene.customRenderTargets.push(target);
+        await ready(scene);
+        for (let number = 0; number < 3; number++) frame(scene);
+        const pixels = await target.readPixels();
+        const normals = new Float32Array(3 * count);
+        for (let vertex = 0; vertex < count; vertex++) normals.set(pixels.subarray(4 * vertex, 4 * vertex + 3), 3 * vertex);
+        return { normals: base64(normals), report: told(scene) };
     },
 
     // The normals of each view in turn of one character, after a frame as it was and a change.

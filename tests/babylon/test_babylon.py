@@ -23,7 +23,7 @@ from tests.support import corpus, gltf_reading
 from tests.support.baked_files import Editable
 from tests.support.baking import bake_file
 from tests.support.characters import Array, Character, Placement, Pose, angles, baked, unit
-from tests.support.mapped import columns
+from tests.support.mapped import TEXELS, columns, texel_normal
 from tests.support.stage import Stage, require_backend
 from tests.three.drawn import BENT, MIRRORED, RANDOM, TUBE, largest, turn_rest, vectors, with_morphs
 
@@ -235,6 +235,30 @@ def test_normal_maps_have_the_matrix_of_a_relief(
         np.testing.assert_allclose(
             np.linalg.norm(found_column, axis=1), np.linalg.norm(one[: len(found_column)], axis=1), rtol=1e-4
         )
+
+
+@pytest.mark.parametrize("texel", TEXELS[:2])
+@pytest.mark.parametrize(
+    ("frame", "left", "material"),
+    [
+        ("normal", False, "standard"),
+        ("tangent", True, "standard"),
+        ("tangent", False, "pbr"),
+        ("normal", False, "openpbr"),
+    ],
+)
+def test_a_relief_has_the_mapped_normals_of_the_replay(
+    stage: Stage, frame: str, left: bool, material: str, texel: tuple[int, ...]
+) -> None:
+    """At the pixel of each vertex, as its fragment shader has them. The left-handed world is a mirror."""
+    character = stage.character(MIRRORED, RANDOM, frame)
+    options = {"left": left, "material": material, "texel": texel}
+    found = stage.call("relief", {**character.told(Placement()), **options})
+    relief, (x, y, z) = columns(character, Algorithm.LBS_ACCURATE, Placement()), texel_normal(texel)
+    wanted = (x * relief.t + y * relief.b + z * relief.n) * ((-1, 1, 1) if left else 1)
+    drawn = vectors(found["normals"])
+    assert angles(drawn, wanted[: len(drawn)]).max() < 0.2
+    assert found["report"] == RIGHT
 
 
 @pytest.mark.parametrize("kind", ["instances", "thin instances"])
