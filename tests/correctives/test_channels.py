@@ -39,7 +39,7 @@ def at(keys: Keys, time: float) -> Any:
 
 
 @pytest.mark.parametrize("method", ["LINEAR", "STEP", "CUBICSPLINE"])
-def test_both_play_as_they_would_alone(method: str) -> None:
+def test_merged_keys_play_as_each_would_alone(method: str) -> None:
     shape = (4, 3, 2) if method == "CUBICSPLINE" else (4, 2)
     there = Keys(TIMES, np.random.default_rng(5).normal(size=shape).astype(np.float32), method)
     ours = Keys(*OURS, "LINEAR")
