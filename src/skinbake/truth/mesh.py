@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -99,8 +99,7 @@ def joint_weights(primitives: Sequence[SkinnedPrimitive]) -> tuple[Int64Array, F
     return joints, weights
 
 
-@dataclass(frozen=True, slots=True)
-class JointField:
+class JointField(NamedTuple):
     """The weights of all vertices that are not 0: those of vertex v from starts[v] to starts[v + 1].
 
     starts are (V + 1,), joints and weights are (N,). Joints are below joint_count, also those that slots name

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -74,8 +75,7 @@ class PoseRequest:
         return (self.samples if self.kind is PoseKind.RANDOM else None) or FALLBACK_POSES
 
 
-@dataclass(frozen=True, slots=True)
-class PoseSet:
+class PoseSet(NamedTuple):
     """Joint matrices (P, J, 4, 4) of one skin, with each pose's clip and time in seconds (None: no clip).
 
     joint_names (J,) are for messages. morph_weights (P, N) belong to the node of the poses. They are None if

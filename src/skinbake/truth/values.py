@@ -97,8 +97,7 @@ FINE_BINS = 1 << FINE_BITS
 """The number of parts of one bin."""
 
 
-@dataclass(frozen=True, slots=True)
-class WeightedRuns:
+class WeightedRuns(NamedTuple):
     """Values in runs of one weight, such as the errors of a vertex in several poses.
 
     values (N,) are float32 or float64. weights (R,) and lengths (R,) int32 are those of the runs. The lengths
