@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fixtures.make_fixtures import FOLDER
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import read_primitive, skinned_sources
 from tests.correctives.models import SHEET, TUBE, parted, rewritten
@@ -225,3 +226,22 @@ def test_bytes_are_those_of_other_processors_too(tmp_path: Path) -> None:
     result = run("bake", source, *options, env=less)
     assert result.returncode == 0, result.stderr
     assert (tmp_path / "there.glb").read_bytes() == (tmp_path / "here.glb").read_bytes()
+
+
+def test_a_mesh_without_clips_gets_none_and_stays_as_it_is(tmp_path: Path) -> None:
+    source = FOLDER / "two_primitives.glb"
+    said = bake(source, tmp_path / "out.glb")
+    assert "only clips play correctives" in said
+    assert (tmp_path / "out.glb").read_bytes() == source.read_bytes()
+
+
+def test_a_mesh_that_does_not_bend_gets_none(tmp_path: Path) -> None:
+    def still(content: Any) -> None:
+        for animation in content["animations"]:
+            animation["channels"] = animation["channels"][:1]
+            animation["channels"][0]["target"]["node"] = content["skins"][0]["joints"][0]
+
+    given = rewritten(TUBE, tmp_path / "still.glb", still)
+    result = invoke("bake", given, "-o", tmp_path / "out.glb", "--correctives", "auto", "--json")
+    assert {one["code"] for one in json.loads(result.stdout)["files"][0]["warnings"]} >= {"correctives-idle"}
+    assert (tmp_path / "out.glb").read_bytes() == given.read_bytes()

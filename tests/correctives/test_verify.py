@@ -128,3 +128,13 @@ def test_pages_and_pictures_say_that_they_leave_correctives_out(tube: Path, tmp_
     assert invoke("verify", tube, "--html", tmp_path / "report.html").exit_code == 0
     for page in ("page.html", "report.html"):
         assert "The file has correctives. The page does not draw them" in (tmp_path / page).read_text()
+
+
+def test_correctives_that_make_a_file_worse_are_told(tube: Path, tmp_path: Path) -> None:
+    def turned(content: Any) -> None:
+        primitive = content["meshes"][0]["primitives"][0]
+        primitive["targets"][1]["NORMAL"] = primitive["attributes"]["POSITION"]
+
+    answer = verify(rewritten(tube, tmp_path / "worse.glb", turned))
+    codes = {one["code"] for one in answer.file["warnings"]}
+    assert {"correctives-worse", "correctives-mixed"} <= codes
