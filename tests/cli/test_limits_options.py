@@ -128,6 +128,16 @@ def test_a_bake_that_is_given_up_leaves_nothing(tmp_path: Path) -> None:
     assert list((tmp_path / "out").iterdir()) == []
 
 
+@pytest.mark.slow
+@POSIX
+def test_a_picture_that_is_given_up_leaves_nothing(tmp_path: Path) -> None:
+    """No driver is needed: the time is over before the file is read."""
+    result = run("render", TUBE, "-o", tmp_path / "out.png", "--timeout", "0.001")
+    assert result.returncode == 3
+    assert b"it took longer than 0.001 s (--timeout)" in result.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
 @POSIX
 @pytest.mark.slow
 def test_the_folder_of_temporary_files_may_be_too_long_for_a_socket(tmp_path: Path) -> None:
