@@ -25,8 +25,8 @@ def errors(name: str, folder: Path, gradients: Gradients) -> list[float]:
 @pytest.mark.parametrize(
     ("name", "left"),
     [
-        (TENTACLE, (0.95, 1.0)),  # 3.3 and 1.8 with a fit to single turns alone
-        pytest.param(BUTTERFLY, (0.6, 0.6), marks=pytest.mark.slow),  # 0.8 and 0.8
+        (TENTACLE, (0.95, 1.0)),  # 2.1 and 1.2 with a fit to single turns alone
+        pytest.param(BUTTERFLY, (0.75, 0.75), marks=pytest.mark.slow),  # 0.88 and 0.87
     ],
 )
 def test_the_fit_leaves_less_error_than_the_gradients_of_the_surface(

@@ -31,8 +31,8 @@ With 0.03 or 0.25, and a part of the drawn mesh to match, the errors are the sam
 TOGETHER = 10.0
 """How much more it counts that all joints of a long chain C turn alike than that one joint j turns.
 
-Animators curl tails and tentacles. Single turns alone leave a tentacle with three times the error of the
-surface's gradients.
+Animators curl tails and tentacles. Single turns alone leave a tentacle with twice the error of the surface's
+gradients.
 """
 
 STORED = 10.0
