@@ -358,7 +358,7 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
     (
         "gltf/document.py",
         "_parsed",
-        'if suffix != GLTF_SUFFIX and suffix not in GLB_SUFFIXES: -> raise InputError("expected a file named .glb, .gltf or .vrm", Place(path))',
+        'if suffix != GLTF_SUFFIX and suffix not in GLB_SUFFIXES: -> raise InputError(not_gltf(path, ""), Place(path))',
     ): BEFORE + "tests/gltf/test_document.py",
     (
         "gltf/images.py",

@@ -220,7 +220,9 @@ class _Whole:
             )
         rig = next(rig for rig in self._rigs if rig)
         plain = None
-        if any(_stretch(rig, matrices, primitive.positions) for _, matrices in poses):
+        with np.errstate(over="ignore", invalid="ignore"):  # positions near the largest float32
+            stretches = any(_stretch(rig, matrices, primitive.positions) for _, matrices in poses)
+        if stretches:
             _, plain = joined(list(self._plain(numbers, parts)))
         operator = true_operator([primitive])
         lights = []
