@@ -42,6 +42,13 @@ def test_verify_measures_no_pose_that_the_fit_takes(tmp_path: Path, count: int) 
     assert max(others) < clips[0].duration
 
 
+@pytest.mark.parametrize(("count", "each"), [(2, 30), (40, 3), (400, 3), (401, 2), (1201, 1)])
+def test_very_many_clips_have_fewer_poses_each(tmp_path: Path, count: int, each: int) -> None:
+    document = with_clips(tmp_path, count)
+    group = poses_to_fit(document, 0, [ANIMATIONS], PLACE).groups[0]
+    assert len(group.joint_matrices) == each * count
+
+
 def test_samples_lie_evenly_inside_a_clip(tmp_path: Path) -> None:
     document = with_clips(tmp_path, 1)
     (clip,) = read_clips(document)

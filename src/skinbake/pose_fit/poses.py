@@ -24,6 +24,9 @@ ANIMATIONS, RANDOM = "animations", "random"
 CLIP_POSES, LEAST_CLIP_POSES = 61, 3
 """The poses of all clips together, and of each clip at least."""
 
+MOST_LEAST = 1200
+"""The poses up to which each clip has its least number: more clips have two poses each, or one."""
+
 BETWEEN = 0.382
 """Where the fit samples a clip: at this share of each of N equal parts.
 
@@ -209,7 +212,8 @@ class _Poses:
     ) -> _Poses:
         """Sample the clips that move the skins, and draw random poses."""
         moving = {skin: own for skin in skins if (own := joint_clips(document, skin, clips))}
-        each = max(LEAST_CLIP_POSES, CLIP_POSES // max(1, sum(map(len, moving.values()))))
+        count = max(1, sum(map(len, moving.values())))
+        each = max(1, min(LEAST_CLIP_POSES, MOST_LEAST // count), CLIP_POSES // count)
         sampled = PoseRequest(samples=each, offset=BETWEEN)
         by_clips = [pose_set(document, skin, own, sampled) for skin, own in moving.items()]
         at_random = [
