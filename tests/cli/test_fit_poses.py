@@ -85,7 +85,7 @@ def test_a_bake_whose_clips_are_gone_passes_by_its_digest(tmp_path: Path) -> Non
     path = changed(baked(source(CLIP), tmp_path), without_clips, "gone.glb")
     answer = verify(path)
     assert answer.exit_code == 0
-    assert "the poses of the fit are not in the file" in invoke("verify", path).stdout
+    assert "the poses of the fit are not in the file" in invoke("verify", path, "-v").stdout
     answer = verify(scaled(path, "_SKINBAKE_ALPHA_0", 1.01, "scaled.glb"))
     assert answer.failed == ["freshness"]
     assert "α/β changed since its bake" in answer.messages
@@ -149,7 +149,7 @@ def test_the_clips_of_another_file_move_nodes_of_the_same_names(tmp_path: Path) 
     assert noted is not None and noted["poses"]["from"] == ["walk.glb"]
     answer = verify(path)
     assert answer.exit_code == 0
-    assert "the poses of the fit are not in the file" in invoke("verify", path).stdout
+    assert "the poses of the fit are not in the file" in invoke("verify", path, "-v").stdout
 
 
 def named(path: Path) -> Path:

@@ -350,7 +350,7 @@ class TestTerminal:
         fcntl.ioctl(follower, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 70, 0, 0))
         environment = {key: value for key, value in os.environ.items() if key not in {"COLUMNS", "NO_COLOR"}}
         subprocess.run(
-            [sys.executable, "-m", "skinbake", "verify", "a.glb", "--poses", "rest"],
+            [sys.executable, "-m", "skinbake", "verify", "a.glb", "--poses", "rest", "-v"],
             cwd=tmp_path,
             env={**environment, "TERM": "xterm"},
             stdout=follower,
@@ -390,7 +390,7 @@ class TestTerminal:
         os.close(follower)
         shown = os.read(leader, 20_000).decode()
         os.close(leader)
-        assert ("\x1b[31mfailed" in shown, "\x1b[3" in shown) == (not no_color, not no_color)
+        assert ("\x1b[31m\x1b[1merror:" in shown, "\x1b[3" in shown) == (not no_color, not no_color)
         lines = click.unstyle(shown).splitlines()
         assert max(map(len, lines)) <= 70
         assert any(line.startswith("7 files: 6 baked, 1 failed, in ") for line in lines)
