@@ -50,6 +50,9 @@ def test_the_bake_of_a_later_version_stays(command: str, tmp_path: Path) -> None
         )
     assert not (tmp_path / "out.glb").exists()
     assert (tmp_path / "later.glb").read_bytes() == before
+    told = invoke("inspect", tmp_path / "later.glb")
+    assert "but its metadata has version 2, this skinbake reads 1: update skinbake" in told.stdout
+    assert "up to date" not in told.stdout
 
 
 @pytest.mark.parametrize("name", ["bent_tube.glb", "two_primitives.glb"])

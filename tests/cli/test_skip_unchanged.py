@@ -575,5 +575,5 @@ def test_streams_are_read_and_written_each_time(tmp_path: Path) -> None:
         assert (process.returncode, b"baked: 1 primitive" in process.stdout) == (0, True)
         process = run("bake", seam, "-o", "-", *notes)
         assert process.stdout == (tmp_path / "out.glb").read_bytes()
-        process = run("verify", "-", "--poses", "rest", *notes, stdin=process.stdout)
+        process = run("verify", "-", "--poses", "rest", "-v", *notes, stdin=process.stdout)
         assert (process.returncode, b"structure  passed" in process.stdout) == (0, True)

@@ -13,6 +13,7 @@ from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.format.attribute_store import meshopt_of
 from skinbake.format.correctives import corrective_note
 from skinbake.format.metadata import changed_arrays, read_metadata, slot_names
+from skinbake.freshness.baked_views import other_version
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.accessors import described
 from skinbake.gltf.codecs import draco
@@ -59,6 +60,9 @@ def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
             with document.budget.passing():
                 primitive = read_primitive(document, entry)
                 primitives.append(_summary(document, entry, primitive))
+                bake = primitives[-1].bake
+                if bake is not None and bake.other is not None:
+                    notices.append(Notice("version", bake.other, entry.place))
                 if reason is not None and reason.code == "unlit":
                     continue  # no light reaches its normals
                 notices += weight_sum_notices(primitive, entry.place)
@@ -114,7 +118,7 @@ def _summary(document: Document, source: PrimitiveSource, primitive: SkinnedPrim
         gone = sorted(names - source.attributes.keys())
         changed = (*changed_arrays(metadata, primitive), *gone)
         size = sum(attribute.byte_length for attribute in attributes if attribute.name in names)
-        bake = BakeSummary(metadata, changed, size)
+        bake = BakeSummary(metadata, changed, size, other_version(metadata))
     targets = source.json.get("targets")
     return PrimitiveSummary(
         place=source.place,

@@ -127,7 +127,7 @@ def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
                 f"own: {BAKE} on its source"
             )
         return Notice("metadata-missing", message, source.place)
-    other = _other_version(metadata)
+    other = other_version(metadata)
     if other is not None:
         return Notice("version", other, source.place)
     wrong = next(_wrong_members(metadata, source), None)
@@ -153,7 +153,7 @@ def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
     )
 
 
-def _other_version(metadata: JsonObject) -> str | None:
+def other_version(metadata: JsonObject) -> str | None:
     """Return which version of the metadata or of a fit cannot be read, and what to do; None if none is."""
     version, fit = metadata["version"], metadata.get("fit")  # ``read_metadata`` finds none without an integer
     if isinstance(version, bool) or version != VERSION:

@@ -43,11 +43,15 @@ class AttributeSummary:
 
 @dataclass(frozen=True, slots=True)
 class BakeSummary:
-    """The metadata of a bake, the arrays that changed since, and the size of α and β."""
+    """The metadata of a bake, the arrays that changed since, and the size of α and β.
+
+    other tells which version of it this skinbake does not read, and what to do.
+    """
 
     metadata: dict[str, Any]
     changed: tuple[str, ...]
     byte_length: int
+    other: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +200,7 @@ def _bake_text(bake: BakeSummary | None) -> str:
     if bake is None:
         return "no"
     noted = bake.metadata
-    state = _state(bake.changed)
+    state = f"but {bake.other}" if bake.other else _state(bake.changed)
     return printable(
         f"by {noted.get('generator', 'skinbake')}, gradients {noted.get('gradients', Gradients.SURFACE)}, "
         f"frame from {noted.get('frame')}, weighting {noted.get('weighting')}, "
