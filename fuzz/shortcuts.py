@@ -21,7 +21,7 @@ def remember_what_never_changes() -> None:
     _draw_on_paper()
     from skinbake.shaders import text
 
-    environment = text._environment()
+    environment = text._environment(text.TEMPLATES)
     for name in environment.list_templates():
         environment.get_template(name)
 
