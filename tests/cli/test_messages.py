@@ -111,7 +111,7 @@ def test_the_closing_line_counts(warned: Path, tmp_path: Path) -> None:
     assert line == (
         f"{warned} -> {tmp_path / 'out.glb'}: baked: 1 primitive, 20 vertices, frame from normal, "
         "240 bytes added, 1 skinned primitive skipped, no weight changes along the surface, "
-        "so all α/β are 0 (leave it unbaked), 2 warnings"
+        "so all α/β are 0: only uneven scale gains, 2 warnings"
     )
 
 
@@ -260,7 +260,7 @@ def test_of_a_rigid_mesh_it_is_said_that_no_weight_changes(tmp_path: Path) -> No
     path = write_model(tmp_path / "rigid.glb", [sheet(JOINTS_0=joints, WEIGHTS_0=weights)])
     result = invoke("bake", path, "-o", tmp_path / "out.glb")
     assert result.stdout.endswith(
-        ", no weight changes along the surface, so all α/β are 0 (leave it unbaked)\n"
+        ", no weight changes along the surface, so all α/β are 0: only uneven scale gains\n"
     )
     text = invoke("verify", tmp_path / "out.glb", "--poses", "random:2").stdout
     nothing = "Nothing to correct: standard lighting errs by 0.00° in the mean."

@@ -266,6 +266,7 @@ def test_little_to_win_is_not_said_of_an_unsound_bake_or_beside_other_advice() -
         texts = map(text_of, (little, stale, advised, worse, missed, other))
         assert [text.count("Little to win") for text in texts] == [1, 0, 0, 1, 1, 1]
     assert as_brief(advised).endswith("Next: bake as the warning says.")
+    assert as_brief(missed).endswith("Next: meet the limit that it misses, or change it.")
 
 
 def test_remarks_on_checks_cannot_control_a_terminal() -> None:

@@ -217,6 +217,7 @@ INSPECT = strict(
         "meshes": COUNT,
         "skins": COUNT,
         "animations": COUNT,
+        "left": {"type": "boolean"},
         "primitives": {"type": "array", "items": SUMMARY},
         "warnings": WARNINGS,
     }

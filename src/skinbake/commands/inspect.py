@@ -12,7 +12,7 @@ from skinbake.errors import Notice
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.format.attribute_store import meshopt_of
 from skinbake.format.correctives import corrective_note
-from skinbake.format.metadata import changed_arrays, read_metadata, slot_names
+from skinbake.format.metadata import changed_arrays, read_left, read_metadata, slot_names
 from skinbake.freshness.baked_views import other_version
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.accessors import described
@@ -79,6 +79,7 @@ def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
         animations=len(document.objects("animations")),
         primitives=tuple(primitives),
         notices=tuple(notices),
+        left=read_left(document) is not None,
     )
 
 

@@ -14,6 +14,7 @@ from skinbake.errors import ChoiceError, InputError, Notice, Place
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.urls import STDIO
 from skinbake.files.writing import write_file, write_stdout
+from skinbake.format.correctives import corrective_note
 from skinbake.format.metadata import slot_names
 from skinbake.freshness.baked_views import BakedView, baked_views, is_baked, rest_primitive
 from skinbake.freshness.staleness import refuse_stale
@@ -228,7 +229,9 @@ def _nothing_baked(document: Document, sources: Sequence[PrimitiveSource]) -> In
     """Return the error for a file without a bake. It tells what to run, or why nothing can be baked."""
     reasons = [reason_to_skip(document, source, generate_normals=False) for source in sources]
     found = [reason for reason in reasons if reason is not None]
-    if len(found) < len(sources):
+    if any(corrective_note(mesh) is not None for mesh in document.objects("meshes")):
+        message = "its correctives need no shader: any viewer that plays morph targets shows them"
+    elif len(found) < len(sources):
         message = "nothing in it is baked: run skinbake bake first"
     elif any(reason.code == "no-normals" for reason in found):
         message = "nothing in it is baked: run skinbake bake --generate-normals first"

@@ -252,7 +252,7 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
     if result.skipped:
         parts.append(f"{counted(result.skipped, 'skinned primitive')} skipped")
     if counts and not any(count.gradient for count in counts):
-        parts.append("no weight changes along the surface, so all α/β are 0 (leave it unbaked)")
+        parts.append("no weight changes along the surface, so all α/β are 0: only uneven scale gains")
     costs = [count.limited for count in counts if count.limited]
     if costs:
         parts.append(_limited(costs))

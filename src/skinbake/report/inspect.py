@@ -41,6 +41,9 @@ class AttributeSummary:
     byte_length: int
 
 
+LEFT = "left unbaked by bake --leave-under"
+
+
 @dataclass(frozen=True, slots=True)
 class BakeSummary:
     """The metadata of a bake, the arrays that changed since, and the size of α and β.
@@ -91,7 +94,10 @@ class PrimitiveSummary:
 
 @dataclass(frozen=True, slots=True)
 class InspectResult:
-    """The contents of a file: its size, skins, animations and skinned primitives, and the notices."""
+    """The contents of a file: its size, skins, animations and skinned primitives, and the notices.
+
+    left: a bake has left it unbaked on purpose.
+    """
 
     input: str
     byte_length: int
@@ -100,6 +106,7 @@ class InspectResult:
     animations: int
     primitives: tuple[PrimitiveSummary, ...]
     notices: tuple[Notice, ...]
+    left: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +138,7 @@ def count(totals: Totals, result: FileSummary) -> None:
 
 def as_line(result: InspectResult) -> str:
     """Return the summary as one line: the counts, and how much of the file is baked."""
-    return f"{_counts(result)}, {_baked_text(result.primitives)}"
+    return f"{_counts(result)}, {LEFT if result.left else _baked_text(result.primitives)}"
 
 
 def _baked_text(primitives: Sequence[PrimitiveSummary]) -> str:
@@ -158,6 +165,8 @@ def _counts(result: InspectResult) -> str:
 def as_text(result: InspectResult) -> str:
     """Return the summary as lines for a terminal."""
     lines = [_counts(result)]
+    if result.left:
+        lines.append(f"  {LEFT}")
     for primitive in result.primitives:
         lines += _primitive_lines(primitive)
     return "\n".join(lines)
@@ -222,6 +231,7 @@ def as_json(result: InspectResult) -> dict[str, Any]:
         "meshes": result.meshes,
         "skins": result.skins,
         "animations": result.animations,
+        "left": result.left,
         "primitives": [_primitive_json(primitive) for primitive in result.primitives],
         "warnings": notice_list(result.notices),
     }

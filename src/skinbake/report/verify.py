@@ -6,7 +6,7 @@ import math
 import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from skinbake.choices import Truth
@@ -358,7 +358,8 @@ def conclusion(verdict: FileVerdict) -> Conclusion | None:
         advised = any(
             notice.code == "lighting-worse" and notice.message.endswith(BAKE_SO) for notice in verdict.notices
         )
-        return _on_gain(found[2], f"skinbake view {name}", advised=advised)
+        judged = _on_gain(found[2], f"skinbake view {name}", advised=advised)
+        return replace(judged, step="meet the limit that it misses, or change it") if failed else judged
     if any(check.name == "structure" and check.outcome == "skipped" for check in verdict.checks):
         return Conclusion("There is no bake to judge.", f"skinbake inspect {name} shows what can be baked")
     return Conclusion("No light was measured in these poses.", "skinbake verify --poses random")
@@ -377,10 +378,13 @@ def _on_gain(figures: Mapping[str, ErrorFigures], look: str, *, advised: bool) -
         return Conclusion(sentence, "leave the file unbaked", "nothing to correct", leave=True)
     if advised:
         return Conclusion(f"Another bake is better: this one is {told}.", "bake as the warning says")
+    shows = f"{look} shows"
+    if "corrected" in figures:
+        shows = "playing it in your viewer shows"  # the page shows α and β in place of correctives
     if factor is None or factor >= CLEAR:
-        return Conclusion(f"Clear gain: {told}.", f"{look} shows where", "clear gain")
+        return Conclusion(f"Clear gain: {told}.", f"{shows} where", "clear gain")
     if round(factor, 2) >= LITTLE:
-        step = f"{look} shows whether it is worth its bytes"
+        step = f"{shows} whether it is worth its bytes"
         return Conclusion(f"Small gain: {told}.", step, "small gain")
     return Conclusion(f"Little to win: {told}.", "leave the file unbaked", "little to win", leave=True)
 
