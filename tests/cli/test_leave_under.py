@@ -15,7 +15,7 @@ from skinbake import bake
 from tests.support import khronos
 from tests.support.command_line import invoke
 from tests.support.gltf_reading import read
-from tests.support.models import FOLDER
+from tests.support.models import FOLDER, edited
 from tests.support.schemas import BAKE, VERIFY
 
 LITTLE, MUCH = "characters/RiggedSimple.gltf", "bent_tube.glb"
@@ -129,6 +129,17 @@ def test_a_file_without_a_place_for_the_note_is_baked(tmp_path: Path, extras: ob
     path = little_with(extras, tmp_path)
     result = bake(path, tmp_path / "out.gltf", leave_under=1.2)
     assert result["status"] == "baked"
+
+
+def test_a_file_whose_gain_cannot_be_measured_is_baked_and_says_so(tmp_path: Path) -> None:
+    def broken(content: JsonObject) -> None:
+        content["animations"][0]["channels"][0]["sampler"] = 99
+
+    source = edited(MUCH, tmp_path, broken)
+    result = bake(source, tmp_path / "out.glb", leave_under=1.2)
+    assert result["status"] == "baked"
+    [notice] = [one for one in result["warnings"] if one["code"] == "gain-unmeasured"]
+    assert "sampler" in notice["message"]
 
 
 def test_extras_of_the_asset_come_back(tmp_path: Path) -> None:

@@ -161,7 +161,8 @@ def test_twenty_tools_leave_the_lighting_and_pass(tmp_path: Path, gradients: Gra
     names = ["bent_tube.glb", "foreign_joints.glb", "seam.glb", "weights_u16.glb", "weights_u8.glb"]
     if corpus_folder.find_corpus() is not None:
         # A tool that drops unused data leaves adopted weights, of 1 / 255 in integers, as the file's own. A
-        # fit of that file has other joints to fit, and turns single normals by 2 to 8 degrees.
+        # fit of that file has other joints to fit. It turns single normals by 2 to 8 degrees, and all figures
+        # of verify are the same, so the largest angle says nothing here.
         names += MODELS if gradients is Gradients.SURFACE else MODELS[:1]
     if gradients is Gradients.SURFACE:
         names = names[::2]

@@ -162,16 +162,23 @@ class Baker(CheckedOptions):
             for bake, length in zip(bakes, lengths, strict=True)
         )
         if self.leave_under is not None:
-            with stage("gain"):
-                left, noted = self._left(given, written)
-            if left is not None and noted is not None:
+            try:
+                with stage("gain"):
+                    left = self._left(written)
+            except InputError as error:
+                message = f"it is baked, because its gain could not be measured: {error.message}"
+                notices.append(Notice("gain-unmeasured", message, error.place or document.place))
+                left = None
+            noted = None if left is None else with_left(given, left.note)
+            if noted is not None:
                 return BakedDocument(noted, (), skipped, tuple(reasons), left=left)
         return BakedDocument(written, primitives, skipped, tuple(notices), cost)
 
-    def _left(self, given: Document, baked: Document) -> tuple[Left | None, Document | None]:
-        """Return why a document is better left unbaked, and the given one with a note of it; None if not.
+    def _left(self, baked: Document) -> Left | None:
+        """Return why a document is better left unbaked, None if it is not.
 
-        Measured as verify does, by linear blend skinning. The lower gain of both truths counts.
+        Measured as verify does, by linear blend skinning. The lower gain of both truths counts. Raises
+        InputError if it cannot be measured.
         """
         from skinbake.commands.verify import lighting_of
         from skinbake.measure.options import VerifyOptions
@@ -179,12 +186,11 @@ class Baker(CheckedOptions):
 
         figures = by_worse_truth(lighting_of(baked, VerifyOptions(methods=("lbs",))))
         if not figures or self.leave_under is None:
-            return None, None
+            return None
         factor, standard = gain(figures), figures["standard"].mean
         if standard >= NEGLIGIBLE and (factor is None or factor >= self.leave_under):
-            return None, None
-        left = Left(factor, standard, self.leave_under)
-        return left, with_left(given, left.note)
+            return None
+        return Left(factor, standard, self.leave_under)
 
     def _bakes(
         self, document: Document, sources: Sequence[PrimitiveSource]
