@@ -599,3 +599,29 @@ def test_a_hostile_model_of_pygltflib_ends_in_an_error_of_ours(change: Any, mess
     change(model)
     with pytest.raises(skinbake.InputError, match=message):
         skinbake.bake(model)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links need rights there")
+@pytest.mark.parametrize("spelling", ["{0}/./model.glb", "{0}/up/../model.glb", "{0}/link.glb"])
+def test_a_source_named_by_another_path_is_replaced_as_itself(tmp_path: Path, spelling: str) -> None:
+    """A replaced file has notices of its own, and one without a bake is not written at all."""
+    model, target = tmp_path / "model.glb", spelling.format(tmp_path)
+    model.write_bytes(TUBE.read_bytes())
+    (tmp_path / "up").mkdir()
+    (tmp_path / "link.glb").symlink_to(model)
+    os.link(model, tmp_path / "other.glb")
+    plain = model.stat()
+    skinbake.strip(model, target)
+    assert model.stat().st_ino == plain.st_ino
+    result = skinbake.bake(model, target)
+    assert [notice["code"] for notice in result["warnings"]] == ["hard-links"]
+    assert (tmp_path / "other.glb").read_bytes() == TUBE.read_bytes() != model.read_bytes()
+    assert (tmp_path / "link.glb").is_symlink()
+
+
+def test_another_name_of_the_source_by_a_hard_link_is_another_file(tmp_path: Path) -> None:
+    model, other = tmp_path / "model.glb", tmp_path / "other.glb"
+    model.write_bytes(TUBE.read_bytes())
+    os.link(model, other)
+    skinbake.bake(model, other)
+    assert model.read_bytes() == TUBE.read_bytes() != other.read_bytes()

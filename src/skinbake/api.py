@@ -32,7 +32,7 @@ from skinbake.choices import (
 )
 from skinbake.errors import InputError, OutputError, Place
 from skinbake.files.bounds import Bounds, Within
-from skinbake.files.urls import is_url
+from skinbake.files.urls import File, is_url, named_file
 from skinbake.geometry.skinned import Float32Array, IntArray, SkinnedPrimitive
 from skinbake.options import BAKE, INSPECT, STRIP, VERIFY, checked
 from skinbake.threads import threads_limited
@@ -128,7 +128,8 @@ def bake(
     source
         A ``.glb``, ``.gltf`` or ``.vrm`` file, or a ``GLTF2`` of pygltflib.
     target
-        The file to write. It may be the source; then the source is replaced. A ``GLTF2`` has no target.
+        The file to write. It may be the source, by any path; then the source is replaced. A ``GLTF2`` has no
+        target.
     allow_outside
         Folders in which a document may name files, besides its own folder.
     dry_run
@@ -190,7 +191,8 @@ def bake(
 
         writing = Writing(dry_run=dry_run, sync=sync, pack=pack)
         within = Within(_bounds(allow_outside))
-        return file_json(baker.bake_file(_source(source), _target(target), writing, within))
+        file = _source(source)
+        return file_json(baker.bake_file(file.given, _target(target, file), writing, within))
 
 
 def verify(
@@ -282,7 +284,7 @@ def verify(
     count = checked(VERIFY, {"allow_outside": allow_outside, "threads": threads})["threads"]
     options = VerifyOptions.of(**given)
     with threads_limited(count):
-        return file_json(verify_file(_source(source), options, bounds=_bounds(allow_outside)))
+        return file_json(verify_file(_source(source).given, options, bounds=_bounds(allow_outside)))
 
 
 def inspect(source: FilePath, *, allow_outside: Sequence[FilePath] = ()) -> dict[str, Any]:
@@ -315,7 +317,7 @@ def inspect(source: FilePath, *, allow_outside: Sequence[FilePath] = ()) -> dict
     from skinbake.report.inspect import as_json
 
     checked(INSPECT, {"allow_outside": allow_outside})
-    return as_json(inspect_file(_source(source), _bounds(allow_outside)))
+    return as_json(inspect_file(_source(source).given, _bounds(allow_outside)))
 
 
 def strip(
@@ -364,27 +366,31 @@ def strip(
 
     given = {"warnings_as_errors": warnings_as_errors, "sync": sync, "allow_outside": allow_outside}
     checked(STRIP, given)
-    bounds = _bounds(allow_outside)
-    paths = _source(source), _target(target)
+    bounds, file = _bounds(allow_outside), _source(source)
+    paths = file.given, _target(target, file)
     return as_json(strip_file(*paths, warnings_as_errors=warnings_as_errors, sync=sync, bounds=bounds))
 
 
-def _source(path: FilePath) -> str:
-    """Return the path of a file to read. Raises InputError for a URL."""
+def _source(path: FilePath) -> File:
+    """Return a file to read. Raises InputError for a URL."""
     name = os.fspath(path)
     if is_url(name):
         raise InputError("only the command line reads URLs", Place(name))
-    return name
+    return named_file(name)
 
 
-def _target(path: FilePath) -> str:
-    """Return the path of a file to write. Raises OutputError for a URL, and if the name is not a model's."""
+def _target(path: FilePath, source: File) -> str:
+    """Return the path of a file to write: that of the source, if it is the source by another path.
+
+    Another name of the source by a hard link is another file: writing replaces a name. Raises OutputError for
+    a URL, and if the name is not a model's.
+    """
     name = os.fspath(path)
     if is_url(name):
         raise OutputError("only the command line writes to URLs", Place(name))
     if not name.lower().endswith(SUFFIXES):
         raise OutputError(f"expected a name that ends in {', '.join(SUFFIXES)}", Place(name))
-    return name
+    return source.given if named_file(name).place == source.place else name
 
 
 def _bounds(allow_outside: Sequence[FilePath]) -> Bounds:
