@@ -10,14 +10,28 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.geometry import frames
-from skinbake.geometry.skinned import BakedPrimitive, IntArray, SkinnedPrimitive
+from skinbake.geometry.skinned import (
+    BakedPrimitive,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    SkinnedPrimitive,
+    blocks,
+)
 from skinbake.gltf.primitives import PrimitiveSource
 from skinbake.gradients import kernel
+from skinbake.gradients.surface import bit_patterns
 from skinbake.gradients.tangents import frame_vectors
 from skinbake.skinning.rest import RestPrimitive
 from skinbake.truth.mesh import normalised_weights
 
 Array: TypeAlias = npt.NDArray[Any]
+
+DIGEST_BITS = 16
+"""The digests of positions fill a table of so many bits. In a cache it is read fast."""
+
+ODD = np.array([0x9E3779B1, 0x85EBCA77, 0xC2B2AE3D], dtype=np.uint32)
+"""Odd numbers that spread the bits of a coordinate over the upper half of a product, one for each axis."""
 
 
 class UnwrittenBake(NamedTuple):
@@ -53,24 +67,19 @@ def cut_out(
     rows are the vertices of each primitive. Return the numbers of the primitives that have any part, the part
     of each, and where its vertices are. Only these have all around them that they have in the whole.
     """
-    positions = np.concatenate([bake.primitive.positions for bake in bakes])
-    labels = kernel.label_equal_rows(positions)
-    ends = np.cumsum([0, *(len(bake.primitive.positions) for bake in bakes)])
-    marked = np.zeros(int(labels.max(initial=-1)) + 1, dtype=np.bool_)
-    for own, start in zip(rows, ends[:-1], strict=True):
-        marked[labels[start + own]] = True
+    near = _with_copies([bake.primitive.positions for bake in bakes], rows)
     numbers: list[int] = []
     parts: list[UnwrittenBake] = []
     places: list[IntArray] = []
-    for number, (bake, own) in enumerate(zip(bakes, rows, strict=True)):
+    for number, (bake, own, there) in enumerate(zip(bakes, rows, near, strict=True)):
         primitive, baked = bake.primitive, bake.baked
-        used = marked[labels[ends[number] : ends[number + 1]]]
-        if not used.any():
+        if not len(there):
             continue
-        a, b, c = primitive.triangles.T
-        triangles = primitive.triangles[used[a] | used[b] | used[c]]
+        used = np.zeros(len(primitive.positions), dtype=np.bool_)
+        used[there] = True
+        triangles = _triangles_at(used, primitive.triangles)
         used[triangles] = True
-        kept, new = np.flatnonzero(used), np.cumsum(used) - 1
+        kept = np.flatnonzero(used)
         adopting = used[baked.adopting]
         part = replace(
             primitive,
@@ -79,20 +88,51 @@ def cut_out(
             tangents=None if primitive.tangents is None else primitive.tangents[kept],
             joints=primitive.joints[kept],
             weights=primitive.weights[kept],
-            triangles=new[triangles],
+            triangles=np.searchsorted(kept, triangles),
         )
         result = replace(
             baked,
             alpha=baked.alpha[kept],
             beta=baked.beta[kept],
-            adopting=new[baked.adopting[adopting]],
+            adopting=np.searchsorted(kept, baked.adopting[adopting]),
             adopted=baked.adopted[adopting],
             classes=baked.classes[kept],
         )
         numbers.append(number)
         parts.append(UnwrittenBake(bake.source, part, result))
-        places.append(new[own])
+        places.append(np.searchsorted(kept, own))
     return numbers, parts, places
+
+
+def _with_copies(positions: Sequence[FloatArray], rows: Sequence[IntArray]) -> list[IntArray]:
+    """Return some vertices of primitives, and all others at their places. positions are (V, 3)."""
+    places = np.concatenate([each[own] for each, own in zip(positions, rows, strict=True)])
+    # A table of digests tells that most vertices are at no such place. Only the rest is compared.
+    table = np.zeros(1 << DIGEST_BITS, dtype=np.bool_)
+    table[_digests(places)] = True
+    maybe = [np.flatnonzero(table[_digests(each)]) for each in positions]
+    candidates = (each[own] for each, own in zip(positions, maybe, strict=True))
+    labels = kernel.label_equal_rows(np.concatenate([places, *candidates]))
+    wanted = np.zeros(len(labels), dtype=np.bool_)
+    wanted[labels[: len(places)]] = True
+    found = np.split(wanted[labels[len(places) :]], np.cumsum([*map(len, maybe)])[:-1])
+    return [own[there] for own, there in zip(maybe, found, strict=True)]
+
+
+def _digests(positions: FloatArray) -> IntArray:
+    """Return a number of DIGEST_BITS bits for each position (V, 3), the same for equal ones."""
+    x, y, z = bit_patterns(positions.astype(np.float32, copy=False)).T
+    mixed: IntArray = (x * ODD[0]) ^ (y * ODD[1]) ^ (z * ODD[2])
+    return mixed >> np.uint32(32 - DIGEST_BITS)
+
+
+def _triangles_at(used: BoolArray, triangles: IntArray) -> IntArray:
+    """Return the triangles (T, 3) that have one of the vertices that are marked (V,) as used."""
+    corners = triangles.ravel()
+    found = [part.start + np.flatnonzero(used[corners[part]]) for part in blocks(len(corners))]
+    numbers = np.concatenate(found or [np.empty(0, dtype=np.int64)]) // 3
+    once: IntArray = numbers[np.diff(numbers, prepend=-1) > 0]
+    return triangles[once]
 
 
 def joined(parts: Sequence[UnwrittenBake]) -> tuple[SkinnedPrimitive, RestPrimitive]:
