@@ -18,7 +18,7 @@ import copyreg
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 
 def printable(text: str) -> str:
@@ -66,12 +66,53 @@ class Place:
         return f"{file}: {self.within_file}" if self.within_file else file
 
 
+class Chosen(NamedTuple):
+    """An option in a message, by its declared name, and the value that it has or needs there, if any."""
+
+    option: str
+    value: object = ...
+
+
+class Message(str):
+    """A message in which options are named as the command line does, with these options as data.
+
+    ``parts`` are its words and the options between them. A front end that has other words for options takes
+    ``worded``.
+    """
+
+    parts: tuple[str | Chosen, ...]
+
+    def __new__(cls, *parts: str | Chosen) -> Self:
+        """Join the parts."""
+        message = super().__new__(cls, _joined(parts, _typed))
+        message.parts = parts
+        return message
+
+    def worded(self, words_of: Callable[[Chosen], str]) -> str:
+        """Return the message with the words that a front end has for options."""
+        return _joined(self.parts, words_of)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Let another process have the options too."""
+        return Message, self.parts
+
+
+def _joined(parts: Sequence[str | Chosen], words_of: Callable[[Chosen], str]) -> str:
+    return "".join(part if isinstance(part, str) else words_of(part) for part in parts)
+
+
+def _typed(chosen: Chosen) -> str:
+    """Return an option as it is typed. Only options whose flag is their name stand in a ``Message``."""
+    flag = f"--{chosen.option.replace('_', '-')}"
+    return flag if chosen.value is ... else f"{flag} {chosen.value}"
+
+
 @dataclass(frozen=True, slots=True)
 class Notice:
     """Something that had to be assumed or was left out, aggregated over one primitive or file.
 
-    ``code`` is a stable identifier for scripts, ``message`` a sentence for people, ``count`` how many
-    vertices, triangles or files it concerns.
+    ``code`` is a stable identifier for scripts, ``message`` a sentence for people, a ``Message`` if it names
+    options that other front ends have too. ``count`` is how many vertices, triangles or files it concerns.
     """
 
     code: str
@@ -132,13 +173,6 @@ class ReaderGoneError(OutputError):
     """The reader of the output has left."""
 
 
-class Chosen(NamedTuple):
-    """An option in a message, by its declared name, and the value that it has or needs there, if any."""
-
-    option: str
-    value: object = ...
-
-
 def in_python(chosen: Chosen) -> str:
     """Return ``encoding='float32'``, or the name of an option without a value."""
     option, value = chosen
@@ -173,7 +207,7 @@ class ChoiceError(SkinbakeError):
 
     def worded(self, words_of: Callable[[Chosen], str]) -> str:
         """Return the message with the words that a front end has for options."""
-        return "".join(part if isinstance(part, str) else words_of(part) for part in self.parts)
+        return _joined(self.parts, words_of)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Let another process have the error as it is."""

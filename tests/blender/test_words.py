@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 import shutil
 import tomllib
@@ -15,7 +16,8 @@ import pytest
 import skinbake
 from engines.blender import build
 from fixtures.make_fixtures import FOLDER
-from skinbake.options import BAKE
+from skinbake.errors import Chosen, Message
+from skinbake.options import BAKE, on_command_line
 from skinbake.wording import gain_in_words
 from tests.blender.running import addon_module
 from tests.support.baked_files import Editable
@@ -146,15 +148,26 @@ def test_a_refused_option_keeps_the_export(tmp_path: Path) -> None:
     assert (tmp_path / "bent_tube.glb").read_bytes() == (FOLDER / "bent_tube.glb").read_bytes()
 
 
+def words_of(message: str) -> str:
+    """Return what the panel says of a mesh, by the message of a notice."""
+    notice = {"code": "any", "message": message, "mesh_name": "Body"}
+    (line,) = baking._warnings([notice])
+    return str(line.text.removeprefix('mesh "Body": '))
+
+
 def test_options_have_the_names_of_the_panel(tmp_path: Path) -> None:
     outcome = baked("bent_tube.glb", tmp_path, layout="texcoord", encoding="packed8")
     assert '"Layout: UV sets" needs "Encoding: 32-bit floats", not packed8' in outcome.lines[0].text
     for name, (label, items) in options.CHOICES.items():
         for value, shown, *_ in items:
-            option = f"--{name.replace('_', '-')} {value}"
-            assert baking._in_panel_words(f"try {option}.") == f'try "{label}: {shown}".'
-    assert baking._in_panel_words("with --crease-angle 180: so") == 'with "Crease angle: 180°": so'
-    assert baking._in_panel_words("--fit-poses random:60") == "--fit-poses random:60"
+            message = Message("try ", Chosen(name, value), ".")
+            assert message == f"try {on_command_line(Chosen(name, value))}."
+            assert words_of(message) == f'try "{label}: {shown}".'
+    angle = Message("with ", Chosen("crease_angle", 180), ": so")
+    assert words_of(pickle.loads(pickle.dumps(angle))) == 'with "Crease angle: 180°": so'
+    assert words_of(Message("an ", Chosen("encoding"), " of 8 bits")) == 'an "Encoding" of 8 bits'
+    # Words that only look like an option are words.
+    assert words_of("bone --encoding packed8 is at rest") == "bone --encoding packed8 is at rest"
     outcome = baked("bent_tube.glb", tmp_path, neighbours="extend", limit_influences=4)
     assert outcome.lines[0].text.endswith(
         'kept: "Influences" contradicts "Bones of neighbours: Extend", which adds influences'

@@ -8,7 +8,7 @@ import jsonschema
 import pytest
 
 from skinbake.cli.terminal import with_colours
-from skinbake.errors import InputError, Notice, Place
+from skinbake.errors import Chosen, InputError, Message, Notice, Place
 from skinbake.report.verify import (
     Check,
     ErrorFigures,
@@ -258,10 +258,15 @@ def test_the_truth_with_the_smaller_gain_counts(
 def test_little_to_win_is_not_said_of_an_unsound_bake_or_beside_other_advice() -> None:
     little = replace(PASSED, normals=lit(4.0, 3.9), by_triangles=without_direct(lit(4.0, 3.9)))
     stale = replace(little, checks=(Check("freshness", "failed"),))
-    advised = replace(little, notices=(Notice("lighting-worse", "With --x it is 1.50: bake so", PLACE),))
+    so = Message("With ", Chosen("gradients", "rig"), " it is 1.50: bake so")
+    advised = replace(
+        little, notices=(Notice("lighting-worse", so, PLACE),)
+    )
     worse = replace(little, notices=(Notice("lighting-worse", "No option that was tried helps", PLACE),))
     missed = replace(little, checks=(Check("limits", "failed"),))
-    other = replace(little, notices=(Notice("weight-sum", "With --x it is 1.50: bake so", PLACE),))
+    other = replace(
+        little, notices=(Notice("weight-sum", so, PLACE),)
+    )
     for text_of in (as_text, as_brief):
         texts = map(text_of, (little, stale, advised, worse, missed, other))
         assert [text.count("Little to win") for text in texts] == [1, 0, 0, 1, 1, 1]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import traceback
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,22 +22,21 @@ KEPT = "the plain export was kept"
 NOTHING_SKINNED = (
     "nothing is skinned. To bake a character, turn on Data > Skinning, and export its mesh with its armature"
 )
-HINTS = {
-    "no-normals": "; turn on Data > Mesh > Normals in the exporter",
-    "no-tangents": "; turn on Data > Mesh > Tangents in the exporter",
+SKIPPED = {
+    "no-normals": "skipped: it has no NORMAL; turn on Data > Mesh > Normals in the exporter",
+    "no-tangents": "skipped: it has no TANGENT; turn on Data > Mesh > Tangents in the exporter",
     "no-skin": (
-        "; turn on Data > Skinning in the exporter, export the armature too, and give the mesh vertex groups "
-        "with the names of bones"
-    ),
-    "normals-off-surface": (
-        ". In Blender: if the scale of the mesh or of its armature is negative or uneven, select both and "
-        "choose Object > Apply > Scale"
+        "skipped: it has joints, but no node gives its mesh a skin; turn on Data > Skinning in the exporter, "
+        "export the armature too, and give the mesh vertex groups with the names of bones"
     ),
 }
-"""By the code of a notice of skinbake: what to do in Blender, instead of its words after ``; ``."""
+"""What to say of a skipped mesh in Blender, by the code of skinbake's notice."""
 
-OPTION = re.compile(r"--([a-z-]+)(?: ([a-z0-9]+))?")
-"""An option of the command line and the next word, in messages of skinbake: its value, or another word."""
+OFF_SURFACE = (
+    ". In Blender: if the scale of the mesh or of its armature is negative or uneven, select both and "
+    "choose Object > Apply > Scale"
+)
+"""What to add to the notice ``normals-off-surface``."""
 
 BAD_LOSS = 0.05
 """The share of the gradient left out from which ``skinbake bake`` advises another option."""
@@ -83,10 +81,7 @@ def bake_export(path: str, options: Mapping[str, Any], *, measure: bool) -> Outc
         result = skinbake.bake(path, path, **options)
     except skinbake.SkinbakeError as error:
         place = error.place.within_file if error.place else ""
-        if isinstance(error, skinbake.ChoiceError):
-            message = error.worded(_in_panel)
-        else:
-            message = _in_panel_words(error.message)
+        message = _in_panel_words(error if isinstance(error, skinbake.ChoiceError) else error.message)
         return _failed(path, f"{place}: {message}" if place else message)
     except Exception as error:  # a defect of skinbake must not cost the export
         traceback.print_exc()
@@ -141,7 +136,7 @@ def _loss(primitives: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     lost = sum(primitive["lost_gradient"] * primitive["gradient"] for primitive in primitives)
     if lost < BAD_LOSS * whole or not lost:
         return
-    remedy = f"; try {_named('neighbours', 'extend')}"
+    remedy = f"; try {_in_panel(('neighbours', 'extend'))}"
     if any(primitive["limited"] for primitive in primitives):
         remedy = "; try a larger limit of influences"
     elif any(primitive["extended"] for primitive in primitives):
@@ -210,29 +205,28 @@ def _said(notice: Mapping[str, Any]) -> str:
         place.append(f"primitive {notice['primitive']}")
     if "attribute" in notice:
         place.append(notice["attribute"])
-    message = _in_panel_words(notice["message"])
-    if hint := HINTS.get(notice["code"]):
-        message = message.partition("; ")[0] + hint
+    message = SKIPPED.get(notice["code"]) or _in_panel_words(notice["message"])
+    if notice["code"] == "normals-off-surface":
+        message += OFF_SURFACE
     return ": ".join(filter(None, (", ".join(place), message)))
 
 
-def _in_panel_words(text: str) -> str:
-    """Return a notice of skinbake with the names that the panel gives to options and their values."""
-    return OPTION.sub(lambda found: _named(found[1].replace("-", "_"), found[2]) or found[0], text)
+def _in_panel_words(message: Any) -> str:
+    """Return a message of skinbake with the names that the panel gives to options and their values.
+
+    Messages that name options of the panel have them as data.
+    """
+    return str(message.worded(_in_panel) if hasattr(message, "worded") else message)
 
 
 def _in_panel(chosen: tuple[str, object]) -> str:
-    """Return the name that the panel gives to an option, and to its value if it has one."""
+    """Return an option, and its value if it has one, as the panel shows them."""
     name, value = chosen
-    return _named(name, None if value is ... else str(value)) or name
-
-
-def _named(name: str, word: str | None) -> str:
-    """Return an option and its value, or the word after it, as the panel shows them; empty if it does not."""
-    if name == "crease_angle" and word and word.isdecimal():
-        return f'"{CREASE_LABEL}: {word}°"'
+    word = "" if value is ... else f" {value}"
+    if name == "crease_angle" and word:
+        return f'"{CREASE_LABEL}:{word}°"'
     if name not in CHOICES:
-        return ""
+        return f"{name}{word}"
     label, items = CHOICES[name]
-    shown = {item[0]: item[1] for item in items}.get(word or "")
-    return f'"{label}: {shown}"' if shown else f'"{label}" {word or ""}'.rstrip()
+    shown = {item[0]: item[1] for item in items}.get(word.strip())
+    return f'"{label}: {shown}"' if shown else f'"{label}"{word}'

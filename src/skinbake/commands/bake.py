@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from skinbake.choices import FrameChoice, Gradients, Neighbours, Scheme, Weld
 from skinbake.commands.bake_options import CheckedOptions
 from skinbake.commands.surface_bake import FitTarget, PrimitiveBake, SurfaceBake, unwritten
-from skinbake.errors import InputError, Notice, Place, noticed
+from skinbake.errors import Chosen, InputError, Message, Notice, Place, noticed
 from skinbake.files.bounds import OWN_FOLDERS, Within
 from skinbake.files.urls import STDIO
 from skinbake.files.versions import version_of
@@ -223,7 +223,8 @@ class Baker(CheckedOptions):
                     (name for name in ("NORMAL", "TANGENT") if name not in source.attributes), None
                 )
                 if lacking is not None:
-                    message = f"skipped: it has no {lacking}; --frame auto takes the frame from NORMAL"
+                    auto = Chosen("frame", FrameChoice.AUTO)
+                    message = Message(f"skipped: it has no {lacking}; ", auto, " takes the frame from NORMAL")
                     reason = Notice("no-tangents", message, source.place)
             if reason is None:
                 wanted.append(source)
@@ -329,7 +330,8 @@ def _encoding_cost(
     try:
         added = added_by_encoding(document, unwritten(bakes), storage)
     except InputError as error:
-        message = f"the error that --encoding {encoding} adds could not be measured: {error.message}"
+        chosen = Chosen("encoding", encoding)
+        message = Message("the error that ", chosen, f" adds could not be measured: {error.message}")
         notice = Notice("encoding-unmeasured", message, error.place or document.place)
         return EncodingCost(str(encoding)), [notice]
     return EncodingCost(str(encoding), added.mean if added else None, added.p99 if added else None), []

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from skinbake.choices import Gradients
-from skinbake.errors import Notice, Place
+from skinbake.errors import Chosen, Message, Notice, Place
 from skinbake.freshness.baked_views import BakedView
 from skinbake.freshness.expected import noted_kind
 from skinbake.freshness.without_poses import has_older_fit
 from skinbake.measure.guard import UNSEEN
-from skinbake.report.verify import BAKE_SO, FileVerdict, Normals, gain
+from skinbake.report.verify import FileVerdict, Normals, gain
 from skinbake.wording import gain_in_words
 
 WORSE = 0.995
@@ -96,8 +96,9 @@ def _notice(place: Place, own: _Gains, *, is_guarded: bool) -> Notice:
     message = f"α/β make its lighting worse: the {called} gain is {gain_in_words(own.least)}"
     message += f", and the LBS gain is {gain_in_words(lbs)}. " if only_dqs else ". "
     if not is_guarded and not only_dqs:
-        message += "The default, --gradients rig, is no worse than standard lighting in the file's own clips"
-        return Notice("lighting-worse", f"{message}: {BAKE_SO}", place)
+        rig = Chosen("gradients", Gradients.RIG)
+        advice = ", is no worse than standard lighting in the file's own clips: bake so"
+        return Notice("lighting-worse", Message(f"{message}The default, ", rig, advice), place)
     message += "With dual quaternions, light" if only_dqs else "Light"
     message += " it the standard way (in skinbake-three: lighting(mesh, 'standard'))"
     return Notice("lighting-worse", message, place)

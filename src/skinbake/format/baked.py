@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.choices import Layout
-from skinbake.errors import InputError
+from skinbake.errors import Chosen, InputError, Message
 from skinbake.format import metadata
 from skinbake.format.attribute_store import AttributeStore, store_for
 from skinbake.format.encodings import common_scale, encoded
@@ -215,8 +215,12 @@ def _stored(
         pairs = list(CUSTOM_NAMES[: len(alpha)])
         if len(pairs) < len(alpha):
             raise InputError(
-                f"it has {len(alpha)} influence sets, and --layout custom holds "
-                f"{len(CUSTOM_NAMES)}: use --layout attributes",
+                Message(
+                    f"it has {len(alpha)} influence sets, and ",
+                    Chosen("layout", Layout.CUSTOM),
+                    f" holds {len(CUSTOM_NAMES)}: use ",
+                    Chosen("layout", Layout.ATTRIBUTES),
+                ),
                 item.source.place,
             )
     arrays = [

@@ -9,8 +9,8 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
-from skinbake.choices import Frame, Gradients, Weighting, Weld
-from skinbake.errors import Notice
+from skinbake.choices import Frame, FrameChoice, Gradients, Weighting, Weld
+from skinbake.errors import Chosen, Message, Notice
 from skinbake.format.metadata import KEPT, POSES, STORED_POSE, VERSION, changed_arrays, read_metadata
 from skinbake.format.stored_slots import BAKE, read_slots, shown, wrong_storage
 from skinbake.geometry import frames
@@ -237,9 +237,10 @@ def _skewed(view: BakedView) -> Iterator[Notice]:
     count, largest = int(np.count_nonzero(angles > TANGENT_TOLERANCE)), float(angles.max(initial=0.0))
     if count:
         vertices = counted(count, "vertex", "vertices")
-        message = (
+        message = Message(
             f"at {vertices} TANGENT × bitangent leans more than {TANGENT_TOLERANCE}° from NORMAL "
-            f"(up to {largest:.3g}°), and so does the lighting at rest: {BAKE} with --frame normal"
+            f"(up to {largest:.3g}°), and so does the lighting at rest: {BAKE} with ",
+            Chosen("frame", FrameChoice.NORMAL),
         )
         yield Notice("tangents-skewed", message, view.source.place, count)
 

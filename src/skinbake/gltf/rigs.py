@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.errors import InputError, Notice
+from skinbake.errors import Chosen, InputError, Message, Notice
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import Skeleton, read_skeleton, rest_pose, skins_of
@@ -39,7 +39,8 @@ def fitting_rig(document: Document, source: PrimitiveSource) -> tuple[Rig | None
 
 
 def _no_rig(reason: str, source: PrimitiveSource) -> Notice:
-    message = f"{reason}: α/β are the gradients of the surface, as with --gradients surface"
+    surface = Chosen("gradients", "surface")
+    message = Message(f"{reason}: α/β are the gradients of the surface, as with ", surface)
     return Notice("no-rig", message, source.place)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Hashable, Iterable
 
-from skinbake.errors import Notice, Place
+from skinbake.errors import Chosen, Message, Notice, Place
 from skinbake.gltf.animation import listed_joints, read_skeleton
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, entries_of, object_of, reference
@@ -119,9 +119,10 @@ def _kept_apart(document: Document, groups: dict[Skins, list[int]]) -> list[Noti
     concerned = [meshes[0] for skins, meshes in groups.items() if not skins.isdisjoint(of_several)]
     if not concerned:
         return []
-    message = (
-        f"{len(concerned)} groups of meshes share joints but are not welded by --weld skin. Meshes "
-        "are welded only if all their skins are the same: equal joints, in order, and equal "
-        f"inverse bind matrices. The groups begin with meshes {', '.join(map(str, concerned))}"
+    message = Message(
+        f"{len(concerned)} groups of meshes share joints but are not welded by ",
+        Chosen("weld", "skin"),
+        ". Meshes are welded only if all their skins are the same: equal joints, in order, and equal "
+        f"inverse bind matrices. The groups begin with meshes {', '.join(map(str, concerned))}",
     )
     return [Notice("weld-apart", message, Place(document.name), len(concerned))]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from skinbake.choices import Frame, Gradients
-from skinbake.errors import InputError, Notice, Place
+from skinbake.choices import Frame, FrameChoice, Gradients
+from skinbake.errors import Chosen, InputError, Message, Notice, Place
 from skinbake.geometry.frames import NO_DIRECTION
 from skinbake.geometry.skinned import BakedPrimitive, FloatArray, SkinnedPrimitive, blocks, not_finite
 from skinbake.gradients.baker import BakeFindings
@@ -40,7 +40,7 @@ def assumptions(
     forced = baked.frame == Frame.TANGENT
     consequence = "used all the same, as asked" if forced else "the frame is taken from NORMAL instead"
     coarse = 0 if fitted or findings.adopting_vertices <= COARSE * count else findings.adopting_vertices
-    rig = ", or take --gradients rig" if asked is Gradients.SURFACE else ""
+    rig = [", or take ", Chosen("gradients", Gradients.RIG)] if asked is Gradients.SURFACE else []
     remedy = "; remove NORMAL and bake with --generate-normals" if findings.zero_normals == count else ""
     told = _not_finite(primitive.normals) if findings.zero_normals else None
     broken = "" if told is None else f" ({told[1]})"
@@ -55,7 +55,7 @@ def assumptions(
             "lighting-doubtful",
             coarse,
             f"{{count:,}} of {count:,} vertices take joints of their neighbours: so coarse a mesh is often "
-            f"lit worse by the gradients of the surface; measure it with skinbake verify{rig}",
+            f"lit worse by the gradients of the surface; measure it with skinbake verify",
         ),
         (
             "normals-zero",
@@ -63,10 +63,15 @@ def assumptions(
             f"{{vertices}} {{have}} a NORMAL without a direction{broken}: taken as (0, 0, 1){remedy}",
         ),
     ]
+    further = {"lighting-doubtful": rig}
     return [
         *(_weight_sums(primitive, place) if findings.weights.not_normalised else []),
         *_straightened(primitive, place),
-        *(Notice(code, _of_vertices(text, count), place, count) for code, count, text in table if count),
+        *(
+            Notice(code, Message(_of_vertices(text, count), *further.get(code, ())), place, count)
+            for code, count, text in table
+            if count
+        ),
     ]
 
 
@@ -148,9 +153,10 @@ def _straightened(primitive: SkinnedPrimitive, place: Place) -> list[Notice]:
     sound = "an orthogonal one" if skewed or found.not_finite else "w = 1"
     if sound != "w = 1" and (found.unhanded or found.not_finite):
         sound += " with w = 1 or −1"
-    message = (
-        f"{', and '.join(parts)}: the output has {sound} there, and strip restores the former; "
-        "--frame normal leaves it"
+    message = Message(
+        f"{', and '.join(parts)}: the output has {sound} there, and strip restores the former; ",
+        Chosen("frame", FrameChoice.NORMAL),
+        " leaves it",
     )
     return [Notice("tangents-straightened", message, place, len(found.vertices))]
 
@@ -211,9 +217,11 @@ def check_finite(primitive: SkinnedPrimitive, baked: BakedPrimitive, place: Plac
     if not count:
         return
     vertices = counted(count, "vertex", "vertices")
-    advice = (
-        "their TANGENT is not of length 1: mend it, or take --frame normal"
+    advice: tuple[str | Chosen, ...] = (
+        ("their TANGENT is not of length 1: mend it, or take ", Chosen("frame", FrameChoice.NORMAL))
         if of_tangents
-        else "they lie closer together than float32 can hold a slope for: scale the model up, or merge them"
+        else (
+            "they lie closer together than float32 can hold a slope for: scale the model up, or merge them",
+        )
     )
-    raise InputError(f"α or β of {vertices} are not finite numbers; {advice}", place)
+    raise InputError(Message(f"α or β of {vertices} are not finite numbers; ", *advice), place)

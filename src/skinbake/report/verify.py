@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from skinbake.choices import Truth
-from skinbake.errors import Notice, Place, SkinbakeError, printable
+from skinbake.errors import Message, Notice, Place, SkinbakeError, printable
 from skinbake.report.totals import (
     Totals,
     error_fields,
@@ -38,9 +38,6 @@ NEGLIGIBLE = 0.3
 
 LITTLE, CLEAR = 1.2, 2.0
 """The gain under which a bake is not worth its bytes, and the one from which it is plain to see."""
-
-BAKE_SO = "bake so"
-"""The last words of a warning that advises another bake, which was tried."""
 
 XML_DECLARATION = '<?xml version="1.0" encoding="UTF-8"?>\n'
 """Written by hand: ElementTree would name the locale's encoding, but the file is written in UTF-8."""
@@ -355,8 +352,10 @@ def conclusion(verdict: FileVerdict) -> Conclusion | None:
         return Conclusion("A bake has left it as it is: there is little to win.", "nothing")
     name, found = shlex.quote(printable(verdict.input)), _worse(verdict)
     if found is not None:
+        # Whether a notice advises to bake in another way, not to leave the file.
         advised = any(
-            notice.code == "lighting-worse" and notice.message.endswith(BAKE_SO) for notice in verdict.notices
+            notice.code == "lighting-worse" and isinstance(notice.message, Message)
+            for notice in verdict.notices
         )
         judged = _on_gain(found[2], f"skinbake view {name}", advised=advised)
         return replace(judged, step="meet the limit that it misses, or change it") if failed else judged

@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Protocol, TypeVar, cast
 
-from skinbake.errors import InputError, OutputError, Place, SkinbakeError, noticed
+from skinbake.errors import InputError, Message, OutputError, Place, SkinbakeError, noticed
 from skinbake.files.bounds import BESIDE, Bounds, Within
 from skinbake.files.urls import STDIO, is_url, on_disk
 from skinbake.files.writing import SAVED_ANEW
@@ -239,7 +239,7 @@ def with_names(call: Callable[[], T], naming: Callable[[str], str]) -> T:
 
 
 def _renamed_error(error: SkinbakeError, naming: Callable[[str], str]) -> SkinbakeError:
-    renamed = type(error)(naming(error.message), _renamed(error.place, naming))
+    renamed = type(error)(_renamed(error.message, naming), _renamed(error.place, naming))
     renamed.notices = _renamed(error.notices, naming)
     return renamed
 
@@ -247,7 +247,9 @@ def _renamed_error(error: SkinbakeError, naming: Callable[[str], str]) -> Skinba
 def _renamed(value: T, naming: Callable[[str], str]) -> T:
     """Return a value with the naming applied to every text in it."""
     renamed: object = value
-    if isinstance(value, str):
+    if isinstance(value, Message):
+        renamed = Message(*(naming(part) if isinstance(part, str) else part for part in value.parts))
+    elif isinstance(value, str):
         renamed = naming(value) if type(value) is str else value
     elif isinstance(value, SkinbakeError):
         renamed = _renamed_error(value, naming)
