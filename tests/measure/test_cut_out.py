@@ -15,7 +15,7 @@ COUNT = 400
 
 def made(generator: np.random.Generator, number: int) -> UnwrittenBake:
     """Return a primitive of random triangles, whose positions are of so few that many are copies."""
-    positions = generator.choice(np.float32([-0.0, 0.0, 0.1, 0.3, 1.0, -2.5, 7.0]), size=(COUNT, 3))
+    positions = generator.choice(np.array([-0.0, 0.0, 0.1, 0.3, 1.0, -2.5, 7.0], np.float32), size=(COUNT, 3))
     weights = np.zeros((COUNT, 4), dtype=np.float32)
     weights[:, 0] = np.arange(COUNT)  # as good as a name
     primitive = SkinnedPrimitive(
