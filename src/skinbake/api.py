@@ -73,6 +73,7 @@ class BakeOptions(TypedDict, total=False):
     frame: FrameName
     limit_influences: int | None
     generate_normals: bool
+    morph_normals: bool
     correctives: int | Literal["auto"] | None
     clips: Sequence[str]
     corrective_aim: CorrectiveAimName

@@ -368,7 +368,10 @@ BAKE = (
         Option("limit_influences", Range(SLOTS_PER_SET, is_whole=True), None, By.ALL, "N", help=
             "Keep the N largest influences of each vertex, N a multiple of 4, and print the cost."),
         Option("generate_normals", bool, False, By.ALL, help=
-            "Add smooth NORMALs to primitives without NORMAL.")),
+            "Add smooth NORMALs to primitives without NORMAL."),
+        Option("morph_normals", bool, False, By.ALL, help=
+            "Add NORMAL to morph targets without it, with or without a skin. Else engines light them as at "
+            "rest.")),
     *_under("Correctives",
         Option("correctives", TARGETS, None, By.ALL, "auto|K", help=
             "Instead of α and β, add K morph targets of normals that the clips play, for engines without the "

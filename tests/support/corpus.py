@@ -75,6 +75,14 @@ def hostile_files(finding: str = "") -> list[Path]:
     return sorted(path for path in found if path.relative_to(folder).parts[0].startswith(finding))
 
 
+def case(name: str) -> Path:
+    """Return one of the models that once showed a defect, or skip."""
+    path = require_corpus() / "cases" / name
+    if not path.is_file():
+        pytest.skip(f"this corpus has no cases/{name}")
+    return path
+
+
 def model(name: str) -> Path:
     """Return one model by its path below ``public`` or ``derived``, such as ``CesiumMan/CesiumMan.glb``.
 

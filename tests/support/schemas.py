@@ -127,6 +127,22 @@ CORRECTIVES = strict(
     },
     optional={"mesh_name": {"type": "string"}},
 )
+MORPH_NORMALS = strict(
+    {
+        "mesh": COUNT,
+        "primitive": COUNT,
+        "targets": {"type": "integer", "minimum": 1},
+        "of": {"type": "integer", "minimum": 1},
+        "mean": ANGLE,
+        "max": ANGLE,
+        "added_bytes": COUNT,
+    },
+    optional={"mesh_name": {"type": "string"}},
+)
+MADE_NORMALS = strict(
+    {"mesh": COUNT, "primitive": COUNT, "targets": COUNT, "of": COUNT, "changed": {"type": "boolean"}},
+    optional={"mesh_name": {"type": "string"}},
+)
 SECONDS = {"type": "number", "minimum": 0}
 TIMINGS = {"type": "object", "additionalProperties": SECONDS, "required": ["other"]}
 PROCESS_TIMINGS = strict(
@@ -161,6 +177,7 @@ BAKE = strict(
                     "primitives": {"type": "array", "items": BAKED},
                     "encoding": ENCODING,
                     "correctives": {"type": "array", "items": CORRECTIVES},
+                    "morph_normals": {"type": "array", "items": MORPH_NORMALS},
                     "warnings": WARNINGS,
                     "error": ERROR,
                 },
@@ -219,6 +236,7 @@ INSPECT = strict(
         "animations": COUNT,
         "left": {"type": "boolean"},
         "primitives": {"type": "array", "items": SUMMARY},
+        "morph_normals": {"type": "array", "items": MADE_NORMALS},
         "warnings": WARNINGS,
     }
 )

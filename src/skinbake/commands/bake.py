@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 from skinbake.choices import FrameChoice, Gradients, Neighbours, Scheme, Weld
 from skinbake.commands.bake_options import CheckedOptions
+from skinbake.commands.morph_bake import morph_bake
 from skinbake.commands.surface_bake import FitTarget, PrimitiveBake, SurfaceBake, unwritten
 from skinbake.errors import Chosen, InputError, Message, Notice, Place, noticed
 from skinbake.files.bounds import OWN_FOLDERS, Within
@@ -33,7 +34,14 @@ from skinbake.gltf.primitives import (
 )
 from skinbake.gradients.baker import BakeSettings
 from skinbake.gradients.normals import lean_notices
-from skinbake.report.bake import BakedCounts, CorrectiveCounts, EncodingCost, FileResult, Left
+from skinbake.report.bake import (
+    BakedCounts,
+    CorrectiveCounts,
+    EncodingCost,
+    FileResult,
+    Left,
+    MorphNormalCounts,
+)
 from skinbake.report.depfile import prerequisites
 from skinbake.timing import stage
 
@@ -86,6 +94,7 @@ class Baker(CheckedOptions):
             tuple(notices),
             encoding=made.encoding,
             correctives=made.correctives,
+            morph_normals=made.morph_normals,
             written=written,
             read=read,
             left=made.left,
@@ -121,7 +130,7 @@ class Baker(CheckedOptions):
         Raises InputError.
         """
         sources, skipped, reasons = self._bakeable(document)
-        if not sources:
+        if not sources and not self.morph_normals:
             return BakedDocument(document, (), skipped, tuple(reasons))
         if self.correctives is not None:
             from skinbake.commands.corrective_bake import corrected_document  # most bakes add α and β
@@ -139,11 +148,17 @@ class Baker(CheckedOptions):
                 document, kept = recoded(document, sources, compression)
         sources = [source.in_document(document) for source in sources]
         bakes, remarks = self._bakes(document, sources)
+        morphs = morph_bake(document, bakes, self.settings, wanted=self.morph_normals)
+        remarks += morphs.notices
+        if not bakes and not morphs.made:
+            return BakedDocument(given, (), skipped, (*reasons, *remarks))
         storage = with_scale(GradientFormat(self.encoding, self.layout), [bake.result for bake in bakes])
         with stage("store"):
             to_store = [bake.to_store(self._noted_settings) for bake in bakes]
             names, level = self.attribute_names, self.compress_level
-            written, lengths = with_baked(document, to_store, names, storage, level=level)
+            written, lengths, made_lengths = with_baked(
+                document, to_store, names, storage, level=level, made=morphs.made
+            )
         with stage("encoding"):
             cost, unmeasured = _encoding_cost(document, bakes, storage)
         notices = [*kept, *reasons, *remarks, *(notice for bake in bakes for notice in bake.notices)]
@@ -161,7 +176,7 @@ class Baker(CheckedOptions):
             (bake.source.place, bake.counts(self.encoding, length))
             for bake, length in zip(bakes, lengths, strict=True)
         )
-        if self.leave_under is not None:
+        if self.leave_under is not None and bakes:
             try:
                 with stage("gain"):
                     left = self._left(written)
@@ -172,7 +187,8 @@ class Baker(CheckedOptions):
             noted = None if left is None else with_left(given, left.note)
             if noted is not None:
                 return BakedDocument(noted, (), skipped, tuple(reasons), left=left)
-        return BakedDocument(written, primitives, skipped, tuple(notices), cost)
+        morphed = morphs.reported(made_lengths)
+        return BakedDocument(written, primitives, skipped, tuple(notices), cost, morph_normals=morphed)
 
     def _left(self, baked: Document) -> Left | None:
         """Return why a document is better left unbaked, None if it is not.
@@ -279,11 +295,12 @@ class BakedDocument:
     encoding: EncodingCost | None = None
     left: Left | None = None
     correctives: tuple[tuple[Place, CorrectiveCounts], ...] = ()
+    morph_normals: tuple[tuple[Place, MorphNormalCounts], ...] = ()
 
     @property
     def is_baked(self) -> bool:
         """Tell whether anything was added."""
-        return bool(self.primitives or self.correctives)
+        return bool(self.primitives or self.correctives or self.morph_normals)
 
 
 def _surfaces(

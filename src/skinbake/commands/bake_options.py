@@ -48,6 +48,7 @@ class CheckedOptions:
     frame: FrameChoice = USUAL["frame"]
     limit_influences: int | None = USUAL["limit_influences"]
     generate_normals: bool = USUAL["generate_normals"]
+    morph_normals: bool = USUAL["morph_normals"]
     correctives: int | Literal["auto"] | None = USUAL["correctives"]
     clips: tuple[str, ...] = USUAL["clips"]
     corrective_aim: CorrectiveAim = USUAL["corrective_aim"]
@@ -123,7 +124,15 @@ def _check_names(options: CheckedOptions) -> None:
 
 
 ONLY_FOR_GRADIENTS = (
-    *("layout", "alpha_name", "beta_name", "limit_influences", "generate_normals", "leave_under"),
+    *(
+        "layout",
+        "alpha_name",
+        "beta_name",
+        "limit_influences",
+        "generate_normals",
+        "morph_normals",
+        "leave_under",
+    ),
     *("compress", "compress_level", "position_bits", "normal_bits", "texcoord_bits"),
 )
 """The options that say how α and β are stored, or change what they are baked into."""

@@ -14,6 +14,7 @@ from skinbake.format.attribute_store import meshopt_of
 from skinbake.format.correctives import corrective_note
 from skinbake.format.metadata import changed_arrays, read_left, read_metadata, slot_names
 from skinbake.freshness.baked_views import other_version
+from skinbake.freshness.made_normals import made_states
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.accessors import described
 from skinbake.gltf.codecs import draco
@@ -71,6 +72,7 @@ def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
                     leaning.add(entry.mesh)
     for mesh in sorted(leaning):
         notices += _lean_notices(document, read[mesh])
+    made = list(made_states(document))
     return InspectResult(
         input=source,
         byte_length=_byte_length(document),
@@ -80,6 +82,7 @@ def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
         primitives=tuple(primitives),
         notices=tuple(notices),
         left=read_left(document) is not None,
+        morph_normals=tuple((one.source.place, one.targets, one.of, one.changed) for one in made),
     )
 
 

@@ -11,6 +11,7 @@ from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.format.correctives import corrective_note
 from skinbake.format.metadata import read_left, read_metadata
 from skinbake.freshness.baked_views import BakedView, baked_views, gathered_together, is_baked
+from skinbake.freshness.made_normals import made_states
 from skinbake.freshness.staleness import fits_begun, freshness_check, surface_operator
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import JsonObject
@@ -56,7 +57,9 @@ def verify_document(document: Document, options: VerifyOptions) -> FileVerdict:
         return corrected_verdict(document, options)
     with stage("read"):
         wanted, lost, notices = _sorted_out(document)
+        stale = [state.notice for state in made_states(document) if state.changed]
     if not lost and not any(is_baked(document, entry) for entry in wanted):
+        notices += stale
         return _unbaked(document, options, notices, wanted)
     steps, what = STEPS_A_PRIMITIVE * len(wanted), f"the freshness of {counted(len(wanted), 'primitive')}"
     document.budget.claim_steps(steps, what, document.place)
@@ -73,6 +76,8 @@ def verify_document(document: Document, options: VerifyOptions) -> FileVerdict:
     notices += lean_notices((view.now, view.source.place) for view in views)
     surfaces = gathered_together(document, views)
     operators, fresh = _operators_and_freshness(document, surfaces)
+    if stale:
+        fresh = replace(fresh, outcome="failed", problems=(*fresh.problems, *stale), remark="")
     verdict = lighting_verdict(document, options, surfaces, operators)
     if fresh.outcome == "passed":
         notices += worse_lighting(views, verdict)

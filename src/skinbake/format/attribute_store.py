@@ -46,13 +46,17 @@ def store_for(
     """
     if draco.extension_of(source.json) is not None:
         return _DracoStore(document, additions, source, draco.USUAL_LEVEL if level is None else level)
+    return _PlainStore(additions, meshopt_packing(document, source, level))
+
+
+def meshopt_packing(document: Document, source: PrimitiveSource, level: int | None) -> Packed | None:
+    """Return how new data of a primitive is compressed by meshopt, None if the primitive is not."""
     name = meshopt_of(document, source)
     if name is None:
-        return _PlainStore(additions, None)
+        return None
     required = document.json.get("extensionsRequired")
     beside = not (isinstance(required, list) and name in required)
-    chosen = meshopt.level_of(level)
-    return _PlainStore(additions, Packed(name, chosen, beside))
+    return Packed(name, meshopt.level_of(level), beside)
 
 
 def level_ignored(document: Document, sources: Sequence[PrimitiveSource], level: int | None) -> list[Notice]:

@@ -25,6 +25,7 @@ from skinbake.choices import Encoding
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.format.corrective_channels import Keys, with_correctives
 from skinbake.format.metadata import DEEPEST_NOTE, KEY, VERSION, array_digest, digests, read_metadata
+from skinbake.format.morph_targets import add_differences, add_zeros
 from skinbake.geometry import poses
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.accessors import element_count, read_accessor
@@ -42,7 +43,6 @@ from skinbake.gltf.json_access import (
 )
 from skinbake.gltf.morphs import resting_weights, target_count
 from skinbake.gltf.primitives import PrimitiveSource
-from skinbake.gltf.views import COMPONENT_CODES, TYPES
 from skinbake.options import MOST_CORRECTIVES
 from skinbake.version import __version__
 
@@ -287,7 +287,7 @@ def _with_own(
             kinds[name] = str(document.objects("accessors")[int(number)].get("type"))
 
     def zeros(wanted: Iterable[str]) -> JsonObject:
-        return {name: _zeros(additions, count, kinds[name], bounded=name == "POSITION") for name in wanted}
+        return {name: add_zeros(additions, count, kinds[name], bounded=name == "POSITION") for name in wanted}
 
     filled: dict[str, list[int]] = {}
     complete = []
@@ -300,41 +300,9 @@ def _with_own(
     for number in range(added):
         normal = {}
         if stored is not None and stored[number].any():
-            normal["NORMAL"] = _add_target(additions, stored[number], encoding)
+            normal["NORMAL"] = add_differences(additions, stored[number], normalized=encoding.is_scaled)
         complete.append({**zeros(name for name in names if name not in normal), **normal})
     return {**primitive, "targets": complete}, filled
-
-
-def _zeros(additions: Additions, count: int, kind: str, *, bounded: bool) -> int:
-    """Return the accessor of so many elements of zeros, without a buffer view."""
-    bounds: JsonObject = {"min": [0, 0, 0], "max": [0, 0, 0]} if bounded else {}
-    return additions.add_described({"componentType": 5126, "count": count, "type": kind, **bounds})
-
-
-def _add_target(additions: Additions, values: npt.NDArray[Any], encoding: Encoding) -> int:
-    """Add the normals (V, 3) of a target, sparse where that is smaller. Return the index of the accessor."""
-    rows = np.flatnonzero(values.any(axis=1))
-    kind = next(one for one in (np.uint8, np.uint16, np.uint32) if len(values) <= np.iinfo(one).max)
-    indices, some = rows.astype(kind), np.ascontiguousarray(values[rows])
-    stride = values.itemsize * 3 + -values.itemsize * 3 % 4
-    described: JsonObject = {
-        "componentType": COMPONENT_CODES[values.dtype],
-        "count": len(values),
-        "type": TYPES[3],
-        **({"normalized": True} if encoding.is_scaled else {}),
-    }
-    if stride * len(values) <= indices.nbytes + some.nbytes:
-        return additions.add_described({"bufferView": additions.add_values(values, None), **described})
-    # The vertices are those of all targets of a primitive, and stored once. Sparse values are tightly packed.
-    sparse = {
-        "count": len(rows),
-        "indices": {
-            "bufferView": additions.add_stream(indices.tobytes()),
-            "componentType": COMPONENT_CODES[indices.dtype],
-        },
-        "values": {"bufferView": additions.add_stream(some.tobytes())},
-    }
-    return additions.add_described({**described, "sparse": sparse})
 
 
 def _add_clips(

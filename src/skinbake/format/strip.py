@@ -11,6 +11,7 @@ from skinbake.format.corrective_strip import narrowed, without_correctives
 from skinbake.format.former import former_attributes, former_sets, former_tangent, with_former_stream
 from skinbake.format.layouts import added_slot_names
 from skinbake.format.metadata import FORMER_ATTRIBUTES, KEY, VERSION, noted_names, read_metadata, without_left
+from skinbake.format.morph_targets import former_targets, morph_note, noted_primitive
 from skinbake.gltf import json_access
 from skinbake.gltf.additions import BUFFER_ADDED, BUFFER_LENGTH, FALLBACK_ADDED
 from skinbake.gltf.codecs import draco, meshopt
@@ -42,23 +43,31 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
     notices: list[Notice] = []
     for number, mesh in enumerate(document.objects("meshes")):
         place = Place(document.name, number, text(mesh, "name", document.place))
+        of_targets = morph_note(mesh)
+        if of_targets is not None:
+            _refuse_later_version(of_targets, place)
+        morphing = former_targets(mesh)
         restored = []
-        for position, primitive in enumerate(objects(mesh, "primitives", place)):
+        for position, given in enumerate(objects(mesh, "primitives", place)):
+            primitive = objects(morphing, "primitives", place)[position]
             here = Place(place.file, place.mesh, place.mesh_name, position)
             note = read_metadata(document, primitive)
             if note is None:
                 restored.append(primitive)
+                changed += [(given, primitive)] if noted_primitive(mesh, position) else []
                 continue
             _refuse_later_version(note, here)
             written, found = _restored(document, primitive, note, here)
             restored.append(written)
-            changed.append((primitive, written))
+            changed.append((given, written))
             notices += found
-        meshes.append({**mesh, "primitives": restored} if restored else mesh)
-    if not changed:
+        meshes.append({**morphing, "primitives": restored} if restored else morphing)
+    if not changed and meshes == document.objects("meshes"):
         return document, 0, []
     root = {**document.json, "meshes": meshes}
-    removed = set().union(*(_attribute_accessors(old) - _attribute_accessors(new) for old, new in changed))
+    removed = set[int]().union(
+        *(_accessors_of_vertices(old) - _accessors_of_vertices(new) for old, new in changed)
+    )
     streams = _stream_views(old for old, _ in changed) - _stream_views(_all_primitives(root))
     removed -= _accessors_in_use(root)
     return _without(document, root, removed, streams, notices), len(changed), notices
@@ -82,17 +91,18 @@ def _all_primitives(root: JsonObject) -> Iterator[JsonObject]:
         yield from json_access.entries_of(mesh.get("primitives"))
 
 
-def _attribute_accessors(primitive: JsonObject) -> set[int]:
-    return _numbers(json_access.values_of(primitive.get("attributes")))
+def _accessors_of_vertices(primitive: JsonObject) -> set[int]:
+    values = [*json_access.values_of(primitive.get("attributes"))]
+    for target in json_access.entries_of(primitive.get("targets")):
+        values += target.values()
+    return _numbers(values)
 
 
 def _accessors_in_use(root: JsonObject) -> set[int]:
     """Return every accessor that glTF 2.0 itself refers to; references of extensions are unknown."""
     values: list[object] = []
     for primitive in _all_primitives(root):
-        values += [*json_access.values_of(primitive.get("attributes")), primitive.get("indices")]
-        for target in json_access.entries_of(primitive.get("targets")):
-            values += target.values()
+        values += [*_accessors_of_vertices(primitive), primitive.get("indices")]
     for skin in json_access.entries_of(root.get("skins")):
         values.append(skin.get("inverseBindMatrices"))
     for animation in json_access.entries_of(root.get("animations")):

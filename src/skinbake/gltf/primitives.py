@@ -139,6 +139,21 @@ def skinned_sources(document: Document) -> tuple[list[PrimitiveSource], list[Not
     return sources, notices
 
 
+def all_sources(document: Document) -> list[PrimitiveSource]:
+    """Return every primitive, with or without a skin."""
+    return list(_all_sources(document, _joint_counts(document)))
+
+
+def plain_sources(document: Document) -> list[PrimitiveSource]:
+    """Return the primitives without a skin: those that no node with a skin draws, or without JOINTS_0."""
+    joint_counts = _joint_counts(document)
+    return [
+        source
+        for source in _all_sources(document, joint_counts)
+        if source.mesh not in joint_counts or "JOINTS_0" not in source.attributes
+    ]
+
+
 def _sets_after_gap(source: PrimitiveSource) -> list[Notice]:
     """Return a notice if a primitive has influences that are not read: a set before them is missing."""
     unread = source.unread_sets
@@ -291,7 +306,10 @@ def read_primitive(document: Document, source: PrimitiveSource) -> SkinnedPrimit
     sizes = [entry.joints.values.nbytes * (len(influences) > 1) for entry in influences]
     sizes += [entry.weights.decoded_size or entry.weights.values.nbytes for entry in influences]
     document.budget.claim(sum(sizes), "its influences", source.place)
-    joints, weights = side_by_side(influences)
+    joints: IntArray = np.zeros((count, 0), np.uint8)
+    weights: FloatArray = np.zeros((count, 0), np.float32)
+    if influences:  # a mesh without a skin has none
+        joints, weights = side_by_side(influences)
     for number in range(len(influences)):
         own = weights[:, 4 * number : 4 * number + 4]
         refuse_not_finite(own, "weights", source.place.at(f"WEIGHTS_{number}"))

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from skinbake.choices import Frame
+from skinbake.format.morph_targets import noted_primitive
 from skinbake.freshness.baked_views import BakedView
 from skinbake.geometry.morphs import MorphTargets
 from skinbake.geometry.skinned import Float64Array
@@ -23,12 +24,14 @@ from skinbake.truth.truths import Truths
 class Morphing:
     """The morph targets of one mesh by primitive (None: no targets), and their weights (P, N) in P poses.
 
-    kept, if it is there, keeps each pose's primitives and truths when they are first made, for another
-    method.
+    authored tells by primitive whether the file gives NORMAL for all that moves there. Where it does not, or
+    bake has made it, the true normals are those of the moved surface. kept, if it is there, keeps each pose's
+    primitives and truths when they are first made, for another method.
     """
 
     targets: tuple[MorphTargets | None, ...]
     weights: Float64Array
+    authored: tuple[bool, ...]
     kept: dict[int, tuple[Sequence[RestPrimitive], Truths]] | None = None
 
     def primitives(self, primitives: Sequence[RestPrimitive], pose: int) -> list[RestPrimitive]:
@@ -50,8 +53,19 @@ class Morphing:
         kept = {} if self.kept is None else self.kept
         if pose not in kept:
             moved = self.primitives(primitives, pose)
-            kept[pose] = moved, truths.moved(moved)
+            kept[pose] = moved, truths.moved(self._as_true(moved, truths))
         return kept[pose]
+
+    def _as_true(self, moved: Sequence[RestPrimitive], truths: Truths) -> Sequence[RestPrimitive]:
+        """Return the primitives of a pose with the normals that are true before skinning."""
+        if all(self.authored):
+            return moved
+        return [
+            primitive if by_file else replace(primitive, normals=normals)
+            for primitive, by_file, normals in zip(
+                moved, self.authored, truths.surface_normals(moved), strict=True
+            )
+        ]
 
 
 def morphing_of(document: Document, views: Sequence[BakedView], poses: PoseSet) -> Morphing | None:
@@ -72,7 +86,20 @@ def morphing_of(document: Document, views: Sequence[BakedView], poses: PoseSet) 
         )
         for view in views
     )
-    return Morphing(targets, poses.morph_weights[:, moving])
+    authored = tuple(_is_authored(document, view, moving) for view in views)
+    return Morphing(targets, poses.morph_weights[:, moving], authored)
+
+
+def _is_authored(document: Document, view: BakedView, moving: Sequence[int]) -> bool:
+    """Tell whether all of these targets that move a primitive have NORMAL, and none by bake."""
+    source = view.source
+    made = noted_primitive(document.objects("meshes")[source.mesh], source.primitive).get("normals", [])
+    targets = objects(source.json, "targets", source.place)
+    return all(
+        "NORMAL" in targets[number] and number not in made
+        for number in moving
+        if targets and "POSITION" in targets[number]
+    )
 
 
 def carrier(views: Iterable[BakedView]) -> str:

@@ -96,7 +96,8 @@ class PrimitiveSummary:
 class InspectResult:
     """The contents of a file: its size, skins, animations and skinned primitives, and the notices.
 
-    left: a bake has left it unbaked on purpose.
+    left: a bake has left it unbaked on purpose. morph_normals are primitives, with or without a skin, to
+    whose morph targets bake has added NORMAL: to how many of all, and whether what they follow from changed.
     """
 
     input: str
@@ -107,6 +108,7 @@ class InspectResult:
     primitives: tuple[PrimitiveSummary, ...]
     notices: tuple[Notice, ...]
     left: bool = False
+    morph_normals: tuple[tuple[Place, int, int, bool], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,6 +171,10 @@ def as_text(result: InspectResult) -> str:
         lines.append(f"  {LEFT}")
     for primitive in result.primitives:
         lines += _primitive_lines(primitive)
+    for place, made, of, changed in result.morph_normals:
+        state = _state(["POSITION or NORMAL"] if changed else [])
+        targets = counted(of, "morph target")
+        lines += [f"  {place.within_file}", f"    NORMAL made for {made:,} of {targets}, {state}"]
     return "\n".join(lines)
 
 
@@ -233,6 +239,10 @@ def as_json(result: InspectResult) -> dict[str, Any]:
         "animations": result.animations,
         "left": result.left,
         "primitives": [_primitive_json(primitive) for primitive in result.primitives],
+        "morph_normals": [
+            {**place_fields(place), "targets": made, "of": of, "changed": changed}
+            for place, made, of, changed in result.morph_normals
+        ],
         "warnings": notice_list(result.notices),
     }
 

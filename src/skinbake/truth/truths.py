@@ -32,6 +32,7 @@ from skinbake.truth.normals import (
     measured_frames,
     morphed_frames,
     posed_tangents,
+    tangent_normals,
     triangle_frame,
 )
 from skinbake.truth.operator import GradientOperator
@@ -103,6 +104,19 @@ class Truths:
     def names(self) -> list[str]:
         """The truths, in the order of ``Truth``."""
         return [*self.of_mesh, *([] if self.fine is None else [Truth.FINE])]
+
+    def surface_normals(self, primitives: Sequence[RestPrimitive]) -> list[Float64Array]:
+        """Return the normals (V, 3) of each primitive under morph targets, as its positions alone tell them.
+
+        They are the images of those at rest, by tangents. A vertex where the surface has none keeps its own.
+        """
+        positions, normals = (_joined(primitives, name) for name in ("positions", "normals"))
+        components = np.ascontiguousarray(np.asarray(positions, dtype=np.float64).T)[:, :, None]
+        found = np.array(normals, dtype=np.float64)
+        for part, derivatives in zip(self.frames.parts, self.frames.derivatives, strict=True):
+            own, exist = tangent_normals(self.frames, part, posed_tangents(derivatives, components))
+            found[part][exist[0]] = np.stack(own, axis=-1)[0][exist[0]]
+        return [found[part] for part in self.operator.slices]
 
     def moved(self, primitives: Sequence[RestPrimitive]) -> Truths:
         """Measure the mesh under morph targets, before skinning."""

@@ -1,0 +1,193 @@
+"""What bake adds to the morph targets that a file has: NORMAL for those without it.
+
+Once one target of a primitive has NORMAL, every target has one, because some loaders take the base mesh for a
+difference where a target lacks what others have. A target that turns no normal has an accessor without a
+buffer view: zeros, without a byte. The metadata ``extras.skinbake`` of the mesh says what was added, so that
+``strip`` takes it out again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from skinbake.errors import Place, UnsupportedFeatureError
+from skinbake.format.attribute_store import meshopt_packing
+from skinbake.format.metadata import DEEPEST_NOTE, KEY, VERSION, array_digest
+from skinbake.geometry.morphs import Differences
+from skinbake.geometry.skinned import SkinnedPrimitive
+from skinbake.gltf.additions import Additions, Packed
+from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import JsonObject, entries_of, is_deeper, object_of, reference, with_integers
+from skinbake.gltf.primitives import PrimitiveSource
+from skinbake.gltf.views import COMPONENT_CODES, TYPES
+from skinbake.version import __version__
+
+NOTE = "morphTargets"
+"""The member of a mesh's note that lists, by primitive, the targets to which bake added NORMAL."""
+
+
+@dataclass(frozen=True, slots=True)
+class MadeNormals:
+    """The changes of NORMAL that bake makes for targets of one primitive, by number, for normals as stored.
+
+    digest is that of what they follow from (``morph_digest``).
+    """
+
+    source: PrimitiveSource
+    normals: Mapping[int, Differences]
+    digest: str
+
+
+def add_zeros(additions: Additions, count: int, kind: str, *, bounded: bool) -> int:
+    """Add the accessor of so many elements of zeros, without a buffer view, and return its index."""
+    bounds: JsonObject = {"min": [0, 0, 0], "max": [0, 0, 0]} if bounded else {}
+    return additions.add_described({"componentType": 5126, "count": count, "type": kind, **bounds})
+
+
+def add_differences(
+    additions: Additions, values: npt.NDArray[Any], *, normalized: bool = False, packed: Packed | None = None
+) -> int:
+    """Add the differences (V, C) of a target, sparse where that is smaller. Return the accessor's index.
+
+    packed is how a view that is not sparse is compressed.
+    """
+    rows = np.flatnonzero(values.any(axis=1))
+    kind = next(one for one in (np.uint8, np.uint16, np.uint32) if len(values) <= np.iinfo(one).max)
+    indices, some = rows.astype(kind), np.ascontiguousarray(values[rows])
+    size = values.itemsize * values.shape[1]
+    described: JsonObject = {
+        "componentType": COMPONENT_CODES[values.dtype],
+        "count": len(values),
+        "type": TYPES[values.shape[1]],
+        **({"normalized": True} if normalized else {}),
+    }
+    if (size + -size % 4) * len(values) <= indices.nbytes + some.nbytes:
+        return additions.add_described({"bufferView": additions.add_values(values, packed), **described})
+    # The vertices are those of all targets of a primitive, and stored once. Sparse values are tightly packed.
+    sparse = {
+        "count": len(rows),
+        "indices": {
+            "bufferView": additions.add_stream(indices.tobytes()),
+            "componentType": COMPONENT_CODES[indices.dtype],
+        },
+        "values": {"bufferView": additions.add_stream(some.tobytes())},
+    }
+    return additions.add_described({**described, "sparse": sparse})
+
+
+def morph_digest(primitive: SkinnedPrimitive, targets: Mapping[int, Differences]) -> str:
+    """Return the digest of what made normals follow from: the mesh, and what targets add to POSITION."""
+    parts = [(primitive.positions, "<f4"), (primitive.normals, "<f4"), (primitive.triangles, "<u4")]
+    for number, target in sorted(targets.items()):
+        parts += [(np.array([number]), "<u4"), (target.rows, "<u4"), (target.values, "<f4")]
+    return array_digest(
+        np.frombuffer("".join(array_digest(*part) for part in parts).encode(), np.uint8), "|u1"
+    )
+
+
+def check_extras(document: Document, mesh: int, place: Place) -> None:
+    """Raise UnsupportedFeatureError if the extras of a mesh have no place for metadata."""
+    extras = document.objects("meshes")[mesh].get("extras", {})
+    if not isinstance(extras, dict) or KEY in extras:
+        message = '"extras" of its mesh leave no place for metadata: bake without --morph-normals'
+        raise UnsupportedFeatureError(message, place)
+
+
+def add_made_normals(
+    document: Document,
+    additions: Additions,
+    meshes: list[JsonObject],
+    made: Sequence[MadeNormals],
+    level: int | None,
+) -> list[int]:
+    """Add NORMAL to targets, and change ``meshes`` in place. Return the added bytes by primitive.
+
+    level is that of ``--compress-level``, for views that meshopt compresses.
+    """
+    lengths = []
+    for item in made:
+        before = additions.byte_length
+        mesh, number = meshes[item.source.mesh], item.source.primitive
+        primitives = list(mesh["primitives"])
+        accessors = document.objects("accessors")
+        count = int(accessors[int(item.source.attributes["POSITION"])]["count"])
+        packed = meshopt_packing(document, item.source, level)
+        targets = list(item.source.json["targets"])
+        for target, normals in item.normals.items():
+            if len(normals.rows):
+                dense = np.zeros((count, 3), np.float32)
+                dense[normals.rows] = normals.values
+                accessor = add_differences(additions, dense, packed=packed)
+            else:
+                accessor = add_zeros(additions, count, "VEC3", bounded=False)
+            targets[target] = {**targets[target], "NORMAL": accessor}
+        primitives[number] = {**primitives[number], "targets": targets}
+        meshes[item.source.mesh] = _noted({**mesh, "primitives": primitives}, item)
+        lengths.append(additions.byte_length - before)
+    return lengths
+
+
+def _noted(mesh: JsonObject, item: MadeNormals) -> JsonObject:
+    """Return the JSON of a mesh with the note that tells what was added to a primitive."""
+    extras = object_of(mesh.get("extras"))
+    note = dict(object_of(extras.get(KEY)))
+    if not note:
+        note = {"version": VERSION, "generator": f"skinbake {__version__}"}
+        note |= {"keepExtras": True} if mesh.get("extras") == {} else {}
+    entries = [dict(one) for one in note.get(NOTE, [{} for _ in mesh["primitives"]])]
+    entries[item.source.primitive] = {"normals": sorted(item.normals), "digest": item.digest}
+    return {**mesh, "extras": {**extras, KEY: {**note, NOTE: entries}}}
+
+
+def morph_note(mesh: JsonObject) -> JsonObject | None:
+    """Return the note of a mesh whose targets bake has changed, None without a sound one."""
+    note = object_of(mesh.get("extras")).get(KEY)
+    if not isinstance(note, dict) or is_deeper(note, DEEPEST_NOTE) or not isinstance(note.get(NOTE), list):
+        return None
+    note = with_integers(note)  # some tools write all numbers anew, 1 as 1.0
+    version = reference(note.get("version"))
+    return None if version is None else {**note, "version": version}
+
+
+def noted_primitive(mesh: JsonObject, primitive: int) -> JsonObject:
+    """Return what the note of a mesh says of a primitive, with ``normals`` as a list of numbers; or {}."""
+    note = morph_note(mesh)
+    entries = note[NOTE] if note else []
+    entry = object_of(entries[primitive]) if primitive < len(entries) else {}
+    numbers = entry.get("normals")
+    found = (
+        [number for number in numbers if reference(number) is not None] if isinstance(numbers, list) else []
+    )
+    return {**entry, "normals": found} if found else {}
+
+
+def former_targets(mesh: JsonObject) -> JsonObject:
+    """Return the JSON of a mesh as it was before bake changed its targets."""
+    note = morph_note(mesh)
+    if note is None:
+        return mesh
+    primitives = []
+    for number, primitive in enumerate(entries_of(mesh.get("primitives"))):
+        made, targets = noted_primitive(mesh, number).get("normals", []), primitive.get("targets")
+        if made and isinstance(targets, list):
+            left = [
+                {
+                    name: one
+                    for name, one in object_of(target).items()
+                    if name != "NORMAL" or position not in made
+                }
+                for position, target in enumerate(targets)
+            ]
+            primitives.append({**primitive, "targets": left})
+        else:
+            primitives.append(primitive)
+    extras = {key: one for key, one in mesh["extras"].items() if key != KEY}
+    found = {**mesh, "primitives": primitives, "extras": extras}
+    if not extras and not note.get("keepExtras"):
+        del found["extras"]
+    return found

@@ -1,0 +1,227 @@
+"""``bake --morph-normals``: NORMAL for morph targets that only move points."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fixtures.make_fixtures import FOLDER
+from tests.support import corpus, gltf_reading, khronos
+from tests.support.baked_files import Editable, verify
+from tests.support.characters import Array, angles
+from tests.support.command_line import invoke
+from tests.support.compressed import draco_twin, meshopt_twin
+from tests.support.morphed_files import morphed, warped
+
+TUBE = FOLDER / "bent_tube.glb"
+
+
+def bake(source: Path, target: Path, *options: str, code: int = 0) -> str:
+    result = invoke("bake", source, "-o", target, *options)
+    assert result.exit_code == code, result.output
+    return result.output
+
+
+def without_normals(path: Path, target: Path, *, keep: int = 0, **changes: Any) -> Path:
+    """A model with two morph targets, of which only the first ``keep`` have NORMAL."""
+    file = Editable(morphed(path, target, **changes))
+    for one in file.primitive()["targets"][keep:]:
+        del one["NORMAL"]
+    return file.write(target)
+
+
+def unskinned(path: Path) -> Path:
+    """Take the skin of a model's first mesh away, with its joints, weights and clips."""
+    file = Editable(path)
+    for node in file.content["nodes"]:
+        node.pop("skin", None)
+    for primitive in file.content["meshes"][0]["primitives"]:
+        for name in ("JOINTS_0", "WEIGHTS_0"):
+            del primitive["attributes"][name]
+    for name in ("skins", "animations"):
+        file.content.pop(name, None)
+    return file.write(path)
+
+
+def made_normals(path: Path, number: int) -> Array:
+    """The unit normals of the first primitive with one target at weight 1."""
+    file = gltf_reading.read(path)
+    accessor = file.primitive(0)["targets"][number]["NORMAL"]
+    total = file.attribute("NORMAL") + file.values(accessor)
+    normals: Array = total / np.linalg.norm(total, axis=1, keepdims=True)
+    return normals
+
+
+def warped_normals(path: Path, number: int) -> Array:
+    file = gltf_reading.read(path)
+    normals = file.attribute("NORMAL")
+    warped_ones: Array = normals + warped(file.attribute("POSITION"), normals, number)[1]
+    return warped_ones
+
+
+@pytest.mark.parametrize("skinned", [True, False])
+def test_made_normals_are_those_of_the_moved_surface(tmp_path: Path, skinned: bool) -> None:
+    source = without_normals(TUBE, tmp_path / "in.glb")
+    if not skinned:
+        unskinned(source)
+    bake(source, tmp_path / "out.glb", "--morph-normals")
+    for number in (0, 1):
+        truth, found = warped_normals(source, number), made_normals(tmp_path / "out.glb", number)
+        before = angles(gltf_reading.read(source).attribute("NORMAL"), truth).mean()
+        assert before > 2.0
+        assert angles(found, truth).mean() < before / 10
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
+@pytest.mark.parametrize("kind", ["skinned", "plain", "draco", "meshopt"])
+def test_strip_gives_the_input_back_and_a_second_bake_changes_nothing(
+    tmp_path: Path, kind: str, suffix: str
+) -> None:
+    given = without_normals(TUBE, tmp_path / "in.glb")
+    if kind == "plain":
+        unskinned(given)
+    elif kind == "draco":
+        given = draco_twin(given, tmp_path / "draco.glb")
+    elif kind == "meshopt":
+        given = meshopt_twin(given, tmp_path / "meshopt.glb")
+    if suffix == ".gltf":
+        content = gltf_reading.read(given)
+        (tmp_path / "in.bin").write_bytes(content.binary_chunk or b"")
+        content.content["buffers"][0]["uri"] = "in.bin"
+        given = tmp_path / "in.gltf"
+        given.write_text(json.dumps(content.content, indent=2))
+    made, again, back = (tmp_path / f"{name}{suffix}" for name in ("made", "again", "back"))
+    said = bake(given, made, "--morph-normals")
+    assert "NORMAL made for 2 morph targets of 1 primitive" in said
+    bake(made, again, "--morph-normals")
+    assert again.read_bytes() == made.read_bytes()
+    assert invoke("strip", made, "-o", back).exit_code == 0
+    assert back.read_bytes() == given.read_bytes()
+    assert not khronos.new_findings(khronos.validate(given), khronos.validate(made))
+
+
+def test_each_target_gets_one_once_another_has_it_and_authored_ones_stay(tmp_path: Path) -> None:
+    source = without_normals(TUBE, tmp_path / "in.glb", keep=1)
+    bake(source, tmp_path / "out.glb", "--morph-normals")
+    before, after = (
+        gltf_reading.read(tmp_path / name).primitive(0)["targets"] for name in ("in.glb", "out.glb")
+    )
+    assert after[0] == before[0]
+    assert [set(one) for one in after] == [{"POSITION", "NORMAL"}] * 2
+    note = gltf_reading.read(tmp_path / "out.glb").content["meshes"][0]["extras"]["skinbake"]
+    assert note["morphTargets"][0]["normals"] == [1]
+    bake(tmp_path / "out.glb", tmp_path / "plain.glb")
+    assert gltf_reading.read(tmp_path / "plain.glb").primitive(0)["targets"] == before
+
+
+def test_a_target_that_turns_nothing_costs_no_bytes_and_few_vertices_are_sparse(tmp_path: Path) -> None:
+    file = Editable(TUBE)
+    positions = file.array("POSITION").copy()
+    few, rigid = np.zeros_like(positions), np.ones_like(positions)
+    few[:3] = 0.05
+    file.primitive()["targets"] = [{"POSITION": file.add(few)}, {"POSITION": file.add(rigid)}]
+    bake(file.write(tmp_path / "in.glb"), tmp_path / "out.glb", "--morph-normals")
+    made = gltf_reading.read(tmp_path / "out.glb")
+    first, second = (made.content["accessors"][one["NORMAL"]] for one in made.primitive(0)["targets"])
+    assert 3 <= first["sparse"]["count"] < len(positions) / 4
+    assert "bufferView" not in second and "sparse" not in second
+
+
+def test_without_the_option_a_warning_says_what_is_lost(tmp_path: Path) -> None:
+    source = without_normals(TUBE, tmp_path / "in.glb")
+    truth = np.concatenate([warped_normals(source, number) for number in (0, 1)])
+    lost = angles(np.tile(gltf_reading.read(source).attribute("NORMAL"), (2, 1)), truth).mean()
+    result = json.loads(invoke("bake", "--json", source, "-o", tmp_path / "out.glb").stdout)
+    (found,) = [one for one in result["files"][0]["warnings"] if one["code"] == "morph-normals"]
+    assert found["count"] == 2
+    told = float(found["message"].split(" is ")[1].split("°")[0])
+    assert told == pytest.approx(lost, rel=0.1)
+    whole = morphed(TUBE, tmp_path / "whole.glb")
+    result = json.loads(invoke("bake", "--json", whole, "-o", tmp_path / "out.glb").stdout)
+    assert "morph-normals" not in [one["code"] for one in result["files"][0]["warnings"]]
+
+
+def test_verify_measures_the_gain(tmp_path: Path) -> None:
+    source = without_normals(TUBE, tmp_path / "in.glb", weights=[0.8, 0.5])
+    errors = []
+    for options in ((), ("--morph-normals",)):
+        bake(source, tmp_path / "out.glb", *options)
+        answer = verify(tmp_path / "out.glb", "--poses", "rest")
+        errors.append(answer.file["normals"]["lbs"]["standard"]["mean"])
+    assert errors[0] > 2.0
+    assert errors[1] < errors[0] / 5
+
+
+def test_edited_targets_make_them_stale_and_inspect_and_verify_say_so(tmp_path: Path) -> None:
+    for name, prepare in (("skinned", lambda path: path), ("plain", unskinned)):
+        source = prepare(without_normals(TUBE, tmp_path / f"{name}.glb"))
+        baked = tmp_path / f"{name}-baked.glb"
+        bake(source, baked, "--morph-normals")
+        assert "NORMAL made for 2 of 2 morph targets, up to date" in invoke("inspect", baked).stdout
+        assert "morph-normals-stale" not in invoke("verify", "--json", baked).stdout
+        file = Editable(baked)
+        file.stored(file.primitive()["targets"][1]["POSITION"])[:] *= 2.0
+        file.write(baked)
+        assert "POSITION or NORMAL changed since: bake again" in invoke("inspect", baked).stdout
+        found = invoke("verify", "--json", baked)
+        assert "morph-normals-stale" in found.stdout
+        assert found.exit_code == (1 if name == "skinned" else 0)
+
+
+def test_broken_targets_stop_a_bake_only_if_they_are_asked_for(tmp_path: Path) -> None:
+    source = without_normals(TUBE, tmp_path / "in.glb")
+    file = Editable(source)
+    file.content["accessors"][file.primitive()["targets"][0]["POSITION"]]["count"] -= 1
+    file.write(source)
+    bake(source, tmp_path / "out.glb")
+    assert "POSITION of morph target 0" in bake(source, tmp_path / "out.glb", "--morph-normals", code=3)
+
+
+def test_extras_of_another_kind_leave_no_place_and_the_file_is_refused(tmp_path: Path) -> None:
+    source = without_normals(TUBE, tmp_path / "in.glb")
+    file = Editable(source)
+    file.content["meshes"][0]["extras"] = "mine"
+    file.write(source)
+    assert "leave no place for metadata" in bake(source, tmp_path / "out.glb", "--morph-normals", code=3)
+
+
+def test_empty_extras_stay_and_names_of_targets_too(tmp_path: Path) -> None:
+    for extras in ({}, {"targetNames": ["a", "b"]}):
+        source = without_normals(TUBE, tmp_path / "in.glb")
+        file = Editable(source)
+        file.content["meshes"][0]["extras"] = extras
+        file.write(source)
+        bake(source, tmp_path / "out.glb", "--morph-normals")
+        invoke("strip", tmp_path / "out.glb", "-o", tmp_path / "back.glb")
+        assert (tmp_path / "back.glb").read_bytes() == source.read_bytes()
+
+
+def test_a_flat_mesh_without_a_skin_gets_none_and_a_notice(tmp_path: Path) -> None:
+    source = unskinned(without_normals(TUBE, tmp_path / "in.glb"))
+    file = Editable(source)
+    del file.primitive()["attributes"]["NORMAL"]
+    file.write(source)
+    said = bake(source, tmp_path / "out.glb", "--morph-normals")
+    assert "its morph targets get no NORMAL" in said
+    assert (tmp_path / "out.glb").read_bytes() == source.read_bytes()
+
+
+def test_correctives_contradict_it(tmp_path: Path) -> None:
+    said = bake(TUBE, tmp_path / "out.glb", "--morph-normals", "--correctives", "2", code=2)
+    assert "contradicts" in said
+
+
+def test_a_real_face_is_lit_several_times_nearer_in_its_own_clip(tmp_path: Path) -> None:
+    source = corpus.case("face_rig_run.glb")
+    errors = []
+    for options in ((), ("--morph-normals",)):
+        bake(source, tmp_path / "out.glb", *options)
+        answer = verify(tmp_path / "out.glb", "--method", "lbs", "--samples", "5")
+        errors.append(answer.file["normals"]["lbs"]["accurate"]["mean"])
+    assert errors[1] < errors[0] / 4
+    invoke("strip", tmp_path / "out.glb", "-o", tmp_path / "back.glb")
+    assert (tmp_path / "back.glb").read_bytes() == source.read_bytes()
