@@ -259,14 +259,10 @@ def test_little_to_win_is_not_said_of_an_unsound_bake_or_beside_other_advice() -
     little = replace(PASSED, normals=lit(4.0, 3.9), by_triangles=without_direct(lit(4.0, 3.9)))
     stale = replace(little, checks=(Check("freshness", "failed"),))
     so = Message("With ", Chosen("gradients", "rig"), " it is 1.50: bake so")
-    advised = replace(
-        little, notices=(Notice("lighting-worse", so, PLACE),)
-    )
+    advised = replace(little, notices=(Notice("lighting-worse", so, PLACE),))
     worse = replace(little, notices=(Notice("lighting-worse", "No option that was tried helps", PLACE),))
     missed = replace(little, checks=(Check("limits", "failed"),))
-    other = replace(
-        little, notices=(Notice("weight-sum", so, PLACE),)
-    )
+    other = replace(little, notices=(Notice("weight-sum", so, PLACE),))
     for text_of in (as_text, as_brief):
         texts = map(text_of, (little, stale, advised, worse, missed, other))
         assert [text.count("Little to win") for text in texts] == [1, 0, 0, 1, 1, 1]
