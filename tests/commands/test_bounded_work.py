@@ -74,6 +74,18 @@ def with_targets(count: int, primitives: int = 1) -> Change:
     return change
 
 
+def with_meshes(count: int) -> Change:
+    """Repeat the mesh, each time for a node of its own."""
+
+    def change(content: JsonObject) -> None:
+        for number in range(1, count):
+            content["meshes"].append(content["meshes"][0])
+            content["nodes"].append({"mesh": number, "skin": 0})
+            content["scenes"][0]["nodes"].append(len(content["nodes"]) - 1)
+
+    return change
+
+
 def with_repeated_joints(count: int) -> Change:
     """Have the skin list its joints again and again."""
 
@@ -149,6 +161,25 @@ def test_steps_are_refused_by_the_bytes_of_a_file(monkeypatch: pytest.MonkeyPatc
         budget.claim_steps(41, "three", HERE)
     budget.claim_steps(40, "four", HERE)
     assert budget.steps_left == 0
+
+
+@pytest.mark.slow
+def test_many_tiny_meshes_are_refused_before_they_are_worked_on(tmp_path: Path) -> None:
+    source = write_model(tmp_path / "in.glb", [sheet()], change=with_meshes(700))
+    out, text = tmp_path / "baked.glb", tmp_path / "x.glsl"
+    assert invoke("bake", source, "-o", out).exit_code == 0
+    for command, what in [
+        (("bake", source, "-o", tmp_path / "p.glb", "--gradients", "poses"), "fitting it to its poses"),
+        (("shader", "--lang", "glsl", "--for", out, "-o", text), "the freshness of 700 primitives"),
+        (("verify", out), "the freshness of 700 primitives"),
+    ]:
+        done = invoke(*command)
+        assert done.exit_code == 3
+        assert f"{what} would take" in done.stderr
+    source = write_model(tmp_path / "in.glb", [sheet()], change=with_meshes(3000))
+    done = invoke("bake", source, "-o", out)
+    assert done.exit_code == 3
+    assert "baking 3,000 primitives would take 2,100,000 steps" in done.stderr
 
 
 def test_clips_that_say_the_same_are_sampled_once(tmp_path: Path) -> None:

@@ -44,6 +44,10 @@ from skinbake.report.bake import (
 )
 from skinbake.report.depfile import prerequisites
 from skinbake.timing import stage
+from skinbake.wording import counted
+
+STEPS_A_BAKE = 700
+"""The steps of baking a primitive of few vertices: see ``budget.STEPS_FREE``."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,6 +136,8 @@ class Baker(CheckedOptions):
         sources, skipped, reasons = self._bakeable(document)
         if not sources and not self.morph_normals:
             return BakedDocument(document, (), skipped, tuple(reasons))
+        what = f"baking {counted(len(sources), 'primitive')}"
+        document.budget.claim_steps(STEPS_A_BAKE * len(sources), what, document.place)
         if self.correctives is not None:
             from skinbake.commands.corrective_bake import corrected_document  # most bakes add α and β
 

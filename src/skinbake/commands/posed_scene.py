@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from skinbake.choices import Truth
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import STEPS_A_BAKE, Baker
 from skinbake.errors import InputError, Notice, Place
 from skinbake.format.correctives import corrective_note
 from skinbake.format.strip import stripped
@@ -49,8 +49,11 @@ from skinbake.wording import counted
 BYTES_A_VERTEX, BYTES_A_POSED_VERTEX = 2048, 64
 """The memory of a vertex that is drawn, and in each pose."""
 
-STEPS_A_PRIMITIVE, STEPS_A_MORPHED_POSE = 3_000, 1_500
-"""The steps of drawing a primitive, and of morphing it in a pose: see ``budget.STEPS_FREE``."""
+STEPS_A_PRIMITIVE, STEPS_A_MORPHED_POSE, STEPS_A_SHOWN_CLIP = 3_000, 1_500, 150
+"""The steps of drawing a primitive, of morphing it in a pose, and of a clip that may be shown.
+
+See ``budget.STEPS_FREE``.
+"""
 
 SEARCHED = 25
 """The poses of a clip among which the one with the worst standard lighting is chosen."""
@@ -95,6 +98,8 @@ class PosedDraw:
 def shown_draws(document: Document, views: Sequence[BakedView]) -> Iterator[Draw]:
     """Yield what the nodes of the shown scene draw."""
     clips = read_clips(document)
+    steps = STEPS_A_SHOWN_CLIP * len(clips)
+    document.budget.claim_steps(steps, f"showing {counted(len(clips), 'clip')}", document.place)
     nodes = document.objects("nodes")
     shown = {
         (reference(nodes[number].get("mesh")), reference(nodes[number].get("skin")))
@@ -234,9 +239,11 @@ def baked_in_memory(document: Document) -> tuple[Document, tuple[Notice, ...]]:
     out.
     """
     count = len(skinned_sources(document)[0])
-    document.budget.claim_steps(
-        STEPS_A_PRIMITIVE * count, f"baking {counted(count, 'primitive')} in memory", document.place
+    steps, what = (
+        (STEPS_A_PRIMITIVE - STEPS_A_BAKE) * count,
+        f"baking {counted(count, 'primitive')} in memory",
     )
+    document.budget.claim_steps(steps, what, document.place)
     plain, _, _ = stripped(document)
     made = Baker(generate_normals=True).bake_document(plain)
     if not made.primitives:

@@ -17,7 +17,7 @@ from skinbake.files.writing import write_file, write_stdout
 from skinbake.format.correctives import corrective_note
 from skinbake.format.metadata import slot_names
 from skinbake.freshness.baked_views import BakedView, baked_views, is_baked, rest_primitive
-from skinbake.freshness.staleness import refuse_stale
+from skinbake.freshness.staleness import claim_freshness, refuse_stale
 from skinbake.gltf.animation import read_clips, skins_of
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.output import refuse_own_input
@@ -255,6 +255,7 @@ def _views(document: Document) -> list[BakedView]:
             raise InputError(f"it has lost what α/β are for ({reason.message}): bake it anew", reason.place)
     if not baked:
         raise _nothing_baked(document, sources)
+    claim_freshness(document, len(baked))
     views, problems = baked_views(document, baked)
     for problem in problems:
         if problem.code != "tangents-skewed":

@@ -12,7 +12,7 @@ from skinbake.format.correctives import corrective_note
 from skinbake.format.metadata import read_left, read_metadata
 from skinbake.freshness.baked_views import BakedView, baked_views, gathered_together, is_baked
 from skinbake.freshness.made_normals import made_states
-from skinbake.freshness.staleness import fits_begun, freshness_check, surface_operator
+from skinbake.freshness.staleness import claim_freshness, fits_begun, freshness_check, surface_operator
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources
@@ -25,9 +25,6 @@ from skinbake.threads import Threads, thread_count
 from skinbake.timing import stage
 from skinbake.truth.operator import GradientOperator
 from skinbake.wording import counted
-
-STEPS_A_PRIMITIVE = 3_000
-"""The steps of baking a primitive, or of reading its bake and comparing it: see ``budget.STEPS_FREE``."""
 
 
 def verify_file(source: str, options: VerifyOptions, bounds: Bounds = BESIDE) -> FileVerdict:
@@ -61,8 +58,7 @@ def verify_document(document: Document, options: VerifyOptions) -> FileVerdict:
     if not lost and not any(is_baked(document, entry) for entry in wanted):
         notices += stale
         return _unbaked(document, options, notices, wanted)
-    steps, what = STEPS_A_PRIMITIVE * len(wanted), f"the freshness of {counted(len(wanted), 'primitive')}"
-    document.budget.claim_steps(steps, what, document.place)
+    claim_freshness(document, len(wanted))
     with stage("read"):
         views, problems = baked_views(document, wanted)
     problems = [*lost, *problems]

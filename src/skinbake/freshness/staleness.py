@@ -46,6 +46,9 @@ from skinbake.truth.mesh import free_slots
 from skinbake.truth.operator import GradientOperator, gradient_operator
 from skinbake.wording import counted
 
+STEPS_A_PRIMITIVE = 3_000
+"""The steps of reading the bake of a primitive and comparing it: see ``budget.STEPS_FREE``."""
+
 BAKE_LAST = "Bake last: run skinbake bake on the file that the last tool wrote"
 
 EDITED_ALONE = {
@@ -125,6 +128,12 @@ def freshness_check(
     remarks += sorted(unchecked)
     remark = "" if problems else "; ".join(remarks)
     return Check("freshness", "failed" if problems else "passed", tuple(problems), remark)
+
+
+def claim_freshness(document: Document, count: int) -> None:
+    """Count the work of reading so many bakes and comparing them. Raises InputError if it is too much."""
+    steps, what = STEPS_A_PRIMITIVE * count, f"the freshness of {counted(count, 'primitive')}"
+    document.budget.claim_steps(steps, what, document.place)
 
 
 def refuse_stale(document: Document, views: Sequence[BakedView]) -> None:

@@ -345,8 +345,11 @@ def animations_of(document: Document, nodes: Container[int]) -> list[int]:
     return found
 
 
-def read_clips(document: Document, some: Sequence[int] | None = None) -> list[Clip]:
+def read_clips(document: Document, some: Sequence[int] | None = None) -> Sequence[Clip]:
     """Return the animations that move, turn, scale or morph, or some of them; InputError if one is broken."""
+    known: dict[None, list[Clip]] = document.derived.setdefault("clips", {})
+    if some is None and None in known:
+        return known[None]
     clips = []
     times: dict[int | bytes, Float64Array] = {}
     outputs: dict[tuple[object, ...], Float64Array] = {}
@@ -365,6 +368,8 @@ def read_clips(document: Document, some: Sequence[int] | None = None) -> list[Cl
             start = min(float(channel.times[0]) for channel in channels)
             duration = max(float(channel.times[-1]) for channel in channels)
             clips.append(Clip(name, duration, tuple(channels), start, number))
+    if some is None:
+        known[None] = clips
     return clips
 
 

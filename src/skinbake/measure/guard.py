@@ -95,7 +95,7 @@ TINY = 1e-9
 TIE = 1e-6
 """The share of an error up to which two are the same. Rounding must not choose between them."""
 
-STEPS_A_PRIMITIVE = 5_000
+STEPS_A_PRIMITIVE = 4_300
 """The steps of judging a primitive: see ``budget.STEPS_FREE``."""
 
 STEPS = np.arange(EIGHTHS, -1, -1)

@@ -216,7 +216,7 @@ class _Measurement:
             yield limits_check(held, self._options, self._document.place)
 
 
-def _readable_clips(document: Document, kind: PoseKind) -> tuple[list[Clip], list[Notice]]:
+def _readable_clips(document: Document, kind: PoseKind) -> tuple[Sequence[Clip], list[Notice]]:
     """Return the clips of a document. Broken ones give a notice, or InputError if their poses are wanted."""
     try:
         return read_clips(document), []

@@ -44,6 +44,9 @@ CLIP_SHARE = 0.95
 
 MOST_RANDOM = 10_000
 
+STEPS_A_SURFACE = 4_000
+"""The steps of fitting a surface of few vertices to its poses: see ``budget.STEPS_FREE``."""
+
 
 class ClipFile:
     """The clips of another file. They move the nodes of a rig that have the same names.
@@ -163,8 +166,10 @@ class FoundPoses:
 def poses_to_fit(document: Document, mesh: int, sources: Sequence[PoseSource], place: Place) -> FoundPoses:
     """Return the poses of all skins that draw a mesh. They are made once for all meshes of the same skins.
 
-    Clips have CLIP_SHARE of the fit if there are any. Raises InputError if a clip or a skin is broken.
+    Clips have CLIP_SHARE of the fit if there are any. Raises InputError if a clip or a skin is broken, or if
+    the surfaces are too much work for the file.
     """
+    document.budget.claim_steps(STEPS_A_SURFACE, "fitting it to its poses", place)
     clips, notices = _clips(document, sources, place)
     skins = skins_of(document, mesh)
     known: dict[object, _Poses] = document.derived.setdefault("poses to fit", {})
@@ -251,10 +256,7 @@ def _clips(
     notices: list[Notice] = []
     for source in sources:
         if source == ANIMATIONS:
-            known: dict[str, list[Clip]] = document.derived.setdefault("clips to fit", {})
-            if ANIMATIONS not in known:
-                known[ANIMATIONS] = read_clips(document)
-            clips += known[ANIMATIONS]
+            clips += read_clips(document)
         elif isinstance(source, ClipFile):
             found, here, moved = source.clips_for(document)
             clips += found

@@ -123,7 +123,7 @@ def joint_clips(document: Document, skin: int, clips: Sequence[Clip]) -> list[Cl
 def _moving(document: Document, skin: int, clips: Sequence[Clip], node: int | None) -> list[Clip]:
     """Return the clips that move a skin, or the morph weights of a node, with the channels that do."""
     skeleton = read_skeleton(document, skin)
-    looked_at = sum(1 + len(clip.channels) for clip in clips)
+    looked_at = sum(3 + 2 * len(clip.channels) for clip in clips)
     document.budget.claim_steps(looked_at, f"looking for the clips of skin {skin}", document.place)
     nodes = set(skeleton.nodes)
     return [clip for clip in (_only(nodes, node, clip) for clip in clips) if clip.channels]
