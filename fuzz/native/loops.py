@@ -67,7 +67,7 @@ def _turns(loops: Any, random: np.random.Generator) -> list[Call]:
     slots = int(random.choice([0, 1, 2, 4, 9]))
     first, first_row = (int(random.integers(0, 3)) for _ in range(2))
     moved = {
-        "motions": floats(random, (8, joints, first + poses), "f8"),
+        "motions": floats(random, (int(random.choice([8, 20])), joints, first + poses), "f8"),
         "scales": floats(random, (first + poses,), "f8") if random.random() < 0.5 else None,
         "joints": _places(random, (vertices, slots), joints),
         "weights": floats(random, (vertices, slots), "f8"),

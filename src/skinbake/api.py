@@ -222,7 +222,7 @@ def verify(
     source
         A ``.glb``, ``.gltf`` or ``.vrm`` file.
     methods
-        ``lbs``, ``dqs`` or both. If empty: LBS, and DQS if all joints are rigid.
+        ``lbs``, ``dqs`` or both. If empty: both.
     poses, samples, angle, seed
         ``animation`` samples each clip of the file ``samples`` times, its two ends included (in a loop they
         are one pose), and takes 24 random poses if there is no clip. ``random`` takes ``samples`` poses,

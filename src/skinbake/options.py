@@ -420,7 +420,7 @@ VERIFY = (
         Option("seed", Range(0, is_whole=True), 0, By.ALL, "N", help="Seed of random poses.")),
     *_under("Measurement",
         Option("methods", Method, (), By.ALL, flags=("--method",), is_many=True, help=
-            "Skinning to measure; by default both, DQS only if all joints are rigid."),
+            "Skinning to measure; by default both."),
         Option("baseline", Baseline, Baseline.BLENDED, By.ALL, help=
             "Standard LBS lighting to compare with: that of three.js, Bevy or Filament."),
         Option("cap", Range(0, is_open=True), None, By.ALL, "X", help=

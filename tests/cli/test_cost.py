@@ -56,6 +56,7 @@ SUMS = {"multiply_adds": strict(FIGURES), "bytes": strict(FIGURES), "added_bytes
 COSTS = {
     **SUMS,
     "normal_map": strict(dict.fromkeys("356", COUNT)),
+    "scaled_joints": strict(dict.fromkeys("456", COUNT)),
     "lines": strict(dict.fromkeys("123456", LINES)),
 }
 SCHEMA = {"const": "skinbake.cost/1"}
@@ -106,6 +107,8 @@ class TestNumberOfInfluences:
         assert found["added_bytes"] == by_number(0, 48, 24)
         # T n0 by a matrix of 9 or a rotation of 18, and two cross products of 6.
         assert found["normal_map"] == {"3": 21, "5": 30, "6": 30}
+        # Of 60 N + 83 by hand for algorithm 6, N = 4.
+        assert found["scaled_joints"] == {"4": 201, "5": 306, "6": 323}
 
     @pytest.mark.parametrize("influences", range(1, 9))
     def test_every_line_costs_what_the_paper_says(self, influences: int) -> None:

@@ -140,7 +140,7 @@ def test_a_loss_never_reads_as_a_gain_of_one(factor: float, shown: str, colour: 
         "normals_fine",
         "checks",
         "primitives",
-        "without_dqs",
+        "scaled_joints",
         "input",
         "error",
     ],
@@ -303,8 +303,8 @@ def test_a_failed_file_says_so_first() -> None:
     assert as_text(FAILED).splitlines()[0] == "old.glb: FAILED"
     assert "lighting   skipped  structure failed" in as_text(FAILED)
     assert as_text(UNREADABLE) == "no.glb: FAILED"
-    left_out = as_text(replace(PASSED, without_dqs='"Arm" is not rigid'))
-    assert left_out.splitlines()[-2] == '  Dual quaternions left out: "Arm" is not rigid.'
+    scaled = as_text(replace(PASSED, scaled_joints=('"Arm"', '"Leg"')))
+    assert scaled.splitlines()[-2] == '  Dual quaternions with scale: "Arm", "Leg" scale or shear.'
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skinbake.errors import UnsupportedFeatureError
 from skinbake.geometry.dual_quaternions import RigidMotions, rigid_motions
 from skinbake.skinning import run
 from skinbake.skinning.algorithms import Algorithm
@@ -202,27 +201,6 @@ def test_the_size_of_a_block_changes_nothing(
     expected = replay(algorithm, rest, poses())
     monkeypatch.setattr(replaying, "BLOCK_BYTES", size)
     assert_same(replay(algorithm, rest, poses()), expected, atol=0)
-
-
-@pytest.mark.parametrize("algorithm", DUAL_QUATERNIONS)
-def test_dual_quaternions_refuse_a_joint_with_a_scale_of_its_own(algorithm: Algorithm) -> None:
-    rest = rest_primitive(sample())
-    matrices = poses()
-    matrices[1, 2, :3, :3] *= 1.1
-    with pytest.raises(UnsupportedFeatureError, match="joints 2 exceed"):
-        replay(algorithm, rest, matrices)
-
-
-def test_a_refusal_lists_no_more_than_eight_joints() -> None:
-    surface = sample()
-    count = 12
-    rest = replace(
-        rest_primitive(surface),
-        joints=rest_primitive(surface).joints + np.arange(len(surface.u))[:, None] % 10,
-    )
-    matrices = np.tile(np.diag([1.0, 2.0, 1.0, 1.0]), (1, count, 1, 1))
-    with pytest.raises(UnsupportedFeatureError, match="joints 0, 1, 2, 3, 4, 5, 6, 7 and 4 more exceed"):
-        replay(Algorithm.DQS_EXACT, rest, matrices)
 
 
 def test_a_joint_without_weight_may_be_anything() -> None:

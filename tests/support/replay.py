@@ -62,10 +62,9 @@ def replay(
     is off); ``baseline`` chooses the normal of algorithm 1. Both are ignored by the algorithms that they do
     not concern. ``normal_map`` asks for cotangents.
 
-    Algorithms 4–6 apply the scale common to all joints of a pose to p, t and b first; a joint in use that is
-    not rigid beyond it, within ``tolerance``, raises UnsupportedFeatureError (ask ``rigid_motions``
-    beforehand). A vertex without weight collapses to the origin under linear blending and stays in place
-    under dual quaternions.
+    Algorithms 4–6 apply the scale common to all joints of a pose to p, t and b first. If a joint in use is
+    not rigid beyond it, within ``tolerance``, they take the form of ``dqs_scaled``. A vertex without weight
+    collapses to the origin, but under dual quaternions of rigid joints it stays in place.
     """
     skinning = Skinning.of(
         rest,

@@ -401,7 +401,7 @@ VERIFY = strict(
                         ),
                     },
                     "morphs": {"anyOf": [{"type": "null"}, strict({"targets": COUNT, "moving": COUNT})]},
-                    "without_dqs": {"type": ["string", "null"]},
+                    "scaled_joints": {"type": "array", "items": {"type": "string"}},
                     "mixtures": {
                         "type": "array",
                         "items": strict({"name": TEXT, "standard": BY_TRUTH, "corrected": BY_TRUTH}),

@@ -143,7 +143,7 @@ def test_only_the_rows_of_the_block_are_written(operations: Any) -> None:
     np.testing.assert_array_equal(out[:, :, 5:24], alone)
     assert (out[:, :, :5] == 7.0).all()
     assert (out[:, :, 24:] == 7.0).all()
-    skinning = moved_by_dqs(9, 4, scaled=False)
+    skinning = moved_by_dqs(9, 4)
     all_of_it, some = np.empty((3, 23, 9)), np.full((3, 30, 9), 7.0)
     operations.dqs_positions(skinning, slice(0, 9), slice(0, 23), all_of_it)
     operations.dqs_positions(skinning, slice(0, 9), slice(3, 20), some, 4)
@@ -183,7 +183,7 @@ def test_blended_normals_are_those_of_numpy(poses: int, slots: int) -> None:
     np.testing.assert_allclose(found[:, sound] * determinants, numpys * determinants, rtol=1e-6, atol=1e-9)
 
 
-def moved_by_dqs(poses: int, slots: int, *, scaled: bool, cap: float | None = None) -> Skinning:
+def moved_by_dqs(poses: int, slots: int, *, scaled: str = "", cap: float | None = None) -> Skinning:
     """Return 23 vertices of random frames and numbers under random motions; some slots hold nothing."""
     rng = np.random.default_rng(poses + slots)
     frames = np.linalg.qr(rng.normal(size=(23, 3, 3))).Q
@@ -203,17 +203,20 @@ def moved_by_dqs(poses: int, slots: int, *, scaled: bool, cap: float | None = No
     turns = np.linalg.qr(rng.normal(size=(poses, 9, 3, 3))).Q
     matrices = np.tile(np.eye(4), (poses, 9, 1, 1))
     matrices[..., :3, :3] = turns * np.linalg.det(turns)[..., None, None]
-    if scaled:
+    if scaled == "alike":
         matrices[..., :3, :3] *= rng.uniform(0.1, 3.0, (poses, 1, 1, 1))
+    if scaled == "unlike":
+        matrices[..., :3, :3] @= np.eye(3) + 0.3 * rng.normal(size=(poses, 9, 3, 3))
     matrices[..., :3, 3] = rng.normal(size=(poses, 9, 3))
     return Skinning.of(rest, matrices, dual_quaternions=True, options=Options(cap=cap))
 
 
-@pytest.mark.parametrize("scaled", [False, True])
+@pytest.mark.parametrize("scaled", ["", "alike", "unlike"])
 @pytest.mark.parametrize("slots", [1, 2, 4, 8])
 @pytest.mark.parametrize("poses", [1, 3, 4, 31, 32, 33, 70])
-def test_dual_quaternions_are_those_of_numpy(poses: int, slots: int, scaled: bool) -> None:
+def test_dual_quaternions_are_those_of_numpy(poses: int, slots: int, scaled: str) -> None:
     skinning = moved_by_dqs(poses, slots, scaled=scaled)
+    assert skinning.has_scaled_joints == (scaled == "unlike")
     for pose in (slice(0, poses), slice(poses // 3, max(poses - 1, 1))):
         for part in (slice(0, 23), slice(3, 20), slice(5, 5)):
             shape = 3, part.stop - part.start, pose.stop - pose.start
@@ -229,7 +232,7 @@ def test_dual_quaternions_are_those_of_numpy(poses: int, slots: int, scaled: boo
 
 
 def test_dual_quaternions_that_cancel_out_leave_the_vertex() -> None:
-    skinning = moved_by_dqs(5, 1, scaled=False)
+    skinning = moved_by_dqs(5, 1)
     still = replace(skinning.vertices, rest=replace(skinning.vertices.rest, weights=np.zeros((23, 1))))
     nowhere = replace(skinning, vertices=still)
     for operations in (by_loops, by_numpy):
@@ -241,7 +244,7 @@ def test_dual_quaternions_that_cancel_out_leave_the_vertex() -> None:
 
 
 def test_a_limited_correction_is_that_of_numpy() -> None:
-    limited, free = (moved_by_dqs(9, 4, scaled=False, cap=cap) for cap in (0.3, None))
+    limited, free = (moved_by_dqs(9, 4, cap=cap) for cap in (0.3, None))
     here = slice(0, 9), slice(0, 23)
     found = by_loops.dqs_normals(limited, *here)
     assert np.array_equal(found, by_numpy.dqs_normals(limited, *here))
@@ -550,7 +553,7 @@ def test_for_other_processors_and_unoptimised_the_bits_are_the_same(
         errors = by_loops.angles(vectors, normals)
         counted = by_loops.count_errors(errors[0].T, np.ones(part.stop - part.start), exist[0].T, 20.0)
         sums = sums_of_block(mesh, ClassBlock.of(mesh.operator, part), by_loops)
-        skinning = moved_by_dqs(45, 4, scaled=True)
+        skinning = moved_by_dqs(45, 4, scaled="alike")
         here = skinning, slice(0, 45), slice(0, 23)
         posed = np.empty((3, 23, 45))
         by_loops.dqs_positions(*here, posed)

@@ -52,7 +52,7 @@ ALIGNMENT = 4
 
 def cost_of_influences(influences: int) -> InfluenceCosts:
     """Return the cost of a vertex with N ≥ 1 influences and data in glTF's commonest types."""
-    return InfluenceCosts(influences, _reported(cost_table(influences)))
+    return InfluenceCosts(influences, _reported(cost_table(influences), influences))
 
 
 def cost_by_influences() -> CostTable:
@@ -105,7 +105,7 @@ def _costs(document: Document, source: PrimitiveSource, draws: int) -> Primitive
     primitive = read_primitive(document, source)
     layout = _layout(document, source)
     influences, vertices = primitive.joints.shape[1], _vertices_in_use(primitive)
-    per_vertex = _reported(_file_costs(influences, layout))
+    per_vertex = _reported(_file_costs(influences, layout), influences)
     return PrimitiveCosts(
         place=source.place,
         vertices=vertices,
@@ -192,7 +192,7 @@ def _file_costs(influences: int, layout: _Layout) -> dict[Algorithm, Cost]:
     return costs
 
 
-def _reported(costs: dict[Algorithm, Cost]) -> VertexCosts:
+def _reported(costs: dict[Algorithm, Cost], influences: int) -> VertexCosts:
     return {
         int(algorithm): VertexCost(
             cost.multiply_adds,
@@ -200,6 +200,9 @@ def _reported(costs: dict[Algorithm, Cost]) -> VertexCosts:
             cost.vertex_bytes.added,
             cost.lines,
             normal_map_cost(algorithm),
+            sum(multiply_adds(algorithm, influences, scaled_joints=True).values())
+            if algorithm.uses_dual_quaternions
+            else None,
         )
         for algorithm, cost in costs.items()
     }

@@ -23,7 +23,7 @@ from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.output import refuse_own_input
 from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources, why_nothing
 from skinbake.gradients.influences import weight_sum_notices
-from skinbake.measure.measured import joints_without_dqs, without_dqs
+from skinbake.measure.measured import scaled_joints
 from skinbake.measure.morphing import carrier
 from skinbake.options import on_command_line
 from skinbake.shaders.choices import AT_RUN_TIME, BEST, AttributeText, ShaderChoices
@@ -345,10 +345,10 @@ def _with_joints(document: Document, views: Sequence[BakedView], choices: Shader
     for view, poses in _posed(document, views):
         primitive = rest_primitive(view)
         if choices.method is Method.DQS:
-            joints = joints_without_dqs([primitive], poses)
+            joints = scaled_joints([primitive], poses)
             if joints:
                 raise InputError(
-                    f"this file does not fit --method dqs: {without_dqs(joints)}", view.source.place
+                    f"this file does not fit --method dqs: {joints[0]} scales or shears", view.source.place
                 )
         used = primitive.joints_in_use(poses.joint_matrices.shape[1])
         mirrors |= bool((np.linalg.det(poses.joint_matrices[:, used, :3, :3]) < 0).any())

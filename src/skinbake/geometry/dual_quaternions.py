@@ -149,6 +149,44 @@ def dual_quaternions_from_matrices(matrices: FloatArray) -> Float64Array:
     return np.concatenate([real, 0.5 * dual_scalar, 0.5 * dual_vector], axis=-1)
 
 
+FLATTENED = 1e-6
+"""The least over the largest stretch of a joint, below which rounding decides whether it mirrors."""
+
+
+def polar_quaternions(linear: FloatArray) -> Float64Array:
+    """Return the rotations of matrices (..., 3, 3) as unit quaternions (..., 4), scalar first, float64.
+
+    M = R S is the polar decomposition, with a rotation R and a symmetric S. If M mirrors, R is that of −M:
+    then a mirror that all joints share turns all of them alike, and leaves their relative rotations. A matrix
+    that flattens has an R too, though not the only one. One that is not finite gets the identity.
+    """
+    matrices = np.asarray(linear, dtype=np.float64)
+    finite = np.all(np.isfinite(matrices), axis=(-2, -1))[..., None, None]
+    left, stretches, right = np.linalg.svd(np.where(finite, matrices, np.eye(3)))
+    mirrors = np.linalg.det(left @ right) < 0
+    flat = stretches[..., 2] <= FLATTENED * stretches[..., 0]
+    # A joint that flattens does not mirror: its last axis may take either sign.
+    signs = np.where((mirrors & ~flat)[..., None], -np.ones(3), np.ones(3))
+    signs[..., 2] = np.where(mirrors, -1.0, 1.0)
+    return quaternions_from_rotations((left * signs[..., None, :]) @ right)
+
+
+def scaled_motions(joint_matrices: FloatArray) -> Float64Array:
+    """Return joint matrices (..., 4, 4) as what ``skinning.dqs_scaled`` blends: (..., 4, 5) float64.
+
+    Row k is component k of five quaternions, the scalar part first: of the columns of M times r, vectors with
+    scalar part 0, and of r itself, that of ``polar_quaternions``. Any matrix will do.
+    """
+    matrices = np.asarray(joint_matrices, dtype=np.float64)
+    rotation = polar_quaternions(matrices[..., :3, :3])
+    # (0, v) r = (−v · r, r₀ v + v × r) for the four columns v.
+    columns = np.swapaxes(matrices[..., :3, :], -1, -2)
+    scalar, vector = rotation[..., None, :1], rotation[..., None, 1:]
+    real = -np.sum(columns * vector, axis=-1, keepdims=True)
+    products = np.concatenate([real, scalar * columns + np.cross(columns, vector)], axis=-1)
+    return np.swapaxes(np.concatenate([products, rotation[..., None, :]], axis=-2), -1, -2)
+
+
 _X_Y_Z_W = (1, 2, 3, 0)
 
 

@@ -89,7 +89,7 @@ class Corrections:
 
 
 def not_rigid_joints(primitives: Sequence[RestPrimitive], joint_matrices: Float64Array) -> list[int]:
-    """Return the joints in use that dual quaternions cannot represent, in joint matrices (P, J, 4, 4)."""
+    """Return the joints in use that are not rigid, up to one scale, in joint matrices (P, J, 4, 4)."""
     in_use = joints_in_use(primitives, joint_matrices.shape[1])
     return [int(joint) for joint in dual_quaternions.not_rigid_joints(joint_matrices, in_use)]
 

@@ -91,15 +91,8 @@ class _Measurement:
             )
         if self._corrected is not None:
             drawn = list(map(self._corrected, drawn))
-        not_rigid = list(
-            dict.fromkeys(n for draw in drawn for n in joints_without_dqs(draw.rest, draw.poses))
-        )
-        methods = self._options.methods or (("lbs",) if not_rigid else ("lbs", "dqs"))
-        reason = without_dqs(not_rigid)
-        if "dqs" in methods and not_rigid:
-            problem = Notice("not-rigid", f"dual quaternions were asked for: {reason}", self._document.place)
-            check = Check("lighting", "failed", (problem,))
-            return FileVerdict(self._document.name, (check,), without_dqs=reason)
+        methods = self._options.methods or ("lbs", "dqs")
+        scaled = dict.fromkeys(name for draw in drawn for name in scaled_joints(draw.rest, draw.poses))
         self._total = sum(len(draw.poses.clips) for draw in drawn) * len(methods)
         self._reliefs.expect(drawn)
         # The figures are checked to be finite.
@@ -110,7 +103,7 @@ class _Measurement:
                     self._measure(method, draw, again=method != methods[-1])
                 self._tallies.sum_up()
             with stage("figures"):
-                verdict = self._verdict(drawn, reason if not_rigid else None)
+                verdict = self._verdict(drawn, tuple(scaled) if "dqs" in methods else ())
         morphs = morph_count(self._document, [(draw.views[0].source.mesh, draw.poses) for draw in drawn])
         notices = *self._unread, *left_out, *dict.fromkeys(mirrored(drawn))
         return replace(verdict, notices=notices, morphs=morphs)
@@ -164,7 +157,7 @@ class _Measurement:
         if round(self._done) != before:
             tell_steps(round(self._done), self._total)
 
-    def _verdict(self, drawn: Sequence[Draw], without_dqs: str | None) -> FileVerdict:
+    def _verdict(self, drawn: Sequence[Draw], scaled: tuple[str, ...]) -> FileVerdict:
         by_truth = {truth: self._tallies.figures(truth) for truth in self._options.truths}
         reliefs = self._reliefs.reliefs()
         if Truth.RELIEF in by_truth:
@@ -178,7 +171,7 @@ class _Measurement:
             by_truth[Truth.TANGENTS],
             primitives[Truth.TANGENTS],
             described(self._options.poses, [draw.poses for draw in drawn], seconds),
-            without_dqs,
+            scaled,
             by_triangles=by_truth[Truth.TRIANGLES],
             primitives_by_triangles=primitives[Truth.TRIANGLES],
             fine=by_truth.get(Truth.FINE),
@@ -354,16 +347,9 @@ def mirrored(drawn: Sequence[Draw]) -> Iterator[Notice]:
             yield Notice("joints-mirror", message, replace(draw.views[0].source.place, primitive=None), count)
 
 
-def joints_without_dqs(rest: Sequence[RestPrimitive], poses: PoseSet) -> list[str]:
-    """Return the names of the joints in use that dual quaternions cannot represent in these poses."""
+def scaled_joints(rest: Sequence[RestPrimitive], poses: PoseSet) -> list[str]:
+    """Return the names of the joints in use that are not rigid in these poses, up to one common scale."""
     return [poses.joint_names[joint] for joint in not_rigid_joints(rest, poses.joint_matrices)]
-
-
-def without_dqs(joints: Sequence[str]) -> str:
-    """Return why dual quaternions cannot represent these joints, by name."""
-    shown = ", ".join(joints[:4]) + (", …" if len(joints) > 4 else "")
-    verb = "is" if len(joints) == 1 else "are"
-    return f"{shown} {verb} not rigid up to one scale common to all joints"
 
 
 def identity_check(angle: float, drawn: Sequence[Draw], place: Place) -> Check:

@@ -19,9 +19,8 @@ from skinbake.wording import told_apart
 class VerifyOptions:
     """The options of ``skinbake verify``.
 
-    methods are the requested ones. If empty: LBS, and DQS if the joints are rigid. Limits are degrees, or a
-    factor, of the accurate lighting. None sets no limit. They are checked by the named truth, or, if it is
-    None, by each of ``USUAL_TRUTHS``.
+    methods are the requested ones. If empty: both. Limits are degrees, or a factor, of the accurate lighting.
+    None sets no limit. They are checked by the named truth, or, if it is None, by each of ``USUAL_TRUTHS``.
     """
 
     methods: tuple[str, ...] = ()

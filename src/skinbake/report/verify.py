@@ -132,13 +132,13 @@ class Mixture:
 class FileVerdict:
     """The result of verify for one file.
 
-    poses describes the poses of the lighting figures. without_dqs is the reason why dual quaternions were
-    left out, None if they were not. morphs is None if no baked mesh has morph targets. up_to_date: the file
-    was not verified again, because it has passed and is unchanged. record is the entry for a state file.
-    timings are seconds by stage, None if they were not requested. normals and
-    primitives have the figures by tangents, by_triangles and primitives_by_triangles those by triangles, fine
-    and primitives_fine those of the fine mesh if they were asked for. All are of the same places. reliefs are
-    of mapped normals, None if no primitive has a normal map and TANGENT.
+    poses describes the poses of the lighting figures. scaled_joints are the names of joints that dual
+    quaternions take with scale or shear. morphs is None if no baked mesh has morph targets. up_to_date: the
+    file was not verified again, because it has passed and is unchanged. record is the entry for a state file.
+    timings are seconds by stage, None if they were not requested. normals and primitives have the figures by
+    tangents, by_triangles and primitives_by_triangles those by triangles, fine and primitives_fine those of
+    the fine mesh if they were asked for. All are of the same places. reliefs are of mapped normals, None if
+    no primitive has a normal map and TANGENT.
     left: a bake has left the file unbaked on purpose, and noted it. mixtures are further poses of a file with
     correctives.
     """
@@ -148,7 +148,7 @@ class FileVerdict:
     normals: Normals | None = None
     primitives: tuple[tuple[Place, Normals], ...] = ()
     poses: str = ""
-    without_dqs: str | None = None
+    scaled_joints: tuple[str, ...] = ()
     morphs: MorphCount | None = None
     notices: tuple[Notice, ...] = ()
     error: SkinbakeError | None = None
@@ -250,7 +250,7 @@ def as_text(verdict: FileVerdict) -> str:
         lines.append(f"  Angle in degrees between each method's normals and the true ones, over {over}.")
         lines += _relief_lines(verdict.reliefs)
     lines += [f"  Correctives {printable(mixture.words)}." for mixture in verdict.mixtures]
-    lines += [f"  {printable(remark)}" for remark in _left_out(verdict)]
+    lines += [f"  {printable(remark)}" for remark in _scaled(verdict)]
     return "\n".join([*lines, *_advised(verdict)])
 
 
@@ -319,13 +319,17 @@ def _advised(verdict: FileVerdict) -> list[str]:
 
 
 def remarks(verdict: FileVerdict) -> list[str]:
-    """Return sentences on the figures: why a method has none, and what they come to."""
+    """Return sentences on the figures: which form a method took, and what they come to."""
     found = conclusion(verdict)
-    return [*_left_out(verdict), *([found.sentence] if found is not None and found.short else [])]
+    return [*_scaled(verdict), *([found.sentence] if found is not None and found.short else [])]
 
 
-def _left_out(verdict: FileVerdict) -> list[str]:
-    return [f"Dual quaternions left out: {verdict.without_dqs}."] if verdict.without_dqs else []
+def _scaled(verdict: FileVerdict) -> list[str]:
+    names = verdict.scaled_joints
+    if not names:
+        return []
+    shown = ", ".join(names[:4]) + (", …" if len(names) > 4 else "")
+    return [f"Dual quaternions with scale: {shown} {'scales' if len(names) == 1 else 'scale'} or shear."]
 
 
 @dataclass(frozen=True, slots=True)
@@ -472,7 +476,7 @@ def file_json(verdict: FileVerdict) -> dict[str, Any]:
             }
             for place, normals in verdict.primitives
         ],
-        "without_dqs": verdict.without_dqs,
+        "scaled_joints": list(verdict.scaled_joints),
         "mixtures": [asdict(mixture) for mixture in verdict.mixtures],
         "warnings": notice_list(verdict.notices),
         "error": error_fields(verdict.error),

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from skinbake.skinning.algorithms import STEPS, Algorithm
+from skinbake.skinning.algorithms import SCALED_STEPS, STEPS, Algorithm
 from skinbake.skinning.components import RestVertex, Rows, Vector
 from skinbake.skinning.rest import Options
 
@@ -27,6 +27,7 @@ class Surcharge:
     lines: frozenset[tuple[Algorithm, int]]
     multiply_adds: int
     reason: str
+    with_scaled_joints: bool = False
 
 
 SURCHARGES = (
@@ -39,6 +40,7 @@ SURCHARGES = (
         frozenset({(Algorithm.DQS_STANDARD, 1), (Algorithm.DQS_ACCURATE, 1), (Algorithm.DQS_EXACT, 1)}),
         4,
         "mixing is charged 12 an influence, 8 to add and 4 for the hemisphere, also of slot 0, its pivot",
+        with_scaled_joints=True,
     ),
     Surcharge(
         frozenset({(Algorithm.DQS_STANDARD, 3), (Algorithm.DQS_ACCURATE, 3), (Algorithm.DQS_EXACT, 3)}),
@@ -46,7 +48,11 @@ SURCHARGES = (
         "a position is charged 27, one for differences 24: adding p to its displacement is charged apart",
     ),
 )
-"""All assumptions about the paper's figures; algorithm 6 is counted like 4 and 5."""
+"""All assumptions about the paper's figures; algorithm 6 is counted like 4 and 5.
+
+``dqs_scaled`` is counted by the same rules. It mixes 20 numbers of a joint (16 in algorithm 6) in place of 8,
+and they are charged one by one.
+"""
 
 
 class Sign:
@@ -115,20 +121,26 @@ class Count:
         return fresh
 
 
-def multiply_adds(algorithm: Algorithm, influences: int, *, normal_map: bool = False) -> dict[int, int]:
+def multiply_adds(
+    algorithm: Algorithm, influences: int, *, normal_map: bool = False, scaled_joints: bool = False
+) -> dict[int, int]:
     """Return the multiply-adds of each numbered line, for N ≥ 1 influences, in the paper's options.
 
     Their sum is the cost of the algorithm for a vertex. The lines of algorithm 6 are those of ``dqs.exact``:
     36 N + 118 in all. With ``normal_map``, algorithms 3, 5 and 6 have three lines more (``normal_maps``).
+    With ``scaled_joints``, the lines of 4, 5 and 6 are those of ``dqs_scaled``.
     """
     tally = Tally()
-    columns = 8 if algorithm.uses_dual_quaternions else 12
-    motions = [_components(tally, columns) for _ in range(influences)]
-    per_slot = motions if algorithm.uses_dual_quaternions else [_rows(motion) for motion in motions]
-    STEPS[algorithm](_vertex(tally, influences), per_slot, Options(normal_map=normal_map), tally.mark)
+    is_scaled = scaled_joints and algorithm.uses_dual_quaternions
+    steps = SCALED_STEPS[algorithm] if is_scaled else STEPS[algorithm]
+    # The numbers of a joint, and those of a row.
+    size, columns = (20, 5) if is_scaled else (8, 8) if algorithm.uses_dual_quaternions else (12, 4)
+    motions = [_components(tally, size) for _ in range(influences)]
+    per_slot = motions if size == columns else [_rows(motion, columns) for motion in motions]
+    steps(_vertex(tally, influences), per_slot, Options(normal_map=normal_map), tally.mark)
     for surcharge in SURCHARGES:
         for charged, number in surcharge.lines:
-            if charged is algorithm:
+            if charged is algorithm and is_scaled <= surcharge.with_scaled_joints:
                 tally.lines[number] += surcharge.multiply_adds
     return tally.lines
 
@@ -146,8 +158,8 @@ def _components(tally: Tally, count: int) -> Vector:
     return tuple(Count(tally) for _ in range(count))
 
 
-def _rows(components: Vector) -> Rows:
-    return (components[:4], components[4:8], components[8:])
+def _rows(components: Vector, columns: int) -> Rows:
+    return tuple(components[start : start + columns] for start in range(0, len(components), columns))
 
 
 def _vertex(tally: Tally, influences: int) -> RestVertex:

@@ -41,7 +41,7 @@ def standard(
     have no effect here.
     """
     line(1)
-    mixed = weighted_sum(_signed(vertex.weights, _hemispheres(quaternions)), quaternions)
+    mixed = weighted_sum(signed(vertex.weights, hemispheres(quaternions)), quaternions)
     line(2)
     unit = _normalised(mixed)
     line(3)
@@ -57,7 +57,7 @@ def standard(
 
 def position(vertex: RestVertex, quaternions: Sequence[Vector]) -> Vector:
     """Return the position p' alone: lines 1 to 3 of algorithm 4."""
-    mixed = weighted_sum(_signed(vertex.weights, _hemispheres(quaternions)), quaternions)
+    mixed = weighted_sum(signed(vertex.weights, hemispheres(quaternions)), quaternions)
     return plus_scaled(vertex.position, 2.0, _half_displacement(_normalised(mixed), vertex.position))
 
 
@@ -69,7 +69,7 @@ def accurate(
     Line 4 computes Q[s](p) − p, from which the same differences follow. b', n' and the cap as in algorithm 3.
     """
     line(1)
-    mixed = weighted_sum(_signed(vertex.weights, _hemispheres(quaternions)), quaternions)
+    mixed = weighted_sum(signed(vertex.weights, hemispheres(quaternions)), quaternions)
     line(2)
     unit = _normalised(mixed)
     line(3)
@@ -118,8 +118,8 @@ def exact(vertex: RestVertex, quaternions: Sequence[Vector], options: Options, l
     leaves the vertex where it is.
     """
     line(1)
-    signs = _hemispheres(quaternions)
-    mixed = weighted_sum(_signed(vertex.weights, signs), quaternions)
+    signs = hemispheres(quaternions)
+    mixed = weighted_sum(signed(vertex.weights, signs), quaternions)
     line(2)
     factor = quotient(2.0, dot(mixed[:4], mixed[:4]))
     line(3)
@@ -200,14 +200,14 @@ def _parts(dual_quaternion: Vector) -> tuple[Component, Vector, Component, Vecto
     return dual_quaternion[0], dual_quaternion[1:4], dual_quaternion[4], dual_quaternion[5:8]
 
 
-def _hemispheres(quaternions: Sequence[Vector]) -> list[Component]:
+def hemispheres(quaternions: Sequence[Vector]) -> list[Component]:
     """Return σ of slots 1 … K − 1: −1 where a real part points away from slot 0's, whose Q then means −Q."""
     pivot = quaternions[0][:4]
     return [sign_of(dot(quaternion[:4], pivot)) for quaternion in quaternions[1:]]
 
 
-def _signed(weights: Sequence[Component], signs: Sequence[Component]) -> list[Component]:
-    """Return w σ of every slot."""
+def signed(weights: Sequence[Component], signs: Sequence[Component]) -> list[Component]:
+    """Return w σ of every slot, with the signs of ``hemispheres``."""
     return [weights[0], *(sign * weight for sign, weight in zip(signs, weights[1:], strict=True))]
 
 

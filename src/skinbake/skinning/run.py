@@ -8,23 +8,26 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.errors import UnsupportedFeatureError
-from skinbake.geometry.dual_quaternions import RIGID_TOLERANCE, rigid_motions
+from skinbake.geometry.dual_quaternions import RIGID_TOLERANCE, rigid_motions, scaled_motions
 from skinbake.geometry.skinned import BoolArray, FloatArray
-from skinbake.skinning import dqs
-from skinbake.skinning.algorithms import STEPS, Algorithm
+from skinbake.skinning import dqs, dqs_scaled
+from skinbake.skinning.algorithms import SCALED_STEPS, STEPS, Algorithm
 from skinbake.skinning.components import PosedVertex, RestVertex, Rows, Vector
 from skinbake.skinning.rest import Options, RestPrimitive
 
 # From this number of poses on, components are stored pose by pose; with fewer poses rows are too short.
 _ROWS = 16
 
+SCALED = 20
+"""The numbers of a joint that ``scaled_motions`` gives."""
+
 
 @dataclass(frozen=True, slots=True)
 class Skinning:
     """A primitive at rest and joint motions of P poses, on which the algorithms run block by block.
 
-    The motions are joint matrices for algorithms 1–3 and dual quaternions for 4–6.
+    The motions are joint matrices for algorithms 1–3. For 4–6 they are dual quaternions if all joints in use
+    are rigid, up to one scale that they share, else those of ``scaled_motions``.
     """
 
     vertices: _Vertices
@@ -44,12 +47,11 @@ class Skinning:
     ) -> Skinning:
         """Prepare joint matrices (P, J, 4, 4); every number is converted to ``dtype`` first.
 
-        Algorithms 4–6 (``dual_quaternions``) apply the scale common to all joints of a pose to p, t and b
-        first; a joint in use that is not rigid beyond it, within ``tolerance``, raises
-        UnsupportedFeatureError (ask ``rigid_motions`` beforehand).
+        For rigid joints, algorithms 4–6 (``dual_quaternions``) apply the scale common to all joints of a pose
+        to p, t and b first. A joint in use is rigid within ``tolerance`` (``rigid_motions``).
         """
         motions = (
-            _rigid_motions([rest], joint_matrices, tolerance, dtype)
+            _dual_motions([rest], joint_matrices, tolerance, dtype)
             if dual_quaternions
             else _matrices(joint_matrices, dtype)
         )
@@ -59,23 +61,27 @@ class Skinning:
     def of_mesh(
         cls, primitives: Sequence[RestPrimitive], joint_matrices: FloatArray, options: Options
     ) -> list[Skinning]:
-        """Prepare the primitives of one mesh for algorithms 4–6. They share their dual quaternions and scale.
-
-        Raises UnsupportedFeatureError as ``of`` does.
-        """
-        motions = _rigid_motions(primitives, joint_matrices, RIGID_TOLERANCE, np.float64)
+        """Prepare the primitives of one mesh for algorithms 4–6. They share their motions."""
+        motions = _dual_motions(primitives, joint_matrices, RIGID_TOLERANCE, np.float64)
         return [cls(_Vertices(rest, np.float64), motions, options) for rest in primitives]
 
     def run(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[PosedVertex]:
         """Return the result of an algorithm for a block of poses and vertices, as components (P, V)."""
         vertex = self._block(pose, part, gradients=Algorithm.LBS_DIRECT in algorithms)
         per_slot = [self.motions.of_slot(joints, pose) for joints in self.vertices.joints(part)]
-        return [STEPS[algorithm](vertex, per_slot, self.options, _ignore_line) for algorithm in algorithms]
+        steps = SCALED_STEPS if self.has_scaled_joints else STEPS
+        return [steps[algorithm](vertex, per_slot, self.options, _ignore_line) for algorithm in algorithms]
 
     def positions(self, pose: slice, part: slice) -> Vector:
         """Return the positions that dual quaternions give a block: components (P, V)."""
         per_slot = [self.motions.of_slot(joints, pose) for joints in self.vertices.joints(part)]
-        return dqs.position(self._block(pose, part, gradients=False), per_slot)
+        position = dqs_scaled.position if self.has_scaled_joints else dqs.position
+        return position(self._block(pose, part, gradients=False), per_slot)
+
+    @property
+    def has_scaled_joints(self) -> bool:
+        """Tell whether the motions are those of ``scaled_motions``."""
+        return len(self.motions.table) == SCALED
 
     def _block(self, pose: slice, part: slice, *, gradients: bool) -> RestVertex:
         scale = self.motions.scale
@@ -115,7 +121,8 @@ class _Motions:
             gathered = tuple(component.T for component in table.take(joints, axis=1))
         if self.row_length is None:
             return gathered
-        return tuple(gathered[start : start + self.row_length] for start in range(0, 12, self.row_length))
+        starts = range(0, len(gathered), self.row_length)
+        return tuple(gathered[start : start + self.row_length] for start in starts)
 
 
 def _matrices(joint_matrices: FloatArray, dtype: npt.DTypeLike) -> _Motions:
@@ -125,22 +132,18 @@ def _matrices(joint_matrices: FloatArray, dtype: npt.DTypeLike) -> _Motions:
     return _Motions(np.ascontiguousarray(np.transpose(rows, (2, 1, 0)), dtype=dtype), 4, None)
 
 
-def _rigid_motions(
+def _dual_motions(
     primitives: Sequence[RestPrimitive], joint_matrices: FloatArray, tolerance: float, dtype: npt.DTypeLike
 ) -> _Motions:
-    """Convert joint matrices to dual quaternions, for all joints that one of the primitives uses."""
+    """Convert joint matrices for algorithms 4–6, for all joints that one of the primitives uses."""
     in_use = joints_in_use(primitives, joint_matrices.shape[1])
-    motions = rigid_motions(joint_matrices, tolerance=tolerance, in_use=in_use)
-    if not motions.is_rigid:
-        found = ", ".join(str(joint) for joint in motions.not_rigid[:8])
-        more = f" and {motions.not_rigid.size - 8} more" if motions.not_rigid.size > 8 else ""
-        raise UnsupportedFeatureError(
-            "dual quaternions need rigid joints, apart from one uniform scale that all joints "
-            f"share; joints {found}{more} exceed the tolerance of {tolerance:g}. Use linear blend "
-            "skinning for them"
-        )
-    table = np.ascontiguousarray(np.transpose(motions.dual_quaternions, (2, 1, 0)), dtype=dtype)
-    return _Motions(table, None, motions.scale.astype(dtype))
+    rigid = rigid_motions(joint_matrices, tolerance=tolerance, in_use=in_use)
+    if rigid.is_rigid:
+        table, row_length, scale = rigid.dual_quaternions, None, rigid.scale.astype(dtype)
+    else:
+        scaled = scaled_motions(joint_matrices)
+        table, row_length, scale = scaled.reshape(*scaled.shape[:2], SCALED), 5, None
+    return _Motions(np.ascontiguousarray(np.transpose(table, (2, 1, 0)), dtype=dtype), row_length, scale)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,9 +16,9 @@
 #include "loops/angles.h"
 #include "loops/class_sums.h"
 #include "loops/counting.h"
-#include "loops/dual_quaternions.h"
 #include "loops/gradient_rows.h"
 #include "loops/linear_blend.h"
+#include "loops/scaled_joints.h"
 #include "loops/true_normals.h"
 
 static PyMethodDef functions[] = {

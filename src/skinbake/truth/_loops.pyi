@@ -57,7 +57,8 @@ def dqs_positions(
     """Fill the rows of out (3, V, P) from ``first_row`` on with the positions by dual quaternions.
 
     The poses are the P from ``first`` on. motions (8, J, Q) are dual quaternions in Q poses, scales (Q,) the
-    scale of each pose. joints and weights (B, K). positions (B, 3).
+    scale of each pose. Or motions (20, J, Q) are ``scaled_motions``, row by row, and scales are ignored.
+    joints and weights (B, K). positions (B, 3).
     """
 
 def dqs_normals(

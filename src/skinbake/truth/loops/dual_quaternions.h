@@ -1,4 +1,4 @@
-/* Dual quaternion skinning (twins: by_numpy.dqs_positions, by_numpy.dqs_normals).
+/* Dual quaternion skinning of rigid joints (twins: by_numpy.dqs_positions, by_numpy.dqs_normals).
 
    The formulas and letters are those of skinning/dqs.py. */
 
@@ -133,7 +133,7 @@ enum {
 };
 
 #define DQS_REQUIREMENTS                                \
-    [MOTIONS] = {"motions", "d", "8JQ", READ},          \
+    [MOTIONS] = {"motions", "d", "MJQ", READ},          \
     [SCALES] = {"scales", "d", "Q", OR_NONE},           \
     [MOTION_JOINTS] = {"joints", "i", "BK", READ},      \
     [MOTION_WEIGHTS] = {"weights", "d", "BK", READ},    \
@@ -154,7 +154,7 @@ static const Requirement dqs_normal_arrays[DQS_NORMAL_ARRAYS] = {
 };
 
 typedef struct {
-    const double *motions, *scales; /* (8, J, Q): their component is `apart` from the next; scales may be NULL */
+    const double *motions, *scales; /* (M, J, Q): their component is `apart` from the next; scales may be NULL */
     const int32_t *joints;
     const double *weights, *positions, *frame, *alpha, *beta, *handedness;
     double *out;
@@ -339,86 +339,4 @@ static int turn_by_dqs(const Dqs *s)
         }
     }
     return 0;
-}
-
-/* Take the arguments of a call, without the arrays of normals. Return −1 with an error set. */
-static int read_dqs(const Array *a, const Py_ssize_t *sizes, Py_ssize_t first, Dqs *work)
-{
-    if (SIZE('K') < 1) {
-        PyErr_SetString(PyExc_ValueError, "joints has no columns");
-        return -1;
-    }
-    if (first < 0 || SIZE('P') > SIZE('Q') || first > SIZE('Q') - SIZE('P')) {
-        PyErr_SetString(PyExc_ValueError, "the motions have fewer poses than are asked for");
-        return -1;
-    }
-    /* The motions are those of all poses Q, of which P are in work. */
-    *work = (Dqs){
-        .motions = DATA(MOTIONS),
-        .scales = DATA(SCALES),
-        .joints = DATA(MOTION_JOINTS),
-        .weights = DATA(MOTION_WEIGHTS),
-        .positions = DATA(REST_POSITIONS),
-        .out = DATA(MOVED),
-        .rows = SIZE('B'),
-        .slots = SIZE('K'),
-        .joint_count = SIZE('J'),
-        .poses = SIZE('P'),
-        .all_poses = SIZE('Q'),
-        .first_pose = first,
-        .apart = SIZE('J') * SIZE('Q'),
-    };
-    return 0;
-}
-
-static PyObject *dqs_positions(PyObject *Py_UNUSED(module), PyObject *args)
-{
-    PyObject *o[DQS_ARRAYS], *result = NULL;
-    Array a[DQS_ARRAYS];
-    Py_ssize_t sizes[26], first, first_row;
-    Dqs work;
-    memset(a, 0, sizeof a);
-    if (!PyArg_ParseTuple(args, "OOOOOOnn", &o[MOTIONS], &o[SCALES], &o[MOTION_JOINTS], &o[MOTION_WEIGHTS],
-                          &o[REST_POSITIONS], &o[MOVED], &first, &first_row))
-        return NULL;
-    if (read_arrays(o, dqs_arrays, DQS_ARRAYS, a, sizes) < 0 || read_dqs(a, sizes, first, &work) < 0 ||
-        !has_rows(sizes, first_row))
-        goto done;
-    work.all_rows = SIZE('V'), work.first_row = first_row;
-    int stray;
-    Py_BEGIN_ALLOW_THREADS
-    stray = move_by_dqs(&work);
-    Py_END_ALLOW_THREADS
-    result = none_unless(stray);
-done:
-    release_arrays(a, DQS_ARRAYS);
-    return result;
-}
-
-static PyObject *dqs_normals(PyObject *Py_UNUSED(module), PyObject *args)
-{
-    PyObject *o[DQS_NORMAL_ARRAYS], *result = NULL;
-    Array a[DQS_NORMAL_ARRAYS];
-    Py_ssize_t sizes[26], first;
-    Dqs work;
-    memset(a, 0, sizeof a);
-    if (!PyArg_ParseTuple(args, "OOOOOOOOOOn", &o[MOTIONS], &o[SCALES], &o[MOTION_JOINTS], &o[MOTION_WEIGHTS],
-                          &o[REST_POSITIONS], &o[MOVED], &o[FRAME], &o[ALONG_T], &o[ALONG_B], &o[HANDEDNESS], &first))
-        return NULL;
-    if (read_arrays(o, dqs_normal_arrays, DQS_NORMAL_ARRAYS, a, sizes) < 0 || read_dqs(a, sizes, first, &work) < 0)
-        goto done;
-    /* Slot 0 has neither α nor β. */
-    if (SIZE('L') != SIZE('K') - 1) {
-        PyErr_Format(PyExc_ValueError, "alpha has %zd columns, not %zd", SIZE('L'), SIZE('K') - 1);
-        goto done;
-    }
-    work.frame = DATA(FRAME), work.alpha = DATA(ALONG_T), work.beta = DATA(ALONG_B), work.handedness = DATA(HANDEDNESS);
-    int stray;
-    Py_BEGIN_ALLOW_THREADS
-    stray = turn_by_dqs(&work);
-    Py_END_ALLOW_THREADS
-    result = none_unless(stray);
-done:
-    release_arrays(a, DQS_NORMAL_ARRAYS);
-    return result;
 }

@@ -1,0 +1,190 @@
+"""Dual quaternions of joints that scale, shear or mirror, against finite differences of another definition.
+
+The oracle makes a dual quaternion of each joint at each vertex: the joint's rotation, which the tests choose
+themselves, and the translation that takes the vertex to where the joint's matrix does. It blends and applies
+them by Hamilton products, as Kavan et al. 2007 do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skinbake.geometry.dual_quaternions import polar_quaternions, scaled_motions
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.counting import multiply_adds
+from tests.support import analytic
+from tests.support.analytic import Array
+from tests.support.analytic_rest import poses, rest_primitive, sample, slots
+from tests.support.replay import replay
+
+DUAL_QUATERNIONS = [Algorithm.DQS_STANDARD, Algorithm.DQS_ACCURATE, Algorithm.DQS_EXACT]
+EXACT_DEGREES = 1e-4
+
+
+def rotation_of(quaternion: Array) -> Array:
+    """The matrix (3, 3) of a unit quaternion, column by column."""
+    turned = analytic.hamilton(
+        analytic.hamilton(quaternion, analytic.pure(np.eye(3))), analytic.conjugate(quaternion)
+    )
+    return turned[:, 1:].T
+
+
+def stretched_joints(bend: str, stretch: str) -> tuple[Array, Array]:
+    """Joint matrices (3, 4, 4) that scale, shear or mirror after a bend, and their rotations (3, 4)."""
+    rng = np.random.default_rng(3)
+    quaternions = analytic.joint_dual_quaternions(bend)[:, :4]
+    matrices = analytic.joint_matrices(bend)
+    for number, quaternion in enumerate(quaternions):
+        scale = np.diag(rng.uniform(0.6, 1.6, 3))
+        if stretch != "scaled":
+            turn = np.linalg.qr(rng.normal(size=(3, 3))).Q
+            scale = turn @ scale @ turn.T
+        sign = -1.0 if stretch == "mirrored" or (stretch == "one mirrored" and number == 1) else 1.0
+        matrices[number, :3, :3] = sign * rotation_of(quaternion) @ scale
+    return matrices, quaternions
+
+
+def blend_about_the_vertex(matrices: Array, quaternions: Array, pivots: np.ndarray) -> analytic.Skinning:
+    """Skinning by joints that scale about each vertex; pivots (V,) is each vertex's slot 0."""
+
+    def skinned(points: Array, weight: Array) -> Array:
+        cosines = quaternions @ quaternions.T
+        signs = np.where(cosines[pivots] < 0, -1.0, 1.0)
+        real, dual = np.zeros((2, len(points), 4))
+        for joint, (matrix, quaternion) in enumerate(zip(matrices, quaternions, strict=True)):
+            moved = points @ matrix[:3, :3].T + matrix[:3, 3]
+            shift = analytic.pure(moved - points @ rotation_of(quaternion).T)
+            own = (weight * signs)[:, joint, None]
+            real += own * quaternion
+            dual += own * 0.5 * analytic.hamilton(shift, quaternion)
+        length = np.linalg.norm(real, axis=1, keepdims=True)
+        real, dual = real / length, dual / length
+        turned = analytic.hamilton(analytic.hamilton(real, analytic.pure(points)), analytic.conjugate(real))
+        found: Array = (turned + 2 * analytic.hamilton(dual, analytic.conjugate(real)))[:, 1:]
+        return found
+
+    return skinned
+
+
+@pytest.mark.parametrize("stretch", ["scaled", "sheared", "mirrored", "one mirrored"])
+@pytest.mark.parametrize("bend", analytic.BENDS)
+def test_exact_lighting_is_that_of_the_surface_where_joints_scale(bend: str, stretch: str) -> None:
+    surface = sample()
+    matrices, quaternions = stretched_joints(bend, stretch)
+    joints = slots(surface)
+    skinning = blend_about_the_vertex(matrices, quaternions, joints[:, 0])
+    skinned = replay(Algorithm.DQS_EXACT, rest_primitive(surface, joints), matrices[None])
+    expected = skinning(surface.positions, surface.weights)
+    np.testing.assert_allclose(skinned.positions[0], expected, atol=1e-12)
+    truth = analytic.skinned_normals(surface.u, surface.v, skinning)
+    assert analytic.degrees_between(skinned.normals[0], truth).max() < EXACT_DEGREES
+    standard = replay(Algorithm.DQS_STANDARD, rest_primitive(surface, joints), matrices[None])
+    assert analytic.degrees_between(standard.normals[0], truth).mean() > 2.0
+
+
+@pytest.mark.parametrize("algorithm", DUAL_QUATERNIONS)
+@pytest.mark.parametrize("cap", [None, 0.5])
+def test_a_small_scale_changes_rigid_joints_little(algorithm: Algorithm, cap: float | None) -> None:
+    """The two forms of an algorithm meet: the scale is just beyond what counts as rigid."""
+    rest, rigid = rest_primitive(sample()), poses()
+    near = rigid.copy()
+    near[:, 1, :3, :3] *= 1.0 + 1e-7
+    expected = replay(algorithm, rest, rigid, cap=cap)
+    found = replay(algorithm, rest, near, cap=cap, tolerance=1e-8)
+    for field in ("positions", "normals", "tangents", "bitangents"):
+        there, here = getattr(expected, field), getattr(found, field)
+        np.testing.assert_allclose(here, there, atol=1e-5)
+        assert not np.array_equal(here, there), "the form for rigid joints was taken"
+
+
+@pytest.mark.parametrize("algorithm", DUAL_QUATERNIONS)
+def test_the_place_of_the_origin_changes_nothing(algorithm: Algorithm) -> None:
+    rest = rest_primitive(sample())
+    matrices, _ = stretched_joints("strong", "sheared")
+    expected = replay(algorithm, rest, matrices[None])
+    shift = np.array([3.0, -2.0, 5.0])
+    # The mesh is modelled elsewhere.
+    back = np.eye(4)
+    back[:3, 3] = -shift
+    moved = replay(algorithm, replace(rest, positions=rest.positions + shift), (matrices @ back)[None])
+    # The character stands elsewhere.
+    away = matrices.copy()
+    away[:, :3, 3] += shift
+    carried = replay(algorithm, rest, away[None])
+    np.testing.assert_allclose(moved.positions, expected.positions, atol=1e-12)
+    np.testing.assert_allclose(carried.positions - shift, expected.positions, atol=1e-12)
+    for found in (moved, carried):
+        np.testing.assert_allclose(found.normals, expected.normals, atol=1e-11)
+        np.testing.assert_allclose(found.tangents, expected.tangents, atol=1e-11)
+
+
+@pytest.mark.parametrize("algorithm", DUAL_QUATERNIONS)
+def test_a_mirror_that_all_joints_share_mirrors_the_surface(algorithm: Algorithm) -> None:
+    rest = rest_primitive(sample())
+    mirror = np.diag([1.0, -1.0, 1.0, 1.0])
+    expected = replay(algorithm, rest, poses())
+    found = replay(algorithm, rest, mirror @ poses())
+    np.testing.assert_allclose(found.positions, expected.positions * [1, -1, 1], atol=1e-12)
+    np.testing.assert_allclose(found.tangents, expected.tangents * [1, -1, 1], atol=1e-12)
+
+
+def test_a_normal_map_has_the_cofactors_of_the_tangents_and_the_carried_normal() -> None:
+    rest = rest_primitive(sample())
+    matrices, _ = stretched_joints("medium", "sheared")
+    for algorithm in (Algorithm.DQS_ACCURATE, Algorithm.DQS_EXACT):
+        found = replay(algorithm, rest, matrices[None], normal_map=True)
+        carried = replay(Algorithm.DQS_STANDARD, rest, matrices[None]).normals[0]
+        side = rest.handedness()[:, None]
+        expected = side * np.cross(found.bitangents[0], carried)
+        assert found.cotangents is not None
+        np.testing.assert_allclose(found.cotangents[0], expected, atol=1e-12)
+
+
+def test_the_rotation_of_a_joint_is_that_of_its_polar_decomposition() -> None:
+    rng = np.random.default_rng(1)
+    quaternions = rng.normal(size=(50, 4))
+    quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+    turns = np.linalg.qr(rng.normal(size=(50, 3, 3))).Q
+    stretches = np.einsum("nij,nj,nkj->nik", turns, rng.uniform(0.1, 3.0, (50, 3)), turns)
+    rotations = np.array([rotation_of(quaternion) for quaternion in quaternions])
+    for sign in (1.0, -1.0):
+        found = polar_quaternions(sign * rotations @ stretches)
+        np.testing.assert_allclose(np.abs(np.sum(found * quaternions, axis=1)), 1.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-17, -1e-17])
+def test_a_joint_that_flattens_does_not_turn_over(noise: float) -> None:
+    np.testing.assert_allclose(polar_quaternions(np.diag([1.0, 2.0, noise])), [1, 0, 0, 0], atol=1e-12)
+
+
+def test_a_joint_without_extent_or_numbers_has_a_unit_rotation() -> None:
+    for matrix in (np.zeros((3, 3)), np.full((3, 3), np.nan)):
+        assert np.linalg.norm(polar_quaternions(matrix)) == pytest.approx(1.0)
+
+
+def test_scaled_motions_hold_the_columns_times_the_rotation() -> None:
+    matrices, quaternions = stretched_joints("strong", "sheared")
+    found = scaled_motions(matrices)
+    for matrix, quaternion, motion in zip(matrices, quaternions, found, strict=True):
+        signed = motion[:, 4] * np.sign(motion[:, 4] @ quaternion)
+        np.testing.assert_allclose(signed, quaternion, atol=1e-12)
+        for column in range(4):
+            expected = analytic.hamilton(analytic.pure(matrix[None, :3, column]), motion[None, :, 4])
+            np.testing.assert_allclose(motion[:, column], expected[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("influences", range(2, 9))
+def test_exact_lighting_of_scaled_joints_costs_what_its_docstring_says(influences: int) -> None:
+    lines = multiply_adds(Algorithm.DQS_EXACT, influences, scaled_joints=True)
+    assert sum(lines.values()) == 60 * influences + 83
+    n, others = influences, influences - 1
+    by_hand = [20 * n, 9, 12 * n, 8 * others, 4 * others + 16, 40 + 8 * others, 40 + 8 * others, 6]
+    assert list(lines.values()) == by_hand
+
+
+def test_scaled_joints_change_no_count_of_linear_blending() -> None:
+    for algorithm in (Algorithm.LBS_STANDARD, Algorithm.LBS_DIRECT, Algorithm.LBS_ACCURATE):
+        assert multiply_adds(algorithm, 4, scaled_joints=True) == multiply_adds(algorithm, 4)
