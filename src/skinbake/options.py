@@ -487,8 +487,8 @@ RENDER = (
         OUTPUT._replace(metavar="PICTURE", is_required=True, help=
             "Output file: .png, or .webp or .gif that move.")),
     *_under("Shader",
-        Option("lighting", (str(Lighting.STANDARD), str(Lighting.ACCURATE)), None, help=
-            "Lighting without --split, accurate by default.")),
+        Option("lighting", (str(Lighting.STANDARD), str(Lighting.ACCURATE), "corrected"), None, help=
+            "Lighting without --split. By default that of the bake: accurate, or corrected by correctives.")),
     *_under("Poses",
         Option("clip", str, None, metavar="NAME", help=
             "Name or number of a clip; by default the one in which standard lighting is worst."),
@@ -498,7 +498,7 @@ RENDER = (
     *_under("Picture",
         Option("mode", ("shaded", "reflections", "error", "normals"), "shaded", help=
             "Shading, stripes mirrored in the surface, angle to the true normals as colour, or normals."),
-        Option("split", bool, False, help="Standard lighting on the left, accurate lighting on the right."),
+        Option("split", bool, False, help="Standard lighting on the left, that of the bake on the right."),
         Option("clay", bool, False, help="Without the colours and images of the materials."),
         Option("turntable", bool, False, help="Turn the camera once around the model (.webp, .gif)."),
         Option("size", PIXELS, "960x600", metavar="WxH", help=

@@ -122,12 +122,18 @@ def test_inspect_names_the_clips_that_play_them(tube: Path) -> None:
     assert len(gltf_reading.read(tube).primitive(0)["targets"]) == 2
 
 
-def test_pages_and_pictures_say_that_they_leave_correctives_out(tube: Path, tmp_path: Path) -> None:
-    result = invoke("view", tube, "-o", tmp_path / "page.html")
+def test_pages_say_where_they_leave_damaged_correctives_out(tube: Path, tmp_path: Path) -> None:
+    def without_entries(content: Any) -> None:
+        content["meshes"][0]["extras"]["skinbake"]["primitives"] = []
+
+    damaged = rewritten(tube, tmp_path / "damaged.glb", without_entries)
+    result = invoke("view", damaged, "-o", tmp_path / "page.html")
     assert result.exit_code == 0 and "its correctives are left out here" in result.output
-    assert invoke("verify", tube, "--html", tmp_path / "report.html").exit_code == 0
+    assert invoke("verify", damaged, "--html", tmp_path / "report.html").exit_code == 1
     for page in ("page.html", "report.html"):
-        assert "The file has correctives. The page does not draw them" in (tmp_path / page).read_text()
+        assert "The correctives of the file are damaged." in (tmp_path / page).read_text()
+    assert invoke("verify", tube, "--html", tmp_path / "sound.html").exit_code == 0
+    assert "The file has correctives." in (tmp_path / "sound.html").read_text()
 
 
 def test_correctives_that_make_a_file_worse_are_told(tube: Path, tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from skinbake.gltf import budget
 from skinbake.gltf.animation import Skeleton, read_skeleton
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import JsonObject
+from skinbake.render import studio
 from skinbake.render.studio import MODES, Look, Studio
 from skinbake.render.subject import YAW, Camera, Shot, Subject
 from skinbake.skinning.algorithms import Algorithm
@@ -30,6 +31,7 @@ from tests.support.characters import Array, baked
 from tests.support.command_line import invoke
 from tests.support.cutting import cut_into_meshes, halved
 from tests.support.gltf_reading import read
+from tests.support.mapped import TEXELS, relief_angles, unfolded, with_relief
 from tests.support.models import edited, sheet, write_model
 from tests.support.rasterised import eroded, fragments
 from tests.support.webgpu import NAGA
@@ -88,6 +90,37 @@ def test_pixels_are_those_of_the_replay(
     if name == "bent_tube.glb":  # the others are seen from behind too
         outside = eroded(~wanted.covered, 2)
         assert np.ptp(found[outside], axis=0).max() == 0
+
+
+PACKED = """
+    // The normal as two numbers of 12 bits, by the octahedron.
+    let o = n / (abs(n.x) + abs(n.y) + abs(n.z));
+    let folded = (1.0 - abs(o.yx)) * select(vec2<f32>(1.0), vec2<f32>(-1.0), o.xy < vec2<f32>(0.0));
+    let q = vec2<u32>(round((0.5 * select(folded, o.xy, o.z >= 0.0) + 0.5) * 4095.0));
+    let bytes = vec3<u32>(q.x >> 4u, ((q.x & 15u) << 4u) | (q.y >> 8u), q.y & 255u);
+    return vec4<f32>(vec3<f32>(bytes), 255.0) / 255.0;
+}
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("device")
+@pytest.mark.parametrize("texel", TEXELS[:2])
+def test_pixels_of_a_relief_are_those_of_the_replay(
+    tmp_path: Path, cameras: list[Camera], monkeypatch: pytest.MonkeyPatch, texel: tuple[int, ...]
+) -> None:
+    scene, end = studio.SCENE.read_text(encoding="utf-8"), "    return vec4<f32>(color * alpha, alpha);\n}\n"
+    assert scene.endswith(end)
+    (tmp_path / "scene.wgsl").write_text(scene.removesuffix(end) + PACKED, encoding="utf-8")
+    monkeypatch.setattr(studio, "SCENE", tmp_path / "scene.wgsl")
+    monkeypatch.setattr(studio, "SUPERSAMPLING", 1)
+    path = baked(with_relief(tmp_path, texel), tmp_path)
+    red, green, blue = np.moveaxis(drawn(path, tmp_path / "picture.png", "--time", "0.45"), 2, 0).astype(int)
+    high = np.stack([(red << 4) | (green >> 4), ((green & 15) << 8) | blue], axis=-1) / 4095 * 2 - 1
+    matrix = cameras[0].projected(YAW, SIZE[0] / SIZE[1])
+    apart = relief_angles(path, 0.45, Algorithm.LBS_ACCURATE, texel, matrix, unfolded(high))
+    assert len(apart) > 1_000
+    assert np.percentile(apart, 99) < 0.2  # degrees
 
 
 @pytest.mark.slow

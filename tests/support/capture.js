@@ -23,7 +23,7 @@ window.CAPTURE = CAPTURE;
     prototype.linkProgram = function (program) {
         const texts = shaders.get(program).map((shader) => sources.get(shader));
         const text = texts.find((one) => one.includes('gl_Position')) ?? '';
-        const isWritten = (one) => one === 'gl_Position' || new RegExp(`(out|varying) +(highp )?(vec3|mat3) ${one};`).test(text);
+        const isWritten = (one) => one === 'gl_Position' || new RegExp(`(out|varying) +((?:highp|mediump) )?(vec3|mat3) ${one};`).test(text);
         const name = text && CAPTURE.namesFor(text).find(isWritten);
         if (name) {
             this.transformFeedbackVaryings(program, [name], this.INTERLEAVED_ATTRIBS);

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import base64
+import io
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
+from fixtures.make_fixtures import FOLDER
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import PosedVertex
 from skinbake.skinning.normal_maps import engine_mapped_normal, in_frame, mapped_normal
-from tests.support.characters import Array, Character, Placement, unit
+from tests.support.baked_files import Editable
+from tests.support.characters import Array, Character, Placement, Pose, angles, unit
 from tests.support.rasterised import covering, eroded
 from tests.support.replay import replay
 
@@ -137,3 +143,45 @@ def relief_seen(
         return np.asarray(np.einsum("pk,pki->pi", shares[both], vectors[corners[both]]))
 
     return np.asarray(drawn[both][:, :3] @ view[:3, :3], np.float64), expected[both], between
+
+
+def with_relief(folder: Path, texel: tuple[int, ...]) -> Path:
+    """Give the tube TANGENT, and a normal map of one texel."""
+    file = Editable(FOLDER / "bent_tube.glb")
+    normals = file.array("NORMAL").copy()
+    tangents = unit(np.cross(normals, [0.3, 0.2, 0.9]))
+    signed = np.column_stack([tangents, np.full(len(normals), -1.0)])
+    attributes = file.primitive()["attributes"]
+    attributes["TANGENT"] = file.add(signed.astype(np.float32))
+    attributes["TEXCOORD_0"] = file.add(np.full((len(normals), 2), 0.5, np.float32))
+    image = io.BytesIO()
+    Image.new("RGB", (1, 1), texel).save(image, "PNG")
+    uri = f"data:image/png;base64,{base64.b64encode(image.getvalue()).decode()}"
+    file.content |= {"images": [{"uri": uri}], "textures": [{"source": 0}]}
+    file.content["materials"][file.primitive()["material"]]["normalTexture"] = {"index": 0}
+    return file.write(folder / "relief.glb")
+
+
+def unfolded(high: Array) -> Array:
+    """Return vectors (H, W, 3) of places (H, W, 2) of directions on the octahedron, from -1 to 1."""
+    up = 1 - np.abs(high).sum(axis=-1, keepdims=True)
+    folded = (1 - np.abs(high[..., ::-1])) * np.where(high < 0, -1.0, 1.0)
+    return np.concatenate([np.where(up >= 0, high, folded), up], axis=-1)
+
+
+def relief_angles(
+    path: Path, time: float, algorithm: Algorithm, texel: tuple[int, ...], matrix: Array, drawn: Array
+) -> Array:
+    """Return the angles in degrees of normals (H, W, 3) that were drawn to those of the replay, (P,).
+
+    matrix (4, 4) leads to the screen. Pixels beside edges are left out: samples of both sides mix there.
+    """
+    height, width = drawn.shape[:2]
+    character = Character(path, Pose(0, time))
+    points = character.positions(Placement(), algorithm)
+    clip = np.insert(points, 3, 1, axis=1) @ matrix.T
+    places = (clip[:, :3] / clip[:, 3:] * [1, -1, 1] * 0.5 + 0.5) * [width, height, 1]
+    covered, corners, shares = covering(places, clip[:, 3], character.triangles, (width, height))
+    inside = eroded(covered, 3) & (shares.min(axis=-1) > 0.15)
+    wanted = pixels(columns(character, algorithm, Placement()), texel, corners, shares)
+    return np.asarray(angles(drawn[inside], wanted[inside]))

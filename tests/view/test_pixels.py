@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser
-from tests.support.baked_files import Editable
-from tests.support.characters import Array, Character, Placement, Pose, angles, baked
-from tests.support.mapped import TEXELS, columns, pixels
-from tests.support.rasterised import Fragments, covering, eroded, fragments
+from tests.support.characters import Array, baked
+from tests.support.mapped import TEXELS, relief_angles, unfolded, with_relief
+from tests.support.rasterised import Fragments, eroded, fragments
 from tests.view.pages import picture, shown
 
 TIME = 0.45
@@ -131,26 +127,9 @@ PACKED = """(() => {
 })"""
 
 
-def with_relief(folder: Path, texel: tuple[int, ...]) -> Path:
-    """Give the tube TANGENT, and a normal map of one texel."""
-    file = Editable(FOLDER / "bent_tube.glb")
-    normals = file.array("NORMAL").copy()
-    tangents = unit_fields(np.cross(normals, [0.3, 0.2, 0.9]))
-    signed = np.column_stack([tangents, np.full(len(normals), -1.0)])
-    attributes = file.primitive()["attributes"]
-    attributes["TANGENT"] = file.add(signed.astype(np.float32))
-    attributes["TEXCOORD_0"] = file.add(np.full((len(normals), 2), 0.5, np.float32))
-    image = io.BytesIO()
-    Image.new("RGB", (1, 1), texel).save(image, "PNG")
-    uri = f"data:image/png;base64,{base64.b64encode(image.getvalue()).decode()}"
-    file.content |= {"images": [{"uri": uri}], "textures": [{"source": 0}]}
-    file.content["materials"][file.primitive()["material"]]["normalTexture"] = {"index": 0}
-    return baked(file.write(folder / "relief.glb"), folder)
-
-
 @pytest.mark.parametrize(("lighting", "algorithm"), [("rig", 3), ("dqs", 6)])
 def test_pixels_of_a_relief_are_those_of_the_replay(tmp_path: Path, lighting: str, algorithm: int) -> None:
-    path = with_relief(tmp_path, TEXELS[1])
+    path = baked(with_relief(tmp_path, TEXELS[1]), tmp_path)
     with shown(path) as page:
         page.show_as(900, 640, "light")
         page.call(
@@ -175,21 +154,11 @@ def test_pixels_of_a_relief_are_those_of_the_replay(tmp_path: Path, lighting: st
         matrix = page.call(
             "((aspect) => application.camera.projected(aspect))", found.shape[1] / found.shape[0]
         )
-    height, width = found.shape[:2]
     high = (256 * found[..., ::2] + found[..., 1::2]) / 65535 * 2 - 1
-    up = 1 - np.abs(high).sum(axis=-1, keepdims=True)
-    folded = (1 - np.abs(high[..., ::-1])) * np.where(high < 0, -1.0, 1.0)
-    drawn = np.concatenate([np.where(up >= 0, high, folded), up], axis=-1)
-    character = Character(path, Pose(0, TIME))
-    relief = columns(character, Algorithm(algorithm), Placement())
-    points = character.positions(Placement(), Algorithm(algorithm))
-    clip = np.column_stack([points, np.ones(len(points))]) @ np.array(matrix).reshape(4, 4)
-    places = (clip[:, :3] / clip[:, 3:] * [1, -1, 1] * 0.5 + 0.5) * [width, height, 1]
-    covered, corners, shares = covering(places, clip[:, 3], character.triangles, (width, height))
-    inside = eroded(covered, SILHOUETTE) & (shares.min(axis=-1) > 0.15)
-    assert inside.sum() > 4_000
-    wanted = pixels(relief, TEXELS[1], corners, shares)
-    assert np.percentile(angles(drawn[inside], wanted[inside]), 99) < RELIEF_DEGREES
+    screen = np.array(matrix).reshape(4, 4).T
+    apart = relief_angles(path, TIME, Algorithm(algorithm), TEXELS[1], screen, unfolded(high))
+    assert len(apart) > 4_000
+    assert np.percentile(apart, 99) < RELIEF_DEGREES
 
 
 RELIEF_DEGREES = 0.2

@@ -51,7 +51,7 @@ def command(source: str, output: str, **given: Any) -> None:
     width, height = given["size"]
     options = RenderOptions(
         look=Look(width, height, given["mode"]),
-        sides=("standard", "accurate") if given["split"] else (given["lighting"] or "accurate",),
+        sides=("standard", None) if given["split"] else (given["lighting"],),
         clip=given["clip"],
         time=given["time"],
         turntable=given["turntable"],

@@ -11,8 +11,8 @@ import numpy as np
 
 from skinbake.choices import Truth
 from skinbake.commands.bake import STEPS_A_BAKE, Baker
-from skinbake.errors import InputError, Notice, Place
-from skinbake.format.correctives import corrective_note
+from skinbake.commands.played_correctives import PlayedCorrectives, damaged_correctives
+from skinbake.errors import InputError, Notice
 from skinbake.format.strip import stripped
 from skinbake.freshness.baked_views import BakedView, is_baked, rest_primitive, whole_surfaces
 from skinbake.freshness.expected import true_operator_of
@@ -28,11 +28,11 @@ from skinbake.gltf.animation import (
 )
 from skinbake.gltf.document import Document
 from skinbake.gltf.images import images_unplaced
-from skinbake.gltf.json_access import reference, text
+from skinbake.gltf.json_access import reference
 from skinbake.gltf.morphs import resting_weights, target_count
 from skinbake.gltf.primitives import reason_to_skip, skinned_sources, why_nothing
 from skinbake.gltf.scenes import faces_backward, shown_nodes
-from skinbake.measure.angles import MeasuredBlock, lighting_errors, truths_at_rest
+from skinbake.measure.angles import Corrections, MeasuredBlock, lighting_errors, truths_at_rest
 from skinbake.measure.morphing import Morphing, morphing_of
 from skinbake.skinning.rest import RestPrimitive
 from skinbake.truth.areas import vertex_areas
@@ -65,7 +65,7 @@ HALF_TURN = np.diag([-1.0, 1.0, -1.0, 1.0])
 """A turn of the whole scene around the vertical."""
 
 RANDOM_ANGLE = float(np.radians(30.0))
-NAMES = ("standard", "accurate")
+LIGHTINGS = ("standard", "accurate", "corrected")
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +73,7 @@ class Draw:
     """A surface as one skin draws it: its primitives; with morph targets, the node that has their weights.
 
     operator builds the operator of the truths at its first call, once for all draws of the surface.
+    correctives gives those of the file at times of a clip, None without a clip; it is None if it has none.
     """
 
     views: Sequence[BakedView]
@@ -80,14 +81,16 @@ class Draw:
     skeleton: Skeleton
     node: int | None
     operator: Callable[[], GradientOperator]
+    correctives: Callable[[Clip | None, Float64Array], Corrections] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class PosedDraw:
-    """Joint matrices (P, J, 4, 4) of a draw, and the morph targets that move it in these poses, if any."""
+    """Joint matrices (P, J, 4, 4) of a draw; morph targets that move it then, and correctives, if any."""
 
     matrices: Float64Array
     morphing: Morphing | None = None
+    corrections: Corrections | None = None
 
     def every(self, step: int) -> PosedDraw:
         """Return every so many poses."""
@@ -95,8 +98,10 @@ class PosedDraw:
         return PosedDraw(self.matrices[::step], some)
 
 
-def shown_draws(document: Document, views: Sequence[BakedView]) -> Iterator[Draw]:
-    """Yield what the nodes of the shown scene draw."""
+def shown_draws(
+    document: Document, views: Sequence[BakedView], correctives: PlayedCorrectives | None = None
+) -> Iterator[Draw]:
+    """Yield what the nodes of the shown scene draw, with the correctives that were stripped, if any."""
     clips = read_clips(document)
     steps = STEPS_A_SHOWN_CLIP * len(clips)
     document.budget.claim_steps(steps, f"showing {counted(len(clips), 'clip')}", document.place)
@@ -109,10 +114,26 @@ def shown_draws(document: Document, views: Sequence[BakedView]) -> Iterator[Draw
     for group in whole_surfaces(document, [view for view in views if view.source.mesh in meshes]):
         operator = cache(partial(true_operator_of, document, group))
         rest = [rest_primitive(view) for view in group]
+        targets = correctives.of_views(group) if correctives else ()
         for skin, node in draws_of(document, group[0].source.mesh, clips):
             if not any((view.source.mesh, skin) in shown for view in group):
                 continue
-            yield Draw(group, rest, read_skeleton(document, skin), node, operator)
+            played = partial(_played, correctives, group, targets, skin) if correctives else None
+            yield Draw(group, rest, read_skeleton(document, skin), node, operator, played)
+
+
+def _played(
+    correctives: PlayedCorrectives,
+    views: Sequence[BakedView],
+    targets: Sequence[Float64Array],
+    skin: int,
+    clip: Clip | None,
+    times: Float64Array,
+) -> Corrections:
+    """Return the correctives of a surface at times of a clip. Without one, nothing plays them."""
+    if clip is None:
+        return Corrections(targets, [np.zeros((len(times), len(own))) for own in targets])
+    return Corrections(targets, [correctives.weights(one.source.mesh, skin, clip, times) for one in views])
 
 
 def claim_draws(document: Document, draws: Sequence[Draw], clips: Sequence[Clip], poses: int) -> None:
@@ -140,15 +161,16 @@ def posed_draw(document: Document, draw: Draw, clip: Clip | None, times: Float64
         matrices = clip_poses(draw.skeleton, clip, times)
     if faces_backward(document):
         matrices = HALF_TURN @ matrices
+    corrections = draw.correctives and draw.correctives(clip, times)
     if draw.node is None:
-        return PosedDraw(matrices)
+        return PosedDraw(matrices, None, corrections)
     weights = np.broadcast_to(
         resting_weights(document, draw.node), (len(times), target_count(document, draw.views[0].source.mesh))
     )
     if clip is not None:
         weights = clip_weights(draw.node, clip, times, weights[0])
     poses = PoseSet((), matrices, (), (), weights)
-    return PosedDraw(matrices, morphing_of(document, draw.views, poses))
+    return PosedDraw(matrices, morphing_of(document, draw.views, poses), corrections)
 
 
 def posed_primitives(draw: Draw, posed: PosedDraw) -> Iterator[tuple[RestPrimitive, Float64Array]]:
@@ -166,18 +188,19 @@ def lighting_errors_of(draws: Sequence[Draw], posed: Sequence[PosedDraw]) -> lis
     found: list[dict[str, Float32Array]] = []
     for draw, one in zip(draws, posed, strict=True):
         count = len(one.matrices)
+        names = LIGHTINGS if one.corrections else LIGHTINGS[:2]
         own = [
-            {name: np.zeros((2, count, len(rest.positions)), np.float32) for name in NAMES}
+            {name: np.zeros((2, count, len(rest.positions)), np.float32) for name in names}
             for rest in draw.rest
         ]
 
         def record(block: MeasuredBlock, own: Any = own) -> None:
-            for name in NAMES:
-                if block.lighting == name:
-                    poses = slice(block.pose, block.pose + block.errors.shape[0])
-                    rows = slice(block.vertex, block.vertex + block.errors.shape[1])
-                    own[block.primitive][name][0, poses, rows] = np.where(block.valid, block.errors, 0.0)
-                    own[block.primitive][name][1, poses, rows] = block.valid
+            found = own[block.primitive].get(block.lighting)
+            if found is not None:
+                poses = slice(block.pose, block.pose + block.errors.shape[0])
+                rows = slice(block.vertex, block.vertex + block.errors.shape[1])
+                found[0, poses, rows] = np.where(block.valid, block.errors, 0.0)
+                found[1, poses, rows] = block.valid
 
         _measure(draw, one, record)
         found += own
@@ -220,7 +243,14 @@ def _measure(draw: Draw, posed: PosedDraw, record: Callable[[MeasuredBlock], Non
     operator = draw.operator()
     truths = truths_at_rest(operator, draw.rest, len(posed.matrices), posed.morphing, (Truth.TRIANGLES,))
     lighting_errors(
-        operator, draw.rest, posed.matrices, "lbs", record, morphing=posed.morphing, at_rest=truths
+        operator,
+        draw.rest,
+        posed.matrices,
+        "lbs",
+        record,
+        morphing=posed.morphing,
+        at_rest=truths,
+        corrections=posed.corrections,
     )
 
 
@@ -258,16 +288,20 @@ def baked_in_memory(document: Document) -> tuple[Document, tuple[Notice, ...]]:
         if "NORMAL" not in source.attributes
         and reason_to_skip(document, source, generate_normals=True) is None
     ]
-    return made.document, (*damaged_bakes(document), *_not_shown(document), *generated, *notices)
+    return made.document, (*damaged_bakes(document), *_damaged_correctives(document), *generated, *notices)
 
 
-def _not_shown(document: Document) -> Iterator[Notice]:
-    """Yield a notice for each mesh with correctives, in place of which α and β are shown."""
-    for number, mesh in enumerate(document.objects("meshes")):
-        if corrective_note(mesh) is not None:
-            message = "its correctives are left out here, and α and β shown in place of them"
-            place = Place(document.name, number, text(mesh, "name", document.place))
-            yield Notice("correctives-not-shown", message, place)
+def sound_correctives(document: Document) -> PlayedCorrectives | None:
+    """Return the correctives of a document; None if it has none, or if they are damaged."""
+    played = PlayedCorrectives(document)
+    return played if played.targets and not any(damaged_correctives(document)) else None
+
+
+def _damaged_correctives(document: Document) -> Iterator[Notice]:
+    """Yield a notice for each mesh with damaged correctives, in place of which α and β are shown."""
+    for problem in damaged_correctives(document):
+        message = f"its correctives are left out here, and α and β shown in place of them: {problem.message}"
+        yield Notice("correctives-not-shown", message, problem.place)
 
 
 def damaged_bakes(document: Document) -> list[Notice]:

@@ -11,7 +11,6 @@ import numpy as np
 
 from skinbake.choices import Frame
 from skinbake.commands.posed_scene import (
-    NAMES,
     Draw,
     PosedDraw,
     baked_in_memory,
@@ -20,6 +19,7 @@ from skinbake.commands.posed_scene import (
     posed_draw,
     posed_primitives,
     shown_draws,
+    sound_correctives,
     telling_moment,
     unplaced,
 )
@@ -67,11 +67,11 @@ class RenderOptions:
 
     clip is a name or a number, None for the one in which standard lighting is worst. time is in seconds, None
     for the pose in which it is worst, or, in an animation, for the whole clip. sides are one or two
-    lightings. in_clay draws no images and no colours.
+    lightings, None for that which the file's bake gives. in_clay draws no images and no colours.
     """
 
     look: Look
-    sides: tuple[str, ...] = ("accurate",)
+    sides: tuple[str | None, ...] = (None,)
     clip: str | None = None
     time: float | None = None
     turntable: bool = False
@@ -103,8 +103,13 @@ def render_file(
     refuse_own_input(document, source, target)
     notices: tuple[Notice, ...] = ()
     views = sound_views(document)
-    was_baked = bool(views)
-    if not was_baked:
+    correctives = None if views else sound_correctives(document)
+    own = "corrected" if correctives else "accurate"
+    sides = [side or own for side in options.sides]
+    if "corrected" in sides and not correctives:
+        raise ChoiceError("lighting", "corrected", reason=(": the file has no correctives",))
+    was_baked = bool(views) or correctives is not None
+    if not views:
         document, notices = baked_in_memory(document)
         views = sound_views(document)
     if not views:
@@ -114,7 +119,8 @@ def render_file(
     require_packages()
     # What is too large is refused, and what is not a number is not drawn.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        pictures, pose, missing = _pictures(document, views, options, moves=suffix in MOVING)
+        draws = list(shown_draws(document, views, correctives))
+        pictures, pose, missing = _pictures(document, draws, sides, options, moves=suffix in MOVING)
     data = encoded(pictures, suffix)
     write_file([data], target, sync=sync)
     told = tuple(dict.fromkeys((*notices, *missing, *_not_drawn(document))))  # a bake tells of unlit ones too
@@ -149,10 +155,9 @@ def _not_drawn(document: Document) -> list[Notice]:
 
 
 def _pictures(
-    document: Document, views: Sequence[BakedView], options: RenderOptions, *, moves: bool
+    document: Document, draws: Sequence[Draw], sides: Sequence[str], options: RenderOptions, *, moves: bool
 ) -> tuple[list[Picture], str, list[Notice]]:
     """Return the pictures, the first pose in words, and notices on what is missing in them."""
-    draws = list(shown_draws(document, views))
     clip, worst = _clip_and_moment(document, draws, options)
     times, pose = _times(clip, worst, options, moves=moves)
     pixels = options.look.width * options.look.height
@@ -174,10 +179,7 @@ def _pictures(
     studio = Studio(subjects, placed(some, list(map(float, yaws))))
     errors = lighting_errors_of(draws, posed) if options.look.mode == "error" else None
     shots = _shots(draws, posed, errors, options, len(times))
-    pictures = [
-        captioned(studio.picture(shot, options.sides, options.look), options.sides, options.look)
-        for shot in shots
-    ]
+    pictures = [captioned(studio.picture(shot, sides, options.look), sides, options.look) for shot in shots]
     missing = materials.notices()
     if not in_clay:
         drawn = (view for draw in draws for view in draw.views)
@@ -320,13 +322,15 @@ def _shots(
     for pose in range(count):
         turned = 2 * np.pi * pose / count if options.turntable else 0.0
         told = {
-            name: tuple((own[name][0, pose], own[name][1, pose]) for own in errors or ()) for name in NAMES
+            name: tuple((own[name][0, pose], own[name][1, pose]) for own in errors)
+            for name in (errors[0] if errors else ())
         }
         yield Shot(
             tuple(one.matrices[pose] for one in posed),
             YAW + turned,
-            told if errors is not None else {},
+            told,
             _morphed(draws, posed, pose),
+            _corrected(draws, posed, pose),
         )
 
 
@@ -337,5 +341,20 @@ def _morphed(draws: Sequence[Draw], posed: Sequence[PosedDraw], pose: int) -> di
     for draw, one in zip(draws, posed, strict=True):
         if one.morphing is not None:
             found.update(enumerate(one.morphing.primitives(draw.rest, pose), first))
+        first += len(draw.rest)
+    return found
+
+
+def _corrected(draws: Sequence[Draw], posed: Sequence[PosedDraw], pose: int) -> dict[int, RestPrimitive]:
+    """Return the primitives with the normals that their correctives give in a pose, by their number."""
+    found: dict[int, RestPrimitive] = {}
+    first = 0
+    for draw, one in zip(draws, posed, strict=True):
+        if one.corrections is not None:
+            rest = draw.rest if one.morphing is None else one.morphing.primitives(draw.rest, pose)
+            played = zip(rest, one.corrections.targets, one.corrections.weights, strict=True)
+            for number, (primitive, targets, weights) in enumerate(played, first):
+                change = np.einsum("k,kvi->vi", weights[pose], targets)
+                found[number] = replace(primitive, normals=primitive.normals + change)
         first += len(draw.rest)
     return found

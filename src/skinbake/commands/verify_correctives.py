@@ -10,15 +10,20 @@ import numpy as np
 from skinbake.choices import PoseKind
 from skinbake.commands.bake import Baker
 from skinbake.commands.corrective_bake import poses_fingerprint
-from skinbake.errors import InputError, Notice, Place
+from skinbake.commands.played_correctives import (
+    BAKE,
+    PlayedCorrectives,
+    corrective_targets,
+    damaged_correctives,
+)
+from skinbake.errors import Notice, Place
 from skinbake.format.correctives import corrective_note, decoded_digest, nodes_with
-from skinbake.format.metadata import VERSION, changed_arrays, read_metadata
+from skinbake.format.metadata import changed_arrays
 from skinbake.format.strip import stripped
 from skinbake.freshness.baked_views import baked_views, gathered_together
 from skinbake.freshness.staleness import surface_operator
 from skinbake.geometry.poses import normalised
 from skinbake.geometry.skinned import Float64Array
-from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.animation import (
     PATHS,
     Clip,
@@ -30,8 +35,8 @@ from skinbake.gltf.animation import (
     skins_of,
 )
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, entries_of, is_number, object_of, reference, text
-from skinbake.gltf.morphs import resting_weights, target_count
+from skinbake.gltf.json_access import JsonObject, entries_of, is_number, object_of, text
+from skinbake.gltf.morphs import target_count
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive, reason_to_skip, skinned_sources
 from skinbake.measure.angles import Corrections, MeasuredBlock, lighting_errors
 from skinbake.measure.draws import Draw
@@ -51,8 +56,6 @@ SAME_POSES = 3e-5
 A joint that turns by a degree in one pose of a clip changes them by about 1e-4.
 """
 
-BAKE = "run skinbake bake --correctives again"
-
 
 def corrected_verdict(document: Document, options: VerifyOptions) -> FileVerdict:
     """Verify a document with correctives, as it is in memory. Raises InputError if it cannot be read.
@@ -61,7 +64,7 @@ def corrected_verdict(document: Document, options: VerifyOptions) -> FileVerdict
     """
     with stage("read"):
         sources, notices = skinned_sources(document)
-        problems = list(_damaged(document, sources))
+        problems = list(damaged_correctives(document))
     if problems:
         structure = Check("structure", "failed", tuple(problems))
         skipped = [Check(name, "skipped", (), "structure failed") for name in ("freshness", "lighting")]
@@ -76,20 +79,21 @@ def corrected_verdict(document: Document, options: VerifyOptions) -> FileVerdict
         views, problems = baked_views(gradients, wanted)
     if problems:
         return FileVerdict(document.name, (Check("structure", "failed", tuple(problems)),))
-    played = _Played(document, read_clips(document))
+    measured = _Measured(document)
     surfaces = gathered_together(gradients, views)
     operators = [surface_operator(gradients, surface) for surface in surfaces]
     by_lbs = replace(options, methods=("lbs",))
-    verdict = lighting_verdict(gradients, by_lbs, surfaces, operators, played.corrected)
-    targets = sum(played.targets.values())
-    meshes = counted(len(played.targets), "mesh", "meshes")
-    structure = Check("structure", "passed", (), f"{counted(targets, 'corrective normal')} of {meshes}")
+    verdict = lighting_verdict(gradients, by_lbs, surfaces, operators, measured.corrected)
+    targets = measured.played.targets
+    meshes = counted(len(targets), "mesh", "meshes")
+    told = f"{counted(sum(targets.values()), 'corrective normal')} of {meshes}"
+    structure = Check("structure", "passed", (), told)
     # That algorithms 2 and 3 agree says nothing of correctives.
     checks = [check for check in verdict.checks if check.name != "identity"]
     worse = list(_worse(verdict))
     mixtures: list[Mixture] = []
     with stage("mixtures"):
-        for place, mixture in played.mixtures() if options.poses.kind is PoseKind.ANIMATION else ():
+        for place, mixture in measured.mixtures() if options.poses.kind is PoseKind.ANIMATION else ():
             mixtures.append(mixture)
             if any(mixture.corrected[by] > WORSE * mixture.standard[by] for by in mixture.standard):
                 message = f"its correctives are worse than standard lighting {mixture.words}"
@@ -103,36 +107,12 @@ def corrected_verdict(document: Document, options: VerifyOptions) -> FileVerdict
     )
 
 
-def _damaged(document: Document, sources: Sequence[PrimitiveSource]) -> Iterator[Notice]:
-    """Yield a problem for each mesh whose targets or metadata are not those of a bake."""
-    for number, mesh in enumerate(document.objects("meshes")):
-        note = corrective_note(mesh)
-        if note is None:
-            continue
-        place = Place(document.name, number, text(mesh, "name", document.place))
-        primitives = entries_of(mesh.get("primitives"))
-        if note["version"] != VERSION:
-            message = f"its metadata has version {note['version']}, this skinbake reads {VERSION}"
-            yield Notice("version", f"{message}: update skinbake", place)
-        elif any(read_metadata(document, one) for one in primitives):
-            yield Notice("both-bakes", f"it has α/β and correctives, which correct it twice: {BAKE}", place)
-        elif any(len(entries_of(one.get("targets"))) < int(note["targets"]) for one in primitives):
-            yield Notice("targets-missing", f"its morph targets were removed since the bake: {BAKE}", place)
-        elif len(_noted(note)) != len(primitives):
-            yield Notice("metadata-broken", f'its metadata is damaged: "primitives"; {BAKE}', place)
-
-
-def _noted(note: JsonObject) -> list[JsonObject]:
-    """Return what the metadata says of each primitive."""
-    return entries_of(note.get("primitives"))
-
-
 def _freshness(document: Document, sources: Sequence[PrimitiveSource]) -> Check:
     """Return whether meshes, targets, weights and clips are those of the bake."""
     problems: list[Notice] = []
     for source in sources:
         note = corrective_note(document.objects("meshes")[source.mesh])
-        entry = {} if note is None else _noted(note)[source.primitive]
+        entry = {} if note is None else entries_of(note.get("primitives"))[source.primitive]
         if note is None or "digest" not in entry:
             continue
         now = read_primitive(document, source)
@@ -141,7 +121,7 @@ def _freshness(document: Document, sources: Sequence[PrimitiveSource]) -> Check:
             message = f"{' and '.join(changed)} changed since the bake of its correctives: {BAKE}"
             problems.append(Notice("stale", message, source.place))
         count, added = len(now.positions), int(note["targets"])
-        if entry.get("targets") != decoded_digest(_targets(document, source, added, count)):
+        if entry.get("targets") != decoded_digest(corrective_targets(document, source, added, count)):
             message = f"its corrective normals are not those of the bake any more: {BAKE}"
             problems.append(Notice("stale-targets", message, source.place))
     clips = {clip.number: clip for clip in read_clips(document)}
@@ -182,66 +162,29 @@ def _stale_clips(
                     yield Notice("stale-clips", message, place)
 
 
-def _targets(document: Document, source: PrimitiveSource, added: int, count: int) -> Float64Array:
-    """Return the last targets of a primitive, (K, V, 3), as a renderer reads them."""
-    found = np.zeros((added, count, 3))
-    for number, target in enumerate(entries_of(source.json.get("targets"))[-added:]):
-        accessor = reference(target.get("NORMAL"))
-        if accessor is not None:
-            values = read_accessor(document, accessor, source.place.at("NORMAL")).decoded()
-            if values.shape != found[number].shape:
-                raise InputError("its corrective normals do not fit its vertices", source.place)
-            found[number] = values
-    return found
+class _Measured:
+    """The draws of a document in which its correctives were measured."""
 
-
-class _Played:
-    """The correctives of a document, as its clips play them in the poses of a draw."""
-
-    def __init__(self, document: Document, clips: Sequence[Clip]) -> None:
-        self._document, self._clips = document, {clip.number: clip for clip in clips}
-        notes = {
-            n: note for n, one in enumerate(document.objects("meshes")) if (note := corrective_note(one))
-        }
-        self.targets = {mesh: int(note["targets"]) for mesh, note in notes.items()}
-        self.clips_of = {mesh: list(note.get("clips", [])) for mesh, note in notes.items()}
+    def __init__(self, document: Document) -> None:
+        self._document, self.played = document, PlayedCorrectives(document)
         self.drawn: list[Draw] = []
 
     def corrected(self, draw: Draw) -> Draw:
         """Return the draw with its correctives. A mesh without any has none."""
-        targets, weights = [], []
-        for view in draw.views:
-            mesh, count = view.source.mesh, len(view.now.positions)
-            added = self.targets.get(mesh, 0)
-            source = view.source.in_document(self._document)
-            lengths = np.linalg.norm(view.now.normals.astype(np.float64), axis=1)
-            with np.errstate(invalid="ignore", divide="ignore"):
-                own = _targets(self._document, source, added, count) if added else np.zeros((0, count, 3))
-                targets.append(np.nan_to_num(own / lengths[:, None]))
-            weights.append(self._weights(draw, mesh, added))
-        found = replace(draw, corrections=Corrections(targets, weights))
+        weights = [self._weights(draw, view.source.mesh) for view in draw.views]
+        found = replace(draw, corrections=Corrections(self.played.of_views(draw.views), weights))
         self.drawn.append(found)
         return found
 
-    def _weights(self, draw: Draw, mesh: int, added: int) -> Float64Array:
+    def _weights(self, draw: Draw, mesh: int) -> Float64Array:
         """Return the weights (P, K) of a mesh's correctives in the poses of a draw; 0 outside clips."""
-        found = np.zeros((len(draw.poses.clips), added))
+        found = np.zeros((len(draw.poses.clips), self.played.targets.get(mesh, 0)))
         times = np.array([0.0 if time is None else time for time in draw.poses.times])
         for number in set(draw.poses.numbers) - {None}:
             rows = np.flatnonzero([one == number for one in draw.poses.numbers])
-            found[rows] = self._at(mesh, draw.skin, self._clips[int(number or 0)], times[rows])
+            clip = self.played.clips[int(number or 0)]
+            found[rows] = self.played.weights(mesh, draw.skin, clip, times[rows])
         return found
-
-    def _at(self, mesh: int, skin: int, clip: Clip, times: Float64Array) -> Float64Array:
-        """Return the weights (P, K) that a clip gives a mesh's correctives at times (P,)."""
-        added = self.targets.get(mesh, 0)
-        nodes = nodes_with(self._document, mesh, skin) or nodes_with(self._document, mesh)
-        if not added or not nodes:
-            return np.zeros((len(times), added))
-        resting = resting_weights(self._document, nodes[0])
-        # joint_clips leaves out channels of morph weights.
-        whole = self._clips[clip.number]
-        return clip_weights(nodes[0], whole, times, resting)[:, -added:]
 
     def mixtures(self) -> Iterator[tuple[Place, Mixture]]:
         """Yield what correctives do in poses that they were not made for, by surface.
@@ -250,9 +193,9 @@ class _Played:
         the first one with a limb turned by 60°, as by IK.
         """
         for draw in self.drawn:
-            mesh = next((v.source.mesh for v in draw.views if v.source.mesh in self.targets), None)
-            names = [] if mesh is None else self.clips_of[mesh]
-            moving = joint_clips(self._document, draw.skin, list(self._clips.values()))
+            mesh = next((v.source.mesh for v in draw.views if v.source.mesh in self.played.targets), None)
+            names = [] if mesh is None else self.played.clips_of[mesh]
+            moving = joint_clips(self._document, draw.skin, list(self.played.clips.values()))
             playing = [clip for clip in moving if clip.name in names][:2]
             if not playing or draw.corrections is None:
                 continue
@@ -260,7 +203,7 @@ class _Played:
             skeleton = read_skeleton(self._document, draw.skin)
             times = [clip.start + (clip.duration - clip.start) * MOMENTS for clip in playing]
             weights = [
-                [self._at(view.source.mesh, draw.skin, clip, at) for view in draw.views]
+                [self.played.weights(view.source.mesh, draw.skin, clip, at) for view in draw.views]
                 for clip, at in zip(playing, times, strict=True)
             ]
             if len(playing) == 2:

@@ -18,6 +18,7 @@ from skinbake.commands.posed_scene import (
     baked_in_memory,
     damaged_bakes,
     shown_draws,
+    sound_correctives,
     telling_moment,
     unplaced,
 )
@@ -78,7 +79,8 @@ def view_file(source: str, target: str | None = None, bounds: Bounds = BESIDE) -
         document = read_document(source, bounds)
     if target is not None:
         refuse_own_input(document, source, target)
-    was_baked = bool(sound_views(document))
+    corrected = document if sound_correctives(document) else None
+    was_baked = bool(sound_views(document)) or corrected is not None
     notices: tuple[Notice, ...] = ()
     notes: list[str] = []
     if not was_baked:
@@ -86,25 +88,34 @@ def view_file(source: str, target: str | None = None, bounds: Bounds = BESIDE) -
         if any(corrective_note(mesh) for mesh in document.objects("meshes")):
             before = LEFT_OUT
         notes = [f"{before} This page baked it in memory, with the defaults."]
+    if corrected or not was_baked:
         document, notices = baked_in_memory(document)
-    verdict = verify_document(document, VerifyOptions())
+    verdict = verify_document(corrected or document, VerifyOptions())
     told = tuple(dict.fromkeys((*notices, *verdict.notices)))  # bake and verify say some things alike
-    made, missing = page_of(document, replace(verdict, notices=told), notes)
+    made, missing = page_of(document, replace(verdict, notices=told), notes, corrected=corrected)
     return ViewResult(made, was_baked, (*missing, *told))
 
 
 def page_of(
-    document: Document, verdict: FileVerdict, notes: Sequence[str], limits: Sequence[str] | None = None
+    document: Document,
+    verdict: FileVerdict,
+    notes: Sequence[str],
+    limits: Sequence[str] | None = None,
+    corrected: Document | None = None,
 ) -> tuple[bytes, list[Notice]]:
     """Return the page of a document that was verified, and notices on what is missing in it.
 
-    limits are those that it was held to, in words; None if it was not.
+    limits are those that it was held to, in words; None if it was not. corrected is the same document with
+    correctives, if it has any: they are shown beside the α and β that ``document`` holds.
     """
     with stage("other gradients"):
         views = sound_views(document)
-        others = list(_other_gradients(document, views))
+        others = list(_other_gradients(document, views, is_shown=corrected is None))
+        if corrected:
+            others += [_with_influences(view, noted_kind(view)) for view in views]
+            notes = [*notes, COMPARED]
     with stage("page"):
-        glb, missing = _self_contained(document)
+        glb, missing = _self_contained(corrected or document)
         size = sum(map(len, glb))
         document.budget.claim(PAGE_BYTES * size, f"a page of {counted(size, 'byte')}", document.place)
         missing += [notice for view in views for notice in unplaced(document, view, "page")]
@@ -125,7 +136,8 @@ def _sentence(notice: Notice) -> str:
     return f"{notice.message} ({where})" if where else notice.message
 
 
-LEFT_OUT = "The file has correctives. The page does not draw them, but what α and β would give."
+LEFT_OUT = "The correctives of the file are damaged. The page draws what α and β would give in place of them."
+COMPARED = "The file has correctives. What α and β would give was baked in memory, with the defaults."
 
 
 def write_page(result: ViewResult, target: str, *, sync: bool = True) -> None:
@@ -136,10 +148,13 @@ def write_page(result: ViewResult, target: str, *, sync: bool = True) -> None:
         write_file([result.page], target, sync=sync)
 
 
-def _other_gradients(document: Document, views: Sequence[BakedView]) -> Iterator[OtherGradients]:
+def _other_gradients(
+    document: Document, views: Sequence[BakedView], *, is_shown: bool = True
+) -> Iterator[OtherGradients]:
     """Yield α and β of the kind that the file does not hold, baked with the same settings otherwise.
 
-    Yields nothing if they cannot be baked: without a rig there is one kind only.
+    Yields nothing if they cannot be baked: without a rig there is one kind only. is_shown: the page has the
+    influences of the document, and needs no equal ones.
     """
     if not views:
         return
@@ -168,17 +183,24 @@ def _other_gradients(document: Document, views: Sequence[BakedView]) -> Iterator
         other = others.get(view.source.place)
         if other is None or noted_kind(other) is not kind or other.alpha.shape != view.alpha.shape:
             continue
-        same = np.array_equal(other.now.joints, view.now.joints)
-        place = view.source.place
-        yield OtherGradients(
-            kind=str(kind),
-            mesh=place.mesh or 0,
-            primitive=place.primitive or 0,
-            alpha=other.alpha,
-            beta=other.beta,
-            joints=None if same else other.now.joints,
-            weights=None if same else other.now.weights,
-        )
+        found = _with_influences(other, kind)
+        same = is_shown and np.array_equal(other.now.joints, view.now.joints)
+        yield replace(found, joints=None, weights=None) if same else found
+
+
+def _with_influences(view: BakedView, kind: Gradients) -> OtherGradients:
+    """Return α and β of a primitive for the page, with the influences that they belong to."""
+    place = view.source.place
+    return OtherGradients(
+        kind=str(kind),
+        mesh=place.mesh or 0,
+        primitive=place.primitive or 0,
+        frame=str(view.metadata["frame"]),
+        alpha=view.alpha,
+        beta=view.beta,
+        joints=view.now.joints,
+        weights=view.now.weights,
+    )
 
 
 def _self_contained(document: Document) -> tuple[list[bytes | memoryview], list[Notice]]:
@@ -288,11 +310,11 @@ def _findings(verdict: FileVerdict) -> dict[str, Any]:
 
 def _page(document: Document, verdict: FileVerdict, options: VerifyOptions) -> bytes:
     """Return the page of a file that was verified, with its verdict and the limits that it was held to."""
-    notes = []
+    notes, corrected = [], document if sound_correctives(document) else None
     if any(corrective_note(mesh) for mesh in document.objects("meshes")):
-        notes = [LEFT_OUT]
+        notes = [] if corrected else [LEFT_OUT]
         document, _ = baked_in_memory(document)
-    return page_of(document, verdict, notes, limits=limits_in_words(options))[0]
+    return page_of(document, verdict, notes, limits_in_words(options), corrected)[0]
 
 
 def write_report(

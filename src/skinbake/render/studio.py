@@ -155,8 +155,9 @@ class Studio:
     def _rows(self, number: int, shot: Shot, lighting: str) -> Any:
         """Return the buffer of a subject's vertices. Those that no picture changes are uploaded once."""
         subject, errors = self._subjects[number], shot.errors.get(lighting)
-        if errors is not None or number in shot.morphed:
-            rest = shot.morphed.get(number, subject.rest)
+        moved = shot.corrected if lighting == "corrected" else shot.morphed
+        if errors is not None or number in moved:
+            rest = moved.get(number, subject.rest)
             return self._vertices(_rows(subject, rest, None if errors is None else errors[number]))
         if number not in self._at_rest:
             self._at_rest[number] = self._vertices(_rows(subject, subject.rest, None))
@@ -233,6 +234,8 @@ class Studio:
     def _pipeline(self, subject: Subject, lighting: str) -> Any:
         material, slots = subject.material, subject.rest.joints.shape[1]
         culled = "none" if material.is_double or subject.is_mirrored else "back"
+        if lighting == "corrected":  # standard lighting, of other normals
+            lighting = "standard"
         key = (lighting, slots, subject.is_mirrored, culled, material.is_blended)
         if key in self._pipelines:
             return self._pipelines[key]

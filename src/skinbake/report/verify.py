@@ -382,8 +382,6 @@ def _on_gain(figures: Mapping[str, ErrorFigures], look: str, *, advised: bool) -
     if advised:
         return Conclusion(f"Another bake is better: this one is {told}.", "bake as the warning says")
     shows = f"{look} shows"
-    if "corrected" in figures:
-        shows = "playing it in your viewer shows"  # the page shows α and β in place of correctives
     if factor is None or factor >= CLEAR:
         return Conclusion(f"Clear gain: {told}.", f"{shows} where", "clear gain")
     if round(factor, 2) >= LITTLE:

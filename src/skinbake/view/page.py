@@ -20,14 +20,16 @@ from skinbake.view.texts import packed_texts
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OtherGradients:
-    """α and β (V, K − 1) of another kind for a primitive that the file holds: ``surface`` or ``rig``.
+    """α and β (V, K − 1) of a kind that the file does not hold for a primitive: ``surface`` or ``rig``.
 
     joints (V, K) and weights (V, K) are the influences that they belong to, None if they are the file's own.
+    frame is that of α and β.
     """
 
     kind: str
     mesh: int
     primitive: int
+    frame: str
     alpha: FloatArray
     beta: FloatArray
     joints: IntArray | None = None
@@ -75,6 +77,7 @@ def _others(others: Sequence[OtherGradients]) -> dict[str, Any]:
                 "kind": other.kind,
                 "mesh": other.mesh,
                 "primitive": other.primitive,
+                "frame": other.frame,
                 "alpha": _numbers(other.alpha),
                 "beta": _numbers(other.beta),
                 "joints": None if other.joints is None else _numbers(other.joints),

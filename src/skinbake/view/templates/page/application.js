@@ -9,6 +9,7 @@ import { Scene } from './scene.js';
 
 const NAMES = {
     standard: 'Standard',
+    corrected: 'Corrected by targets',
     surface: 'Accurate, surface',
     rig: 'Accurate, fitted',
     dqs: 'Dual quaternions, exact',
@@ -189,7 +190,7 @@ class Application {
 
     fillSides() {
         const fitting = Object.keys(NAMES).filter((name) => !this.scene.reasonWithout(name));
-        const best = ['rig', 'surface', 'standard'].find((name) => fitting.includes(name));
+        const best = ['corrected', 'rig', 'surface', 'standard'].find((name) => fitting.includes(name));
         for (const [side, chosen] of [['left', 'standard'], ['right', best]]) {
             byId[side].replaceChildren(
                 ...Object.entries(NAMES).map(([name, text]) => {
@@ -484,7 +485,8 @@ function factsOf(model) {
         some.reduce((sum, { count }) => sum + count, 0)
     );
     const baked = primitives.find(({ metadata }) => metadata)?.metadata;
-    const how = baked ? `${baked.frame} frame, ${baked.encoding ?? 'float32'}` : 'not baked';
+    const targets = Math.max(...primitives.map(({ correctives }) => correctives.length));
+    const how = targets ? `${targets} corrective normals` : baked ? `${baked.frame} frame, ${baked.encoding ?? 'float32'}` : 'not baked';
     const all = `${count.toLocaleString('en')} vertices`;
     return `${all}${skinned < count ? `, ${skinned.toLocaleString('en')} of them skinned` : ''}, ${how}`;
 }
@@ -493,6 +495,7 @@ function factsOf(model) {
 function addOther(model, other) {
     for (const one of other?.primitives ?? []) {
         const primitive = model.primitives.get(`${one.mesh}/${one.primitive}/true`);
+        if (primitive && one.frame) primitive.metadata ??= { frame: one.frame }; // Of a file with correctives.
         if (!primitive?.metadata) continue;
         const [alpha, beta] = [one.alpha, one.beta].map((text) => new Float32Array(fromBase64(text).buffer));
         const others = alpha.length / primitive.count;

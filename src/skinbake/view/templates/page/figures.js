@@ -2,6 +2,7 @@
 
 const ROWS = [
     ['lbs', 'standard', 'Standard'],
+    ['lbs', 'corrected', 'Corrected by targets'],
     ['lbs', 'accurate', 'Accurate'],
     ['dqs', 'standard', 'Dual quaternions, standard'],
     ['dqs', 'accurate', 'Dual quaternions, accurate'],
@@ -18,17 +19,21 @@ export function showFigures(byId, given) {
     if (least) {
         byId.gain.textContent = times(least.gain);
         byId.gain.classList.toggle('is-loss', least.gain < 1);
+        const name = least.corrected ? 'Corrected' : 'Accurate';
         byId['gain-words'].textContent =
             (least.gain < 1
-                ? 'Accurate lighting is not nearer to the true normals of this file than standard lighting: '
-                : 'Accurate lighting is that much nearer to the true normals than standard lighting: ') +
-            `${degrees(least.accurate.mean)} instead of ${degrees(least.standard.mean)} in the mean, ${least.truth}` +
+                ? `${name} lighting is not nearer to the true normals of this file than standard lighting: `
+                : `${name} lighting is that much nearer to the true normals than standard lighting: `) +
+            `${degrees(bakedOf(least).mean)} instead of ${degrees(least.standard.mean)} in the mean, ${least.truth}` +
             (figures.lbs ? '.' : ', with dual quaternions.') +
             (other ? ` The gain ${other.truth} is ${times(other.gain)}.` : '');
     }
     byId.table.replaceChildren(tableOf(figures, triangles));
     byId['table-words'].textContent = `By skinbake verify, over ${poses}. Two truths, found in two ways.`;
 }
+
+// What the bake of a file gives: its correctives, or α and β.
+const bakedOf = ({ corrected, accurate }) => corrected ?? accurate;
 
 // The figures of the first method by both truths, the smaller gain first: that one counts.
 function byGain(figures, triangles) {
@@ -97,11 +102,13 @@ function showPrimitives(byId, primitives) {
     byId.primitives.hidden = rows.length < 2;
     const table = element('table');
     const head = element('thead');
-    head.append(row('th', ['', 'standard', 'accurate', 'gain']));
+    const isCorrected = rows.some(({ normals }) => normals.lbs?.corrected);
+    head.append(row('th', ['', 'standard', isCorrected ? 'corrected' : 'accurate', 'gain']));
     const body = element('tbody');
     for (const { mesh, mesh_name: name, primitive, normals, normals_by_triangles: triangles } of rows) {
-        const { standard, accurate, gain } = byGain(normals, triangles)[0] ?? normals.lbs ?? normals.dqs;
-        const line = row('td', [standard.mean.toFixed(2), accurate.mean.toFixed(2), gain ? times(gain) : '—']);
+        const one = byGain(normals, triangles)[0] ?? normals.lbs ?? normals.dqs;
+        const { standard, gain } = one;
+        const line = row('td', [standard.mean.toFixed(2), bakedOf(one).mean.toFixed(2), gain ? times(gain) : '—']);
         const title = element('th', `${isolated(name ?? `mesh ${mesh}`)}, ${primitive}`);
         title.scope = 'row';
         line.prepend(title);

@@ -241,6 +241,8 @@ function readPrimitive({ source, json, skins, nodes }, mesh, index, isSkinned) {
     const triangles = readTriangles(source, one.indices, mode, count);
     const optional = (name) => (attributes[name] === undefined ? null : source.floats(attributes[name]));
     const given = optional('NORMAL')?.array;
+    const targets = list(one.targets).map((target) => readTarget(source, target));
+    const own = targets.length - correctiveCount(json.meshes[mesh], targets.length);
     const primitive = {
         mesh,
         index,
@@ -256,8 +258,10 @@ function readPrimitive({ source, json, skins, nodes }, mesh, index, isSkinned) {
         weights: [],
         gradients: {},
         metadata: null,
-        targets: list(one.targets).map((target) => readTarget(source, target)),
+        targets: targets.slice(0, own),
+        correctives: targets.slice(own),
     };
+    if (own < targets.length) primitive.stored = given ?? primitive.normals; // Of any length: correctives belong to it.
     if (isSkinned) {
         const fewest = Math.min(
             ...nodes.filter((node) => node.mesh === mesh && node.skin !== undefined).map((node) => skins[node.skin].joints.length)
@@ -267,6 +271,14 @@ function readPrimitive({ source, json, skins, nodes }, mesh, index, isSkinned) {
     }
     readTexcoords(source, attributes, list(json.materials)[one.material], primitive);
     return primitive;
+}
+
+// How many of a mesh's targets, the last ones, are the correctives of a bake.
+function correctiveCount(mesh, most) {
+    const { version, targets } = mesh.extras?.skinbake ?? {};
+    if (!(Number.isInteger(version) && Number.isInteger(targets) && targets > 0 && targets <= most)) return 0;
+    if (version !== 1) throw new ReadError(`its correctives have version ${version}: make the page with a newer skinbake`);
+    return targets;
 }
 
 function readTarget(source, target) {

@@ -11,6 +11,7 @@ const CLAY = [0.60, 0.585, 0.56, 1];
 // How each lighting is drawn: the algorithm, the kind of its α and β, and whether its normals are the true ones.
 export const LIGHTINGS = {
     standard: { stem: 'lbs_standard', method: 'lbs' },
+    corrected: { stem: 'lbs_standard', method: 'lbs', isCorrected: true },
     surface: { stem: 'lbs_accurate', method: 'lbs', gradients: 'surface' },
     rig: { stem: 'lbs_accurate', method: 'lbs', gradients: 'rig' },
     dqs: { stem: 'dqs_exact', method: 'dqs' },
@@ -40,7 +41,8 @@ export class Renderer {
         this.isMirrored = isMirrored;
         this.geometries = new Map();
         this.parts = model.draws.map((draw) => {
-            const key = draw.primitive.targets.length ? draw : draw.primitive; // Each node has its own morph weights.
+            const { targets, correctives } = draw.primitive;
+            const key = targets.length || correctives.length ? draw : draw.primitive; // Each node has its own morph weights.
             if (!this.geometries.has(key)) this.geometries.set(key, this.geometry(draw.primitive));
             return { ...draw, ...this.geometries.get(key), truth: {} };
         });
@@ -93,6 +95,7 @@ export class Renderer {
         const { gl } = this;
         const indices = this.buffer(primitive.triangles, gl.ELEMENT_ARRAY_BUFFER);
         const [first, second, third] = primitive.texcoords;
+        const isMorphed = primitive.targets.length > 0 || primitive.correctives.length > 0;
         const shared = [
             ['position', this.buffer(primitive.positions), 3],
             ['normal', this.buffer(primitive.normals), 3],
@@ -100,14 +103,20 @@ export class Renderer {
             ['texcoord', first && this.buffer(second ? pairedVectors(first, second) : first), second ? 4 : 2],
             ['further_texcoord', third && this.buffer(third), 2],
             ['color', primitive.colors && this.buffer(primitive.colors.array), primitive.colors?.size],
-            ['morphed_normal', primitive.targets.length ? this.buffer(primitive.normals.slice()) : null, 3],
-            ['morphed_tangent', primitive.targets.length && primitive.tangents ? this.buffer(withoutHandedness(primitive.tangents)) : null, 3],
+            ['morphed_normal', isMorphed ? this.buffer(primitive.normals.slice()) : null, 3],
+            ['morphed_tangent', isMorphed && primitive.tangents ? this.buffer(withoutHandedness(primitive.tangents)) : null, 3],
         ];
         const kinds = Object.entries(primitive.gradients);
         const arrays = Object.fromEntries(
             [['', null], ...kinds].map(([kind, gradients]) => [kind, this.array(indices, shared, primitive, gradients)])
         );
-        return { arrays, shared: Object.fromEntries(shared.map(([name, buffer]) => [name, buffer])), indices };
+        const buffers = Object.fromEntries(shared.map(([name, buffer]) => [name, buffer]));
+        if (primitive.correctives.length) {
+            buffers.corrected = this.buffer(primitive.stored);
+            const others = shared.filter(([name]) => name !== 'morphed_normal');
+            arrays.corrected = this.array(indices, [...others, ['morphed_normal', buffers.corrected, 3]], primitive, null);
+        }
+        return { arrays, shared: buffers, indices };
     }
 
     // A vertex array for one kind of α and β. A kind may have adopted other joints.
@@ -264,7 +273,8 @@ export class Renderer {
         if (part.skin === undefined || !primitive.joints.length) {
             return { name: `rigid ${shading}`, texts: () => [RIGID_TEXT, fragment()], array: part.arrays[''], gradients: null };
         }
-        const { stem, gradients: wanted } = LIGHTINGS[lighting];
+        const { stem, gradients: wanted, isCorrected } = LIGHTINGS[lighting];
+        const plays = isCorrected && primitive.correctives.length > 0;
         const kinds = Object.keys(primitive.gradients);
         const kind = stem === 'lbs_standard' ? '' : kinds.includes(wanted) ? wanted : kinds[0];
         const isLit = kind !== undefined && stem !== 'lbs_standard';
@@ -275,14 +285,14 @@ export class Renderer {
             sets: primitive.joints.length,
             frame,
             storage: gradients?.storage ?? 'float32',
-            morphs: morphsOf(primitive, frame),
+            morphs: plays ? (frame === 'tangent' && primitive.tangents ? 'tangent' : 'normal') : morphsOf(primitive, frame),
             mirrored: this.isMirrored,
         };
         const text = textName(choices);
         return {
             name: `${text} ${shading}`,
             texts: () => [vertexText(this.texts[text], choices), fragment()],
-            array: part.arrays[isLit ? kind : ''],
+            array: part.arrays[plays ? 'corrected' : isLit ? kind : ''],
             gradients,
             isDual: choices.stem === 'dqs_exact',
         };
@@ -305,11 +315,11 @@ export class Renderer {
         });
     }
 
-    // Upload the attributes of a part under its morph targets.
-    setMorphed(part, { positions, normals, tangents }) {
+    // Upload the attributes of a part under its morph targets, and its normals under its correctives.
+    setMorphed(part, { positions, normals, tangents, corrected }) {
         const { gl } = this;
         gl.bindVertexArray(null);
-        for (const [name, values] of [['position', positions], ['morphed_normal', normals], ['morphed_tangent', tangents]]) {
+        for (const [name, values] of [['position', positions], ['morphed_normal', normals], ['morphed_tangent', tangents], ['corrected', corrected]]) {
             if (!values || !part.shared[name]) continue;
             gl.bindBuffer(gl.ARRAY_BUFFER, part.shared[name]);
             gl.bufferSubData(gl.ARRAY_BUFFER, 0, values);

@@ -22,7 +22,7 @@ export class Scene {
         const middle = poseAt(model, clip, (clip.start + clip.end) / 2);
         const isMirrored = [rest, middle].some((pose) => pose.skins.flat().some((matrix) => determinant(matrix) < 0));
         const loading = this.renderer.setModel(model, isMirrored);
-        Object.assign(this, { model, surfaces: undefined, known: new Map(), morphed: new Map() });
+        Object.assign(this, { model, surfaces: undefined, known: new Map(), morphed: new Map(), played: new Map() });
         this.parts = this.renderer.parts;
         this.usedJoints = model.skins.map((_, skin) => usedJoints(this.parts.filter((part) => part.skin === skin)));
         this.clips = model.skins.length ? [...clips, randomClip(model)] : clips.length ? clips : [STILL];
@@ -37,23 +37,28 @@ export class Scene {
         this.posed = poseAt(model, clip, time);
         this.motions = this.posed.skins.map((matrices, skin) => rigidMotions(matrices, this.usedJoints[skin]));
         renderer.setPose(this.posed, this.motions);
-        for (const part of this.parts) if (part.primitive.targets.length) this.morph(part);
+        for (const part of this.parts) this.morph(part);
     }
 
     morph(part) {
+        const { targets, correctives } = part.primitive;
+        if (!targets.length && !correctives.length) return;
         const weights = this.posed.weights[part.node];
         const key = weights.join();
-        if (this.morphed.get(part)?.key === key) return;
-        const arrays = morphedArrays(part.primitive, weights);
-        this.morphed.set(part, { key, ...arrays });
-        this.renderer.setMorphed(part, arrays);
+        if (this.played.get(part) === key) return;
+        this.played.set(part, key);
+        const arrays = targets.length ? morphedArrays(part.primitive, weights) : null;
+        if (arrays) this.morphed.set(part, arrays);
+        const corrected = correctives.length ? correctedNormals(part.primitive, weights) : null;
+        this.renderer.setMorphed(part, { ...arrays, corrected });
     }
 
     // Why a lighting cannot be shown; empty if it can.
     reasonWithout(lighting) {
         const lit = this.parts.filter((part) => part.skin !== undefined);
-        const { gradients, stem } = LIGHTINGS[lighting];
+        const { gradients, stem, isCorrected } = LIGHTINGS[lighting];
         if (!lit.length) return lighting === 'standard' ? '' : 'nothing in it is skinned';
+        if (isCorrected && !lit.some((part) => part.primitive.correctives.length)) return 'the file has none';
         if (gradients && !lit.some((part) => part.primitive.gradients[gradients])) return 'the page holds no such α and β of this file';
         if (stem !== 'lbs_standard' && !lit.some((part) => part.primitive.metadata)) return 'it is not baked';
         if (stem === 'dqs_exact' && this.motions.some((motion, skin) => !motion && this.usedJoints[skin].length)) return 'its joints are not rigid';
@@ -223,6 +228,16 @@ function angle(a, i, b, j) {
     const z = a[i] * b[j + 1] - a[i + 1] * b[j];
     const cosine = a[i] * b[j] + a[i + 1] * b[j + 1] + a[i + 2] * b[j + 2];
     return (Math.atan2(Math.sqrt(x * x + y * y + z * z), cosine) * 180) / Math.PI;
+}
+
+// What a viewer without our code makes of NORMAL: the sum of the stored normals and all targets.
+function correctedNormals({ stored, targets, correctives }, weights) {
+    const found = stored.slice();
+    [...targets, ...correctives].forEach(({ normals }, number) => {
+        const weight = weights[number] ?? 0;
+        if (weight && normals) for (let i = 0; i < normals.length; i++) found[i] += weight * normals[i];
+    });
+    return found;
 }
 
 function morphedArrays({ positions, normals, tangents, targets, count }, weights) {
