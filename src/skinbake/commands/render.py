@@ -322,7 +322,7 @@ def _shots(
     for pose in range(count):
         turned = 2 * np.pi * pose / count if options.turntable else 0.0
         told = {
-            name: tuple((own[name][0, pose], own[name][1, pose]) for own in errors)
+            name: tuple((own[name][0, pose], own[name][1, pose]) for own in errors or ())
             for name in (errors[0] if errors else ())
         }
         yield Shot(
