@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 from skinbake.choices import FrameChoice, Gradients, Neighbours, Scheme, Weld
 from skinbake.commands.bake_options import CheckedOptions
-from skinbake.commands.morph_bake import morph_bake
 from skinbake.commands.surface_bake import FitTarget, PrimitiveBake, SurfaceBake, unwritten
 from skinbake.errors import Chosen, InputError, Message, Notice, Place, noticed
 from skinbake.files.bounds import OWN_FOLDERS, Within
@@ -154,16 +153,21 @@ class Baker(CheckedOptions):
                 document, kept = recoded(document, sources, compression)
         sources = [source.in_document(document) for source in sources]
         bakes, remarks = self._bakes(document, sources)
-        morphs = morph_bake(document, bakes, self.settings, wanted=self.morph_normals)
-        remarks += morphs.notices
-        if not bakes and not morphs.made:
+        morphs = None
+        if self.morph_normals or any("targets" in bake.source.json for bake in bakes):
+            from skinbake.commands.morph_bake import morph_bake  # most models have no targets
+
+            morphs = morph_bake(document, bakes, self.settings, wanted=self.morph_normals)
+            remarks += morphs.notices
+        made_normals = morphs.made if morphs else ()
+        if not bakes and not made_normals:
             return BakedDocument(given, (), skipped, (*reasons, *remarks))
         storage = with_scale(GradientFormat(self.encoding, self.layout), [bake.result for bake in bakes])
         with stage("store"):
             to_store = [bake.to_store(self._noted_settings) for bake in bakes]
             names, level = self.attribute_names, self.compress_level
             written, lengths, made_lengths = with_baked(
-                document, to_store, names, storage, level=level, made=morphs.made
+                document, to_store, names, storage, level=level, made=made_normals
             )
         with stage("encoding"):
             cost, unmeasured = _encoding_cost(document, bakes, storage)
@@ -193,7 +197,7 @@ class Baker(CheckedOptions):
             noted = None if left is None else with_left(given, left.note)
             if noted is not None:
                 return BakedDocument(noted, (), skipped, tuple(reasons), left=left)
-        morphed = morphs.reported(made_lengths)
+        morphed = morphs.reported(made_lengths) if morphs else ()
         return BakedDocument(written, primitives, skipped, tuple(notices), cost, morph_normals=morphed)
 
     def _left(self, baked: Document) -> Left | None:
