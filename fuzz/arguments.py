@@ -79,6 +79,7 @@ SHADER: Group = (
     (0.2, [["--influences", "8"], ["--influences", "4"]]),
     (0.2, [["--cap"], ["--cap", "0.5"]]),
     (0.2, [["--mirrored-joints"]]),
+    (0.2, [["--scaled-joints"]]),
     (0.2, [["--morphs", "normal"], ["--morphs", "tangent"]]),
 )
 RENDER: Group = (

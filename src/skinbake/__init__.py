@@ -4,8 +4,9 @@ After Tarini, Panozzo, Sorkine-Hornung, *Accurate and Efficient Lighting for Ski
 Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330.
 
 ``bake``, ``verify``, ``inspect`` and ``strip`` do the work of the commands of these names.
-``weight_gradients`` computes α and β of arrays. ``joint_dual_quaternions`` prepares joint matrices on the
-host for the shaders of ``--method dqs``. docs/python.md shows how they are used.
+``weight_gradients`` computes α and β of arrays. ``joint_dual_quaternions`` and ``joint_scaled_motions``
+prepare joint matrices on the host for the shaders of ``--method dqs``. docs/python.md shows how they are
+used.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
         SkinbakeError,
         UnsupportedFeatureError,
     )
-    from skinbake.geometry.dual_quaternions import joint_dual_quaternions
+    from skinbake.geometry.dual_quaternions import joint_dual_quaternions, joint_scaled_motions
 
 __all__ = [
     "BakeOptions",
@@ -38,6 +39,7 @@ __all__ = [
     "bake",
     "inspect",
     "joint_dual_quaternions",
+    "joint_scaled_motions",
     "strip",
     "verify",
     "weight_gradients",
@@ -51,6 +53,7 @@ _HOMES = {
     "SkinbakeError": _ERRORS,
     "UnsupportedFeatureError": _ERRORS,
     "joint_dual_quaternions": "skinbake.geometry.dual_quaternions",
+    "joint_scaled_motions": "skinbake.geometry.dual_quaternions",
 }
 
 

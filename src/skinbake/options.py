@@ -538,6 +538,8 @@ SHADER = (
             "TANGENT. By default it fits the targets of --for, else none."),
         Option("mirrored_joints", bool, False, help=
             "Keep normals outside if joints mirror the surface; --for sets it if they do."),
+        Option("scaled_joints", bool, False, help=
+            "Dual quaternions of joints that scale, shear or mirror; --for sets it if they do."),
         Option("normal_map", bool, False, help=
             "Also what normal maps need: two vectors beside the normal, and the line for the pixel."),
         Option("cap", Range(0, is_open=True), None, metavar="[X]", bare=PUBLISHED_CAP, help=

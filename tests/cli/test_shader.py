@@ -158,6 +158,7 @@ def test_a_target_that_is_text_is_replaced(tmp_path: Path, content: str) -> None
         ),
         (["--lang", "glsl", "--lighting", "direct", "--cap"], "--cap is for accurate and exact"),
         (["--lang", "glsl", "--method", "dqs", "--mirrored-joints"], "--mirrored-joints"),
+        (["--lang", "glsl", "--scaled-joints"], "--scaled-joints needs --method dqs --lighting exact"),
         (["--lang", "glsl", "--cap", "0"], "'--cap': expected a number above 0, found 0"),
         (["--lang", "glsl", "--cap", "nan"], "expected a number above 0, found nan"),
         # WGSL compilers refuse a literal beyond float32. The square of 1e-30 is 0 in float32: no limit.
@@ -427,16 +428,21 @@ class TestForFile:
         assert direct.exit_code == 0
         assert "mirrored" not in direct.stdout
 
-    def test_dual_quaternions_are_refused_where_joints_are_not_rigid(self, tmp_path: Path) -> None:
+    def test_dual_quaternions_take_joints_that_scale(self, tmp_path: Path) -> None:
         def stretch(content: Any) -> None:
             node = content["nodes"][content["skins"][0]["joints"][0]]
             node.pop("matrix", None)
             node["scale"] = [1, 1, 1.5]
 
         file = baked(edited(SEAM.name, tmp_path, stretch), tmp_path)
-        result = invoke("shader", "--lang", "glsl", "--for", file, "--method", "dqs")
-        assert result.exit_code == 3
-        assert "this file does not fit --method dqs" in result.stderr
+        text = invoke("shader", "--lang", "glsl", "--for", file, "--method", "dqs").stdout
+        assert "--scaled-joints" in header(text)
+        assert "skinbake_dqs_scaled(" in text
+        assert "skinbake_dual_quaternion" not in text
+        for options in (["--lighting", "accurate"], ["--target", "three"]):
+            result = invoke("shader", "--lang", "glsl", "--for", file, "--method", "dqs", *options)
+            assert result.exit_code == 3
+            assert "this file does not fit --method dqs" in result.stderr
         assert invoke("shader", "--lang", "glsl", "--for", file).exit_code == 0
 
 

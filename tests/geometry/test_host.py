@@ -85,10 +85,27 @@ def test_joints_that_are_not_rigid_are_refused_unless_unused() -> None:
     np.testing.assert_array_equal(parts[2], [[0, 0, 0, 1], [0, 0, 0, 0]])
 
 
+def test_scaled_motions_are_the_columns_times_the_rotation_and_the_rotation() -> None:
+    matrices = np.stack([MATRICES, MATRICES]).astype(np.float32)
+    matrices[1, :, :3, :3] *= [1.0, 0.5, 1.2]
+    found = skinbake.joint_scaled_motions(matrices)
+    assert found.shape == (2, 4, 5, 4)
+    assert found.dtype == np.float32
+    for matrix, (*columns, turn) in zip(matrices.reshape(-1, 4, 4), found.reshape(-1, 5, 4), strict=True):
+        assert np.linalg.norm(turn) == pytest.approx(1.0)
+        for number, column in enumerate(columns):
+            # A quaternion over another one, both with the scalar last.
+            x, r = column[[3, 0, 1, 2]], turn[[3, 0, 1, 2]] * [1, -1, -1, -1]
+            vector = x[0] * r[1:] + r[0] * x[1:] + np.cross(x[1:], r[1:])
+            np.testing.assert_allclose(vector, matrix[:3, number], atol=2e-6)
+            assert x[0] * r[0] - x[1:] @ r[1:] == pytest.approx(0.0, abs=2e-6)
+
+
 @pytest.mark.parametrize("shape", [(4, 4), (3, 4), (2, 3, 4)])
 def test_joint_matrices_of_other_shapes_are_refused(shape: tuple[int, ...]) -> None:
-    with pytest.raises(ValueError, match="expected"):
-        skinbake.joint_dual_quaternions(np.zeros(shape))
+    for prepare in (skinbake.joint_dual_quaternions, skinbake.joint_scaled_motions):
+        with pytest.raises(ValueError, match="expected"):
+            prepare(np.zeros(shape))
 
 
 def test_importing_skinbake_imports_no_numpy() -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
-from skinbake.choices import Frame, Language, Method, Morphs
+from skinbake.choices import Frame, Language, Lighting, Method, Morphs
 from skinbake.options import PUBLISHED_CAP
 from skinbake.shaders.choices import ALGORITHMS, BEST, ShaderChoices
 from tests.support.whole_fields import shader_text
@@ -34,6 +34,21 @@ TEXELS = ((0.36, -0.48, 0.8), (-0.6, 0.0, 0.8))
 """Two normals of a normal map. With one, the mapped normals take the place of tangent and bitangent."""
 
 
+SCALED = "skinbake_ScaledMotion"
+
+GLSL_MOTIONS = {
+    "lbs": ("mat4", "matrices"),
+    "dqs": ("mat2x4", "quaternions"),
+    "scaled": (SCALED, "scaled"),
+}
+"""The type of a joint's motion in GLSL, and the member of the uniform block that holds them."""
+
+
+def motion_kind(choices: ShaderChoices) -> str:
+    """Return which motions of joints a text takes: lbs, dqs or scaled."""
+    return "scaled" if choices.scaled_joints else str(choices.method)
+
+
 def combinations(language: Language) -> list[ShaderChoices]:
     """Return the 96 of the six algorithms, one to eight influences and both frames."""
     return [
@@ -52,7 +67,18 @@ def variants(language: Language) -> list[ShaderChoices]:
     mapped += [replace(choices, normal_map=True) for choices in both]
     fours = [choices for choices in combinations(language) if choices.influences == 4]
     many = [replace(choices, influences=count) for choices, count in product(fours, MANY_INFLUENCES)]
-    return [*capped, *mirrored, *both, *mapped, *many]
+    return [*capped, *mirrored, *both, *mapped, *many, *_scaled_joints(language)]
+
+
+def _scaled_joints(language: Language) -> list[ShaderChoices]:
+    """Return what dual quaternions of joints that scale add."""
+    every = [
+        ShaderChoices(language, Method.DQS, Lighting.EXACT, influences, frame, scaled_joints=True)
+        for influences, frame in product((1, 2, 4, 9), FRAMES)
+    ]
+    mirrored = [replace(choices, mirrored_joints=True) for choices in every]
+    both = [replace(choices, cap=PUBLISHED_CAP, normal_map=True) for choices in (*every, *mirrored)]
+    return [*every, *mirrored, *both]
 
 
 def stored_and_morphed(language: Language) -> list[ShaderChoices]:
@@ -167,7 +193,7 @@ def columns(choices: ShaderChoices) -> list[Column]:
 def glsl(several: Sequence[ShaderChoices], version: str, motions: int = 64) -> str:
     """Return a vertex shader with the texts of one or several choices, called one after the other.
 
-    version is what follows ``#version``. The uniform blocks Matrices and Quaternions hold ``motions`` joints.
+    version is what follows ``#version``. The uniform blocks of GLSL_MOTIONS hold ``motions`` joints.
     posed_position … posed_bitangent are what it writes, the sum where there are several.
     """
     reads = {column.name: column for choices in several for column in columns(choices)}
@@ -181,6 +207,10 @@ def glsl(several: Sequence[ShaderChoices], version: str, motions: int = 64) -> s
             *(f"in {column.of_type(Language.GLSL)} {column.name};" for column in reads.values()),
             f"layout(std140) uniform Matrices {{ mat4 matrices[{motions}]; }};",
             f"layout(std140) uniform Quaternions {{ mat2x4 quaternions[{motions}]; }};",
+            *(
+                f"layout(std140) uniform Scaled {{ {SCALED} scaled[{motions}]; }};"
+                for _ in range(any(choices.scaled_joints for choices in several))
+            ),
             *(f"out vec3 posed_{attribute};" for attribute in ATTRIBUTES),
             "void main() {",
             *(f"posed_{attribute} = vec3(0.0);" for attribute in ATTRIBUTES),
@@ -192,10 +222,11 @@ def glsl(several: Sequence[ShaderChoices], version: str, motions: int = 64) -> s
 
 
 def _glsl_call(choices: ShaderChoices) -> list[str]:
-    name, table = ("M", "matrices") if choices.method is Method.LBS else ("Q", "quaternions")
+    kind, table = GLSL_MOTIONS[motion_kind(choices)]
+    name = "M" if choices.method is Method.LBS else "Q"
     return [
         "{",
-        f"{'mat4' if name == 'M' else 'mat2x4'} {name}[{choices.influences}];",
+        f"{kind} {name}[{choices.influences}];",
         *(f"{name}[{slot}] = {table}[{joint}];" for slot, joint in enumerate(_joints(choices))),
         f"vec3 {_position(choices)} = point.w * point.xyz;",
         *_scaled(usage(shader_text(choices)), "skinbake_Frame"),
@@ -210,7 +241,8 @@ def _glsl_call(choices: ShaderChoices) -> list[str]:
 def wgsl(choices: ShaderChoices) -> str:
     """Return a compute shader, 64 vertices a workgroup: bindings 0 motions, 1 columns, 2 the results."""
     own = shader_text(choices)
-    name, kind = ("M", "mat4x4<f32>") if choices.method is Method.LBS else ("Q", "mat2x4<f32>")
+    kind = {"lbs": "mat4x4<f32>", "dqs": "mat2x4<f32>", "scaled": SCALED}[motion_kind(choices)]
+    name = "M" if choices.method is Method.LBS else "Q"
     reads = columns(choices)
     chosen = ", ".join(f"motions[{joint}]" for joint in _joints(choices))
     loads = []
@@ -248,7 +280,7 @@ def hlsl(several: Sequence[ShaderChoices]) -> str:
     It reads ``shared_columns``, and writes the results of all texts side by side. Matrices have HLSL's
     default packing.
     """
-    is_linear = several[0].method is Method.LBS
+    kind = "float4x4" if several[0].method is Method.LBS else "float4"
     reads = shared_columns(several)
     loads = []
     for number, column in enumerate(reads):
@@ -259,7 +291,7 @@ def hlsl(several: Sequence[ShaderChoices]) -> str:
         [
             *(shader_text(choices) for choices in several),
             "static const float scale = 2.0;",
-            f"StructuredBuffer<{'float4x4' if is_linear else 'float4'}> motions : register(t0);",
+            f"StructuredBuffer<{kind}> motions : register(t0);",
             "StructuredBuffer<float4> columns : register(t1);",
             "RWStructuredBuffer<float4> results : register(u2);",
             "[numthreads(64, 1, 1)]",
@@ -280,12 +312,18 @@ def shared_columns(several: Sequence[ShaderChoices]) -> list[Column]:
 
 
 def _hlsl_call(choices: ShaderChoices, at: int, count: int) -> list[str]:
-    name, kind = ("M", "float4x4") if choices.method is Method.LBS else ("Q", "float2x4")
-    rows = "motions[{0}]" if name == "M" else "float2x4(motions[2 * {0}], motions[2 * {0} + 1])"
+    kind = {"lbs": "float4x4", "dqs": "float2x4", "scaled": SCALED}[motion_kind(choices)]
+    name = "M" if choices.method is Method.LBS else "Q"
+    take = {
+        "float4x4": "{0} = motions[{1}];",
+        "float2x4": "{0} = float2x4(motions[2 * {1}], motions[2 * {1} + 1]);",
+        SCALED: "for (uint i = 0; i < 4; i++) {0}.moved[i] = motions[5 * {1} + i]; "
+        "{0}.turn = motions[5 * {1} + 4];",
+    }[kind]
     return [
         "{",
         f"{kind} {name}[{choices.influences}];",
-        *(f"{name}[{slot}] = {rows.format(joint)};" for slot, joint in enumerate(_joints(choices))),
+        *(take.format(f"{name}[{slot}]", joint) for slot, joint in enumerate(_joints(choices))),
         f"float3 {_position(choices)} = place.w * place.xyz;",
         *_hlsl_scaled(usage(shader_text(choices))),
         *(

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from skinbake.choices import Lighting, Method
+from skinbake.choices import Lighting
 from skinbake.shaders.choices import ShaderChoices
-from tests.shaders.combinations import ATTRIBUTES, label
+from tests.shaders.combinations import ATTRIBUTES, label, motion_kind
 from tests.shaders.running import Single, Wide, Work
 from tests.shaders.scenes import Scene, irregular
 
@@ -31,7 +31,7 @@ def term_lengths(choices: ShaderChoices, scene: Scene) -> Wide:
     """
     choices, mapped = replace(choices, normal_map=False), choices.normal_map
     posed = scene.posed(choices, np.float64)
-    plain = replace(choices, lighting=Lighting.STANDARD, cap=None, mirrored_joints=False)
+    plain = replace(choices, lighting=Lighting.STANDARD, cap=None, mirrored_joints=False, scaled_joints=False)
     blended = scene.posed(plain, np.float64)
     own, other = (np.linalg.norm(vectors, axis=2) for vectors in (posed, blended))
     farthest, steps = _reach(scene, choices.influences)
@@ -48,11 +48,12 @@ def term_lengths(choices: ShaderChoices, scene: Scene) -> Wide:
         normal = tangent * bitangent
     if mapped:
         # The terms are |b'| |T n0|, |T n0| |t'| and |t'| |b'|. All are divided by |n'|, and multiplied by it.
-        turned = replace(choices, lighting=Lighting.STANDARD, cap=None, mirrored_joints=False)
+        turned = replace(
+            choices, lighting=Lighting.STANDARD, cap=None, mirrored_joints=False, scaled_joints=False
+        )
         carried = np.linalg.norm(scene.posed(turned, np.float64)[:, 1], axis=1)
         ends = np.tile(np.linalg.norm(scene.rest(choices).tangents, axis=1), len(scene.matrices))
-        scale = scene.rigid(choices).scale if choices.method is Method.DQS else np.ones(len(scene.matrices))
-        ends *= np.repeat(scale, len(scene.positions))
+        ends *= np.repeat(scene.scale(choices), len(scene.positions))
         tangent = bitangent = normal + ends * carried * (tangent + bitangent)
     return np.stack([np.maximum(own[:, 0], farthest), normal, tangent, bitangent], axis=1)
 
@@ -82,4 +83,7 @@ def assert_like_the_replay(choices: ShaderChoices, scene: Scene, found: Single) 
 
 
 def irregular_work(every: Mapping[str, ShaderChoices]) -> Work:
-    return {name: (choices, irregular(choices.influences, choices.method)) for name, choices in every.items()}
+    return {
+        name: (choices, irregular(choices.influences, stretches=motion_kind(choices) != "dqs"))
+        for name, choices in every.items()
+    }

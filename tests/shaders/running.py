@@ -7,15 +7,16 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.choices import Method
 from skinbake.shaders.choices import ShaderChoices
 from tests.shaders.combinations import (
     ATTRIBUTES,
+    GLSL_MOTIONS,
     Column,
     columns,
     glsl,
     hlsl,
     label,
+    motion_kind,
     shared_columns,
     wgsl,
 )
@@ -54,7 +55,7 @@ def run_hlsl(work: Work) -> dict[str, Single]:
     """
     groups: dict[str, list[str]] = {}
     for name, (choices, scene) in work.items():
-        alike = f"{choices.method} {label(choices).partition('-')[2]} {id(scene)}"
+        alike = f"{motion_kind(choices)} {label(choices).partition('-')[2]} {id(scene)}"
         groups.setdefault(alike, []).append(name)
     jobs = {alike: _hlsl_job([work[name] for name in names]) for alike, names in groups.items()}
     found: dict[str, Single] = {}
@@ -89,7 +90,7 @@ def done(name: str, answer: webgpu.Answer) -> bytes:
 def run_glsl(context: opengl.Context, version: str, choices: ShaderChoices, scene: Scene) -> Single:
     """Return the same of one vertex shader, compiled as this version."""
     motions = scene.motions(choices)
-    block = "Matrices" if choices.method is Method.LBS else "Quaternions"
+    _, table = GLSL_MOTIONS[motion_kind(choices)]
     outputs = [f"posed_{attribute}" for attribute in ATTRIBUTES]
     found = context.run(
         glsl([choices], version, len(motions)),
@@ -97,7 +98,7 @@ def run_glsl(context: opengl.Context, version: str, choices: ShaderChoices, scen
         scene.columns(choices),
         outputs,
         3 * len(outputs),
-        {block: motions},
+        {table.capitalize(): motions},
     )
     return found.reshape(-1, len(outputs), 3)
 

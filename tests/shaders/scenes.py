@@ -15,7 +15,7 @@ import numpy.typing as npt
 from skinbake.choices import SLOTS_PER_SET, Frame, Method, PoseKind
 from skinbake.freshness.baked_views import baked_views, rest_primitive
 from skinbake.geometry import frames
-from skinbake.geometry.dual_quaternions import RigidMotions, rigid_motions
+from skinbake.geometry.dual_quaternions import RigidMotions, rigid_motions, scaled_motions
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
@@ -89,6 +89,12 @@ class Scene:
         in_use = self.rest(choices).joints_in_use(self.matrices.shape[1])
         return rigid_motions(self.matrices, in_use=in_use)
 
+    def scale(self, choices: ShaderChoices) -> Wide:
+        """Return the scale of each pose (P,) that is applied to p, t0 and b0 beforehand."""
+        if choices.method is Method.DQS and not choices.scaled_joints:
+            return self.rigid(choices).scale
+        return np.ones(len(self.matrices))
+
     def posed(self, choices: ShaderChoices, dtype: npt.DTypeLike) -> Wide:
         """Return the replay's position, normal, tangent and bitangent: (P V, 4, 3), poses outermost.
 
@@ -117,15 +123,14 @@ class Scene:
         assert found.cobitangents is not None
         vectors = (found.normals, found.tangents, found.bitangents, found.cotangents, found.cobitangents)
         posed = PosedVertex((), *(tuple(np.moveaxis(one.astype(np.float64), 2, 0)) for one in vectors))
-        scale = self.rigid(choices).scale[:, None] if choices.method is Method.DQS else 1.0
+        scale = self.scale(choices)[:, None]
         length = scale * np.linalg.norm(rest.tangents.astype(np.float64), axis=1)
         return np.stack(mapped_normal(posed, length, in_frame(drawn, t0, b0, n0)), axis=2)
 
     def columns(self, choices: ShaderChoices) -> Single:
         """Return attributes as ``combinations.columns`` has them, each vertex in each pose: (P V, C, 4)."""
         poses, joint_count = self.matrices.shape[:2]
-        uses_scale = choices.method is Method.DQS
-        scale = self.rigid(choices).scale if uses_scale else np.ones(poses)
+        scale = self.scale(choices)
         sets = choices.influence_sets
         found: dict[str, npt.NDArray[np.number]] = {
             "normal": self.normals,
@@ -162,8 +167,13 @@ class Scene:
     def motions(self, choices: ShaderChoices) -> Single:
         """Return all poses' joint matrices, column by column, (P J, 16), or dual quaternions, (P J, 8).
 
-        Every other dual quaternion is given as its negative, which is the same motion.
+        Of joints that scale: scaled motions (P J, 20). Every other quaternion is given as its negative, which
+        is the same motion.
         """
+        if choices.scaled_joints:
+            found = np.swapaxes(scaled_motions(self.matrices), 2, 3).reshape(-1, 20)
+            found[::2] *= -1
+            return np.roll(found.reshape(-1, 5, 4), -1, axis=2).reshape(-1, 20).astype(np.float32)
         if choices.method is Method.LBS:
             return np.swapaxes(self.matrices, 2, 3).reshape(-1, 16)
         found = self.rigid(choices).dual_quaternions.reshape(-1, 8)
@@ -183,13 +193,13 @@ def _wide(values: npt.NDArray[np.number], width: int) -> npt.NDArray[np.number]:
 
 
 @cache
-def irregular(influences: int, method: Method) -> Scene:
+def irregular(influences: int, *, stretches: bool) -> Scene:
     """Return random vertices, no two alike, with random influences of JOINTS joints, in three or five poses.
 
     A fifth of the weights is 0, slot 0's too, and has a derivative all the same. α and β are those of joints
     that give way to each other within a third of the body. Frames of either hand; tangents not of length 1.
     Poses: bent; turned by 180° beforehand, so that equal rotations have opposite quaternions; a hundredth
-    of the size. For LBS also joints that stretch and shear, and joints that mirror.
+    of the size. On demand also joints that stretch and shear, and joints that mirror.
     """
     rng = np.random.default_rng(influences)
     axes = np.linalg.qr(rng.normal(size=(VERTICES, 3, 3))).Q
@@ -199,7 +209,7 @@ def irregular(influences: int, method: Method) -> Scene:
     weights = rng.random((VERTICES, influences)) * (rng.random((VERTICES, influences)) > 0.2)
     weights[~weights.any(axis=1), -1] = 1.0
     poses = [_bent(rng), _rotation(NARROW, 180.0) @ _bent(rng, 40.0), _scaled(0.01) @ _bent(rng)]
-    if method is Method.LBS:
+    if stretches:
         affine = np.tile(np.eye(4), (JOINTS, 1, 1))
         affine[:, :3, :3] += rng.uniform(-0.25, 0.25, (JOINTS, 3, 3))
         poses += [_bent(rng) @ affine, np.diag([-1.0, 1.0, 1.0, 1.0]) @ _bent(rng)]

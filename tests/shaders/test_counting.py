@@ -7,7 +7,8 @@ from functools import cache
 
 import pytest
 
-from skinbake.choices import Frame, Language
+from skinbake.choices import Frame, Language, Lighting, Method
+from skinbake.shaders.choices import ShaderChoices
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.counting import multiply_adds
 from tests.shaders.combinations import FRAMES, INFLUENCES, combinations, glsl
@@ -153,3 +154,16 @@ def test_the_counter_counts() -> None:
     module = Module(glslang.disassembly(glslang.spirv(shader)))
     found = {expression: module.multiply_adds(f"f{number}") for number, expression in enumerate(EXPRESSIONS)}
     assert found == EXPRESSIONS
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("influences", [2, 4, 8])
+def test_joints_that_scale_cost_what_the_replay_counts(influences: int) -> None:
+    """The text mixes the translations too, which nothing reads: 4 N more."""
+    choices = ShaderChoices(
+        Language.GLSL, Method.DQS, Lighting.EXACT, influences, Frame.NORMAL, scaled_joints=True
+    )
+    module = Module(glslang.disassembly(glslang.spirv(glsl([choices], "450"))))
+    found = module.multiply_adds("skinbake_dqs_scaled")
+    expected = sum(multiply_adds(Algorithm.DQS_EXACT, influences, scaled_joints=True).values())
+    assert found == pytest.approx(expected + 4 * influences, rel=SHARE)

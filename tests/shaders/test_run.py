@@ -124,7 +124,7 @@ class TestMirroredJoints:
 
     def normals(self, mirrored_joints: bool) -> tuple[Single, Single, Scene]:
         """The normals of WGSL and of GLSL."""
-        given = irregular(4, Method.LBS)
+        given = irregular(4, stretches=True)
         # So weak that nothing folds: then the sides are known without a replay of algorithm 3.
         scene = replace(
             given, alpha=0.05 * given.alpha, beta=0.05 * given.beta, matrices=given.matrices[[0, -1]]
@@ -151,24 +151,24 @@ class TestTheScenes:
     """The irregular scene has the features that it is made for."""
 
     def test_weights_of_zero_with_a_derivative(self) -> None:
-        scene = irregular(4, Method.LBS)
+        scene = irregular(4, stretches=True)
         assert (scene.weights[:, 0] == 0).any()
         assert ((scene.weights[:, 1:] == 0) & (scene.alpha != 0)).any()
         np.testing.assert_allclose(scene.weights.sum(axis=1), 1, atol=1e-6)
 
     def test_frames_of_either_hand(self) -> None:
-        assert set(irregular(4, Method.LBS).tangents[:, 3]) == {-1.0, 1.0}
+        assert set(irregular(4, stretches=True).tangents[:, 3]) == {-1.0, 1.0}
 
     def test_opposite_quaternions_that_mean_nearly_the_same(self) -> None:
         """Also as the library gives them, before every other one is negated."""
         choices = ShaderChoices(Language.WGSL, Method.DQS)
-        turned = irregular(4, Method.DQS).rigid(choices).dual_quaternions[1, :, :4]
+        turned = irregular(4, stretches=False).rigid(choices).dual_quaternions[1, :, :4]
         cosines = turned @ turned.T
         assert (cosines < -0.7).any()
         assert (cosines > 0.7).any()
 
     def test_joints_that_mirror_stretch_and_shrink(self) -> None:
-        linear = irregular(4, Method.LBS).matrices[..., :3, :3].astype(np.float64)
+        linear = irregular(4, stretches=True).matrices[..., :3, :3].astype(np.float64)
         determinants = np.linalg.det(linear)
         assert (determinants[-1] < 0).all()
         assert (determinants[:-1] > 0).all()
@@ -179,7 +179,7 @@ class TestTheScenes:
     def test_the_cap_limits_some_and_not_all(self) -> None:
         for method, lighting in ((Method.LBS, Lighting.ACCURATE), (Method.DQS, Lighting.EXACT)):
             choices = ShaderChoices(Language.WGSL, method, lighting)
-            scene = irregular(4, method)
+            scene = irregular(4, stretches=method is Method.LBS)
             free = scene.posed(choices, np.float64)
             capped = scene.posed(replace(choices, cap=0.9), np.float64)
             same = np.isclose(free, capped, rtol=1e-9, atol=0)[:, 2].all(axis=1).mean()

@@ -55,6 +55,7 @@ class TestEveryText:
             if choices.cap is None
             and not choices.mirrored_joints
             and not choices.normal_map
+            and not choices.scaled_joints
             and choices.influences <= 8
         )
         assert len(plain) == 12
@@ -93,7 +94,8 @@ class TestEveryText:
             expected = {found for found in names if f"{found}(" in shown}
             assert len(expected) >= 2, name
             if choices.method == "dqs":
-                expected.add("skinbake_dual_quaternion")
+                host = "scaled_motion" if choices.scaled_joints else "dual_quaternion"
+                expected.add(f"skinbake_{host}")
             assert uncalled == expected, name
 
     def test_include_guards_nest(self, language: Language) -> None:

@@ -86,6 +86,7 @@ def _request(given: Mapping[str, Any]) -> ShaderRequest:
         frame=Frame(given["frame"]) if given["frame"] else None,
         cap=given["cap"],
         mirrored_joints=given["mirrored_joints"],
+        scaled_joints=given["scaled_joints"],
         normal_map=given["normal_map"],
         target=given["target"],
         encoding=Encoding(given["encoding"]) if given["encoding"] else None,

@@ -47,6 +47,7 @@ class ShaderRequest:
     frame: Frame | None = None
     cap: float | None = None
     mirrored_joints: bool = False
+    scaled_joints: bool = False
     target: str = "plain"
     encoding: Encoding | None = None
     layout: Layout | None = None
@@ -130,6 +131,7 @@ def _made(request: ShaderRequest, frame: Frame, influences: int) -> ShaderChoice
         frame=frame,
         cap=request.cap,
         mirrored_joints=request.mirrored_joints,
+        scaled_joints=request.scaled_joints,
         target=request.target,
         encoding=request.encoding or Encoding.FLOAT32,
         layout=request.layout or Layout.ATTRIBUTES,
@@ -340,18 +342,20 @@ def _vertices_over(view: BakedView, influences: int) -> int:
 
 
 def _with_joints(document: Document, views: Sequence[BakedView], choices: ShaderChoices) -> ShaderChoices:
-    """Return the choices adapted to mirroring joints. Raises InputError for DQS if joints are not rigid."""
-    mirrors = choices.mirrored_joints
+    """Return the choices adapted to joints that mirror or scale. Raises InputError where DQS has no code."""
+    mirrors, scales = choices.mirrored_joints, choices.scaled_joints
     for view, poses in _posed(document, views):
         primitive = rest_primitive(view)
         if choices.method is Method.DQS:
-            joints = scaled_joints([primitive], poses)
-            if joints:
-                raise InputError(
-                    f"this file does not fit --method dqs: {joints[0]} scales or shears", view.source.place
-                )
+            names = scaled_joints([primitive], poses)
+            if names and (choices.lighting is not Lighting.EXACT or choices.target in AT_RUN_TIME):
+                needs = "--target plain" if choices.target in AT_RUN_TIME else "--lighting exact"
+                message = f"this file does not fit --method dqs: {names[0]} scales or shears; use {needs}"
+                raise InputError(message, view.source.place)
+            scales |= bool(names)
         used = primitive.joints_in_use(poses.joint_matrices.shape[1])
         mirrors |= bool((np.linalg.det(poses.joint_matrices[:, used, :3, :3]) < 0).any())
+    choices = replace(choices, scaled_joints=scales)
     return replace(choices, mirrored_joints=mirrors and choices.crosses)
 
 

@@ -201,19 +201,38 @@ def joint_dual_quaternions(
     of mat2x4 in the shaders. With them a shader skins scale · p, scale · t0 and scale · b0, because a dual
     quaternion carries no scale (Kavan et al. 2007). ``in_use`` (J,) restricts the check to joints that carry
     weight; the others get the identity. Raises UnsupportedFeatureError if a joint is not rigid up to the
-    common scale, within ``tolerance``: use linear blend skinning then. Raises ValueError for another shape.
+    common scale, within ``tolerance``: use ``joint_scaled_motions`` then. Raises ValueError for another
+    shape.
     """
-    matrices = np.asarray(joint_matrices)
-    if matrices.ndim < 3 or matrices.shape[-2:] != (4, 4):
-        raise ValueError(f"joint matrices have shape {matrices.shape}, expected (..., J, 4, 4)")
+    matrices = _checked(joint_matrices)
     *poses, joints = matrices.shape[:-2]
     motions = rigid_motions(matrices.reshape(-1, joints, 4, 4), tolerance=tolerance, in_use=in_use)
     if not motions.is_rigid:
         shown = ", ".join(str(joint) for joint in motions.not_rigid[:8])
         raise UnsupportedFeatureError(
             f"joints {shown}{(', …' if motions.not_rigid.size > 8 else '')} are not rigid, even "
-            "with one scale for all joints: use linear blend skinning for them"
+            "with one scale for all joints: use joint_scaled_motions and shader --scaled-joints"
         )
     # Shaders take the scalar last.
     parts = motions.dual_quaternions.reshape(*poses, joints, 2, 4)[..., _X_Y_Z_W]
     return motions.scale.reshape(poses).astype(np.float32), parts.astype(np.float32)
+
+
+def joint_scaled_motions(joint_matrices: FloatArray) -> Float32Array:
+    """Return what shaders of ``--scaled-joints`` read for each joint: (..., J, 5, 4) float32.
+
+    joint_matrices (..., J, 4, 4), floating, indexed [row, column], may scale, shear and mirror. The first
+    four quaternions are the columns of the matrix times its rotation, the fifth is the rotation, of length 1
+    (``polar_quaternions``). Each is (x, y, z, w) with the scalar last. These are ``moved`` and ``turn`` of
+    the shaders. Raises ValueError for another shape.
+    """
+    rows = scaled_motions(_checked(joint_matrices))
+    return np.swapaxes(rows, -1, -2)[..., _X_Y_Z_W].astype(np.float32)
+
+
+def _checked(joint_matrices: FloatArray) -> FloatArray:
+    """Return joint matrices as an array. Raises ValueError unless it is (..., J, 4, 4)."""
+    matrices = np.asarray(joint_matrices)
+    if matrices.ndim < 3 or matrices.shape[-2:] != (4, 4):
+        raise ValueError(f"joint matrices have shape {matrices.shape}, expected (..., J, 4, 4)")
+    return matrices

@@ -51,7 +51,8 @@ class ShaderChoices:
     """One shader: every choice that changes its text.
 
     influences N ≥ 1. cap limits the correction of t' and b' to cap × |T t|, None is off. With
-    ``mirrored_joints`` the normal is turned by the sign of det M[s0]. attributes None means the default names
+    ``mirrored_joints`` the normal is turned by the sign of det T. With ``scaled_joints``, dual quaternions
+    take joints that scale, shear or mirror. attributes None means the default names
     of bake. encoding and layout are the storage of α and β. scale is that of the encoding if the file is
     known, in 1 / length unit of POSITION. ``morphs`` is the direction that the frame follows under morph
     targets. With ``normal_map`` the text has what mapped normals need, too. Raises ChoiceError for choices
@@ -65,6 +66,7 @@ class ShaderChoices:
     frame: Frame = Frame.NORMAL
     cap: float | None = None
     mirrored_joints: bool = False
+    scaled_joints: bool = False
     target: str = "plain"
     attributes: AttributeText | None = None
     encoding: Encoding = Encoding.FLOAT32
@@ -100,6 +102,10 @@ class ShaderChoices:
         if self.normal_map and not self.is_corrected:
             why = f" is for accurate and exact lighting, not {self.lighting}"
             raise ChoiceError("normal_map", reason=(why,), also=("lighting",))
+        if self.scaled_joints and self.algorithm != 6:
+            method, lighting = Chosen("method", Method.DQS), Chosen("lighting", Lighting.EXACT)
+            why = f", not {self.method} {self.lighting}"
+            raise ChoiceError("scaled_joints", reason=(" needs ", method, " ", lighting, why))
         if self.mirrored_joints and not self.crosses:
             method, lighting = Chosen("method", Method.LBS), Chosen("lighting", Lighting.ACCURATE)
             why = f", not {self.method} {self.lighting}"
@@ -121,8 +127,8 @@ class ShaderChoices:
 
     @property
     def crosses(self) -> bool:
-        """Tell whether joints may mirror and n' is t' × b', which then points inside (algorithm 3)."""
-        return self.algorithm == 3
+        """Tell whether joints may mirror and n' is t' × b', which then points inside."""
+        return self.algorithm == 3 or self.scaled_joints
 
     @property
     def reads_gradients(self) -> bool:
@@ -158,7 +164,8 @@ class ShaderChoices:
     def words(self) -> str:
         """Return the choices in a few words, for people."""
         capped = "" if self.cap is None else f", cap {self.cap:g}"
-        mirrored = ", mirrored joints" if self.mirrored_joints else ""
+        mirrored = ", joints that scale" if self.scaled_joints else ""
+        mirrored += ", mirrored joints" if self.mirrored_joints else ""
         mapped = ", normal maps" if self.normal_map else ""
         if self.target in AT_RUN_TIME:
             return (
@@ -184,4 +191,4 @@ class ShaderChoices:
     @property
     def stem(self) -> str:
         """Return the name of the template and function of the algorithm, without the prefix."""
-        return f"{self.method}_{self.lighting}"
+        return "dqs_scaled" if self.scaled_joints else f"{self.method}_{self.lighting}"

@@ -252,6 +252,8 @@ def command_line(choices: ShaderChoices) -> str:
     ]
     if choices.cap is not None:
         words.append(f"--cap {choices.cap!r}")
+    if choices.scaled_joints:
+        words.append("--scaled-joints")
     if choices.mirrored_joints:
         words.append("--mirrored-joints")
     if choices.normal_map:
@@ -310,6 +312,7 @@ def _parts(choices: ShaderChoices) -> list[str]:
     """Return the templates of the functions that the algorithm calls, in an order that compiles."""
     several, wgsl = choices.influences > 1, choices.language is Language.WGSL
     hlsl = choices.language is Language.HLSL
+    is_dual = choices.method is Method.DQS and not choices.scaled_joints
     wanted = {
         "morphed": choices.morphs is not Morphs.NONE,
         "morphed_tangent": choices.morphs is Morphs.TANGENT,
@@ -320,11 +323,14 @@ def _parts(choices: ShaderChoices) -> list[str]:
         "gradients": choices.algorithm == 2,
         # HLSL has no such function of its own.
         "outer": hlsl and choices.algorithm == 2,
-        "dual_quaternion": choices.method is Method.DQS,
-        "hemisphere": choices.method is Method.DQS and several,
+        "dual_quaternion": is_dual,
+        "hemisphere": is_dual and several,
+        # In WGSL, the function for the host multiplies too.
+        "product": choices.scaled_joints and (several or wgsl),
+        "scaled_motion": choices.scaled_joints,
         "rotation": choices.algorithm in (4, 5),
         "capped": choices.cap is not None and several,
-        "derivative": choices.algorithm == 6 and several,
+        "derivative": choices.algorithm == 6 and is_dual and several,
         "normal_map": choices.normal_map,
     }
     return [*storage_parts(choices), *(name for name, is_wanted in wanted.items() if is_wanted)]

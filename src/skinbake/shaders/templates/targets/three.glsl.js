@@ -2,6 +2,8 @@
 //%   set _ = refuse("lighting", "standard lighting is three.js's own; use --lighting accurate or direct")
 //% elif method == "dqs" and lighting != "exact"
 //%   set _ = refuse("method", "use --lighting exact with --method dqs")
+//% elif stem == "dqs_scaled"
+//%   set _ = refuse("scaled_joints", "the code for three.js needs joints that are rigid but for one scale; leave it out, or take --method lbs")
 //% elif influences > 4
 //%   set _ = refuse("influences", "three.js reads four influences per vertex, not " ~ influences ~ "; bake with --limit-influences 4")
 //% elif influences < 4

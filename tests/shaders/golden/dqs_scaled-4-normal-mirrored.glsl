@@ -1,0 +1,151 @@
+// Lighting for skinned meshes that skinbake has baked: dual quaternion skinning, exact lighting,
+// 4 influences a vertex, normal frame, joints that scale, mirrored joints.
+//
+// Written by skinbake 0.1.0:
+//     skinbake shader --lang glsl --method dqs --lighting exact --influences 4 --frame normal --scaled-joints --mirrored-joints
+//
+// Algorithm 6 of skinbake: the exact derivative of the dual-quaternion blend, after M. Tarini, D. Panozzo,
+// O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned Models", Computer Graphics Forum 33(2),
+// 2014, doi:10.1111/cgf.12330. The numbers beside the lines come from `skinbake cost`.
+// Dual quaternions: L. Kavan, S. Collins, J. Zara, C. O'Sullivan, "Skinning with Dual Quaternions", I3D 2007.
+// Frame: T. Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1), 2017.
+// Compiles as GLSL ES 3.00, 3.30 and 4.50. Pure functions: no attributes, uniforms or globals.
+//
+// Inputs of each vertex, in mesh space: the attributes as they are stored, before any joint matrix:
+//     POSITION             vec3   p, in the file's unit of length
+//     NORMAL               vec3   n0, of length 1: normalize() it if it is stored as integers
+//     JOINTS_0             uvec4  joints of slots 0 to 3
+//     WEIGHTS_0            vec4   w of slots 0 to 3; over all slots they sum to 1
+//     _SKINBAKE_ALPHA_0    vec3   alpha = grad w . t0 of slots 1 to 3, in 1 / unit of POSITION
+//     _SKINBAKE_BETA_0     vec3   beta = grad w . b0 of the same slots
+// alpha and beta of slot 0 are not stored: they are minus the sums over the other slots.
+//
+// Q[s] is the scaled motion of the joint in slot s, made of its joint matrix by skinbake_scaled_motion().
+// Use:
+//     skinbake_Frame frame = skinbake_frame(normal);
+//     skinbake_Vertex v = skinbake_dqs_scaled(position, frame, Q, weights_0, alpha_0, beta_0);
+//     // v.position; normalize(v.normal); normalize(v.tangent)
+
+#ifndef SKINBAKE_DQS_SCALED_4_NORMAL_MIRRORED_GLSL
+#define SKINBAKE_DQS_SCALED_4_NORMAL_MIRRORED_GLSL
+
+#ifndef SKINBAKE_VERTEX
+#define SKINBAKE_VERTEX
+// A skinned vertex. Its vectors have any length. tangent and bitangent are the images of t0 and b0.
+struct skinbake_Vertex {
+    vec3 position;
+    vec3 normal;
+    vec3 tangent;
+    vec3 bitangent;
+};
+
+// The tangent frame at rest.
+struct skinbake_Frame {
+    vec3 normal;
+    vec3 tangent;
+    vec3 bitangent;
+    float handedness; // n0 = handedness * cross(t0, b0) / |t0|^2
+};
+#endif
+
+#ifndef SKINBAKE_FRAME_FROM_NORMAL
+#define SKINBAKE_FRAME_FROM_NORMAL
+// The frame that bake took from NORMAL alone. n must have length 1. Every product in a sum is exact, so a compiler
+// that fuses multiply-adds gets the same bits. side is the last factor, because Mesa turns side * ((x * x) * a)
+// into side * (x * (x * a)).
+skinbake_Frame skinbake_frame(vec3 n)
+{
+    float side = n.z >= 0.0 ? 1.0 : -1.0; // 1 also at -0.0
+    float a = -1.0 / (side + n.z);
+    float b = (n.x * n.y) * a;
+    vec3 t0 = vec3(1.0 + ((n.x * n.x) * a) * side, side * b, -side * n.x);
+    vec3 b0 = vec3(b, side * (1.0 + ((n.y * n.y) * a) * side), -n.y);
+    return skinbake_Frame(n, t0, b0, 1.0);
+}
+#endif
+
+#ifndef SKINBAKE_PRODUCT
+#define SKINBAKE_PRODUCT
+// The product of two quaternions.
+vec4 skinbake_product(vec4 a, vec4 b)
+{
+    return vec4(a.w * b.xyz + b.w * a.xyz + cross(a.xyz, b.xyz), a.w * b.w - dot(a.xyz, b.xyz));
+}
+#endif
+
+#ifndef SKINBAKE_SCALED_MOTION
+#define SKINBAKE_SCALED_MOTION
+// A joint that may scale, shear or mirror. Quaternions are (x, y, z, w), w the scalar. turn is the rotation of the joint
+// matrix, and the columns of moved are those of the matrix times it.
+struct skinbake_ScaledMotion {
+    mat4 moved;
+    vec4 turn;
+};
+
+// Compute it on the host or in a pass over the joints, by joint_scaled_motions() of skinbake's Python package or like
+// this: M is the joint matrix, and turn is the unit quaternion of the rotation R in its polar decomposition M = R S, or
+// in that of -M where M mirrors.
+skinbake_ScaledMotion skinbake_scaled_motion(mat4 M, vec4 turn)
+{
+    skinbake_ScaledMotion Q;
+    for (int i = 0; i < 4; i++)
+        Q.moved[i] = vec4(turn.w * M[i].xyz + cross(M[i].xyz, turn.xyz), -dot(M[i].xyz, turn.xyz));
+    Q.turn = turn;
+    return Q;
+}
+
+// The vector of a over a quaternion, which is given as itself / its squared length.
+vec3 skinbake_over(vec4 a, vec4 divisor)
+{
+    return divisor.w * a.xyz - a.w * divisor.xyz + cross(divisor.xyz, a.xyz);
+}
+#endif
+
+// The frame moves by the derivative of the quotient p' = g / b: b mixes the joints' turns, and g what M p is times them.
+// Q: the scaled motions of slots 0 to 3.
+skinbake_Vertex skinbake_dqs_scaled(vec3 p, skinbake_Frame frame, skinbake_ScaledMotion Q[4], vec4 weights_0,
+        vec3 alpha_0, vec3 beta_0)
+{
+    float s1 = dot(Q[1].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0; // 1: q and -q are the same rotation
+    float s2 = dot(Q[2].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0;
+    float s3 = dot(Q[3].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0;
+    vec4 b = weights_0.x * Q[0].turn
+           + (s1 * weights_0.y) * Q[1].turn
+           + (s2 * weights_0.z) * Q[2].turn
+           + (s3 * weights_0.w) * Q[3].turn;
+    mat4 T = weights_0.x * Q[0].moved
+           + (s1 * weights_0.y) * Q[1].moved
+           + (s2 * weights_0.z) * Q[2].moved
+           + (s3 * weights_0.w) * Q[3].moved;
+    float square = dot(b, b);
+    vec4 divisor = b / (square > 0.0 ? square : 1.0); // 2
+    vec4 g0 = Q[0].moved * vec4(p, 1.0); // 3
+    vec4 g1 = Q[1].moved * vec4(p, 1.0);
+    vec4 g2 = Q[2].moved * vec4(p, 1.0);
+    vec4 g3 = Q[3].moved * vec4(p, 1.0);
+    vec4 m1 = s1 * g1 - g0; // 4
+    vec4 r1 = s1 * Q[1].turn - Q[0].turn;
+    vec4 m2 = s2 * g2 - g0;
+    vec4 r2 = s2 * Q[2].turn - Q[0].turn;
+    vec4 m3 = s3 * g3 - g0;
+    vec4 r3 = s3 * Q[3].turn - Q[0].turn;
+    vec4 g = g0 + weights_0.y * m1 + weights_0.z * m2 + weights_0.w * m3; // 5
+    vec4 ratio = vec4(skinbake_over(g, divisor), dot(g, divisor));
+    skinbake_Vertex v;
+    v.position = ratio.xyz;
+    v.tangent = skinbake_over(T * vec4(frame.tangent, 0.0) + alpha_0.x * m1 + alpha_0.y * m2
+            + alpha_0.z * m3 - skinbake_product(ratio, alpha_0.x * r1 + alpha_0.y * r2 + alpha_0.z * r3),
+            divisor); // 6
+    v.bitangent = skinbake_over(T * vec4(frame.bitangent, 0.0) + beta_0.x * m1 + beta_0.y * m2
+            + beta_0.z * m3 - skinbake_product(ratio, beta_0.x * r1 + beta_0.y * r2 + beta_0.z * r3),
+            divisor); // 7
+    v.normal = cross(v.tangent, v.bitangent); // 8
+    // A joint that mirrors turns t x b to the inside.
+    vec3 x = skinbake_over(T[0], divisor);
+    vec3 y = skinbake_over(T[1], divisor);
+    float outside = dot(cross(x, y), skinbake_over(T[2], divisor)) < 0.0 ? -1.0 : 1.0;
+    v.normal *= outside;
+    return v;
+}
+
+#endif

@@ -1,0 +1,128 @@
+// Lighting for skinned meshes that skinbake has baked: dual quaternion skinning, exact lighting,
+// 4 influences a vertex, normal frame, joints that scale, mirrored joints.
+//
+// Written by skinbake 0.1.0:
+//     skinbake shader --lang wgsl --method dqs --lighting exact --influences 4 --frame normal --scaled-joints --mirrored-joints
+//
+// Algorithm 6 of skinbake: the exact derivative of the dual-quaternion blend, after M. Tarini, D. Panozzo,
+// O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned Models", Computer Graphics Forum 33(2),
+// 2014, doi:10.1111/cgf.12330. The numbers beside the lines come from `skinbake cost`.
+// Dual quaternions: L. Kavan, S. Collins, J. Zara, C. O'Sullivan, "Skinning with Dual Quaternions", I3D 2007.
+// Frame: T. Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1), 2017.
+// WGSL for WebGPU. Pure functions: no bindings and no module variables.
+//
+// Inputs of each vertex, in mesh space: the attributes as they are stored, before any joint matrix:
+//     POSITION             vec3<f32>  p, in the file's unit of length
+//     NORMAL               vec3<f32>  n0, of length 1: normalize() it if it is stored as integers
+//     JOINTS_0             vec4<u32>  joints of slots 0 to 3
+//     WEIGHTS_0            vec4<f32>  w of slots 0 to 3; over all slots they sum to 1
+//     _SKINBAKE_ALPHA_0    vec3<f32>  alpha = grad w . t0 of slots 1 to 3, in 1 / unit of POSITION
+//     _SKINBAKE_BETA_0     vec3<f32>  beta = grad w . b0 of the same slots
+// alpha and beta of slot 0 are not stored: they are minus the sums over the other slots.
+//
+// Q[s] is the scaled motion of the joint in slot s, made of its joint matrix by skinbake_scaled_motion().
+// Use:
+//     let frame = skinbake_frame(normal);
+//     let v = skinbake_dqs_scaled(position, frame, Q, weights_0, alpha_0, beta_0);
+//     // v.position; normalize(v.normal); normalize(v.tangent)
+
+// A skinned vertex. Its vectors have any length. tangent and bitangent are the images of t0 and b0.
+struct skinbake_Vertex {
+    position: vec3<f32>,
+    normal: vec3<f32>,
+    tangent: vec3<f32>,
+    bitangent: vec3<f32>,
+}
+
+// The tangent frame at rest.
+struct skinbake_Frame {
+    normal: vec3<f32>,
+    tangent: vec3<f32>,
+    bitangent: vec3<f32>,
+    handedness: f32, // n0 = handedness * cross(t0, b0) / |t0|^2
+}
+
+// The frame that bake took from NORMAL alone. n must have length 1. Every product in a sum is exact, so a compiler
+// that fuses multiply-adds gets the same bits. side is the last factor, because Mesa turns side * ((x * x) * a)
+// into side * (x * (x * a)).
+fn skinbake_frame(n: vec3<f32>) -> skinbake_Frame {
+    let side = select(-1.0, 1.0, n.z >= 0.0); // 1 also at -0.0
+    let a = -1.0 / (side + n.z);
+    let b = (n.x * n.y) * a;
+    let t0 = vec3<f32>(1.0 + ((n.x * n.x) * a) * side, side * b, -side * n.x);
+    let b0 = vec3<f32>(b, side * (1.0 + ((n.y * n.y) * a) * side), -n.y);
+    return skinbake_Frame(n, t0, b0, 1.0);
+}
+
+// The product of two quaternions.
+fn skinbake_product(a: vec4<f32>, b: vec4<f32>) -> vec4<f32> {
+    return vec4<f32>(a.w * b.xyz + b.w * a.xyz + cross(a.xyz, b.xyz), a.w * b.w - dot(a.xyz, b.xyz));
+}
+
+// A joint that may scale, shear or mirror. Quaternions are (x, y, z, w), w the scalar. turn is the rotation of the joint
+// matrix, and the columns of moved are those of the matrix times it.
+struct skinbake_ScaledMotion {
+    moved: mat4x4<f32>,
+    turn: vec4<f32>,
+}
+
+// Compute it on the host or in a pass over the joints, by joint_scaled_motions() of skinbake's Python package or like
+// this: M is the joint matrix, and turn is the unit quaternion of the rotation R in its polar decomposition M = R S, or
+// in that of -M where M mirrors.
+fn skinbake_scaled_motion(M: mat4x4<f32>, turn: vec4<f32>) -> skinbake_ScaledMotion {
+    return skinbake_ScaledMotion(
+        mat4x4<f32>(
+            skinbake_product(vec4<f32>(M[0].xyz, 0.0), turn),
+            skinbake_product(vec4<f32>(M[1].xyz, 0.0), turn),
+            skinbake_product(vec4<f32>(M[2].xyz, 0.0), turn),
+            skinbake_product(vec4<f32>(M[3].xyz, 0.0), turn)),
+        turn);
+}
+
+// The vector of a over a quaternion, which is given as itself / its squared length.
+fn skinbake_over(a: vec4<f32>, divisor: vec4<f32>) -> vec3<f32> {
+    return divisor.w * a.xyz - a.w * divisor.xyz + cross(divisor.xyz, a.xyz);
+}
+
+// The frame moves by the derivative of the quotient p' = g / b: b mixes the joints' turns, and g what M p is times them.
+// Q: the scaled motions of slots 0 to 3.
+fn skinbake_dqs_scaled(p: vec3<f32>, frame: skinbake_Frame, Q: array<skinbake_ScaledMotion, 4>,
+        weights_0: vec4<f32>, alpha_0: vec3<f32>, beta_0: vec3<f32>) -> skinbake_Vertex {
+    let s1 = select(1.0, -1.0, dot(Q[1].turn, Q[0].turn) < 0.0); // 1: q and -q are the same rotation
+    let s2 = select(1.0, -1.0, dot(Q[2].turn, Q[0].turn) < 0.0);
+    let s3 = select(1.0, -1.0, dot(Q[3].turn, Q[0].turn) < 0.0);
+    let b = weights_0.x * Q[0].turn
+          + (s1 * weights_0.y) * Q[1].turn
+          + (s2 * weights_0.z) * Q[2].turn
+          + (s3 * weights_0.w) * Q[3].turn;
+    let T = weights_0.x * Q[0].moved
+          + (s1 * weights_0.y) * Q[1].moved
+          + (s2 * weights_0.z) * Q[2].moved
+          + (s3 * weights_0.w) * Q[3].moved;
+    let square = dot(b, b);
+    let divisor = b / select(1.0, square, square > 0.0); // 2
+    let g0 = Q[0].moved * vec4<f32>(p, 1.0); // 3
+    let g1 = Q[1].moved * vec4<f32>(p, 1.0);
+    let g2 = Q[2].moved * vec4<f32>(p, 1.0);
+    let g3 = Q[3].moved * vec4<f32>(p, 1.0);
+    let m1 = s1 * g1 - g0; // 4
+    let r1 = s1 * Q[1].turn - Q[0].turn;
+    let m2 = s2 * g2 - g0;
+    let r2 = s2 * Q[2].turn - Q[0].turn;
+    let m3 = s3 * g3 - g0;
+    let r3 = s3 * Q[3].turn - Q[0].turn;
+    let g = g0 + weights_0.y * m1 + weights_0.z * m2 + weights_0.w * m3; // 5
+    let ratio = vec4<f32>(skinbake_over(g, divisor), dot(g, divisor));
+    let tangent = skinbake_over(T * vec4<f32>(frame.tangent, 0.0) + alpha_0.x * m1 + alpha_0.y * m2
+            + alpha_0.z * m3 - skinbake_product(ratio, alpha_0.x * r1 + alpha_0.y * r2 + alpha_0.z * r3),
+            divisor); // 6
+    let bitangent = skinbake_over(T * vec4<f32>(frame.bitangent, 0.0) + beta_0.x * m1 + beta_0.y * m2
+            + beta_0.z * m3 - skinbake_product(ratio, beta_0.x * r1 + beta_0.y * r2 + beta_0.z * r3),
+            divisor); // 7
+    // A joint that mirrors turns t x b to the inside.
+    let x = skinbake_over(T[0], divisor);
+    let y = skinbake_over(T[1], divisor);
+    let outside = select(1.0, -1.0, dot(cross(x, y), skinbake_over(T[2], divisor)) < 0.0);
+    let normal = outside * cross(tangent, bitangent); // 8
+    return skinbake_Vertex(ratio.xyz, normal, tangent, bitangent);
+}
