@@ -22,6 +22,7 @@ from benchmarks.marked import write_between
 from skinbake.commands.bake import Baker
 from skinbake.commands.verify import verify_file
 from skinbake.geometry.frames import frame_from_normal, unit_vectors
+from skinbake.geometry.morphs import Differences, MorphTargets
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.additions import Additions
@@ -71,8 +72,8 @@ def main() -> int:
 
 def surface_table() -> Iterator[str]:
     """Yield a row for each target, at its whole weight."""
-    yield "| target | turn | standard | by normal | by tangent |"
-    yield "|---|--:|--:|--:|--:|"
+    yield "| target | turn | standard | by normal | by tangent | four | six |"
+    yield "|---|--:|--:|--:|--:|--:|--:|"
     u, v = analytic.grid(60, 40, jitter=0.3, seed=3)
     points = analytic.sample(u, v)
     for name, displacement in morphing.DISPLACEMENTS.items():
@@ -92,6 +93,9 @@ def figures(points: analytic.Sample, displacement: morphing.Displacement) -> lis
     by_normal = morphed(surface(points), morphing.target(points, displacement), weight)
     target = morphing.target(points, displacement, tangents=True)
     by_tangent = morphed(surface(points, tangents=True), target, weight)
+    moved = [
+        morphed(surface(points), with_numbers(points, displacement, numbers), weight) for numbers in (4, 6)
+    ]
     image = exact(points, shape, by_normal)
     rows = []
     for bend in BENDS:
@@ -101,11 +105,26 @@ def figures(points: analytic.Sample, displacement: morphing.Displacement) -> lis
                 mean(posed(by_normal, Algorithm.LBS_STANDARD, bend), expected),
                 *(
                     mean(posed(one, Algorithm.LBS_ACCURATE, bend), expected)
-                    for one in (by_normal, by_tangent)
+                    for one in (by_normal, by_tangent, *moved)
                 ),
             ]
         )
     return [mean(by_normal.normals, points.normals), *np.mean(rows, axis=0).tolist()]
+
+
+def with_numbers(points: analytic.Sample, displacement: morphing.Displacement, numbers: int) -> MorphTargets:
+    """Return the target with numbers of its differential along the normal frame of the surface."""
+    rest, found = surface(points), morphing.target(points, displacement)
+    vectors = [np.asarray(v, dtype=np.float64) for v in (rest.tangents, rest.bitangents)]
+    images = morphing.images(points, morphing.morphed_surface(displacement, 1.0), *vectors)
+    basis = np.stack([*vectors, points.normals], axis=2)
+    t, b = (
+        np.linalg.solve(basis, (image - vector)[:, :, None])[:, :, 0]
+        for image, vector in zip(images, vectors, strict=True)
+    )
+    in_plane = Differences.of(np.concatenate([t[:, :2], b[:, :2]], axis=1))
+    upward = Differences.of(np.stack([t[:, 2], b[:, 2]], axis=1))
+    return MorphTargets((replace(found.targets[0], in_plane=in_plane, upward=upward),), numbers=numbers)
 
 
 def surface(points: analytic.Sample, *, tangents: bool = False) -> RestPrimitive:
@@ -199,7 +218,12 @@ def face_table() -> Iterator[str]:
             yield f"| {name} | {size:,} | {' | '.join(rows)} |"
 
 
-FACES: dict[str, dict[str, Any]] = {"as it is": {}, "`--morph-normals`": {"morph_normals": True}}
+FACES: dict[str, dict[str, Any]] = {
+    "as it is": {},
+    "`--morph-normals`": {"morph_normals": True},
+    "`--morph-normals --morph-frames`: four": {"morph_normals": True, "morph_frames": True},
+    "`--morph-frames`: six": {"morph_frames": True},
+}
 
 
 def verdict_row(path: Path, poses: str = "animation") -> str:

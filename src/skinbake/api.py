@@ -74,6 +74,7 @@ class BakeOptions(TypedDict, total=False):
     limit_influences: int | None
     generate_normals: bool
     morph_normals: bool
+    morph_frames: bool
     correctives: int | Literal["auto"] | None
     clips: Sequence[str]
     corrective_aim: CorrectiveAimName

@@ -195,8 +195,17 @@ class Language(StrEnum):
 
 
 class Morphs(StrEnum):
-    """The direction that the frame follows under morph targets; none: the text has no function for them."""
+    """What the frame follows under morph targets; none: the text has no function for them."""
 
     NONE = "none"
     NORMAL = "normal"
     TANGENT = "tangent"
+    FRAMES = "frames"
+    """The differential of the targets, by six numbers."""
+    FRAMES_NORMAL = "frames-normal"
+    """The differential by four numbers, and the normal."""
+
+    @property
+    def moves_frame(self) -> bool:
+        """Tell whether the frame is moved by numbers of ``bake --morph-frames``."""
+        return self in (Morphs.FRAMES, Morphs.FRAMES_NORMAL)

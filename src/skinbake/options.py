@@ -371,7 +371,9 @@ BAKE = (
             "Add smooth NORMALs to primitives without NORMAL."),
         Option("morph_normals", bool, False, By.ALL, help=
             "Add NORMAL to morph targets without it, with or without a skin. Else engines light them as at "
-            "rest.")),
+            "rest."),
+        Option("morph_frames", bool, False, By.ALL, help=
+            "Store beside each morph target how it moves the frame, so that α and β light morphs exactly.")),
     *_under("Correctives",
         Option("correctives", TARGETS, None, By.ALL, "auto|K", help=
             "Instead of α and β, add K morph targets of normals that the clips play, for engines without the "
@@ -534,8 +536,9 @@ SHADER = (
             "accurate for LBS, exact for DQS."),
         INFLUENCES,
         Option("morphs", Morphs, None, help=
-            "Direction that t0 and b0 follow under morph targets: the morphed normal, or the morphed "
-            "TANGENT. By default it fits the targets of --for, else none."),
+            "What t0 and b0 follow under morph targets: the morphed normal, the morphed TANGENT, or numbers "
+            "of the differential, six or four with the normal. By default it fits the targets of --for, else "
+            "none."),
         Option("mirrored_joints", bool, False, help=
             "Keep normals outside if joints mirror the surface; --for sets it if they do."),
         Option("scaled_joints", bool, False, help=

@@ -104,3 +104,17 @@ def test_a_target_that_flattens_the_surface_leaves_its_normals() -> None:
     surface = surface_of(sample, triangles, classes)
     change = surface.differential(Differences.of(-sample.positions))
     assert surface.normals_at(change) == pytest.approx(sample.normals[change.rows], abs=1e-12)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_the_six_numbers_are_the_parts_of_the_derivatives_along_the_frame(side: float) -> None:
+    sample, triangles, classes, _ = tube_mesh(12)
+    frame = 2.5 * sample.tangents, side * 2.5 * sample.bitangents
+    surface = MorphSurface.of(sample.positions, triangles, classes, sample.normals, frame, weighting="max")
+    change = surface.differential(Differences.of(morphing.twist(sample.u, sample.v)))
+    numbers = surface.numbers_of(change)
+    t0, b0, n0 = (vectors[change.rows] for vectors in (*frame, sample.normals))
+    along_t = t0 * numbers[:, :1] + b0 * numbers[:, 1:2] + n0 * numbers[:, 4:5]
+    along_b = t0 * numbers[:, 2:3] + b0 * numbers[:, 3:4] + n0 * numbers[:, 5:]
+    assert along_t == pytest.approx(change.along_t, abs=1e-12)
+    assert along_b == pytest.approx(change.along_b, abs=1e-12)

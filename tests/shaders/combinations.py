@@ -88,8 +88,9 @@ def stored_and_morphed(language: Language) -> list[ShaderChoices]:
     for choices, influences, frame in product(methods, (4, 8), FRAMES):
         base = replace(choices, influences=influences, frame=frame)
         morphs = [Morphs.NORMAL, *([Morphs.TANGENT] if frame == Frame.TANGENT else [])]
+        moved = [Morphs.FRAMES, Morphs.FRAMES_NORMAL]
         found += [replace(base, **storage) for storage in STORED]
-        found += [replace(base, morphs=kind) for kind in morphs]
+        found += [replace(base, morphs=kind) for kind in (*morphs, *moved)]
         found += [replace(base, morphs=kind, normal_map=True) for kind in morphs if influences == 4]
         found += [replace(base, **storage, morphs=morphs[-1]) for storage in STORED[1:4:2]]
     return found
@@ -175,10 +176,14 @@ def columns(choices: ShaderChoices) -> list[Column]:
     sets = range(choices.influence_sets)
     found += [Column(f"joints_{number}", 4, is_integer=True) for number in sets]
     found += [Column(f"weights_{number}", 4) for number in sets]
-    if choices.morphs is not Morphs.NONE:
+    if choices.morphs not in (Morphs.NONE, Morphs.FRAMES):
         found.append(Column("morphed_normal", 3))
     if choices.morphs is Morphs.TANGENT:
         found.append(Column("morphed_tangent", 3))
+    if choices.morphs.moves_frame:
+        found.append(Column("morph", 4))
+    if choices.morphs is Morphs.FRAMES:
+        found.append(Column("morph_up", 2))
     kinds = ("alpha", "beta")
     if choices.decodes:
         found += [Column(f"stored_{kind}_{number}", 4) for kind, number in product(kinds, sets)]

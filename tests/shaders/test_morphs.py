@@ -20,7 +20,13 @@ from skinbake.cli.main import main
 from skinbake.commands.shader import ShaderRequest, shader
 from skinbake.errors import ChoiceError
 from skinbake.geometry.frames import frame_from_normal
-from skinbake.geometry.morphs import carried_by_normal, carried_by_tangent, morphed_normals
+from skinbake.geometry.morphs import (
+    Differences,
+    MorphTargets,
+    carried_by_normal,
+    carried_by_tangent,
+    morphed_normals,
+)
 from skinbake.geometry.skinned import Float32Array
 from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
 from skinbake.skinning.algorithms import Algorithm
@@ -42,6 +48,7 @@ KINDS = [
     (Frame.NORMAL, Morphs.NORMAL),
     (Frame.TANGENT, Morphs.NORMAL),
     (Frame.TANGENT, Morphs.TANGENT),
+    *((frame, morphs) for morphs in (Morphs.FRAMES, Morphs.FRAMES_NORMAL) for frame in Frame),
 ]
 
 
@@ -91,7 +98,7 @@ void main(uint3 place : SV_DispatchThreadID) {{
 }}
 """
 
-WIDTH = 20
+WIDTH = 22
 
 
 def run(language: Language, text: str, code: str, rows: Float32Array, folder: Path) -> Float32Array:
@@ -231,6 +238,19 @@ def surface_at(frame: str) -> tuple[RestPrimitive, analytic.Sample]:
     return rest, points
 
 
+def numbers_of(points: analytic.Sample, rest: RestPrimitive, shape: analytic.Surface) -> list[Differences]:
+    """The six numbers of the differential along the frame of the primitive, by finite differences."""
+    vectors = [np.asarray(v, dtype=np.float64) for v in (rest.tangents, rest.bitangents)]
+    images = morphing.images(points, shape, *vectors)
+    basis = np.stack([*vectors, points.normals], axis=2)
+    t, b = (
+        np.linalg.solve(basis, (image - vector)[:, :, None])[:, :, 0]
+        for image, vector in zip(images, vectors, strict=True)
+    )
+    in_plane = np.concatenate([t[:, :2], b[:, :2]], axis=1)
+    return [Differences.of(in_plane), Differences.of(np.stack([t[:, 2], b[:, 2]], axis=1))]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("frame", "morphs"), KINDS)
 @pytest.mark.parametrize("lighting", [Lighting.DIRECT, Lighting.ACCURATE])
@@ -241,6 +261,11 @@ def test_a_morphed_and_skinned_vertex_is_the_float32_replay_s(
     """From p + Δp, n + Δn, t + Δt to the skinned normal: the call that the header shows."""
     rest, points = surface_at(frame)
     target = morphing.target(points, morphing.mixture, tangents=morphs is Morphs.TANGENT)
+    if morphs.moves_frame:
+        shape = morphing.morphed_surface(morphing.mixture, 1.0)
+        in_plane, upward = numbers_of(points, rest, shape)
+        one = replace(target.targets[0], in_plane=in_plane, upward=upward)
+        target = MorphTargets((one,), numbers=6 if morphs is Morphs.FRAMES else 4)
     weights = np.array([0.7])
     matrices = analytic.joint_matrices("medium")
     algorithm = Algorithm(ALGORITHMS[Method.LBS, lighting])
@@ -249,6 +274,7 @@ def test_a_morphed_and_skinned_vertex_is_the_float32_replay_s(
     text = shader_text(choices(language, frame, morphs, lighting=lighting))
     count = len(rest.positions)
     sums = [target.summed(kind, weights, count) for kind in ("positions", "normals", "tangents")]
+    numbers = [target.summed("in_plane", weights, count), target.summed("upward", weights, count)]
     added = [
         array + by for array, by in zip((rest.positions, rest.normals, rest.tangents), sums, strict=True)
     ]
@@ -256,7 +282,7 @@ def test_a_morphed_and_skinned_vertex_is_the_float32_replay_s(
     rows = np.concatenate(
         [
             padded(rest.normals, np.pad(rest.tangents, ((0, 0), (0, 1)), constant_values=1.0), *added),
-            padded(rest.weights, rest.alpha, rest.beta),
+            padded(rest.weights, rest.alpha, rest.beta, *numbers),
             joints.astype(np.float32),
         ],
         axis=1,
@@ -279,9 +305,10 @@ def call_of(language: Language, text: str) -> str:
             "let normal = row[0].xyz; let tangent = row[1]; let morphed_position = row[2].xyz;"
             "let morphed_normal = row[3].xyz; let morphed_tangent = row[4].xyz; let weights_0 = row[5];"
             "let alpha_0 = row[6].xyz; let beta_0 = row[7].xyz;"
+            "let morph = row[8]; let morph_up = row[9].xy;"
             "let M = array<mat4x4<f32>, 3>("
             + ", ".join(
-                f"mat4x4<f32>({', '.join(f'row[{8 + 4 * m + c}]' for c in range(4))})" for m in range(3)
+                f"mat4x4<f32>({', '.join(f'row[{10 + 4 * m + c}]' for c in range(4))})" for m in range(3)
             )
             + ");"
         )
@@ -290,9 +317,10 @@ def call_of(language: Language, text: str) -> str:
         before = (
             "vec3 normal = row[0].xyz; vec4 tangent = row[1]; vec3 morphed_position = row[2].xyz;"
             "vec3 morphed_normal = row[3].xyz; vec3 morphed_tangent = row[4].xyz; vec4 weights_0 = row[5];"
-            "vec3 alpha_0 = row[6].xyz; vec3 beta_0 = row[7].xyz; mat4 M[3];"
+            "vec3 alpha_0 = row[6].xyz; vec3 beta_0 = row[7].xyz;"
+            "vec4 morph = row[8]; vec2 morph_up = row[9].xy; mat4 M[3];"
             + "".join(
-                f"M[{m}] = mat4({', '.join(f'row[{8 + 4 * m + c}]' for c in range(4))});" for m in range(3)
+                f"M[{m}] = mat4({', '.join(f'row[{10 + 4 * m + c}]' for c in range(4))});" for m in range(3)
             )
         )
         vector = "vec4"
@@ -333,8 +361,8 @@ def test_without_morph_targets_the_text_has_nothing_of_them() -> None:
 # The command
 
 
-def for_file(path: Path, **request: Any) -> ShaderChoices:
-    return shader(ShaderRequest(language=Language.GLSL, **request), str(path)).choices
+def for_file(path: Path, language: Language = Language.GLSL, **request: Any) -> ShaderChoices:
+    return shader(ShaderRequest(language=language, **request), str(path)).choices
 
 
 def test_a_file_says_what_its_frames_follow(tmp_path: Path) -> None:
@@ -371,3 +399,17 @@ def test_morphed_tangents_need_the_tangent_frame() -> None:
         main, ["shader", "--lang", "glsl", "--frame", "normal", "--morphs", "tangent"]
     )
     assert result.exit_code == 2
+
+
+def test_a_file_with_numbers_of_the_differential_is_read_by_them(tmp_path: Path) -> None:
+    moved = with_targets(source("mirrored_tangent.glb"), tmp_path / "moved.glb")
+    four = baked(moved, tmp_path, morph_frames=True)
+    assert for_file(four).morphs is Morphs.FRAMES_NORMAL
+    assert "_SKINBAKE_MORPH of the targets" in shader(ShaderRequest(language=Language.GLSL), str(four)).text
+    assert for_file(four, morphs=Morphs.NORMAL).morphs is Morphs.NORMAL
+    assert for_file(four, normal_map=True).morphs is Morphs.NORMAL
+    assert for_file(four, target="bevy", language=Language.WGSL).morphs is Morphs.NORMAL
+    with pytest.raises(ChoiceError, match="no place for the numbers"):
+        for_file(four, target="bevy", language=Language.WGSL, morphs=Morphs.FRAMES_NORMAL)
+    with pytest.raises(ChoiceError, match="contradicts normal_map"):
+        ShaderChoices(Language.GLSL, morphs=Morphs.FRAMES, normal_map=True)

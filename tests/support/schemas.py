@@ -127,20 +127,28 @@ CORRECTIVES = strict(
     },
     optional={"mesh_name": {"type": "string"}},
 )
-MORPH_NORMALS = strict(
+MORPHS = strict(
     {
         "mesh": COUNT,
         "primitive": COUNT,
         "targets": {"type": "integer", "minimum": 1},
-        "of": {"type": "integer", "minimum": 1},
+        "normals": COUNT,
+        "frames": {"enum": [0, 4, 6]},
         "mean": ANGLE,
         "max": ANGLE,
         "added_bytes": COUNT,
     },
     optional={"mesh_name": {"type": "string"}},
 )
-MADE_NORMALS = strict(
-    {"mesh": COUNT, "primitive": COUNT, "targets": COUNT, "of": COUNT, "changed": {"type": "boolean"}},
+MADE = strict(
+    {
+        "mesh": COUNT,
+        "primitive": COUNT,
+        "targets": COUNT,
+        "normals": COUNT,
+        "frames": {"enum": [0, 4, 6]},
+        "changed": {"type": "boolean"},
+    },
     optional={"mesh_name": {"type": "string"}},
 )
 SECONDS = {"type": "number", "minimum": 0}
@@ -177,7 +185,7 @@ BAKE = strict(
                     "primitives": {"type": "array", "items": BAKED},
                     "encoding": ENCODING,
                     "correctives": {"type": "array", "items": CORRECTIVES},
-                    "morph_normals": {"type": "array", "items": MORPH_NORMALS},
+                    "morphs": {"type": "array", "items": MORPHS},
                     "warnings": WARNINGS,
                     "error": ERROR,
                 },
@@ -236,7 +244,7 @@ INSPECT = strict(
         "animations": COUNT,
         "left": {"type": "boolean"},
         "primitives": {"type": "array", "items": SUMMARY},
-        "morph_normals": {"type": "array", "items": MADE_NORMALS},
+        "morphs": {"type": "array", "items": MADE},
         "warnings": WARNINGS,
     }
 )

@@ -6,6 +6,7 @@ import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from skinbake.choices import FrameChoice, Gradients, Neighbours, Scheme, Weld
 from skinbake.commands.bake_options import CheckedOptions
@@ -39,7 +40,7 @@ from skinbake.report.bake import (
     EncodingCost,
     FileResult,
     Left,
-    MorphNormalCounts,
+    MorphCounts,
 )
 from skinbake.report.depfile import prerequisites
 from skinbake.timing import stage
@@ -47,6 +48,9 @@ from skinbake.wording import counted
 
 STEPS_A_BAKE = 700
 """The steps of baking a primitive of few vertices: see ``budget.STEPS_FREE``."""
+
+if TYPE_CHECKING:
+    from skinbake.commands.morph_bake import MorphBake
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,7 +101,7 @@ class Baker(CheckedOptions):
             tuple(notices),
             encoding=made.encoding,
             correctives=made.correctives,
-            morph_normals=made.morph_normals,
+            morphs=made.morphs,
             written=written,
             read=read,
             left=made.left,
@@ -153,21 +157,17 @@ class Baker(CheckedOptions):
                 document, kept = recoded(document, sources, compression)
         sources = [source.in_document(document) for source in sources]
         bakes, remarks = self._bakes(document, sources)
-        morphs = None
-        if self.morph_normals or any("targets" in bake.source.json for bake in bakes):
-            from skinbake.commands.morph_bake import morph_bake  # most models have no targets
-
-            morphs = morph_bake(document, bakes, self.settings, wanted=self.morph_normals)
-            remarks += morphs.notices
-        made_normals = morphs.made if morphs else ()
-        if not bakes and not made_normals:
+        morphs = self._morphs(document, bakes)
+        made_targets = morphs.made if morphs else ()
+        remarks += morphs.notices if morphs else ()
+        if not bakes and not made_targets:
             return BakedDocument(given, (), skipped, (*reasons, *remarks))
         storage = with_scale(GradientFormat(self.encoding, self.layout), [bake.result for bake in bakes])
         with stage("store"):
             to_store = [bake.to_store(self._noted_settings) for bake in bakes]
             names, level = self.attribute_names, self.compress_level
             written, lengths, made_lengths = with_baked(
-                document, to_store, names, storage, level=level, made=made_normals
+                document, to_store, names, storage, level=level, made=made_targets
             )
         with stage("encoding"):
             cost, unmeasured = _encoding_cost(document, bakes, storage)
@@ -198,7 +198,16 @@ class Baker(CheckedOptions):
             if noted is not None:
                 return BakedDocument(noted, (), skipped, tuple(reasons), left=left)
         morphed = morphs.reported(made_lengths) if morphs else ()
-        return BakedDocument(written, primitives, skipped, tuple(notices), cost, morph_normals=morphed)
+        return BakedDocument(written, primitives, skipped, tuple(notices), cost, morphs=morphed)
+
+    def _morphs(self, document: Document, bakes: Sequence[PrimitiveBake]) -> MorphBake | None:
+        """Return what is made for morph targets, or told of them; None for a model that has none."""
+        if not self.morph_normals and not any("targets" in bake.source.json for bake in bakes):
+            return None
+        from skinbake.commands.morph_bake import Wanted, morph_bake  # most models have no targets
+
+        wanted = Wanted(self.morph_normals, self.morph_frames)
+        return morph_bake(document, bakes, self.settings, wanted)
 
     def _left(self, baked: Document) -> Left | None:
         """Return why a document is better left unbaked, None if it is not.
@@ -305,12 +314,12 @@ class BakedDocument:
     encoding: EncodingCost | None = None
     left: Left | None = None
     correctives: tuple[tuple[Place, CorrectiveCounts], ...] = ()
-    morph_normals: tuple[tuple[Place, MorphNormalCounts], ...] = ()
+    morphs: tuple[tuple[Place, MorphCounts], ...] = ()
 
     @property
     def is_baked(self) -> bool:
         """Tell whether anything was added."""
-        return bool(self.primitives or self.correctives or self.morph_normals)
+        return bool(self.primitives or self.correctives or self.morphs)
 
 
 def _surfaces(

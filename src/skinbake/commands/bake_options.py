@@ -49,6 +49,7 @@ class CheckedOptions:
     limit_influences: int | None = USUAL["limit_influences"]
     generate_normals: bool = USUAL["generate_normals"]
     morph_normals: bool = USUAL["morph_normals"]
+    morph_frames: bool = USUAL["morph_frames"]
     correctives: int | Literal["auto"] | None = USUAL["correctives"]
     clips: tuple[str, ...] = USUAL["clips"]
     corrective_aim: CorrectiveAim = USUAL["corrective_aim"]
@@ -131,6 +132,7 @@ ONLY_FOR_GRADIENTS = (
         "limit_influences",
         "generate_normals",
         "morph_normals",
+        "morph_frames",
         "leave_under",
     ),
     *("compress", "compress_level", "position_bits", "normal_bits", "texcoord_bits"),

@@ -14,7 +14,7 @@ from skinbake.format.attribute_store import meshopt_of
 from skinbake.format.correctives import corrective_note
 from skinbake.format.metadata import changed_arrays, read_left, read_metadata, slot_names
 from skinbake.freshness.baked_views import other_version
-from skinbake.freshness.made_normals import made_states
+from skinbake.freshness.made_targets import made_states
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.accessors import described
 from skinbake.gltf.codecs import draco
@@ -37,6 +37,7 @@ from skinbake.report.inspect import (
     BakeSummary,
     CorrectiveSummary,
     InspectResult,
+    MorphSummary,
     PrimitiveSummary,
 )
 from skinbake.timing import stage
@@ -82,7 +83,9 @@ def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
         primitives=tuple(primitives),
         notices=tuple(notices),
         left=read_left(document) is not None,
-        morph_normals=tuple((one.source.place, one.targets, one.of, one.changed) for one in made),
+        morphs=tuple(
+            MorphSummary(one.source.place, one.of, one.targets, one.frames, one.changed) for one in made
+        ),
     )
 
 

@@ -1,24 +1,27 @@
-"""``skinbake bake --morph-normals``: NORMAL for morph targets that only move points.
+"""``skinbake bake --morph-normals`` and ``--morph-frames``: what morph targets that only move points lack.
 
 Engines light a target without NORMAL by the normals at rest. The normals that it should have are those of
 the moved surface, measured over the same welds and hard edges as α and β, and in the same frame. A mesh needs
-no skin for that.
+no skin for that. The frame of α and β moves by the differential of the targets, which is linear in their
+weights: its numbers are stored beside each target.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from skinbake.choices import Frame
 from skinbake.commands.surface_bake import PrimitiveBake
 from skinbake.errors import InputError, Notice, Place
-from skinbake.format.morph_targets import MadeNormals, check_extras, morph_digest
+from skinbake.format.morph_targets import MadeTargets, check_extras, morph_digest
 from skinbake.geometry.morphs import NO_DIFFERENCES, Differences
-from skinbake.geometry.skinned import Float64Array, IntArray, SkinnedPrimitive
+from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray, SkinnedPrimitive
 from skinbake.gltf.document import Document
+from skinbake.gltf.json_access import JsonObject, objects
 from skinbake.gltf.morphs import read_targets, target_count
 from skinbake.gltf.primitives import PrimitiveSource, plain_sources, read_primitive, reason_to_skip
 from skinbake.gradients import kernel
@@ -27,7 +30,7 @@ from skinbake.gradients.morph_gradients import BYTES_A_TRIANGLE, BYTES_A_VERTEX,
 from skinbake.gradients.surface import WeightField
 from skinbake.gradients.tangents import frame_vectors
 from skinbake.gradients.weld import weld
-from skinbake.report.bake import MorphNormalCounts
+from skinbake.report.bake import MorphCounts
 from skinbake.report.verify import NEGLIGIBLE
 from skinbake.timing import stage
 from skinbake.wording import counted
@@ -39,15 +42,22 @@ TRIED = 8
 """The targets of a primitive whose normals are made where they are only told of."""
 
 
+class Wanted(NamedTuple):
+    """What is wanted of targets: NORMAL for those without it, the differential of all."""
+
+    normals: bool
+    frames: bool
+
+
 @dataclass(frozen=True, slots=True)
 class MorphBake:
-    """The normals made for the targets of a document, their numbers, and notices."""
+    """What is made for the targets of a document, its numbers, and notices."""
 
-    made: Sequence[MadeNormals] = ()
-    counts: Sequence[MorphNormalCounts] = ()
+    made: Sequence[MadeTargets] = ()
+    counts: Sequence[MorphCounts] = ()
     notices: Sequence[Notice] = ()
 
-    def reported(self, lengths: Sequence[int]) -> tuple[tuple[Place, MorphNormalCounts], ...]:
+    def reported(self, lengths: Sequence[int]) -> tuple[tuple[Place, MorphCounts], ...]:
         """Return the numbers of each primitive with its place. lengths are the added bytes."""
         return tuple(
             (item.source.place, replace(count, added_bytes=length))
@@ -57,65 +67,97 @@ class MorphBake:
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """One primitive of a mesh with targets, with its weld classes (V,) and the kind of its frame."""
+    """One primitive of a mesh with targets, with its weld classes (V,) and the kind of its frame.
+
+    wanted is what is made for it.
+    """
 
     source: PrimitiveSource
     primitive: SkinnedPrimitive
     classes: IntArray
     frame: str
+    wanted: Wanted
+
+    @property
+    def targets(self) -> list[int]:
+        """The numbers of the targets for which anything is made."""
+        return list(range(len(_targets(self.source)))) if self.wanted.frames else self.lacking
+
+    @property
+    def lacking(self) -> list[int]:
+        """The numbers of the targets that get NORMAL."""
+        return _lacking(self.source) if self.wanted.normals else []
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers of the differential each target gets: four if all have NORMAL then, else six."""
+        if not self.wanted.frames:
+            return 0
+        return 4 if self.wanted.normals or not _lacking(self.source) else 6
 
 
 def morph_bake(
-    document: Document, bakes: Sequence[PrimitiveBake], settings: BakeSettings, *, wanted: bool
+    document: Document, bakes: Sequence[PrimitiveBake], settings: BakeSettings, wanted: Wanted
 ) -> MorphBake:
-    """Make NORMAL for the targets of primitives that lack it. Raises InputError for targets that are broken.
+    """Make NORMAL and the differential of targets. Raises InputError for targets that are broken.
 
     bakes are those of the skinned primitives. If normals are not wanted, the notices say what these targets
     would gain, by a few of them; meshes without a skin are not looked at then.
     """
-    made: list[MadeNormals] = []
-    counts: list[MorphNormalCounts] = []
+    made: list[tuple[MadeTargets, MorphCounts]] = []
     notices: list[Notice] = []
+    with stage("morph targets"):
+        if wanted.normals:
+            plain, notices = _plain(document, settings)
+            for parts in plain:
+                made += _checked(document, parts, settings)
+        for parts in _skinned(bakes, wanted):
+            made += _checked(document, parts, settings)
+        if not wanted.normals:
+            for parts in _skinned(bakes, Wanted(normals=True, frames=False)):
+                try:
+                    told = list(_made(document, parts, settings, TRIED))
+                except InputError:
+                    continue  # a bake does not need its targets
+                notices += [_missing(*pair) for pair in told if pair[1].mean >= NEGLIGIBLE]
+    return MorphBake([item for item, _ in made], [count for _, count in made], notices)
+
+
+def _skinned(bakes: Sequence[PrimitiveBake], wanted: Wanted) -> list[list[_Part]]:
+    """Return the meshes of skinned primitives for whose targets anything is made."""
     meshes: dict[int, list[_Part]] = {}
     for bake in bakes:
-        own = _Part(bake.source, bake.primitive, bake.result.classes, bake.result.frame)
+        own = _Part(bake.source, bake.primitive, bake.result.classes, bake.result.frame, wanted)
         meshes.setdefault(bake.source.mesh, []).append(own)
-    with stage("morph targets"):
-        surfaces = [parts for parts in meshes.values() if any(_lacking(one.source) for one in parts)]
-        if wanted:
-            plain, notices = _plain(document, settings)
-            surfaces += plain
-        for parts in surfaces:
-            source = parts[0].source
-            try:
-                if wanted:
-                    check_extras(document, source.mesh, source.place)
-                found = list(_made(document, parts, settings, None if wanted else TRIED))
-            except InputError:
-                if wanted:
-                    raise
-                continue  # a bake does not need its targets
-            made += [item for item, _ in found]
-            counts += [count for _, count in found]
-    if wanted:
-        return MorphBake(made, counts, notices)
-    pairs = zip(made, counts, strict=True)
-    return MorphBake(notices=[_missing(*pair) for pair in pairs if pair[1].mean >= NEGLIGIBLE])
+    return [parts for parts in meshes.values() if any(one.targets for one in parts)]
+
+
+def _checked(
+    document: Document, parts: Sequence[_Part], settings: BakeSettings
+) -> list[tuple[MadeTargets, MorphCounts]]:
+    """Return what is made for a mesh. Raises InputError if its extras have no place for metadata."""
+    check_extras(document, parts[0].source.mesh, parts[0].source.place)
+    return list(_made(document, parts, settings, None))
+
+
+def _targets(source: PrimitiveSource) -> list[JsonObject]:
+    return objects(source.json, "targets", source.place)
 
 
 def _lacking(source: PrimitiveSource) -> list[int]:
     """Return the numbers of the targets of a primitive without NORMAL."""
-    return [number for number, target in enumerate(source.json.get("targets", [])) if "NORMAL" not in target]
+    return [number for number, target in enumerate(_targets(source)) if "NORMAL" not in target]
 
 
-def _missing(made: MadeNormals, count: MorphNormalCounts) -> Notice:
-    have, them = ("has", "it") if count.targets == 1 else ("have", "them")
+def _missing(made: MadeTargets, count: MorphCounts) -> Notice:
+    lacking = len(_lacking(made.source))
+    have, them = ("has", "it") if lacking == 1 else ("have", "them")
     message = (
-        f"{counted(count.targets, 'morph target')} of {count.of:,} {have} no NORMAL, so engines light {them} "
+        f"{counted(lacking, 'morph target')} of {count.targets:,} {have} no NORMAL, so engines light {them} "
         f"as at rest. At weight 1 that is {count.mean:.1f}° off in the mean where normals turn: "
         "--morph-normals adds NORMAL"
     )
-    return Notice("morph-normals", message, made.source.place, count.targets)
+    return Notice("morph-normals", message, made.source.place, lacking)
 
 
 def _plain(document: Document, settings: BakeSettings) -> tuple[list[list[_Part]], list[Notice]]:
@@ -143,48 +185,70 @@ def _plain(document: Document, settings: BakeSettings) -> tuple[list[list[_Part]
         )
         classes = weld(positions, normals, alike, crease_angle=settings.crease_angle)
         own = np.split(classes, np.cumsum([len(one.positions) for one in primitives])[:-1])
-        found.append([_Part(*part, str(Frame.NORMAL)) for part in zip(sources, primitives, own, strict=True)])
+        found.append(
+            [
+                _Part(source, primitive, part, str(Frame.NORMAL), Wanted(normals=True, frames=False))
+                for source, primitive, part in zip(sources, primitives, own, strict=True)
+            ]
+        )
     return found, notices
+
+
+class _Change(NamedTuple):
+    """What one target changes in a primitive: NORMAL (R, 3), and the numbers (R, 4) and (R, 2)."""
+
+    normals: Differences = NO_DIFFERENCES
+    in_plane: Differences = NO_DIFFERENCES
+    upward: Differences = NO_DIFFERENCES
 
 
 def _made(
     document: Document, parts: Sequence[_Part], settings: BakeSettings, most: int | None
-) -> Iterable[tuple[MadeNormals, MorphNormalCounts]]:
-    """Yield the normals made for each primitive of a mesh, and their numbers, for ``most`` targets or all."""
+) -> Iterable[tuple[MadeTargets, MorphCounts]]:
+    """Yield what is made for each primitive of a mesh, and its numbers, for ``most`` targets or all."""
     target_count(document, parts[0].source.mesh)  # refuses primitives with different numbers
     surface, slices = _surface(document, parts, settings)
-    lacking = [_lacking(part.source) for part in parts]
-    wanted = sorted(set().union(*lacking))
+    wanted = sorted(set().union(*(part.targets for part in parts)))
     if most is not None:
         wanted = wanted[:: -(-len(wanted) // most)]
     read = [
         read_targets(document, part.source, wanted, count=len(part.primitive.positions), tangents=False)
         for part in parts
     ]
-    moves = [
-        [NO_DIFFERENCES if own is None else own.targets[place].positions for own in read]
-        for place in range(len(wanted))
-    ]
-    # Targets of the same accessors have the same normals, which are made once.
-    known: dict[tuple[int, ...], list[Differences]] = {}
-    normals: list[list[Differences]] = []
-    for move in moves:
+    moves = {
+        target: [NO_DIFFERENCES if own is None else own.targets[place].positions for own in read]
+        for place, target in enumerate(wanted)
+    }
+    # Targets of the same accessors change the same, which is found once.
+    known: dict[tuple[int, ...], list[_Change]] = {}
+    changes: dict[int, list[_Change]] = {}
+    for target, move in moves.items():
         key = tuple(map(id, move))
         if key not in known:
-            known[key] = _turned(surface, slices, parts, move)
-            size = sum(one.rows.nbytes + one.values.nbytes for one in known[key])
-            document.budget.claim(size, "its normals under morph targets", parts[0].source.place)
-        normals.append(known[key])
+            known[key] = _changes(surface, slices, parts, move)
+            size = sum(one.rows.nbytes + one.values.nbytes for own in known[key] for one in own)
+            document.budget.claim(size, "what it makes for its morph targets", parts[0].source.place)
+        changes[target] = known[key]
     for number, part in enumerate(parts):
-        places = {target: place for place, target in enumerate(wanted) if target in lacking[number]}
-        if places:
-            own = {target: normals[place][number] for target, place in places.items()}
-            moving = {target: moves[place][number] for target, place in places.items()}
-            angles = [_degrees(part, one).tolist() for one in own.values()]
-            yield (
-                MadeNormals(part.source, own, morph_digest(part.primitive, moving)),
-                MorphNormalCounts.of_angles(angles, len(lacking[number]), len(part.source.json["targets"])),
-            )
+        normals = {t: changes[t][number].normals for t in part.lacking if t in changes}
+        of_frames = [t for t in part.targets if t in changes] if part.numbers else []
+        frames = [{t: changes[t][number].in_plane for t in of_frames}] if part.numbers else []
+        frames += [{t: changes[t][number].upward for t in of_frames}] if part.numbers > 4 else []
+        if not normals and not of_frames:
+            continue
+        moving = {t: moves[t][number] for t in part.targets if t in moves}
+        angles = [_degrees(part, one).tolist() for one in normals.values()]
+        every = [angle for target in angles for angle in target]
+        yield (
+            MadeTargets(part.source, normals, frames, morph_digest(part.primitive, moving)),
+            MorphCounts(
+                targets=len(_targets(part.source)),
+                normals=len(part.lacking),
+                frames=part.numbers,
+                mean=sum(every) / max(len(every), 1),
+                max=max(every, default=0.0),
+            ),
+        )
 
 
 def _surface(
@@ -211,29 +275,41 @@ def _surface(
     return surface, [slice(*one) for one in zip(starts, ends, strict=True)]
 
 
-def _turned(
+def _changes(
     surface: MorphSurface, slices: Sequence[slice], parts: Sequence[_Part], move: Sequence[Differences]
-) -> list[Differences]:
-    """Return what one target adds to NORMAL in each primitive, for normals of the length that is stored."""
+) -> list[_Change]:
+    """Return what one target changes in each primitive. NORMAL is for normals of the stored length."""
     whole = Differences(
         np.concatenate([one.rows + part.start for one, part in zip(move, slices, strict=True)]),
         np.concatenate([one.values for one in move]),
     )
     if not len(whole.rows):
-        return [NO_DIFFERENCES for _ in parts]
+        return [_Change() for _ in parts]
     change = surface.differential(whole)
     normals = surface.normals_at(change)
     turned = np.linalg.norm(normals - surface.normals[change.rows], axis=1) >= LEAST
-    rows, normals = change.rows[turned], normals[turned]
+    numbers = surface.numbers_of(change)
+    large: BoolArray = np.abs(numbers) >= LEAST
     found = []
     for part, here in zip(parts, slices, strict=True):
-        first, last = np.searchsorted(rows, (here.start, here.stop))
-        own = rows[first:last] - here.start
-        stored = part.primitive.normals[own].astype(np.float64)
-        added = normals[first:last] * np.linalg.norm(stored, axis=1, keepdims=True) - stored
-        sound = np.isfinite(added).all(axis=1)
-        found.append(Differences(own[sound], added[sound].astype(np.float32)))
+        own = slice(*np.searchsorted(change.rows, (here.start, here.stop)))
+        rows = change.rows[own] - here.start
+        stored = part.primitive.normals[rows].astype(np.float64)
+        added = normals[own] * np.linalg.norm(stored, axis=1, keepdims=True) - stored
+        found.append(
+            _Change(
+                _kept(rows, added, turned[own, None]),
+                _kept(rows, numbers[own, :4], large[own, :4]),
+                _kept(rows, numbers[own, 4:], large[own, 4:]),
+            )
+        )
     return found
+
+
+def _kept(rows: IntArray, values: Float64Array, wanted: BoolArray) -> Differences:
+    """Return the finite rows of values (R, C) of which anything is wanted (R, …), as they are stored."""
+    sound = np.asarray(wanted.any(axis=1)) & np.isfinite(values).all(axis=1)
+    return Differences(rows[sound], values[sound].astype(np.float32))
 
 
 def _degrees(part: _Part, normals: Differences) -> Float64Array:

@@ -164,7 +164,9 @@ def _choices_of_file(
     )
     choices, others = _with_names(document, serving, choices)
     if request.morphs is None:
-        choices = replace(choices, morphs=Morphs(carrier(serving)))
+        # Only the plain text leaves it to its user where the numbers of a differential come from.
+        numbers = choices.target == "plain" and not choices.normal_map
+        choices = replace(choices, morphs=carrier(document, serving, numbers=numbers))
     choices = _with_joints(document, serving, choices)
     others += [notice for view in serving for notice in weight_sum_notices(view.now, view.source.place)]
     served = {view.source.place for view in serving}

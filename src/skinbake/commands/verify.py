@@ -11,7 +11,7 @@ from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.format.correctives import corrective_note
 from skinbake.format.metadata import read_left, read_metadata
 from skinbake.freshness.baked_views import BakedView, baked_views, gathered_together, is_baked
-from skinbake.freshness.made_normals import made_states
+from skinbake.freshness.made_targets import made_states
 from skinbake.freshness.staleness import claim_freshness, fits_begun, freshness_check, surface_operator
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import JsonObject

@@ -17,7 +17,7 @@ from skinbake.format.encodings import common_scale, encoded
 from skinbake.format.influences import with_adopted
 from skinbake.format.layouts import CUSTOM_NAMES, GradientFormat, free_texcoords, of_alpha_and_beta, paired
 from skinbake.format.metadata import KEY
-from skinbake.format.morph_targets import MadeNormals, add_made_normals
+from skinbake.format.morph_targets import MadeTargets, add_made
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.additions import Additions
@@ -65,11 +65,11 @@ def with_baked(
     storage: GradientFormat,
     *,
     level: int | None = None,
-    made: Sequence[MadeNormals] = (),
+    made: Sequence[MadeTargets] = (),
 ) -> tuple[Document, list[int], list[int]]:
     """Return the document with α, β, metadata and adopted influences, and the added bytes by primitive.
 
-    The last value are the bytes of each of ``made``, normals of morph targets.
+    The last value are the bytes of each of ``made``, what is added to morph targets.
 
     The document must not hold an earlier bake. A NORMAL is added if the primitive has none. The additions are
     stored like the primitive, compressed at ``level`` (see ``store_for``). The scale of the storage is that
@@ -87,7 +87,7 @@ def with_baked(
         primitives[item.source.primitive] = store.finished(_written(document, store, item, names, storage))
         meshes[item.source.mesh] = {**mesh, "primitives": primitives}
         lengths.append(additions.byte_length - before)
-    made_lengths = add_made_normals(document, additions, meshes, made, level)
+    made_lengths = add_made(document, additions, meshes, made, level)
     return additions.applied({"meshes": meshes}), lengths, made_lengths
 
 

@@ -1,4 +1,4 @@
-"""What bake adds to the morph targets that a file has: NORMAL for those without it.
+"""What bake adds to the morph targets that a file has: NORMAL for those without it, and their differential.
 
 Once one target of a primitive has NORMAL, every target has one, because some loaders take the base mesh for a
 difference where a target lacks what others have. A target that turns no normal has an accessor without a
@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.errors import Place, UnsupportedFeatureError
+from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.format.attribute_store import meshopt_packing
 from skinbake.format.metadata import DEEPEST_NOTE, KEY, VERSION, array_digest
-from skinbake.geometry.morphs import Differences
+from skinbake.geometry.morphs import COMPONENTS, Differences
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.additions import Additions, Packed
 from skinbake.gltf.document import Document
@@ -28,18 +28,29 @@ from skinbake.gltf.views import COMPONENT_CODES, TYPES
 from skinbake.version import __version__
 
 NOTE = "morphTargets"
-"""The member of a mesh's note that lists, by primitive, the targets to which bake added NORMAL."""
+"""The member of a mesh's note that tells, by primitive, what bake added to targets."""
+
+IN_PLANE, UPWARD = "_SKINBAKE_MORPH", "_SKINBAKE_MORPH_UP"
+"""The attributes of the differential of a target: VEC4 along t0 and b0, and VEC2 along n0.
+
+glTF wants an attribute of that name in the primitive too. There it is zeros, without a byte.
+"""
+
+FRAMES = (IN_PLANE, UPWARD)
 
 
 @dataclass(frozen=True, slots=True)
-class MadeNormals:
-    """The changes of NORMAL that bake makes for targets of one primitive, by number, for normals as stored.
+class MadeTargets:
+    """What bake adds to targets of one primitive, by number.
 
-    digest is that of what they follow from (``morph_digest``).
+    normals are the changes of NORMAL, for normals as stored. frames are the numbers of the differential: in
+    the plane (V, 4), and perhaps upward (V, 2), of every target; or there are none. digest is that of what
+    both follow from (``morph_digest``).
     """
 
     source: PrimitiveSource
     normals: Mapping[int, Differences]
+    frames: Sequence[Mapping[int, Differences]]
     digest: str
 
 
@@ -94,20 +105,21 @@ def check_extras(document: Document, mesh: int, place: Place) -> None:
     """Raise UnsupportedFeatureError if the extras of a mesh have no place for metadata."""
     extras = document.objects("meshes")[mesh].get("extras", {})
     if not isinstance(extras, dict) or KEY in extras:
-        message = '"extras" of its mesh leave no place for metadata: bake without --morph-normals'
+        message = '"extras" of its mesh leave no place for the metadata of morph targets'
         raise UnsupportedFeatureError(message, place)
 
 
-def add_made_normals(
+def add_made(
     document: Document,
     additions: Additions,
     meshes: list[JsonObject],
-    made: Sequence[MadeNormals],
+    made: Sequence[MadeTargets],
     level: int | None,
 ) -> list[int]:
-    """Add NORMAL to targets, and change ``meshes`` in place. Return the added bytes by primitive.
+    """Add NORMAL and the differential to targets, and change ``meshes`` in place. Return bytes by primitive.
 
-    level is that of ``--compress-level``, for views that meshopt compresses.
+    level is that of ``--compress-level``, for views that meshopt compresses. Raises InputError if the
+    primitive has an attribute of the names of the differential.
     """
     lengths = []
     for item in made:
@@ -118,21 +130,33 @@ def add_made_normals(
         count = int(accessors[int(item.source.attributes["POSITION"])]["count"])
         packed = meshopt_packing(document, item.source, level)
         targets = list(item.source.json["targets"])
-        for target, normals in item.normals.items():
-            if len(normals.rows):
-                dense = np.zeros((count, 3), np.float32)
-                dense[normals.rows] = normals.values
-                accessor = add_differences(additions, dense, packed=packed)
-            else:
-                accessor = add_zeros(additions, count, "VEC3", bounded=False)
-            targets[target] = {**targets[target], "NORMAL": accessor}
-        primitives[number] = {**primitives[number], "targets": targets}
+        attributes = dict(primitives[number]["attributes"])
+        parts = {"NORMAL": (item.normals, 3)}
+        parts |= {
+            name: (one, COMPONENTS[kind])
+            for name, kind, one in zip(FRAMES, ("in_plane", "upward"), item.frames, strict=False)
+        }
+        for name, (values, components) in parts.items():
+            if name in FRAMES:
+                if name in attributes:
+                    message = f"it already has an attribute {name}: remove it, or bake without --morph-frames"
+                    raise InputError(message, item.source.place)
+                attributes[name] = add_zeros(additions, count, TYPES[components], bounded=False)
+            for target, added in values.items():
+                if len(added.rows):
+                    dense = np.zeros((count, components), np.float32)
+                    dense[added.rows] = added.values
+                    accessor = add_differences(additions, dense, packed=packed)
+                else:
+                    accessor = add_zeros(additions, count, TYPES[components], bounded=False)
+                targets[target] = {**targets[target], name: accessor}
+        primitives[number] = {**primitives[number], "attributes": attributes, "targets": targets}
         meshes[item.source.mesh] = _noted({**mesh, "primitives": primitives}, item)
         lengths.append(additions.byte_length - before)
     return lengths
 
 
-def _noted(mesh: JsonObject, item: MadeNormals) -> JsonObject:
+def _noted(mesh: JsonObject, item: MadeTargets) -> JsonObject:
     """Return the JSON of a mesh with the note that tells what was added to a primitive."""
     extras = object_of(mesh.get("extras"))
     note = dict(object_of(extras.get(KEY)))
@@ -140,7 +164,12 @@ def _noted(mesh: JsonObject, item: MadeNormals) -> JsonObject:
         note = {"version": VERSION, "generator": f"skinbake {__version__}"}
         note |= {"keepExtras": True} if mesh.get("extras") == {} else {}
     entries = [dict(one) for one in note.get(NOTE, [{} for _ in mesh["primitives"]])]
-    entries[item.source.primitive] = {"normals": sorted(item.normals), "digest": item.digest}
+    numbers = sum(COMPONENTS[kind] for kind, _ in zip(("in_plane", "upward"), item.frames, strict=False))
+    entries[item.source.primitive] = {
+        **({"normals": sorted(item.normals)} if item.normals else {}),
+        **({"frames": numbers} if numbers else {}),
+        "digest": item.digest,
+    }
     return {**mesh, "extras": {**extras, KEY: {**note, NOTE: entries}}}
 
 
@@ -154,16 +183,40 @@ def morph_note(mesh: JsonObject) -> JsonObject | None:
     return None if version is None else {**note, "version": version}
 
 
-def noted_primitive(mesh: JsonObject, primitive: int) -> JsonObject:
-    """Return what the note of a mesh says of a primitive, with ``normals`` as a list of numbers; or {}."""
+@dataclass(frozen=True, slots=True)
+class NotedTargets:
+    """What the note of a mesh says of a primitive: the targets with NORMAL by bake, and their digest.
+
+    frames is how many numbers of the differential each target has: 6, 4 or 0.
+    """
+
+    normals: tuple[int, ...] = ()
+    frames: int = 0
+    digest: object = None
+
+    def __bool__(self) -> bool:
+        """Tell whether bake has added anything to its targets."""
+        return bool(self.normals or self.frames)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The attributes of the differential."""
+        return FRAMES[: 2 if self.frames > COMPONENTS["in_plane"] else bool(self.frames)]
+
+
+def noted_targets(mesh: JsonObject, primitive: int) -> NotedTargets:
+    """Return what the note of a mesh says of a primitive. What is damaged in it counts as absent."""
     note = morph_note(mesh)
     entries = note[NOTE] if note else []
     entry = object_of(entries[primitive]) if primitive < len(entries) else {}
     numbers = entry.get("normals")
-    found = (
-        [number for number in numbers if reference(number) is not None] if isinstance(numbers, list) else []
+    normals = numbers if isinstance(numbers, list) else []
+    frames = entry.get("frames")
+    return NotedTargets(
+        tuple(number for number in normals if reference(number) is not None),
+        frames if frames in (4, 6) else 0,
+        entry.get("digest"),
     )
-    return {**entry, "normals": found} if found else {}
 
 
 def former_targets(mesh: JsonObject) -> JsonObject:
@@ -173,19 +226,22 @@ def former_targets(mesh: JsonObject) -> JsonObject:
         return mesh
     primitives = []
     for number, primitive in enumerate(entries_of(mesh.get("primitives"))):
-        made, targets = noted_primitive(mesh, number).get("normals", []), primitive.get("targets")
-        if made and isinstance(targets, list):
-            left = [
+        noted, targets = noted_targets(mesh, number), primitive.get("targets")
+        changed = dict(primitive)
+        if noted.frames and isinstance(primitive.get("attributes"), dict):
+            changed["attributes"] = {
+                name: one for name, one in primitive["attributes"].items() if name not in noted.names
+            }
+        if noted and isinstance(targets, list):
+            changed["targets"] = [
                 {
                     name: one
                     for name, one in object_of(target).items()
-                    if name != "NORMAL" or position not in made
+                    if name not in noted.names and (name != "NORMAL" or position not in noted.normals)
                 }
                 for position, target in enumerate(targets)
             ]
-            primitives.append({**primitive, "targets": left})
-        else:
-            primitives.append(primitive)
+        primitives.append(changed)
     extras = {key: one for key, one in mesh["extras"].items() if key != KEY}
     found = {**mesh, "primitives": primitives, "extras": extras}
     if not extras and not note.get("keepExtras"):

@@ -11,7 +11,7 @@ from skinbake.format.corrective_strip import narrowed, without_correctives
 from skinbake.format.former import former_attributes, former_sets, former_tangent, with_former_stream
 from skinbake.format.layouts import added_slot_names
 from skinbake.format.metadata import FORMER_ATTRIBUTES, KEY, VERSION, noted_names, read_metadata, without_left
-from skinbake.format.morph_targets import former_targets, morph_note, noted_primitive
+from skinbake.format.morph_targets import former_targets, morph_note, noted_targets
 from skinbake.gltf import json_access
 from skinbake.gltf.additions import BUFFER_ADDED, BUFFER_LENGTH, FALLBACK_ADDED
 from skinbake.gltf.codecs import draco, meshopt
@@ -54,7 +54,7 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
             note = read_metadata(document, primitive)
             if note is None:
                 restored.append(primitive)
-                changed += [(given, primitive)] if noted_primitive(mesh, position) else []
+                changed += [(given, primitive)] if noted_targets(mesh, position) else []
                 continue
             _refuse_later_version(note, here)
             written, found = _restored(document, primitive, note, here)

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from skinbake.errors import InputError, Place
-from skinbake.geometry.morphs import NO_DIFFERENCES, Differences, MorphTarget, MorphTargets
+from skinbake.geometry.morphs import (
+    COMPONENTS,
+    NO_DIFFERENCES,
+    Differences,
+    Kind,
+    MorphTarget,
+    MorphTargets,
+)
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import element_count, read_accessor
 from skinbake.gltf.document import Document
@@ -24,6 +33,7 @@ FORMATS: Formats = {
     "POSITION": (FLOAT, *((kind, flag) for kind in ("i1", "i2") for flag in (False, True))),
     "NORMAL": (FLOAT, *NORMALISED_SIGNED),
     "TANGENT": (FLOAT, *NORMALISED_SIGNED),
+    "": (FLOAT,),
 }
 """Component types, and their normalisation (glTF 2.0 §3.7.2.2 and KHR_mesh_quantization)."""
 
@@ -31,6 +41,7 @@ EXPECTED = {
     "POSITION": "differences must be floats, or signed bytes or shorts",
     "NORMAL": "differences must be floats, or normalised signed bytes or shorts",
     "TANGENT": "differences must be floats, or normalised signed bytes or shorts",
+    "": "differences must be floats",
 }
 
 
@@ -94,11 +105,18 @@ def _numbers(owner: JsonObject, count: int, called: str, place: Place) -> Float6
 
 
 def read_targets(
-    document: Document, source: PrimitiveSource, wanted: list[int], *, count: int, tangents: bool
+    document: Document,
+    source: PrimitiveSource,
+    wanted: list[int],
+    *,
+    count: int,
+    tangents: bool,
+    further: Sequence[str] = (),
 ) -> MorphTargets | None:
     """Return the wanted targets of a primitive of ``count`` vertices, None if it has no targets.
 
-    ``tangents`` means that the frame is from TANGENT, so that targets of TANGENT count. Raises InputError
+    ``tangents`` means that the frame is from TANGENT, so that targets of TANGENT count. ``further`` are the
+    attributes of the numbers of the differential: in the plane, and upward. Raises InputError
     with the target and the attribute for a format that glTF does not allow, for a number of elements that
     differs from POSITION, and for positions that are not finite. Normals and tangents that are not finite
     count as 0.
@@ -106,25 +124,35 @@ def read_targets(
     targets = objects(source.json, "targets", source.place)
     if not targets:
         return None
-    names = ("POSITION", "NORMAL", "TANGENT") if tangents else ("POSITION", "NORMAL")
+    members: dict[Kind, str] = {"positions": "POSITION", "normals": "NORMAL"}
+    members |= {"tangents": "TANGENT"} if tangents else {}
+    members |= dict(zip(("in_plane", "upward"), further, strict=False))
     read: dict[tuple[str, int], Differences] = {}
     found = [
-        MorphTarget(*(_differences(document, source, (number, name), targets, count, read) for name in names))
+        MorphTarget(
+            **{
+                member: _differences(
+                    document, source, (number, name, COMPONENTS.get(member, 3)), targets, count, read
+                )
+                for member, name in members.items()
+            }
+        )
         for number in wanted
     ]
-    return MorphTargets(tuple(found), tangents and any("TANGENT" in target for target in targets))
+    with_tangents = tangents and any("TANGENT" in target for target in targets)
+    return MorphTargets(tuple(found), with_tangents, 2 * (len(further) + bool(further)))
 
 
 def _differences(
     document: Document,
     source: PrimitiveSource,
-    which: tuple[int, str],
+    which: tuple[int, str, int],
     targets: list[JsonObject],
     count: int,
     read: dict[tuple[str, int], Differences],
 ) -> Differences:
     """Return one attribute of one target; ``read`` caches the results by accessor."""
-    number, name = which
+    number, name, components = which
     place = source.place.at(f"{name} of morph target {number}")
     accessor = index(targets[number], name, len(document.objects("accessors")), place)
     if accessor is None:
@@ -134,16 +162,16 @@ def _differences(
         if declared != count:
             raise InputError(f"it has {counted(declared, 'element')}, POSITION has {count:,}", place)
         with document.budget.passing():
-            read[name, accessor] = _moved_rows(document, accessor, name, place)
+            read[name, accessor] = _moved_rows(document, accessor, name, components, place)
         kept = read[name, accessor]
         document.budget.claim(kept.rows.nbytes + kept.values.nbytes, "its differences", place)
     return read[name, accessor]
 
 
-def _moved_rows(document: Document, accessor: int, name: str, place: Place) -> Differences:
+def _moved_rows(document: Document, accessor: int, name: str, components: int, place: Place) -> Differences:
     """Return the differences in an accessor that are not 0."""
     stored = read_accessor(document, accessor, place)
-    check_format(stored, name, 3, place, formats=FORMATS, expected=EXPECTED)
+    check_format(stored, name, components, place, formats=FORMATS, expected=EXPECTED)
     document.budget.claim(stored.decoded_size, "its decoded values", place)
     values = stored.decoded()
     if name == "POSITION":

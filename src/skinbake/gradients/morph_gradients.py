@@ -135,3 +135,19 @@ class MorphSurface:
         length = np.linalg.norm(found, axis=1)
         sound &= (length > 0.0) & np.isfinite(length)
         return np.where(sound[:, None], found / np.where(sound, length, 1.0)[:, None], n0)
+
+    def numbers_of(self, change: Differential) -> Float64Array:
+        """Return the parts of a differential along the frame (R, 6): in its plane, then along n0.
+
+        The first two are those of the derivative along t0, by t0 and b0, the next two those along b0. The
+        last two are both along n0. They are NaN where the frame is flat.
+        """
+        t0, b0, n0 = (vectors[change.rows] for vectors in (self.tangents, self.bitangents, self.normals))
+        across = np.cross(t0, b0)
+        volume = np.einsum("ri,ri->r", across, n0)[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            duals = np.cross(b0, n0) / volume, np.cross(n0, t0) / volume, across / volume
+        along = (change.along_t, change.along_b)
+        parts = [[np.einsum("ri,ri->r", d, dual) for dual in duals] for d in along]
+        (tt, tb, tn), (bt, bb, bn) = parts
+        return np.stack([tt, tb, bt, bb, tn, bn], axis=1)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from skinbake.choices import Frame
-from skinbake.format.morph_targets import noted_primitive
+from skinbake.choices import Frame, Morphs
+from skinbake.format.morph_targets import NotedTargets, noted_targets
 from skinbake.freshness.baked_views import BakedView
 from skinbake.geometry.morphs import MorphTargets
 from skinbake.geometry.skinned import Float64Array
@@ -14,7 +14,7 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import objects
 from skinbake.gltf.morphs import read_targets, target_count
 from skinbake.report.verify import MorphCount
-from skinbake.skinning.morphs import morphed
+from skinbake.skinning.morphs import as_engines_light, morphed
 from skinbake.skinning.rest import RestPrimitive
 from skinbake.truth.poses import PoseSet
 from skinbake.truth.truths import Truths
@@ -36,8 +36,11 @@ class Morphing:
 
     def primitives(self, primitives: Sequence[RestPrimitive], pose: int) -> list[RestPrimitive]:
         """Return the primitives as they are in one pose, before skinning."""
+        weights = self.weights[pose]
         return [
-            primitive if targets is None else morphed(primitive, targets, self.weights[pose])
+            primitive
+            if targets is None
+            else as_engines_light(morphed(primitive, targets, weights), primitive, targets, weights)
             for primitive, targets in zip(primitives, self.targets, strict=True)
         ]
 
@@ -83,6 +86,7 @@ def morphing_of(document: Document, views: Sequence[BakedView], poses: PoseSet) 
             moving,
             count=len(view.now.positions),
             tangents=view.metadata["frame"] == Frame.TANGENT,
+            further=_noted(document, view).names,
         )
         for view in views
     )
@@ -90,10 +94,15 @@ def morphing_of(document: Document, views: Sequence[BakedView], poses: PoseSet) 
     return Morphing(targets, poses.morph_weights[:, moving], authored)
 
 
+def _noted(document: Document, view: BakedView) -> NotedTargets:
+    """Return what bake has added to the targets of a primitive."""
+    return noted_targets(document.objects("meshes")[view.source.mesh], view.source.primitive)
+
+
 def _is_authored(document: Document, view: BakedView, moving: Sequence[int]) -> bool:
     """Tell whether all of these targets that move a primitive have NORMAL, and none by bake."""
     source = view.source
-    made = noted_primitive(document.objects("meshes")[source.mesh], source.primitive).get("normals", [])
+    made = _noted(document, view).normals
     targets = objects(source.json, "targets", source.place)
     return all(
         "NORMAL" in targets[number] and number not in made
@@ -102,19 +111,23 @@ def _is_authored(document: Document, view: BakedView, moving: Sequence[int]) -> 
     )
 
 
-def carrier(views: Iterable[BakedView]) -> str:
-    """Return the attribute that the frame of primitives follows under their morph targets.
+def carrier(document: Document, views: Sequence[BakedView], *, numbers: bool) -> Morphs:
+    """Return what the frame of primitives follows under their morph targets; NONE without targets.
 
-    It is ``tangent`` if the frame comes from TANGENT and any target has TANGENT, else ``normal``. It is
-    ``none`` without targets.
+    With ``numbers``, it is the differential if all have the same numbers of it. Else it is the tangent if the
+    frame comes from TANGENT and any target has TANGENT, else the normal.
     """
-    found = "none"
+    found = Morphs.NONE
+    stored: set[int] = set()
     for view in views:
-        for target in objects(view.source.json, "targets", view.source.place):
-            if "TANGENT" in target and view.metadata["frame"] == Frame.TANGENT:
-                return "tangent"
-            found = "normal"
-    return found
+        targets = objects(view.source.json, "targets", view.source.place)
+        if targets:
+            stored.add(_noted(document, view).frames)
+            found = Morphs.NORMAL if found is Morphs.NONE else found
+            if view.metadata["frame"] == Frame.TANGENT and any("TANGENT" in target for target in targets):
+                found = Morphs.TANGENT
+    kinds = {6: Morphs.FRAMES, 4: Morphs.FRAMES_NORMAL}
+    return kinds.get(next(iter(stored)), found) if numbers and len(stored) == 1 else found
 
 
 def morph_count(document: Document, drawn: Iterable[tuple[int, PoseSet]]) -> MorphCount | None:

@@ -145,24 +145,20 @@ class CorrectiveCounts:
 
 
 @dataclass(frozen=True, slots=True)
-class MorphNormalCounts:
-    """The NORMAL of targets that bake has made, or could make, for one primitive, in numbers.
+class MorphCounts:
+    """What bake has made for the targets of one primitive, in numbers.
 
-    targets are those that lacked it, of all. mean and max are the degrees by which they turn normals at
-    weight 1, over the vertices where they turn any.
+    normals is the number of targets that got NORMAL. frames is how many numbers of the differential each
+    target got: 6, 4 or 0. mean and max are the degrees by which the made NORMAL turns normals at weight 1,
+    over the vertices where it turns any.
     """
 
     targets: int
-    of: int
+    normals: int
+    frames: int
     mean: float
     max: float
     added_bytes: int = 0
-
-    @classmethod
-    def of_angles(cls, angles: Sequence[Sequence[float]], targets: int, of: int) -> MorphNormalCounts:
-        """Sum up the angles in degrees of each target."""
-        every = [angle for target in angles for angle in target]
-        return cls(targets, of, sum(every) / max(len(every), 1), max(every, default=0.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,7 +212,7 @@ class FileResult:
     error: SkinbakeError | None = None
     encoding: EncodingCost | None = None
     correctives: tuple[tuple[Place, CorrectiveCounts], ...] = ()
-    morph_normals: tuple[tuple[Place, MorphNormalCounts], ...] = ()
+    morphs: tuple[tuple[Place, MorphCounts], ...] = ()
     written: dict[str, str] | None = None
     record: bytes | None = None
     timings: dict[str, float] | None = None
@@ -240,7 +236,7 @@ def short_line(result: FileResult, *, dry_run: bool) -> str:
         return closing_line(result, dry_run=dry_run)
     size = counted(sum(count.added_bytes for count in counts), "byte")
     parts = [f"baked: {counted(len(counts), 'primitive')}, {size} added"]
-    parts += _morph_normals([count for _, count in result.morph_normals])
+    parts += _morphs([count for _, count in result.morphs])
     parts += [f"{result.skipped:,} skipped"] if result.skipped else []
     parts += [_limited(costs)] if (costs := [count.limited for count in counts if count.limited]) else []
     lost = _lost(counts)
@@ -272,7 +268,7 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
         parts = [f"{result.status}: {_corrected(result)}"]
         parts.append("which clips play: poses by IK or physics keep the correction of their clip")
     parts += _encoding_text(result.encoding, counts)
-    parts += _morph_normals([count for _, count in result.morph_normals])
+    parts += _morphs([count for _, count in result.morphs])
     if result.skipped:
         parts.append(f"{counted(result.skipped, 'skinned primitive')} skipped")
     if counts and not any(count.gradient for count in counts):
@@ -311,11 +307,12 @@ def detail_lines(result: FileResult) -> Iterator[str]:
             f"{counted(one.keys, 'key')} in {counted(len(one.clips), 'clip')}{idle}, "
             f"{counted(one.added_bytes, 'byte')}"
         )
-    for place, found in result.morph_normals:
+    for place, found in result.morphs:
+        mean, most = _degrees(found.mean), _degrees(found.max)
         yield (
-            f"{place}: NORMAL made for {counted(found.targets, 'morph target')}, which turn normals by "
-            f"{_degrees(found.mean)} in the mean and up to {_degrees(found.max)} at weight 1, "
-            f"{counted(found.added_bytes, 'byte')}"
+            f"{place}: {counted(found.targets, 'morph target')}, NORMAL made for {found.normals:,}, which "
+            f"turns normals by {mean} in the mean and up to {most} at weight 1, "
+            f"{found.frames} numbers of the differential for each, {counted(found.added_bytes, 'byte')}"
         )
     for place, count in result.primitives:
         lost = percent(count.lost_gradient, 2)
@@ -351,13 +348,18 @@ def _corrected(result: FileResult) -> str:
     )
 
 
-def _morph_normals(counts: Sequence[MorphNormalCounts]) -> Iterator[str]:
-    """Yield how many targets have got NORMAL, and what it costs."""
-    if counts:
-        targets = sum(count.targets for count in counts)
-        size = counted(sum(count.added_bytes for count in counts), "byte")
-        primitives = counted(len(counts), "primitive")
-        yield f"NORMAL made for {counted(targets, 'morph target')} of {primitives} ({size})"
+def _morphs(counts: Sequence[MorphCounts]) -> Iterator[str]:
+    """Yield what morph targets have got, and what it costs."""
+    normals = sum(count.normals for count in counts)
+    frames = [count for count in counts if count.frames]
+    primitives = counted(len(counts), "primitive")
+    made = [f"NORMAL made for {counted(normals, 'morph target')} of {primitives}"] if normals else []
+    if frames:
+        numbers = " or ".join(str(one) for one in sorted({count.frames for count in frames}))
+        targets = counted(sum(count.targets for count in frames), "morph target")
+        made.append(f"{numbers} numbers of the differential for {targets}")
+    if made:
+        yield f"{' and '.join(made)} ({counted(sum(count.added_bytes for count in counts), 'byte')})"
 
 
 def _held_back(counts: Sequence[BakedCounts]) -> Iterator[str]:
@@ -469,7 +471,7 @@ def file_json(result: FileResult) -> dict[str, Any]:
         "skipped": result.skipped,
         "primitives": [{**place_fields(place), **asdict(counts)} for place, counts in result.primitives],
         "correctives": [{**place_fields(place), **asdict(one)} for place, one in result.correctives],
-        "morph_normals": [{**place_fields(place), **asdict(one)} for place, one in result.morph_normals],
+        "morphs": [{**place_fields(place), **asdict(one)} for place, one in result.morphs],
         "warnings": notice_list(result.notices),
         "encoding": None if result.encoding is None else _encoding_json(result.encoding),
         "left": None if result.left is None else asdict(result.left),

@@ -93,11 +93,25 @@ class PrimitiveSummary:
 
 
 @dataclass(frozen=True, slots=True)
+class MorphSummary:
+    """What bake has added to the targets of a primitive, with or without a skin.
+
+    normals is the number of those that got NORMAL, frames how many numbers of the differential each has.
+    changed: what these follow from is not what it was.
+    """
+
+    place: Place
+    targets: int
+    normals: int
+    frames: int
+    changed: bool
+
+
+@dataclass(frozen=True, slots=True)
 class InspectResult:
     """The contents of a file: its size, skins, animations and skinned primitives, and the notices.
 
-    left: a bake has left it unbaked on purpose. morph_normals are primitives, with or without a skin, to
-    whose morph targets bake has added NORMAL: to how many of all, and whether what they follow from changed.
+    left: a bake has left it unbaked on purpose. morphs are what bake has added to morph targets.
     """
 
     input: str
@@ -108,7 +122,7 @@ class InspectResult:
     primitives: tuple[PrimitiveSummary, ...]
     notices: tuple[Notice, ...]
     left: bool = False
-    morph_normals: tuple[tuple[Place, int, int, bool], ...] = ()
+    morphs: tuple[MorphSummary, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,10 +185,12 @@ def as_text(result: InspectResult) -> str:
         lines.append(f"  {LEFT}")
     for primitive in result.primitives:
         lines += _primitive_lines(primitive)
-    for place, made, of, changed in result.morph_normals:
-        state = _state(["POSITION or NORMAL"] if changed else [])
-        targets = counted(of, "morph target")
-        lines += [f"  {place.within_file}", f"    NORMAL made for {made:,} of {targets}, {state}"]
+    for morph in result.morphs:
+        state = _state(["POSITION or NORMAL"] if morph.changed else [])
+        made = [f"NORMAL made for {morph.normals:,}"] if morph.normals else []
+        made += [f"{morph.frames} numbers of the differential for each"] if morph.frames else []
+        targets = counted(morph.targets, "morph target")
+        lines += [f"  {morph.place.within_file}", f"    {targets}: {', '.join([*made, state])}"]
     return "\n".join(lines)
 
 
@@ -239,9 +255,15 @@ def as_json(result: InspectResult) -> dict[str, Any]:
         "animations": result.animations,
         "left": result.left,
         "primitives": [_primitive_json(primitive) for primitive in result.primitives],
-        "morph_normals": [
-            {**place_fields(place), "targets": made, "of": of, "changed": changed}
-            for place, made, of, changed in result.morph_normals
+        "morphs": [
+            {
+                **place_fields(one.place),
+                "targets": one.targets,
+                "normals": one.normals,
+                "frames": one.frames,
+                "changed": one.changed,
+            }
+            for one in result.morphs
         ],
         "warnings": notice_list(result.notices),
     }

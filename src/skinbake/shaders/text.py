@@ -42,6 +42,12 @@ ENUMERATIONS = {
     "layout": Layout,
 }
 """The types of the choices that a template may change by their words."""
+MORPH_CALLS = {
+    Morphs.NORMAL: "skinbake_morphed_frame(rest, morphed_normal)",
+    Morphs.TANGENT: "skinbake_morphed_tangent_frame(rest, morphed_normal, morphed_tangent)",
+    Morphs.FRAMES: "skinbake_moved_frame(rest, morph, morph_up)",
+    Morphs.FRAMES_NORMAL: "skinbake_moved_frame_by_normal(rest, morphed_normal, morph)",
+}
 METHOD_NAMES = {Method.LBS: "linear blend skinning", Method.DQS: "dual quaternion skinning"}
 
 
@@ -195,6 +201,8 @@ def _context(choices: ShaderChoices) -> dict[str, Any]:
         return f"skinbake_capped({base}, {correction}, {_number(choices.cap)})"
 
     def dual(gradient: str) -> str:
+        if choices.morphs.moves_frame:
+            return gradient.replace("frame.tangent", "along_t").replace("frame.bitangent", "along_b")
         return f"k * ({gradient})" if choices.morphs is Morphs.TANGENT else gradient
 
     def handed(normal: str) -> str:
@@ -214,6 +222,8 @@ def _context(choices: ShaderChoices) -> dict[str, Any]:
         "cap": choices.cap,
         "mirrored_joints": choices.mirrored_joints,
         "morphs": str(choices.morphs),
+        "moves_frame": choices.morphs.moves_frame,
+        "morph_call": MORPH_CALLS.get(choices.morphs, ""),
         "normal_map": choices.normal_map,
         "reads_gradients": choices.reads_gradients,
         "stem": choices.stem,
@@ -314,8 +324,10 @@ def _parts(choices: ShaderChoices) -> list[str]:
     hlsl = choices.language is Language.HLSL
     is_dual = choices.method is Method.DQS and not choices.scaled_joints
     wanted = {
-        "morphed": choices.morphs is not Morphs.NONE,
+        "morphed": choices.morphs in (Morphs.NORMAL, Morphs.TANGENT, Morphs.FRAMES_NORMAL),
         "morphed_tangent": choices.morphs is Morphs.TANGENT,
+        "moved_frame": choices.morphs is Morphs.FRAMES,
+        "moved_frame_by_normal": choices.morphs is Morphs.FRAMES_NORMAL,
         # WGSL has no constructor from a part of a matrix.
         "rows": wgsl and choices.algorithm in (1, 2),
         "upper": wgsl and choices.algorithm == 3,
@@ -343,7 +355,7 @@ def _guard(choices: ShaderChoices) -> str:
     words += ["mapped"] if choices.normal_map else []
     words += [choices.encoding] if choices.decodes else []
     words += [f"texcoord_{len(choices.pair_names)}"] if choices.assembles else []
-    words += [f"morphed_{choices.morphs}"] if choices.morphs is not Morphs.NONE else []
+    words += [f"morphed_{choices.morphs}".replace("-", "_")] if choices.morphs is not Morphs.NONE else []
     return "_".join(["SKINBAKE", *words, choices.language]).upper()
 
 

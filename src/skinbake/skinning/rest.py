@@ -42,7 +42,8 @@ class RestPrimitive:
     positions, normals, tangents (t0), bitangents (b0) are (V, 3) floating. The frame is assumed to be
     orthonormal. joints (V, K) are integers below the J of the poses. weights (V, K) sum to one. alpha, beta
     (V, K − 1) are ∇w · t0 and ∇w · b0 of slots 1 … K − 1, in 1 / length unit of POSITION. gradients (V, K, 3)
-    is ∇w of every slot for algorithm 2, or None to compute them from alpha and beta.
+    is ∇w of every slot for algorithm 2, or None to compute them from alpha and beta. sides (V,) is the
+    handedness of the frame where the normals are not those of the frame, else None.
     """
 
     positions: FloatArray
@@ -54,6 +55,7 @@ class RestPrimitive:
     alpha: FloatArray
     beta: FloatArray
     gradients: FloatArray | None = None
+    sides: FloatArray | None = None
 
     def rows(self, part: slice | IntArray) -> RestPrimitive:
         """Return some of the vertices."""
@@ -67,6 +69,7 @@ class RestPrimitive:
             alpha=self.alpha[part],
             beta=self.beta[part],
             gradients=None if self.gradients is None else self.gradients[part],
+            sides=None if self.sides is None else self.sides[part],
         )
 
     def weight_gradients(self) -> FloatArray:
@@ -87,6 +90,8 @@ class RestPrimitive:
 
         t' × b' points along the normal of an unmirrored frame and against that of a mirrored one.
         """
+        if self.sides is not None:
+            return self.sides
         # For very small arrays, numpy's own cross product would take most of the time.
         volume = dot(cross(tuple(self.tangents.T), tuple(self.bitangents.T)), tuple(self.normals.T))
         return np.where(volume < 0, -1.0, 1.0)

@@ -13,7 +13,10 @@ from skinbake.shaders.text import shader_made
 INFLUENCES = (4, 8)
 """The influences of a vertex that the page draws: WebGL 2 has room for the attributes of two sets."""
 
-MORPHS = {Frame.NORMAL: (Morphs.NONE, Morphs.NORMAL), Frame.TANGENT: tuple(Morphs)}
+MORPHS = {
+    Frame.NORMAL: (Morphs.NONE, Morphs.NORMAL),
+    Frame.TANGENT: (Morphs.NONE, Morphs.NORMAL, Morphs.TANGENT),
+}
 
 
 @cache

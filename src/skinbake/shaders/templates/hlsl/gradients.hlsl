@@ -1,8 +1,13 @@
-// The weight gradients of all slots from alpha and beta: a[s] = alpha[s] t0 + beta[s] b0@{ ", over |t0|^2" if morphs == "tangent" }.
+// The weight gradients of all slots from alpha and beta: a[s] = alpha[s] t0 + beta[s] b0@{ ", over |t0|^2" if morphs == "tangent" else ", along the dual of a moved frame" if moves_frame }.
 void skinbake_gradients(skinbake_Frame frame@{ params(gradient_params) }, out float3 a[@{ influences }])
 {
 //% if morphs == "tangent" and others
     float k = 1.0 / dot(frame.tangent, frame.tangent); // a morphed tangent has any length
+//% endif
+//% if moves_frame and others
+    float3 c = cross(frame.tangent, frame.bitangent); // a moved frame has any angle and lengths
+    float3 along_t = cross(frame.bitangent, c) / dot(c, c);
+    float3 along_b = cross(c, frame.tangent) / dot(c, c);
 //% endif
 //% for slot in others
     a[@{ slot.index }] = @{ dual(slot.alpha ~ " * frame.tangent + " ~ slot.beta ~ " * frame.bitangent") };

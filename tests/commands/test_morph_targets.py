@@ -1,4 +1,4 @@
-"""``bake --morph-normals``: NORMAL for morph targets that only move points."""
+"""``bake --morph-normals`` and ``--morph-frames``: what morph targets that only move points lack."""
 
 from __future__ import annotations
 
@@ -76,10 +76,18 @@ def test_made_normals_are_those_of_the_moved_surface(tmp_path: Path, skinned: bo
         assert angles(found, truth).mean() < before / 10
 
 
-@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
-@pytest.mark.parametrize("kind", ["skinned", "plain", "draco", "meshopt"])
+@pytest.mark.parametrize(
+    ("suffix", "kind", "options"),
+    [
+        (suffix, kind, options)
+        for suffix in (".glb", ".gltf")
+        for kind in ("skinned", "plain", "draco", "meshopt")
+        for options in (("--morph-normals",), ("--morph-frames",), ("--morph-normals", "--morph-frames"))
+        if kind != "plain" or options == ("--morph-normals",)
+    ],
+)
 def test_strip_gives_the_input_back_and_a_second_bake_changes_nothing(
-    tmp_path: Path, kind: str, suffix: str
+    tmp_path: Path, kind: str, suffix: str, options: tuple[str, ...]
 ) -> None:
     given = without_normals(TUBE, tmp_path / "in.glb")
     if kind == "plain":
@@ -95,9 +103,12 @@ def test_strip_gives_the_input_back_and_a_second_bake_changes_nothing(
         given = tmp_path / "in.gltf"
         given.write_text(json.dumps(content.content, indent=2))
     made, again, back = (tmp_path / f"{name}{suffix}" for name in ("made", "again", "back"))
-    said = bake(given, made, "--morph-normals")
-    assert "NORMAL made for 2 morph targets of 1 primitive" in said
-    bake(made, again, "--morph-normals")
+    said = bake(given, made, *options)
+    if "--morph-normals" in options:
+        assert "NORMAL made for 2 morph targets of 1 primitive" in said
+    if "--morph-frames" in options:
+        assert f"{6 if len(options) == 1 else 4} numbers of the differential for 2 morph targets" in said
+    bake(made, again, *options)
     assert again.read_bytes() == made.read_bytes()
     assert invoke("strip", made, "-o", back).exit_code == 0
     assert back.read_bytes() == given.read_bytes()
@@ -161,14 +172,14 @@ def test_edited_targets_make_them_stale_and_inspect_and_verify_say_so(tmp_path: 
         source = prepare(without_normals(TUBE, tmp_path / f"{name}.glb"))
         baked = tmp_path / f"{name}-baked.glb"
         bake(source, baked, "--morph-normals")
-        assert "NORMAL made for 2 of 2 morph targets, up to date" in invoke("inspect", baked).stdout
-        assert "morph-normals-stale" not in invoke("verify", "--json", baked).stdout
+        assert "2 morph targets: NORMAL made for 2, up to date" in invoke("inspect", baked).stdout
+        assert "morphs-stale" not in invoke("verify", "--json", baked).stdout
         file = Editable(baked)
         file.stored(file.primitive()["targets"][1]["POSITION"])[:] *= 2.0
         file.write(baked)
         assert "POSITION or NORMAL changed since: bake again" in invoke("inspect", baked).stdout
         found = invoke("verify", "--json", baked)
-        assert "morph-normals-stale" in found.stdout
+        assert "morphs-stale" in found.stdout
         assert found.exit_code == (1 if name == "skinned" else 0)
 
 
@@ -186,7 +197,7 @@ def test_extras_of_another_kind_leave_no_place_and_the_file_is_refused(tmp_path:
     file = Editable(source)
     file.content["meshes"][0]["extras"] = "mine"
     file.write(source)
-    assert "leave no place for metadata" in bake(source, tmp_path / "out.glb", "--morph-normals", code=3)
+    assert "leave no place for the metadata" in bake(source, tmp_path / "out.glb", "--morph-normals", code=3)
 
 
 def test_empty_extras_stay_and_names_of_targets_too(tmp_path: Path) -> None:
@@ -225,3 +236,72 @@ def test_a_real_face_is_lit_several_times_nearer_in_its_own_clip(tmp_path: Path)
     assert errors[1] < errors[0] / 4
     invoke("strip", tmp_path / "out.glb", "-o", tmp_path / "back.glb")
     assert (tmp_path / "back.glb").read_bytes() == source.read_bytes()
+
+
+def skinned_errors(path: Path) -> list[float]:
+    """The mean errors of accurate lighting by both truths, in random poses of joints and targets."""
+    answer = verify(path, "--method", "lbs", "--poses", "random")
+    assert answer.exit_code == 0, answer.messages
+    return [answer.file[name]["lbs"]["accurate"]["mean"] for name in ("normals", "normals_by_triangles")]
+
+
+def test_six_numbers_halve_the_error_of_the_rule_on_a_real_face(tmp_path: Path) -> None:
+    """Against the bake whose NORMAL is made, which follows the rule; in the clip and in random poses."""
+    source = corpus.case("face_rig_run.glb")
+    by_clip, by_random = [], []
+    for options in (("--morph-normals",), ("--morph-frames",)):
+        bake(source, tmp_path / "out.glb", *options)
+        answer = verify(tmp_path / "out.glb", "--method", "lbs", "--samples", "5")
+        by_clip.append(answer.file["normals"]["lbs"]["accurate"]["mean"])
+        by_random.append(skinned_errors(tmp_path / "out.glb")[0])
+    assert by_clip[1] < 0.65 * by_clip[0]
+    assert by_random[1] < 0.65 * by_random[0]
+
+
+def test_numbers_light_a_morphed_and_skinned_tube_nearer_than_the_rule(tmp_path: Path) -> None:
+    source = without_normals(TUBE, tmp_path / "in.glb")
+    found = {}
+    for options in (("--morph-normals",), ("--morph-normals", "--morph-frames"), ("--morph-frames",)):
+        bake(source, tmp_path / "out.glb", *options)
+        found[options] = skinned_errors(tmp_path / "out.glb")[0]
+    rule, four, six = found.values()
+    assert six < four < rule
+
+
+def test_targets_that_have_normal_get_four_numbers_and_the_primitive_an_attribute_of_zeros(
+    tmp_path: Path,
+) -> None:
+    bake(morphed(TUBE, tmp_path / "in.glb"), tmp_path / "out.glb", "--morph-frames")
+    made = gltf_reading.read(tmp_path / "out.glb")
+    names = {"POSITION", "NORMAL", "_SKINBAKE_MORPH"}
+    assert [set(target) for target in made.primitive(0)["targets"]] == [names] * 2
+    base = made.content["accessors"][made.primitive(0)["attributes"]["_SKINBAKE_MORPH"]]
+    assert base["type"] == "VEC4" and "bufferView" not in base
+
+
+def test_standard_lighting_is_measured_as_engines_show_it_without_the_numbers(tmp_path: Path) -> None:
+    source = without_normals(TUBE, tmp_path / "in.glb", weights=[0.8, 0.5])
+    errors = []
+    for options in ((), ("--morph-frames",)):
+        bake(source, tmp_path / "out.glb", *options)
+        figures = verify(tmp_path / "out.glb", "--poses", "rest").file["normals"]["lbs"]
+        errors.append((figures["standard"]["mean"], figures["accurate"]["mean"]))
+    assert errors[0][0] == pytest.approx(errors[1][0])
+    assert errors[1][1] < errors[0][1] / 20
+
+
+def test_an_attribute_of_the_name_is_refused(tmp_path: Path) -> None:
+    file = Editable(without_normals(TUBE, tmp_path / "in.glb"))
+    file.primitive()["attributes"]["_SKINBAKE_MORPH"] = file.primitive()["attributes"]["POSITION"]
+    source = file.write(tmp_path / "in.glb")
+    assert "already has an attribute _SKINBAKE_MORPH" in bake(
+        source, tmp_path / "out.glb", "--morph-frames", code=3
+    )
+
+
+def test_numbers_of_edited_targets_are_stale(tmp_path: Path) -> None:
+    bake(without_normals(TUBE, tmp_path / "in.glb"), tmp_path / "out.glb", "--morph-frames")
+    assert verify(tmp_path / "out.glb").exit_code == 0
+    file = Editable(tmp_path / "out.glb")
+    file.stored(file.primitive()["targets"][0]["POSITION"])[:] *= 1.5
+    assert verify(file.write(tmp_path / "out.glb")).failed == ["freshness"]

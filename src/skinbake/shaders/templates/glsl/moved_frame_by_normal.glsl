@@ -1,0 +1,17 @@
+#ifndef SKINBAKE_MOVED_FRAME_BY_NORMAL
+#define SKINBAKE_MOVED_FRAME_BY_NORMAL
+// The frame under morph targets that have NORMAL and their differential: n is NORMAL plus the weighted sum of its
+// targets, of any length, m the weighted sum of _SKINBAKE_MORPH of the targets.
+skinbake_Frame skinbake_moved_frame_by_normal(skinbake_Frame rest, vec3 n, vec4 m)
+{
+    skinbake_Frame frame = skinbake_morphed_frame(rest, n);
+    vec3 t = rest.tangent + rest.tangent * m.x + rest.bitangent * m.y;
+    vec3 b = rest.bitangent + rest.tangent * m.z + rest.bitangent * m.w;
+    float cosine = dot(rest.normal, frame.normal);
+    bool steep = abs(cosine) < 0.2; // then m tells too little
+    float k = steep ? 0.0 : 1.0 / cosine;
+    frame.tangent = steep ? frame.tangent : t - rest.normal * (dot(t, frame.normal) * k);
+    frame.bitangent = steep ? frame.bitangent : b - rest.normal * (dot(b, frame.normal) * k);
+    return frame;
+}
+#endif
