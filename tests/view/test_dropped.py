@@ -94,9 +94,16 @@ def test_clips_of_pointers_move_the_model(browsing: browser.Page, tmp_path: Path
     assert np.abs(matrices(browsing) - wanted).max() < 1e-5
 
 
-@pytest.mark.parametrize("frame", ["normal", "tangent"])
+@pytest.mark.parametrize("frame", ["normal", "tangent", "four numbers", "six numbers"])
 def test_morph_targets_come_before_skinning(browsing: browser.Page, tmp_path: Path, frame: str) -> None:
-    path = baked(FOLDER / "morphed_sheet.glb", tmp_path, frame)
+    if frame.endswith("numbers"):
+        file = Editable(FOLDER / "morphed_sheet.glb")
+        for target in file.primitive()["targets"] if frame == "six numbers" else ():
+            del target["NORMAL"]
+        source, path = file.write(tmp_path / "source.glb"), tmp_path / "out.glb"
+        assert bake_file(source, path, frame="normal", morph_frames=True).status == "baked"
+    else:
+        path = baked(FOLDER / "morphed_sheet.glb", tmp_path, frame)
     document = read_document(str(path))
     views, _ = baked_views(document, skinned_sources(document)[0])
     clips = read_clips(document)

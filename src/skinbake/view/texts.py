@@ -14,7 +14,7 @@ INFLUENCES = (4, 8)
 """The influences of a vertex that the page draws: WebGL 2 has room for the attributes of two sets."""
 
 MORPHS = {
-    Frame.NORMAL: (Morphs.NONE, Morphs.NORMAL),
+    Frame.NORMAL: (Morphs.NONE, Morphs.NORMAL, Morphs.FRAMES, Morphs.FRAMES_NORMAL),
     Frame.TANGENT: (Morphs.NONE, Morphs.NORMAL, Morphs.TANGENT),
 }
 
@@ -43,7 +43,8 @@ def shown_choices() -> Iterator[tuple[str, ShaderChoices]]:
 
 
 def _algorithms(usual: ShaderChoices) -> Iterator[tuple[str, ShaderChoices]]:
-    yield _named(usual, Method.LBS, Lighting.STANDARD, Encoding.FLOAT32)
+    if not usual.morphs.moves_frame:  # engines know nothing of the numbers
+        yield _named(usual, Method.LBS, Lighting.STANDARD, Encoding.FLOAT32)
     for encoding in Encoding:
         yield _named(usual, Method.LBS, Lighting.ACCURATE, encoding)
         yield _named(usual, Method.LBS, Lighting.ACCURATE, encoding, mirrored=True)

@@ -259,6 +259,7 @@ function readPrimitive({ source, json, skins, nodes }, mesh, index, isSkinned) {
         gradients: {},
         metadata: null,
         targets: targets.slice(0, own),
+        ...morphNumbers(json.meshes[mesh], index, list(one.targets).slice(0, own), targets),
         correctives: targets.slice(own),
     };
     if (own < targets.length) primitive.stored = given ?? primitive.normals; // Of any length: correctives belong to it.
@@ -273,6 +274,17 @@ function readPrimitive({ source, json, skins, nodes }, mesh, index, isSkinned) {
     return primitive;
 }
 
+// What bake has added to the targets of a primitive: how many numbers of the differential each has (6, 4 or 0), and
+// whether the NORMAL of all that move points is the file's own. Where it is not, the surface tells the true normals.
+function morphNumbers(mesh, index, targets, read) {
+    const noted = mesh.extras?.skinbake?.morphTargets?.[index] ?? {};
+    const made = list(noted.normals);
+    const isThere = (name) => read.length > 0 && read.every((target) => target[name]);
+    const numbers = noted.frames === 6 && isThere('inPlane') && isThere('upward') ? 6 : noted.frames === 4 && isThere('inPlane') ? 4 : 0;
+    const isAuthored = targets.every((target, i) => target.POSITION === undefined || (target.NORMAL !== undefined && !made.includes(i)));
+    return { numbers, isAuthored };
+}
+
 // How many of a mesh's targets, the last ones, are the correctives of a bake.
 function correctiveCount(mesh, most) {
     const { version, targets } = mesh.extras?.skinbake ?? {};
@@ -283,7 +295,7 @@ function correctiveCount(mesh, most) {
 
 function readTarget(source, target) {
     const read = (name) => (target[name] === undefined ? null : source.floats(target[name]).array);
-    return { positions: read('POSITION'), normals: read('NORMAL'), tangents: read('TANGENT') };
+    return { positions: read('POSITION'), normals: read('NORMAL'), tangents: read('TANGENT'), inPlane: read('_SKINBAKE_MORPH'), upward: read('_SKINBAKE_MORPH_UP') };
 }
 
 function readTriangles(source, indices, mode, count) {

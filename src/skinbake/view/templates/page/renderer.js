@@ -96,6 +96,8 @@ export class Renderer {
         const indices = this.buffer(primitive.triangles, gl.ELEMENT_ARRAY_BUFFER);
         const [first, second, third] = primitive.texcoords;
         const isMorphed = primitive.targets.length > 0 || primitive.correctives.length > 0;
+        const numbers = numbersOf(primitive, primitive.metadata?.frame);
+        const zeros = (size) => this.buffer(new Float32Array(size * primitive.count));
         const shared = [
             ['position', this.buffer(primitive.positions), 3],
             ['normal', this.buffer(primitive.normals), 3],
@@ -103,8 +105,11 @@ export class Renderer {
             ['texcoord', first && this.buffer(second ? pairedVectors(first, second) : first), second ? 4 : 2],
             ['further_texcoord', third && this.buffer(third), 2],
             ['color', primitive.colors && this.buffer(primitive.colors.array), primitive.colors?.size],
-            ['morphed_normal', isMorphed ? this.buffer(primitive.normals.slice()) : null, 3],
-            ['morphed_tangent', isMorphed && primitive.tangents ? this.buffer(withoutHandedness(primitive.tangents)) : null, 3],
+            ['morphed_normal', isMorphed && numbers !== 6 ? this.buffer(primitive.normals.slice()) : null, 3],
+            ['morph', numbers === 6 ? zeros(4) : null, 4],
+            ['morph_up', numbers === 6 ? zeros(2) : null, 2],
+            ['morph_by_normal', numbers === 4 ? zeros(4) : null, 4],
+            ['morphed_tangent', isMorphed && !numbers && primitive.tangents ? this.buffer(withoutHandedness(primitive.tangents)) : null, 3],
         ];
         const kinds = Object.entries(primitive.gradients);
         const arrays = Object.fromEntries(
@@ -285,7 +290,7 @@ export class Renderer {
             sets: primitive.joints.length,
             frame,
             storage: gradients?.storage ?? 'float32',
-            morphs: plays ? (frame === 'tangent' && primitive.tangents ? 'tangent' : 'normal') : morphsOf(primitive, frame),
+            morphs: plays ? (frame === 'tangent' && primitive.tangents ? 'tangent' : 'normal') : morphsOf(primitive, frame, isLit),
             mirrored: this.isMirrored,
         };
         const text = textName(choices);
@@ -316,10 +321,14 @@ export class Renderer {
     }
 
     // Upload the attributes of a part under its morph targets, and its normals under its correctives.
-    setMorphed(part, { positions, normals, tangents, corrected }) {
+    setMorphed(part, { positions, normals, tangents, inPlane, upward, corrected }) {
         const { gl } = this;
         gl.bindVertexArray(null);
-        for (const [name, values] of [['position', positions], ['morphed_normal', normals], ['morphed_tangent', tangents], ['corrected', corrected]]) {
+        const arrays = {
+            position: positions, morphed_normal: normals, morphed_tangent: tangents,
+            morph: inPlane, morph_by_normal: inPlane, morph_up: upward, corrected,
+        };
+        for (const [name, values] of Object.entries(arrays)) {
             if (!values || !part.shared[name]) continue;
             gl.bindBuffer(gl.ARRAY_BUFFER, part.shared[name]);
             gl.bufferSubData(gl.ARRAY_BUFFER, 0, values);
@@ -490,8 +499,16 @@ export class Renderer {
 
 export const pause = (milliseconds) => new Promise((done) => setTimeout(done, milliseconds));
 
-function morphsOf({ targets, tangents }, frame) {
+// How many numbers of the differential the page reads: a normal map follows the tangent frame by its own rule.
+function numbersOf({ numbers, correctives }, frame = 'normal') {
+    return frame === 'normal' && !correctives.length ? numbers : 0;
+}
+
+function morphsOf(primitive, frame, isLit) {
+    const { targets, tangents } = primitive;
     if (!targets.length) return 'none';
+    const numbers = numbersOf(primitive, frame);
+    if (numbers) return isLit ? (numbers === 6 ? 'frames' : 'frames-normal') : numbers === 6 ? 'none' : 'normal';
     return frame === 'tangent' && tangents && targets.some((target) => target.tangents) ? 'tangent' : 'normal';
 }
 

@@ -90,7 +90,8 @@ export class Scene {
         const motions = method === 'dqs' ? this.motions[skin] : null;
         if (method === 'dqs' && !motions) return null;
         if (parts.some((part) => this.morphed.has(part))) {
-            const arrays = parts.map((part) => this.morphed.get(part) ?? part.primitive);
+            // Coordinates at rest serve where only the surface tells the normals.
+            const arrays = parts.map((part) => (part.primitive.isAuthored && this.morphed.get(part)) || part.primitive);
             surface.carry(joined(arrays, 'positions'), joined(arrays, 'normals'));
         }
         surface.moved ??= new Float64Array(3 * surface.count);
@@ -240,16 +241,18 @@ function correctedNormals({ stored, targets, correctives }, weights) {
     return found;
 }
 
-function morphedArrays({ positions, normals, tangents, targets, count }, weights) {
+function morphedArrays({ positions, normals, tangents, targets, numbers, count }, weights) {
     const found = {
         positions: positions.slice(),
         normals: normals.slice(),
+        inPlane: numbers ? new Float32Array(4 * count) : null,
+        upward: numbers === 6 ? new Float32Array(2 * count) : null,
         tangents: tangents && Float32Array.from({ length: 3 * count }, (_, i) => tangents[4 * Math.floor(i / 3) + (i % 3)]),
     };
     targets.forEach((target, number) => {
         const weight = weights[number] ?? 0;
         if (!weight) return;
-        for (const name of ['positions', 'normals', 'tangents']) {
+        for (const name of ['positions', 'normals', 'tangents', 'inPlane', 'upward']) {
             const moved = target[name];
             if (moved && found[name]) for (let i = 0; i < moved.length; i++) found[name][i] += weight * moved[i];
         }

@@ -3,6 +3,8 @@
 export const LOCATIONS = {
     position: 0, normal: 1, tangent: 2, texcoord: 3, joints: 4, weights_0: 5, alpha_0: 6, beta_0: 7,
     further_texcoord: 8, weights_1: 9, alpha_1: 10, beta_1: 11, truth: 12, morphed_normal: 13, morphed_tangent: 14, color: 15,
+    // In the place of these, where targets have numbers of the differential.
+    morph: 13, morph_up: 14, morph_by_normal: 14,
 };
 
 // Where fragments find the texture coordinates of an image, by their number among those of its primitive.
@@ -46,6 +48,15 @@ export function vertexText(text, choices) {
         none: '',
         normal: 'frame = skinbake_morphed_frame(frame, morphed_normal);',
         tangent: 'frame = skinbake_morphed_tangent_frame(frame, morphed_normal, morphed_tangent);',
+        frames: 'frame = skinbake_moved_frame(frame, morph, morph_up);',
+        'frames-normal': 'frame = skinbake_moved_frame_by_normal(frame, morphed_normal, morph_by_normal);',
+    }[morphs];
+    const morphed = {
+        none: [],
+        normal: ['vec3 morphed_normal'],
+        tangent: ['vec3 morphed_normal', 'vec3 morphed_tangent'],
+        frames: ['vec4 morph', 'vec2 morph_up'],
+        'frames-normal': ['vec3 morphed_normal', 'vec4 morph_by_normal'],
     }[morphs];
     return `#version 300 es
 precision highp float;
@@ -60,8 +71,7 @@ in vec2 further_texcoord;
 in uvec4 joints;
 in vec4 color;
 in vec4 truth;
-in vec3 morphed_normal;
-in vec3 morphed_tangent;
+${morphed.map((one) => `in ${one};`).join('\n')}
 ${inputs.map((one) => `${one};`).join('\n')}
 uniform sampler2D motions;
 uniform mat4 projected;
