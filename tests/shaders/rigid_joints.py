@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from skinbake.geometry.dual_quaternions import dual_quaternions_from_matrices
+from skinbake.geometry.dual_quaternions import dual_quaternions_from_matrices, joint_scaled_motions
 from tests.shaders.running import Single
 from tests.shaders.scenes import shader_order
 from tests.support.analytic import rotation_matrix
@@ -51,3 +51,25 @@ def assert_like_the_library(found: Single, given: Single) -> None:
     np.testing.assert_allclose(
         matrices_from_dual_quaternions(scalars_first), matrices, atol=4 * TOLERANCE * REACH
     )
+
+
+def stretched_matrices() -> Single:
+    """Matrices of any stretch, column by column, (R, 16): turned by any angle, every other mirrored."""
+    given = joint_matrices().reshape(-1, 4, 4)
+    rng = np.random.default_rng(1)
+    turns = np.linalg.qr(rng.normal(size=(len(given), 3, 3))).Q
+    stretches = np.einsum("nij,nj,nkj->nik", turns, rng.uniform(0.2, 3.0, (len(given), 3)), turns)
+    stretches[::2] *= -0.01
+    # Columns are rows here: S acts first, so it stands on the left.
+    given[:, :3, :3] = stretches @ given[:, :3, :3]
+    return given.reshape(-1, 16)
+
+
+def assert_like_scaled_motions(found: Single, given: Single) -> None:
+    """found (R, 20), up to the sign."""
+    matrices = np.swapaxes(given.reshape(-1, 4, 4), 1, 2)
+    wanted = joint_scaled_motions(matrices).reshape(-1, 20).astype(np.float64)
+    sign = np.sign(np.sum(found[:, 16:] * wanted[:, 16:], axis=1, keepdims=True))
+    apart = np.abs(sign * found - wanted)
+    assert apart[:, 16:].max() <= 4 * TOLERANCE
+    assert apart[:, :16].max() <= 4 * TOLERANCE * REACH

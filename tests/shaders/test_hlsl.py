@@ -17,7 +17,12 @@ from skinbake.shaders.choices import BEST, ShaderChoices
 from tests.shaders.awkward_frames import awkward_normals, different, expected
 from tests.shaders.combinations import every_stored_and_morphed, every_text, hlsl, label
 from tests.shaders.judged import assert_like_the_replay, irregular_work
-from tests.shaders.rigid_joints import assert_like_the_library, joint_matrices
+from tests.shaders.rigid_joints import (
+    assert_like_scaled_motions,
+    assert_like_the_library,
+    joint_matrices,
+    stretched_matrices,
+)
 from tests.shaders.running import WORKGROUP, Single, done, run_hlsl
 from tests.shaders.scenes import CHARACTERS, Scene
 from tests.support import glslang, webgpu
@@ -125,6 +130,14 @@ def parts() -> dict[str, Part]:
             "float2x4 Q = skinbake_dual_quaternion(motions[row]);"
             "results[2 * row] = Q[0]; results[2 * row + 1] = Q[1];",
         ),
+        "scaled motion": Part(
+            ShaderChoices(HLSL, Method.DQS, BEST[Method.DQS], scaled_joints=True),
+            stretched_matrices(),
+            5,
+            "skinbake_ScaledMotion Q = skinbake_scaled_motion(motions[row]);"
+            "for (uint n = 0; n < 4; n++) results[5 * row + n] = Q.moved[n];"
+            "results[5 * row + 4] = Q.turn;",
+        ),
         "integers": Part(
             ShaderChoices(HLSL, influences=8, encoding=Encoding.PACKED8),
             STORED,
@@ -153,6 +166,7 @@ def test_parts() -> None:
     }
     assert not different(found["frame"][:, :, :3], expected(awkward_normals())).any()
     assert_like_the_library(found["dual quaternion"].reshape(-1, 8), joint_matrices())
+    assert_like_scaled_motions(found["scaled motion"].reshape(-1, 20), stretched_matrices())
     factor = 2.5 * STORED[:, 3:4].astype(np.float64) ** 2
     np.testing.assert_allclose(found["integers"][:, 0, :3], factor * STORED[:, :3], rtol=1e-6)
     np.testing.assert_allclose(found["integers"][:, 1], factor * STORED[:, 4:8], rtol=1e-6)

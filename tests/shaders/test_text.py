@@ -93,7 +93,7 @@ class TestEveryText:
             shown = "\n".join(usage(text))
             expected = {found for found in names if f"{found}(" in shown}
             assert len(expected) >= 2, name
-            if choices.method == "dqs":
+            if choices.method == "dqs":  # for the host
                 host = "scaled_motion" if choices.scaled_joints else "dual_quaternion"
                 expected.add(f"skinbake_{host}")
             assert uncalled == expected, name

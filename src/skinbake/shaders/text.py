@@ -335,10 +335,11 @@ def _parts(choices: ShaderChoices) -> list[str]:
         "gradients": choices.algorithm == 2,
         # HLSL has no such function of its own.
         "outer": hlsl and choices.algorithm == 2,
-        "dual_quaternion": is_dual,
+        "dual_quaternion": choices.method is Method.DQS,
         "hemisphere": is_dual and several,
         # In WGSL, the function for the host multiplies too.
         "product": choices.scaled_joints and (several or wgsl),
+        "scaled_joint": choices.scaled_joints,
         "scaled_motion": choices.scaled_joints,
         "rotation": choices.algorithm in (4, 5),
         "capped": choices.cap is not None and several,

@@ -64,6 +64,38 @@ skinbake_Frame skinbake_frame(vec3 n)
 }
 #endif
 
+#ifndef SKINBAKE_DUAL_QUATERNION
+#define SKINBAKE_DUAL_QUATERNION
+// The unit dual quaternion of a rigid joint matrix. [0] is its real part (x, y, z, w), w the scalar; [1] is its
+// dual part. Compute it on the host or in a pass over the joints: once per joint and frame, not per vertex.
+// Dual quaternions have no scale. If all joint matrices share a uniform scale s, divide their upper 3x3 parts by
+// s first, and skin s * p, s * t0, s * b0 in place of p, t0, b0.
+mat2x4 skinbake_dual_quaternion(mat4 M)
+{
+    vec3 d = vec3(M[0].x, M[1].y, M[2].z);
+    vec4 squares = 1.0 + vec4( // 4 * (x, y, z, w)^2
+        d.x - d.y - d.z, d.y - d.z - d.x, d.z - d.x - d.y, d.x + d.y + d.z);
+    vec3 differences = vec3(M[1].z - M[2].y, M[2].x - M[0].z, M[0].y - M[1].x); // 4 w * (x, y, z)
+    vec3 sums = vec3(M[1].z + M[2].y, M[2].x + M[0].z, M[0].y + M[1].x); // 4 * (yz, zx, xy)
+    vec4 real = vec4(differences, squares.w);
+    float largest = squares.w;
+    if (squares.x > largest) {
+        largest = squares.x;
+        real = vec4(squares.x, sums.z, sums.y, differences.x);
+    }
+    if (squares.y > largest) {
+        largest = squares.y;
+        real = vec4(sums.z, squares.y, sums.x, differences.y);
+    }
+    if (squares.z > largest) {
+        real = vec4(sums.y, sums.x, squares.z, differences.z);
+    }
+    real = normalize(real);
+    vec3 t = M[3].xyz;
+    return mat2x4(real, 0.5 * vec4(cross(t, real.xyz) + real.w * t, -dot(t, real.xyz)));
+}
+#endif
+
 #ifndef SKINBAKE_PRODUCT
 #define SKINBAKE_PRODUCT
 // The product of two quaternions.
@@ -73,8 +105,8 @@ vec4 skinbake_product(vec4 a, vec4 b)
 }
 #endif
 
-#ifndef SKINBAKE_SCALED_MOTION
-#define SKINBAKE_SCALED_MOTION
+#ifndef SKINBAKE_SCALED_JOINT
+#define SKINBAKE_SCALED_JOINT
 // A joint that may scale, shear or mirror. Quaternions are (x, y, z, w), w the scalar. turn is the rotation of the joint
 // matrix, and the columns of moved are those of the matrix times it.
 struct skinbake_ScaledMotion {
@@ -82,22 +114,43 @@ struct skinbake_ScaledMotion {
     vec4 turn;
 };
 
-// Compute it on the host or in a pass over the joints, by joint_scaled_motions() of skinbake's Python package or like
-// this: M is the joint matrix, and turn is the unit quaternion of the rotation R in its polar decomposition M = R S, or
-// in that of -M where M mirrors.
-skinbake_ScaledMotion skinbake_scaled_motion(mat4 M, vec4 turn)
+// The vector of a over a quaternion, which is given as itself / its squared length.
+vec3 skinbake_over(vec4 a, vec4 divisor)
 {
+    return divisor.w * a.xyz - a.w * divisor.xyz + cross(divisor.xyz, a.xyz);
+}
+#endif
+
+#ifndef SKINBAKE_SCALED_MOTION
+#define SKINBAKE_SCALED_MOTION
+// The unit quaternion of the rotation R in the polar decomposition M = R S, or in that of -M where M mirrors, by Newton's
+// iteration (Higham 1986). No rotation where M flattens.
+vec4 skinbake_turn(mat3 M)
+{
+    float volume = dot(cross(M[0], M[1]), M[2]);
+    if (volume == 0.0) return vec4(0.0, 0.0, 0.0, 1.0);
+    mat3 R = M * (sign(volume) / pow(abs(volume), 1.0 / 3.0));
+    for (int i = 0; i < 12; i++) {
+        // The volume is at least 1, so the squares sum to 3 where R is a rotation.
+        bool is_near = dot(R[0], R[0]) + dot(R[1], R[1]) + dot(R[2], R[2]) < 3.00001;
+        mat3 cofactors = mat3(cross(R[1], R[2]), cross(R[2], R[0]), cross(R[0], R[1]));
+        R = 0.5 * (R + cofactors * (1.0 / dot(R[0], cofactors[0])));
+        if (is_near) break;
+    }
+    return skinbake_dual_quaternion(mat4(vec4(R[0], 0.0), vec4(R[1], 0.0), vec4(R[2], 0.0), vec4(0.0, 0.0,
+            0.0, 1.0)))[0];
+}
+
+// The motion of a joint matrix. Compute it on the host, by joint_scaled_motions() of skinbake's Python package, or in a
+// pass over the joints: once per joint and frame, not per vertex.
+skinbake_ScaledMotion skinbake_scaled_motion(mat4 M)
+{
+    vec4 turn = skinbake_turn(mat3(M));
     skinbake_ScaledMotion Q;
     for (int i = 0; i < 4; i++)
         Q.moved[i] = vec4(turn.w * M[i].xyz + cross(M[i].xyz, turn.xyz), -dot(M[i].xyz, turn.xyz));
     Q.turn = turn;
     return Q;
-}
-
-// The vector of a over a quaternion, which is given as itself / its squared length.
-vec3 skinbake_over(vec4 a, vec4 divisor)
-{
-    return divisor.w * a.xyz - a.w * divisor.xyz + cross(divisor.xyz, a.xyz);
 }
 #endif
 

@@ -67,6 +67,38 @@ skinbake_Frame skinbake_frame(float3 n)
 }
 #endif
 
+#ifndef SKINBAKE_DUAL_QUATERNION
+#define SKINBAKE_DUAL_QUATERNION
+// The unit dual quaternion of a rigid joint matrix. Row [0] is its real part (x, y, z, w), w the scalar; row [1] is
+// its dual part. Compute it on the host or in a pass over the joints: once per joint and frame, not per vertex.
+// Dual quaternions have no scale. If all joint matrices share a uniform scale s, divide their upper 3x3 parts by
+// s first, and skin s * p, s * t0, s * b0 in place of p, t0, b0.
+float2x4 skinbake_dual_quaternion(float4x4 M)
+{
+    float3 d = float3(M[0].x, M[1].y, M[2].z);
+    float4 squares = 1.0 + float4( // 4 * (x, y, z, w)^2
+        d.x - d.y - d.z, d.y - d.z - d.x, d.z - d.x - d.y, d.x + d.y + d.z);
+    float3 differences = float3(M[2].y - M[1].z, M[0].z - M[2].x, M[1].x - M[0].y); // 4 w * (x, y, z)
+    float3 sums = float3(M[2].y + M[1].z, M[0].z + M[2].x, M[1].x + M[0].y); // 4 * (yz, zx, xy)
+    float4 real = float4(differences, squares.w);
+    float largest = squares.w;
+    if (squares.x > largest) {
+        largest = squares.x;
+        real = float4(squares.x, sums.z, sums.y, differences.x);
+    }
+    if (squares.y > largest) {
+        largest = squares.y;
+        real = float4(sums.z, squares.y, sums.x, differences.y);
+    }
+    if (squares.z > largest) {
+        real = float4(sums.y, sums.x, squares.z, differences.z);
+    }
+    real = normalize(real);
+    float3 t = float3(M[0].w, M[1].w, M[2].w);
+    return float2x4(real, 0.5 * float4(cross(t, real.xyz) + real.w * t, -dot(t, real.xyz)));
+}
+#endif
+
 #ifndef SKINBAKE_PRODUCT
 #define SKINBAKE_PRODUCT
 // The product of two quaternions.
@@ -76,8 +108,8 @@ float4 skinbake_product(float4 a, float4 b)
 }
 #endif
 
-#ifndef SKINBAKE_SCALED_MOTION
-#define SKINBAKE_SCALED_MOTION
+#ifndef SKINBAKE_SCALED_JOINT
+#define SKINBAKE_SCALED_JOINT
 // A joint that may scale, shear or mirror. Quaternions are (x, y, z, w), w the scalar. turn is the rotation of the joint
 // matrix, and the rows of moved are the matrix's columns times it. Store five float4: default packing has another order.
 struct skinbake_ScaledMotion {
@@ -85,11 +117,39 @@ struct skinbake_ScaledMotion {
     float4 turn;
 };
 
-// Compute it on the host or in a pass over the joints, by joint_scaled_motions() of skinbake's Python package or like
-// this: M is the joint matrix, and turn is the unit quaternion of the rotation R in its polar decomposition M = R S, or
-// in that of -M where M mirrors.
-skinbake_ScaledMotion skinbake_scaled_motion(float4x4 M, float4 turn)
+// The vector of a over a quaternion, which is given as itself / its squared length.
+float3 skinbake_over(float4 a, float4 divisor)
 {
+    return divisor.w * a.xyz - a.w * divisor.xyz + cross(divisor.xyz, a.xyz);
+}
+#endif
+
+#ifndef SKINBAKE_SCALED_MOTION
+#define SKINBAKE_SCALED_MOTION
+// The unit quaternion of the rotation R in the polar decomposition M = R S, or in that of -M where M mirrors, by Newton's
+// iteration (Higham 1986). No rotation where M flattens.
+float4 skinbake_turn(float3x3 M)
+{
+    float volume = dot(cross(M[0], M[1]), M[2]);
+    if (volume == 0.0)
+        return float4(0.0, 0.0, 0.0, 1.0);
+    float3x3 R = M * (sign(volume) / pow(abs(volume), 1.0 / 3.0));
+    for (int i = 0; i < 12; i++) {
+        // The volume is at least 1, so the squares sum to 3 where R is a rotation.
+        bool is_near = dot(R[0], R[0]) + dot(R[1], R[1]) + dot(R[2], R[2]) < 3.00001;
+        float3x3 cofactors = float3x3(cross(R[1], R[2]), cross(R[2], R[0]), cross(R[0], R[1]));
+        R = 0.5 * (R + cofactors * (1.0 / dot(R[0], cofactors[0])));
+        if (is_near) break;
+    }
+    return skinbake_dual_quaternion(float4x4(float4(R[0], 0.0), float4(R[1], 0.0), float4(R[2], 0.0),
+            float4(0.0, 0.0, 0.0, 1.0)))[0];
+}
+
+// The motion of a joint matrix. Compute it on the host, by joint_scaled_motions() of skinbake's Python package, or in a
+// pass over the joints: once per joint and frame, not per vertex.
+skinbake_ScaledMotion skinbake_scaled_motion(float4x4 M)
+{
+    float4 turn = skinbake_turn((float3x3)M);
     skinbake_ScaledMotion Q;
     float4x4 columns = transpose(M);
     for (int i = 0; i < 4; i++)
@@ -97,12 +157,6 @@ skinbake_ScaledMotion skinbake_scaled_motion(float4x4 M, float4 turn)
                 turn.xyz));
     Q.turn = turn;
     return Q;
-}
-
-// The vector of a over a quaternion, which is given as itself / its squared length.
-float3 skinbake_over(float4 a, float4 divisor)
-{
-    return divisor.w * a.xyz - a.w * divisor.xyz + cross(divisor.xyz, a.xyz);
 }
 #endif
 

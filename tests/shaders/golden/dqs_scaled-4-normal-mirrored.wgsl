@@ -54,6 +54,34 @@ fn skinbake_frame(n: vec3<f32>) -> skinbake_Frame {
     return skinbake_Frame(n, t0, b0, 1.0);
 }
 
+// The unit dual quaternion of a rigid joint matrix. [0] is its real part (x, y, z, w), w the scalar; [1] is its
+// dual part. Compute it on the host or in a pass over the joints: once per joint and frame, not per vertex.
+// Dual quaternions have no scale. If all joint matrices share a uniform scale s, divide their upper 3x3 parts by
+// s first, and skin s * p, s * t0, s * b0 in place of p, t0, b0.
+fn skinbake_dual_quaternion(M: mat4x4<f32>) -> mat2x4<f32> {
+    let d = vec3<f32>(M[0].x, M[1].y, M[2].z);
+    let squares = 1.0 + vec4<f32>( // 4 * (x, y, z, w)^2
+        d.x - d.y - d.z, d.y - d.z - d.x, d.z - d.x - d.y, d.x + d.y + d.z);
+    let differences = vec3<f32>(M[1].z - M[2].y, M[2].x - M[0].z, M[0].y - M[1].x); // 4 w * (x, y, z)
+    let sums = vec3<f32>(M[1].z + M[2].y, M[2].x + M[0].z, M[0].y + M[1].x); // 4 * (yz, zx, xy)
+    var real = vec4<f32>(differences, squares.w);
+    var largest = squares.w;
+    if (squares.x > largest) {
+        largest = squares.x;
+        real = vec4<f32>(squares.x, sums.z, sums.y, differences.x);
+    }
+    if (squares.y > largest) {
+        largest = squares.y;
+        real = vec4<f32>(sums.z, squares.y, sums.x, differences.y);
+    }
+    if (squares.z > largest) {
+        real = vec4<f32>(sums.y, sums.x, squares.z, differences.z);
+    }
+    real = normalize(real);
+    let t = M[3].xyz;
+    return mat2x4<f32>(real, 0.5 * vec4<f32>(cross(t, real.xyz) + real.w * t, -dot(t, real.xyz)));
+}
+
 // The product of two quaternions.
 fn skinbake_product(a: vec4<f32>, b: vec4<f32>) -> vec4<f32> {
     return vec4<f32>(a.w * b.xyz + b.w * a.xyz + cross(a.xyz, b.xyz), a.w * b.w - dot(a.xyz, b.xyz));
@@ -66,10 +94,32 @@ struct skinbake_ScaledMotion {
     turn: vec4<f32>,
 }
 
-// Compute it on the host or in a pass over the joints, by joint_scaled_motions() of skinbake's Python package or like
-// this: M is the joint matrix, and turn is the unit quaternion of the rotation R in its polar decomposition M = R S, or
-// in that of -M where M mirrors.
-fn skinbake_scaled_motion(M: mat4x4<f32>, turn: vec4<f32>) -> skinbake_ScaledMotion {
+// The vector of a over a quaternion, which is given as itself / its squared length.
+fn skinbake_over(a: vec4<f32>, divisor: vec4<f32>) -> vec3<f32> {
+    return divisor.w * a.xyz - a.w * divisor.xyz + cross(divisor.xyz, a.xyz);
+}
+
+// The unit quaternion of the rotation R in the polar decomposition M = R S, or in that of -M where M mirrors, by Newton's
+// iteration (Higham 1986). No rotation where M flattens.
+fn skinbake_turn(M: mat4x4<f32>) -> vec4<f32> {
+    let volume = dot(cross(M[0].xyz, M[1].xyz), M[2].xyz);
+    if (volume == 0.0) { return vec4<f32>(0.0, 0.0, 0.0, 1.0); }
+    var R = mat3x3<f32>(M[0].xyz, M[1].xyz, M[2].xyz) * (sign(volume) / pow(abs(volume), 1.0 / 3.0));
+    for (var i = 0; i < 12; i++) {
+        // The volume is at least 1, so the squares sum to 3 where R is a rotation.
+        let is_near = dot(R[0], R[0]) + dot(R[1], R[1]) + dot(R[2], R[2]) < 3.00001;
+        let cofactors = mat3x3<f32>(cross(R[1], R[2]), cross(R[2], R[0]), cross(R[0], R[1]));
+        R = (R + cofactors * (1.0 / dot(R[0], cofactors[0]))) * 0.5;
+        if (is_near) { break; }
+    }
+    return skinbake_dual_quaternion(mat4x4<f32>(
+        vec4<f32>(R[0], 0.0), vec4<f32>(R[1], 0.0), vec4<f32>(R[2], 0.0), vec4<f32>(0.0, 0.0, 0.0, 1.0)))[0];
+}
+
+// The motion of a joint matrix. Compute it on the host, by joint_scaled_motions() of skinbake's Python package, or in a
+// pass over the joints: once per joint and frame, not per vertex.
+fn skinbake_scaled_motion(M: mat4x4<f32>) -> skinbake_ScaledMotion {
+    let turn = skinbake_turn(M);
     return skinbake_ScaledMotion(
         mat4x4<f32>(
             skinbake_product(vec4<f32>(M[0].xyz, 0.0), turn),
@@ -77,11 +127,6 @@ fn skinbake_scaled_motion(M: mat4x4<f32>, turn: vec4<f32>) -> skinbake_ScaledMot
             skinbake_product(vec4<f32>(M[2].xyz, 0.0), turn),
             skinbake_product(vec4<f32>(M[3].xyz, 0.0), turn)),
         turn);
-}
-
-// The vector of a over a quaternion, which is given as itself / its squared length.
-fn skinbake_over(a: vec4<f32>, divisor: vec4<f32>) -> vec3<f32> {
-    return divisor.w * a.xyz - a.w * divisor.xyz + cross(divisor.xyz, a.xyz);
 }
 
 // The frame moves by the derivative of the quotient p' = g / b: b mixes the joints' turns, and g what M p is times them.

@@ -1,27 +1,31 @@
 #ifndef SKINBAKE_SCALED_MOTION
 #define SKINBAKE_SCALED_MOTION
-// A joint that may scale, shear or mirror. Quaternions are (x, y, z, w), w the scalar. turn is the rotation of the joint
-// matrix, and the columns of moved are those of the matrix times it.
-struct skinbake_ScaledMotion {
-    mat4 moved;
-    vec4 turn;
-};
-
-// Compute it on the host or in a pass over the joints, by joint_scaled_motions() of skinbake's Python package or like
-// this: M is the joint matrix, and turn is the unit quaternion of the rotation R in its polar decomposition M = R S, or
-// in that of -M where M mirrors.
-skinbake_ScaledMotion skinbake_scaled_motion(mat4 M, vec4 turn)
+// The unit quaternion of the rotation R in the polar decomposition M = R S, or in that of -M where M mirrors, by Newton's
+// iteration (Higham 1986). No rotation where M flattens.
+vec4 skinbake_turn(mat3 M)
 {
+    float volume = dot(cross(M[0], M[1]), M[2]);
+    if (volume == 0.0) return vec4(0.0, 0.0, 0.0, 1.0);
+    mat3 R = M * (sign(volume) / pow(abs(volume), 1.0 / 3.0));
+    for (int i = 0; i < 12; i++) {
+        // The volume is at least 1, so the squares sum to 3 where R is a rotation.
+        bool is_near = dot(R[0], R[0]) + dot(R[1], R[1]) + dot(R[2], R[2]) < 3.00001;
+        mat3 cofactors = mat3(cross(R[1], R[2]), cross(R[2], R[0]), cross(R[0], R[1]));
+        R = 0.5 * (R + cofactors * (1.0 / dot(R[0], cofactors[0])));
+        if (is_near) break;
+    }
+    return skinbake_dual_quaternion(mat4(vec4(R[0], 0.0), vec4(R[1], 0.0), vec4(R[2], 0.0), vec4(0.0, 0.0, 0.0, 1.0)))[0];
+}
+
+// The motion of a joint matrix. Compute it on the host, by joint_scaled_motions() of skinbake's Python package, or in a
+// pass over the joints: once per joint and frame, not per vertex.
+skinbake_ScaledMotion skinbake_scaled_motion(mat4 M)
+{
+    vec4 turn = skinbake_turn(mat3(M));
     skinbake_ScaledMotion Q;
     for (int i = 0; i < 4; i++)
         Q.moved[i] = vec4(turn.w * M[i].xyz + cross(M[i].xyz, turn.xyz), -dot(M[i].xyz, turn.xyz));
     Q.turn = turn;
     return Q;
-}
-
-// The vector of a over a quaternion, which is given as itself / its squared length.
-vec3 skinbake_over(vec4 a, vec4 divisor)
-{
-    return divisor.w * a.xyz - a.w * divisor.xyz + cross(divisor.xyz, a.xyz);
 }
 #endif

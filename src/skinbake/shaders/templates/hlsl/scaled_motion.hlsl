@@ -1,28 +1,33 @@
 #ifndef SKINBAKE_SCALED_MOTION
 #define SKINBAKE_SCALED_MOTION
-// A joint that may scale, shear or mirror. Quaternions are (x, y, z, w), w the scalar. turn is the rotation of the joint
-// matrix, and the rows of moved are the matrix's columns times it. Store five float4: default packing has another order.
-struct skinbake_ScaledMotion {
-    float4x4 moved;
-    float4 turn;
-};
-
-// Compute it on the host or in a pass over the joints, by joint_scaled_motions() of skinbake's Python package or like
-// this: M is the joint matrix, and turn is the unit quaternion of the rotation R in its polar decomposition M = R S, or
-// in that of -M where M mirrors.
-skinbake_ScaledMotion skinbake_scaled_motion(float4x4 M, float4 turn)
+// The unit quaternion of the rotation R in the polar decomposition M = R S, or in that of -M where M mirrors, by Newton's
+// iteration (Higham 1986). No rotation where M flattens.
+float4 skinbake_turn(float3x3 M)
 {
+    float volume = dot(cross(M[0], M[1]), M[2]);
+    if (volume == 0.0)
+        return float4(0.0, 0.0, 0.0, 1.0);
+    float3x3 R = M * (sign(volume) / pow(abs(volume), 1.0 / 3.0));
+    for (int i = 0; i < 12; i++) {
+        // The volume is at least 1, so the squares sum to 3 where R is a rotation.
+        bool is_near = dot(R[0], R[0]) + dot(R[1], R[1]) + dot(R[2], R[2]) < 3.00001;
+        float3x3 cofactors = float3x3(cross(R[1], R[2]), cross(R[2], R[0]), cross(R[0], R[1]));
+        R = 0.5 * (R + cofactors * (1.0 / dot(R[0], cofactors[0])));
+        if (is_near) break;
+    }
+    return skinbake_dual_quaternion(float4x4(float4(R[0], 0.0), float4(R[1], 0.0), float4(R[2], 0.0), float4(0.0, 0.0, 0.0, 1.0)))[0];
+}
+
+// The motion of a joint matrix. Compute it on the host, by joint_scaled_motions() of skinbake's Python package, or in a
+// pass over the joints: once per joint and frame, not per vertex.
+skinbake_ScaledMotion skinbake_scaled_motion(float4x4 M)
+{
+    float4 turn = skinbake_turn((float3x3)M);
     skinbake_ScaledMotion Q;
     float4x4 columns = transpose(M);
     for (int i = 0; i < 4; i++)
         Q.moved[i] = float4(turn.w * columns[i].xyz + cross(columns[i].xyz, turn.xyz), -dot(columns[i].xyz, turn.xyz));
     Q.turn = turn;
     return Q;
-}
-
-// The vector of a over a quaternion, which is given as itself / its squared length.
-float3 skinbake_over(float4 a, float4 divisor)
-{
-    return divisor.w * a.xyz - a.w * divisor.xyz + cross(divisor.xyz, a.xyz);
 }
 #endif

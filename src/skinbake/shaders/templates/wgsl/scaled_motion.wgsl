@@ -1,14 +1,24 @@
-// A joint that may scale, shear or mirror. Quaternions are (x, y, z, w), w the scalar. turn is the rotation of the joint
-// matrix, and the columns of moved are those of the matrix times it.
-struct skinbake_ScaledMotion {
-    moved: mat4x4<f32>,
-    turn: vec4<f32>,
+// The unit quaternion of the rotation R in the polar decomposition M = R S, or in that of -M where M mirrors, by Newton's
+// iteration (Higham 1986). No rotation where M flattens.
+fn skinbake_turn(M: mat4x4<f32>) -> vec4<f32> {
+    let volume = dot(cross(M[0].xyz, M[1].xyz), M[2].xyz);
+    if (volume == 0.0) { return vec4<f32>(0.0, 0.0, 0.0, 1.0); }
+    var R = mat3x3<f32>(M[0].xyz, M[1].xyz, M[2].xyz) * (sign(volume) / pow(abs(volume), 1.0 / 3.0));
+    for (var i = 0; i < 12; i++) {
+        // The volume is at least 1, so the squares sum to 3 where R is a rotation.
+        let is_near = dot(R[0], R[0]) + dot(R[1], R[1]) + dot(R[2], R[2]) < 3.00001;
+        let cofactors = mat3x3<f32>(cross(R[1], R[2]), cross(R[2], R[0]), cross(R[0], R[1]));
+        R = (R + cofactors * (1.0 / dot(R[0], cofactors[0]))) * 0.5;
+        if (is_near) { break; }
+    }
+    return skinbake_dual_quaternion(mat4x4<f32>(
+        vec4<f32>(R[0], 0.0), vec4<f32>(R[1], 0.0), vec4<f32>(R[2], 0.0), vec4<f32>(0.0, 0.0, 0.0, 1.0)))[0];
 }
 
-// Compute it on the host or in a pass over the joints, by joint_scaled_motions() of skinbake's Python package or like
-// this: M is the joint matrix, and turn is the unit quaternion of the rotation R in its polar decomposition M = R S, or
-// in that of -M where M mirrors.
-fn skinbake_scaled_motion(M: mat4x4<f32>, turn: vec4<f32>) -> skinbake_ScaledMotion {
+// The motion of a joint matrix. Compute it on the host, by joint_scaled_motions() of skinbake's Python package, or in a
+// pass over the joints: once per joint and frame, not per vertex.
+fn skinbake_scaled_motion(M: mat4x4<f32>) -> skinbake_ScaledMotion {
+    let turn = skinbake_turn(M);
     return skinbake_ScaledMotion(
         mat4x4<f32>(
             skinbake_product(vec4<f32>(M[0].xyz, 0.0), turn),
@@ -16,9 +26,4 @@ fn skinbake_scaled_motion(M: mat4x4<f32>, turn: vec4<f32>) -> skinbake_ScaledMot
             skinbake_product(vec4<f32>(M[2].xyz, 0.0), turn),
             skinbake_product(vec4<f32>(M[3].xyz, 0.0), turn)),
         turn);
-}
-
-// The vector of a over a quaternion, which is given as itself / its squared length.
-fn skinbake_over(a: vec4<f32>, divisor: vec4<f32>) -> vec3<f32> {
-    return divisor.w * a.xyz - a.w * divisor.xyz + cross(divisor.xyz, a.xyz);
 }
