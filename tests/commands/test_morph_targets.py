@@ -305,3 +305,13 @@ def test_numbers_of_edited_targets_are_stale(tmp_path: Path) -> None:
     file = Editable(tmp_path / "out.glb")
     file.stored(file.primitive()["targets"][0]["POSITION"])[:] *= 1.5
     assert verify(file.write(tmp_path / "out.glb")).failed == ["freshness"]
+
+
+def test_a_target_that_a_tool_has_removed_leaves_the_authored_normals_of_the_others(tmp_path: Path) -> None:
+    bake(without_normals(TUBE, tmp_path / "in.glb", keep=1), tmp_path / "out.glb", "--morph-normals")
+    file = Editable(tmp_path / "out.glb")
+    authored = file.primitive()["targets"][0]
+    file.primitive()["targets"] = [file.primitive()["targets"][1], authored, authored]
+    invoke("strip", file.write(tmp_path / "edited.glb"), "-o", tmp_path / "back.glb")
+    found = gltf_reading.read(tmp_path / "back.glb").primitive(0)["targets"]
+    assert [set(target) for target in found] == [{"POSITION", "NORMAL"}] * 3

@@ -25,7 +25,10 @@ from skinbake.geometry.morphs import (
     MorphTargets,
     carried_by_normal,
     carried_by_tangent,
+    carried_in_plane,
+    carried_in_space,
     morphed_normals,
+    normals_of_frames,
 )
 from skinbake.geometry.skinned import Float32Array
 from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
@@ -33,7 +36,7 @@ from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed
 from skinbake.skinning.rest import RestPrimitive
 from tests.shaders.combinations import usage
-from tests.support import analytic, glslang, morphing
+from tests.support import analytic, glslang, morphing, opengl
 from tests.support.analytic_rest import rest_primitive, sample
 from tests.support.baked_files import baked, source
 from tests.support.baking import bake_settings
@@ -216,6 +219,66 @@ def test_the_frame_that_follows_the_tangent_is_the_replay_s(language: Language, 
     for got, expected in ((found[:, 1, :3], t), (found[:, 2, :3], b)):
         assert (np.abs(got - expected) <= tolerance)[clear].all()
     assert np.array_equal(found[:, 0, 3], hand)
+
+
+NUMBERS = """
+in vec3 normal;
+in vec4 tangent;
+in vec3 turned;
+in vec4 morph;
+in vec2 morph_up;
+out vec3 found_normal;
+out vec3 found_tangent;
+out vec3 found_bitangent;
+void main()
+{
+    skinbake_Frame rest = skinbake_frame(normal, tangent);
+    skinbake_Frame frame = CALL;
+    found_normal = frame.normal;
+    found_tangent = frame.tangent;
+    found_bitangent = frame.bitangent;
+    gl_Position = vec4(0.0);
+}
+"""
+
+
+@pytest.mark.parametrize("kind", ["es", "desktop"])
+@pytest.mark.parametrize("morphs", [Morphs.FRAMES, Morphs.FRAMES_NORMAL])
+def test_opengl_moves_the_frame_by_numbers_as_the_replay_does(kind: str, morphs: Morphs) -> None:
+    """Numbers of all sizes; at the first vertices none; normals at any angle to those at rest."""
+    n0, turned = directions(2000, 11), directions(2000, 12)
+    t0 = np.asarray(1.3 * np.cross(n0, directions(2000, 13)), dtype=np.float32)
+    hand = np.where(np.arange(2000) % 2, 1, -1).astype(np.float32)
+    b0 = np.cross(n0, t0) * hand[:, None]
+    numbers = np.random.default_rng(14).normal(scale=0.6, size=(2000, 6)).astype(np.float32)
+    numbers[:20] = 0
+    m, up = numbers[:, :4], numbers[:, 4:]
+    if morphs is Morphs.FRAMES:
+        t, b = carried_in_space(n0, (t0, b0), m, up)
+        n = normals_of_frames(n0, (t, b), hand, np.asarray(numbers.any(axis=1)))
+        call = "skinbake_moved_frame(rest, morph, morph_up)"
+    else:
+        n = turned
+        t, b = carried_in_plane(n0, (t0, b0), n, m)
+        call = "skinbake_moved_frame_by_normal(rest, turned, morph)"
+    text = shader_text(choices(Language.GLSL, Frame.TANGENT, morphs))
+    version = "#version 300 es\nprecision highp float;\n" if kind == "es" else "#version 330\n"
+    names = {"normal": 3, "tangent": 4, "turned": 3, "morph": 4, "morph_up": 2}
+    with opengl.context(kind) as context:
+        found = context.run(
+            version + text + NUMBERS.replace("CALL", call),
+            [(name, f"{size}f {4 * (4 - size)}x1".replace(" 0x1", "")) for name, size in names.items()],
+            padded(n0, np.concatenate([t0, hand[:, None]], axis=1), turned, m, up),
+            ["found_normal", "found_tangent", "found_bitangent"],
+            9,
+        )
+    # Rounding counts most where t and b are nearly parallel, and where n is nearly at right angles to n0.
+    area = np.linalg.norm(np.cross(t, b), axis=1)
+    cosine = np.abs((n0 * turned).sum(axis=1))
+    clear = (area > 1e-2) & (np.abs(cosine - 0.2) > 1e-4)
+    assert clear.sum() > 1900
+    for place, expected in enumerate((n, t, b)):
+        assert found[clear, 3 * place : 3 * place + 3] == pytest.approx(expected[clear], rel=1e-4, abs=2e-4)
 
 
 def surface_at(frame: str) -> tuple[RestPrimitive, analytic.Sample]:

@@ -166,6 +166,7 @@ def _noted(mesh: JsonObject, item: MadeTargets) -> JsonObject:
     entries = [dict(one) for one in note.get(NOTE, [{} for _ in mesh["primitives"]])]
     numbers = sum(COMPONENTS[kind] for kind, _ in zip(("in_plane", "upward"), item.frames, strict=False))
     entries[item.source.primitive] = {
+        "targets": len(item.source.json["targets"]),
         **({"normals": sorted(item.normals)} if item.normals else {}),
         **({"frames": numbers} if numbers else {}),
         "digest": item.digest,
@@ -205,10 +206,18 @@ class NotedTargets:
 
 
 def noted_targets(mesh: JsonObject, primitive: int) -> NotedTargets:
-    """Return what the note of a mesh says of a primitive. What is damaged in it counts as absent."""
+    """Return what the note of a mesh says of a primitive.
+
+    What is damaged in it counts as absent. So does all of it if another tool has removed or added targets:
+    then the numbers may be those of others.
+    """
     note = morph_note(mesh)
     entries = note[NOTE] if note else []
     entry = object_of(entries[primitive]) if primitive < len(entries) else {}
+    own = entries_of(mesh.get("primitives"))
+    targets = own[primitive].get("targets") if primitive < len(own) else None
+    if not isinstance(targets, list) or len(targets) != entry.get("targets"):
+        return NotedTargets()
     numbers = entry.get("normals")
     normals = numbers if isinstance(numbers, list) else []
     frames = entry.get("frames")

@@ -277,7 +277,8 @@ function readPrimitive({ source, json, skins, nodes }, mesh, index, isSkinned) {
 // What bake has added to the targets of a primitive: how many numbers of the differential each has (6, 4 or 0), and
 // whether the NORMAL of all that move points is the file's own. Where it is not, the surface tells the true normals.
 function morphNumbers(mesh, index, targets, read) {
-    const noted = mesh.extras?.skinbake?.morphTargets?.[index] ?? {};
+    const found = mesh.extras?.skinbake?.morphTargets?.[index];
+    const noted = found?.targets === targets.length ? found : {};
     const made = list(noted.normals);
     const isThere = (name) => read.length > 0 && read.every((target) => target[name]);
     const numbers = noted.frames === 6 && isThere('inPlane') && isThere('upward') ? 6 : noted.frames === 4 && isThere('inPlane') ? 4 : 0;
