@@ -157,12 +157,40 @@ def test_bytes_do_not_depend_on_the_number_of_threads(tmp_path: Path, threads: s
     [
         (["--layout", "custom"], "contradicts"),
         (["--limit-influences", "4"], "contradicts"),
-        (["--generate-normals"], "contradicts"),
+        (["--generate-normals"], "so store NORMAL in it first"),
+        (["--compress", "none"], "so change it first"),
         (["--gradients", "poses"], "--corrective-aim gradients"),
     ],
 )
 def test_options_of_gradients_are_refused(tmp_path: Path, option: list[str], words: str) -> None:
     assert words in bake(TUBE, tmp_path / "out.glb", "auto", *option, code=2)
+
+
+@pytest.mark.parametrize(("least", "status"), [("1.2", "baked"), ("1e6", "left")])
+def test_a_file_with_little_to_win_is_left_with_a_note(tmp_path: Path, least: str, status: str) -> None:
+    target = tmp_path / "out.glb"
+    bake(TUBE, target, "auto", "--leave-under", least)
+    note = gltf_reading.read(target).content["asset"].get("extras", {}).get("skinbake", {})
+    assert ("left" in str(note)) == (status == "left"), note
+    answer = invoke("verify", target, "--min-gain", "2", "--json")
+    assert answer.exit_code == 0, answer.output
+    (file,) = json.loads(answer.stdout)["files"]
+    assert file["left"] == (status == "left")
+    bake(target, tmp_path / "again.glb")
+    assert gltf_reading.read(tmp_path / "again.glb").primitive(0)["targets"]
+
+
+def test_a_file_that_correctives_do_not_improve_is_left_too(tmp_path: Path) -> None:
+    given = rewritten(TUBE, tmp_path / "still.glb", _still)
+    bake(given, tmp_path / "out.glb", "auto", "--leave-under", "1.2")
+    assert invoke("verify", tmp_path / "out.glb", "--min-gain", "2").exit_code == 0
+
+
+def _still(content: Any) -> None:
+    """Let the clip move the root alone."""
+    for animation in content["animations"]:
+        animation["channels"] = animation["channels"][:1]
+        animation["channels"][0]["target"]["node"] = content["skins"][0]["joints"][0]
 
 
 def test_clips_without_correctives_are_refused(tmp_path: Path) -> None:
@@ -240,12 +268,7 @@ def test_a_mesh_without_clips_gets_none_and_stays_as_it_is(tmp_path: Path) -> No
 
 
 def test_a_mesh_that_does_not_bend_gets_none(tmp_path: Path) -> None:
-    def still(content: Any) -> None:
-        for animation in content["animations"]:
-            animation["channels"] = animation["channels"][:1]
-            animation["channels"][0]["target"]["node"] = content["skins"][0]["joints"][0]
-
-    given = rewritten(TUBE, tmp_path / "still.glb", still)
+    given = rewritten(TUBE, tmp_path / "still.glb", _still)
     result = invoke("bake", given, "-o", tmp_path / "out.glb", "--correctives", "auto", "--json")
     assert {one["code"] for one in json.loads(result.stdout)["files"][0]["warnings"]} >= {"correctives-idle"}
     assert (tmp_path / "out.glb").read_bytes() == given.read_bytes()

@@ -145,7 +145,10 @@ class Baker(CheckedOptions):
             from skinbake.commands.corrective_bake import corrected_document  # most bakes add α and β
 
             written, made, further = corrected_document(document, sources, self)
-            told = (*reasons, *further)
+            left, unmeasured = self._left(document, written)
+            if left is not None:
+                return replace(left, skipped=skipped, notices=tuple(reasons))
+            told = (*reasons, *further, *unmeasured)
             return BakedDocument(written, (), skipped, told, correctives=tuple(made))
         given = document
         with stage("compress"):
@@ -186,17 +189,11 @@ class Baker(CheckedOptions):
             (bake.source.place, bake.counts(self.encoding, length))
             for bake, length in zip(bakes, lengths, strict=True)
         )
-        if self.leave_under is not None and bakes:
-            try:
-                with stage("gain"):
-                    left = self._left(written)
-            except InputError as error:
-                message = f"it is baked, because its gain could not be measured: {error.message}"
-                notices.append(Notice("gain-unmeasured", message, error.place or document.place))
-                left = None
-            noted = None if left is None else with_left(given, left.note)
-            if noted is not None:
-                return BakedDocument(noted, (), skipped, tuple(reasons), left=left)
+        if bakes:
+            left, unmeasured = self._left(given, written)
+            notices += unmeasured
+            if left is not None:
+                return replace(left, skipped=skipped, notices=tuple(reasons))
         morphed = morphs.reported(made_lengths) if morphs else ()
         return BakedDocument(written, primitives, skipped, tuple(notices), cost, morphs=morphed)
 
@@ -209,23 +206,34 @@ class Baker(CheckedOptions):
         wanted = Wanted(self.morph_normals, self.morph_frames)
         return morph_bake(document, bakes, self.settings, wanted)
 
-    def _left(self, baked: Document) -> Left | None:
-        """Return why a document is better left unbaked, None if it is not.
+    def _left(self, given: Document, baked: Document) -> tuple[BakedDocument | None, list[Notice]]:
+        """Return the given document with a note, if it is better left unbaked, else None; and notices.
 
-        Measured as verify does, by linear blend skinning. The lower gain of both truths counts. Raises
-        InputError if it cannot be measured.
+        The gain is measured as verify does, by linear blend skinning. The lower one of both truths counts.
         """
-        from skinbake.commands.verify import lighting_of
+        if self.leave_under is None:
+            return None, []
         from skinbake.measure.options import VerifyOptions
         from skinbake.report.verify import NEGLIGIBLE, by_worse_truth, gain
 
-        figures = by_worse_truth(lighting_of(baked, VerifyOptions(methods=("lbs",))))
-        if not figures or self.leave_under is None:
-            return None
+        if self.correctives is None:
+            from skinbake.commands.verify import lighting_of as measured
+        else:
+            from skinbake.commands.verify_correctives import corrected_verdict as measured
+        try:
+            with stage("gain"):
+                figures = by_worse_truth(measured(baked, VerifyOptions(methods=("lbs",))))
+        except InputError as error:
+            message = f"it is baked, because its gain could not be measured: {error.message}"
+            return None, [Notice("gain-unmeasured", message, error.place or given.place)]
+        if not figures:
+            return None, []
         factor, standard = gain(figures), figures["standard"].mean
         if standard >= NEGLIGIBLE and (factor is None or factor >= self.leave_under):
-            return None
-        return Left(factor, standard, self.leave_under)
+            return None, []
+        left = Left(factor, standard, self.leave_under)
+        noted = with_left(given, left.note)
+        return None if noted is None else BakedDocument(noted, (), 0, (), left=left), []
 
     def _bakes(
         self, document: Document, sources: Sequence[PrimitiveSource]

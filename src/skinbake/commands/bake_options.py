@@ -125,19 +125,23 @@ def _check_names(options: CheckedOptions) -> None:
 
 
 ONLY_FOR_GRADIENTS = (
-    *(
-        "layout",
-        "alpha_name",
-        "beta_name",
-        "limit_influences",
-        "generate_normals",
-        "morph_normals",
-        "morph_frames",
-        "leave_under",
-    ),
-    *("compress", "compress_level", "position_bits", "normal_bits", "texcoord_bits"),
+    "layout",
+    "alpha_name",
+    "beta_name",
+    "limit_influences",
+    "morph_normals",
+    "morph_frames",
 )
-"""The options that say how α and β are stored, or change what they are baked into."""
+"""The options that say how α and β are stored, or that belong to them."""
+
+NOT_WITH_CORRECTIVES = {
+    "generate_normals": ": correctives change the normals of a file, so store NORMAL in it first",
+    **dict.fromkeys(
+        ("compress", "compress_level", "position_bits", "normal_bits", "texcoord_bits"),
+        ": correctives keep the compression of a file, so change it first",
+    ),
+}
+"""Options that a bake of correctives refuses, and what to do."""
 
 ONLY_FOR_AIM = "gradients", "fit_poses", "weighting", "crease_angle", "weld", "neighbours"
 """The options that say what α and β are. Correctives read them if they aim at α and β."""
@@ -154,6 +158,9 @@ def _check_correctives(options: CheckedOptions) -> None:
     for name in ONLY_FOR_GRADIENTS:
         if getattr(options, name) != USUAL[name]:
             raise ChoiceError(name, reason=(" contradicts ", chosen, ", which adds no α and β"))
+    for name, advice in NOT_WITH_CORRECTIVES.items():
+        if getattr(options, name) != USUAL[name]:
+            raise ChoiceError(name, reason=(" contradicts ", chosen, advice))
     if options.corrective_aim is CorrectiveAim.TRUTHS:
         for name in ONLY_FOR_AIM:
             if getattr(options, name) != USUAL[name]:
