@@ -14,7 +14,7 @@ const HOOKS = { vertex: [GLSL, WGSL], fragment: [GLSL_FRAGMENT, WGSL_FRAGMENT] }
 // What a material needs to light baked meshes. Meshes that are not baked run Babylon.js's own lines alone.
 class Plugin extends MaterialPluginBase {
     constructor(material) {
-        super(material, PLUGIN, 200, { SKINBAKE: 0 }, true, false);
+        super(material, PLUGIN, 200, { SKINBAKE: 0, SKINBAKE_MORPHS: 0 }, true, false);
         this.doNotSerialize = true;
         this.registerForExtraEvents = true;
         this._enable(true);
@@ -32,6 +32,8 @@ class Plugin extends MaterialPluginBase {
     prepareDefines(defines, scene, mesh) {
         defines.SKINBAKE = defines.NORMAL ? litBy(mesh, defines) : 0;
         if (defines.SKINBAKE) defines.USESPHERICALINVERTEX = false;
+        const isMorphed = defines.SKINBAKE && defines.MORPHTARGETS && defines.MORPHTARGETS_TEXTURE;
+        defines.SKINBAKE_MORPHS = isMorphed ? bakeOf(mesh).morphs?.numbers ?? 0 : 0;
     }
 
     getAttributes(attributes, scene, mesh) {
@@ -43,9 +45,15 @@ class Plugin extends MaterialPluginBase {
         return { externalUniforms: ['skinbakeScale'] };
     }
 
+    getSamplers(samplers) {
+        samplers.push('skinbakeMorphs');
+    }
+
     hardBindForSubMesh(buffer, scene, engine, subMesh) {
         const baked = bakeOf(subMesh.getMesh());
-        if (baked && !baked.problem) subMesh.effect.setFloat('skinbakeScale', baked.scale);
+        if (!baked || baked.problem) return;
+        subMesh.effect.setFloat('skinbakeScale', baked.scale);
+        if (subMesh.materialDefines?.SKINBAKE_MORPHS) subMesh.effect.setTexture('skinbakeMorphs', baked.morphs.texture);
     }
 
     getCustomCode(type, language = 0) {
@@ -125,6 +133,7 @@ function prepare({ geometries, meshes }) {
     for (const geometry of geometries) {
         if (geometry.isDisposed()) {
             geometries.delete(geometry);
+            state.geometries.get(geometry)?.morphs?.texture.dispose();
             continue;
         }
         geometry.meshes.forEach((mesh) => meshes.add(mesh));

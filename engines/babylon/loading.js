@@ -1,6 +1,7 @@
 // What the loader reads: alpha and beta of each baked primitive, into vertex buffers of Babylon.js.
 
 import { Buffer, VertexBuffer } from '@babylonjs/core/Buffers/buffer.js';
+import { RawTexture2DArray } from '@babylonjs/core/Materials/Textures/rawTexture2DArray.js';
 import { DracoDecoder } from '@babylonjs/core/Meshes/Compression/dracoDecoder.js';
 
 export const NAME = 'SKINBAKE';
@@ -57,6 +58,7 @@ export class Loading {
                 geometry.setVerticesBuffer(buffer, count);
             }
             baked.loaded = loadedOf(geometry, baked);
+            baked.morphs = await this.#morphs(primitive, count, scene);
             return geometry;
         });
     }
@@ -66,6 +68,31 @@ export class Loading {
         state.geometries.set(geometry, baked);
         this.watch(scene).geometries.add(geometry);
         return geometry;
+    }
+
+    // Return the numbers by which morph targets move the frame, as a texture with a layer for each target; null
+    // without any. Of six numbers a vertex has two texels, of four one.
+    async #morphs(primitive, count, scene) {
+        const { numbers, targets } = morphsOf(this.loader.gltf, primitive);
+        if (!numbers) return null;
+        const texels = numbers === 6 ? 2 : 1;
+        const height = Math.ceil((texels * count) / WIDTH);
+        const values = new Float32Array(4 * WIDTH * height * targets.length);
+        for (const [layer, target] of targets.entries()) {
+            for (let part = 0; part < texels; part++) {
+                const accessor = this.loader.gltf.accessors[target[NUMBERS[part]]];
+                const read = await this.loader._loadFloatAccessorAsync(`/accessors/${accessor.index}`, accessor);
+                const size = part ? 2 : 4;
+                for (let vertex = 0; vertex < count; vertex++) {
+                    const to = 4 * (WIDTH * height * layer + texels * vertex + part);
+                    for (let at = 0; at < size; at++) values[to + at] = read[size * vertex + at];
+                }
+            }
+        }
+        const texture = RawTexture2DArray.CreateRGBATexture(
+            values, WIDTH, height, targets.length, scene, false, false, 1, 1, // nearest, floats
+        );
+        return { numbers, texture };
     }
 
     // Return the values of attributes row by row: as they are stored, or as floats.
@@ -150,6 +177,20 @@ function interleaved(engine, columns, count) {
         const place = { stride, offset: offsets[index], useBytes: true, takeBufferOwnership: true };
         return new VertexBuffer(engine, buffer, kind, { ...place, size, type, normalized: type !== FLOAT });
     });
+}
+
+const WIDTH = 1024; // texels
+const NUMBERS = ['_SKINBAKE_MORPH', '_SKINBAKE_MORPH_UP'];
+
+// What bake has noted in the extras of the mesh, where all targets have what it says.
+function morphsOf({ meshes, accessors }, primitive) {
+    const mesh = meshes.find(({ primitives }) => primitives.includes(primitive));
+    const noted = mesh?.extras?.skinbake?.morphTargets?.[mesh.primitives.indexOf(primitive)];
+    const targets = primitive.targets ?? [];
+    const names = { 4: NUMBERS.slice(0, 1), 6: NUMBERS }[noted?.frames] ?? [];
+    const isSound = (target) => names.every((name) => accessors[target[name]]?.componentType === FLOAT);
+    const isThere = names.length > 0 && noted.targets === targets.length && targets.every(isSound);
+    return { numbers: isThere ? noted.frames : 0, targets };
 }
 
 const isObject = (value) => typeof value === 'object' && value !== null;

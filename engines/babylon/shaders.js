@@ -125,6 +125,58 @@ skinbake_Frame skinbake_morphed_tangent_frame(skinbake_Frame rest, vec3 n, vec3 
 }
 #endif
 
+#if SKINBAKE_MORPHS > 0
+#ifndef SKINBAKE_MOVED_FRAME
+#define SKINBAKE_MOVED_FRAME
+// The frame under morph targets whose differential the file has: m and up are the weighted sums of _SKINBAKE_MORPH
+// and _SKINBAKE_MORPH_UP of the targets. It is exact, and needs no NORMAL of the targets.
+skinbake_Frame skinbake_moved_frame(skinbake_Frame rest, vec4 m, vec2 up)
+{
+    vec3 tangent = rest.tangent + rest.tangent * m.x + rest.bitangent * m.y + rest.normal * up.x;
+    vec3 bitangent = rest.bitangent + rest.tangent * m.z + rest.bitangent * m.w + rest.normal * up.y;
+    vec3 c = cross(tangent, bitangent) * rest.handedness;
+    float square = dot(c, c);
+    bool moves = square > 0.0 && (any(notEqual(m, vec4(0.0))) || any(notEqual(up, vec2(0.0))));
+    vec3 normal = moves ? c * inversesqrt(square) : rest.normal;
+    return skinbake_Frame(normal, tangent, bitangent, rest.handedness);
+}
+#endif
+
+#ifndef SKINBAKE_MOVED_FRAME_BY_NORMAL
+#define SKINBAKE_MOVED_FRAME_BY_NORMAL
+// The frame under morph targets that have NORMAL and their differential: n is NORMAL plus the weighted sum of its
+// targets, of any length, m the weighted sum of _SKINBAKE_MORPH of the targets.
+skinbake_Frame skinbake_moved_frame_by_normal(skinbake_Frame rest, vec3 n, vec4 m)
+{
+    skinbake_Frame frame = skinbake_morphed_frame(rest, n);
+    vec3 t = rest.tangent + rest.tangent * m.x + rest.bitangent * m.y;
+    vec3 b = rest.bitangent + rest.tangent * m.z + rest.bitangent * m.w;
+    float cosine = dot(rest.normal, frame.normal);
+    bool steep = abs(cosine) < 0.2; // then m tells too little
+    float k = steep ? 0.0 : 1.0 / cosine;
+    frame.tangent = steep ? frame.tangent : t - rest.normal * (dot(t, frame.normal) * k);
+    frame.bitangent = steep ? frame.bitangent : b - rest.normal * (dot(b, frame.normal) * k);
+    return frame;
+}
+#endif
+
+uniform highp sampler2DArray skinbakeMorphs; // a layer for each target
+
+// The weighted sum over the targets that move: of the numbers in the plane (0), and of those upward (1).
+vec4 skinbake_morph(int part)
+{
+    vec4 total = vec4(0.0);
+    int texel = gl_VertexID * (SKINBAKE_MORPHS > 4 ? 2 : 1) + part;
+    int width = textureSize(skinbakeMorphs, 0).x;
+    for (int i = 0; i < NUM_MORPH_INFLUENCERS; i++) {
+        if (float(i) >= morphTargetCount) break;
+        ivec3 place = ivec3(texel % width, texel / width, int(morphTargetTextureIndices[i]));
+        total += morphTargetInfluences[i] * texelFetch(skinbakeMorphs, place, 0);
+    }
+    return total;
+}
+#endif
+
 #if NUM_BONE_INFLUENCERS > 4
 // The frame moves by the derivative of the skinned position along t0 and b0.
 // M: the joint matrices of slots 0 to 7.
@@ -276,7 +328,11 @@ skinbake_Vertex skinbake_lit(vec3 p, skinbake_Frame frame)
     CUSTOM_VERTEX_UPDATE_WORLDPOS: /* glsl */ `
 #if SKINBAKE > 0
 skinbake_Frame skinbakeRest = skinbake_rest();
-#if SKINBAKE > 2 && defined(MORPHTARGETS) && defined(MORPHTARGETS_TANGENT)
+#if SKINBAKE_MORPHS > 4
+skinbake_Frame skinbakeFrame = skinbake_moved_frame(skinbakeRest, skinbake_morph(0), skinbake_morph(1).xy);
+#elif SKINBAKE_MORPHS > 0
+skinbake_Frame skinbakeFrame = skinbake_moved_frame_by_normal(skinbakeRest, normalUpdated, skinbake_morph(0));
+#elif SKINBAKE > 2 && defined(MORPHTARGETS) && defined(MORPHTARGETS_TANGENT)
 skinbake_Frame skinbakeFrame = skinbake_morphed_tangent_frame(skinbakeRest, normalUpdated, tangentUpdated.xyz);
 #else
 skinbake_Frame skinbakeFrame = skinbakeRest;
@@ -298,8 +354,9 @@ vNormalW = skinbakeSide * normalize(skinbakeCofactors * skinbakeLit.normal);
 #if defined(BUMP) || defined(PARALLAX) || defined(CLEARCOAT_BUMP) || defined(ANISOTROPIC) || defined(GEOMETRY_NORMAL) || defined(GEOMETRY_COAT_NORMAL) || defined(FUZZ)
 // A normal map is a relief over the surface: its slopes are carried by cofactors, as the normal is.
 #if SKINBAKE > 2
-vec3 skinbakeCotangent = length(skinbakeFrame.tangent) * skinbakeLit.cotangent;
-vec3 skinbakeCobitangent = length(skinbakeFrame.tangent) * skinbakeLit.cobitangent;
+float skinbakeLength = length(SKINBAKE_MORPHS > 0 ? skinbakeRest.tangent : skinbakeFrame.tangent);
+vec3 skinbakeCotangent = skinbakeLength * skinbakeLit.cotangent;
+vec3 skinbakeCobitangent = skinbakeLength * skinbakeLit.cobitangent;
 #else
 // Cofactors are linear: those of t and b follow from those of t0, b0 and n0. t may lean from n0.
 vec3 skinbakeT = normalize(tangent.xyz);
@@ -393,6 +450,53 @@ fn skinbake_morphed_tangent_frame(rest: skinbake_Frame, n: vec3<f32>, tangent: v
     frame.bitangent = select(cross(frame.normal, t) * rest.handedness, frame.bitangent, cancelled);
     return frame;
 }
+
+#if SKINBAKE_MORPHS > 0
+// The frame under morph targets whose differential the file has: m and up are the weighted sums of _SKINBAKE_MORPH
+// and _SKINBAKE_MORPH_UP of the targets. It is exact, and needs no NORMAL of the targets.
+fn skinbake_moved_frame(rest: skinbake_Frame, m: vec4<f32>, up: vec2<f32>) -> skinbake_Frame {
+    let tangent = rest.tangent + rest.tangent * m.x + rest.bitangent * m.y + rest.normal * up.x;
+    let bitangent = rest.bitangent + rest.tangent * m.z + rest.bitangent * m.w + rest.normal * up.y;
+    let c = cross(tangent, bitangent) * rest.handedness;
+    let square = dot(c, c);
+    let moves = square > 0.0 && (any(m != vec4<f32>(0.0)) || any(up != vec2<f32>(0.0)));
+    let normal = select(rest.normal, c * inverseSqrt(square), moves);
+    return skinbake_Frame(normal, tangent, bitangent, rest.handedness);
+}
+
+// The frame under morph targets that have NORMAL and their differential: n is NORMAL plus the weighted sum of its
+// targets, of any length, m the weighted sum of _SKINBAKE_MORPH of the targets.
+fn skinbake_moved_frame_by_normal(rest: skinbake_Frame, n: vec3<f32>, m: vec4<f32>) -> skinbake_Frame {
+    var frame = skinbake_morphed_frame(rest, n);
+    let t = rest.tangent + rest.tangent * m.x + rest.bitangent * m.y;
+    let b = rest.bitangent + rest.tangent * m.z + rest.bitangent * m.w;
+    let cosine = dot(rest.normal, frame.normal);
+    let steep = abs(cosine) < 0.2; // then m tells too little
+    let k = select(1.0 / cosine, 0.0, steep);
+    frame.tangent = select(t - rest.normal * (dot(t, frame.normal) * k), frame.tangent, steep);
+    frame.bitangent = select(b - rest.normal * (dot(b, frame.normal) * k), frame.bitangent, steep);
+    return frame;
+}
+
+var skinbakeMorphs: texture_2d_array<f32>;
+
+fn skinbake_morph(part: i32) -> vec4<f32> {
+    var total = vec4<f32>(0.0);
+#if SKINBAKE_MORPHS > 4
+    let texel = i32(vertexInputs.vertexIndex) * 2 + part;
+#else
+    let texel = i32(vertexInputs.vertexIndex) + part;
+#endif
+    let width = i32(textureDimensions(skinbakeMorphs).x);
+    for (var i = 0; i < NUM_MORPH_INFLUENCERS; i = i + 1) {
+        if (f32(i) >= uniforms.morphTargetCount) { break; }
+        let layer = i32(uniforms.morphTargetTextureIndices[i]);
+        let place = vec2<i32>(texel % width, texel / width);
+        total += uniforms.morphTargetInfluences[i] * textureLoad(skinbakeMorphs, place, layer, 0);
+    }
+    return total;
+}
+#endif
 
 #if SKINBAKE > 2
 // The frame of NORMAL, which must have length 1, and TANGENT.
@@ -560,7 +664,11 @@ fn skinbake_lit(p: vec3<f32>, frame: skinbake_Frame) -> skinbake_Vertex {
     CUSTOM_VERTEX_UPDATE_WORLDPOS: /* wgsl */ `
 #if SKINBAKE > 0
 let skinbakeRest = skinbake_rest();
-#if SKINBAKE > 2 && defined(MORPHTARGETS) && defined(MORPHTARGETS_TANGENT)
+#if SKINBAKE_MORPHS > 4
+let skinbakeFrame = skinbake_moved_frame(skinbakeRest, skinbake_morph(0), skinbake_morph(1).xy);
+#elif SKINBAKE_MORPHS > 0
+let skinbakeFrame = skinbake_moved_frame_by_normal(skinbakeRest, normalUpdated, skinbake_morph(0));
+#elif SKINBAKE > 2 && defined(MORPHTARGETS) && defined(MORPHTARGETS_TANGENT)
 let skinbakeFrame = skinbake_morphed_tangent_frame(skinbakeRest, normalUpdated, tangentUpdated.xyz);
 #else
 var skinbakeFrame = skinbakeRest;
@@ -582,8 +690,13 @@ vertexOutputs.vNormalW = skinbakeSide * normalize(skinbakeCofactors * skinbakeLi
 #if SKINBAKE > 0 && defined(TANGENT)
 #if defined(BUMP) || defined(PARALLAX) || defined(CLEARCOAT_BUMP) || defined(ANISOTROPIC) || defined(GEOMETRY_NORMAL) || defined(FUZZ)
 #if SKINBAKE > 2
-let skinbakeCotangent = length(skinbakeFrame.tangent) * skinbakeLit.cotangent;
-let skinbakeCobitangent = length(skinbakeFrame.tangent) * skinbakeLit.cobitangent;
+#if SKINBAKE_MORPHS > 0
+let skinbakeLength = length(skinbakeRest.tangent);
+#else
+let skinbakeLength = length(skinbakeFrame.tangent);
+#endif
+let skinbakeCotangent = skinbakeLength * skinbakeLit.cotangent;
+let skinbakeCobitangent = skinbakeLength * skinbakeLit.cobitangent;
 #else
 let skinbakeT = normalize(vertexInputs.tangent.xyz);
 let skinbakeB = vertexInputs.tangent.w * normalize(cross(skinbakeRest.normal, skinbakeT));

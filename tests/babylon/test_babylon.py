@@ -153,6 +153,52 @@ def test_morph_targets_come_before_skinning(stage: Stage, frame: str, backend: s
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("frame", ["normal", "tangent"])
+@pytest.mark.parametrize("numbers", [4, 6])
+def test_numbers_of_the_differential_move_the_frame(
+    stage: Stage, numbers: int, frame: str, backend: str
+) -> None:
+    """docs/reference/frame.md, *Morph targets*, by four and by six numbers."""
+    require_backend(stage, backend)
+    weights = (0.7, -0.4)
+    file = Editable(with_morphs(stage.models, MIRRORED))
+    for one in file.primitive()["targets"] if numbers == 6 else ():
+        del one["NORMAL"]
+    path = stage.models / f"numbers-{numbers}-{frame}.glb"
+    made = bake_file(file.write(path), path, frame=frame, morph_frames=True)
+    assert made.morphs[0][1].frames == numbers
+    plain, character = Character(path, RANDOM), Character(path, RANDOM, weights)
+    read = gltf_reading.read(path)
+    targets = read.primitive(0)["targets"]
+
+    def total(name: str) -> Array:
+        parts = [w * read.values(one[name]) for w, one in zip(weights, targets, strict=True)]
+        return np.asarray(np.sum(parts, axis=0))
+
+    t0, b0, n0 = plain.rest.tangents, plain.rest.bitangents, plain.rest.normals
+    m = total("_SKINBAKE_MORPH")
+    t, b = t0 + m[:, :1] * t0 + m[:, 1:2] * b0, b0 + m[:, 2:3] * t0 + m[:, 3:] * b0
+    if numbers == 6:
+        up = total("_SKINBAKE_MORPH_UP")
+        t, b = t + up[:, :1] * n0, b + up[:, 1:] * n0
+        clear = np.ones(len(t), dtype=np.bool_)
+    else:
+        n = character.rest.normals
+        cosine = np.einsum("vi,vi->v", n, n0)[:, None]
+        t, b = (v - n0 * np.einsum("vi,vi->v", v, n)[:, None] / cosine for v in (t, b))
+        clear = np.abs(cosine[:, 0]) > 0.25
+    assert clear.mean() > 0.5
+    by_rule = expected(character)
+    character.rest = dataclasses.replace(character.rest, tangents=t, bitangents=b)
+    wanted = expected(character)
+    assert angles(wanted, by_rule).max() > 100 * DEGREES
+    found = stage.normals(character, backend=backend, material="standard")
+    drawn = vectors(found["draws"][0])
+    clear = clear[: len(drawn)]
+    assert angles(drawn[clear], wanted[: len(drawn)][clear]).max() < DEGREES
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
 def test_morph_targets_with_tangents_turn_the_tangent_frame(stage: Stage, backend: str) -> None:
     """docs/reference/frame.md, *Morph targets*, by TANGENT."""
     require_backend(stage, backend)

@@ -111,7 +111,8 @@ class Character:
             return
         targets = file.primitive(0)["targets"]
         positions, normals = (
-            base + sum(w * file.values(t[name]) for w, t in zip(self.morphs, targets, strict=True))
+            base
+            + sum(w * file.values(t[name]) for w, t in zip(self.morphs, targets, strict=True) if name in t)
             for base, name in ((self.rest.positions, "POSITION"), (file.attribute("NORMAL"), "NORMAL"))
         )
         normals = unit(normals)

@@ -10,9 +10,9 @@
 //%   set _ = refuse("influences", "Babylon.js always reads four or eight influences per vertex; use --influences 4")
 //% endif
 //% set common = {"reads": ["packed8"], "morphs": "normal", "frame": "tangent", "encoding": "packed8", "layout": "attributes", "attributes": None, "mirrored_joints": True, "normal_map": True}
-//% set glsl = text_for(language="glsl", influences=8, also=["frame_normal", "morphed_tangent"], **common)
+//% set glsl = text_for(language="glsl", influences=8, also=["frame_normal", "morphed_tangent", "moved_frame", "moved_frame_by_normal"], **common)
 //% set glsl_four = text_for(language="glsl", influences=4, **common)
-//% set wgsl = text_for(language="wgsl", influences=8, also=["frame_normal", "morphed_tangent"], **common)
+//% set wgsl = text_for(language="wgsl", influences=8, also=["frame_normal", "morphed_tangent", "moved_frame", "moved_frame_by_normal"], **common)
 //% set wgsl_four = text_for(language="wgsl", influences=4, **common)
 // Shader text, written by skinbake @{ version }:
 //     @{ command }
@@ -32,11 +32,33 @@ attribute vec4 skinbakeBeta1;
 #endif
 uniform float skinbakeScale;
 
-//% for name, part in glsl.parts.items() if name not in [glsl.stem, "morphed_tangent", "normal_map"]
+//% for name, part in glsl.parts.items() if name not in [glsl.stem, "morphed_tangent", "moved_frame", "moved_frame_by_normal", "normal_map"]
 @{ part }
 
 //% endfor
 @{ glsl.parts.morphed_tangent }
+
+#if SKINBAKE_MORPHS > 0
+@{ glsl.parts.moved_frame }
+
+@{ glsl.parts.moved_frame_by_normal }
+
+uniform highp sampler2DArray skinbakeMorphs; // a layer for each target
+
+// The weighted sum over the targets that move: of the numbers in the plane (0), and of those upward (1).
+vec4 skinbake_morph(int part)
+{
+    vec4 total = vec4(0.0);
+    int texel = gl_VertexID * (SKINBAKE_MORPHS > 4 ? 2 : 1) + part;
+    int width = textureSize(skinbakeMorphs, 0).x;
+    for (int i = 0; i < NUM_MORPH_INFLUENCERS; i++) {
+        if (float(i) >= morphTargetCount) break;
+        ivec3 place = ivec3(texel % width, texel / width, int(morphTargetTextureIndices[i]));
+        total += morphTargetInfluences[i] * texelFetch(skinbakeMorphs, place, 0);
+    }
+    return total;
+}
+#endif
 
 #if NUM_BONE_INFLUENCERS > 4
 @{ glsl.parts[glsl.stem] }
@@ -114,7 +136,11 @@ skinbake_Vertex skinbake_lit(vec3 p, skinbake_Frame frame)
     CUSTOM_VERTEX_UPDATE_WORLDPOS: /* glsl */ `
 #if SKINBAKE > 0
 skinbake_Frame skinbakeRest = skinbake_rest();
-#if SKINBAKE > 2 && defined(MORPHTARGETS) && defined(MORPHTARGETS_TANGENT)
+#if SKINBAKE_MORPHS > 4
+skinbake_Frame skinbakeFrame = skinbake_moved_frame(skinbakeRest, skinbake_morph(0), skinbake_morph(1).xy);
+#elif SKINBAKE_MORPHS > 0
+skinbake_Frame skinbakeFrame = skinbake_moved_frame_by_normal(skinbakeRest, normalUpdated, skinbake_morph(0));
+#elif SKINBAKE > 2 && defined(MORPHTARGETS) && defined(MORPHTARGETS_TANGENT)
 skinbake_Frame skinbakeFrame = skinbake_morphed_tangent_frame(skinbakeRest, normalUpdated, tangentUpdated.xyz);
 #else
 skinbake_Frame skinbakeFrame = skinbakeRest;
@@ -136,8 +162,9 @@ vNormalW = skinbakeSide * normalize(skinbakeCofactors * skinbakeLit.normal);
 #if defined(BUMP) || defined(PARALLAX) || defined(CLEARCOAT_BUMP) || defined(ANISOTROPIC) || defined(GEOMETRY_NORMAL) || defined(GEOMETRY_COAT_NORMAL) || defined(FUZZ)
 // A normal map is a relief over the surface: its slopes are carried by cofactors, as the normal is.
 #if SKINBAKE > 2
-vec3 skinbakeCotangent = length(skinbakeFrame.tangent) * skinbakeLit.cotangent;
-vec3 skinbakeCobitangent = length(skinbakeFrame.tangent) * skinbakeLit.cobitangent;
+float skinbakeLength = length(SKINBAKE_MORPHS > 0 ? skinbakeRest.tangent : skinbakeFrame.tangent);
+vec3 skinbakeCotangent = skinbakeLength * skinbakeLit.cotangent;
+vec3 skinbakeCobitangent = skinbakeLength * skinbakeLit.cobitangent;
 #else
 // Cofactors are linear: those of t and b follow from those of t0, b0 and n0. t may lean from n0.
 vec3 skinbakeT = normalize(tangent.xyz);
@@ -166,11 +193,36 @@ attribute skinbakeBeta1: vec4f;
 #endif
 uniform skinbakeScale: f32;
 
-//% for name, part in wgsl.parts.items() if name not in [wgsl.stem, "morphed_tangent", "frame_tangent", "frame_normal", "normal_map"]
+//% for name, part in wgsl.parts.items() if name not in [wgsl.stem, "morphed_tangent", "moved_frame", "moved_frame_by_normal", "frame_tangent", "frame_normal", "normal_map"]
 @{ part }
 
 //% endfor
 @{ wgsl.parts.morphed_tangent }
+
+#if SKINBAKE_MORPHS > 0
+@{ wgsl.parts.moved_frame }
+
+@{ wgsl.parts.moved_frame_by_normal }
+
+var skinbakeMorphs: texture_2d_array<f32>;
+
+fn skinbake_morph(part: i32) -> vec4<f32> {
+    var total = vec4<f32>(0.0);
+#if SKINBAKE_MORPHS > 4
+    let texel = i32(vertexInputs.vertexIndex) * 2 + part;
+#else
+    let texel = i32(vertexInputs.vertexIndex) + part;
+#endif
+    let width = i32(textureDimensions(skinbakeMorphs).x);
+    for (var i = 0; i < NUM_MORPH_INFLUENCERS; i = i + 1) {
+        if (f32(i) >= uniforms.morphTargetCount) { break; }
+        let layer = i32(uniforms.morphTargetTextureIndices[i]);
+        let place = vec2<i32>(texel % width, texel / width);
+        total += uniforms.morphTargetInfluences[i] * textureLoad(skinbakeMorphs, place, layer, 0);
+    }
+    return total;
+}
+#endif
 
 #if SKINBAKE > 2
 @{ wgsl.parts.frame_tangent }
@@ -259,7 +311,11 @@ fn skinbake_lit(p: vec3<f32>, frame: skinbake_Frame) -> skinbake_Vertex {
     CUSTOM_VERTEX_UPDATE_WORLDPOS: /* wgsl */ `
 #if SKINBAKE > 0
 let skinbakeRest = skinbake_rest();
-#if SKINBAKE > 2 && defined(MORPHTARGETS) && defined(MORPHTARGETS_TANGENT)
+#if SKINBAKE_MORPHS > 4
+let skinbakeFrame = skinbake_moved_frame(skinbakeRest, skinbake_morph(0), skinbake_morph(1).xy);
+#elif SKINBAKE_MORPHS > 0
+let skinbakeFrame = skinbake_moved_frame_by_normal(skinbakeRest, normalUpdated, skinbake_morph(0));
+#elif SKINBAKE > 2 && defined(MORPHTARGETS) && defined(MORPHTARGETS_TANGENT)
 let skinbakeFrame = skinbake_morphed_tangent_frame(skinbakeRest, normalUpdated, tangentUpdated.xyz);
 #else
 var skinbakeFrame = skinbakeRest;
@@ -281,8 +337,13 @@ vertexOutputs.vNormalW = skinbakeSide * normalize(skinbakeCofactors * skinbakeLi
 #if SKINBAKE > 0 && defined(TANGENT)
 #if defined(BUMP) || defined(PARALLAX) || defined(CLEARCOAT_BUMP) || defined(ANISOTROPIC) || defined(GEOMETRY_NORMAL) || defined(FUZZ)
 #if SKINBAKE > 2
-let skinbakeCotangent = length(skinbakeFrame.tangent) * skinbakeLit.cotangent;
-let skinbakeCobitangent = length(skinbakeFrame.tangent) * skinbakeLit.cobitangent;
+#if SKINBAKE_MORPHS > 0
+let skinbakeLength = length(skinbakeRest.tangent);
+#else
+let skinbakeLength = length(skinbakeFrame.tangent);
+#endif
+let skinbakeCotangent = skinbakeLength * skinbakeLit.cotangent;
+let skinbakeCobitangent = skinbakeLength * skinbakeLit.cobitangent;
 #else
 let skinbakeT = normalize(vertexInputs.tangent.xyz);
 let skinbakeB = vertexInputs.tangent.w * normalize(cross(skinbakeRest.normal, skinbakeT));
