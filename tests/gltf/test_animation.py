@@ -572,10 +572,10 @@ def test_the_rig_of_many_meshes_is_made_once(tmp_path: Path, monkeypatch: pytest
         root["nodes"].append({**drawing, "mesh": 5, "skin": 1})
 
     document = read_document(str(models.edited("bent_tube.glb", tmp_path, draw_copies)))
-    parents = count_calls(monkeypatch, rigs, "_joint_parents")
+    made = count_calls(monkeypatch, rigs, "Rig")
     node_skins = count_calls(monkeypatch, animation, "reference")
     found = [rig_of_mesh(document, mesh) for mesh in range(6)]
     assert [others for _, others in found] == [0, 0, 0, 0, 0, 1]
     assert len({id(rig) for rig, _ in found}) == 1
-    assert len(parents) == 2  # one for each skin
+    assert len(made) == 2  # one for each skin
     assert len(node_skins) == 2 * len(document.objects("nodes"))

@@ -57,7 +57,11 @@ def read_accessor(document: Document, number: int, place: Place) -> StoredArray:
     each other.
     """
     accessor = document.objects("accessors")[number]
-    dtype, components = _format(accessor, number, place)
+    dtype = component_dtype(accessor)
+    kind = accessor.get("type")
+    components = COMPONENTS.get(kind) if isinstance(kind, str) else None
+    if dtype is None or components is None:
+        raise _unknown_format(accessor, number, place)
     count = integer(accessor, "count", place, minimum=1)
     values = draco.decoded_accessor(document, number, (dtype, components, count), place)
     if values is None:
@@ -99,15 +103,6 @@ def is_small_matrix(accessor: JsonObject) -> bool:
 def element_count(document: Document, number: int, place: Place) -> int:
     """Return the declared number of elements of an accessor, without reading its data."""
     return integer(document.objects("accessors")[number], "count", place, minimum=1)
-
-
-def _format(accessor: JsonObject, number: int, place: Place) -> tuple[np.dtype[np.generic], int]:
-    dtype = component_dtype(accessor)
-    kind = accessor.get("type")
-    components = COMPONENTS.get(kind) if isinstance(kind, str) else None
-    if dtype is None or components is None:
-        raise _unknown_format(accessor, number, place)
-    return dtype, components
 
 
 def _unknown_format(accessor: JsonObject, number: int, place: Place) -> InputError:

@@ -105,17 +105,7 @@ class Skeleton:
         animated maps (node of the document, path) to its values in P poses. turned (J, P, 4) are rotations to
         add to those of the joints, or None. The transform of the node that draws the mesh has no effect.
         """
-        local = self._local(animated, count)
-        if turned is not None:
-            extra = np.zeros((*turned.shape[:2], 4, 4))
-            extra[..., :3, :3] = poses.rotation_matrices(turned)
-            extra[..., 3, 3] = 1.0
-            local[self.joints] = local[self.joints] @ extra
-        joints = poses.global_transforms(local, self.parents)[self.joints]
-        return np.ascontiguousarray(np.swapaxes(joints @ self.inverse_bind[:, None], 0, 1))
-
-    def _local(self, animated: dict[tuple[int, str], Float64Array], count: int) -> Float64Array:
-        """Return the transforms (N, P, 4, 4) of nodes relative to their parents."""
+        # The transforms (N, P, 4, 4) of nodes relative to their parents.
         parts = []
         for path, rest in zip(PATHS, (self.translations, self.rotations, self.scales), strict=True):
             values = np.repeat(rest[:, None], count, axis=1)
@@ -126,7 +116,13 @@ class Skeleton:
         local = poses.composed(*parts)
         for position, matrix in self.matrices.items():
             local[position] = matrix
-        return local
+        if turned is not None:
+            extra = np.zeros((*turned.shape[:2], 4, 4))
+            extra[..., :3, :3] = poses.rotation_matrices(turned)
+            extra[..., 3, 3] = 1.0
+            local[self.joints] = local[self.joints] @ extra
+        joints = poses.global_transforms(local, self.parents)[self.joints]
+        return np.ascontiguousarray(np.swapaxes(joints @ self.inverse_bind[:, None], 0, 1))
 
 
 def rest_pose(skeleton: Skeleton) -> Float64Array:
@@ -204,23 +200,21 @@ def read_skeleton(document: Document, skin_index: int) -> Skeleton:
     known: dict[int, Skeleton | InputError] = document.derived.setdefault("skeletons by skin", {})
     if skin_index not in known:
         try:
-            known[skin_index] = _shared_skeleton(document, skin_index)
+            # A skeleton is read once for all skins that list the same joints and inverse bind matrices.
+            skin, owner = document.objects("skins")[skin_index], f"skin {skin_index}"
+            count, joints = len(document.objects("accessors")), listed_joints(document, skin_index)
+            matrices = index(skin, "inverseBindMatrices", count, document.place, owner=owner, kind="accessor")
+            alike: dict[object, Skeleton] = document.derived.setdefault("skeletons", {})
+            key = tuple(joints), matrices
+            if key not in alike:
+                alike[key] = _read_skeleton(document, skin_index, joints, matrices)
+            known[skin_index] = alike[key]
         except InputError as error:
             known[skin_index] = error
     found = known[skin_index]
     if isinstance(found, InputError):
         raise found.with_traceback(None)
     return found
-
-
-def _shared_skeleton(document: Document, skin_index: int) -> Skeleton:
-    """Return the skeleton of a skin, which is read once for all skins that say the same."""
-    joints, matrices = listed_joints(document, skin_index), _matrices_of(document, skin_index)
-    known: dict[object, Skeleton] = document.derived.setdefault("skeletons", {})
-    key = tuple(joints), matrices
-    if key not in known:
-        known[key] = _read_skeleton(document, skin_index, joints, matrices)
-    return known[key]
 
 
 def listed_joints(document: Document, skin_index: int) -> list[int]:
@@ -234,18 +228,15 @@ def listed_joints(document: Document, skin_index: int) -> list[int]:
     return [joint for joint in joints if joint is not None]
 
 
-def _matrices_of(document: Document, skin_index: int) -> int | None:
-    """Return the accessor of the inverse bind matrices of a skin, None if it has none."""
-    skin, owner = document.objects("skins")[skin_index], f"skin {skin_index}"
-    count = len(document.objects("accessors"))
-    return index(skin, "inverseBindMatrices", count, document.place, owner=owner, kind="accessor")
-
-
 def _read_skeleton(
     document: Document, skin_index: int, joints: Sequence[int], matrices_in: int | None
 ) -> Skeleton:
     place, nodes = document.place, document.objects("nodes")
-    parents = _parents(document)
+    # The parents are read once, because every skin needs them.
+    known = document.derived.setdefault("nodes", {})
+    if "parents" not in known:
+        known["parents"] = _read_parents(document)
+    parents: dict[int, int] = known["parents"]
     order = _ancestors_first(joints, parents, place)
     document.budget.claim(
         BYTES_A_NODE * len(order), f"the joints of skin {skin_index} and those above", place
@@ -267,15 +258,6 @@ def _read_skeleton(
         inverse_bind=_inverse_bind(document, matrices_in, len(joints)),
         matrices=matrices,
     )
-
-
-def _parents(document: Document) -> dict[int, int]:
-    """Return the parent of each node that has one; cached, because every skin needs it."""
-    known = document.derived.setdefault("nodes", {})
-    if "parents" not in known:
-        known["parents"] = _read_parents(document)
-    found: dict[int, int] = known["parents"]
-    return found
 
 
 def _read_parents(document: Document) -> dict[int, int]:

@@ -77,7 +77,30 @@ class Beside:
         self._uris = uris
         renamed = [(resource, uris[resource.uri]) for resource in named if uris[resource.uri] != resource.uri]
         document = _with_uris(self._document, renamed) if renamed else self._document
-        return document, self._files, self._serving, self._notices()
+        place, told, found = self._document.place, self._document.told, []
+        if missing := [uri for uri in self._missing if uri not in told]:
+            count = len(missing)
+            files = "1 file that it names is" if count == 1 else f"{count} files that it names are"
+            message = f"{files} missing and cannot be copied: {listed(missing)}"
+            found.append(Notice("file-missing", message, place, count))
+        if away := [uri for uri in self._outside if uri not in told]:
+            count = len(away)
+            images = "1 image is" if count == 1 else f"{count} images are"
+            message = (
+                f"{images} outside its folder, and neither read nor copied; the output refers to "
+                f"the same place: {listed(away)}"
+            )
+            found.append(Notice("image-outside", message, place, count))
+        if unopened := [(uri, why) for uri, why in self._refused if uri not in told]:
+            count, (uri, why) = len(unopened), unopened[0]
+            names = one_or_many(
+                count,
+                "1 URI names no file beside it, and stays as it is:",
+                "{} URIs name no file beside it, and stay as they are. The first is",
+            )
+            message = f'{names} "{shortened(uri)}": {why}'
+            found.append(Notice("uri-refused", message, place, count))
+        return document, self._files, self._serving, found
 
     def final(self) -> Document | None:
         """Return the document as it is when earlier copies are replaced, None if none will be.
@@ -212,32 +235,6 @@ class Beside:
         """Tell whether a path, all links followed, is the target."""
         return Path(os.path.realpath(path)) == self._target
 
-    def _notices(self) -> list[Notice]:
-        place, told, found = self._document.place, self._document.told, []
-        if missing := [uri for uri in self._missing if uri not in told]:
-            count = len(missing)
-            files = "1 file that it names is" if count == 1 else f"{count} files that it names are"
-            message = f"{files} missing and cannot be copied: {listed(missing)}"
-            found.append(Notice("file-missing", message, place, count))
-        if away := [uri for uri in self._outside if uri not in told]:
-            count = len(away)
-            images = "1 image is" if count == 1 else f"{count} images are"
-            message = (
-                f"{images} outside its folder, and neither read nor copied; the output refers to "
-                f"the same place: {listed(away)}"
-            )
-            found.append(Notice("image-outside", message, place, count))
-        if unopened := [(uri, why) for uri, why in self._refused if uri not in told]:
-            count, (uri, why) = len(unopened), unopened[0]
-            names = one_or_many(
-                count,
-                "1 URI names no file beside it, and stays as it is:",
-                "{} URIs name no file beside it, and stay as they are. The first is",
-            )
-            message = f'{names} "{shortened(uri)}": {why}'
-            found.append(Notice("uri-refused", message, place, count))
-        return found
-
 
 def _same(first: Iterable[Bytes], second: Iterable[Bytes]) -> bool:
     """Tell whether two series of pieces are the same bytes."""
@@ -249,7 +246,11 @@ def named_files(document: Document) -> Iterator[NamedFile]:
     for array in ("buffers", "images"):
         for number, entry in enumerate(document.objects(array)):
             uri = entry.get("uri")
-            if isinstance(uri, str) and not is_data_uri(uri) and not _is_on_the_network(uri):
+            if (
+                isinstance(uri, str)
+                and not is_data_uri(uri)
+                and not ("://" in uri and not uri.lower().startswith("file:"))
+            ):
                 yield NamedFile(array, number, uri)
 
 
@@ -295,10 +296,6 @@ def files_read(document: Document, target: str | None, *, pack: bool) -> tuple[s
             if resource.array == "buffers" or pack or file.is_own:
                 found.append(file.path)
     return tuple(dict.fromkeys(found))
-
-
-def _is_on_the_network(uri: str) -> bool:
-    return "://" in uri and not uri.lower().startswith("file:")
 
 
 def _with_uris(document: Document, renamed: Sequence[tuple[NamedFile, str]]) -> Document:

@@ -50,23 +50,10 @@ def compacted(before: Document, after: Document) -> Document:
     gone = {
         buffer for buffer in holes if buffer not in needed and not (buffer == 0 and after.has_binary_buffer)
     }
-    root = _renumbered(after.json, {number: position for position, number in enumerate(kept)})
-    shifts = {buffer: _Shifts.of(ranges) for buffer, ranges in holes.items()}
-    lower = sorted(gone)
-    root["bufferViews"] = [_moved(views[number], shifts, lower, after.place) for number in kept]
-    return _cut(after, root, holes, gone)
-
-
-def _has_bytes(document: Document, number: int) -> bool:
-    """Tell whether a buffer has bytes; fallback buffers of meshopt have none."""
-    is_chunk = number == 0 and document.has_binary_buffer
-    return is_chunk or document.objects("buffers")[number].get("uri") is not None
-
-
-def _renumbered(root: JsonObject, numbers: dict[int, int]) -> JsonObject:
-    """Return a copy of the JSON with new numbers in its references to buffer views."""
+    # A copy of the JSON with new numbers in its references to buffer views.
+    numbers = {number: position for position, number in enumerate(kept)}
     result: JsonObject = {}
-    left: list[tuple[Any, Any]] = [(root, result)]
+    left: list[tuple[Any, Any]] = [(after.json, result)]
     while left:
         node, copy = left.pop()
         for key, value in node.items() if isinstance(node, dict) else enumerate(node):
@@ -79,7 +66,17 @@ def _renumbered(root: JsonObject, numbers: dict[int, int]) -> JsonObject:
             else:
                 number = reference(value) if key == VIEW else None
                 copy[key] = value if number is None else numbers.get(number, value)
-    return result
+    root = result
+    shifts = {buffer: _Shifts.of(ranges) for buffer, ranges in holes.items()}
+    lower = sorted(gone)
+    root["bufferViews"] = [_moved(views[number], shifts, lower, after.place) for number in kept]
+    return _cut(after, root, holes, gone)
+
+
+def _has_bytes(document: Document, number: int) -> bool:
+    """Tell whether a buffer has bytes; fallback buffers of meshopt have none."""
+    is_chunk = number == 0 and document.has_binary_buffer
+    return is_chunk or document.objects("buffers")[number].get("uri") is not None
 
 
 def _by_buffer(document: Document, views: Sequence[JsonObject]) -> dict[int, list[Range]]:

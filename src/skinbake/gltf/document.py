@@ -110,23 +110,22 @@ class Document:
         Raises InputError where its URI cannot be resolved or holds fewer bytes than declared.
         """
         if index not in self._loaded:
-            self._loaded[index] = self._load_buffer(index)
+            buffer = self.objects("buffers")[index]
+            length = json_access.integer(buffer, "byteLength", self.place, minimum=1)
+            uri = json_access.text(buffer, "uri", self.place)
+            if uri is not None:
+                new = self.new_files.get(uri)
+                data: Bytes = joined(new) if new else self._resource(index, uri)
+            elif index == 0 and self.has_binary_buffer:
+                data = joined(self.binary or ())
+            else:
+                raise InputError(
+                    f"buffer {index} has no URI and there is no BIN chunk that holds it", self.place
+                )
+            if len(data) < length:
+                raise InputError(_why_short(index, uri, data, length), self.place)
+            self._loaded[index] = memoryview(data)[:length]
         return self._loaded[index]
-
-    def _load_buffer(self, index: int) -> memoryview:
-        buffer = self.objects("buffers")[index]
-        length = json_access.integer(buffer, "byteLength", self.place, minimum=1)
-        uri = json_access.text(buffer, "uri", self.place)
-        if uri is not None:
-            new = self.new_files.get(uri)
-            data: Bytes = joined(new) if new else self._resource(index, uri)
-        elif index == 0 and self.has_binary_buffer:
-            data = joined(self.binary or ())
-        else:
-            raise InputError(f"buffer {index} has no URI and there is no BIN chunk that holds it", self.place)
-        if len(data) < length:
-            raise InputError(_why_short(index, uri, data, length), self.place)
-        return memoryview(data)[:length]
 
     def _resource(self, index: int, uri: str) -> Bytes:
         """Return the bytes that the URI of a buffer names; all edited versions share one reading."""
@@ -177,7 +176,17 @@ def read_document(path: str, bounds: Bounds = BESIDE) -> Document:
 def _parsed(path: str, bounds: Bounds) -> Document:
     budget = Budget()
     if path == STDIO:
-        return parse_glb(_read_stdin(budget), STDIN, Path(), bounds._replace(root=NOWHERE), budget)
+        # Its size is not known, so that it is counted block by block.
+        data = bytearray()
+        try:
+            while block := sys.stdin.buffer.read(resources.BLOCK):
+                budget.back(len(block), None, "reading it", Place(STDIN))
+                data += block
+        except (AttributeError, OSError) as error:  # AttributeError: stdin is closed
+            raise InputError(
+                f"cannot be read: {getattr(error, 'strerror', None) or 'it is closed'}", Place(STDIN)
+            ) from error
+        return parse_glb(memoryview(data).toreadonly(), STDIN, Path(), bounds._replace(root=NOWHERE), budget)
     file = Path(path)
     suffix = file.suffix.lower()
     if suffix != GLTF_SUFFIX and suffix not in GLB_SUFFIXES:
@@ -232,20 +241,6 @@ def read_named(path: str, root: str | None, budget: Budget) -> Bytes:
         raise InputError(f"cannot be read: {reason}", Place(path)) from error
     except ValueError as error:
         raise InputError(f"cannot be read: {error}", Place(path)) from error
-
-
-def _read_stdin(budget: Budget) -> Bytes:
-    """Return the bytes of standard input, which are counted block by block: it does not tell its size."""
-    data = bytearray()
-    try:
-        while block := sys.stdin.buffer.read(resources.BLOCK):
-            budget.back(len(block), None, "reading it", Place(STDIN))
-            data += block
-    except (AttributeError, OSError) as error:  # AttributeError: stdin is closed
-        raise InputError(
-            f"cannot be read: {getattr(error, 'strerror', None) or 'it is closed'}", Place(STDIN)
-        ) from error
-    return memoryview(data).toreadonly()
 
 
 def parse_glb(
@@ -311,14 +306,29 @@ def parse_gltf(
 
 
 def _parse_json(data: bytes, budget: Budget, place: Place) -> json_access.JsonObject:
-    budget.claim(_parsed_size(data), "its JSON", place)
+    # About the memory of a parsed JSON text in bytes (objects of CPython, 64 bit).
+    costs = {b"{": 240, b":": 100, b"[": 64, b",": 40}
+    budget.claim(
+        (2 * len(data) + sum(cost * data.count(mark) for mark, cost in costs.items())), "its JSON", place
+    )
     try:
         root = json_text.parsed(data.decode("utf-8-sig"))
     except ValueError as error:
         raise InputError(f"its JSON cannot be parsed: {_fault(error)}", place) from error
     if not isinstance(root, dict):
         raise InputError("its JSON is not an object", place)
-    _check_version(json_access.member(root, "asset", place), place)
+    asset = json_access.member(root, "asset", place)
+    number = asset.get("version")
+    if isinstance(number, int | float) and not isinstance(number, bool) and number < 2:
+        version: str | None = str(number)  # files from before 2.0 may write it so
+    else:
+        version = json_access.text(asset, "version", place)
+    if version is None:
+        raise InputError('its glTF version is unknown: "asset.version" is missing', place)
+    least = json_access.text(asset, "minVersion", place) or "2.0"
+    if version.split(".")[0] != "2" or least != "2.0":
+        wanted = version if least == "2.0" else least
+        raise UnsupportedFeatureError(f'it needs glTF version "{wanted}"; only 2.0 is supported', place)
     return root
 
 
@@ -332,26 +342,6 @@ def _fault(error: ValueError) -> str:
         return "it ends too early; the file may be cut short"
     found = JSON_FAULTS.get(error.msg) or error.msg.replace("Expecting", "expected")
     return f"line {error.lineno}, column {error.colno}: {found}"
-
-
-def _parsed_size(data: bytes) -> int:
-    """Return about the memory of a parsed JSON text in bytes (objects of CPython, 64 bit)."""
-    costs = {b"{": 240, b":": 100, b"[": 64, b",": 40}
-    return 2 * len(data) + sum(cost * data.count(mark) for mark, cost in costs.items())
-
-
-def _check_version(asset: json_access.JsonObject, place: Place) -> None:
-    number = asset.get("version")
-    if isinstance(number, int | float) and not isinstance(number, bool) and number < 2:
-        version: str | None = str(number)  # files from before 2.0 may write it so
-    else:
-        version = json_access.text(asset, "version", place)
-    if version is None:
-        raise InputError('its glTF version is unknown: "asset.version" is missing', place)
-    least = json_access.text(asset, "minVersion", place) or "2.0"
-    if version.split(".")[0] != "2" or least != "2.0":
-        wanted = version if least == "2.0" else least
-        raise UnsupportedFeatureError(f'it needs glTF version "{wanted}"; only 2.0 is supported', place)
 
 
 def _indentation(data: bytes) -> str | None:

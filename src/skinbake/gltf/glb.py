@@ -58,8 +58,16 @@ def split_glb(data: Bytes, place: Place) -> GlbChunks:
             "copy or download it again",
             place,
         )
-    json_chunk, binary, others = _sorted_chunks(_chunks(view[:length], place), place)
-    return GlbChunks(json_chunk, binary, others, view[length:])
+    chunks = _chunks(view[:length], place)
+    if not chunks or chunks[0][0] != CHUNK_JSON:
+        raise InputError("the first chunk of the GLB is not JSON", place)
+    binary: memoryview | None = None
+    rest = chunks[1:]
+    if rest and rest[0][0] == CHUNK_BIN:
+        binary, rest = rest[0][1], rest[1:]
+    if any(kind in {CHUNK_JSON, CHUNK_BIN} for kind, _ in rest):
+        raise InputError("the GLB has a second JSON or BIN chunk, or one in the wrong place", place)
+    return GlbChunks(chunks[0][1], binary, tuple(rest), view[length:])
 
 
 def _not_glb(head: bytes, place: Place) -> str:
@@ -88,20 +96,6 @@ def _chunks(view: memoryview, place: Place) -> list[tuple[int, memoryview]]:
         chunks.append((kind, view[start : start + length]))
         offset = start + length
     return chunks
-
-
-def _sorted_chunks(
-    chunks: list[tuple[int, memoryview]], place: Place
-) -> tuple[memoryview, memoryview | None, tuple[tuple[int, memoryview], ...]]:
-    if not chunks or chunks[0][0] != CHUNK_JSON:
-        raise InputError("the first chunk of the GLB is not JSON", place)
-    binary: memoryview | None = None
-    rest = chunks[1:]
-    if rest and rest[0][0] == CHUNK_BIN:
-        binary, rest = rest[0][1], rest[1:]
-    if any(kind in {CHUNK_JSON, CHUNK_BIN} for kind, _ in rest):
-        raise InputError("the GLB has a second JSON or BIN chunk, or one in the wrong place", place)
-    return chunks[0][1], binary, tuple(rest)
 
 
 def join_glb(

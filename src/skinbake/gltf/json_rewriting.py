@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 from skinbake.gltf.json_text import collector_off, written
@@ -86,7 +86,13 @@ class _Rewriting:
         if after is not before:
             if isinstance(before, dict) and isinstance(after, dict):
                 members = [_Entry(key, value, after.get(key, _REMOVED)) for key, value in before.items()]
-                return self._holder(at, members, _added(before, after), depth, after)
+                return self._holder(
+                    at,
+                    members,
+                    [_Entry(key, _REMOVED, value) for key, value in after.items() if key not in before],
+                    depth,
+                    after,
+                )
             if isinstance(before, list) and isinstance(after, list):
                 entries, more = _paired(before, after)
                 return self._holder(at, entries, more, depth, None)
@@ -172,10 +178,6 @@ def _are_equal_scalars(before: Any, after: Any) -> bool:
     """Tell whether two values are one and the same scalar: 1 is not 1.0, and 0.0 is not −0.0."""
     is_scalar = not isinstance(after, dict | list)
     return is_scalar and type(before) is type(after) and repr(before) == repr(after)
-
-
-def _added(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[_Entry]:
-    return [_Entry(key, _REMOVED, value) for key, value in after.items() if key not in before]
 
 
 def _paired(before: Sequence[Any], after: Sequence[Any]) -> tuple[list[_Entry], list[_Entry]]:

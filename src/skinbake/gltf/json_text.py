@@ -62,7 +62,11 @@ def _parsed_in_a_loop(text: str, decoder: json.JSONDecoder) -> Any:
         else:
             is_open = False
             value, at = decoder.raw_decode(text, at)
-        _add(holders[-1], key, value)
+        holder = holders[-1]
+        if isinstance(holder, dict):
+            holder[key] = value
+        else:
+            holder.append(value)
         if is_open:
             holders.append(value)
             if len(holders) > DEEPEST:
@@ -103,13 +107,6 @@ def _key(text: str, at: int, decoder: json.JSONDecoder) -> tuple[str, int]:
     if text[at : at + 1] != ":":
         raise json.JSONDecodeError("Expecting ':' delimiter", text, at)
     return str(key), _after_space(text, at + 1)
-
-
-def _add(holder: Any, key: str, value: Any) -> None:
-    if isinstance(holder, dict):
-        holder[key] = value
-    else:
-        holder.append(value)
 
 
 def written(value: Any, *, indent: str | None, ascii_only: bool) -> str:

@@ -185,7 +185,12 @@ def refuse_own_input(document: Document, source: str, target: str) -> None:
         try:
             file, descriptor = find(resource.uri, document.folder, document.bounds)
         except OutsideError:  # the file is not opened, and its identity is not read
-            is_own = _leads_to(resource.uri, document.folder, written)
+            # Whether a URI names a path, judged by names only.
+            home = os.path.realpath(document.folder)
+            is_own = any(
+                os.path.normpath(Path(home, name)) == os.path.normpath(written)
+                for name in relative_names(resource.uri)
+            )
         except (OSError, RefusedError):
             continue
         else:
@@ -209,12 +214,6 @@ def other_names(source: str) -> list[Notice]:
         "it has {} other names (hard links), which keep the former bytes",
     )
     return [Notice("hard-links", message, Place(source), count)]
-
-
-def _leads_to(uri: str, folder: Path, path: Path) -> bool:
-    """Tell whether a URI names a path, judged by names only."""
-    home = os.path.realpath(folder)
-    return any(os.path.normpath(Path(home, name)) == os.path.normpath(path) for name in relative_names(uri))
 
 
 def _serialised(document: Document) -> Sequence[Bytes]:

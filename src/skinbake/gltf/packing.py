@@ -218,7 +218,16 @@ def _with_images(
         if uri not in known:
             try:
                 data = _bytes_at(uri, document)
-                kind = _mime_type(image, uri, data)
+                # The MIME type by the bytes, else as the URI or the image tells.
+                head = bytes(data[:12])
+                found = next((kind for start, kind in MIME_TYPES.items() if head.startswith(start)), None)
+                if head[:4] == b"RIFF" and head[8:] == b"WEBP":
+                    found = "image/webp"
+                declared = uri[len("data:") :].partition(",")[0].partition(";")[0] if is_data_uri(uri) else ""
+                told = image.get("mimeType")
+                kind = found or (declared if declared.startswith("image/") else told)
+                if not data or not isinstance(kind, str):
+                    raise _StaysError("unknown", "is in an unknown format" if data else "is empty")
             except _StaysError as reason:
                 images.append(image)
                 if not is_data_uri(uri):
@@ -235,7 +244,23 @@ def _with_images(
 def _bytes_at(uri: str, document: Document) -> Bytes:
     """Return the bytes of an image. Raises _StaysError, or InputError if a file is too large."""
     if not is_data_uri(uri):
-        return _file_at(uri, document)
+        # The bytes of an image's file, within the bounds of the document.
+        def claim(size: int) -> None:
+            document.budget.claim(size, f'image "{shortened(uri)}"', document.place)
+
+        try:
+            descriptor = find(uri, document.folder, document.bounds)[1]
+            try:
+                return read_open_file(descriptor, claim)
+            finally:
+                os.close(descriptor)
+        except OutsideError as error:
+            why = f"is not read: {error}. --allow-outside DIR names further folders"
+            raise _StaysError("outside", why) from error
+        except RefusedError as error:
+            raise _StaysError("refused", f"is not read: {error}") from error
+        except OSError as error:
+            raise _StaysError("unreadable", f"cannot be read: {error.strerror}") from error
     try:
         document.budget.claim(2 * len(uri), "holding its images", document.place)
         data = decode_data_uri(uri, document.place)
@@ -244,38 +269,3 @@ def _bytes_at(uri: str, document: Document) -> Bytes:
             raise
         raise _StaysError("unreadable", error.message) from error
     return data
-
-
-def _file_at(uri: str, document: Document) -> Bytes:
-    """Return the bytes of an image's file, within the bounds of the document."""
-
-    def claim(size: int) -> None:
-        document.budget.claim(size, f'image "{shortened(uri)}"', document.place)
-
-    try:
-        descriptor = find(uri, document.folder, document.bounds)[1]
-        try:
-            return read_open_file(descriptor, claim)
-        finally:
-            os.close(descriptor)
-    except OutsideError as error:
-        why = f"is not read: {error}. --allow-outside DIR names further folders"
-        raise _StaysError("outside", why) from error
-    except RefusedError as error:
-        raise _StaysError("refused", f"is not read: {error}") from error
-    except OSError as error:
-        raise _StaysError("unreadable", f"cannot be read: {error.strerror}") from error
-
-
-def _mime_type(image: JsonObject, uri: str, data: Bytes) -> str:
-    """Return the MIME type by the bytes, else as the URI or the image tells. Raises _StaysError."""
-    head = bytes(data[:12])
-    found = next((kind for start, kind in MIME_TYPES.items() if head.startswith(start)), None)
-    if head[:4] == b"RIFF" and head[8:] == b"WEBP":
-        found = "image/webp"
-    declared = uri[len("data:") :].partition(",")[0].partition(";")[0] if is_data_uri(uri) else ""
-    told = image.get("mimeType")
-    kind = found or (declared if declared.startswith("image/") else told)
-    if not data or not isinstance(kind, str):
-        raise _StaysError("unknown", "is in an unknown format" if data else "is empty")
-    return kind

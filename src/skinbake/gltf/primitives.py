@@ -220,7 +220,11 @@ def reason_to_skip(document: Document, source: PrimitiveSource, *, generate_norm
 
     Raises InputError if its JSON refers to missing accessors, or is not valid glTF.
     """
-    _check_references(document, source)
+    count = len(document.objects("accessors"))
+    for name in source.attributes:
+        index(source.attributes, name, count, source.place)
+    index(source.json, "indices", count, source.place)
+    member(member(source.json, "extensions", source.place), draco.EXTENSION, source.place)
     mode = integer(source.json, "mode", source.place, default=TRIANGLES)
     if mode > TRIANGLE_FAN:
         raise InputError(f'"mode" is {mode}; glTF knows 0 to {TRIANGLE_FAN}', source.place)
@@ -259,14 +263,6 @@ def is_unlit(document: Document, source: PrimitiveSource) -> bool:
         if (listed(vrm, "materialProperties", number) or {}).get("shader") == "VRM/MToon":
             return False
     return True
-
-
-def _check_references(document: Document, source: PrimitiveSource) -> None:
-    count = len(document.objects("accessors"))
-    for name in source.attributes:
-        index(source.attributes, name, count, source.place)
-    index(source.json, "indices", count, source.place)
-    member(member(source.json, "extensions", source.place), draco.EXTENSION, source.place)
 
 
 def _triangle_count(document: Document, source: PrimitiveSource, mode: int) -> int:

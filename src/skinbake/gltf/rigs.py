@@ -78,45 +78,37 @@ def _rig_of(document: Document, skeleton: Skeleton) -> Rig:
     known: dict[int, Rig] = document.derived.setdefault("rigs", {})
     key = id(skeleton)  # the document keeps its skeletons
     if key not in known:
-        parents = _joint_parents(skeleton)
+        # For each joint the next joint above it. Nodes that are not joints are passed over.
+        positions = skeleton.joints.tolist()
+        joint_at: dict[int, int] = {}
+        for joint, position in enumerate(positions):
+            joint_at.setdefault(position, joint)
+        above = [NO_PARENT] * len(skeleton.parents)
+        for position, parent in enumerate(skeleton.parents):  # parents come before their children
+            if parent >= 0:
+                above[position] = joint_at.get(parent, above[parent])
+        parents = np.empty(len(positions), dtype=np.int32)
+        parents[:] = [
+            above[position] if joint_at[position] == joint else joint_at[position]
+            for joint, position in enumerate(positions)
+        ]
         with document.budget.passing():
             nodes, joints = len(skeleton.nodes), len(skeleton.joints)
             what = f"the stored pose of {counted(nodes, 'node')} and {counted(joints, 'joint')}"
             size = BYTES_A_POSED_NODE * nodes + BYTES_A_POSED_JOINT * joints
             document.budget.claim(size, what, document.place)
-            known[key] = Rig(parents, _pivots(skeleton.inverse_bind), _stored_pose(skeleton, parents))
+            # The origins of the joints in mesh space (J, 3), NaN for a matrix that cannot be inverted.
+            pivots = np.full((len(skeleton.inverse_bind), 3), np.nan)
+            usable = np.flatnonzero(np.isfinite(skeleton.inverse_bind).all(axis=(1, 2)))
+            usable = usable[np.linalg.det(skeleton.inverse_bind[usable, :3, :3]) != 0.0]
+            linear, moved = skeleton.inverse_bind[usable, :3, :3], skeleton.inverse_bind[usable, :3, 3:]
+            pivots[usable] = -np.linalg.solve(linear, moved)[..., 0]
+            pivots[~np.isfinite(pivots).all(axis=1)] = np.nan
+            known[key] = Rig(parents, pivots, _stored_pose(skeleton, parents))
         document.budget.claim(
             BYTES_A_JOINT * joints, f"the rig of {counted(joints, 'joint')}", document.place
         )
     return known[key]
-
-
-def _joint_parents(skeleton: Skeleton) -> npt.NDArray[np.int32]:
-    """Return for each joint the next joint above it. Nodes that are not joints are passed over."""
-    positions = skeleton.joints.tolist()
-    joint_at: dict[int, int] = {}
-    for joint, position in enumerate(positions):
-        joint_at.setdefault(position, joint)
-    above = [NO_PARENT] * len(skeleton.parents)
-    for position, parent in enumerate(skeleton.parents):  # parents come before their children
-        if parent >= 0:
-            above[position] = joint_at.get(parent, above[parent])
-    parents = [
-        above[position] if joint_at[position] == joint else joint_at[position]
-        for joint, position in enumerate(positions)
-    ]
-    return np.array(parents, dtype=np.int32)
-
-
-def _pivots(inverse_bind: Float64Array) -> Float64Array:
-    """Return the origins of the joints in mesh space (J, 3), NaN for a matrix that cannot be inverted."""
-    pivots = np.full((len(inverse_bind), 3), np.nan)
-    usable = np.flatnonzero(np.isfinite(inverse_bind).all(axis=(1, 2)))
-    usable = usable[np.linalg.det(inverse_bind[usable, :3, :3]) != 0.0]
-    linear, moved = inverse_bind[usable, :3, :3], inverse_bind[usable, :3, 3:]
-    pivots[usable] = -np.linalg.solve(linear, moved)[..., 0]
-    pivots[~np.isfinite(pivots).all(axis=1)] = np.nan
-    return pivots
 
 
 def _stored_pose(skeleton: Skeleton, parents: npt.NDArray[np.int32]) -> Float64Array | None:

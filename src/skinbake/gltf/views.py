@@ -23,7 +23,13 @@ def view_bytes(document: Document, view_index: int, place: Place) -> memoryview:
         return stored_bytes(document, view, f"buffer view {view_index}", place)
     known = document.derived.setdefault("views", {})
     if view_index not in known:
-        known[view_index] = _decompressed(document, view_index, view, place)
+        name = str(meshopt.extension_of(view, place))
+        packing = meshopt.packing(view, name, f"buffer view {view_index}", place)
+        what = f"the {name} of buffer view {view_index}"
+        data = stored_bytes(document, view["extensions"][name], what, place)
+        meshopt.check_length(data, packing, what, place)
+        document.budget.claim_unpacked(packing.count * packing.stride, len(data), place)
+        known[view_index] = meshopt.decoded(data, packing, what, place)
     found: memoryview = known[view_index]
     return found
 
@@ -44,16 +50,6 @@ def stored_bytes(document: Document, holder: JsonObject, what: str, place: Place
             f"{what} ends at byte {start + length} of buffer {buffer_index}, which has {len(data)}", place
         )
     return data[start : start + length]
-
-
-def _decompressed(document: Document, view_index: int, view: JsonObject, place: Place) -> memoryview:
-    name = str(meshopt.extension_of(view, place))
-    packing = meshopt.packing(view, name, f"buffer view {view_index}", place)
-    what = f"the {name} of buffer view {view_index}"
-    data = stored_bytes(document, view["extensions"][name], what, place)
-    meshopt.check_length(data, packing, what, place)
-    document.budget.claim_unpacked(packing.count * packing.stride, len(data), place)
-    return meshopt.decoded(data, packing, what, place)
 
 
 COMPONENT_TYPES: dict[int, np.dtype[np.generic]] = {

@@ -270,15 +270,12 @@ def declared(
                 f"{vertices:,}{REMEDY}",
                 place,
             )
-        vertices, size = count, size + count * _element_size(accessors[number])
+        accessor = accessors[number]
+        kind, dtype = accessor.get("type"), component_dtype(accessor)
+        components = COMPONENTS.get(kind, 0) if isinstance(kind, str) else 0
+        vertices, size = count, size + count * (components * (dtype.itemsize if dtype is not None else 0))
     corners = index(primitive, "indices", len(accessors), place.at("indices"))
     if vertices == 0 or corners is None:
         raise InputError(f"its {EXTENSION} has no attributes, or the primitive has no indices", place)
     count = integer(accessors[corners], "count", place.at("indices"), minimum=1)
     return vertices, count, size + 4 * count
-
-
-def _element_size(accessor: JsonObject) -> int:
-    kind, dtype = accessor.get("type"), component_dtype(accessor)
-    components = COMPONENTS.get(kind, 0) if isinstance(kind, str) else 0
-    return components * (dtype.itemsize if dtype is not None else 0)

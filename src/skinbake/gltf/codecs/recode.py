@@ -133,25 +133,19 @@ class _Recoder:
         from skinbake.gltf.compaction import compacted
 
         result = compacted(self.document, applied)
-        return result.edited(json=_with_extensions(result.json, self._required, result.place))
-
-
-def _with_extensions(root: JsonObject, required: list[str], place: Place) -> JsonObject:
-    """Return the JSON with its compressions in extensionsUsed and extensionsRequired.
-
-    The JSON itself shows the extensions in use. ``required`` are those without which it cannot be read.
-    """
-    ours = {draco.EXTENSION, *meshopt.EXTENSIONS}
-    present = _extensions_in(root) & ours
-    root = dict(root)
-    for key in ("extensionsUsed", "extensionsRequired"):
-        kept = [name for name in names(root, key, place) if name not in ours or name in present]
-        kept += [name for name in required if name not in kept]
-        if kept:
-            root[key] = kept
-        else:
-            root.pop(key, None)
-    return root
+        # The JSON with its compressions in extensionsUsed and extensionsRequired.
+        root = result.json
+        ours = {draco.EXTENSION, *meshopt.EXTENSIONS}
+        present = _extensions_in(root) & ours
+        root = dict(root)
+        for key in ("extensionsUsed", "extensionsRequired"):
+            kept = [name for name in names(root, key, result.place) if name not in ours or name in present]
+            kept += [name for name in self._required if name not in kept]
+            if kept:
+                root[key] = kept
+            else:
+                root.pop(key, None)
+        return result.edited(json=root)
 
 
 def _extensions_in(root: JsonObject) -> set[str]:
@@ -232,7 +226,13 @@ def _into_meshopt(recoder: _Recoder, sources: list[PrimitiveSource], compression
             stays = not is_index and is_small_matrix(recoder.accessors[number])
             if number not in done and not stays and not _is_packed(document, number, source.place):
                 recoder.require(name)
-                _pack(recoder, number, packed, source if is_index else None, source.place)
+                members: JsonObject = {}
+                if is_index:
+                    values, members = _for_index_codec(read_indices(recoder.document, source)[:, None])
+                else:
+                    values = read_accessor(recoder.document, number, source.place).values
+                view = recoder.additions.add_values(values, packed, indices=is_index)
+                recoder.set_accessor(number, view, **members)
             done.add(number)
 
 
@@ -250,19 +250,6 @@ def _is_packed(document: Document, number: int, place: Place) -> bool:
     views = document.objects("bufferViews")
     view = index(document.objects("accessors")[number], "bufferView", len(views), place)
     return view is not None and meshopt.extension_of(views[view], place) is not None
-
-
-def _pack(
-    recoder: _Recoder, number: int, packed: Packed, indexed: PrimitiveSource | None, place: Place
-) -> None:
-    """Compress the values of an accessor; ``indexed`` is the primitive whose indices they are."""
-    members: JsonObject = {}
-    if indexed is None:
-        values = read_accessor(recoder.document, number, place).values
-    else:
-        values, members = _for_index_codec(read_indices(recoder.document, indexed)[:, None])
-    view = recoder.additions.add_values(values, packed, indices=indexed is not None)
-    recoder.set_accessor(number, view, **members)
 
 
 def _into_draco(
