@@ -36,9 +36,7 @@ if TYPE_CHECKING:
 
     from skinbake.cli.console import Console
     from skinbake.cli.given import Given
-    from skinbake.cli.inputs import Input
     from skinbake.commands.bake import Baker
-    from skinbake.files.urls import File
     from skinbake.report.bake import FileResult
 
 
@@ -66,7 +64,11 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[Given])
     say = console(given, results_on_stderr=given.get("output") == STDIO)
     found = expanded(inputs, but=given.get("out_dir"))
     targets, notes_at = targets_of(found, given), state_path(given)
-    _check_pack(given, targets)
+    # A .gltf has no binary chunk to pack files into.
+    for _, target in targets:
+        if given.get("pack") and target is not None and target.given.lower().endswith(".gltf"):
+            reason = f" needs a .glb or .vrm as output, because a .gltf has no binary chunk: {target.given}"
+            raise ChoiceError("pack", reason=(reason,))
     output = targets[0][1] if given.get("output") else None
     reports = {"--summary": given["summary"], "--state": notes_at, OPTION: given.get("depfile")}
     clip_files = [named_file(path) for path in given.get("fit_poses", ()) if Path(path).is_file()]
@@ -168,14 +170,6 @@ def _untracked_code(results: Sequence[FileResult], say: Console) -> int:
             say.error(OutputError(message, Place(str(output))))
             code = exit_codes.OUTPUT
     return code
-
-
-def _check_pack(given: Given, targets: Sequence[tuple[Input, File | None]]) -> None:
-    """Raise ChoiceError if --pack meets an output that has no binary chunk."""
-    for _, target in targets:
-        if given.get("pack") and target is not None and target.given.lower().endswith(".gltf"):
-            reason = f" needs a .glb or .vrm as output, because a .gltf has no binary chunk: {target.given}"
-            raise ChoiceError("pack", reason=(reason,))
 
 
 def baker_of(given: Mapping[str, Any]) -> Baker:

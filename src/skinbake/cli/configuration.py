@@ -337,7 +337,16 @@ def read_configuration(path: str) -> Configuration | None:
 
     Raises ConfigurationError if it cannot be read or is not TOML.
     """
-    data = _content(path)
+    from skinbake.files.folders import open_regular
+
+    try:
+        with os.fdopen(open_regular(path), "rb") as file:
+            data = file.read(LARGEST_CONFIG + 1)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigurationError(f"{path} cannot be read: {reason}") from error
+    if len(data) > LARGEST_CONFIG:
+        raise ConfigurationError(f"{path} is larger than {LARGEST_CONFIG:,} bytes, too large for options")
     import tomllib
 
     if DEEP_KEY.search(data):  # tomllib takes the square of its parts to read it
@@ -362,20 +371,6 @@ def _fault(error: Exception) -> str:
     if isinstance(error, UnicodeDecodeError):
         return "it is not text in UTF-8"
     return f"{error}{'; text stands in quotes' if str(error).startswith('Invalid value') else ''}"
-
-
-def _content(path: str) -> bytes:
-    from skinbake.files.folders import open_regular
-
-    try:
-        with os.fdopen(open_regular(path), "rb") as file:
-            data = file.read(LARGEST_CONFIG + 1)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise ConfigurationError(f"{path} cannot be read: {reason}") from error
-    if len(data) > LARGEST_CONFIG:
-        raise ConfigurationError(f"{path} is larger than {LARGEST_CONFIG:,} bytes, too large for options")
-    return data
 
 
 @cache
@@ -511,24 +506,9 @@ def _converted(
     configuration: Configuration, ctx: click.Context, keys: Keys, option: DeclaredOption, value: Any
 ) -> Any:
     """Return a value as click converts it. Raises ConfigurationError."""
-    expected = _kind_missed(option.declared, value)
-    if expected is not None:
-        configuration.refuse(keys, f"{_toml(value)}: expected {expected}")
-    if option.name == "fit_poses" and not all(map(POSES.fullmatch, value)):
-        configuration.refuse(
-            keys, 'expected "animations" or "random:N"; a file is given on the command line, by --fit-poses'
-        )
-    try:
-        return option.type_cast_value(ctx, value)
-    except click.BadParameter as error:
-        configuration.refuse(keys, error.message)
-
-
-def _kind_missed(declared: Option, value: Any) -> str | None:
-    """Return the kind of value that an option needs if this is another kind. click takes 3.7 for 3."""
-    values = declared.values
+    values = option.declared.values
     is_text, is_whole = isinstance(value, str), isinstance(value, int) and not isinstance(value, bool)
-    if declared.is_many:
+    if option.declared.is_many:
         fits = isinstance(value, list) and all(isinstance(one, str) for one in value)
         expected = "an array of texts"
     elif values is bool:
@@ -541,7 +521,16 @@ def _kind_missed(declared: Option, value: Any) -> str | None:
         fits, expected = is_text or is_whole, "an integer, or a text in quotes"
     else:
         fits, expected = is_text, "a text in quotes"
-    return None if fits else expected
+    if not fits:
+        configuration.refuse(keys, f"{_toml(value)}: expected {expected}")
+    if option.name == "fit_poses" and not all(map(POSES.fullmatch, value)):
+        configuration.refuse(
+            keys, 'expected "animations" or "random:N"; a file is given on the command line, by --fit-poses'
+        )
+    try:
+        return option.type_cast_value(ctx, value)
+    except click.BadParameter as error:
+        configuration.refuse(keys, error.message)
 
 
 def _toml(value: Any) -> str:

@@ -69,23 +69,20 @@ class Helpful(click.Command):
             raise
         ctx.allow_extra_args = False
         if not ctx.resilient_parsing:
-            self._refuse_options_as_names(ctx, left)
+            # Options after ``--`` were read as names of files.
+            names = list(left)
+            for param in self.params:
+                if isinstance(param, click.Argument):
+                    value = ctx.params.get(str(param.name)) or ()
+                    names += [value] if isinstance(value, str) else value
+            known = {name for param in self.params for name in param.opts if isinstance(param, click.Option)}
+            for name in names:
+                if name.partition("=")[0] in known and not os.path.lexists(name):
+                    why = "was taken for the name of a file, because it stands after --"
+                    ctx.fail(f"{name} {why}. Write options before --")
             if left:
                 ctx.fail(self._unexpected(left))
         return left
-
-    def _refuse_options_as_names(self, ctx: click.Context, left: list[str]) -> None:
-        """Fail if an option was read as the name of a file, because it stands after ``--``."""
-        names = list(left)
-        for param in self.params:
-            if isinstance(param, click.Argument):
-                value = ctx.params.get(str(param.name)) or ()
-                names += [value] if isinstance(value, str) else value
-        known = {name for param in self.params for name in param.opts if isinstance(param, click.Option)}
-        for name in names:
-            if name.partition("=")[0] in known and not os.path.lexists(name):
-                why = "was taken for the name of a file, because it stands after --"
-                ctx.fail(f"{name} {why}. Write options before --")
 
     def _dashed(self, given: list[str], unknown: str) -> str | None:
         """Return the name of a model that was read as the unknown option, or None if there is none.
@@ -116,7 +113,13 @@ class Helpful(click.Command):
         """Run the command. -v and errors tell of the options that come from a configuration file."""
         configured = configured_in(ctx)
         if configured is not None:
-            _let_the_command_line_win(ctx)
+            # The command line's -v drops quiet of a configuration file, and -q its verbose.
+            for typed, other in (("verbose", "quiet"), ("quiet", "verbose")):
+                if (
+                    ctx.get_parameter_source(typed) is ParameterSource.COMMANDLINE
+                    and ctx.get_parameter_source(other) is ParameterSource.DEFAULT_MAP
+                ):
+                    ctx.params[other] = 0
             if ctx.params.get("verbose") and not ctx.params.get("quiet"):
                 click.echo(printable(configured.in_words()), err=True)
         try:
@@ -138,16 +141,6 @@ class Helpful(click.Command):
             with formatter.section("Examples"):
                 for line in self.examples:
                     formatter.write(f"{'':>{formatter.current_indent}}{line}\n")
-
-
-def _let_the_command_line_win(ctx: click.Context) -> None:
-    """Drop quiet of a file if -v is on the command line, and verbose of a file if -q is."""
-    for typed, other in (("verbose", "quiet"), ("quiet", "verbose")):
-        if (
-            ctx.get_parameter_source(typed) is ParameterSource.COMMANDLINE
-            and ctx.get_parameter_source(other) is ParameterSource.DEFAULT_MAP
-        ):
-            ctx.params[other] = 0
 
 
 def grouped(command: click.Command, ctx: click.Context) -> Iterator[tuple[str, list[tuple[str, str]]]]:

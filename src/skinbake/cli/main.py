@@ -119,27 +119,7 @@ def main() -> None:
 
 def entry_point() -> None:
     """Run the command line. No fault of a file, a disk or a terminal ends in a traceback."""
-    _fill_standard_descriptors()
-    # No work here needs a thread of numpy's linear algebra, and its threads take a tenth of a second to
-    # start.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # α on a terminal without Greek letters
-    received = _watch_for_signals()
-    code = _code(received)
-    _end_at_once_by_signals()
-    for stream in (sys.stdout, sys.stderr):
-        if not _settled(stream):
-            code = exit_codes.READER_GONE
-    sys.exit(code)
-
-
-def _fill_standard_descriptors() -> None:
-    """Open the null device for each standard stream that is closed.
-
-    Otherwise a file would get its number, and text that a library or a worker prints would go there.
-    """
+    # A standard stream that is closed becomes the null device.
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
@@ -147,6 +127,29 @@ def _fill_standard_descriptors() -> None:
             os.open(os.devnull, os.O_RDWR)  # it gets the lowest free number, this one
     if sys.stderr is None:  # so messages, and a look whether it is a terminal, need no care
         sys.stderr = os.fdopen(2, "w", closefd=False)
+    # No work here needs a thread of numpy's linear algebra, and its threads take a tenth of a second to
+    # start.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # α on a terminal without Greek letters
+    # Signals that end the work are noted before they are raised as exceptions.
+    received: list[int] = []
+
+    def note(signum: int, frame: object) -> None:
+        received.append(signum)
+        raise _Stopped
+
+    if current_thread() is main_thread():
+        for number in ENDING:
+            if signal.getsignal(number) in {signal.SIG_DFL, signal.default_int_handler}:
+                signal.signal(number, note)  # otherwise the signal is to be ignored
+    code = _code(received)
+    _end_at_once_by_signals()
+    for stream in (sys.stdout, sys.stderr):
+        if not _settled(stream):
+            code = exit_codes.READER_GONE
+    sys.exit(code)
 
 
 def _code(received: list[int]) -> int:
@@ -202,21 +205,6 @@ def _said(text: str, code: int) -> int:
 
 class _Stopped(KeyboardInterrupt):
     """A signal of ``ENDING``. KeyboardInterrupt itself kills Python once it left an exec, even if caught."""
-
-
-def _watch_for_signals() -> list[int]:
-    """Return a list that receives the signals that end the work before they are raised as exceptions."""
-    received: list[int] = []
-
-    def note(signum: int, frame: object) -> None:
-        received.append(signum)
-        raise _Stopped
-
-    if current_thread() is main_thread():
-        for number in ENDING:
-            if signal.getsignal(number) in {signal.SIG_DFL, signal.default_int_handler}:
-                signal.signal(number, note)  # otherwise the signal is to be ignored
-    return received
 
 
 def _end_at_once_by_signals() -> None:

@@ -50,7 +50,19 @@ def command(source: str, output: str | None, **given: Any) -> None:
         result = within_limits(call, given, source)
         say.notices(result.notices)
         if output is None:
-            _serve(result.page, given, say.result)
+            # Serve the page until Ctrl-C, and open the browser on it.
+            import threading
+            import webbrowser
+
+            from skinbake.view.serving import serve
+
+            def started(address: str) -> None:
+                say.result(f"{address} (Ctrl-C ends)")
+                if not given["no_browser"]:
+                    # A browser in a terminal returns when it ends, and until then wants answers.
+                    threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+
+            serve(result.page, given["port"], started)
         else:
             write_page(result, output, sync=not given["no_sync"])
     if output != STDIO:
@@ -72,19 +84,3 @@ def _check_page(output: str) -> None:
             f"{output}: expected a name that ends in {' or '.join(PAGES)}, or - for stdout"
         )
     check_earlier(output, is_page)
-
-
-def _serve(page: bytes, given: dict[str, Any], tell: Any) -> None:
-    """Serve the page until Ctrl-C, and open the browser on it."""
-    import threading
-    import webbrowser
-
-    from skinbake.view.serving import serve
-
-    def started(address: str) -> None:
-        tell(f"{address} (Ctrl-C ends)")
-        if not given["no_browser"]:
-            # A browser in a terminal returns when it ends, and until then wants answers.
-            threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
-
-    serve(page, given["port"], started)
