@@ -73,8 +73,34 @@ class CheckedOptions:
             object.__setattr__(self, name, value)
         object.__setattr__(self, "fit_poses", _pose_sources(self))
         _check_influences(self)
-        _check_names(self)
-        _check_compression(self)
+        # Names of attributes, where the layout lets the user choose them.
+        for name, pattern in (("alpha_name", self.alpha_name), ("beta_name", self.beta_name)):
+            if pattern is None:
+                continue
+            if not pattern.startswith("_") or "{set}" not in pattern:
+                expected = "a name that begins with an underscore, as glTF wants, and contains {set}"
+                raise ChoiceError(name, pattern, expected)
+            if self.layout is not Layout.ATTRIBUTES:
+                needed = Chosen("layout", Layout.ATTRIBUTES)
+                raise ChoiceError(name, reason=(" needs ", needed, f"; {self.layout} has fixed names"))
+        if self.attribute_names.alpha == self.attribute_names.beta:
+            raise ChoiceError("alpha_name", reason=(" and ", Chosen("beta_name"), " must differ"))
+        # Bits, levels and layouts that the compression cannot use.
+        for name in ("position_bits", "normal_bits", "texcoord_bits"):
+            if getattr(self, name) is not None and self.compress is not Scheme.DRACO:
+                raise ChoiceError(name, reason=(" needs ", Chosen("compress", Scheme.DRACO)))
+        level, scheme = self.compress_level, Chosen("compress", self.compress)
+        if level is not None and self.compress is Scheme.NONE:
+            raise ChoiceError(
+                "compress_level", reason=(" contradicts ", scheme, ", which compresses nothing")
+            )
+        if self.compress is Scheme.MESHOPT and level is not None and level > HIGHEST_MESHOPT_LEVEL:
+            reason = (f": expected at most {HIGHEST_MESHOPT_LEVEL} with ", scheme)
+            raise ChoiceError("compress_level", level, reason=reason)
+        if self.layout is Layout.TEXCOORD and self.encoding is not Encoding.FLOAT32:
+            why = f", not {self.encoding}: only float texture coordinates of glTF may be negative"
+            needed = Chosen("encoding", Encoding.FLOAT32)
+            raise ChoiceError("layout", self.layout, reason=(" needs ", needed, why))
         _check_correctives(self)
 
     @property
@@ -108,20 +134,6 @@ def _check_influences(options: CheckedOptions) -> None:
     if limit % SLOTS_PER_SET:
         expected = f"a multiple of {SLOTS_PER_SET}, because glTF stores influences in sets of {SLOTS_PER_SET}"
         raise ChoiceError("limit_influences", limit, expected)
-
-
-def _check_names(options: CheckedOptions) -> None:
-    for name, pattern in (("alpha_name", options.alpha_name), ("beta_name", options.beta_name)):
-        if pattern is None:
-            continue
-        if not pattern.startswith("_") or "{set}" not in pattern:
-            expected = "a name that begins with an underscore, as glTF wants, and contains {set}"
-            raise ChoiceError(name, pattern, expected)
-        if options.layout is not Layout.ATTRIBUTES:
-            needed = Chosen("layout", Layout.ATTRIBUTES)
-            raise ChoiceError(name, reason=(" needs ", needed, f"; {options.layout} has fixed names"))
-    if options.attribute_names.alpha == options.attribute_names.beta:
-        raise ChoiceError("alpha_name", reason=(" and ", Chosen("beta_name"), " must differ"))
 
 
 ONLY_FOR_GRADIENTS = (
@@ -166,20 +178,3 @@ def _check_correctives(options: CheckedOptions) -> None:
             if getattr(options, name) != USUAL[name]:
                 needed = Chosen("corrective_aim", CorrectiveAim.GRADIENTS)
                 raise ChoiceError(name, reason=(" with ", chosen, " needs ", needed))
-
-
-def _check_compression(options: CheckedOptions) -> None:
-    """Raise ChoiceError for bits, a level or a layout that the compression cannot use."""
-    for name in ("position_bits", "normal_bits", "texcoord_bits"):
-        if getattr(options, name) is not None and options.compress is not Scheme.DRACO:
-            raise ChoiceError(name, reason=(" needs ", Chosen("compress", Scheme.DRACO)))
-    level, scheme = options.compress_level, Chosen("compress", options.compress)
-    if level is not None and options.compress is Scheme.NONE:
-        raise ChoiceError("compress_level", reason=(" contradicts ", scheme, ", which compresses nothing"))
-    if options.compress is Scheme.MESHOPT and level is not None and level > HIGHEST_MESHOPT_LEVEL:
-        reason = (f": expected at most {HIGHEST_MESHOPT_LEVEL} with ", scheme)
-        raise ChoiceError("compress_level", level, reason=reason)
-    if options.layout is Layout.TEXCOORD and options.encoding is not Encoding.FLOAT32:
-        why = f", not {options.encoding}: only float texture coordinates of glTF may be negative"
-        needed = Chosen("encoding", Encoding.FLOAT32)
-        raise ChoiceError("layout", options.layout, reason=(" needs ", needed, why))

@@ -74,9 +74,16 @@ def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
     for mesh in sorted(leaning):
         notices += _lean_notices(document, read[mesh])
     made = list(made_states(document))
+    outside = sum(
+        len(document.buffer(number))
+        for number, buffer in enumerate(document.objects("buffers"))
+        if isinstance(uri := buffer.get("uri"), str)
+        and not is_data_uri(uri)
+        and not is_fallback(buffer, document.place)
+    )
     return InspectResult(
         input=source,
-        byte_length=_byte_length(document),
+        byte_length=len(document.raw or b"") + outside,
         meshes=len(document.objects("meshes")),
         skins=len(document.objects("skins")),
         animations=len(document.objects("animations")),
@@ -99,17 +106,6 @@ def _lean_notices(document: Document, sources: Sequence[PrimitiveSource]) -> lis
             document.budget.claim(size, "comparing its normals", source.place)
             primitives.append((primitive, source.place))
         return lean_notices(primitives)
-
-
-def _byte_length(document: Document) -> int:
-    outside = sum(
-        len(document.buffer(number))
-        for number, buffer in enumerate(document.objects("buffers"))
-        if isinstance(uri := buffer.get("uri"), str)
-        and not is_data_uri(uri)
-        and not is_fallback(buffer, document.place)
-    )
-    return len(document.raw or b"") + outside
 
 
 def _summary(document: Document, source: PrimitiveSource, primitive: SkinnedPrimitive) -> PrimitiveSummary:
@@ -138,7 +134,9 @@ def _summary(document: Document, source: PrimitiveSource, primitive: SkinnedPrim
         defects=asdict(defects),
         frame=_frame(document, source, primitive),
         attributes=tuple(attributes),
-        compression=_compression(document, source),
+        compression=(
+            draco.EXTENSION if draco.extension_of(source.json) is not None else meshopt_of(document, source)
+        ),
         morph_targets=len(targets) if isinstance(targets, list) else 0,
         bake=bake,
         correctives=_correctives(document, source, primitive),
@@ -170,11 +168,6 @@ def _frame(document: Document, source: PrimitiveSource, primitive: SkinnedPrimit
     if has_float_tangents(document, source):
         primitive = with_straight_tangents(primitive)
     return chosen_frame(primitive, FrameChoice.AUTO).kind
-
-
-def _compression(document: Document, source: PrimitiveSource) -> str | None:
-    """Return the extension that compresses any of a primitive's data, or None if there is none."""
-    return draco.EXTENSION if draco.extension_of(source.json) is not None else meshopt_of(document, source)
 
 
 def _attribute(document: Document, source: PrimitiveSource, name: str) -> AttributeSummary:

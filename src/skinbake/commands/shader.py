@@ -21,7 +21,7 @@ from skinbake.freshness.staleness import claim_freshness, refuse_stale
 from skinbake.gltf.animation import read_clips, skins_of
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.output import refuse_own_input
-from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources, why_nothing
+from skinbake.gltf.primitives import reason_to_skip, skinned_sources, why_nothing
 from skinbake.gradients.influences import weight_sum_notices
 from skinbake.measure.measured import scaled_joints
 from skinbake.measure.morphing import carrier
@@ -229,22 +229,6 @@ def _other_texcoords(view: BakedView) -> Notice:
     return Notice("texcoords-differ", message, view.source.place)
 
 
-def _nothing_baked(document: Document, sources: Sequence[PrimitiveSource]) -> InputError:
-    """Return the error for a file without a bake. It tells what to run, or why nothing can be baked."""
-    reasons = [reason_to_skip(document, source, generate_normals=False) for source in sources]
-    found = [reason for reason in reasons if reason is not None]
-    if any(corrective_note(mesh) is not None for mesh in document.objects("meshes")):
-        message = "its correctives need no shader: any viewer that plays morph targets shows them"
-    elif len(found) < len(sources):
-        message = "nothing in it is baked: run skinbake bake first"
-    elif any(reason.code == "no-normals" for reason in found):
-        message = "nothing in it is baked: run skinbake bake --generate-normals first"
-    else:
-        told = "; ".join(dict.fromkeys(reason.message.removeprefix("skipped: ") for reason in found))
-        message = f"nothing in it can be baked: {told or why_nothing(document)}"
-    return InputError(message, document.place)
-
-
 def _views(document: Document) -> list[BakedView]:
     """Return the baked primitives. Raises InputError if there are none, or one is damaged or stale."""
     sources, _ = skinned_sources(document)
@@ -258,7 +242,19 @@ def _views(document: Document) -> list[BakedView]:
         elif reason.code != "unlit":
             raise InputError(f"it has lost what α/β are for ({reason.message}): bake it anew", reason.place)
     if not baked:
-        raise _nothing_baked(document, sources)
+        # Say what to run, or why nothing can be baked.
+        reasons = [reason_to_skip(document, source, generate_normals=False) for source in sources]
+        found = [reason for reason in reasons if reason is not None]
+        if any(corrective_note(mesh) is not None for mesh in document.objects("meshes")):
+            message = "its correctives need no shader: any viewer that plays morph targets shows them"
+        elif len(found) < len(sources):
+            message = "nothing in it is baked: run skinbake bake first"
+        elif any(reason.code == "no-normals" for reason in found):
+            message = "nothing in it is baked: run skinbake bake --generate-normals first"
+        else:
+            told = "; ".join(dict.fromkeys(reason.message.removeprefix("skipped: ") for reason in found))
+            message = f"nothing in it can be baked: {told or why_nothing(document)}"
+        raise InputError(message, document.place)
     claim_freshness(document, len(baked))
     views, problems = baked_views(document, baked)
     for problem in problems:

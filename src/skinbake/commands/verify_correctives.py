@@ -208,7 +208,22 @@ class _Measured:
             ]
             if len(playing) == 2:
                 first, second = (clip_values(*pair) for pair in zip(playing, times, strict=True))
-                matrices = skeleton.joint_matrices(_half_way(skeleton, first, second), None, len(MOMENTS))
+                # The mean of the values (P, C) of two clips.
+                at_rest = dict(
+                    zip(PATHS, (skeleton.translations, skeleton.rotations, skeleton.scales), strict=True)
+                )
+                found = {}
+                for node, path in {**first, **second}:
+                    if node not in skeleton.nodes:
+                        continue
+                    rest = np.tile(at_rest[path][skeleton.nodes.index(node)], (len(MOMENTS), 1))
+                    one, other = (values.get((node, path), rest) for values in (first, second))
+                    if path == "rotation":
+                        near = np.where((one * other).sum(axis=1, keepdims=True) < 0.0, -other, other)
+                        found[node, path] = normalised(one + near)
+                    else:
+                        found[node, path] = (one + other) / 2.0
+                matrices = skeleton.joint_matrices(found, None, len(MOMENTS))
                 mean = [(one + other) / 2.0 for one, other in zip(*weights, strict=True)]
                 name = f'half-way between "{playing[0].name}" and "{playing[1].name}"'
                 yield place, _mixture(name, draw, matrices, mean)
@@ -228,27 +243,6 @@ MOMENTS: Float64Array = np.linspace(0.0, 1.0, 12, endpoint=False) + 0.382 / 12.0
 
 TURN = np.cos(np.pi / 6.0), *(np.sin(np.pi / 6.0) / np.sqrt(3.0) * np.ones(3))
 """A turn by 60°, as a quaternion (w, x, y, z). Its axis is none of a joint's own."""
-
-
-def _half_way(
-    skeleton: Skeleton,
-    first: dict[tuple[int, str], Float64Array],
-    second: dict[tuple[int, str], Float64Array],
-) -> dict[tuple[int, str], Float64Array]:
-    """Return the mean of the values (P, C) of two clips. A node that one of them leaves alone is at rest."""
-    at_rest = dict(zip(PATHS, (skeleton.translations, skeleton.rotations, skeleton.scales), strict=True))
-    found = {}
-    for node, path in {**first, **second}:
-        if node not in skeleton.nodes:
-            continue
-        rest = np.tile(at_rest[path][skeleton.nodes.index(node)], (len(MOMENTS), 1))
-        one, other = (values.get((node, path), rest) for values in (first, second))
-        if path == "rotation":
-            near = np.where((one * other).sum(axis=1, keepdims=True) < 0.0, -other, other)
-            found[node, path] = normalised(one + near)
-        else:
-            found[node, path] = (one + other) / 2.0
-    return found
 
 
 def _limb(skeleton: Skeleton) -> int | None:

@@ -119,7 +119,10 @@ def _written(
         "influences": item.primitive.joints.shape[1],
         **item.settings,
     }
-    _add_normal(store, item, attributes, note)
+    # A primitive without a NORMAL gets the generated one.
+    if "NORMAL" not in attributes:
+        attributes["NORMAL"] = store.add("NORMAL", item.primitive.normals.astype(np.float32))
+        note["generated"] = ["NORMAL"]
     _add_tangent(document, store, item, attributes, note)
     stored = _add_influences(document, store, item, attributes, note)
     with stage("digests"):
@@ -131,17 +134,13 @@ def _written(
             note[member] = {**note[member], "slots": metadata.slots_digest(dict(gradients))}
     if item.source.json.get("extras") == {}:
         note["keepExtras"] = True
-    beside = _has_foreign_extras(item.source.json)
+    # The metadata stands in the extras, unless another program's data is there.
+    primitive = item.source.json
+    extras = primitive.get("extras", {})
+    beside = not isinstance(extras, dict) or KEY in extras
     _add_gradients(store, item, storage, gradients, attributes, extras={KEY: note} if beside else None)
     written = {**item.source.json, "attributes": attributes}
-    return written if beside else _with_note(written, note)
-
-
-def _add_normal(store: AttributeStore, item: Baked, attributes: dict[str, Any], note: JsonObject) -> None:
-    """Add a NORMAL to a primitive that has none, and note that it is generated."""
-    if "NORMAL" not in attributes:
-        attributes["NORMAL"] = store.add("NORMAL", item.primitive.normals.astype(np.float32))
-        note["generated"] = ["NORMAL"]
+    return written if beside else {**written, "extras": {**written.get("extras", {}), KEY: note}}
 
 
 def _add_tangent(
@@ -188,21 +187,6 @@ def _add_gradients(
             )
         attributes[name] = store.add(name, values, normalized=storage.encoding.is_scaled, extras=extras)
         extras = None
-
-
-def _has_foreign_extras(primitive: JsonObject) -> bool:
-    """Tell whether another program's data takes the place of the metadata in the extras of a primitive.
-
-    A value that is not an object is such data, and null is one. So is a member of our name, because no
-    earlier bake is in the document.
-    """
-    extras = primitive.get("extras", {})
-    return not isinstance(extras, dict) or KEY in extras
-
-
-def _with_note(primitive: JsonObject, note: JsonObject) -> JsonObject:
-    """Return the JSON of a primitive with the metadata in its extras."""
-    return {**primitive, "extras": {**primitive.get("extras", {}), KEY: note}}
 
 
 def _stored(

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skinbake.geometry import poses
-from skinbake.geometry.skinned import Float32Array, Float64Array
+from skinbake.geometry.skinned import Float32Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,20 @@ def with_correctives(there: Keys, times: Float32Array, weights: Float32Array) ->
     cubic[1:, 0, former.shape[2] :] = slopes
     cubic[:-1, 2, former.shape[2] :] = slopes
     values = poses.interpolated(own, former, at, method=there.method, rotation=False)
-    slope = _slope(own, former, at)
+    # The derivatives (P, T) of a spline of values (N, 3, T), 0 outside its keys.
+    before = np.clip(np.searchsorted(own, at, side="right") - 1, 0, max(len(own) - 2, 0))
+    after = np.minimum(before + 1, len(own) - 1)
+    span = own[after] - own[before]
+    inside = (at >= own[0]) & (at <= own[-1]) & (span > 0)
+    span = np.where(span > 0, span, 1.0)
+    s = ((at - own[before]) / span)[:, None]
+    left, right = former[before], former[after]
+    slope = (
+        (6 * s * s - 6 * s) * (left[:, 1] - right[:, 1]) / span[:, None]
+        + (3 * s * s - 4 * s + 1) * left[:, 2]
+        + (3 * s * s - 2 * s) * right[:, 0]
+    )
+    slope = np.where(inside[:, None], slope, 0.0)
     cubic[:, :, : former.shape[2]] = np.stack([slope, values, slope], axis=1)
     cubic[np.searchsorted(union, there.times[kept]), :, : former.shape[2]] = there.values[kept]
     # Before the first and after the last key that were there, the value stays.
@@ -62,20 +75,3 @@ def with_correctives(there: Keys, times: Float32Array, weights: Float32Array) ->
     if union[-1] > there.times[-1]:
         cubic[np.searchsorted(union, there.times[-1]), 2, : former.shape[2]] = 0.0
     return Keys(union, cubic, poses.CUBICSPLINE)
-
-
-def _slope(times: Float64Array, values: Float64Array, at: Float64Array) -> Float64Array:
-    """Return the derivatives (P, T) of a spline of values (N, 3, T), 0 outside its keys."""
-    before = np.clip(np.searchsorted(times, at, side="right") - 1, 0, max(len(times) - 2, 0))
-    after = np.minimum(before + 1, len(times) - 1)
-    span = times[after] - times[before]
-    inside = (at >= times[0]) & (at <= times[-1]) & (span > 0)
-    span = np.where(span > 0, span, 1.0)
-    s = ((at - times[before]) / span)[:, None]
-    left, right = values[before], values[after]
-    found = (
-        (6 * s * s - 6 * s) * (left[:, 1] - right[:, 1]) / span[:, None]
-        + (3 * s * s - 4 * s + 1) * left[:, 2]
-        + (3 * s * s - 2 * s) * right[:, 0]
-    )
-    return np.where(inside[:, None], found, 0.0)

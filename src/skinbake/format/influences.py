@@ -51,7 +51,9 @@ def _dues(sets: Sequence[StoredInfluences], rows: IntArray, slots: Sequence[IntA
     Of equal weights, the weight of the lowest joint pays. So copies of a vertex with another order of slots
     still agree.
     """
-    weights = np.concatenate([_rows_of(stored.weights, rows).decoded() for stored in sets], axis=1)
+    weights = np.concatenate(
+        [replace(stored.weights, values=stored.weights.values[rows]).decoded() for stored in sets], axis=1
+    )
     joints = np.concatenate([stored.joints.values[rows].astype(np.int64) for stored in sets], axis=1)
     largest = weights == weights.max(axis=1, keepdims=True)
     payer = np.where(largest, joints, np.iinfo(np.int64).max).argmin(axis=1)
@@ -62,10 +64,6 @@ def _dues(sets: Sequence[StoredInfluences], rows: IntArray, slots: Sequence[IntA
     dues = np.zeros(weights.shape, dtype=np.int64)
     dues[np.arange(len(weights)), payer] = units
     return [dues[:, 4 * number : 4 * number + 4] for number in range(len(sets))]
-
-
-def _rows_of(stored: StoredArray, rows: IntArray) -> StoredArray:
-    return replace(stored, values=stored.values[rows])
 
 
 def _new_joints(stored: StoredArray, rows: IntArray, slot: IntArray, vacated: BoolArray) -> StoredArray:

@@ -172,24 +172,20 @@ def read_metadata(document: Document, primitive: JsonObject) -> JsonObject | Non
     for value in attributes.values() if isinstance(attributes, dict) else ():
         number = reference(value)
         if number is not None and 0 <= number < len(accessors):
-            found = _noted_in_accessor(document, number)
+            # The metadata in the extras of an accessor, which many primitives may name.
+            known: dict[int, tuple[JsonObject | None, int]] = document.derived.setdefault("notes", {})
+            if number not in known:
+                note = _noted(document.objects("accessors")[number])
+                known[number] = note, entries_inside(note)
+            note, entries = known[number]
+            if note is not None:
+                with document.budget.passing():
+                    what = f"reading the metadata of accessor {number}"
+                    document.budget.claim(BYTES_AN_ENTRY * entries, what, document.place)
+            found = note
             if found is not None:
                 return found
     return None
-
-
-def _noted_in_accessor(document: Document, number: int) -> JsonObject | None:
-    """Return the metadata in the extras of an accessor, which many primitives may name."""
-    known: dict[int, tuple[JsonObject | None, int]] = document.derived.setdefault("notes", {})
-    if number not in known:
-        note = _noted(document.objects("accessors")[number])
-        known[number] = note, entries_inside(note)
-    note, entries = known[number]
-    if note is not None:
-        with document.budget.passing():
-            what = f"reading the metadata of accessor {number}"
-            document.budget.claim(BYTES_AN_ENTRY * entries, what, document.place)
-    return note
 
 
 def noted_names(note: JsonObject, key: str) -> list[str]:

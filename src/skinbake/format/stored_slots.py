@@ -44,24 +44,18 @@ def wrong_storage(metadata: JsonObject, influence_sets: int) -> Iterator[str]:
     for key, value, known in (("layout", layout, [*Layout]), ("encoding", encoding, [*Encoding])):
         if key in metadata and value not in known:
             yield f'"{key}" is {shown(value)}'
-    if encoding in (Encoding.SNORM16, Encoding.PACKED8) and not _is_scale(scale):
+    if encoding in (Encoding.SNORM16, Encoding.PACKED8) and not (json_access.is_number(scale) and scale >= 0):
         yield f'"scale" is {shown(scale)}'
     count = 2 * influence_sets if layout == Layout.TEXCOORD else influence_sets
     for key in ("alpha", "beta"):
         names = metadata.get(key)
-        if not isinstance(names, list) or not _are_names(names, count):
+        if not isinstance(names, list) or not (
+            len(names) == count and all(isinstance(value, str) for value in names)
+        ):
             yield f'"{key}" is {shown(names)}, not an attribute for each influence set'
             return
     if layout == Layout.TEXCOORD and len(slot_names(metadata)) != 4 * influence_sets - 1:
         yield (f'"alpha" and "beta" are {shown(slot_names(metadata))}: the set that both share is missing')
-
-
-def _is_scale(value: object) -> bool:
-    return json_access.is_number(value) and value >= 0
-
-
-def _are_names(values: list[Any], count: int) -> bool:
-    return len(values) == count and all(isinstance(value, str) for value in values)
 
 
 def shown(value: object) -> str:

@@ -128,7 +128,11 @@ def _restored(
         # What the bake replaced was in the lost stream.
         before, former, tangent = None, None if former else former, None if tangent else tangent
     if tangent is None:
-        notices.append(_kept_tangent(place))
+        message = (
+            "another tool has removed or edited the TANGENT from before the bake: "
+            "the straightened TANGENT stays"
+        )
+        notices.append(Notice("tangents-kept", message, place))
     if former is not None:
         attributes = former_sets(attributes, note)
     ours = json_access.member(primitive, "attributes", place).keys() - attributes.keys()
@@ -157,13 +161,6 @@ def _restored(
         "source instead"
     )
     return written, [*notices, Notice("adopted-kept", message, place)]
-
-
-def _kept_tangent(place: Place) -> Notice:
-    message = (
-        "another tool has removed or edited the TANGENT from before the bake: the straightened TANGENT stays"
-    )
-    return Notice("tangents-kept", message, place)
 
 
 def _who_changed(attributes: JsonObject, note: JsonObject) -> str:
@@ -243,7 +240,17 @@ def _without(
     accessors, views = document.objects("accessors"), document.objects("bufferViews")
     _put_back(root, "accessors", accessors[: len(accessors) - len(removed)])
     _put_back(root, "bufferViews", views[: tail.first_view])
-    return _shrunk(document, root, tail)
+    # The document with the buffers as they were before the bake.
+    buffers = list(document.objects("buffers"))
+    buffers = buffers[: len(buffers) - tail.fallbacks]
+    if tail.undo.get(BUFFER_ADDED):
+        uri = buffers.pop().get("uri")
+        _put_back(root, "buffers", buffers)
+        new_files = {name: pieces for name, pieces in document.new_files.items() if name != uri}
+        return document.edited(json=root, new_files=new_files)
+    root["buffers"] = [{**buffers[0], "byteLength": reference(tail.undo[BUFFER_LENGTH])}, *buffers[1:]]
+    binary = memoryview(joined(document.binary or ()))
+    return document.edited(json=root, binary=(binary[: tail.start],))
 
 
 class _Tail(NamedTuple):
@@ -329,17 +336,3 @@ def _put_back(root: JsonObject, key: str, entries: list[JsonObject]) -> None:
         root[key] = entries
     else:
         root.pop(key, None)
-
-
-def _shrunk(document: Document, root: JsonObject, tail: _Tail) -> Document:
-    """Return the document with the buffers as they were before the bake."""
-    buffers = list(document.objects("buffers"))
-    buffers = buffers[: len(buffers) - tail.fallbacks]
-    if tail.undo.get(BUFFER_ADDED):
-        uri = buffers.pop().get("uri")
-        _put_back(root, "buffers", buffers)
-        new_files = {name: pieces for name, pieces in document.new_files.items() if name != uri}
-        return document.edited(json=root, new_files=new_files)
-    root["buffers"] = [{**buffers[0], "byteLength": reference(tail.undo[BUFFER_LENGTH])}, *buffers[1:]]
-    binary = memoryview(joined(document.binary or ()))
-    return document.edited(json=root, binary=(binary[: tail.start],))
