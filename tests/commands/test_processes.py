@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from itertools import islice
+from multiprocessing.connection import wait
 from operator import length_hint
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,8 @@ from tests.commands.works import (
     Hungry,
     Raising,
     Slow,
+    SlowToStart,
+    SlowToStop,
     Surroundings,
     ToldTooLate,
     Unborn,
@@ -220,6 +223,47 @@ def test_a_worker_that_was_told_to_stop_gets_no_other_job() -> None:
     assert workers[4] != workers[0]
 
 
+@pytest.mark.slow
+@POSIX
+def test_the_start_of_a_worker_does_not_count_as_time_of_its_job() -> None:
+    found = limited(SlowToStart(), range(3), Limits(seconds=2.0), workers=1)
+    assert {number: result[0] for number, result in found.items()} == {0: 0, 1: 2, 2: 4}
+
+
+@pytest.mark.slow
+@POSIX
+def test_a_worker_that_was_told_to_stop_has_time_to_undo_its_work(tmp_path: Path) -> None:
+    """Also while messages of another worker come in."""
+    found = limited(SlowToStop(tmp_path), [60.0, *[0.05] * 60], Limits(seconds=1.0))
+    assert [number for number, result in found.items() if result[0] == "lost"] == [0]
+    assert list(tmp_path.iterdir()) == []
+
+
+@POSIX
+def test_waiting_for_a_long_job_is_no_work(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    calls = []
+
+    def counted(*arguments: Any) -> Any:
+        calls.append(arguments)
+        return wait(*arguments)
+
+    monkeypatch.setattr(processes, "wait", counted)
+    limited(Slow(tmp_path), [0.0, 0.5], Limits(seconds=60.0))
+    assert len(calls) < 60
+
+
+@pytest.mark.slow
+@POSIX
+def test_closing_kills_a_worker_that_does_not_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, "PATIENCE", 0.5)
+    results = Processes(1).run(Deaf(), range(2))
+    _, (_, pid) = next(results)
+    time.sleep(0.5)  # it is at work on the job that it does not leave
+    results.close()
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
 def is_open(descriptor: int) -> bool:
     try:
         os.fstat(descriptor)
@@ -251,6 +295,12 @@ def test_no_worker_is_started_with_the_last_descriptors() -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="has no limit of descriptors")
+def test_the_first_worker_is_started_with_the_descriptors_that_are_spared() -> None:
+    with descriptors_left(starting.SPARE_DESCRIPTORS - 1):
+        assert outcomes(Work(), 2, workers=1)[1][0] == 2
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no limit of descriptors")
 def test_fewer_workers_do_where_the_system_allows_no_more() -> None:
     with descriptors_left(starting.SPARE_DESCRIPTORS + 10):
         found = outcomes(Work(), 200, workers=100)
@@ -262,12 +312,16 @@ def test_fewer_workers_do_where_the_system_allows_no_more() -> None:
 def test_a_system_that_allows_no_worker_ends_the_run(
     error: Exception, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    calls = []
+
     def refused(*arguments: object) -> object:
+        calls.append(arguments)
         raise error
 
     monkeypatch.setattr(processes, "started", refused)
     with pytest.raises(SkinbakeError, match=r"cannot be started \(.*(unavailable|no more).*: try --jobs 1$"):
         outcomes(Work(), 4)
+    assert len(calls) == processes.ATTEMPTS
     limited = Processes(1, limits=Limits(seconds=60.0))
     with pytest.raises(SkinbakeError, match="try --jobs 1 without --timeout and --isolate"):
         next(limited.run(Work(), range(4)))

@@ -161,3 +161,38 @@ class Deaf(Work):
             signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
             time.sleep(60)
         return super().__call__(job)
+
+
+@dataclass(frozen=True)
+class SlowToStart(Work):
+    """Takes three seconds to be read in a worker, and then is done with a job at once, nearly."""
+
+    def __reduce__(self) -> Any:
+        return slowly, ()
+
+    def __call__(self, job: Any) -> Any:
+        time.sleep(0.3)
+        return super().__call__(job)
+
+
+def slowly() -> SlowToStart:
+    """Return the work after a while."""
+    time.sleep(3.0)
+    return SlowToStart()
+
+
+@dataclass(frozen=True)
+class SlowToStop(Slow):
+    """Takes half a second to take its file away if it is told to stop."""
+
+    def __call__(self, job: Any) -> Any:
+        path = self.folder / f"{os.getpid()}.undone"
+        path.touch()
+        try:
+            time.sleep(job)
+        except BaseException:
+            time.sleep(0.5)
+            raise
+        finally:
+            path.unlink()
+        return Work.__call__(self, job)

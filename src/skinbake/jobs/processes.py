@@ -309,7 +309,12 @@ class _Pool(Generic[JobT, ReturnT]):
         worker.is_quick = seconds < QUICK
         worker.begun = time.monotonic()
         if self._is_isolated or worker.late is not None:  # it was told to stop just before it was done
-            self._retire(worker)
+            # Release the worker. It sees its pipe close. Jobs sent ahead go back.
+            self._workers.remove(worker)
+            self._back.extendleft(reversed(worker.sent))
+            worker.connection.close()
+            self._retired = [process for process in self._retired if process.is_alive()]
+            self._retired.append(worker.process)
         self._close_file(number)
         return number, result
 
@@ -317,14 +322,6 @@ class _Pool(Generic[JobT, ReturnT]):
     def _is_isolated(self) -> bool:
         """Tell whether each job has its own process, so that no job finds memory that another job left."""
         return self._limits.memory is not None
-
-    def _retire(self, worker: _Worker) -> None:
-        """Release a worker that has done its job. It sees its pipe close. Jobs sent ahead go back."""
-        self._workers.remove(worker)
-        self._back.extendleft(reversed(worker.sent))
-        worker.connection.close()
-        self._retired = [process for process in self._retired if process.is_alive()]
-        self._retired.append(worker.process)
 
     def _close_file(self, number: int) -> None:
         self._unfinished -= 1

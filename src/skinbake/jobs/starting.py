@@ -87,16 +87,19 @@ def started(
     with _quiet_start():
         process = context.Process(
             target=serve,
-            args=(there, work, limits, logging.getLogger().level, _handles_logs(), is_heard()),
+            args=(
+                there,
+                work,
+                limits,
+                logging.getLogger().level,
+                bool(logging.getLogger().handlers),
+                is_heard(),
+            ),
             daemon=True,
         )
         process.start()
     there.close()
     return process, here
-
-
-def _handles_logs() -> bool:
-    return bool(logging.getLogger().handlers)
 
 
 @contextmanager

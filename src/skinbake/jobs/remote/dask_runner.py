@@ -212,7 +212,28 @@ class _Flight(Generic[ResultT]):
         while self._over is None and (self._next < len(self._jobs) or self._suspects or self._under_way):
             self._look()
             yield from self._launch()
-            yield from self._landed(self._some_ended())
+            # Yield the results of tasks that succeeded, and handle those that ended otherwise.
+            keys = self._some_ended()
+            finished = []
+            for key in keys:
+                future = self._under_way[key].future
+                if future.status == "finished":
+                    finished.append(key)
+                elif future.status == "error":
+                    yield from self._broken(self._taken(key), future.exception())
+                elif future.status == "cancelled":
+                    self._over = GONE
+                else:  # its worker died with the result, so the task is done again
+                    future.add_done_callback(self._note)
+            for key, outcome in zip(finished, self._gathered(finished), strict=True):
+                task = self._taken(key)
+                if isinstance(outcome, BaseException):
+                    yield from self._broken(task, outcome)
+                elif isinstance(outcome, str):
+                    self._over = _refused(outcome)
+                    self._suspects.extend(task.numbers)
+                else:
+                    yield from self._done(task, *outcome)
         left = [n for task in self._under_way.values() for n in task.numbers]
         for number in (*left, *self._suspects, *range(self._next, len(self._jobs))):
             yield number, self._work.lost(self._jobs[number], str(self._over))
@@ -307,29 +328,6 @@ class _Flight(Generic[ResultT]):
             if isinstance(told, Told):
                 tell(told)
         return [key for key in found if isinstance(key, str)]
-
-    def _landed(self, keys: Sequence[str]) -> Iterator[tuple[int, ResultT]]:
-        """Yield the results of tasks that succeeded, and handle the tasks that ended otherwise."""
-        finished = []
-        for key in keys:
-            future = self._under_way[key].future
-            if future.status == "finished":
-                finished.append(key)
-            elif future.status == "error":
-                yield from self._broken(self._taken(key), future.exception())
-            elif future.status == "cancelled":
-                self._over = GONE
-            else:  # its worker died with the result, so the task is done again
-                future.add_done_callback(self._note)
-        for key, outcome in zip(finished, self._gathered(finished), strict=True):
-            task = self._taken(key)
-            if isinstance(outcome, BaseException):
-                yield from self._broken(task, outcome)
-            elif isinstance(outcome, str):
-                self._over = _refused(outcome)
-                self._suspects.extend(task.numbers)
-            else:
-                yield from self._done(task, *outcome)
 
     def _taken(self, key: str) -> _Task:
         task = self._under_way.pop(key)

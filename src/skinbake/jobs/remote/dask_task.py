@@ -66,7 +66,9 @@ def perform(
     members.
     """
     if version != build():
-        return f"{_address()} has skinbake {build()}"
+        from distributed import get_worker
+
+        return f"{get_worker().address!s} has skinbake {build()}"
     work: WorkWithFiles[ResultT]
     jobs: list[JobWithFiles]
     work, jobs = pickle.loads(pickled)
@@ -91,12 +93,6 @@ def _teller(topic: str) -> Callable[[Told], None]:
             worker.log_event(topic, [told.stage, told.done, told.total])
 
     return tell
-
-
-def _address() -> str:
-    from distributed import get_worker
-
-    return str(get_worker().address)
 
 
 def _local_folder() -> str | None:

@@ -172,7 +172,7 @@ class WorkWithFiles(Generic[ResultT]):
             files = _files_to_write(returned, target, planned.root)
             try:
                 if files is not None:
-                    files[path] = [_last(returned.made)]
+                    files[path] = [next(reversed(returned.made.values()))]
                     whole = replace(planned, files=files, replaces=returned.replaces, again=None)
                     whole.write(sync=writing.sync)
                     return result
@@ -180,11 +180,6 @@ class WorkWithFiles(Generic[ResultT]):
                 pass
         # Another file has the name. On this machine, the work sees which names are taken.
         return self.work(job)
-
-
-def _last(made: dict[str, bytes]) -> bytes:
-    """Return the content of the file that was made last, the target."""
-    return next(reversed(made.values()))
 
 
 def _files_to_write(

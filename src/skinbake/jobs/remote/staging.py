@@ -64,7 +64,17 @@ class Staging:
         """
         goal = None if target is None else self._target_end(target, within.output)
         start = self.end_of(source, within.bounds)
-        return _made_between(start, goal, makes, how, within, self.workspace)
+        if goal is not None and start.given != goal.given and _one_file(start, goal):
+            raise OutputError("it is the input; use --in-place to replace it", Place(goal.given))
+        taken: frozenset[str] = frozenset()
+        for _ in range(ATTEMPTS):
+            with PrivateFolder(self.workspace) as folder:
+                result, clashing = _attempt(folder, start, goal, makes, how, within, taken)
+            if not clashing:
+                return result
+            taken |= clashing
+        assert goal is not None
+        raise OutputError("cannot be written: the files beside it keep changing", Place(goal.given))
 
     def read(self, source: str, bounds: Bounds, reads: Callable[[str, Bounds], T]) -> T:
         """Return ``reads(path, bounds)`` for a file, which may be a URL.
@@ -121,28 +131,6 @@ def _read_at(source: End, reads: Callable[[str, Bounds], T], given: Bounds, work
         return with_names(lambda: reads(path, bounds), naming)
 
 
-def _made_between(
-    source: End,
-    target: End | None,
-    makes: Makes[ResultT],
-    how: Writing,
-    within: Within,
-    workspace: str | None,
-) -> ResultT:
-    """Make a file from one end to another, through a private folder. On a SkinbakeError nothing is stored."""
-    if target is not None and source.given != target.given and _one_file(source, target):
-        raise OutputError("it is the input; use --in-place to replace it", Place(target.given))
-    taken: frozenset[str] = frozenset()
-    for _ in range(ATTEMPTS):
-        with PrivateFolder(workspace) as folder:
-            result, clashing = _attempt(folder, source, target, makes, how, within, taken)
-        if not clashing:
-            return result
-        taken |= clashing
-    assert target is not None
-    raise OutputError("cannot be written: the files beside it keep changing", Place(target.given))
-
-
 def _one_file(first: End, second: End) -> bool:
     return first.storage is not None and first.storage == second.storage and first.name == second.name
 
@@ -163,7 +151,23 @@ def _attempt(
     """
     path = folder.fetch_input(source)
     bounds = folder.bounds_of(source, within.bounds)
-    _fetch_needed(folder, source, path, target, bounds, pack=how.pack)
+    # Fetch the files that the document names. Some a relative URI of the target cannot reach.
+    for resource, with_content in needed(resources_of(path, bounds), source, target, pack=how.pack):
+        there = folder.fetch_named(source, resource, bounds, with_content=with_content)
+        if target is None or target.storage == source.storage or is_copied(resource, source, target):
+            continue
+        if how.pack and there:
+            continue
+        outside = not names_of(resource, source)
+        if not leads_out(resource) or not (there or outside):
+            continue
+        first = (resource.array, resource.number) == ("buffers", 0)
+        if not (first and PurePosixPath(target.name).suffix.lower() in GLB_SUFFIXES):
+            raise OutputError(
+                f'"{resource.uri}" is outside the folder of {source.given}, and no relative URI leads there '
+                "from another storage",
+                Place(target.given),
+            )
     goal = None if target is None else folder.path_of_target(target)
     if target is not None:
         with writing(target.given):
@@ -206,28 +210,6 @@ def _stored(
         if target.name in written:
             storage.store_file(target.name, folder.path_of(storage, target.name))
     return frozenset()
-
-
-def _fetch_needed(
-    folder: PrivateFolder, source: End, path: str, target: End | None, bounds: Bounds, *, pack: bool
-) -> None:
-    """Fetch the files for a bake. Raises OutputError if no relative URI of the target can reach one."""
-    for resource, with_content in needed(resources_of(path, bounds), source, target, pack=pack):
-        there = folder.fetch_named(source, resource, bounds, with_content=with_content)
-        if target is None or target.storage == source.storage or is_copied(resource, source, target):
-            continue
-        if pack and there:
-            continue
-        outside = not names_of(resource, source)
-        if not leads_out(resource) or not (there or outside):
-            continue
-        first = (resource.array, resource.number) == ("buffers", 0)
-        if not (first and PurePosixPath(target.name).suffix.lower() in GLB_SUFFIXES):
-            raise OutputError(
-                f'"{resource.uri}" is outside the folder of {source.given}, and no relative URI leads there '
-                "from another storage",
-                Place(target.given),
-            )
 
 
 def with_names(call: Callable[[], T], naming: Callable[[str], str]) -> T:
