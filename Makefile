@@ -139,9 +139,10 @@ $(BLENDER): tests/blender/requirements.txt $(DEV)
 	@touch $@
 
 # Independent glTF tools; the tests that need them are skipped where npm is absent (SKINBAKE_STRICT=1: fail).
-$(NODE_MODULES): tests/support/package-lock.json
+$(NODE_MODULES): tests/support/package-lock.json tests/support/other_versions/package-lock.json
 	@if command -v npm >/dev/null; then \
 	  echo "npm ci --prefix tests/support" && \
 	  npm ci --prefix tests/support --no-audit --no-fund --loglevel=error && \
+	  npm ci --prefix tests/support/other_versions --no-audit --no-fund --loglevel=error && \
 	  touch $@; \
 	else echo "npm is not installed: tests that need it are skipped"; fi

@@ -1,6 +1,7 @@
 // Which meshes are lit accurately. Before each frame the materials of baked meshes get a plugin.
 
 import { VertexBuffer } from '@babylonjs/core/Buffers/buffer.js';
+import { AbstractEngine } from '@babylonjs/core/Engines/abstractEngine.js';
 import { Material } from '@babylonjs/core/Materials/material.js';
 import { MaterialPluginBase } from '@babylonjs/core/Materials/materialPluginBase.js';
 import { PushMaterial } from '@babylonjs/core/Materials/pushMaterial.js';
@@ -73,6 +74,7 @@ function obstacle(mesh, defines = {}) {
     const baked = bakeOf(mesh);
     if (!baked) return 'its geometry is a copy, and Babylon.js copies no attributes that it does not know';
     if (baked.problem) return baked.problem;
+    if (TOO_OLD) return TOO_OLD;
     if (state.standard.has(mesh)) return SWITCHED;
     const engine = mesh.getEngine();
     if (!engine.isWebGPU && engine.version < 2) return 'this module needs WebGL 2 or WebGPU';
@@ -86,6 +88,12 @@ function obstacle(mesh, defines = {}) {
     if (defines.USE_VERTEX_PULLING) return 'its material pulls vertices';
     return shortage(mesh, defines, baked.sets);
 }
+
+// Before 8.28 Babylon.js gives plugins no uniforms of their own (externalUniforms).
+const OLDEST = [8, 28];
+const [major, minor] = AbstractEngine.Version.split('.').map(Number);
+const isTooOld = major < OLDEST[0] || (major === OLDEST[0] && minor < OLDEST[1]);
+const TOO_OLD = isTooOld ? `Babylon.js ${AbstractEngine.Version} is too old: this needs ${OLDEST.join('.')} or newer` : '';
 
 const SWITCHED = 'lighting() has switched it';
 
@@ -210,7 +218,18 @@ function tellOf(mesh) {
         if (!subMesh.effect?.isReady()) continue;
         const { lighting, reason } = drawnWith(mesh, subMesh);
         if (lighting === 'standard' && reason !== SWITCHED) tell(mesh, reason);
+        if (lighting === 'accurate' && isInGeometryBuffer(mesh)) tell(mesh, GEOMETRY_BUFFER, ' in its geometry buffer');
     }
+}
+
+// Its shaders are Babylon.js's alone: no material, and no plugin of one, has a part in them.
+const GEOMETRY_BUFFER =
+    'shadows, reflections and occlusion that read it (IblShadows, SSR, SSAO2) follow its normals. ' +
+    'The prepass has the accurate ones';
+
+function isInGeometryBuffer(mesh) {
+    const { renderList } = mesh.getScene()._geometryBufferRenderer?.getGBuffer() ?? {};
+    return renderList === null || Boolean(renderList?.includes(mesh));
 }
 
 const WORST_FIRST = ['standard', 'not drawn', 'unlit', 'accurate'];

@@ -35,10 +35,19 @@ export class Loading {
         this.loader = null;
     }
 
+    // Babylon.js calls it once, when it has read the JSON of a file.
+    onLoading() {
+        const { gltf } = this.loader;
+        const primitives = (gltf.meshes ?? []).flatMap((mesh) => mesh.primitives);
+        if (!gltf.skins?.length || primitives.some((one) => problemOf(gltf, one, metadataOf(gltf, one)) !== NOT_BAKED)) return;
+        const name = this.loader.rootUrl + (this.loader._fileName ?? '');
+        console.info(`skinbake: "${name}" has no bake, and Babylon.js's standard lighting: run skinbake bake on it`);
+    }
+
     _loadVertexDataAsync(context, primitive, mesh) {
         const { gltf } = this.loader;
         const metadata = metadataOf(gltf, primitive);
-        const problem = problemOf(gltf, primitive, metadata);
+        const problem = problemOf(gltf, primitive, metadata) || staleOf(gltf).get(primitive);
         if (problem === NOT_BAKED) return null;
         const scene = mesh.getScene();
         if (problem) {
@@ -283,7 +292,7 @@ function problemOf({ accessors }, { attributes }, metadata) {
         return `it has ${count} influences for each vertex, and Babylon.js reads eight: ` +
             'bake it again with --limit-influences 8';
     }
-    if (![alpha, beta].every(Array.isArray)) return 'the metadata of its bake is damaged: bake it again';
+    if (![alpha, beta].every(isNames)) return 'the metadata of its bake is damaged: bake it again';
     if (!FRAMES[frame]) return `its frame is ${frame}, and this module knows normal and tangent: update it`;
     if (encoding !== undefined && !ENCODINGS[encoding]) {
         return `its encoding is ${encoding}, and this module knows packed8 and snorm16: update it`;
@@ -299,6 +308,51 @@ function problemOf({ accessors }, { attributes }, metadata) {
     return '';
 }
 
+const isNames = (list) => Array.isArray(list) && list.length > 0 && list.every((name) => typeof name === 'string');
+
+const SAME_BOUNDS = 1e-3; // of the diagonal, as in skinbake: Draco rounds positions
+const stale = new WeakMap(); // glTF -> Map of primitive -> why it is lit standard
+
+// Return the primitives that a tool has changed since their bake, as far as the bake has noted what they were, and the
+// other parts of their skins: between two lightings, a seam would show.
+function staleOf(gltf) {
+    if (stale.has(gltf)) return stale.get(gltf);
+    const found = new Map();
+    stale.set(gltf, found);
+    for (const { primitives } of gltf.meshes ?? []) {
+        for (const primitive of primitives) {
+            const change = changeSince(metadataOf(gltf, primitive)?.positions, gltf.accessors, primitive);
+            if (change) found.set(primitive, `a tool has changed ${change} since its bake: bake last`);
+        }
+    }
+    const parts = new Map(); // skin -> { name, primitive }
+    for (const { mesh, skin } of gltf.nodes ?? []) {
+        if (mesh === undefined || skin === undefined) continue;
+        const { name, primitives } = gltf.meshes[mesh];
+        parts.set(skin, [...(parts.get(skin) ?? []), ...primitives.map((primitive) => ({ name, primitive }))]);
+    }
+    for (const own of parts.values()) {
+        const changed = own.find(({ primitive }) => found.has(primitive));
+        for (const { primitive } of changed ? own : []) {
+            if (found.has(primitive)) continue;
+            found.set(primitive, `a part of "${changed.name}", of the same skin, does not fit its bake: bake last`);
+        }
+    }
+    return found;
+}
+
+function changeSince(noted, accessors, { attributes, indices }) {
+    const positions = accessors?.[attributes.POSITION];
+    if (!isObject(noted) || !positions) return '';
+    if (positions.componentType !== noted.componentType) return 'the type of its positions';
+    const { count } = accessors[indices] ?? positions;
+    if (noted.corners !== undefined && noted.corners !== count) return 'its triangles';
+    if (![noted, positions].every(({ min, max }) => [min, max].every(Array.isArray))) return '';
+    const allowed = SAME_BOUNDS * Math.hypot(...noted.max.map((most, axis) => most - noted.min[axis]));
+    const isSame = (key) => noted[key].every((value, axis) => Math.abs(value - positions[key][axis]) <= allowed);
+    return isSame('min') && isSame('max') ? '' : 'the bounds of its positions';
+}
+
 function misfit(accessor, index, { encoding, layout, alpha }) {
     if (!accessor) return 'is missing';
     const isFirst = index % alpha.length === 0;
@@ -309,9 +363,9 @@ function misfit(accessor, index, { encoding, layout, alpha }) {
     return fits ? '' : `is not encoded as ${encoding}`;
 }
 
-export function tell(mesh, reason) {
+export function tell(mesh, reason, where = '') {
     const messages = state.told.get(mesh) ?? state.told.set(mesh, new Set()).get(mesh);
     if (messages.has(reason)) return;
     messages.add(reason);
-    console.warn(`skinbake: "${mesh.name}" has Babylon.js's standard lighting: ${reason}`);
+    console.warn(`skinbake: "${mesh.name}" has Babylon.js's standard lighting${where}: ${reason}`);
 }

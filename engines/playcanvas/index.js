@@ -19,6 +19,7 @@ import {
     ShaderChunks,
     StandardMaterial,
     Texture,
+    version,
 } from 'playcanvas';
 import { jointsOf, NO_STRETCH } from './joints.js';
 import { bakes, changeOf, metadataOf, takeBakes } from './loading.js';
@@ -320,7 +321,13 @@ function dataTexture(device, values, stride) {
     });
 }
 
+// Older ones have other chunks.
+const OLDEST = [2, 10];
+const [major, minor] = version.split('.').map(Number);
+const isTooOld = major < OLDEST[0] || (major === OLDEST[0] && minor < OLDEST[1]);
+
 function problemOfMaterial(material) {
+    if (isTooOld) return `PlayCanvas ${version} is too old: this needs ${OLDEST.join('.')} or newer`;
     if (material instanceof StandardMaterial || material instanceof LitMaterial) return '';
     return `its material "${material.name}" is not a StandardMaterial or LitMaterial`;
 }
@@ -463,6 +470,11 @@ function tell(instance, reason) {
 // its cache of URLs, loaded before by the other method.
 function warnOf({ name, type, resource, options }) {
     const { gltf, renders = [] } = (type === 'container' && resource?.data) || {};
+    const isBaked = (primitive) => metadataOf(gltf, primitive) || primitive.attributes._SKINBAKE_ALPHA_0 !== undefined;
+    const primitives = (gltf?.meshes ?? []).flatMap((mesh) => mesh.primitives);
+    if (methods.has(options?.global) && gltf?.skins?.length && !primitives.some(isBaked)) {
+        console.info(`skinbake: "${name}" has no bake, and PlayCanvas's standard lighting: run skinbake bake on its file`);
+    }
     for (const [number, { primitives, name: mesh = number }] of (gltf?.meshes ?? []).entries()) {
         if (!primitives.some((primitive) => metadataOf(gltf, primitive))) continue;
         const made = (renders[number]?.meshes ?? []).map((one) => bakes.get(one));

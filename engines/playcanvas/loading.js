@@ -96,7 +96,7 @@ export function metadataOf({ accessors = [] }, { extras, attributes }) {
 }
 
 function bakeOf(gltf, primitive, metadata, views, method) {
-    const problem = problemOf(gltf, primitive, metadata);
+    const problem = problemOf(gltf, primitive, metadata) || staleOf(gltf).get(primitive);
     if (problem) return { problem };
     const read = (name) => elements(gltf, primitive.attributes[name], views);
     const names = [...new Set([...metadata.alpha, ...metadata.beta])];
@@ -137,7 +137,7 @@ function problemOf({ accessors }, { attributes, extensions }, metadata) {
         const remedy = 'bake it again with --limit-influences 4';
         return `it has ${count} influences for each vertex, and PlayCanvas reads four: ${remedy}`;
     }
-    if (!Array.isArray(alpha) || !Array.isArray(beta)) return 'the metadata of its bake is damaged: bake it again';
+    if (![alpha, beta].every(isNames)) return 'the metadata of its bake is damaged: bake it again';
     if (!FRAMES[frame]) return `its frame is ${frame}, and this module knows normal and tangent: update it`;
     if (encoding !== undefined && !ENCODINGS[encoding]) {
         return `its encoding is ${encoding}, and this module knows packed8 and snorm16: update it`;
@@ -152,6 +152,51 @@ function problemOf({ accessors }, { attributes, extensions }, metadata) {
         if (problem) return `its attribute ${name} ${problem}: bake last, or keep attributes as they are`;
     }
     return '';
+}
+
+const isNames = (list) => Array.isArray(list) && list.length > 0 && list.every((name) => typeof name === 'string');
+
+const SAME_BOUNDS = 1e-3; // of the diagonal, as in skinbake: Draco rounds positions
+const stale = new WeakMap(); // glTF -> Map of primitive -> why it is lit standard
+
+// Return the primitives that a tool has changed since their bake, as far as the bake has noted what they were, and the
+// other parts of their skins: between two lightings, a seam would show.
+function staleOf(gltf) {
+    if (stale.has(gltf)) return stale.get(gltf);
+    const found = new Map();
+    stale.set(gltf, found);
+    for (const { primitives } of gltf.meshes ?? []) {
+        for (const primitive of primitives) {
+            const change = changeSince(metadataOf(gltf, primitive)?.positions, gltf.accessors, primitive);
+            if (change) found.set(primitive, `a tool has changed ${change} since its bake: bake last`);
+        }
+    }
+    const parts = new Map(); // skin -> { name, primitive }
+    for (const { mesh, skin } of gltf.nodes ?? []) {
+        if (mesh === undefined || skin === undefined) continue;
+        const { name, primitives } = gltf.meshes[mesh];
+        parts.set(skin, [...(parts.get(skin) ?? []), ...primitives.map((primitive) => ({ name, primitive }))]);
+    }
+    for (const own of parts.values()) {
+        const changed = own.find(({ primitive }) => found.has(primitive));
+        for (const { primitive } of changed ? own : []) {
+            if (found.has(primitive)) continue;
+            found.set(primitive, `a part of "${changed.name}", of the same skin, does not fit its bake: bake last`);
+        }
+    }
+    return found;
+}
+
+function changeSince(noted, accessors, { attributes, indices }) {
+    const positions = accessors?.[attributes.POSITION];
+    if (!isObject(noted) || !positions) return '';
+    if (positions.componentType !== noted.componentType) return 'the type of its positions';
+    const { count } = accessors[indices] ?? positions;
+    if (noted.corners !== undefined && noted.corners !== count) return 'its triangles';
+    if (![noted, positions].every(({ min, max }) => [min, max].every(Array.isArray))) return '';
+    const allowed = SAME_BOUNDS * Math.hypot(...noted.max.map((most, axis) => most - noted.min[axis]));
+    const isSame = (key) => noted[key].every((value, axis) => Math.abs(value - positions[key][axis]) <= allowed);
+    return isSame('min') && isSame('max') ? '' : 'the bounds of its positions';
 }
 
 function misfit(accessor, encoding, layout) {

@@ -15,6 +15,7 @@ export const state = (globalThis[Symbol.for('skinbake.three')] ??= {
     geometries: new WeakMap(), // geometry -> { problem, constants, arrays, unfit }
     // metadata -> method, of geometries that were asked for; undefined after dispose(). Their clones have it too.
     methods: new WeakMap(),
+    fits: new WeakMap(), // metadata -> why the mesh that first had it does not fit it, or empty
     prints: new WeakMap(), // geometry, or metadata -> { skinbake, prints }: of its arrays when it was first seen
     meshes: new WeakMap(), // mesh -> WeakMap of material -> { program, lighting, reason, repaired }
     standard: new WeakSet(), // meshes that lighting() has switched
@@ -22,22 +23,51 @@ export const state = (globalThis[Symbol.for('skinbake.three')] ??= {
     told: new WeakMap(), // mesh -> messages
     passed: new WeakSet(), // geometries that were not asked for: they are told of once
     backends: new Map(), // name -> { install, uninstall, choose, verify, renew }
-    count: 0,
+    count: 0, // of geometries that are lit
+    collected: new FinalizationRegistry(() => state.count--),
 });
 
 export function apply(root, method) {
+    return light([root], method);
+}
+
+// What GLTFLoader has loaded.
+export function applyToAll(gltf, parser, method) {
+    gltf.scenes.flatMap(skinnedMeshes).forEach((mesh) => takeMetadata(mesh, parser));
+    return light(gltf.scenes, method);
+}
+
+function light(roots, method) {
     if (METHODS[method] === undefined) throw new Error(`skinbake: method ${method} is neither lbs nor dqs`);
     install();
-    const meshes = skinnedMeshes(root);
-    for (const mesh of meshes) {
-        const problem = strangeness(mesh) || takeUp(mesh, method);
-        if (problem && problem !== NOT_BAKED) tell(mesh, problem);
+    const meshes = roots.flatMap(skinnedMeshes);
+    const problems = new Map(meshes.map((mesh) => [mesh, strangeness(mesh) || takeUp(mesh, method)]));
+    likeWorst(meshes, problems, method);
+    for (const [mesh, problem] of problems) if (problem && problem !== NOT_BAKED) tell(mesh, problem);
+    if (meshes.length && [...problems.values()].every((problem) => problem === NOT_BAKED)) tellOfNone(roots[0]);
+    for (const root of roots) {
+        root.traverse((object) => {
+            if (!object.isMesh || object.isSkinnedMesh || problemOf(object.geometry) === NOT_BAKED) return;
+            tell(object, `three.js does not skin ${kindOf(object)}`);
+        });
     }
-    root.traverse((object) => {
-        if (!object.isMesh || object.isSkinnedMesh || problemOf(object.geometry) === NOT_BAKED) return;
-        tell(object, `three.js does not skin ${kindOf(object)}`);
-    });
     return { meshes: meshes.map((mesh) => new MeshReport(mesh)) };
+}
+
+// Between parts of one skin in two lightings, a seam would show.
+function likeWorst(meshes, problems, method) {
+    const noteOf = (mesh) => mesh.geometry.userData.skinbake;
+    const stale = new Map(); // skeleton -> the first mesh that does not fit its bake
+    for (const mesh of meshes) {
+        if (state.fits.get(noteOf(mesh)) && !stale.has(mesh.skeleton)) stale.set(mesh.skeleton, mesh);
+    }
+    for (const mesh of meshes) {
+        const other = stale.get(mesh.skeleton);
+        if (!other || problems.get(mesh)) continue;
+        state.fits.set(noteOf(mesh), `"${other.name}", of the same skin, does not fit its bake: bake last`);
+        forget(mesh.geometry);
+        problems.set(mesh, takeUp(mesh, method));
+    }
 }
 
 function takeUp(mesh, method) {
@@ -88,23 +118,25 @@ export function dispose(root) {
     state.backends.clear();
 }
 
-// What GLTFLoader has loaded.
-export function applyToAll(gltf, parser, method) {
-    const reports = gltf.scenes.map((scene) => {
-        skinnedMeshes(scene).forEach((mesh) => takeMetadata(mesh, parser));
-        return apply(scene, method);
-    });
-    return { meshes: reports.flatMap((report) => report.meshes) };
-}
-
-// Add a renderer that this page may use. classes are those of three.js.
-export function serve(name, backend, classes) {
+// Add a renderer that this page may use. classes are those of three.js, and oldest is the first revision that will do.
+export function serve(name, backend, classes, revision, oldest) {
     state.three ??= classes;
+    if (Number.parseInt(revision, 10) < oldest) {
+        state.backends.set(name, unserving(`three.js 0.${revision} is too old: this needs 0.${oldest} or newer`));
+        return;
+    }
     const other = state.backends.get(name);
     if (!other) state.backends.set(name, backend);
     else if (other.text !== backend.text) {
         console.warn('skinbake: a module with other choices is in use on this page, and this one is not');
     }
+}
+
+// A backend that leaves three.js as it is.
+function unserving(reason) {
+    const nothing = () => {};
+    const found = { lighting: 'standard', reason };
+    return { install: nothing, uninstall: nothing, choose: nothing, renew: nothing, verify: () => found };
 }
 
 // What a mesh was last drawn with. It is read from the program that drew it.
@@ -293,14 +325,34 @@ function adopt(geometry, method) {
     const made = madeOf(geometry, method);
     state.geometries.set(geometry, made);
     if (made.problem) withoutOurs(geometry); // A clone has them.
-    else state.count++;
+    else count(geometry, made);
     return made;
+}
+
+// A geometry that a page has disposed of, or lost, no longer counts. It does again when it is drawn again.
+function count(geometry, adopted) {
+    if (adopted.isCounted) return;
+    adopted.isCounted = true;
+    state.count++;
+    state.collected.register(geometry, undefined, adopted);
+    geometry.addEventListener('dispose', uncounted);
+}
+
+function uncounted({ target }) {
+    uncount(state.geometries.get(target));
+}
+
+function uncount(adopted) {
+    if (!adopted?.isCounted) return;
+    adopted.isCounted = false;
+    state.count--;
+    state.collected.unregister(adopted);
 }
 
 function madeOf(geometry, method) {
     const metadata = geometry.userData.skinbake;
     const { attributes } = geometry;
-    const problem = problemOf(geometry, metadata);
+    const problem = problemOf(geometry, metadata) || misfitOf(geometry, metadata);
     if (problem) return { problem };
     const { arrays, changed } = takeArrays(geometry);
     if (changed) return { problem: `a page has changed its attribute ${changed}: its bake is for the old values` };
@@ -321,6 +373,40 @@ function madeOf(geometry, method) {
     if (method === 'dqs') define(attributes, DUAL, storage, true);
     const joints = method === 'dqs' ? jointsOf(attributes) : [];
     return { problem: '', sources, arrays, method, constants, joints, unfit: new WeakMap() };
+}
+
+const TYPES = [Int8Array, Uint8Array, Int16Array, Uint16Array]; // as glTF numbers them, from 5120 on
+const FLOAT = 5126;
+const SAME_BOUNDS = 1e-3; // of the diagonal, as in skinbake: Draco rounds positions
+
+// Return why a mesh does not fit its bake; empty if it does, as far as the bake has noted it. A page may trim a mesh
+// later: only what it first was is looked at.
+function misfitOf(geometry, metadata) {
+    if (!state.fits.has(metadata)) {
+        const change = changeSince(metadata, geometry);
+        state.fits.set(metadata, change && `a tool has changed ${change} since its bake: bake last`);
+    }
+    return state.fits.get(metadata);
+}
+
+function changeSince({ positions: noted }, { attributes: { position }, index }) {
+    if (!isObject(noted) || !position || !holderOf(position).array) return '';
+    const type = TYPES.findIndex((one) => holderOf(position).array instanceof one);
+    if (noted.componentType !== (type < 0 ? FLOAT : 5120 + type)) return 'the type of its positions';
+    if (noted.corners !== undefined && noted.corners !== (index ?? position).count) return 'its triangles';
+    if (!noted.min || !noted.max) return '';
+    const axes = [0, 1, 2];
+    const allowed = SAME_BOUNDS * Math.hypot(...axes.map((axis) => noted.max[axis] - noted.min[axis]));
+    const isSame = axes.every((axis) => {
+        let [least, most] = [Infinity, -Infinity];
+        for (let vertex = 0; vertex < position.count; vertex++) {
+            const value = position.getComponent(vertex, axis);
+            least = Math.min(least, value);
+            most = Math.max(most, value);
+        }
+        return Math.abs(least - noted.min[axis]) <= allowed && Math.abs(most - noted.max[axis]) <= allowed;
+    });
+    return isSame ? '' : 'the bounds of its positions';
 }
 
 // Return the indices of the joints that move a vertex, and of those in slot 0: the shader starts from them.
@@ -415,7 +501,8 @@ function forget(geometry) {
     if (!adopted) return;
     state.geometries.delete(geometry);
     if (adopted.problem) return;
-    state.count--;
+    uncount(adopted);
+    geometry.removeEventListener('dispose', uncounted);
     adopted.image?.dispose();
     withoutOurs(geometry);
 }
@@ -443,7 +530,7 @@ function problemOf(geometry, metadata = geometry.userData.skinbake) {
         const remedy = 'bake it again with --limit-influences 4';
         return `it has ${count} influences for each vertex, and three.js reads four: ${remedy}`;
     }
-    if (!Array.isArray(alpha) || !Array.isArray(beta)) return 'the metadata of its bake is damaged: bake it again';
+    if (![alpha, beta].every(isNames)) return 'the metadata of its bake is damaged: bake it again';
     if (!FRAMES[frame]) return `its frame is ${frame}, and this module knows normal and tangent: update it`;
     if (encoding !== undefined && !ENCODINGS[encoding]) {
         return `its encoding is ${encoding}, and this module knows packed8 and snorm16: update it`;
@@ -458,6 +545,8 @@ function problemOf(geometry, metadata = geometry.userData.skinbake) {
     }
     return '';
 }
+
+const isNames = (list) => Array.isArray(list) && list.length > 0 && list.every((name) => typeof name === 'string');
 
 function misfit(attribute, encoding, layout) {
     if (!attribute) return 'is missing';
@@ -491,6 +580,14 @@ function tell(mesh, reason, what = "three.js's standard lighting") {
     if (messages.has(reason)) return;
     messages.add(reason);
     console.warn(`skinbake: "${mesh.name}" has ${what}: ${reason}`);
+}
+
+const toldOfNone = new WeakSet(); // roots
+
+function tellOfNone(root) {
+    if (toldOfNone.has(root)) return;
+    toldOfNone.add(root);
+    console.info(`skinbake: "${root.name}" has no bake, and three.js's standard lighting: run skinbake bake on its file`);
 }
 
 function tellOfMap(mesh, { name, type, normalMapType }) {
@@ -573,6 +670,7 @@ function beforeDraw(renderer, scene, camera, geometry, material) {
 // Look whether a geometry has what the shader reads. A new one has not, and one that was changed.
 function meet(renderer, mesh, geometry) {
     const adopted = state.geometries.get(geometry);
+    if (adopted && !adopted.problem && state.backends.size > 0) count(geometry, adopted);
     // A mesh that is switched reads nothing of it.
     if (adopted && (adopted.problem || state.standard.has(mesh) || isIntact(geometry, adopted))) return;
     forget(geometry);

@@ -7,7 +7,7 @@
 //
 //     loader.register((parser) => new SkinbakePlugin(parser)); // GLTFLoader; or applySkinbake(scene)
 
-import { BufferAttribute, InstancedBufferAttribute, ShaderChunk, SkinnedMesh } from 'three';
+import { BufferAttribute, InstancedBufferAttribute, REVISION, ShaderChunk, SkinnedMesh } from 'three';
 import { apply, applyToAll, DUAL, framedBy, serve } from './core.js';
 import {
     AFTER_ANISOTROPY,
@@ -171,5 +171,5 @@ function serveWebGL() {
         verify: verifyProgram,
         renew,
     };
-    serve('webgl', backend, { BufferAttribute, InstancedBufferAttribute, SkinnedMesh });
+    serve('webgl', backend, { BufferAttribute, InstancedBufferAttribute, SkinnedMesh }, REVISION, 160);
 }

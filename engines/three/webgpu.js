@@ -18,6 +18,7 @@ import {
     InstancedBufferAttribute,
     NodeMaterial,
     NormalMapNode,
+    REVISION,
     SkinnedMesh,
     Vector4,
 } from 'three/webgpu';
@@ -506,5 +507,6 @@ function serveWebGPU() {
         choose,
         verify: verifyMaterial,
     };
-    serve('webgpu', backend, { BufferAttribute, InstancedBufferAttribute, SkinnedMesh });
+    // Before 0.185 three.js skins after all other lines, wherever it is told to.
+    serve('webgpu', backend, { BufferAttribute, InstancedBufferAttribute, SkinnedMesh }, REVISION, 185);
 }

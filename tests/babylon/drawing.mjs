@@ -25,6 +25,7 @@ import { DracoDecoder } from '@babylonjs/core/Meshes/Compression/dracoDecoder.js
 import { MeshoptCompression } from '@babylonjs/core/Meshes/Compression/meshoptCompression.js';
 import '@babylonjs/core/Meshes/instancedMesh.js';
 import '@babylonjs/core/Meshes/thinInstanceMesh.js';
+import '@babylonjs/core/Rendering/geometryBufferRendererSceneComponent.js';
 import { Scene } from '@babylonjs/core/scene.js';
 import '@babylonjs/loaders/glTF/2.0/index.js';
 import * as skinbake from 'skinbake-babylon';
@@ -525,6 +526,39 @@ const api = {
             if (typeof undo === 'function') undo();
         }
         return found;
+    },
+
+    // What is told of a file, which may have several meshes.
+    async reports(options) {
+        const { scene } = await load(options);
+        await ready(scene);
+        frame(scene);
+        frame(scene);
+        return told(scene);
+    },
+
+    // What console.info has of a file.
+    async information(options) {
+        const said = [];
+        const { info } = console;
+        console.info = (line) => said.push(line);
+        const { scene } = await load(options);
+        await ready(scene);
+        frame(scene);
+        console.info = info;
+        return said;
+    },
+
+    // A scene with a geometry buffer, as IblShadows and others make one.
+    async buffered(options) {
+        const { scene, mesh } = await load(options);
+        mesh.name = 'buffered';
+        scene.enableGeometryBufferRenderer();
+        await ready(scene);
+        for (let number = 0; number < 3; number++) frame(scene);
+        const report = told(scene);
+        scene.disableGeometryBufferRenderer();
+        return report;
     },
 
     async loaded({ urls }) {

@@ -19,7 +19,7 @@ from skinbake.choices import Encoding, Layout, Scheme
 from skinbake.format.layouts import GradientFormat
 from skinbake.skinning.algorithms import Algorithm
 from tests.babylon.stage import DEGREES, expected, opened_stage
-from tests.support import corpus, gltf_reading
+from tests.support import after_bake, corpus, gltf_reading
 from tests.support.baked_files import Editable
 from tests.support.baking import bake_file
 from tests.support.characters import Array, Character, Placement, Pose, angles, baked, unit
@@ -118,6 +118,55 @@ def test_a_compressed_bake(stage: Stage, storage: GradientFormat, scheme: Scheme
     found = stage.call("normals", {**character.told(Placement()), **url, "material": "standard"})
     assert worst(found["draws"][0], expected(character)) < DEGREES
     assert found["report"] == RIGHT
+
+
+@after_bake.each
+def test_a_file_that_a_tool_has_changed_since_its_bake_is_lit_standard(stage: Stage, kind: str) -> None:
+    """But for a tool that only merges equal vertices."""
+    character = Character(after_bake.changed(TUBE, stage.models, kind), BENT)
+    found = stage.page.call("normals", character.told(Placement()))
+    said = [line for line in stage.messages() if line.startswith("skinbake")]
+    ((lighting, reason),) = found["report"]
+    assert after_bake.REASONS[kind] in reason
+    assert lighting == ("standard" if after_bake.REASONS[kind] else "accurate")
+    assert [line.partition("lighting: ")[2] for line in said] == ([reason] if reason else [])
+    lit = Algorithm.LBS_STANDARD if reason else Algorithm.LBS_ACCURATE
+    assert worst(found["draws"][0], expected(character, lit)) < DEGREES
+
+
+def test_all_parts_of_a_skin_are_lit_as_the_one_that_does_not_fit_its_bake(stage: Stage) -> None:
+    path = after_bake.simplified_in_part(FOLDER / "two_primitives.glb", stage.models)
+    report = stage.page.call("reports", {"url": f"/models/{path.name}"})
+    changed = "a tool has changed its triangles since its bake: bake last"
+    alike = 'a part of "cut", of the same skin, does not fit its bake: bake last'
+    assert report == [["standard", alike], ["standard", changed]]
+    assert sorted(line.partition("lighting: ")[2] for line in stage.messages()) == [alike, changed]
+
+
+@pytest.mark.parametrize("kind", ["frame", "alpha"])
+def test_damaged_metadata_are_told_of(stage: Stage, kind: str) -> None:
+    path = after_bake.damaged(TUBE, stage.models, kind)
+    ((lighting, reason),) = stage.page.call("reports", {"url": f"/models/{path.name}"})
+    assert lighting == "standard"
+    assert after_bake.DAMAGES[kind] in reason
+    assert [line.partition("lighting: ")[2] for line in stage.messages()] == [reason]
+
+
+def test_a_file_without_a_bake_is_told_of_once(stage: Stage) -> None:
+    (stage.models / TUBE.name).write_bytes(TUBE.read_bytes())
+    (said,) = stage.call("information", {"url": f"/models/{TUBE.name}"})
+    words = "has no bake, and Babylon.js's standard lighting: run skinbake bake on it"
+    assert said.endswith(f'{TUBE.name}" {words}')
+    assert stage.call("information", stage.character(TUBE, BENT).told(Placement())) == []
+
+
+def test_a_geometry_buffer_has_standard_normals_and_that_is_said(stage: Stage) -> None:
+    report = stage.page.call("buffered", stage.character(TUBE, BENT).told(Placement()))
+    assert report == RIGHT
+    (said,) = stage.messages()
+    assert said.startswith(
+        'skinbake: "buffered" has Babylon.js\'s standard lighting in its geometry buffer: '
+    )
 
 
 def test_eight_influences_under_webgpu(stage: Stage) -> None:

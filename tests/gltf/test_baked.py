@@ -121,8 +121,17 @@ class TestEveryFixture:
             assert found["generator"].startswith("skinbake ")
             assert re.fullmatch("[0-9a-f]{16}", found["rig"])
             known = {*expected, "rig", "generator", "digest", "adopted", "formerDigest", "generated"}
-            known.add("keepExtras")
+            known |= {"keepExtras", "positions"}
             assert set(found) <= known
+            positions = after.attribute("POSITION", mesh, number)
+            corners = after.triangles(mesh, number)
+            assert found["positions"]["componentType"] == 5126
+            assert found["positions"]["corners"] == corners.size
+            used = positions[np.unique(corners)]
+            bounds = {"min": used.min(axis=0).tolist(), "max": used.max(axis=0).tolist()}
+            is_shared = len(used) < len(positions)
+            told = {key: value for key, value in found["positions"].items() if key in bounds}
+            assert told == ({} if is_shared else bounds)
 
     def test_baking_twice_is_baking_once(self, name: str, tmp_path: Path) -> None:
         once, twice = tmp_path / "once", tmp_path / "twice"

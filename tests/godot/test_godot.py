@@ -23,7 +23,7 @@ from skinbake.format.layouts import GradientFormat
 from skinbake.shaders.engines import engines_folder
 from skinbake.skinning.algorithms import Algorithm
 from tests.godot.storage import as_stored
-from tests.support import browser, corpus
+from tests.support import after_bake, browser, corpus
 from tests.support.baked_files import Editable
 from tests.support.characters import AS_USUAL, Array, Character, Placement, Pose, angles, baked
 from tests.support.mapped import columns
@@ -86,6 +86,7 @@ SEEN: list[dict[str, object]] = [
     {**EMISSIVE, "emission_texture": None, "emission_operator": 1},
     {**SCALED_UV2, "detail_uv_layer": 1},
     {"depth_test": 1},
+    {"cull_mode": 1},
     {"shadow_to_opacity": True},
     {"fov_override": 100.0, "use_fov_override": True},
 ]
@@ -97,6 +98,14 @@ UNSEEN: list[dict[str, object]] = [
     {**ORM, **OCCLUDED, "ao_on_uv2": True},
 ]
 """The last changes nothing in the Compatibility renderer."""
+
+
+DOUBLE_SIDED: list[dict[str, object]] = [
+    {"cull_mode": 2},
+    {"cull_mode": 2, "grow": True},
+    {"cull_mode": 2, "transparency": 2},
+    {"cull_mode": 2, "transparency": 4},
+]
 
 
 WHITE, RED, GREEN, BLUE = (
@@ -574,6 +583,40 @@ def test_a_file_that_does_not_fit_is_named_with_the_reason(
     assert [line for line in found["said"] if reason in line]
 
 
+@pytest.mark.parametrize("kind", ["welded", "dequantised", "simplified"])
+def test_a_file_that_a_tool_has_changed_since_its_bake_is_lit_standard(stage: Stage, kind: str) -> None:
+    """But for a tool that only merges equal vertices. Godot refuses what is quantised."""
+    character = Character(after_bake.changed(TUBE, stage.models, kind), BENT)
+    found = stage.show(character)
+    if not after_bake.REASONS[kind]:
+        assert_accurate(character, found)
+        return
+    (entry,) = found["report"]
+    assert (entry["lighting"], entry["reason"]) == ("standard", after_bake.REASONS[kind])
+    assert [line for line in found["said"] if after_bake.REASONS[kind] in line]
+    assert found["skinned"] == [True]
+
+
+def test_all_parts_of_a_skin_are_lit_as_the_one_that_does_not_fit_its_bake(stage: Stage) -> None:
+    path = after_bake.simplified_in_part(FIXTURES / "two_primitives.glb", stage.models)
+    found = stage.shown({"url": f"/models/{path.name}", "pose": {}, "isDrawn": False})
+    assert found["skinned"] == [True]
+    assert [(entry["lighting"], entry["reason"]) for entry in found["report"]] == [
+        ("standard", 'a part of "cut", of the same skin, does not fit its bake: bake last'),
+        ("standard", "a tool has changed its triangles since its bake: bake last"),
+    ]
+
+
+@pytest.mark.parametrize("kind", ["frame", "alpha"])
+def test_damaged_metadata_are_told_of(stage: Stage, kind: str) -> None:
+    path = after_bake.damaged(TUBE, stage.models, kind)
+    found = stage.shown({"url": f"/models/{path.name}", "pose": {}, "isDrawn": False})
+    (entry,) = found["report"]
+    assert entry["lighting"] == "standard"
+    assert after_bake.DAMAGES[kind] in entry["reason"]
+    assert [line for line in found["said"] if after_bake.DAMAGES[kind] in line]
+
+
 def test_tangents_that_godot_makes_are_not_those_of_the_bake(stage: Stage) -> None:
     """The editor asks for them, and they lie in other directions than those that were baked."""
     file = Editable(baked(MIRRORED, stage.models))
@@ -694,6 +737,35 @@ def test_a_property_of_standard_materials_does_what_it_does_in_godot_s_own(
     assert {entry["lighting"] for entry in found["report"]} == {"accurate"}
     assert (difference(own(properties), own(dict(others))) > 4) == (properties in SEEN)
     assert difference(own(properties), pixels(found)) <= 2
+
+
+@pytest.mark.parametrize("turned", [False, True], ids=["front", "back"])
+@pytest.mark.parametrize("properties", [{}, *DOUBLE_SIDED], ids=worded)
+def test_the_shadow_of_a_sheet_is_that_of_godot_s_own_material(
+    stage: Stage, sheet: Path, properties: dict[str, object], turned: bool
+) -> None:
+    """Godot draws most shadows by front faces alone."""
+    conditions = {
+        "url": f"/models/{sheet.name}",
+        "pose": {},
+        "properties": properties,
+        "isRigid": True,
+        "isLit": True,
+        "isPictured": True,
+        "isScreened": True,
+        "isTurned": turned,
+    }
+    own = pixels(stage.shown({**conditions, "isStandard": True, "isShadowed": True}))
+    assert difference(own, pixels(stage.shown({**conditions, "isShadowed": True}))) <= 2
+    if len(properties) == 1:
+        # By no length: the shadow alone is another one, because such a material casts it itself.
+        grown = {
+            **conditions,
+            "properties": {**properties, "grow": True},
+            "isStandard": True,
+            "isShadowed": True,
+        }
+        assert (difference(own, pixels(stage.shown(grown))) > 10) == turned
 
 
 def difference(one: Array, other: Array) -> float:

@@ -357,6 +357,16 @@ const SHADER = {
     attributes: { vertex_position: pc.SEMANTIC_POSITION },
 };
 
+// What console.info has of a file.
+export async function information(options) {
+    const said = [];
+    const { info } = console;
+    console.info = (line) => said.push(line);
+    await told(options);
+    console.info = info;
+    return said.filter((line) => line.startsWith('skinbake'));
+}
+
 // Load and draw without reading back: what is told.
 export async function told(options) {
     const one = await application('webgl2');
@@ -531,3 +541,4 @@ window.together = together;
 window.remaining = remaining;
 window.draw = draw;
 window.backend = backend;
+window.information = information;

@@ -18,7 +18,7 @@ from skinbake.choices import Encoding, Layout, Scheme
 from skinbake.format.layouts import GradientFormat
 from skinbake.shaders.engines import engines_folder
 from skinbake.skinning.algorithms import Algorithm
-from tests.support import browser, corpus, gltf_reading
+from tests.support import after_bake, browser, corpus, gltf_reading
 from tests.support.baked_files import Editable
 from tests.support.baking import bake_file
 from tests.support.characters import AS_USUAL, Array, Character, Normals, Placement, Pose, angles, baked
@@ -529,6 +529,44 @@ class TestMessages:
         report, (message,) = stage.told(path, plugin=False)
         assert report == [["standard", "it is not baked, or its asset was loaded without skinbakeOptions()"]]
         assert "was loaded without skinbakeOptions()" in message
+
+    @after_bake.each
+    def test_a_file_that_a_tool_has_changed_since_its_bake(self, stage: DrawingStage, kind: str) -> None:
+        """It is right where the tool only merges equal vertices."""
+        character = Character(after_bake.changed(TUBE, stage.models, kind), RANDOM)
+        found = stage.page.call("draw", character.told(Placement()))
+        said = [line for line in stage.messages() if line.startswith("skinbake")]
+        ((lighting, reason),) = found["report"]
+        assert after_bake.REASONS[kind] in reason
+        assert lighting == ("standard" if after_bake.REASONS[kind] else "accurate")
+        assert [line.partition("lighting: ")[2] for line in said] == ([reason] if reason else [])
+        lit = Algorithm.LBS_STANDARD if reason else Algorithm.LBS_ACCURATE
+        assert largest(found["values"][0], expected(character, found, lit).normals) < DEGREES
+
+    def test_a_part_of_a_skin_that_does_not_fit_its_bake(self, stage: DrawingStage) -> None:
+        path = after_bake.simplified_in_part(FIXTURES / "two_primitives.glb", stage.models)
+        report, messages = stage.told(path)
+        changed = "a tool has changed its triangles since its bake: bake last"
+        alike = 'a part of "cut", of the same skin, does not fit its bake: bake last'
+        assert report == [["standard", alike], ["standard", changed]]
+        assert [line.partition("lighting: ")[2] for line in messages] == [alike, changed]
+
+    @pytest.mark.parametrize("kind", ["frame", "alpha"])
+    def test_damaged_metadata(self, stage: DrawingStage, kind: str) -> None:
+        (((lighting, reason),), messages) = stage.told(after_bake.damaged(TUBE, stage.models, kind))
+        assert lighting == "standard"
+        assert after_bake.DAMAGES[kind] in reason
+        assert [line.partition("lighting: ")[2] for line in messages] == [reason]
+
+    def test_a_file_without_a_bake_once(self, stage: DrawingStage) -> None:
+        """As information, not as a warning."""
+        path = stage.models / "unbaked.glb"
+        path.write_bytes(TUBE.read_bytes())
+        (said,) = stage.call("information", {"url": f"/models/{path.name}"})
+        words = "has no bake, and PlayCanvas's standard lighting: run skinbake bake on its file"
+        assert said == f'skinbake: "/models/unbaked.glb" {words}'
+        url = {"url": stage.character(TUBE, RANDOM).told(Placement())["url"]}
+        assert stage.call("information", url) == []
 
     def test_lost_metadata(self, stage: DrawingStage) -> None:
         file = Editable(baked(TUBE, stage.models))

@@ -267,6 +267,63 @@ const api = {
         return { ...result, hooked: mesh.userData.hooked ?? false, error: renderer.getContext().getError() };
     },
 
+    // What is reported of a file, which may have several meshes.
+    async reports(options) {
+        const { scene } = await load(options);
+        await draw(scene);
+        const report = told(skinbake.applySkinbake(scene).meshes);
+        skinbake.dispose(scene);
+        return report;
+    },
+
+    // What console.info has of a file that is loaded and asked for again.
+    async information(options) {
+        const said = [];
+        const { info } = console;
+        console.info = (line) => said.push(line);
+        const { scene } = await load(options);
+        skinbake.applySkinbake(scene);
+        await draw(scene);
+        console.info = info;
+        skinbake.dispose(scene);
+        return said;
+    },
+
+    // How many geometries count as lit: while two are drawn, after one was disposed of and drawn again, after both were,
+    // and after a page has lost others.
+    async counted(options) {
+        const state = globalThis[Symbol.for('skinbake.three')];
+        const before = state.count;
+        const counts = [];
+        const look = () => counts.push(state.count - before);
+        let { scene } = await load(options);
+        let other = skinnedMeshes(scene)[0].clone();
+        other.geometry = other.geometry.clone();
+        scene.add(other);
+        await draw(scene);
+        look();
+        other.geometry.dispose();
+        await null;
+        look();
+        await draw(scene);
+        look();
+        skinnedMeshes(scene).forEach(({ geometry }) => geometry.dispose());
+        await null;
+        look();
+        await draw(scene);
+        look();
+        scene = other = null;
+        CAPTURE.draws = [];
+        for (let round = 0; round < 50 && state.count > before; round++) {
+            renderer.renderLists.dispose();
+            renderer.render(new THREE.Scene(), camera);
+            gc();
+            await new Promise((resolve) => setTimeout(resolve, 20));
+        }
+        look();
+        return counts;
+    },
+
     // The normals and the report of a mesh that is drawn as it was, then altered or written anew, then asked for again.
     // The first draw after the change is the first one.
     async altered(options) {

@@ -19,13 +19,19 @@ from skinbake.format.layouts import CUSTOM_NAMES, GradientFormat, free_texcoords
 from skinbake.format.metadata import KEY
 from skinbake.format.morph_targets import MadeTargets, add_made
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
-from skinbake.gltf.accessors import read_accessor
+from skinbake.geometry.triangles import TRIANGLES
+from skinbake.gltf.accessors import element_count, read_accessor
 from skinbake.gltf.additions import Additions
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject
+from skinbake.gltf.json_access import JsonObject, is_number
 from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, read_influences, side_by_side
 from skinbake.timing import stage
 from skinbake.version import __version__
+
+FLOAT = 5126
+
+SAME_BOUNDS = 1e-3
+"""The most that bounds of one mesh may differ, as a part of its diagonal: Draco rounds positions."""
 
 _NamedArray: TypeAlias = tuple[str, npt.NDArray[Any]]
 """The name and the values of an attribute."""
@@ -128,6 +134,7 @@ def _written(
     with stage("digests"):
         note["digest"] = metadata.digests(stored, item.result.frame)
     note["alpha"], note["beta"], gradients = _stored(item, names, storage)
+    note[metadata.POSITIONS] = _noted_positions(document, item)
     note |= storage.noted
     for member in (metadata.STORED_POSE, metadata.POSES):
         if member in note:
@@ -187,6 +194,34 @@ def _add_gradients(
             )
         attributes[name] = store.add(name, values, normalized=storage.encoding.is_scaled, extras=extras)
         extras = None
+
+
+def _noted_positions(document: Document, item: Baked) -> JsonObject:
+    """Return what a tool changes that spoils α and β, and what an engine can read without reading vertices.
+
+    That is the type of POSITION, its bounds, and how many corners are drawn: merging equal vertices changes
+    none of them. Bounds are left out where those of the accessor are not those of the triangles, because
+    primitives share it or a tool has written it wrongly.
+    """
+    source = item.source
+    number = int(source.attributes["POSITION"])
+    accessor = document.objects("accessors")[number]
+    noted: JsonObject = {"componentType": accessor["componentType"]}
+    if source.json.get("mode", TRIANGLES) == TRIANGLES:
+        corners = int(source.json.get("indices", number))
+        noted["corners"] = element_count(document, corners, source.place.at("indices"))
+    used = np.zeros(len(item.primitive.positions), dtype=np.bool_)
+    used[item.primitive.triangles] = True
+    if accessor["componentType"] != FLOAT or not used.any():
+        return noted
+    positions = item.primitive.positions if used.all() else item.primitive.positions[used]
+    bounds = np.stack([positions.min(axis=0), positions.max(axis=0)])
+    told = [accessor.get("min"), accessor.get("max")]
+    if all(isinstance(row, list) and len(row) == 3 and all(map(is_number, row)) for row in told):
+        allowed = SAME_BOUNDS * float(np.linalg.norm(bounds[1] - bounds[0]))
+        if np.abs(np.array(told, dtype=np.float64) - bounds).max() <= allowed:
+            noted |= {"min": bounds[0].tolist(), "max": bounds[1].tolist()}
+    return noted
 
 
 def _stored(

@@ -52,6 +52,9 @@ STRAIGHTENED = "straightened"
 INFLUENCE_TYPES = {"JOINTS": "<u2", "WEIGHTS": "<f4"}
 """The types to which influences are converted for their digests."""
 
+POSITIONS = "positions"
+"""The member with what an engine compares, to see whether a tool has changed the mesh since its bake."""
+
 LEFT = "left"
 """The member of ``asset.extras.skinbake`` that says why a bake has left the file as it was."""
 

@@ -160,12 +160,17 @@ func _show(asked: Dictionary) -> Dictionary:
 	_pose(asked)
 	if asked.get("isFurnished", false):
 		_scene.rotation.y = 0.8
+	if asked.get("isTurned", false):
+		_scene.rotation.y = PI
 	# The camera is not turned, so that normals before it are normals in the world.
 	var bounds: AABB = meshes[0].global_transform * meshes[0].get_aabb()
 	_camera.position = bounds.get_center() + Vector3(0.0, 0.0, 0.8 * bounds.size.length())
 	_light.visible = asked.get("isLit", false)
 	_light.shadow_enabled = asked.get("isShadowed", false)
 	_furnish(asked.get("isFurnished", false))
+	if asked.get("isScreened", false):
+		# What is behind the mesh receives its shadow.
+		_add_wall(bounds.get_center() - Vector3(0.0, 0.0, bounds.size.length()), Vector2(20.0, 20.0), Color.WHITE, 0, false)
 	var told := _told()
 	told.world = _matrix(meshes[0].global_transform)
 	return told
@@ -195,7 +200,7 @@ func _furnish(is_furnished: bool) -> void:
 	add_child(world)
 
 
-func _add_wall(position: Vector3, size: Vector2, colour: Color, priority: int) -> void:
+func _add_wall(position: Vector3, size: Vector2, colour: Color, priority: int, is_unshaded := true) -> void:
 	var wall := MeshInstance3D.new()
 	var quad := QuadMesh.new()
 	quad.size = size
@@ -203,7 +208,8 @@ func _add_wall(position: Vector3, size: Vector2, colour: Color, priority: int) -
 	wall.position = position
 	var material := StandardMaterial3D.new()
 	material.albedo_color = colour
-	material.shading_mode = BaseMaterial3D.SHADING_MODE_UNSHADED
+	if is_unshaded:
+		material.shading_mode = BaseMaterial3D.SHADING_MODE_UNSHADED
 	if colour.a < 1.0:
 		material.transparency = BaseMaterial3D.TRANSPARENCY_ALPHA
 	material.render_priority = priority

@@ -163,7 +163,9 @@ static func _undo(mesh: MeshInstance3D) -> Array:
 ## All that decides how a mesh is drawn and that a game may set: materials with their shaders and next passes, the
 ## mesh itself, its skin and its skeleton.
 static func _state_of(mesh: MeshInstance3D) -> Array:
-	var found := [mesh.mesh, mesh.skin, mesh.skeleton, mesh.material_override, mesh.material_overlay]
+	var found := [
+		mesh.mesh, mesh.skin, mesh.skeleton, mesh.material_override, mesh.material_overlay, mesh.cast_shadow
+	]
 	for surface in mesh.get_surface_override_material_count():
 		_add_passes(found, mesh.mesh.surface_get_material(surface))
 		_add_passes(found, mesh.get_surface_override_material(surface))
@@ -253,6 +255,9 @@ func _skin(
 	for surface in surfaces.size():
 		for link: Dictionary in links[surface]:
 			_set_parameters(link.copy, surfaces[surface], pose.texture)
+			link.copy.set_shader_parameter(
+				&"skinbake_has_double_shadow", mesh.cast_shadow == mesh.SHADOW_CASTING_SETTING_DOUBLE_SIDED
+			)
 		mesh.set_surface_override_material(surface, links[surface][0].copy)
 	# Without a skin: Godot's own skinning would come first, and take the joints and weights away.
 	mesh.skin = null

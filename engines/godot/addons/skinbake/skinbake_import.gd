@@ -15,17 +15,20 @@ const FLOAT := 5126
 const SIZES := {BYTE: 1, SHORT: 2, FLOAT: 4}
 const TYPES := {"float32": FLOAT, "snorm16": SHORT, "packed8": BYTE}
 const REPAIR := ": a tool changed the file after its bake; bake last"
+## Of the diagonal, as in skinbake: Draco rounds positions.
+const SAME_BOUNDS := 1e-3
 
 
 func _import_post_parse(state: GLTFState) -> Error:
 	var meshes: Array = state.json.get("meshes", [])
 	var records := {}
+	var stale := _stale(state)
 	for index in mini(meshes.size(), state.meshes.size()):
 		var primitives: Array = meshes[index]["primitives"]
 		var notes := primitives.map(_note_of.bind(state))
 		if notes.any(func(note: Dictionary) -> bool: return not note.is_empty()):
 			var mesh: ImporterMesh = state.meshes[index].mesh
-			records[mesh.resource_name] = _take_in(state, mesh, primitives, notes)
+			records[mesh.resource_name] = _take_in(state, mesh, primitives, notes, stale.get(index, {}))
 	state.set_additional_data(KEY, records)
 	return OK
 
@@ -50,19 +53,75 @@ static func _note_of(primitive: Dictionary, state: GLTFState) -> Dictionary:
 		holders.append(accessors[int(accessor)])
 	for holder: Dictionary in holders:
 		var extras: Variant = holder.get("extras")
-		if extras is Dictionary and extras.get("skinbake") is Dictionary and extras["skinbake"].has("alpha"):
+		if extras is Dictionary and extras.get("skinbake") is Dictionary and extras["skinbake"].has("version"):
 			return extras["skinbake"]
 	return {}
 
 
-## Give a mesh the arrays of its bake, and return a record for each surface.
-func _take_in(state: GLTFState, mesh: ImporterMesh, primitives: Array, notes: Array) -> Array[Dictionary]:
+## By mesh and primitive, why it is lit standard though its metadata are in order: a tool has changed it since its bake,
+## as far as the bake has noted what it was, or another part of its skin. Between two lightings, a seam would show.
+static func _stale(state: GLTFState) -> Dictionary:
+	var found := {}
+	var meshes: Array = state.json.get("meshes", [])
+	for mesh in meshes.size():
+		found[mesh] = {}
+		var primitives: Array = meshes[mesh]["primitives"]
+		for number in primitives.size():
+			var change := _change_since(_note_of(primitives[number], state), primitives[number], state)
+			if change != "":
+				found[mesh][number] = "a tool has changed %s since its bake: bake last" % change
+	var changed := {}
+	for is_told: bool in [false, true]:
+		for node: Dictionary in state.json.get("nodes", []):
+			if not node.has("mesh") or not node.has("skin"):
+				continue
+			var mesh := int(node["mesh"])
+			if not is_told and not found[mesh].is_empty() and not changed.has(node["skin"]):
+				changed[node["skin"]] = meshes[mesh].get("name", str(mesh))
+			elif is_told and changed.has(node["skin"]):
+				for number in meshes[mesh]["primitives"].size():
+					if not found[mesh].has(number):
+						found[mesh][number] = 'a part of "%s", of the same skin, does not fit its bake: bake last' \
+							% changed[node["skin"]]
+	return found
+
+
+static func _change_since(note: Dictionary, primitive: Dictionary, state: GLTFState) -> String:
+	var noted: Variant = note.get("positions")
+	if not noted is Dictionary or not primitive["attributes"].has("POSITION"):
+		return ""
+	var accessors: Array = state.json["accessors"]
+	var positions: Dictionary = accessors[int(primitive["attributes"]["POSITION"])]
+	if positions["componentType"] != noted.get("componentType"):
+		return "the type of its positions"
+	var corners: Dictionary = accessors[int(primitive["indices"])] if primitive.has("indices") else positions
+	if noted.has("corners") and noted["corners"] != corners["count"]:
+		return "its triangles"
+	for holder: Dictionary in [noted, positions]:
+		if not holder.get("min") is Array or not holder.get("max") is Array:
+			return ""
+	var diagonal := _vector(noted["max"]).distance_to(_vector(noted["min"]))
+	for key: String in ["min", "max"]:
+		var difference := (_vector(noted[key]) - _vector(positions[key])).abs()
+		if difference[difference.max_axis_index()] > SAME_BOUNDS * diagonal:
+			return "the bounds of its positions"
+	return ""
+
+
+static func _vector(numbers: Array) -> Vector3:
+	return Vector3(numbers[0], numbers[1], numbers[2])
+
+
+## Give a mesh the arrays of its bake, and return a record for each surface. stale: as _stale() has it, by primitive.
+func _take_in(
+	state: GLTFState, mesh: ImporterMesh, primitives: Array, notes: Array, stale: Dictionary
+) -> Array[Dictionary]:
 	var surfaces: Array[Surface] = []
 	var records: Array[Dictionary] = []
 	for index in mesh.get_surface_count():
 		var surface := Surface.of(mesh, index)
 		surfaces.append(surface)
-		records.append(_record(state, surface, primitives[index], notes[index]))
+		records.append(_record(state, surface, primitives[index], notes[index], stale.get(index, "")))
 	var shapes := range(mesh.get_blend_shape_count()).map(mesh.get_blend_shape_name)
 	var mode := mesh.get_blend_shape_mode()
 	mesh.clear()
@@ -75,12 +134,22 @@ func _take_in(state: GLTFState, mesh: ImporterMesh, primitives: Array, notes: Ar
 
 
 ## Put α and β into a surface. The record has `why` if they cannot be used.
-func _record(state: GLTFState, surface: Surface, primitive: Dictionary, note: Dictionary) -> Dictionary:
+func _record(
+	state: GLTFState, surface: Surface, primitive: Dictionary, note: Dictionary, stale: String
+) -> Dictionary:
 	if note.is_empty():
 		return {"why": "it is not baked"}
 	if int(note.get("version", 0)) != 1:
 		return {"why": "its bake is of version %s, and this add-on reads version 1" % note.get("version")}
-	if int(note["influences"]) > 4:
+	if not ["alpha", "beta"].all(func(key: String) -> bool: return _is_names(note.get(key))):
+		return {"why": "the metadata of its bake is damaged: bake it again"}
+	if not note.get("frame") in ["normal", "tangent"]:
+		return {"why": "its frame is %s, and this add-on knows normal and tangent: update it" % note.get("frame")}
+	if not note.get("encoding", "float32") in TYPES:
+		return {"why": "its encoding is %s, and this add-on knows packed8 and snorm16: update it" % note["encoding"]}
+	if stale != "":
+		return {"why": stale}
+	if int(note.get("influences", 4)) > 4:
 		return {"why": "it has %d influences per vertex, and a shader of Godot reads four: bake with "
 			% int(note["influences"]) + "--limit-influences 4"}
 	# Not those of the surface alone: Godot makes tangents where a file has none, and they lie otherwise.
@@ -111,6 +180,10 @@ func _record(state: GLTFState, surface: Surface, primitive: Dictionary, note: Di
 		"skinbake_is_morphed": is_morphed,
 		"size": surface.bounds().size,
 	}
+
+
+static func _is_names(list: Variant) -> bool:
+	return list is Array and not list.is_empty() and list.all(func(name: Variant) -> bool: return name is String)
 
 
 ## One surface of an ImporterMesh, taken out so that it can be added again with more arrays.

@@ -276,6 +276,11 @@ static func _defines(material: BaseMaterial3D) -> PackedStringArray:
 			found.append("TRANSPARENT")
 		_ when material.shadow_to_opacity:
 			found.append("TRANSPARENT")
+	# Godot draws the shadows of all other materials by one of its own, which culls back faces. Forward+ does not
+	# where they are not culled.
+	var is_its_own := ["TRANSPARENT", "GROWN", "Z_CLIP_SCALED", "FOV_OVERRIDDEN"].any(found.has)
+	if material.cull_mode == BaseMaterial3D.CULL_DISABLED and not is_its_own:
+		found.append("SHADOW_BY_FRONT")
 	return found
 
 

@@ -1,0 +1,63 @@
+"""What other tools make of a baked file, for the tests of each engine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.support import gltf_transform
+from tests.support.baked_files import Editable
+from tests.support.characters import baked
+
+SPARED = ("--pattern", "{POSITION,NORMAL,TANGENT}")
+COMMANDS = {
+    "welded": [["weld"]],
+    "quantised": [["quantize", *SPARED]],
+    "quantised with all attributes": [["quantize"]],
+    "dequantised": [["quantize", *SPARED], ["dequantize"]],
+    "simplified": [["simplify", "--ratio", "0.5", "--error", "0.01"]],
+    "optimised": [["optimize", "--compress", "quantize", "--texture-compress", "false"]],
+}
+REASONS = {
+    "welded": "",
+    "quantised": "a tool has changed the type of its positions since its bake: bake last",
+    "quantised with all attributes": "bake last",
+    "dequantised": "a tool has changed the bounds of its positions since its bake: bake last",
+    "simplified": "a tool has changed its triangles since its bake: bake last",
+    "optimised": "bake last",
+}
+"""What the reason says for which a mesh is lit standard; empty if it is lit accurately."""
+
+DAMAGES = {"frame": "its frame is other, and", "alpha": "the metadata of its bake is damaged: bake it again"}
+"""What the reason says for ``damaged`` metadata."""
+
+each = pytest.mark.parametrize("kind", COMMANDS)
+
+
+def changed(source: Path, folder: Path, kind: str, frame: str = "auto") -> Path:
+    """Bake a file, and let glTF-Transform change it in one of these ways. Return the path in the folder."""
+    path = baked(source, folder, frame)
+    for command, *options in COMMANDS[kind]:
+        target = folder / f"{kind.replace(' ', '-')}-{command}-{source.name}"
+        done = gltf_transform.run([command, path, target, *options])
+        assert done.returncode == 0, done.stderr
+        path = target
+    return path
+
+
+def simplified_in_part(source: Path, folder: Path) -> Path:
+    """Bake a file of two primitives, and let the bake of the second one be for other triangles."""
+    file = Editable(baked(source, folder))
+    file.metadata(1)["positions"]["corners"] += 3
+    return file.write(folder / f"in-part-{source.name}")
+
+
+def damaged(source: Path, folder: Path, kind: str) -> Path:
+    """Bake a file and damage its metadata: an unknown ``frame``, or no ``alpha``."""
+    file = Editable(baked(source, folder))
+    if kind == "frame":
+        file.metadata()["frame"] = "other"
+    else:
+        del file.metadata()["alpha"]
+    return file.write(folder / f"damaged-{kind}-{source.name}")
