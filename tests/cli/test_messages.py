@@ -281,8 +281,7 @@ def test_one_line_closes_each_file(tmp_path: Path) -> None:
     result = invoke("bake", *(FOLDER / name for name in FIXTURES), "--out-dir", tmp_path)
     lines = result.stdout.splitlines()
     assert [line.split(" -> ")[0] for line in lines] == [str(FOLDER / name) for name in FIXTURES]
-    *warnings, totals = result.stderr.splitlines()
-    assert all("have no NORMAL" in line or "has no NORMAL" in line for line in warnings)
+    (totals,) = result.stderr.splitlines()
     assert totals.startswith(f"{len(FIXTURES)} files: {len(FIXTURES)} baked, in ")
 
 

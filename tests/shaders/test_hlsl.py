@@ -71,7 +71,7 @@ def test_every_storage_and_morph_compiles() -> None:
     """With two sets of influences in the tangent frame; dual quaternions read α and β in no other way."""
     stored = [c for c in every_stored_and_morphed(HLSL).values() if c.influences == 8 and c.method == "lbs"]
     every = [choices for choices in stored if choices.frame == Frame.TANGENT]
-    assert len(every) == 9
+    assert len(every) == 11
     for choices in every:
         module = glslang.spirv_of_hlsl(hlsl([choices, replace(choices, lighting=Lighting.DIRECT)]))
         assert glslang.invalid(module) == "", label(choices)
