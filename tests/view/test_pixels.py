@@ -127,9 +127,14 @@ PACKED = """(() => {
 })"""
 
 
-@pytest.mark.parametrize(("lighting", "algorithm"), [("rig", 3), ("dqs", 6)])
-def test_pixels_of_a_relief_are_those_of_the_replay(tmp_path: Path, lighting: str, algorithm: int) -> None:
-    path = baked(with_relief(tmp_path, TEXELS[1]), tmp_path)
+@pytest.mark.parametrize(
+    ("lighting", "algorithm", "frame"),
+    [("rig", 3, "tangent"), ("dqs", 6, "tangent"), ("rig", 3, "normal"), ("dqs", 6, "normal")],
+)
+def test_pixels_of_a_relief_are_those_of_the_replay(
+    tmp_path: Path, lighting: str, algorithm: int, frame: str
+) -> None:
+    path = baked(with_relief(tmp_path, TEXELS[1]), tmp_path, frame)
     with shown(path) as page:
         page.show_as(900, 640, "light")
         page.call(

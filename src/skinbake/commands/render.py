@@ -284,7 +284,8 @@ def _subject(document: Document, number: int, draw: Draw, view: BakedView, mater
         texcoords=texcoords,
         colours=colours,
         is_mirrored=bool((np.linalg.det(at_rest) < 0).any()),
-        has_tangents=view.metadata["frame"] == Frame.TANGENT,
+        tangents=view.now.tangents,
+        in_their_frame=view.metadata["frame"] == Frame.TANGENT,
     )
 
 

@@ -62,7 +62,7 @@ class Studio:
     def __init__(self, subjects: Sequence[Subject], camera: Camera) -> None:
         self._subjects, self._camera = subjects, camera
         self._device = _device()
-        self._modules: dict[tuple[str, int, bool], Any] = {}
+        self._modules: dict[tuple[str, int, bool, Frame], Any] = {}
         self._pipelines: dict[tuple[object, ...], Any] = {}
         self._at_rest: dict[int, Any] = {}
         self._indices = [
@@ -179,7 +179,7 @@ class Studio:
         aspect, material = look.width / look.height, subject.material
         flags = [
             "normal" in material.images,
-            subject.has_tangents,
+            subject.tangents is not None,
             material.is_double and not subject.is_mirrored,
             material.is_blended,
         ]
@@ -236,10 +236,11 @@ class Studio:
         culled = "none" if material.is_double or subject.is_mirrored else "back"
         if lighting == "corrected":  # standard lighting, of other normals
             lighting = "standard"
-        key = (lighting, slots, subject.is_mirrored, culled, material.is_blended)
+        frame = Frame.TANGENT if subject.in_their_frame else Frame.NORMAL
+        key = (lighting, slots, subject.is_mirrored, frame, culled, material.is_blended)
         if key in self._pipelines:
             return self._pipelines[key]
-        stages = key[:3]  # the text of the stages depends on no more
+        stages = key[:4]  # the text of the stages depends on no more
         if stages not in self._modules:
             self._modules[stages] = self._device.create_shader_module(code=shader(*stages))
         module = self._modules[stages]
@@ -300,13 +301,13 @@ def _device() -> Any:
         raise UnsupportedFeatureError(message, place) from error
 
 
-def shader(lighting: str, slots: int, mirrored: bool) -> str:
+def shader(lighting: str, slots: int, mirrored: bool, frame: Frame = Frame.TANGENT) -> str:
     """Return the text of ``skinbake shader`` for so many slots, and the stages that call it."""
     choices = ShaderChoices(
         Language.WGSL,
         lighting=Lighting(lighting),
         influences=slots,
-        frame=Frame.TANGENT,  # frames are computed before; of both texts it is the one that has a handedness
+        frame=frame,
         mirrored_joints=mirrored and lighting == "accurate",
         normal_map=lighting == "accurate",
     )
@@ -320,13 +321,20 @@ def shader(lighting: str, slots: int, mirrored: bool) -> str:
         for set in sets
     ]
     arguments = ["row[0].xyz", "frame", "M", *weights, *(slopes if choices.reads_gradients else [])]
-    relief = [f"skinbake_normal_map(v, frame).{name}" for name in ("cotangent", "cobitangent")]
+    is_own = frame is Frame.TANGENT
+    given = "v, frame" if is_own else "v, frame, tangent"
+    relief = [f"skinbake_normal_map({given}).{name}" for name in ("cotangent", "cobitangent")]
     if not choices.normal_map:  # as in engines, standard lighting keeps no lengths
-        relief = [f"vec4<f32>(normalize(v.{name}), 1.0)" for name in ("tangent", "bitangent")]
+        columns = ["v.tangent", "v.bitangent"]
+        if not is_own:
+            across = "(tangent.w * cross(frame.normal, tangent.xyz))"
+            columns = [_of_frame(one) for one in ("tangent.xyz", across)]
+        relief = [f"vec4<f32>(normalize({column}), 1.0)" for column in columns]
     words = {
+        "row[TANGENT]": f"row[{first + 4 * len(sets)}]",
         "COTANGENT": relief[0],
         "COBITANGENT": relief[1],
-        "ROW": str(first + 4 * len(sets)),
+        "ROW": str(first + 4 * len(sets) + 1),
         "INFLUENCES": str(slots),
         "MATRICES": ", ".join(joints),
         "CALL": f"{choices.stem}({', '.join(arguments)})",
@@ -336,6 +344,12 @@ def shader(lighting: str, slots: int, mirrored: bool) -> str:
     for word, value in words.items():
         scene = scene.replace(word, value)
     return shader_made(choices)[0] + scene
+
+
+def _of_frame(vector: str) -> str:
+    """Return what standard lighting makes of a vector at rest, from what it makes of the frame."""
+    parts = (f"dot({vector}, frame.{name}) * v.{name}" for name in ("tangent", "bitangent", "normal"))
+    return " + ".join(parts)
 
 
 def _rows(subject: Subject, rest: RestPrimitive, errors: tuple[Any, Any] | None) -> npt.NDArray[np.float32]:
@@ -366,6 +380,7 @@ def _rows(subject: Subject, rest: RestPrimitive, errors: tuple[Any, Any] | None)
         *wide(rest.weights),
         *slopes(rest.alpha),
         *slopes(rest.beta),
+        np.zeros((count, 4)) if subject.tangents is None else subject.tangents,
     ]
     return np.stack(parts, axis=1).astype(np.float32)
 

@@ -21,9 +21,9 @@ class Subject:
     """One primitive under one skin.
 
     triangles (T, 3). texcoords (V, 2) are those of each image of the material, by its use. colours (V, 4) are
-    None if they are not drawn. is_mirrored: joints mirror the surface. has_tangents: its frame is that of
-    TANGENT, to which normal maps belong. pose_set is the number of its joint matrices among those of a
-    ``Shot``.
+    None if they are not drawn. is_mirrored: joints mirror the surface. tangents (V, 4) are TANGENT, to which
+    normal maps belong, None without it. in_their_frame: α and β belong to it too. pose_set is the number of
+    its joint matrices among those of a ``Shot``.
     """
 
     rest: RestPrimitive
@@ -33,7 +33,8 @@ class Subject:
     texcoords: Mapping[str, FloatArray] = field(default_factory=dict)
     colours: FloatArray | None = None
     is_mirrored: bool = False
-    has_tangents: bool = False
+    tangents: FloatArray | None = None
+    in_their_frame: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

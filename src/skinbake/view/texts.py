@@ -63,8 +63,9 @@ def _named(
         mirrored_joints=mirrored,
         encoding=encoding,
         morphs=usual.morphs,
-        # In the normal frame, the page finds the frame of a normal map from derivatives.
-        normal_map=usual.frame is Frame.TANGENT and lighting is not Lighting.STANDARD,
+        # Where frames move by what the file notes of them, a normal map has its frame from derivatives.
+        normal_map=lighting is not Lighting.STANDARD
+        and usual.morphs not in (Morphs.FRAMES, Morphs.FRAMES_NORMAL),
     )
     parts = (choices.stem, usual.influences, usual.frame, encoding, usual.morphs)
     return "/".join([*map(str, parts), "mirrored" if mirrored else "plain"]), choices

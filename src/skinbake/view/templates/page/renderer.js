@@ -434,7 +434,7 @@ export class Renderer {
         const maps = Object.fromEntries(Object.entries(isPlain ? {} : own[kind]).filter(([name]) => name in texcoordOf));
         const has = Object.keys(maps).sort().map((name) => `${name.toUpperCase()}_TEXCOORD ${TEXCOORDS[texcoordOf[name]]}`);
         if (!isPlain && primitive.colors) has.push('HAS_COLORS');
-        if (maps.normal && primitive.metadata?.frame === 'tangent') has.push('HAS_TANGENTS');
+        if (maps.normal && primitive.tangents && !numbersOf(primitive, primitive.metadata?.frame)) has.push('HAS_TANGENTS');
         return { own, isPlain, maps, has };
     }
 

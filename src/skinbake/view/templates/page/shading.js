@@ -41,9 +41,13 @@ export function vertexText(text, choices) {
     const gradients = reads ? ['alpha', 'beta'].flatMap((kind) => numbers.map((set) => decoded(kind, set))) : [];
     const given = ['scale * morphed_position', 'frame', name, ...lists('weights'), ...gradients].join(', ');
     // For normal maps: directions in xyz, and their lengths over that of the normal. As in engines, standard lighting
-    // has no lengths.
-    const relief = frame === 'tangent' && reads ? ['map.cotangent', 'map.cobitangent'] :
-        ['tangent', 'bitangent'].map((one) => `vec4(normalize(v.${one}), 1.0)`);
+    // has no lengths. In the normal frame, both follow from TANGENT, if there is one.
+    const others = frame === 'tangent' ? '' : morphs === 'none' ? ', tangent' : ', rest, tangent';
+    const along = (one) => `(dot(${one}, rest.tangent) * v.tangent + dot(${one}, rest.bitangent) * v.bitangent + dot(${one}, rest.normal) * v.normal)`;
+    const columns = frame === 'tangent' ? ['v.tangent', 'v.bitangent'] :
+        ['tangent.xyz', 'tangent.w * cross(rest.normal, tangent.xyz)'].map(along);
+    const isRelief = reads && !morphs.startsWith('frames');
+    const relief = isRelief ? ['map.cotangent', 'map.cobitangent'] : columns.map((one) => `vec4(normalize(${one}), 1.0)`);
     const followed = {
         none: '',
         normal: 'frame = skinbake_morphed_frame(frame, morphed_normal);',
@@ -91,6 +95,7 @@ void main()
 {
     vec3 morphed_position = position;
     skinbake_Frame frame = skinbake_frame(normal${frame === 'tangent' ? ', tangent' : ''});
+    skinbake_Frame rest = frame;
     ${followed}
     frame.tangent *= scale;
     frame.bitangent *= scale;
@@ -98,7 +103,7 @@ void main()
     skinbake_Vertex v = skinbake_${stem}(${given});
     v_position = v.position;
     v_normal = mix(normalize(v.normal), truth.xyz, is_true * truth.w);
-    ${frame === 'tangent' && reads ? 'skinbake_NormalMap map = skinbake_normal_map(v, frame);' : ''}
+    ${isRelief ? `skinbake_NormalMap map = skinbake_normal_map(v, frame${others});` : ''}
     v_cotangent = ${relief[0]};
     v_cobitangent = ${relief[1]};
     v_texcoord = texcoord;
