@@ -43,13 +43,12 @@ def test_the_texts_are_what_skinbake_shader_writes() -> None:
 
     plain = ["--frame", "normal"]
     tangent = ["--frame", "tangent", "--encoding", "snorm16", "--morphs", "tangent", "--mirrored-joints"]
-    tangent += ["--normal-map"]
     dual = ["--method", "dqs", "--influences", "8", "--encoding", "packed8"]
     for name, options in (
-        ("lbs_accurate/4/normal/float32/none/plain", plain),
+        ("lbs_accurate/4/normal/float32/none/plain", [*plain, "--normal-map"]),
         ("lbs_standard/4/normal/float32/none/plain", ["--lighting", "standard", *plain]),
-        ("dqs_exact/8/normal/packed8/none/plain", [*dual, *plain]),
-        ("lbs_accurate/4/tangent/snorm16/tangent/mirrored", tangent),
+        ("dqs_exact/8/normal/packed8/none/plain", [*dual, *plain, "--normal-map"]),
+        ("lbs_accurate/4/tangent/snorm16/tangent/mirrored", [*tangent, "--normal-map"]),
     ):
         assert text(name) == invoke("shader", "--lang", "glsl", *options).stdout, name
 
