@@ -119,7 +119,8 @@ def apps(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Case], Path]:
 
 
 def build(project: Path, page: Path) -> None:
-    (project / page.name).write_bytes(page.read_bytes())
+    for path in (page, page.parent / "viewed.mjs"):
+        (project / path.name).write_bytes(path.read_bytes())
     (project / "index.html").write_text(f'<script type="module" src="/{page.name}"></script>')
     output = {"entryFileNames": "app.js"}
     options = {"build": {"rollupOptions": {"output": output}, "target": "esnext"}, "logLevel": "error"}
@@ -130,7 +131,12 @@ def build(project: Path, page: Path) -> None:
 def shown(dist: Path, folder: Path, pose: Pose, **options: object) -> tuple[Character, dict[str, Any]]:
     """Open what was built, and let it draw a character. Also return what skinbake says on the console."""
     page = page_of("/built/app.js", scripts=["/support/capture.js", "/three/capture_webgpu.js"])
-    served = {"built": dist, "three": HERE.parent / "three"}
+    return drawn(page, {"built": dist, "three": HERE.parent / "three"}, folder, pose, **options)
+
+
+def drawn(
+    page: str, served: dict[str, Path], folder: Path, pose: Pose, **options: object
+) -> tuple[Character, dict[str, Any]]:
     with opened_page(page, folder, served) as (opened, models):
         stage = Stage(opened, models)
         character = Character(baked(TUBE, models), pose)
@@ -203,3 +209,24 @@ def test_packages_ask_for_the_engines_that_are_tested(case: Case) -> None:
     for name in case.engine:
         newest = int(version_of(name).split(".")[0])
         assert package["peerDependencies"][name] == f">={major}.{minor}.0 <{newest + 1}.0.0"
+
+
+def test_model_viewer_is_lit_by_its_own_three(apps: Apps, tmp_path: Path) -> None:
+    engine = {"three": f"{OTHER}/three", "@google/model-viewer": f"{OTHER}/@google/model-viewer"}
+    character, found = shown(apps(Case("model_viewer.mjs", "three", engine)), tmp_path, BENT)
+    assert (found["report"], found["said"]) == (["accurate", ""], [])
+    assert largest(character, found, Algorithm.LBS_ACCURATE) < DEGREES
+    assert largest(character, found, Algorithm.LBS_STANDARD) > 5
+
+
+def test_a_frame_is_lit_by_the_three_inside_it(tmp_path: Path) -> None:
+    require_node(f"{OTHER}/aframe")
+    imports = {"three": "/pages/three_of_aframe.mjs", "skinbake-three": "/package/index.js"}
+    scripts = ["/support/capture.js", "/aframe/dist/aframe-v1.8.0.min.js"]
+    page = page_of("/pages/aframe.mjs", imports, scripts=scripts)
+    served = {"pages": HERE / "pages", "package": engines_folder() / "three"}
+    served["aframe"] = package_folder(f"{OTHER}/aframe")
+    character, found = drawn(page, served, tmp_path, BENT)
+    assert (found["report"], found["said"]) == (["accurate", ""], [])
+    assert largest(character, found, Algorithm.LBS_ACCURATE) < DEGREES
+    assert largest(character, found, Algorithm.LBS_STANDARD) > 5
