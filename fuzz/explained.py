@@ -153,7 +153,11 @@ EXPLAINED: dict[tuple[str, str, str], str] = {
         'if not _has_content(one): -> message = f"cannot be written: another run has put its {one.name} there meanwhile"',
     ): RACE,
     ("files/writing.py", "_rename", "if is_replaced is False: -> raise OutputError(SAVED_ANEW, place)"): RACE,
-    ("files/writing.py", "_unlock", 'if sys.platform != "win32": -> the end'): WINDOWS,
+    (
+        "files/writing.py",
+        "locked",
+        'if sys.platform != "win32": -> for descriptor in held.values():',
+    ): WINDOWS,
     (
         "files/writing.py",
         "_write_all",

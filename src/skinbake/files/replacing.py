@@ -53,21 +53,17 @@ def replaced(folder: Folder, temporary: str, name: str, is_expected: Callable[[]
     try:
         is_as_read = is_expected()
         if is_as_read:
-            _remove(folder, temporary)
+            # The former file goes.
+            try:
+                os.unlink(temporary, dir_fd=folder.descriptor)
+            except OSError:
+                os.unlink(temporary, dir_fd=folder.descriptor)
     except OSError:
         _put_back(folder, temporary, name, ours, exchange)
         raise
     if not is_as_read:
         _put_back(folder, temporary, name, ours, exchange)
     return is_as_read
-
-
-def _remove(folder: Folder, name: str) -> None:
-    """Remove the former file. Try twice: a disk that fails once may also fail to put it back."""
-    try:
-        os.unlink(name, dir_fd=folder.descriptor)
-    except OSError:
-        os.unlink(name, dir_fd=folder.descriptor)
 
 
 def _put_back(

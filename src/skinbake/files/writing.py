@@ -258,27 +258,28 @@ def _written(
         before = _there(folder, name)
         if before is not None and stat.S_ISREG(before.st_mode):
             if is_itself and BY_DESCRIPTOR:
-                _keep_owner(descriptor, before)
+                # Give a file the owner and the group that it had; only the superuser may give any owner.
+                now = os.fstat(descriptor)
+                if (now.st_uid, now.st_gid) != (before.st_uid, before.st_gid):
+                    try:
+                        os.fchown(descriptor, before.st_uid, before.st_gid)
+                    except OSError:
+                        with suppress(OSError):
+                            os.fchown(descriptor, -1, before.st_gid)
                 _keep_attributes(descriptor, folder, name)
             mode = stat.S_IMODE(before.st_mode)
             os.chmod(descriptor if BY_DESCRIPTOR else folder.name(temporary), mode)
-        _write_pieces(descriptor, pieces)
+        # Write the pieces one after the other, without joining them; generated pieces are written singly.
+        if isinstance(pieces, Sequence):
+            _write_all(descriptor, pieces)
+        else:
+            for piece in pieces:
+                _write_all(descriptor, [piece])
         if sync:
             flush(descriptor)
     finally:
         os.close(descriptor)
     return _Written(folder, temporary, name, pieces)
-
-
-def _keep_owner(descriptor: int, before: os.stat_result) -> None:
-    """Give a file the owner and the group that it had; only the superuser may give any owner."""
-    now = os.fstat(descriptor)
-    if (now.st_uid, now.st_gid) != (before.st_uid, before.st_gid):
-        try:
-            os.fchown(descriptor, before.st_uid, before.st_gid)
-        except OSError:
-            with suppress(OSError):
-                os.fchown(descriptor, -1, before.st_gid)
 
 
 def _keep_attributes(descriptor: int, folder: Folder, name: str) -> None:
@@ -322,15 +323,6 @@ def _there(folder: Folder, name: str) -> os.stat_result | None:
         return os.stat(folder.name(name), dir_fd=folder.descriptor, follow_symlinks=False)
     except FileNotFoundError:
         return None
-
-
-def _write_pieces(descriptor: int, pieces: Iterable[Bytes]) -> None:
-    """Write the pieces one after the other, without joining them; generated pieces are written singly."""
-    if isinstance(pieces, Sequence):
-        _write_all(descriptor, pieces)
-    else:
-        for piece in pieces:
-            _write_all(descriptor, [piece])
 
 
 def _write_all(descriptor: int, pieces: Sequence[Bytes]) -> None:
@@ -471,7 +463,9 @@ def locked(folders: Iterable[Folder]) -> Iterator[None]:
         yield
     finally:
         for descriptor in held.values():
-            _unlock(descriptor)
+            if sys.platform != "win32":
+                with suppress(OSError):  # a file system without locks
+                    fcntl.flock(descriptor, fcntl.LOCK_UN)
 
 
 def _lock(descriptor: int) -> None:
@@ -490,9 +484,3 @@ def _lock(descriptor: int) -> None:
             return
         time.sleep(pause)
         pause = min(2 * pause, 0.05)
-
-
-def _unlock(descriptor: int) -> None:
-    if sys.platform != "win32":
-        with suppress(OSError):  # a file system without locks
-            fcntl.flock(descriptor, fcntl.LOCK_UN)

@@ -79,7 +79,12 @@ def compare(
     given, wanted = (np.stack(pair, axis=2).astype(np.float64) for pair in (stored, expected))
     known = np.asarray(np.isfinite(wanted).all(axis=(1, 2)))
     wanted = all_slots(np.where(known[:, None, None], wanted, 0.0))
-    scale = _scales(wanted, reach)
+    # The scale (V,) to which the difference at each vertex is compared.
+    own = np.abs(wanted).max(axis=(1, 2), initial=0.0)
+    scale = np.maximum(own, FLOOR * own.max(initial=0.0))
+    if reach is not None:
+        scale = np.maximum(scale, FLOOR * reach)
+    scale = np.where(scale > 0.0, scale, 1.0)
     allowed = np.zeros((len(given), 1, 2)) if rounding is None else np.asarray(rounding)[:, None]
     difference = np.where(known, _distance(given, wanted[:, 1:], allowed) / scale, np.inf)
     differing = difference > tolerance
@@ -127,15 +132,6 @@ def _distance(found: Float64Array, wanted: Float64Array, rounding: FloatArray) -
     """Return each vertex's largest difference of any slot, (V,), less the rounding (V, 1, 2) of α and β."""
     distance: Float64Array = (np.abs(found - wanted) - rounding).max(axis=(1, 2), initial=0.0)
     return distance
-
-
-def _scales(wanted: Float64Array, reach: FloatArray | None) -> Float64Array:
-    """Return the scale (V,) to which the difference at each vertex is compared."""
-    own = np.abs(wanted).max(axis=(1, 2), initial=0.0)
-    scale = np.maximum(own, FLOOR * own.max(initial=0.0))
-    if reach is not None:
-        scale = np.maximum(scale, FLOOR * reach)
-    return np.where(scale > 0.0, scale, 1.0)
 
 
 def _factors(found: Float64Array, wanted: Float64Array, cause: _Cause) -> tuple[float, float] | None:

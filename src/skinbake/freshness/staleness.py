@@ -362,7 +362,9 @@ def _common(factors: tuple[float, float] | None) -> float | None:
 def _doings(document: Document, view: BakedView, comparison: comparison.Comparison) -> str:
     """Return the action of the usual tools that explains the changed arrays."""
     doings = []
-    if _is_quantised(document, view):
+    attributes, place = view.source.attributes, view.source.place
+    position = read_accessor(document, integer(attributes, "POSITION", place), place).values
+    if "POSITION" in view.changed and position.dtype.kind != "f":
         doings.append("its vertices quantised")
     scale = comparison.rescaled or _common(comparison.factors)
     if "POSITION" in view.changed and scale is not None:
@@ -376,12 +378,6 @@ def _doings(document: Document, view: BakedView, comparison: comparison.Comparis
         elif {"POSITION", "NORMAL"} <= set(view.changed):
             doings.append("its vertices re-ordered, merged or split")
     return _listed(doings or [_edit(view.changed)])
-
-
-def _is_quantised(document: Document, view: BakedView) -> bool:
-    attributes, place = view.source.attributes, view.source.place
-    position = read_accessor(document, integer(attributes, "POSITION", place), place).values
-    return "POSITION" in view.changed and position.dtype.kind != "f"
 
 
 def _edit(changed: Sequence[str]) -> str:

@@ -87,19 +87,7 @@ def normalise_influences(
     weights[empty, 0] = 1.0
     total[empty] = 1.0
     # What was assumed, counted by vertex.
-    repeated = _merge_repeats(joints, weights)
-    defects = WeightDefects(
-        negative=int(np.count_nonzero(negative.any(axis=1))),
-        all_zero=int(np.count_nonzero(empty)),
-        not_normalised=int(np.count_nonzero(np.abs(total - 1.0) > tolerance)),
-        repeated_joint=repeated,
-    )
-    weights /= total[:, None]
-    return WeightField(joints, weights, free), defects
-
-
-def _merge_repeats(joints: npt.NDArray[np.int32], weights: Float64Array) -> int:
-    """Merge repeated joints in place. Return the number of vertices with two positive weights merged."""
+    # A joint that is named twice keeps the sum of its weights, in one slot.
     influences = joints.shape[1]
     merged = np.zeros(len(joints), dtype=np.bool_)
     for later in range(1, influences):
@@ -115,7 +103,15 @@ def _merge_repeats(joints: npt.NDArray[np.int32], weights: Float64Array) -> int:
             weights[keeps_first, later] = 0.0
             joints[keeps_first, later] = NO_JOINT
             joints[moves_back, earlier] = NO_JOINT
-    return int(np.count_nonzero(merged))
+    repeated = int(np.count_nonzero(merged))
+    defects = WeightDefects(
+        negative=int(np.count_nonzero(negative.any(axis=1))),
+        all_zero=int(np.count_nonzero(empty)),
+        not_normalised=int(np.count_nonzero(np.abs(total - 1.0) > tolerance)),
+        repeated_joint=repeated,
+    )
+    weights /= total[:, None]
+    return WeightField(joints, weights, free), defects
 
 
 def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlots:
@@ -124,50 +120,48 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
     With ``adopt``, joints of neighbours that vary around a vertex move into its free slots.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # the compiled loops do not warn of NaN either
-        return _bake_parts(surface, weighting=weighting, adopt=adopt)
-
-
-def _bake_parts(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlots:
-    """Bake the primitives one after the other, with the gradients of the whole surface."""
-    field, classes = surface.field, surface.classes
-    # Gradients and turns are those of the weld classes, over all primitives.
-    gradients = weight_gradients(surface.positions, surface.triangles, field, classes, weighting=weighting)
-    capacity = shared_capacity(field, classes) if adopt else None
-    tangents, bitangents = surface.frame or frame_from_normal(unit_normals(surface.normals))
-    turns = None if surface.rig is None else ring_turns(surface)
-    parts, sums, start = [], [], 0
-    for end in surface.ends:
-        rows = slice(start, end)
-        frame = (tangents[rows], bitangents[rows])
-        room = None if capacity is None else capacity[rows]
-        # The slots of the primitive: α, β and adopted joints.
-        part = assign(gradients, classes[rows], field.rows(rows), frame, room)
-        # The fit changes α and β, and no slot.
-        if surface.rig is not None and turns is not None:
-            vertices = FittedVertices(
-                classes=classes[rows],
-                field=field.rows(rows),
-                named=part.named,
-                positions=surface.positions[rows],
-                frame=frame,
-                alpha=part.alpha,
-                beta=part.beta,
-            )
-            alpha, beta = fitted(vertices, gradients, turns, surface.rig)
-            part = replace(part, alpha=alpha, beta=beta)
-        takers = np.count_nonzero((part.adopted != NO_JOINT).any(axis=1))
-        sums.append([takers, part.overflowing, part.magnitude, part.unheld])
-        parts.append(part)
-        start = end
-    adopted = np.concatenate([part.adopted for part in parts])
-    adopting = np.flatnonzero((adopted != NO_JOINT).any(axis=1))
-    return SurfaceSlots(
-        alpha=_stored([part.alpha for part in parts]),
-        beta=_stored([part.beta for part in parts]),
-        adopting=adopting,
-        adopted=adopted[adopting],
-        sums=np.array(sums),
-    )
+        # Bake the primitives one after the other, with the gradients of the whole surface.
+        field, classes = surface.field, surface.classes
+        # Gradients and turns are those of the weld classes, over all primitives.
+        gradients = weight_gradients(
+            surface.positions, surface.triangles, field, classes, weighting=weighting
+        )
+        capacity = shared_capacity(field, classes) if adopt else None
+        tangents, bitangents = surface.frame or frame_from_normal(unit_normals(surface.normals))
+        turns = None if surface.rig is None else ring_turns(surface)
+        parts, sums, start = [], [], 0
+        for end in surface.ends:
+            rows = slice(start, end)
+            frame = (tangents[rows], bitangents[rows])
+            room = None if capacity is None else capacity[rows]
+            # The slots of the primitive: α, β and adopted joints.
+            part = assign(gradients, classes[rows], field.rows(rows), frame, room)
+            # The fit changes α and β, and no slot.
+            if surface.rig is not None and turns is not None:
+                vertices = FittedVertices(
+                    classes=classes[rows],
+                    field=field.rows(rows),
+                    named=part.named,
+                    positions=surface.positions[rows],
+                    frame=frame,
+                    alpha=part.alpha,
+                    beta=part.beta,
+                )
+                alpha, beta = fitted(vertices, gradients, turns, surface.rig)
+                part = replace(part, alpha=alpha, beta=beta)
+            takers = np.count_nonzero((part.adopted != NO_JOINT).any(axis=1))
+            sums.append([takers, part.overflowing, part.magnitude, part.unheld])
+            parts.append(part)
+            start = end
+        adopted = np.concatenate([part.adopted for part in parts])
+        adopting = np.flatnonzero((adopted != NO_JOINT).any(axis=1))
+        return SurfaceSlots(
+            alpha=_stored([part.alpha for part in parts]),
+            beta=_stored([part.beta for part in parts]),
+            adopting=adopting,
+            adopted=adopted[adopting],
+            sums=np.array(sums),
+        )
 
 
 def _stored(parts: Sequence[FloatArray]) -> Float32Array:

@@ -141,7 +141,9 @@ def weight_sum_notices(primitive: SkinnedPrimitive, place: Place) -> list[Notice
         return []
     low, high = float(off.min()), float(off.max())
     vertices = one_or_many(len(off), "1 vertex", "{} vertices")
-    sums_told = _span(low, high)
+    # Two bounds in words, or one number if they are equal.
+    first, last = f"{low:.3g}", f"{high:.3g}"
+    sums_told = first if first == last else f"{first} … {last}"
     up_to = "up to " if "…" in sums_told else ""
     # Sums below 1 make the correction too strong, and sums above 1 too weak.
     parts = [f"{up_to}{_excess(1.0 / low)} too strong"] if low < 1.0 else []
@@ -162,9 +164,3 @@ def _percent(share: float) -> str:
     """Return a share in percent, with a digit after the point if it is small."""
     percent = 100.0 * share
     return f"{percent:.1f} %" if percent < 1.0 else f"{percent:,.0f} %"
-
-
-def _span(low: float, high: float) -> str:
-    """Return two bounds in words, or one number if they are equal."""
-    first, last = f"{low:.3g}", f"{high:.3g}"
-    return first if first == last else f"{first} … {last}"

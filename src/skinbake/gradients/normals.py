@@ -133,30 +133,7 @@ def _admit_the_mesh(primitives: Sequence[SkinnedPrimitive], samples: Sequence[_S
         rows[number] = samples[number].suspect_rows
     if not any(len(one) for one in rows):
         return
-    leans = _leans_from_all(*_around(primitives, rows))
-    parts = np.split(leans, np.cumsum([len(one) for one in rows])[:-1])
-    for number in left:
-        samples[number].admit(parts[number])
-
-
-def _sampled(primitive: SkinnedPrimitive) -> _Sample:
-    """Sample a primitive, and measure its normals by the triangles of each vertex."""
-    if not len(primitive.normals) or not _is_doubtful(primitive):
-        return _Sample(np.zeros(0, dtype=np.int64), np.zeros(0), 1)
-    step = _step(len(primitive.positions), SAMPLED_VERTICES)
-    rows = np.arange(0, len(primitive.positions), step)
-    rows = rows[has_direction(primitive.normals[rows])]
-    leans = _leans(primitive, rows, None)
-    return _Sample(rows[np.isfinite(leans)], leans[np.isfinite(leans)], step)
-
-
-def _around(
-    primitives: Sequence[SkinnedPrimitive], rows: Sequence[IntArray]
-) -> tuple[SkinnedPrimitive, IntArray]:
-    """Return the part of a mesh around some vertices of each primitive, and their numbers (N,) in it.
-
-    It has all triangles of the mesh at the positions of these vertices.
-    """
+    # The part of a mesh around some vertices of each primitive, and their numbers (N,) in it.
     starts = np.cumsum([0, *(len(primitive.positions) for primitive in primitives)])
     positions = np.concatenate([primitive.positions for primitive in primitives])
     points = kernel.label_equal_rows(positions)
@@ -177,7 +154,22 @@ def _around(
         [primitive.normals[part] for primitive, part in zip(primitives, rows, strict=True)]
     )
     joints, weights = np.zeros((len(kept), 0), dtype=np.uint8), np.zeros((len(kept), 0))
-    return SkinnedPrimitive(positions[kept], normals, None, joints, weights, triangles), own
+    mesh = SkinnedPrimitive(positions[kept], normals, None, joints, weights, triangles)
+    leans = _leans_from_all(mesh, own)
+    parts = np.split(leans, np.cumsum([len(one) for one in rows])[:-1])
+    for number in left:
+        samples[number].admit(parts[number])
+
+
+def _sampled(primitive: SkinnedPrimitive) -> _Sample:
+    """Sample a primitive, and measure its normals by the triangles of each vertex."""
+    if not len(primitive.normals) or not _is_doubtful(primitive):
+        return _Sample(np.zeros(0, dtype=np.int64), np.zeros(0), 1)
+    step = _step(len(primitive.positions), SAMPLED_VERTICES)
+    rows = np.arange(0, len(primitive.positions), step)
+    rows = rows[has_direction(primitive.normals[rows])]
+    leans = _leans(primitive, rows, None)
+    return _Sample(rows[np.isfinite(leans)], leans[np.isfinite(leans)], step)
 
 
 def _step(count: int, most: int) -> int:
@@ -266,13 +258,11 @@ def _leans(primitive: SkinnedPrimitive, rows: IntArray, labels: IntArray | None)
 def _leans_from_all(primitive: SkinnedPrimitive, rows: IntArray) -> Float64Array:
     """Return the smaller lean of some vertices (N,): from all triangles at the position, or generated."""
     shared = _leans(primitive, rows, kernel.label_equal_rows(primitive.positions))
-    return np.asarray(np.fmin(shared, _leans_from_generated(primitive, rows)))
-
-
-def _leans_from_generated(primitive: SkinnedPrimitive, rows: IntArray) -> Float64Array:
-    """Return the degrees by which the normals of some vertices (N,) lean from generated ones (N,)."""
+    # The degrees by which the normals of some vertices (N,) lean from generated ones (N,).
     [generated] = with_smooth_normals([replace(primitive, normals=primitive.normals[:0])])
-    return _degrees(generated.normals[rows].astype(np.float64), primitive.normals[rows])
+    return np.asarray(
+        np.fmin(shared, _degrees(generated.normals[rows].astype(np.float64), primitive.normals[rows]))
+    )
 
 
 def _sides(primitive: SkinnedPrimitive, triangles: IntArray) -> Float64Array:
@@ -288,16 +278,12 @@ def _normals(sides: Float64Array) -> Float64Array:
 
 def _degrees(planes: Float64Array, normals: FloatArray) -> Float64Array:
     """Return the angle between vectors (N, 3) in degrees, NaN if one of them has no direction."""
-    return np.asarray(np.degrees(np.arccos(_cosines(planes, normals))))
-
-
-def _cosines(planes: Float64Array, normals: FloatArray) -> Float64Array:
-    """Return the cosine between vectors (N, 3), NaN if one of them has no direction."""
+    # The cosine between vectors (N, 3), NaN if one of them has no direction.
     units = unit_vectors(normals)
     lengths = np.where(has_direction(normals), np.linalg.norm(planes, axis=1), 0.0)
     dots = np.einsum("ij,ij->i", planes, units)
     cosines = np.divide(dots, lengths, out=np.full(len(planes), np.nan), where=lengths > 0)
-    return np.asarray(np.clip(cosines, -1.0, 1.0))
+    return np.asarray(np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))))
 
 
 def with_smooth_normals(primitives: Sequence[SkinnedPrimitive]) -> list[SkinnedPrimitive]:

@@ -53,7 +53,21 @@ def fitted(
 
     The fitted gradients of a vertex sum to 0. A vertex that cannot be fitted keeps its α and β.
     """
-    named = np.where(_can_be_fitted(vertices, gradients), vertices.named, NO_JOINT)
+    # The slots (V, K) that are fitted.
+    owner, entry = _entries(gradients.offsets, vertices.classes)
+    lengths = np.linalg.norm(gradients.gradients[entry], axis=1)
+    total = np.bincount(owner, lengths, len(vertices.classes))
+    row, slot = np.nonzero(vertices.named[owner] == gradients.joints[entry, None])
+    # The weight of the slot's joint, 0 where the slot adopts.
+    weights = vertices.field.weights * (vertices.named == vertices.field.joints)
+    presence = np.where(vertices.named >= 0, weights, 0.0)
+    # Its share of all gradients at the vertex.
+    whole = total[owner]
+    shares = np.divide(lengths, whole, out=np.zeros_like(lengths), where=whole > 0.0)
+    presence[owner[row], slot] += shares[row]
+    chosen: BoolArray = presence > UNFELT
+    few: BoolArray = np.count_nonzero(chosen, axis=1, keepdims=True) <= MOST_FITTED
+    named = np.where(chosen & few, vertices.named, NO_JOINT)
     given = _gradients_of_slots(vertices, gradients, turns)
     pairs = _turning_pairs(vertices, named, turns, rig)
     system = _normal_equations(vertices, turns, pairs, given)
@@ -96,27 +110,6 @@ def _solved(matrix: Float64Array, right: Float64Array) -> Float64Array:
         known = np.einsum("vu,vut->vt", left[:, row, row + 1 :], found[:, row + 1 :])
         found[:, row] = (found[:, row] - known) / left[:, row, row, None]
     return found
-
-
-def _can_be_fitted(vertices: FittedVertices, gradients: VertexGradients) -> BoolArray:
-    """Return the slots (V, K) that are fitted. A vertex has none if it would have too many.
-
-    The joint of a slot has a presence at the vertex: its weight, plus its share of the gradients' lengths.
-    """
-    owner, entry = _entries(gradients.offsets, vertices.classes)
-    lengths = np.linalg.norm(gradients.gradients[entry], axis=1)
-    total = np.bincount(owner, lengths, len(vertices.classes))
-    row, slot = np.nonzero(vertices.named[owner] == gradients.joints[entry, None])
-    # The weight of the slot's joint, 0 where the slot adopts.
-    weights = vertices.field.weights * (vertices.named == vertices.field.joints)
-    presence = np.where(vertices.named >= 0, weights, 0.0)
-    # Its share of all gradients at the vertex.
-    whole = total[owner]
-    shares = np.divide(lengths, whole, out=np.zeros_like(lengths), where=whole > 0.0)
-    presence[owner[row], slot] += shares[row]
-    chosen: BoolArray = presence > UNFELT
-    few: BoolArray = np.count_nonzero(chosen, axis=1, keepdims=True) <= MOST_FITTED
-    return chosen & few
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,7 +240,15 @@ def _normal_equations(
     reach = np.bincount(pairs.vertices, effects.squared_levers, count)
     sums = np.zeros((count, slots, slots)), np.zeros((count, slots, 2))
     # Sums of floats depend on the order of these lines.
-    _add_turns(sums, pairs, effects)
+    # Add Σ_j |R_j|² + λ Σ_j |x_j|² (ᾱ_j − ∇̄_j)², the residuals and pulls of single turns.
+    matrix, right = sums
+    at, signs = pairs.vertices, effects.signs
+    # Both terms are quadratic in ᾱ, so their factors add up.
+    pulls = STIFFNESS * effects.squared_levers
+    squares = effects.squares + pulls
+    aims = effects.aims + pulls[:, None] * effects.carried
+    np.add.at(matrix, at, signs[:, :, None] * signs[:, None, :] * squares[:, None, None])
+    np.add.at(right, at, signs[:, :, None] * aims[:, None, :])
     _add_chains(sums, pairs, effects)
     if turns.stored is not None:
         _add_stored_pose(sums, pairs, turns.stored, vertices, given)
@@ -307,18 +308,6 @@ def _effects_of_turns(
 
 _Sums: TypeAlias = tuple[Float64Array, Float64Array]
 """The matrix (V, K, K) and the right side (V, K, 2) of the normal equations, to be added to."""
-
-
-def _add_turns(sums: _Sums, pairs: _Pairs, effects: _TurnEffects) -> None:
-    """Add Σ_j |R_j|² + λ Σ_j |x_j|² (ᾱ_j − ∇̄_j)², the residuals and pulls of single turns."""
-    matrix, right = sums
-    at, signs = pairs.vertices, effects.signs
-    # Both terms are quadratic in ᾱ, so their factors add up.
-    pulls = STIFFNESS * effects.squared_levers
-    squares = effects.squares + pulls
-    aims = effects.aims + pulls[:, None] * effects.carried
-    np.add.at(matrix, at, signs[:, :, None] * signs[:, None, :] * squares[:, None, None])
-    np.add.at(right, at, signs[:, :, None] * aims[:, None, :])
 
 
 def _add_chains(sums: _Sums, pairs: _Pairs, effects: _TurnEffects) -> None:

@@ -59,13 +59,35 @@ def ring_turns(surface: Surface) -> RingTurns:
     """
     classes = surface.classes.astype(np.int64)
     count = int(classes.max(initial=-1)) + 1
-    normals, directed = _normals_of_classes(surface, classes, count)
+    # A unit normal (C, 3) of each class, and whether it has one.
+    units = np.where(has_direction(surface.normals)[:, None], unit_normals(surface.normals), 0.0)
+    corners = surface.triangles.ravel().astype(np.int64)
+    sums = summed_rows(classes[corners], units[corners].astype(np.float64), count)
+    lengths = np.linalg.norm(sums, axis=1)
+    directed = lengths > FLAT * np.bincount(classes[corners], minlength=count)
+    sums[~directed] = 0.0, 0.0, 1.0
+    normals = unit_normals(sums).astype(np.float64)
     tangents = np.stack(frame_from_normal(normals.astype(np.float32)), axis=1).astype(np.float64)
     ring = _ring_sums(surface, classes, tangents)
     # In a class without an area all of this is NaN, and it is not sound.
     derivatives = ring.derivatives / ring.weights[:, None, None]
     # u and v of both tangents, and whether the ring has a plane at all.
-    leverage, area = _leverage(derivatives, tangents, normals)
+    # The leverage: u and v of both tangents (C, 2, 2, 3), and the area between the derivatives (C,).
+    a, b = derivatives[:, 0], derivatives[:, 1]
+    c = np.cross(a, b)
+    area = np.linalg.norm(c, axis=1)
+    unit = c / area[:, None]
+    # q without its factor t · ĉ / |c|: n less half of its part along ĉ.
+    lean = normals - 0.5 * unit * np.einsum("ci,ci->c", unit, normals)[:, None]
+    leverage = np.empty((len(a), 2, 2, 3))
+    for number in range(2):
+        t = tangents[:, number]
+        # The parts of t along a and b.
+        t_a, t_b = parts_along(t, a, b).T
+        q = (np.einsum("ci,ci->c", t, unit) / area)[:, None] * lean
+        # u = t_a n + b × q, v = t_b n + q × a.
+        leverage[:, number, 0] = t_a[:, None] * normals + np.cross(b, q)
+        leverage[:, number, 1] = t_b[:, None] * normals + np.cross(q, a)
     alignment = np.nan_to_num(np.linalg.norm(ring.faces, axis=1) / ring.areas)
     sound = (area > NARROW) & (alignment > FLAT) & (ring.areas > FLAT * ring.lengths) & directed
     sound &= np.bincount(classes[surface.triangles.ravel()], minlength=count) <= MOST_CORNERS
@@ -130,53 +152,8 @@ def _ring_sums(surface: Surface, classes: IntArray, tangents: Float64Array) -> _
     return _RingSums(weights, derivatives, faces, areas, lengths, offsets, joints, changes)
 
 
-def _normals_of_classes(surface: Surface, classes: IntArray, count: int) -> tuple[Float64Array, BoolArray]:
-    """Return a unit normal (C, 3) of each class, and whether it has one: the mean over the class's corners.
-
-    The mean depends neither on the order of the vertices nor on how often a vertex is stored.
-    """
-    units = np.where(has_direction(surface.normals)[:, None], unit_normals(surface.normals), 0.0)
-    corners = surface.triangles.ravel().astype(np.int64)
-    sums = summed_rows(classes[corners], units[corners].astype(np.float64), count)
-    lengths = np.linalg.norm(sums, axis=1)
-    directed = lengths > FLAT * np.bincount(classes[corners], minlength=count)
-    sums[~directed] = 0.0, 0.0, 1.0
-    return unit_normals(sums).astype(np.float64), directed
-
-
 def _summed(at: IntArray, values: Float64Array, count: int) -> Float64Array:
     """Sum rows of values (N, …) by their class."""
     flat = values.reshape(len(values), math.prod(values.shape[1:]))
     sums = summed_rows(at, flat, count)
     return sums.reshape(count, *values.shape[1:])
-
-
-def _leverage(
-    derivatives: Float64Array, tangents: Float64Array, normals: Float64Array
-) -> tuple[Float64Array, Float64Array]:
-    """Return u and v of both tangents (C, 2, 2, 3), and the area between the derivatives (C,).
-
-    derivatives (C, 2, 3) are a and b, those of the rest positions along the tangents (C, 2, 3). F maps a, b
-    and ĉ, the unit vector of c = a × b, to those of the deformed positions. If a turns by ω × A and b by
-    ω × B, then n · dF(ω) t = ω · (A × u + B × v) for a tangent t. The normals (C, 3) are n.
-
-    Let t = t_a a + t_b b + (t · ĉ) ĉ. The first two terms give u = t_a n and v = t_b n. F scales ĉ by
-    sqrt(|c'| / |c|), as in the truth by tangents, so Fĉ changes by (dc − ĉ (ĉ · dc) / 2) / |c|. In the third
-    term, its product with n is q · dc, where dc = da × b + a × db. That adds b × q to u, and q × a to v.
-    """
-    a, b = derivatives[:, 0], derivatives[:, 1]
-    c = np.cross(a, b)
-    area = np.linalg.norm(c, axis=1)
-    unit = c / area[:, None]
-    # q without its factor t · ĉ / |c|: n less half of its part along ĉ.
-    lean = normals - 0.5 * unit * np.einsum("ci,ci->c", unit, normals)[:, None]
-    found = np.empty((len(a), 2, 2, 3))
-    for number in range(2):
-        t = tangents[:, number]
-        # The parts of t along a and b.
-        t_a, t_b = parts_along(t, a, b).T
-        q = (np.einsum("ci,ci->c", t, unit) / area)[:, None] * lean
-        # u = t_a n + b × q, v = t_b n + q × a.
-        found[:, number, 0] = t_a[:, None] * normals + np.cross(b, q)
-        found[:, number, 1] = t_b[:, None] * normals + np.cross(q, a)
-    return found, area

@@ -77,54 +77,44 @@ def stored_tilts(
         return None
     # Where there is no area, or a joint has no matrix, there is NaN on the way.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        return _tilts(surface, matrices, changes, derivatives, tangents)
-
-
-def _tilts(
-    surface: Surface,
-    matrices: Float64Array,
-    changes: WeightChanges,
-    derivatives: Float64Array,
-    tangents: Float64Array,
-) -> StoredTilts:
-    """Measure the classes in the stored pose, whose matrices are (J, 3, 4); see ``stored_tilts``."""
-    count, changes = len(derivatives), changes.only_changing
-    first = np.zeros(count, dtype=np.int64)
-    first[surface.classes[::-1]] = np.arange(len(surface.classes))[::-1]
-    positions = surface.positions[first].astype(np.float64)
-    weights, own = surface.field.weights[first], matrices[np.maximum(surface.field.joints[first], 0)]
-    # A matrix that is not finite must not count where its joint has no weight: 0 times NaN is NaN.
-    own = np.where((weights > 0.0)[:, :, None, None], own, 0.0)
-    blended = np.einsum("ck,ckij->cij", weights, own)
-    # Where the pose puts each class, and the derivatives of its positions.
-    points = _moved(blended, positions)
-    posed = np.einsum("cij,cnj->cni", blended[:, :, :3], derivatives)
-    terms = np.einsum("ck,ck->c", weights, _terms(own, positions[:, None]))
-    added, bounds = _added_by_changes(matrices, changes, positions, points, terms)
-    posed += added
-    # The tangents that the mesh has there, and their lengths with and without stretching.
-    mapped = _mapped(derivatives, posed, tangents)
-    lengths = np.square(mapped).sum(axis=(1, 2))
-    turned = np.einsum("ckij,cnj->ckni", own[..., :3], tangents)
-    unstretched = np.einsum("ck,ck->c", weights, np.square(turned).sum(axis=(2, 3)))
-    # The normal of the posed surface, and how far the blended tangents leave it.
-    normals = np.cross(mapped[:, 0], mapped[:, 1])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    tilts = np.einsum("cij,cnj,ci->cn", blended[:, :, :3], tangents, normals)
-    # A class does not count where the pose stretches it too much.
-    counts = (lengths <= STRETCHED * unstretched) & (unstretched <= STRETCHED * lengths)
-    # Where the surface shrinks to a line, or large terms cancel, the normal is rounding.
-    areas = np.linalg.norm(np.cross(posed[:, 0], posed[:, 1]), axis=1)
-    counts &= areas > FLAT * FLAT * (bounds + np.sqrt(unstretched)) * np.linalg.norm(posed, axis=(1, 2))
-    counts &= bounds > 0.0
-    counts &= np.isfinite(normals).all(axis=1) & np.isfinite(tilts).all(axis=1)
-    return StoredTilts(
-        matrices,
-        np.where(counts[:, None], normals, 0.0),
-        np.where(counts[:, None], points, 0.0),
-        np.where(counts[:, None], tilts, 0.0),
-        np.where(counts, 2.0 / lengths, 0.0),
-    )
+        # Measure the classes in the stored pose, whose matrices are (J, 3, 4); see ``stored_tilts``.
+        count, changes = len(derivatives), changes.only_changing
+        first = np.zeros(count, dtype=np.int64)
+        first[surface.classes[::-1]] = np.arange(len(surface.classes))[::-1]
+        positions = surface.positions[first].astype(np.float64)
+        weights, own = surface.field.weights[first], matrices[np.maximum(surface.field.joints[first], 0)]
+        # A matrix that is not finite must not count where its joint has no weight: 0 times NaN is NaN.
+        own = np.where((weights > 0.0)[:, :, None, None], own, 0.0)
+        blended = np.einsum("ck,ckij->cij", weights, own)
+        # Where the pose puts each class, and the derivatives of its positions.
+        points = _moved(blended, positions)
+        posed = np.einsum("cij,cnj->cni", blended[:, :, :3], derivatives)
+        terms = np.einsum("ck,ck->c", weights, _terms(own, positions[:, None]))
+        added, bounds = _added_by_changes(matrices, changes, positions, points, terms)
+        posed += added
+        # The tangents that the mesh has there, and their lengths with and without stretching.
+        mapped = _mapped(derivatives, posed, tangents)
+        lengths = np.square(mapped).sum(axis=(1, 2))
+        turned = np.einsum("ckij,cnj->ckni", own[..., :3], tangents)
+        unstretched = np.einsum("ck,ck->c", weights, np.square(turned).sum(axis=(2, 3)))
+        # The normal of the posed surface, and how far the blended tangents leave it.
+        normals = np.cross(mapped[:, 0], mapped[:, 1])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        tilts = np.einsum("cij,cnj,ci->cn", blended[:, :, :3], tangents, normals)
+        # A class does not count where the pose stretches it too much.
+        counts = (lengths <= STRETCHED * unstretched) & (unstretched <= STRETCHED * lengths)
+        # Where the surface shrinks to a line, or large terms cancel, the normal is rounding.
+        areas = np.linalg.norm(np.cross(posed[:, 0], posed[:, 1]), axis=1)
+        counts &= areas > FLAT * FLAT * (bounds + np.sqrt(unstretched)) * np.linalg.norm(posed, axis=(1, 2))
+        counts &= bounds > 0.0
+        counts &= np.isfinite(normals).all(axis=1) & np.isfinite(tilts).all(axis=1)
+        return StoredTilts(
+            matrices,
+            np.where(counts[:, None], normals, 0.0),
+            np.where(counts[:, None], points, 0.0),
+            np.where(counts[:, None], tilts, 0.0),
+            np.where(counts, 2.0 / lengths, 0.0),
+        )
 
 
 def _added_by_changes(

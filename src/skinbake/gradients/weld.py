@@ -40,7 +40,12 @@ def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crea
         return labels
     # Of the others: equal influences too, and then equal normals.
     copies = np.flatnonzero(np.bincount(labels)[labels] > 1)
-    points = kernel.label_equal_rows(_point_keys(labels, field, copies))
+    # The keys (N, 1 + K) of N copies, position and influences.
+    keys = np.empty((len(copies), 1 + field.joints.shape[1]), dtype=np.uint64)
+    for rows in blocks(len(copies)):
+        keys[rows, 0] = labels[copies[rows]]
+        keys[rows, 1:] = _influence_keys(field.rows(copies[rows]))
+    points = kernel.label_equal_rows(keys)
     oriented = kernel.label_equal_rows(_oriented_keys(points, normals, copies))
     # One row for each normal of a point is left to compare by angle.
     first = first_rows(oriented)
@@ -50,15 +55,6 @@ def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crea
     # The labels of copies come after all others, so that none is used twice.
     labels[copies] = len(labels) + linked[oriented]
     return number_as_met(labels)
-
-
-def _point_keys(labels: Labels, field: WeightField, copies: IntArray) -> npt.NDArray[np.uint64]:
-    """Return the keys (N, 1 + K) of N copies, position and influences: equal at one surface point."""
-    keys = np.empty((len(copies), 1 + field.joints.shape[1]), dtype=np.uint64)
-    for rows in blocks(len(copies)):
-        keys[rows, 0] = labels[copies[rows]]
-        keys[rows, 1:] = _influence_keys(field.rows(copies[rows]))
-    return keys
 
 
 def _oriented_keys(points: Labels, normals: FloatArray, copies: IntArray) -> npt.NDArray[np.unsignedinteger]:

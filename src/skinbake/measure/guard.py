@@ -135,7 +135,13 @@ def judged_shares(
     """
     shares: list[list[KeptShare | None]] = [[None] * len(surface.bakes) for surface in surfaces]
     notices = []
-    for group in _wholes(document, surfaces):
+    # The numbers of the surfaces that the truths take as one, as ``whole_surfaces`` does.
+    meshes = [surface.bakes[0].source.mesh for surface in surfaces]
+    morphed = [any("targets" in bake.source.json for bake in surface.bakes) for surface in surfaces]
+    plain = [mesh for mesh, morphs in zip(meshes, morphed, strict=True) if not morphs]
+    groups = meshes_of_one_skin(document, plain)[0] if len(plain) > 1 else [plain] if plain else []
+    alone = [[number] for number, morphs in enumerate(morphed) if morphs]
+    for group in [[meshes.index(mesh) for mesh in group] for group in groups] + alone:
         if not any(surfaces[number].rig for number in group):
             continue
         try:
@@ -152,16 +158,6 @@ def judged_shares(
         for number in group:
             shares[number] = [found.pop(0) for _ in shares[number]]
     return shares, notices
-
-
-def _wholes(document: Document, surfaces: Sequence[Judged]) -> list[list[int]]:
-    """Return the numbers of the surfaces that the truths take as one, as ``whole_surfaces`` does."""
-    meshes = [surface.bakes[0].source.mesh for surface in surfaces]
-    morphed = [any("targets" in bake.source.json for bake in surface.bakes) for surface in surfaces]
-    plain = [mesh for mesh, morphs in zip(meshes, morphed, strict=True) if not morphs]
-    groups = meshes_of_one_skin(document, plain)[0] if len(plain) > 1 else [plain] if plain else []
-    alone = [[number] for number, morphs in enumerate(morphed) if morphs]
-    return [[meshes.index(mesh) for mesh in group] for group in groups] + alone
 
 
 class _Whole:

@@ -162,7 +162,19 @@ class _Measurement:
         reliefs = self._reliefs.reliefs()
         if Truth.RELIEF in by_truth:
             by_truth[Truth.RELIEF] = {} if reliefs is None else reliefs.figures
-        self._refuse_overflow(by_truth)
+        # Products of numbers near the largest float may overflow.
+        found = [
+            figures
+            for by_method in by_truth.values()
+            for lightings in by_method.values()
+            for figures in lightings.values()
+        ]
+        if not all(math.isfinite(figures.mean) and math.isfinite(figures.max) for figures in found):
+            raise InputError(
+                "its positions, gradients and joint matrices are so large that their products overflow: "
+                "scale the model down",
+                self._document.place,
+            )
         primitives = {truth: self._tallies.figures_of_primitives(truth) for truth in by_truth}
         seconds = sum(clip.duration - clip.start for clip in self._clips)
         return FileVerdict(
@@ -178,21 +190,6 @@ class _Measurement:
             primitives_fine=primitives.get(Truth.FINE, ()),
             reliefs=reliefs,
         )
-
-    def _refuse_overflow(self, by_truth: Mapping[Truth, Normals]) -> None:
-        """Raise InputError if a figure is not finite."""
-        found = [
-            figures
-            for by_method in by_truth.values()
-            for lightings in by_method.values()
-            for figures in lightings.values()
-        ]
-        if not all(math.isfinite(figures.mean) and math.isfinite(figures.max) for figures in found):
-            raise InputError(
-                "its positions, gradients and joint matrices are so large that their products overflow: "
-                "scale the model down",
-                self._document.place,
-            )
 
     def _checks(self, by_truth: Mapping[Truth, Normals], drawn: Sequence[Draw]) -> Iterator[Check]:
         """Yield the checks of the lighting. One that does not apply is left out."""

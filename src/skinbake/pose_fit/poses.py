@@ -13,7 +13,7 @@ import numpy as np
 from skinbake.choices import PoseKind
 from skinbake.errors import ChoiceError, InputError, Notice, Place
 from skinbake.geometry.poses import fingerprint, is_fingerprint_of
-from skinbake.gltf.animation import MORPH_WEIGHTS, Channel, Clip, read_clips, skins_of
+from skinbake.gltf.animation import MORPH_WEIGHTS, Clip, read_clips, skins_of
 from skinbake.gltf.document import Document, read_document
 from skinbake.pose_fit.fit import FitPoses
 from skinbake.truth.poses import PoseRequest, PoseSet, joint_clips, pose_set
@@ -60,7 +60,10 @@ class ClipFile:
         state = hashlib.sha256()
         for clip in self.clips:
             for channel in clip.channels:
-                _feed(state, repr(node_names.get(channel.node)), channel)
+                node = repr(node_names.get(channel.node))
+                state.update(repr((node, channel.path, channel.method, channel.values.shape)).encode())
+                for values in (channel.times, channel.values):
+                    state.update(np.ascontiguousarray(values, dtype="<f8").tobytes())
         self.digest = state.hexdigest()[:32]
 
     @classmethod
@@ -132,7 +135,11 @@ def pose_source(value: PoseSource) -> PoseSource:
         return ANIMATIONS
     kind, colon, count = value.partition(":")
     if kind != RANDOM and Path(value).suffix:
-        return _clip_file(value)
+        # An error says that the file is that of the option, not an input.
+        try:
+            return ClipFile.read(value)
+        except InputError as error:
+            raise InputError(f"--fit-poses: {error.message}", error.place) from error
     if kind != RANDOM or not colon or not count.isdecimal() or not 1 <= int(count) <= MOST_RANDOM:
         expected = (
             f"{RANDOM}:N with N from 1 to {MOST_RANDOM:,}, {ANIMATIONS}, or a .glb, .gltf or .vrm file with "
@@ -140,14 +147,6 @@ def pose_source(value: PoseSource) -> PoseSource:
         )
         raise ChoiceError("fit_poses", value, expected)
     return f"{RANDOM}:{int(count)}"
-
-
-def _clip_file(path: str) -> ClipFile:
-    """Read the clips of a file; an error says that it is that of the option, not an input."""
-    try:
-        return ClipFile.read(path)
-    except InputError as error:
-        raise InputError(f"--fit-poses: {error.message}", error.place) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,9 +275,3 @@ def _group(sets: Sequence[PoseSet], joints: int, share: float) -> FitPoses:
         wide[:, : poses.joint_matrices.shape[1]] = poses.joint_matrices
         matrices.append(wide)
     return FitPoses(np.concatenate(matrices), share)
-
-
-def _feed(state: hashlib._Hash, node: str, channel: Channel) -> None:
-    state.update(repr((node, channel.path, channel.method, channel.values.shape)).encode())
-    for values in (channel.times, channel.values):
-        state.update(np.ascontiguousarray(values, dtype="<f8").tobytes())

@@ -137,7 +137,24 @@ def multiply_adds(
     size, columns = (20, 5) if is_scaled else (8, 8) if algorithm.uses_dual_quaternions else (12, 4)
     motions = [_components(tally, size) for _ in range(influences)]
     per_slot = motions if size == columns else [_rows(motion, columns) for motion in motions]
-    steps(_vertex(tally, influences), per_slot, Options(normal_map=normal_map), tally.mark)
+    steps(
+        (
+            RestVertex(
+                position=_components(tally, 3),
+                normal=_components(tally, 3),
+                tangent=_components(tally, 3),
+                bitangent=_components(tally, 3),
+                weights=_components(tally, influences),
+                alpha=_components(tally, influences - 1),
+                beta=_components(tally, influences - 1),
+                gradients=[_components(tally, 3) for _ in range(influences)],
+                handedness=Sign(),
+            )
+        ),
+        per_slot,
+        Options(normal_map=normal_map),
+        tally.mark,
+    )
     for surcharge in SURCHARGES:
         for charged, number in surcharge.lines:
             if charged is algorithm and is_scaled <= surcharge.with_scaled_joints:
@@ -160,21 +177,6 @@ def _components(tally: Tally, count: int) -> Vector:
 
 def _rows(components: Vector, columns: int) -> Rows:
     return tuple(components[start : start + columns] for start in range(0, len(components), columns))
-
-
-def _vertex(tally: Tally, influences: int) -> RestVertex:
-    """Return a vertex of counting scalars."""
-    return RestVertex(
-        position=_components(tally, 3),
-        normal=_components(tally, 3),
-        tangent=_components(tally, 3),
-        bitangent=_components(tally, 3),
-        weights=_components(tally, influences),
-        alpha=_components(tally, influences - 1),
-        beta=_components(tally, influences - 1),
-        gradients=[_components(tally, 3) for _ in range(influences)],
-        handedness=Sign(),
-    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -115,9 +115,14 @@ def gradient_operator(
     # The corners of each class, and the sum of their weights.
     places = classes[triangles].ravel()
     count = int(classes.max(initial=-1)) + 1
-    totals = np.bincount(
-        places, _corner_weights(positions, triangles, weighting).ravel(), minlength=count
-    ).astype(np.float64)
+    # The weight of each corner (T, 3) of sound triangles.
+    edges = _edges(positions, triangles)
+    weights = np.empty(triangles.shape)
+    for corner in range(3):
+        # The two edges at the corner, both leading away from it.
+        following, preceding = edges[corner], scaled(-1.0, edges[corner - 1])
+        weights[:, corner] = weights_of_corners(following, preceding, weighting)
+    totals = np.bincount(places, weights.ravel(), minlength=count).astype(np.float64)
     ends = np.concatenate([[0], np.cumsum(np.bincount(places, minlength=count))])
     corners = np.argsort(places, kind="stable").astype(np.int32)
     return GradientOperator(
@@ -234,14 +239,3 @@ def is_sound(positions: Float64Array, triangles: IntArray) -> BoolArray:
         longest = np.maximum(np.maximum(*(dot(edge, edge) for edge in edges[:2])), dot(edges[2], edges[2]))
         # A comparison with NaN is false.
         return np.asarray(np.sqrt(dot(normal, normal)) > _DEGENERATE * longest)
-
-
-def _corner_weights(positions: Float64Array, triangles: Int64Array, weighting: Weighting) -> Float64Array:
-    """Return the weight of each corner (T, 3) of sound triangles."""
-    edges = _edges(positions, triangles)
-    weights = np.empty(triangles.shape)
-    for corner in range(3):
-        # The two edges at the corner, both leading away from it.
-        following, preceding = edges[corner], scaled(-1.0, edges[corner - 1])
-        weights[:, corner] = weights_of_corners(following, preceding, weighting)
-    return weights

@@ -221,7 +221,12 @@ def planned_poses(document: Document, plan: PosePlan) -> PoseSet:
     """
     skeleton, clips, request = plan.skeleton, plan.sampled, plan.request
     _claim(document, plan)
-    names = _joint_names(document, skeleton)
+    nodes = document.objects("nodes")
+    found = [nodes[skeleton.nodes[joint]].get("name") for joint in skeleton.joints]
+    names = tuple(
+        f'"{name}"' if name and isinstance(name, str) else f"joint {number}"
+        for number, name in enumerate(found)
+    )
     with np.errstate(over="ignore", invalid="ignore"):  # the result is checked below
         if request.kind is PoseKind.REST:
             weights = None if plan.resting is None else plan.resting[None]
@@ -278,15 +283,6 @@ def _moves_joints(clip: Clip) -> bool:
 
 def _moves_targets(clip: Clip) -> bool:
     return any(channel.path == MORPH_WEIGHTS for channel in clip.channels)
-
-
-def _joint_names(document: Document, skeleton: Skeleton) -> tuple[str, ...]:
-    nodes = document.objects("nodes")
-    found = [nodes[skeleton.nodes[joint]].get("name") for joint in skeleton.joints]
-    return tuple(
-        f'"{name}"' if name and isinstance(name, str) else f"joint {number}"
-        for number, name in enumerate(found)
-    )
 
 
 def _sampled(plan: PosePlan, joint_names: tuple[str, ...]) -> PoseSet:

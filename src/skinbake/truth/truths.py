@@ -90,7 +90,16 @@ class Truths:
         of_mesh: Sequence[str],
     ) -> Truths:
         """Measure positions (M, 3), of which the first V have the normals (V, 3) and are in the slices."""
-        blocks_of_vertices = _vertex_blocks(operator.slices, poses)
+        # Cut the vertices of all primitives, each at its slice of the mesh, for chunks of so many poses.
+        pieces = [
+            (primitive, here.start, part)
+            for primitive, here in enumerate(operator.slices)
+            for part in sample_blocks(here, poses)
+        ]
+        blocks_of_vertices = [
+            VertexBlock(number, primitive, slice(part.start - start, part.stop - start), part)
+            for number, (primitive, start, part) in enumerate(pieces)
+        ]
         parts = tuple(block.part for block in blocks_of_vertices)
         frames = rest_frames(operator, positions, normals, parts=parts)
         blocks_of_classes: list[ClassBlock] = []
@@ -211,19 +220,6 @@ class VertexBlock(NamedTuple):
     primitive: int
     rows: slice
     part: slice
-
-
-def _vertex_blocks(slices: Sequence[slice], poses: int) -> list[VertexBlock]:
-    """Cut the vertices of all primitives, each at its slice of the mesh, for chunks of so many poses."""
-    pieces = [
-        (primitive, here.start, part)
-        for primitive, here in enumerate(slices)
-        for part in sample_blocks(here, poses)
-    ]
-    return [
-        VertexBlock(number, primitive, slice(part.start - start, part.stop - start), part)
-        for number, (primitive, start, part) in enumerate(pieces)
-    ]
 
 
 def _joined(primitives: Sequence[RestPrimitive], name: str) -> FloatArray:
