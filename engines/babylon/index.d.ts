@@ -24,8 +24,8 @@ export interface MeshReport {
     readonly reason: string;
 }
 
-/** Load alpha and beta with every glTF file from now on. Skinned meshes that have them are lit accurately. */
-export function registerSkinbake(): void;
+/** Load alpha and beta with every glTF file from now on, for linear blending (`lbs`, the default) or dual quaternions. */
+export function registerSkinbake(options?: { readonly method?: 'lbs' | 'dqs' }): void;
 
 /** Load files as before. What is loaded stays as it is. */
 export function unregisterSkinbake(): void;

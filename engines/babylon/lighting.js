@@ -15,7 +15,7 @@ const HOOKS = { vertex: [GLSL, WGSL], fragment: [GLSL_FRAGMENT, WGSL_FRAGMENT] }
 // What a material needs to light baked meshes. Meshes that are not baked run Babylon.js's own lines alone.
 class Plugin extends MaterialPluginBase {
     constructor(material) {
-        super(material, PLUGIN, 200, { SKINBAKE: 0, SKINBAKE_MORPHS: 0 }, true, false);
+        super(material, PLUGIN, 200, { SKINBAKE: 0, SKINBAKE_MORPHS: 0, SKINBAKE_DUAL: 0 }, true, false);
         this.doNotSerialize = true;
         this.registerForExtraEvents = true;
         this._enable(true);
@@ -32,6 +32,7 @@ class Plugin extends MaterialPluginBase {
     // Irradiance of the environment that the vertex shader computes comes before its normal is corrected.
     prepareDefines(defines, scene, mesh) {
         defines.SKINBAKE = defines.NORMAL ? litBy(mesh, defines) : 0;
+        defines.SKINBAKE_DUAL = defines.SKINBAKE && bakeOf(mesh).method === 'dqs' ? 1 : 0;
         if (defines.SKINBAKE) defines.USESPHERICALINVERTEX = false;
         const isMorphed = defines.SKINBAKE && defines.MORPHTARGETS && defines.MORPHTARGETS_TEXTURE;
         defines.SKINBAKE_MORPHS = isMorphed ? bakeOf(mesh).morphs?.numbers ?? 0 : 0;

@@ -13,7 +13,7 @@ export const kindsOf = (set) => [`skinbakeAlpha${set}`, `skinbakeBeta${set}`];
 
 // Copies of this module on one page share what they know.
 export const state = (globalThis[Symbol.for('skinbake.babylon')] ??= {
-    geometries: new WeakMap(), // geometry -> { problem, changed, frame, scale, sets, loaded }
+    geometries: new WeakMap(), // geometry -> { problem, changed, frame, scale, sets, method, loaded }
     scenes: new WeakMap(), // scene -> { geometries, meshes } that came from baked primitives
     standard: new WeakSet(), // meshes that lighting() has switched
     told: new WeakMap(), // mesh -> messages
@@ -23,12 +23,13 @@ export const state = (globalThis[Symbol.for('skinbake.babylon')] ??= {
 // An extension of Babylon.js's glTF loader, which drops attributes with a leading underscore.
 export class Loading {
     // watch takes a scene, and returns what was loaded into it: { geometries, meshes }.
-    constructor(loader, watch) {
+    constructor(loader, watch, method) {
         this.name = NAME;
         this.enabled = true;
         this.order = 50; // before extensions that load the other attributes of a primitive, as Draco's does
         this.loader = loader;
         this.watch = watch;
+        this.method = method;
     }
 
     dispose() {
@@ -55,7 +56,7 @@ export class Loading {
             const loading = this.loader._loadVertexDataAsync(context, primitive, mesh);
             return this.#with(scene, { problem, changed: '' }, loading);
         }
-        const baked = bakedOf(metadata);
+        const baked = bakedOf(metadata, this.method);
         const rest = this.loader._loadVertexDataAsync(context, withoutPairs(primitive, metadata), mesh);
         return this.#with(scene, baked, rest).then(async (geometry) => {
             const names = namesOf(metadata);
@@ -209,9 +210,9 @@ function namesOf({ alpha, beta }) {
     return [...new Set([...alpha, ...beta])];
 }
 
-function bakedOf({ frame, encoding, scale, influences }) {
+function bakedOf({ frame, encoding, scale, influences }, method) {
     const sets = Math.ceil(influences / 4);
-    return { problem: '', changed: '', frame: FRAMES[frame], scale: encoding ? scale : 1, sets };
+    return { problem: '', changed: '', frame: FRAMES[frame], scale: encoding ? scale : 1, sets, method };
 }
 
 export const ATTRIBUTES = {

@@ -3,7 +3,10 @@
 //
 // Algorithm 3 of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned Models",
 // Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. Frame: T. Duff et al., "Building an Orthonormal
-// Basis, Revisited", JCGT 6(1), 2017.
+// Basis, Revisited", JCGT 6(1), 2017. Dual quaternions: the exact derivative of their blend, for joints that may scale,
+// which is skinbake's own.
+
+export const METHOD = 'lbs';
 
 export const GLSL = {
     CUSTOM_VERTEX_DEFINITIONS: /* glsl */ `
@@ -177,6 +180,231 @@ vec4 skinbake_morph(int part)
 }
 #endif
 
+#if SKINBAKE_DUAL > 0
+#ifndef SKINBAKE_DUAL_QUATERNION
+#define SKINBAKE_DUAL_QUATERNION
+// The unit dual quaternion of a rigid joint matrix. [0] is its real part (x, y, z, w), w the scalar; [1] is its
+// dual part. Compute it on the host or in a pass over the joints: once per joint and frame, not per vertex.
+// Dual quaternions have no scale. If all joint matrices share a uniform scale s, divide their upper 3x3 parts by
+// s first, and skin s * p, s * t0, s * b0 in place of p, t0, b0.
+mat2x4 skinbake_dual_quaternion(mat4 M)
+{
+    vec3 d = vec3(M[0].x, M[1].y, M[2].z);
+    vec4 squares = 1.0 + vec4( // 4 * (x, y, z, w)^2
+        d.x - d.y - d.z, d.y - d.z - d.x, d.z - d.x - d.y, d.x + d.y + d.z);
+    vec3 differences = vec3(M[1].z - M[2].y, M[2].x - M[0].z, M[0].y - M[1].x); // 4 w * (x, y, z)
+    vec3 sums = vec3(M[1].z + M[2].y, M[2].x + M[0].z, M[0].y + M[1].x); // 4 * (yz, zx, xy)
+    vec4 real = vec4(differences, squares.w);
+    float largest = squares.w;
+    if (squares.x > largest) {
+        largest = squares.x;
+        real = vec4(squares.x, sums.z, sums.y, differences.x);
+    }
+    if (squares.y > largest) {
+        largest = squares.y;
+        real = vec4(sums.z, squares.y, sums.x, differences.y);
+    }
+    if (squares.z > largest) {
+        real = vec4(sums.y, sums.x, squares.z, differences.z);
+    }
+    real = normalize(real);
+    vec3 t = M[3].xyz;
+    return mat2x4(real, 0.5 * vec4(cross(t, real.xyz) + real.w * t, -dot(t, real.xyz)));
+}
+#endif
+
+#ifndef SKINBAKE_PRODUCT
+#define SKINBAKE_PRODUCT
+// The product of two quaternions.
+vec4 skinbake_product(vec4 a, vec4 b)
+{
+    return vec4(a.w * b.xyz + b.w * a.xyz + cross(a.xyz, b.xyz), a.w * b.w - dot(a.xyz, b.xyz));
+}
+#endif
+
+#ifndef SKINBAKE_SCALED_JOINT
+#define SKINBAKE_SCALED_JOINT
+// A joint that may scale, shear or mirror. Quaternions are (x, y, z, w), w the scalar. turn is the rotation of the joint
+// matrix, and the columns of moved are those of the matrix times it.
+struct skinbake_ScaledMotion {
+    mat4 moved;
+    vec4 turn;
+};
+
+// The vector of a over a quaternion, which is given as itself / its squared length.
+vec3 skinbake_over(vec4 a, vec4 divisor)
+{
+    return divisor.w * a.xyz - a.w * divisor.xyz + cross(divisor.xyz, a.xyz);
+}
+#endif
+
+#ifndef SKINBAKE_SCALED_MOTION
+#define SKINBAKE_SCALED_MOTION
+// The unit quaternion of the rotation R in the polar decomposition M = R S, or in that of -M where M mirrors, by Newton's
+// iteration (Higham 1986). No rotation where M flattens.
+vec4 skinbake_turn(mat3 M)
+{
+    float volume = dot(cross(M[0], M[1]), M[2]);
+    if (volume == 0.0) return vec4(0.0, 0.0, 0.0, 1.0);
+    mat3 R = M * (sign(volume) / pow(abs(volume), 1.0 / 3.0));
+    for (int i = 0; i < 12; i++) {
+        // The volume is at least 1, so the squares sum to 3 where R is a rotation.
+        bool is_near = dot(R[0], R[0]) + dot(R[1], R[1]) + dot(R[2], R[2]) < 3.00001;
+        mat3 cofactors = mat3(cross(R[1], R[2]), cross(R[2], R[0]), cross(R[0], R[1]));
+        R = 0.5 * (R + cofactors * (1.0 / dot(R[0], cofactors[0])));
+        if (is_near) break;
+    }
+    return skinbake_dual_quaternion(mat4(vec4(R[0], 0.0), vec4(R[1], 0.0), vec4(R[2], 0.0), vec4(0.0, 0.0,
+            0.0, 1.0)))[0];
+}
+
+// The motion of a joint matrix. Compute it on the host, by joint_scaled_motions() of skinbake's Python package, or in a
+// pass over the joints: once per joint and frame, not per vertex.
+skinbake_ScaledMotion skinbake_scaled_motion(mat4 M)
+{
+    vec4 turn = skinbake_turn(mat3(M));
+    skinbake_ScaledMotion Q;
+    for (int i = 0; i < 4; i++)
+        Q.moved[i] = vec4(turn.w * M[i].xyz + cross(M[i].xyz, turn.xyz), -dot(M[i].xyz, turn.xyz));
+    Q.turn = turn;
+    return Q;
+}
+#endif
+
+#if NUM_BONE_INFLUENCERS > 4
+// The frame moves by the derivative of the quotient p' = g / b: b mixes the joints' turns, and g what M p is times them.
+// Q: the scaled motions of slots 0 to 7.
+skinbake_Vertex skinbake_dqs_scaled(vec3 p, skinbake_Frame frame, skinbake_ScaledMotion Q[8], vec4 weights_0,
+        vec4 weights_1, vec3 alpha_0, vec4 alpha_1, vec3 beta_0, vec4 beta_1)
+{
+    float s1 = dot(Q[1].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0; // 1: q and -q are the same rotation
+    float s2 = dot(Q[2].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0;
+    float s3 = dot(Q[3].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0;
+    float s4 = dot(Q[4].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0;
+    float s5 = dot(Q[5].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0;
+    float s6 = dot(Q[6].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0;
+    float s7 = dot(Q[7].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0;
+    vec4 b = weights_0.x * Q[0].turn
+           + (s1 * weights_0.y) * Q[1].turn
+           + (s2 * weights_0.z) * Q[2].turn
+           + (s3 * weights_0.w) * Q[3].turn
+           + (s4 * weights_1.x) * Q[4].turn
+           + (s5 * weights_1.y) * Q[5].turn
+           + (s6 * weights_1.z) * Q[6].turn
+           + (s7 * weights_1.w) * Q[7].turn;
+    mat4 T = weights_0.x * Q[0].moved
+           + (s1 * weights_0.y) * Q[1].moved
+           + (s2 * weights_0.z) * Q[2].moved
+           + (s3 * weights_0.w) * Q[3].moved
+           + (s4 * weights_1.x) * Q[4].moved
+           + (s5 * weights_1.y) * Q[5].moved
+           + (s6 * weights_1.z) * Q[6].moved
+           + (s7 * weights_1.w) * Q[7].moved;
+    float square = dot(b, b);
+    vec4 divisor = b / (square > 0.0 ? square : 1.0); // 2
+    vec4 g0 = Q[0].moved * vec4(p, 1.0); // 3
+    vec4 g1 = Q[1].moved * vec4(p, 1.0);
+    vec4 g2 = Q[2].moved * vec4(p, 1.0);
+    vec4 g3 = Q[3].moved * vec4(p, 1.0);
+    vec4 g4 = Q[4].moved * vec4(p, 1.0);
+    vec4 g5 = Q[5].moved * vec4(p, 1.0);
+    vec4 g6 = Q[6].moved * vec4(p, 1.0);
+    vec4 g7 = Q[7].moved * vec4(p, 1.0);
+    vec4 m1 = s1 * g1 - g0; // 4
+    vec4 r1 = s1 * Q[1].turn - Q[0].turn;
+    vec4 m2 = s2 * g2 - g0;
+    vec4 r2 = s2 * Q[2].turn - Q[0].turn;
+    vec4 m3 = s3 * g3 - g0;
+    vec4 r3 = s3 * Q[3].turn - Q[0].turn;
+    vec4 m4 = s4 * g4 - g0;
+    vec4 r4 = s4 * Q[4].turn - Q[0].turn;
+    vec4 m5 = s5 * g5 - g0;
+    vec4 r5 = s5 * Q[5].turn - Q[0].turn;
+    vec4 m6 = s6 * g6 - g0;
+    vec4 r6 = s6 * Q[6].turn - Q[0].turn;
+    vec4 m7 = s7 * g7 - g0;
+    vec4 r7 = s7 * Q[7].turn - Q[0].turn;
+    vec4 g = g0 + weights_0.y * m1 + weights_0.z * m2 + weights_0.w * m3 + weights_1.x * m4
+            + weights_1.y * m5 + weights_1.z * m6 + weights_1.w * m7; // 5
+    vec4 ratio = vec4(skinbake_over(g, divisor), dot(g, divisor));
+    skinbake_Vertex v;
+    v.position = ratio.xyz;
+    v.tangent = skinbake_over(T * vec4(frame.tangent, 0.0) + alpha_0.x * m1 + alpha_0.y * m2
+            + alpha_0.z * m3 + alpha_1.x * m4 + alpha_1.y * m5 + alpha_1.z * m6
+            + alpha_1.w * m7 - skinbake_product(ratio, alpha_0.x * r1 + alpha_0.y * r2 + alpha_0.z * r3
+            + alpha_1.x * r4 + alpha_1.y * r5 + alpha_1.z * r6 + alpha_1.w * r7), divisor); // 6
+    v.bitangent = skinbake_over(T * vec4(frame.bitangent, 0.0) + beta_0.x * m1 + beta_0.y * m2
+            + beta_0.z * m3 + beta_1.x * m4 + beta_1.y * m5 + beta_1.z * m6
+            + beta_1.w * m7 - skinbake_product(ratio, beta_0.x * r1 + beta_0.y * r2 + beta_0.z * r3
+            + beta_1.x * r4 + beta_1.y * r5 + beta_1.z * r6 + beta_1.w * r7), divisor); // 7
+    v.normal = frame.handedness * cross(v.tangent, v.bitangent); // 8
+    vec3 carried = skinbake_over(T * vec4(frame.normal, 0.0), divisor); // 9
+    v.cotangent = frame.handedness * cross(v.bitangent, carried); // 10
+    v.cobitangent = frame.handedness * cross(carried, v.tangent); // 11
+    // A joint that mirrors turns t x b to the inside.
+    vec3 x = skinbake_over(T[0], divisor);
+    vec3 y = skinbake_over(T[1], divisor);
+    float outside = dot(cross(x, y), skinbake_over(T[2], divisor)) < 0.0 ? -1.0 : 1.0;
+    v.normal *= outside;
+    v.cotangent *= outside;
+    v.cobitangent *= outside;
+    return v;
+}
+#else
+// The frame moves by the derivative of the quotient p' = g / b: b mixes the joints' turns, and g what M p is times them.
+// Q: the scaled motions of slots 0 to 3.
+skinbake_Vertex skinbake_dqs_scaled(vec3 p, skinbake_Frame frame, skinbake_ScaledMotion Q[4], vec4 weights_0,
+        vec3 alpha_0, vec3 beta_0)
+{
+    float s1 = dot(Q[1].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0; // 1: q and -q are the same rotation
+    float s2 = dot(Q[2].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0;
+    float s3 = dot(Q[3].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0;
+    vec4 b = weights_0.x * Q[0].turn
+           + (s1 * weights_0.y) * Q[1].turn
+           + (s2 * weights_0.z) * Q[2].turn
+           + (s3 * weights_0.w) * Q[3].turn;
+    mat4 T = weights_0.x * Q[0].moved
+           + (s1 * weights_0.y) * Q[1].moved
+           + (s2 * weights_0.z) * Q[2].moved
+           + (s3 * weights_0.w) * Q[3].moved;
+    float square = dot(b, b);
+    vec4 divisor = b / (square > 0.0 ? square : 1.0); // 2
+    vec4 g0 = Q[0].moved * vec4(p, 1.0); // 3
+    vec4 g1 = Q[1].moved * vec4(p, 1.0);
+    vec4 g2 = Q[2].moved * vec4(p, 1.0);
+    vec4 g3 = Q[3].moved * vec4(p, 1.0);
+    vec4 m1 = s1 * g1 - g0; // 4
+    vec4 r1 = s1 * Q[1].turn - Q[0].turn;
+    vec4 m2 = s2 * g2 - g0;
+    vec4 r2 = s2 * Q[2].turn - Q[0].turn;
+    vec4 m3 = s3 * g3 - g0;
+    vec4 r3 = s3 * Q[3].turn - Q[0].turn;
+    vec4 g = g0 + weights_0.y * m1 + weights_0.z * m2 + weights_0.w * m3; // 5
+    vec4 ratio = vec4(skinbake_over(g, divisor), dot(g, divisor));
+    skinbake_Vertex v;
+    v.position = ratio.xyz;
+    v.tangent = skinbake_over(T * vec4(frame.tangent, 0.0) + alpha_0.x * m1 + alpha_0.y * m2
+            + alpha_0.z * m3 - skinbake_product(ratio, alpha_0.x * r1 + alpha_0.y * r2 + alpha_0.z * r3),
+            divisor); // 6
+    v.bitangent = skinbake_over(T * vec4(frame.bitangent, 0.0) + beta_0.x * m1 + beta_0.y * m2
+            + beta_0.z * m3 - skinbake_product(ratio, beta_0.x * r1 + beta_0.y * r2 + beta_0.z * r3),
+            divisor); // 7
+    v.normal = frame.handedness * cross(v.tangent, v.bitangent); // 8
+    vec3 carried = skinbake_over(T * vec4(frame.normal, 0.0), divisor); // 9
+    v.cotangent = frame.handedness * cross(v.bitangent, carried); // 10
+    v.cobitangent = frame.handedness * cross(carried, v.tangent); // 11
+    // A joint that mirrors turns t x b to the inside.
+    vec3 x = skinbake_over(T[0], divisor);
+    vec3 y = skinbake_over(T[1], divisor);
+    float outside = dot(cross(x, y), skinbake_over(T[2], divisor)) < 0.0 ? -1.0 : 1.0;
+    v.normal *= outside;
+    v.cotangent *= outside;
+    v.cobitangent *= outside;
+    return v;
+}
+#endif
+#endif
+
 #if NUM_BONE_INFLUENCERS > 4
 // The frame moves by the derivative of the skinned position along t0 and b0.
 // M: the joint matrices of slots 0 to 7.
@@ -280,6 +508,20 @@ mat3 skinbake_world()
 #endif
 }
 
+// What this matrix adds to a position.
+vec3 skinbake_origin()
+{
+#ifdef INSTANCES
+#ifdef THIN_INSTANCES
+    return (world * world3).xyz;
+#else
+    return world3.xyz;
+#endif
+#else
+    return world[3].xyz;
+#endif
+}
+
 skinbake_Frame skinbake_rest()
 {
     vec3 n0 = dot(normal, normal) > 0.0 ? normalize(normal) : vec3(0.0, 0.0, 1.0);
@@ -317,6 +559,16 @@ skinbake_Vertex skinbake_lit(vec3 p, skinbake_Frame frame)
     M[7] = skinbake_joint(matricesIndicesExtra.w);
     vec4 alpha_1 = skinbake_decoded_further(skinbakeAlpha1, skinbakeAlpha0, skinbakeScale);
     vec4 beta_1 = skinbake_decoded_further(skinbakeBeta1, skinbakeBeta0, skinbakeScale);
+#endif
+#if SKINBAKE_DUAL > 0
+    skinbake_ScaledMotion Q[NUM_BONE_INFLUENCERS > 4 ? 8 : 4];
+    for (int slot = 0; slot < M.length(); slot++) Q[slot] = skinbake_scaled_motion(M[slot]);
+#if NUM_BONE_INFLUENCERS > 4
+    return skinbake_dqs_scaled(p, frame, Q, weights_0, weights_1, alpha_0, alpha_1, beta_0, beta_1);
+#else
+    return skinbake_dqs_scaled(p, frame, Q, weights_0, alpha_0, beta_0);
+#endif
+#elif NUM_BONE_INFLUENCERS > 4
     return skinbake_lbs_accurate(p, frame, M, weights_0, weights_1, alpha_0, alpha_1, beta_0, beta_1);
 #else
     return skinbake_lbs_accurate(p, frame, M, weights_0, alpha_0, beta_0);
@@ -347,6 +599,10 @@ mat3 skinbakeCofactors = mat3(
     cross(skinbakeWorld[2], skinbakeWorld[0]),
     cross(skinbakeWorld[0], skinbakeWorld[1]));
 vNormalW = skinbakeSide * normalize(skinbakeCofactors * skinbakeLit.normal);
+#if SKINBAKE_DUAL > 0
+worldPos = vec4(skinbakeWorld * skinbakeLit.position + skinbake_origin(), 1.0);
+vPositionW = worldPos.xyz;
+#endif
 #endif
 `,
     CUSTOM_VERTEX_MAIN_END: /* glsl */ `
@@ -498,6 +754,205 @@ fn skinbake_morph(part: i32) -> vec4<f32> {
 }
 #endif
 
+#if SKINBAKE_DUAL > 0
+// The unit dual quaternion of a rigid joint matrix. [0] is its real part (x, y, z, w), w the scalar; [1] is its
+// dual part. Compute it on the host or in a pass over the joints: once per joint and frame, not per vertex.
+// Dual quaternions have no scale. If all joint matrices share a uniform scale s, divide their upper 3x3 parts by
+// s first, and skin s * p, s * t0, s * b0 in place of p, t0, b0.
+fn skinbake_dual_quaternion(M: mat4x4<f32>) -> mat2x4<f32> {
+    let d = vec3<f32>(M[0].x, M[1].y, M[2].z);
+    let squares = 1.0 + vec4<f32>( // 4 * (x, y, z, w)^2
+        d.x - d.y - d.z, d.y - d.z - d.x, d.z - d.x - d.y, d.x + d.y + d.z);
+    let differences = vec3<f32>(M[1].z - M[2].y, M[2].x - M[0].z, M[0].y - M[1].x); // 4 w * (x, y, z)
+    let sums = vec3<f32>(M[1].z + M[2].y, M[2].x + M[0].z, M[0].y + M[1].x); // 4 * (yz, zx, xy)
+    var real = vec4<f32>(differences, squares.w);
+    var largest = squares.w;
+    if (squares.x > largest) {
+        largest = squares.x;
+        real = vec4<f32>(squares.x, sums.z, sums.y, differences.x);
+    }
+    if (squares.y > largest) {
+        largest = squares.y;
+        real = vec4<f32>(sums.z, squares.y, sums.x, differences.y);
+    }
+    if (squares.z > largest) {
+        real = vec4<f32>(sums.y, sums.x, squares.z, differences.z);
+    }
+    real = normalize(real);
+    let t = M[3].xyz;
+    return mat2x4<f32>(real, 0.5 * vec4<f32>(cross(t, real.xyz) + real.w * t, -dot(t, real.xyz)));
+}
+
+// The product of two quaternions.
+fn skinbake_product(a: vec4<f32>, b: vec4<f32>) -> vec4<f32> {
+    return vec4<f32>(a.w * b.xyz + b.w * a.xyz + cross(a.xyz, b.xyz), a.w * b.w - dot(a.xyz, b.xyz));
+}
+
+// A joint that may scale, shear or mirror. Quaternions are (x, y, z, w), w the scalar. turn is the rotation of the joint
+// matrix, and the columns of moved are those of the matrix times it.
+struct skinbake_ScaledMotion {
+    moved: mat4x4<f32>,
+    turn: vec4<f32>,
+}
+
+// The vector of a over a quaternion, which is given as itself / its squared length.
+fn skinbake_over(a: vec4<f32>, divisor: vec4<f32>) -> vec3<f32> {
+    return divisor.w * a.xyz - a.w * divisor.xyz + cross(divisor.xyz, a.xyz);
+}
+
+// The unit quaternion of the rotation R in the polar decomposition M = R S, or in that of -M where M mirrors, by Newton's
+// iteration (Higham 1986). No rotation where M flattens.
+fn skinbake_turn(M: mat4x4<f32>) -> vec4<f32> {
+    let volume = dot(cross(M[0].xyz, M[1].xyz), M[2].xyz);
+    if (volume == 0.0) { return vec4<f32>(0.0, 0.0, 0.0, 1.0); }
+    var R = mat3x3<f32>(M[0].xyz, M[1].xyz, M[2].xyz) * (sign(volume) / pow(abs(volume), 1.0 / 3.0));
+    for (var i = 0; i < 12; i++) {
+        // The volume is at least 1, so the squares sum to 3 where R is a rotation.
+        let is_near = dot(R[0], R[0]) + dot(R[1], R[1]) + dot(R[2], R[2]) < 3.00001;
+        let cofactors = mat3x3<f32>(cross(R[1], R[2]), cross(R[2], R[0]), cross(R[0], R[1]));
+        R = (R + cofactors * (1.0 / dot(R[0], cofactors[0]))) * 0.5;
+        if (is_near) { break; }
+    }
+    return skinbake_dual_quaternion(mat4x4<f32>(
+        vec4<f32>(R[0], 0.0), vec4<f32>(R[1], 0.0), vec4<f32>(R[2], 0.0), vec4<f32>(0.0, 0.0, 0.0, 1.0)))[0];
+}
+
+// The motion of a joint matrix. Compute it on the host, by joint_scaled_motions() of skinbake's Python package, or in a
+// pass over the joints: once per joint and frame, not per vertex.
+fn skinbake_scaled_motion(M: mat4x4<f32>) -> skinbake_ScaledMotion {
+    let turn = skinbake_turn(M);
+    return skinbake_ScaledMotion(
+        mat4x4<f32>(
+            skinbake_product(vec4<f32>(M[0].xyz, 0.0), turn),
+            skinbake_product(vec4<f32>(M[1].xyz, 0.0), turn),
+            skinbake_product(vec4<f32>(M[2].xyz, 0.0), turn),
+            skinbake_product(vec4<f32>(M[3].xyz, 0.0), turn)),
+        turn);
+}
+
+#if NUM_BONE_INFLUENCERS > 4
+// The frame moves by the derivative of the quotient p' = g / b: b mixes the joints' turns, and g what M p is times them.
+// Q: the scaled motions of slots 0 to 7.
+fn skinbake_dqs_scaled(p: vec3<f32>, frame: skinbake_Frame, Q: array<skinbake_ScaledMotion, 8>,
+        weights_0: vec4<f32>, weights_1: vec4<f32>, alpha_0: vec3<f32>, alpha_1: vec4<f32>,
+        beta_0: vec3<f32>, beta_1: vec4<f32>) -> skinbake_Vertex {
+    let s1 = select(1.0, -1.0, dot(Q[1].turn, Q[0].turn) < 0.0); // 1: q and -q are the same rotation
+    let s2 = select(1.0, -1.0, dot(Q[2].turn, Q[0].turn) < 0.0);
+    let s3 = select(1.0, -1.0, dot(Q[3].turn, Q[0].turn) < 0.0);
+    let s4 = select(1.0, -1.0, dot(Q[4].turn, Q[0].turn) < 0.0);
+    let s5 = select(1.0, -1.0, dot(Q[5].turn, Q[0].turn) < 0.0);
+    let s6 = select(1.0, -1.0, dot(Q[6].turn, Q[0].turn) < 0.0);
+    let s7 = select(1.0, -1.0, dot(Q[7].turn, Q[0].turn) < 0.0);
+    let b = weights_0.x * Q[0].turn
+          + (s1 * weights_0.y) * Q[1].turn
+          + (s2 * weights_0.z) * Q[2].turn
+          + (s3 * weights_0.w) * Q[3].turn
+          + (s4 * weights_1.x) * Q[4].turn
+          + (s5 * weights_1.y) * Q[5].turn
+          + (s6 * weights_1.z) * Q[6].turn
+          + (s7 * weights_1.w) * Q[7].turn;
+    let T = weights_0.x * Q[0].moved
+          + (s1 * weights_0.y) * Q[1].moved
+          + (s2 * weights_0.z) * Q[2].moved
+          + (s3 * weights_0.w) * Q[3].moved
+          + (s4 * weights_1.x) * Q[4].moved
+          + (s5 * weights_1.y) * Q[5].moved
+          + (s6 * weights_1.z) * Q[6].moved
+          + (s7 * weights_1.w) * Q[7].moved;
+    let square = dot(b, b);
+    let divisor = b / select(1.0, square, square > 0.0); // 2
+    let g0 = Q[0].moved * vec4<f32>(p, 1.0); // 3
+    let g1 = Q[1].moved * vec4<f32>(p, 1.0);
+    let g2 = Q[2].moved * vec4<f32>(p, 1.0);
+    let g3 = Q[3].moved * vec4<f32>(p, 1.0);
+    let g4 = Q[4].moved * vec4<f32>(p, 1.0);
+    let g5 = Q[5].moved * vec4<f32>(p, 1.0);
+    let g6 = Q[6].moved * vec4<f32>(p, 1.0);
+    let g7 = Q[7].moved * vec4<f32>(p, 1.0);
+    let m1 = s1 * g1 - g0; // 4
+    let r1 = s1 * Q[1].turn - Q[0].turn;
+    let m2 = s2 * g2 - g0;
+    let r2 = s2 * Q[2].turn - Q[0].turn;
+    let m3 = s3 * g3 - g0;
+    let r3 = s3 * Q[3].turn - Q[0].turn;
+    let m4 = s4 * g4 - g0;
+    let r4 = s4 * Q[4].turn - Q[0].turn;
+    let m5 = s5 * g5 - g0;
+    let r5 = s5 * Q[5].turn - Q[0].turn;
+    let m6 = s6 * g6 - g0;
+    let r6 = s6 * Q[6].turn - Q[0].turn;
+    let m7 = s7 * g7 - g0;
+    let r7 = s7 * Q[7].turn - Q[0].turn;
+    let g = g0 + weights_0.y * m1 + weights_0.z * m2 + weights_0.w * m3 + weights_1.x * m4
+            + weights_1.y * m5 + weights_1.z * m6 + weights_1.w * m7; // 5
+    let ratio = vec4<f32>(skinbake_over(g, divisor), dot(g, divisor));
+    let tangent = skinbake_over(T * vec4<f32>(frame.tangent, 0.0) + alpha_0.x * m1 + alpha_0.y * m2
+            + alpha_0.z * m3 + alpha_1.x * m4 + alpha_1.y * m5 + alpha_1.z * m6
+            + alpha_1.w * m7 - skinbake_product(ratio, alpha_0.x * r1 + alpha_0.y * r2 + alpha_0.z * r3
+            + alpha_1.x * r4 + alpha_1.y * r5 + alpha_1.z * r6 + alpha_1.w * r7), divisor); // 6
+    let bitangent = skinbake_over(T * vec4<f32>(frame.bitangent, 0.0) + beta_0.x * m1 + beta_0.y * m2
+            + beta_0.z * m3 + beta_1.x * m4 + beta_1.y * m5 + beta_1.z * m6
+            + beta_1.w * m7 - skinbake_product(ratio, beta_0.x * r1 + beta_0.y * r2 + beta_0.z * r3
+            + beta_1.x * r4 + beta_1.y * r5 + beta_1.z * r6 + beta_1.w * r7), divisor); // 7
+    // A joint that mirrors turns t x b to the inside.
+    let x = skinbake_over(T[0], divisor);
+    let y = skinbake_over(T[1], divisor);
+    let outside = select(1.0, -1.0, dot(cross(x, y), skinbake_over(T[2], divisor)) < 0.0);
+    let normal = outside * frame.handedness * cross(tangent, bitangent); // 8
+    let carried = skinbake_over(T * vec4<f32>(frame.normal, 0.0), divisor); // 9
+    let cotangent = outside * frame.handedness * cross(bitangent, carried); // 10
+    let cobitangent = outside * frame.handedness * cross(carried, tangent); // 11
+    return skinbake_Vertex(ratio.xyz, normal, tangent, bitangent, cotangent, cobitangent);
+}
+#else
+// The frame moves by the derivative of the quotient p' = g / b: b mixes the joints' turns, and g what M p is times them.
+// Q: the scaled motions of slots 0 to 3.
+fn skinbake_dqs_scaled(p: vec3<f32>, frame: skinbake_Frame, Q: array<skinbake_ScaledMotion, 4>,
+        weights_0: vec4<f32>, alpha_0: vec3<f32>, beta_0: vec3<f32>) -> skinbake_Vertex {
+    let s1 = select(1.0, -1.0, dot(Q[1].turn, Q[0].turn) < 0.0); // 1: q and -q are the same rotation
+    let s2 = select(1.0, -1.0, dot(Q[2].turn, Q[0].turn) < 0.0);
+    let s3 = select(1.0, -1.0, dot(Q[3].turn, Q[0].turn) < 0.0);
+    let b = weights_0.x * Q[0].turn
+          + (s1 * weights_0.y) * Q[1].turn
+          + (s2 * weights_0.z) * Q[2].turn
+          + (s3 * weights_0.w) * Q[3].turn;
+    let T = weights_0.x * Q[0].moved
+          + (s1 * weights_0.y) * Q[1].moved
+          + (s2 * weights_0.z) * Q[2].moved
+          + (s3 * weights_0.w) * Q[3].moved;
+    let square = dot(b, b);
+    let divisor = b / select(1.0, square, square > 0.0); // 2
+    let g0 = Q[0].moved * vec4<f32>(p, 1.0); // 3
+    let g1 = Q[1].moved * vec4<f32>(p, 1.0);
+    let g2 = Q[2].moved * vec4<f32>(p, 1.0);
+    let g3 = Q[3].moved * vec4<f32>(p, 1.0);
+    let m1 = s1 * g1 - g0; // 4
+    let r1 = s1 * Q[1].turn - Q[0].turn;
+    let m2 = s2 * g2 - g0;
+    let r2 = s2 * Q[2].turn - Q[0].turn;
+    let m3 = s3 * g3 - g0;
+    let r3 = s3 * Q[3].turn - Q[0].turn;
+    let g = g0 + weights_0.y * m1 + weights_0.z * m2 + weights_0.w * m3; // 5
+    let ratio = vec4<f32>(skinbake_over(g, divisor), dot(g, divisor));
+    let tangent = skinbake_over(T * vec4<f32>(frame.tangent, 0.0) + alpha_0.x * m1 + alpha_0.y * m2
+            + alpha_0.z * m3 - skinbake_product(ratio, alpha_0.x * r1 + alpha_0.y * r2 + alpha_0.z * r3),
+            divisor); // 6
+    let bitangent = skinbake_over(T * vec4<f32>(frame.bitangent, 0.0) + beta_0.x * m1 + beta_0.y * m2
+            + beta_0.z * m3 - skinbake_product(ratio, beta_0.x * r1 + beta_0.y * r2 + beta_0.z * r3),
+            divisor); // 7
+    // A joint that mirrors turns t x b to the inside.
+    let x = skinbake_over(T[0], divisor);
+    let y = skinbake_over(T[1], divisor);
+    let outside = select(1.0, -1.0, dot(cross(x, y), skinbake_over(T[2], divisor)) < 0.0);
+    let normal = outside * frame.handedness * cross(tangent, bitangent); // 8
+    let carried = skinbake_over(T * vec4<f32>(frame.normal, 0.0), divisor); // 9
+    let cotangent = outside * frame.handedness * cross(bitangent, carried); // 10
+    let cobitangent = outside * frame.handedness * cross(carried, tangent); // 11
+    return skinbake_Vertex(ratio.xyz, normal, tangent, bitangent, cotangent, cobitangent);
+}
+#endif
+#endif
+
 #if SKINBAKE > 2
 // The frame of NORMAL, which must have length 1, and TANGENT.
 fn skinbake_frame(n: vec3<f32>, tangent: vec4<f32>) -> skinbake_Frame {
@@ -617,6 +1072,27 @@ fn skinbake_world() -> mat3x3<f32> {
 #endif
 }
 
+// What this matrix adds to a position.
+fn skinbake_origin() -> vec3<f32> {
+#ifdef INSTANCES
+#ifdef THIN_INSTANCES
+#ifdef WORLD_UBO
+    return (mesh.world * vertexInputs.world3).xyz;
+#else
+    return (uniforms.world * vertexInputs.world3).xyz;
+#endif
+#else
+    return vertexInputs.world3.xyz;
+#endif
+#else
+#ifdef WORLD_UBO
+    return mesh.world[3].xyz;
+#else
+    return uniforms.world[3].xyz;
+#endif
+#endif
+}
+
 fn skinbake_rest() -> skinbake_Frame {
     let given = vertexInputs.normal;
     let n0 = select(vec3<f32>(0.0, 0.0, 1.0), normalize(given), dot(given, given) > 0.0);
@@ -654,9 +1130,23 @@ fn skinbake_lit(p: vec3<f32>, frame: skinbake_Frame) -> skinbake_Vertex {
     M[7] = skinbake_joint(vertexInputs.matricesIndicesExtra.w);
     let alpha_1 = skinbake_decoded_further(vertexInputs.skinbakeAlpha1, vertexInputs.skinbakeAlpha0, scale);
     let beta_1 = skinbake_decoded_further(vertexInputs.skinbakeBeta1, vertexInputs.skinbakeBeta0, scale);
+#endif
+#if SKINBAKE_DUAL > 0
+#if NUM_BONE_INFLUENCERS > 4
+    var Q: array<skinbake_ScaledMotion, 8>;
+    for (var slot = 0; slot < 8; slot++) { Q[slot] = skinbake_scaled_motion(M[slot]); }
+    return skinbake_dqs_scaled(p, frame, Q, weights_0, weights_1, alpha_0, alpha_1, beta_0, beta_1);
+#else
+    var Q: array<skinbake_ScaledMotion, 4>;
+    for (var slot = 0; slot < 4; slot++) { Q[slot] = skinbake_scaled_motion(M[slot]); }
+    return skinbake_dqs_scaled(p, frame, Q, weights_0, alpha_0, beta_0);
+#endif
+#else
+#if NUM_BONE_INFLUENCERS > 4
     return skinbake_lbs_accurate(p, frame, M, weights_0, weights_1, alpha_0, alpha_1, beta_0, beta_1);
 #else
     return skinbake_lbs_accurate(p, frame, M, weights_0, alpha_0, beta_0);
+#endif
 #endif
 }
 #endif
@@ -684,6 +1174,10 @@ let skinbakeCofactors = mat3x3<f32>(
     cross(skinbakeWorld[2], skinbakeWorld[0]),
     cross(skinbakeWorld[0], skinbakeWorld[1]));
 vertexOutputs.vNormalW = skinbakeSide * normalize(skinbakeCofactors * skinbakeLit.normal);
+#if SKINBAKE_DUAL > 0
+worldPos = vec4f(skinbakeWorld * skinbakeLit.position + skinbake_origin(), 1.0);
+vertexOutputs.vPositionW = worldPos.xyz;
+#endif
 #endif
 `,
     CUSTOM_VERTEX_MAIN_END: /* wgsl */ `

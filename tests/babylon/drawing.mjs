@@ -74,12 +74,12 @@ async function started(backend) {
 }
 
 // Scenes are not disposed of: so Babylon.js keeps the programs, and later scenes need not compile them again.
-async function stageOf({ backend = 'webgl', left = false, plugin = true }) {
+async function stageOf({ backend = 'webgl', left = false, plugin = true, method }) {
     const scene = new Scene(await engineOf(backend));
     scene.useRightHandedSystem = !left;
     new DirectionalLight('sun', new Vector3(-1, -2, -3), scene);
     scene.activeCamera = new FreeCamera('camera', new Vector3(0, 0, -3), scene);
-    if (plugin) skinbake.registerSkinbake();
+    if (plugin) skinbake.registerSkinbake({ method });
     else skinbake.unregisterSkinbake();
     return scene;
 }
@@ -344,17 +344,21 @@ function limitsOf(limits) {
     return found;
 }
 
+const NAMES = ['vTBN', 'vNormalW', 'gl_Position'];
+
 const api = {
     backend: async (name) => (await engineOf(name)) && name,
 
-    async normals({ lighting, bump = false, turned = false, ...options }) {
+    async normals({ lighting, bump = false, turned = false, varying = 'vNormalW', ...options }) {
+        CAPTURE.names = varying === 'vNormalW' ? NAMES : [varying]; // of programs that are linked from now on
         const { scene, mesh } = await load(options);
         if (turned) new Turning(mesh.material);
         if (lighting) skinbake.lighting(scene, lighting);
         if (bump) addBump(scene, mesh);
         const names = options.backend === 'webgpu' ? ['vTBN0', 'vTBN1', 'vTBN2'] : ['vTBN'];
         const draws = [];
-        for (const name of bump ? names : ['vNormalW']) draws.push(...(await draw(scene, name)));
+        for (const name of bump ? names : [varying]) draws.push(...(await draw(scene, name)));
+        CAPTURE.names = NAMES;
         const report = told(scene);
         return { draws, report };
     },
@@ -588,5 +592,5 @@ const api = {
     },
 };
 
-CAPTURE.names = ['vTBN', 'vNormalW', 'gl_Position'];
+CAPTURE.names = NAMES;
 Object.assign(window, api);

@@ -24,6 +24,7 @@ from tests.support.baked_files import Editable
 from tests.support.baking import bake_file
 from tests.support.characters import Array, Character, Placement, Pose, angles, baked, unit
 from tests.support.mapped import TEXELS, columns, texel_normal
+from tests.support.replay import replay
 from tests.support.stage import Stage, require_backend
 from tests.three.drawn import BENT, MIRRORED, RANDOM, TUBE, largest, turn_rest, vectors, with_morphs
 
@@ -182,6 +183,42 @@ def test_joints_may_come_from_uniforms(stage: Stage, backend: str) -> None:
     character = stage.character(TUBE, BENT, storage=PACKED)
     found = stage.normals(character, bones="uniforms", material="standard", backend=backend)
     assert worst(found["draws"][0], expected(character)) < DEGREES
+
+
+def with_scaled_joints(folder: Path, source: Path) -> Path:
+    """Scale two joints unevenly, of which one carries the other. So the second one shears, too."""
+    file = Editable(source)
+    joints = file.content["skins"][0]["joints"]
+    for joint, scale in zip(joints[:2], ([1.4, 0.8, 1.0], [0.9, 1.0, 1.3]), strict=True):
+        file.content["nodes"][joint]["scale"] = scale
+    return file.write(folder / f"{source.stem}-scaled.glb")
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("kind", ["rigid", "scaled", "eight influences", "mirrored"])
+def test_dual_quaternions_move_normals_and_positions(stage: Stage, kind: str, backend: str) -> None:
+    require_backend(stage, backend)
+    if kind == "mirrored":
+        character = stage.character(corpus.model("AFrameHands/leftHandLow.glb"), Pose(0, 0.05))
+    elif kind == "eight influences":
+        character = stage.character(TWO_SETS, RANDOM, storage=PACKED)
+    elif kind == "scaled":
+        character = stage.character(with_scaled_joints(stage.models, TUBE), BENT)
+    else:
+        character = stage.character(MIRRORED, RANDOM, "tangent")
+    options = {"method": "dqs", "backend": backend}
+    found = stage.normals(character, material="standard", **options)
+    wanted = expected(character, Algorithm.DQS_EXACT)
+    assert worst(found["draws"][0], -wanted if kind == "mirrored" else wanted) < DEGREES
+    # Another material, because a program hands on one varying.
+    (positions,) = stage.normals(character, varying="vPositionW", **options)["draws"]
+    posed = replay(Algorithm.DQS_EXACT, character.rest, character.matrices(Placement())[None]).positions[0]
+    used = character.rest.weights.sum(axis=1) > 0
+    drawn = vectors(positions)[: len(posed)]
+    assert np.abs(drawn - posed)[used[: len(drawn)]].max() < 1e-5 * np.ptp(posed)
+    # The hand hardly bends.
+    assert angles(wanted, expected(character)).max() > (1 if kind == "mirrored" else 100) * DEGREES
+    assert found["report"] == RIGHT
 
 
 def test_joints_that_mirror_keep_normals_on_babylon_s_side(stage: Stage) -> None:

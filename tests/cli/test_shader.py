@@ -438,7 +438,7 @@ class TestForFile:
         text = invoke("shader", "--lang", "glsl", "--for", file, "--method", "dqs").stdout
         assert "--scaled-joints" in header(text)
         assert "skinbake_dqs_scaled(" in text
-        assert "skinbake_dual_quaternion" not in text
+        assert "skinbake_dqs_exact" not in text
         for options in (["--lighting", "accurate"], ["--target", "three"]):
             result = invoke("shader", "--lang", "glsl", "--for", file, "--method", "dqs", *options)
             assert result.exit_code == 3

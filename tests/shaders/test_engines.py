@@ -79,6 +79,7 @@ def test_a_single_module_has_each_line_of_the_modules_once(engine: str) -> None:
     ("engine", "options"),
     [
         ("babylon", ""),
+        ("babylon", "--method dqs"),
         *(
             (engine, options)
             for engine in ("three", "playcanvas")
@@ -119,7 +120,7 @@ def test_a_module_of_an_engine_serves_every_frame_encoding_and_layout(engine: st
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ("--target babylon --method dqs", "Babylon.js blends joint matrices"),
+        ("--target babylon --method dqs --lighting accurate", "use --lighting exact"),
         ("--target babylon --lighting standard", "standard lighting is Babylon.js's own"),
         ("--target babylon --lighting direct", "by the accurate algorithm only; use --lighting accurate"),
         ("--target babylon --influences 12", "bake with --limit-influences 8"),

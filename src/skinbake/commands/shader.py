@@ -346,11 +346,12 @@ def _with_joints(document: Document, views: Sequence[BakedView], choices: Shader
         primitive = rest_primitive(view)
         if choices.method is Method.DQS:
             names = scaled_joints([primitive], poses)
-            if names and (choices.lighting is not Lighting.EXACT or choices.target in AT_RUN_TIME):
-                needs = "--target plain" if choices.target in AT_RUN_TIME else "--lighting exact"
+            rigid_only = choices.target in {"three", "playcanvas"}
+            if names and (choices.lighting is not Lighting.EXACT or rigid_only):
+                needs = "--target plain" if rigid_only else "--lighting exact"
                 message = f"this file does not fit --method dqs: {names[0]} scales or shears; use {needs}"
                 raise InputError(message, view.source.place)
-            scales |= bool(names)
+            scales |= bool(names) and choices.target not in AT_RUN_TIME
         used = primitive.joints_in_use(poses.joint_matrices.shape[1])
         mirrors |= bool((np.linalg.det(poses.joint_matrices[:, used, :3, :3]) < 0).any())
     choices = replace(choices, scaled_joints=scales)

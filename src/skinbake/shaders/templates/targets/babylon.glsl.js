@@ -1,25 +1,34 @@
-//% if method != "lbs"
-//%   set _ = refuse("method", "Babylon.js blends joint matrices; use --method lbs")
+//% if method == "dqs" and lighting != "exact"
+//%   set _ = refuse("method", "use --lighting exact with --method dqs")
 //% elif lighting == "direct"
 //%   set _ = refuse("lighting", "its module corrects normals by the accurate algorithm only; use --lighting accurate")
-//% elif lighting != "accurate"
+//% elif lighting == "standard"
 //%   set _ = refuse("lighting", "use --lighting accurate; standard lighting is Babylon.js's own")
 //% elif influences > 8
 //%   set _ = refuse("influences", "Babylon.js reads eight influences per vertex, not " ~ influences ~ "; bake with --limit-influences 8")
 //% elif influences < 4
 //%   set _ = refuse("influences", "Babylon.js always reads four or eight influences per vertex; use --influences 4")
 //% endif
-//% set common = {"reads": ["packed8"], "morphs": "normal", "frame": "tangent", "encoding": "packed8", "layout": "attributes", "attributes": None, "mirrored_joints": True, "normal_map": True}
+//% set common = {"reads": ["packed8"], "morphs": "normal", "frame": "tangent", "encoding": "packed8", "layout": "attributes", "attributes": None, "mirrored_joints": True, "normal_map": True, "method": "lbs", "lighting": "accurate", "scaled_joints": False}
 //% set glsl = text_for(language="glsl", influences=8, also=["frame_normal", "morphed_tangent", "moved_frame", "moved_frame_by_normal"], **common)
 //% set glsl_four = text_for(language="glsl", influences=4, **common)
 //% set wgsl = text_for(language="wgsl", influences=8, also=["frame_normal", "morphed_tangent", "moved_frame", "moved_frame_by_normal"], **common)
+//% set scaled = {"method": "dqs", "lighting": "exact", "scaled_joints": True}
+//% set glsl_dual = text_for(language="glsl", influences=8, **dict(common, **scaled))
+//% set glsl_dual_four = text_for(language="glsl", influences=4, **dict(common, **scaled))
+//% set wgsl_dual = text_for(language="wgsl", influences=8, **dict(common, **scaled))
+//% set wgsl_dual_four = text_for(language="wgsl", influences=4, **dict(common, **scaled))
+//% set dual_parts = ["dual_quaternion", "product", "scaled_joint", "scaled_motion"]
 //% set wgsl_four = text_for(language="wgsl", influences=4, **common)
 // Shader text, written by skinbake @{ version }:
 //     @{ command }
 //
 // Algorithm @{ glsl.algorithm } of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned Models",
 // Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. Frame: T. Duff et al., "Building an Orthonormal
-// Basis, Revisited", JCGT 6(1), 2017.
+// Basis, Revisited", JCGT 6(1), 2017. Dual quaternions: the exact derivative of their blend, for joints that may scale,
+// which is skinbake's own.
+
+export const METHOD = '@{ method }';
 
 export const GLSL = {
     CUSTOM_VERTEX_DEFINITIONS: /* glsl */ `
@@ -60,6 +69,18 @@ vec4 skinbake_morph(int part)
 }
 #endif
 
+#if SKINBAKE_DUAL > 0
+//% for name in dual_parts
+@{ glsl_dual.parts[name] }
+
+//% endfor
+#if NUM_BONE_INFLUENCERS > 4
+@{ glsl_dual.parts.dqs_scaled }
+#else
+@{ glsl_dual_four.parts.dqs_scaled }
+#endif
+#endif
+
 #if NUM_BONE_INFLUENCERS > 4
 @{ glsl.parts[glsl.stem] }
 #else
@@ -87,6 +108,20 @@ mat3 skinbake_world()
 #endif
 #else
     return mat3(world);
+#endif
+}
+
+// What this matrix adds to a position.
+vec3 skinbake_origin()
+{
+#ifdef INSTANCES
+#ifdef THIN_INSTANCES
+    return (world * world3).xyz;
+#else
+    return world3.xyz;
+#endif
+#else
+    return world[3].xyz;
 #endif
 }
 
@@ -125,6 +160,16 @@ skinbake_Vertex skinbake_lit(vec3 p, skinbake_Frame frame)
 //% endfor
     vec4 alpha_1 = skinbake_decoded_further(skinbakeAlpha1, skinbakeAlpha0, skinbakeScale);
     vec4 beta_1 = skinbake_decoded_further(skinbakeBeta1, skinbakeBeta0, skinbakeScale);
+#endif
+#if SKINBAKE_DUAL > 0
+    skinbake_ScaledMotion Q[NUM_BONE_INFLUENCERS > 4 ? 8 : 4];
+    for (int slot = 0; slot < M.length(); slot++) Q[slot] = skinbake_scaled_motion(M[slot]);
+#if NUM_BONE_INFLUENCERS > 4
+    return skinbake_dqs_scaled(p, frame, Q, weights_0, weights_1, alpha_0, alpha_1, beta_0, beta_1);
+#else
+    return skinbake_dqs_scaled(p, frame, Q, weights_0, alpha_0, beta_0);
+#endif
+#elif NUM_BONE_INFLUENCERS > 4
     return skinbake_@{ glsl.stem }(p, frame, M, weights_0, weights_1, alpha_0, alpha_1, beta_0, beta_1);
 #else
     return skinbake_@{ glsl.stem }(p, frame, M, weights_0, alpha_0, beta_0);
@@ -155,6 +200,10 @@ mat3 skinbakeCofactors = mat3(
     cross(skinbakeWorld[2], skinbakeWorld[0]),
     cross(skinbakeWorld[0], skinbakeWorld[1]));
 vNormalW = skinbakeSide * normalize(skinbakeCofactors * skinbakeLit.normal);
+#if SKINBAKE_DUAL > 0
+worldPos = vec4(skinbakeWorld * skinbakeLit.position + skinbake_origin(), 1.0);
+vPositionW = worldPos.xyz;
+#endif
 #endif
 `,
     CUSTOM_VERTEX_MAIN_END: /* glsl */ `
@@ -224,6 +273,18 @@ fn skinbake_morph(part: i32) -> vec4<f32> {
 }
 #endif
 
+#if SKINBAKE_DUAL > 0
+//% for name in dual_parts
+@{ wgsl_dual.parts[name] }
+
+//% endfor
+#if NUM_BONE_INFLUENCERS > 4
+@{ wgsl_dual.parts.dqs_scaled }
+#else
+@{ wgsl_dual_four.parts.dqs_scaled }
+#endif
+#endif
+
 #if SKINBAKE > 2
 @{ wgsl.parts.frame_tangent }
 #else
@@ -266,6 +327,27 @@ fn skinbake_world() -> mat3x3<f32> {
 #endif
 }
 
+// What this matrix adds to a position.
+fn skinbake_origin() -> vec3<f32> {
+#ifdef INSTANCES
+#ifdef THIN_INSTANCES
+#ifdef WORLD_UBO
+    return (mesh.world * vertexInputs.world3).xyz;
+#else
+    return (uniforms.world * vertexInputs.world3).xyz;
+#endif
+#else
+    return vertexInputs.world3.xyz;
+#endif
+#else
+#ifdef WORLD_UBO
+    return mesh.world[3].xyz;
+#else
+    return uniforms.world[3].xyz;
+#endif
+#endif
+}
+
 fn skinbake_rest() -> skinbake_Frame {
     let given = vertexInputs.normal;
     let n0 = select(vec3<f32>(0.0, 0.0, 1.0), normalize(given), dot(given, given) > 0.0);
@@ -301,9 +383,23 @@ fn skinbake_lit(p: vec3<f32>, frame: skinbake_Frame) -> skinbake_Vertex {
 //% endfor
     let alpha_1 = skinbake_decoded_further(vertexInputs.skinbakeAlpha1, vertexInputs.skinbakeAlpha0, scale);
     let beta_1 = skinbake_decoded_further(vertexInputs.skinbakeBeta1, vertexInputs.skinbakeBeta0, scale);
+#endif
+#if SKINBAKE_DUAL > 0
+#if NUM_BONE_INFLUENCERS > 4
+    var Q: array<skinbake_ScaledMotion, 8>;
+    for (var slot = 0; slot < 8; slot++) { Q[slot] = skinbake_scaled_motion(M[slot]); }
+    return skinbake_dqs_scaled(p, frame, Q, weights_0, weights_1, alpha_0, alpha_1, beta_0, beta_1);
+#else
+    var Q: array<skinbake_ScaledMotion, 4>;
+    for (var slot = 0; slot < 4; slot++) { Q[slot] = skinbake_scaled_motion(M[slot]); }
+    return skinbake_dqs_scaled(p, frame, Q, weights_0, alpha_0, beta_0);
+#endif
+#else
+#if NUM_BONE_INFLUENCERS > 4
     return skinbake_@{ wgsl.stem }(p, frame, M, weights_0, weights_1, alpha_0, alpha_1, beta_0, beta_1);
 #else
     return skinbake_@{ wgsl.stem }(p, frame, M, weights_0, alpha_0, beta_0);
+#endif
 #endif
 }
 #endif
@@ -331,6 +427,10 @@ let skinbakeCofactors = mat3x3<f32>(
     cross(skinbakeWorld[2], skinbakeWorld[0]),
     cross(skinbakeWorld[0], skinbakeWorld[1]));
 vertexOutputs.vNormalW = skinbakeSide * normalize(skinbakeCofactors * skinbakeLit.normal);
+#if SKINBAKE_DUAL > 0
+worldPos = vec4f(skinbakeWorld * skinbakeLit.position + skinbake_origin(), 1.0);
+vertexOutputs.vPositionW = worldPos.xyz;
+#endif
 #endif
 `,
     CUSTOM_VERTEX_MAIN_END: /* wgsl */ `
