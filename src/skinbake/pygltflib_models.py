@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from skinbake.errors import InputError, Place
-from skinbake.format.correctives import refuse_other_kind
+from skinbake.format.metadata import refuse_other_kind
 from skinbake.format.strip import stripped
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import Document, joined, parse_gltf

@@ -17,9 +17,8 @@ from skinbake.files.urls import STDIO
 from skinbake.files.versions import version_of
 from skinbake.format.attribute_store import level_ignored, stored_otherwise
 from skinbake.format.baked import with_baked, with_scale
-from skinbake.format.correctives import refuse_other_kind
 from skinbake.format.layouts import GradientFormat
-from skinbake.format.metadata import with_left
+from skinbake.format.metadata import refuse_other_kind, with_left
 from skinbake.format.strip import stripped
 from skinbake.gltf.beside import files_read
 from skinbake.gltf.container import for_target
@@ -42,7 +41,6 @@ from skinbake.report.bake import (
     Left,
     MorphCounts,
 )
-from skinbake.report.depfile import prerequisites
 from skinbake.timing import stage
 from skinbake.wording import counted
 
@@ -74,6 +72,8 @@ class Baker(CheckedOptions):
         untouched = result is document and target == source and source != STDIO
         read: tuple[str, ...] = ()
         if writing.lists_read:
+            from skinbake.report.depfile import prerequisites  # only --depfile needs it
+
             with noticed(notices):
                 read = prerequisites(source, files_read(document, target, pack=writing.pack))
         planned = None

@@ -11,8 +11,7 @@ from skinbake.choices import FrameChoice
 from skinbake.errors import Notice
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.format.attribute_store import meshopt_of
-from skinbake.format.correctives import corrective_note
-from skinbake.format.metadata import changed_arrays, read_left, read_metadata, slot_names
+from skinbake.format.metadata import changed_arrays, corrective_note, read_left, read_metadata, slot_names
 from skinbake.freshness.baked_views import other_version
 from skinbake.freshness.made_targets import made_states
 from skinbake.geometry.skinned import SkinnedPrimitive

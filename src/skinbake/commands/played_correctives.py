@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from skinbake.errors import InputError, Notice, Place
-from skinbake.format.correctives import corrective_note, nodes_with
-from skinbake.format.metadata import VERSION, read_metadata
+from skinbake.format.correctives import nodes_with
+from skinbake.format.metadata import VERSION, corrective_note, read_metadata
 from skinbake.freshness.baked_views import BakedView
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import read_accessor

@@ -14,8 +14,7 @@ from skinbake.errors import ChoiceError, InputError, Notice, Place
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.urls import STDIO
 from skinbake.files.writing import write_file, write_stdout
-from skinbake.format.correctives import corrective_note
-from skinbake.format.metadata import slot_names
+from skinbake.format.metadata import corrective_note, slot_names
 from skinbake.freshness.baked_views import BakedView, baked_views, is_baked, rest_primitive
 from skinbake.freshness.staleness import claim_freshness, refuse_stale
 from skinbake.gltf.animation import read_clips, skins_of

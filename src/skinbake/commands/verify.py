@@ -8,8 +8,7 @@ from dataclasses import replace
 from skinbake.commands.remedies import worse_lighting
 from skinbake.errors import Notice
 from skinbake.files.bounds import BESIDE, Bounds
-from skinbake.format.correctives import corrective_note
-from skinbake.format.metadata import read_left, read_metadata
+from skinbake.format.metadata import corrective_note, read_left, read_metadata
 from skinbake.freshness.baked_views import BakedView, baked_views, gathered_together, is_baked
 from skinbake.freshness.made_targets import made_states
 from skinbake.freshness.staleness import claim_freshness, fits_begun, freshness_check, surface_operator

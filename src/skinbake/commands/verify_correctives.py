@@ -17,8 +17,8 @@ from skinbake.commands.played_correctives import (
     damaged_correctives,
 )
 from skinbake.errors import Notice, Place
-from skinbake.format.correctives import corrective_note, decoded_digest, nodes_with
-from skinbake.format.metadata import changed_arrays
+from skinbake.format.correctives import decoded_digest, nodes_with
+from skinbake.format.metadata import changed_arrays, corrective_note
 from skinbake.format.strip import stripped
 from skinbake.freshness.baked_views import baked_views, gathered_together
 from skinbake.freshness.staleness import surface_operator

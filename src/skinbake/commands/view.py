@@ -28,7 +28,7 @@ from skinbake.errors import InputError, Notice, SkinbakeError
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.urls import STDIO
 from skinbake.files.writing import write_file, write_files, write_stdout
-from skinbake.format.correctives import corrective_note
+from skinbake.format.metadata import corrective_note
 from skinbake.format.strip import stripped
 from skinbake.freshness.baked_views import BakedView, sound_views
 from skinbake.freshness.expected import noted_kind

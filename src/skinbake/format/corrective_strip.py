@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from skinbake.errors import Notice, Place, UnsupportedFeatureError
-from skinbake.format.correctives import QUANTIZATION, TARGET_NAMES, corrective_note, nodes_with
-from skinbake.format.metadata import KEY, VERSION
+from skinbake.format.correctives import QUANTIZATION, TARGET_NAMES, nodes_with
+from skinbake.format.metadata import KEY, VERSION, corrective_note
 from skinbake.geometry import poses
 from skinbake.gltf.accessors import element_count, read_accessor
 from skinbake.gltf.additions import Additions
@@ -36,8 +36,6 @@ def without_correctives(document: Document) -> tuple[JsonObject, list[Narrowed],
     """
     meshes, nodes = list(document.objects("meshes")), list(document.objects("nodes"))
     notes = {number: note for number, mesh in enumerate(meshes) if (note := corrective_note(mesh))}
-    if not notes:
-        return document.json, [], 0
     root = dict(document.json)
     kept: dict[int, int] = {}
     for number, note in notes.items():

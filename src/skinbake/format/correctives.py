@@ -24,7 +24,7 @@ import numpy.typing as npt
 from skinbake.choices import Encoding
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.format.corrective_channels import Keys, with_correctives
-from skinbake.format.metadata import DEEPEST_NOTE, KEY, VERSION, array_digest, digests, read_metadata
+from skinbake.format.metadata import KEY, VERSION, array_digest, digests
 from skinbake.format.morph_targets import add_differences, add_zeros
 from skinbake.geometry import poses
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, SkinnedPrimitive
@@ -34,16 +34,12 @@ from skinbake.gltf.animation import MESH_POINTER, MORPH_WEIGHTS, POINTER, POINTE
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import (
     JsonObject,
-    entries_of,
-    is_deeper,
     object_of,
     objects,
     reference,
-    with_integers,
 )
 from skinbake.gltf.morphs import resting_weights, target_count
 from skinbake.gltf.primitives import PrimitiveSource
-from skinbake.options import MOST_CORRECTIVES
 from skinbake.version import __version__
 
 QUANTIZATION = "KHR_mesh_quantization"
@@ -85,41 +81,6 @@ class MeshCorrectives:
     def count(self) -> int:
         """The number of targets."""
         return len(self.targets[0])
-
-
-def corrective_note(mesh: JsonObject) -> JsonObject | None:
-    """Return the metadata of a mesh's correctives, None if it has none.
-
-    Members that are damaged, and of no type that a bake writes, are left out.
-    """
-    note = object_of(mesh.get("extras")).get(KEY)
-    if not isinstance(note, dict) or is_deeper(note, DEEPEST_NOTE):
-        return None
-    note = with_integers(note)  # some tools write all numbers anew, 1 as 1.0
-    version, targets = reference(note.get("version")), reference(note.get("targets"))
-    if version is None or targets is None or not 0 < targets <= MOST_CORRECTIVES:
-        return None
-    lists = ("primitives", "channels", "samplers", "clips", "former", "required")
-    sound = {key: value for key, value in note.items() if key not in lists or isinstance(value, list)}
-    for key in ("clips", "former", "required"):
-        sound[key] = [name for name in sound.get(key, []) if isinstance(name, str)]
-    return {**sound, "version": version, "targets": targets}
-
-
-def refuse_other_kind(document: Document, *, correctives: bool) -> None:
-    """Raise InputError if a document has the other kind of bake: α/β for correctives, and the reverse."""
-    for number, mesh in enumerate(document.objects("meshes")):
-        if correctives:
-            is_other = any(read_metadata(document, one) for one in entries_of(mesh.get("primitives")))
-        else:
-            is_other = corrective_note(mesh) is not None
-        if is_other:
-            there, wanted = ("α/β", "correctives") if correctives else ("correctives", "α/β")
-            message = (
-                f"it has {there} already, and both would correct its normals twice: run skinbake strip "
-                f"first, or bake {wanted} into the source file"
-            )
-            raise InputError(message, Place(document.name, number))
 
 
 def nodes_with(document: Document, mesh: int, skin: int | None = None) -> list[int]:

@@ -7,10 +7,17 @@ from typing import NamedTuple
 
 from skinbake.choices import Layout
 from skinbake.errors import Notice, Place, UnsupportedFeatureError
-from skinbake.format.corrective_strip import narrowed, without_correctives
 from skinbake.format.former import former_attributes, former_sets, former_tangent, with_former_stream
 from skinbake.format.layouts import added_slot_names
-from skinbake.format.metadata import FORMER_ATTRIBUTES, KEY, VERSION, noted_names, read_metadata, without_left
+from skinbake.format.metadata import (
+    FORMER_ATTRIBUTES,
+    KEY,
+    VERSION,
+    corrective_note,
+    noted_names,
+    read_metadata,
+    without_left,
+)
 from skinbake.format.morph_targets import former_targets, morph_note, noted_targets
 from skinbake.gltf import json_access
 from skinbake.gltf.additions import BUFFER_ADDED, BUFFER_LENGTH, FALLBACK_ADDED
@@ -31,8 +38,10 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
     file unbaked is removed, too.
     """
     document = without_left(document)
-    root, to_narrow, corrected = without_correctives(document)
-    if corrected:
+    if any(map(corrective_note, document.objects("meshes"))):
+        from skinbake.format.corrective_strip import narrowed, without_correctives  # few files have any
+
+        root, to_narrow, corrected = without_correctives(document)
         found: list[Notice] = []
         unused = _accessors_in_use(document.json) - _accessors_in_use(root)
         before, more = narrowed(_without(document, root, unused, set(), found), to_narrow)

@@ -14,7 +14,6 @@ from skinbake.gltf.output import AS_USUAL, Writing
 from skinbake.jobs.elsewhere import elsewhere_of
 from skinbake.jobs.work import Job
 from skinbake.report.bake import FileResult
-from skinbake.report.depfile import prerequisites
 
 if TYPE_CHECKING:
     from skinbake.jobs import state
@@ -53,6 +52,8 @@ class Bake:
         """Return that the target is already the result of this bake."""
         read: tuple[str, ...] = ()
         if self.writing.lists_read:
+            from skinbake.report.depfile import prerequisites  # only --depfile needs it
+
             document = read_document(job.source, job.within.bounds)
             read = prerequisites(job.source, files_read(document, job.target, pack=self.writing.pack))
         return FileResult(job.source, job.target, "up-to-date", read=read)
