@@ -187,33 +187,9 @@ def _errors(loops: Any, random: np.random.Generator) -> list[Call]:
         "errors": floats(random, (vertices, poses), "f4"),
         "weights": floats(random, (vertices,), "f8"),
         "valid": random.random((vertices, poses)) < 0.9 if random.random() < 0.5 else None,
-        "tail": np.empty(vertices * poses, "f4"),
-        "run_weights": np.empty(vertices),
-        "run_lengths": np.empty(vertices, "i4"),
-        "least": float(random.choice([1.0, *SPECIAL])),
-    }
-    lengths = random.integers(0, 9, _size(random, 60)).astype("i4")
-    count = int(lengths.sum()) if random.random() < 0.9 else _size(random, 300)
-    runs = {
-        "values": floats(random, (count,), "f4"),
-        "weights": floats(random, (len(lengths),), "f8"),
-        "lengths": lengths,
-    }
-    kept = {
-        **runs,
-        "kept": np.empty(count, "f4"),
-        "kept_weights": np.empty(len(lengths)),
-        "kept_lengths": np.empty(len(lengths), "i4"),
-        "least": float(random.choice([1.0, *SPECIAL])),
-    }
-    binned = {
-        **runs,
-        "bins": np.zeros(int(random.choice([0, 100, 16384]))),
-        "shift": int(random.choice([17, 17, 0, 31, 40])),
+        "bins": np.zeros(int(random.choice([0, 100, 8192]))),
     }
     return [
         (loops.angles, angles, False),
         (loops.count_errors, counted, False),
-        (loops.keep_at_least, kept, False),
-        (loops.add_to_bins, binned, False),
     ]

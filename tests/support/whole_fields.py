@@ -11,7 +11,7 @@ from skinbake.gradients.tangents import chosen_frame, frame_vectors
 from skinbake.measure.tally import ErrorSummary, ErrorTally
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.shaders.text import shader_made
-from skinbake.truth.areas import angles_between, total_area
+from skinbake.truth.areas import angles_between
 from skinbake.truth.normals import RestFrames, posed_tangents, tangent_normals
 
 BLOCK = 1 << 16
@@ -63,10 +63,8 @@ def summarise(
     it means that the measured normal does not exist, and it counts as 180°: a method that yields no normal
     must not look better for it.
 
-    The weighted percentile q is the smallest counted error such that the samples up to it carry at least
-    the share q of the counted weight: always an error that occurs, with no interpolation.
     """
-    tally = ErrorTally(len(errors) * total_area(areas))
+    tally = ErrorTally()
     tally.add(errors, areas, valid=valid)
     return tally.summary()
 

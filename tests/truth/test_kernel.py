@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import runpy
 import subprocess
 import sys
@@ -29,7 +28,7 @@ from skinbake.truth.mesh import Int32Array
 from skinbake.truth.normals import ClassBlock, ClassSums, RestFrames, class_blocks
 from skinbake.truth.operator import GradientOperator, gradient_operator
 from skinbake.truth.truths import carried_normals, rest_frames
-from skinbake.truth.values import BIN_SHIFT, BINS, Extent, Forms, WeightedRuns
+from skinbake.truth.values import BINS, BINS_OF_OCTAVE, Forms, end_of_bin
 from tests.support.baked_files import verify
 from tests.support.models import FOLDER, baked
 from tests.support.odd_surfaces import odd_surface
@@ -412,17 +411,14 @@ def errors_to_count(seed: int) -> tuple[Any, Any, Any]:
 def test_counts_of_errors_are_those_of_numpy(seed: int) -> None:
     errors, weights, valid = errors_to_count(seed)
     mask = None if valid is None else valid.T
-    for least in (0.0, 2.0, 400.0):
-        found = by_loops.count_errors(errors.T, weights, mask, least)
-        expected = by_numpy.count_errors(errors.T, weights, mask, least)
-        for name in ("samples", "undefined", "largest", "pose", "vertex"):
-            assert getattr(found, name) == getattr(expected, name), name
-        assert found.weight == pytest.approx(expected.weight, rel=1e-12)
-        assert found.total == pytest.approx(expected.total, rel=1e-12)
-        for name in ("values", "weights", "lengths"):
-            assert np.array_equal(getattr(found.tail, name), getattr(expected.tail, name)), name
-        assert found.tail.lengths.sum() == len(found.tail.values)
-        assert found.tail.lengths.all()
+    found = by_loops.count_errors(errors.T, weights, mask)
+    expected = by_numpy.count_errors(errors.T, weights, mask)
+    for name in ("samples", "undefined", "largest", "pose", "vertex"):
+        assert getattr(found, name) == getattr(expected, name), name
+    assert found.weight == pytest.approx(expected.weight, rel=1e-12)
+    assert found.total == pytest.approx(expected.total, rel=1e-12)
+    assert found.bins == pytest.approx(expected.bins, rel=1e-12)
+    assert found.bins.sum() == pytest.approx(found.weight, rel=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -431,51 +427,29 @@ def test_the_first_of_the_largest_errors_is_found(seed: int) -> None:
     counted = np.where(weights[:, None] > 0, errors, -1.0)
     first = np.flatnonzero(counted.max() == counted.T)[0]
     for count in (by_loops.count_errors, by_numpy.count_errors):
-        found = count(errors.T, weights, None, 0.0)
+        found = count(errors.T, weights)
         assert (found.pose, found.vertex) == divmod(int(first), len(errors))
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_the_tail_is_that_of_numpy(dtype: type[np.floating]) -> None:
-    rng = np.random.default_rng(4)
-    values = rng.gamma(1.0, 3.0, 500).astype(dtype)
-    values[::50] = np.nan
-    values[7], values[8], values[9] = np.inf, 1e-30, 0.0
-    lengths = np.array([0, *[7] * 40, 0, 0, 1, 219, 0], dtype=np.int32)
-    weights = rng.random(len(lengths))
-    for least, in_place in itertools.product((0.0, 2.0, float(values[3]), 1e9), (True, False)):
-        for keep in (by_loops.keep_at_least, by_numpy.keep_at_least):
-            found = WeightedRuns(values.copy(), weights.copy(), lengths.copy())
-            room = found if in_place else WeightedRuns.room(501, 48, dtype)
-            kept = room.part(Extent(0, 0), keep(found, room, least))
-            assert kept.values.tolist() == values[values >= least].tolist()
-            assert (
-                np.repeat(kept.weights, kept.lengths).tolist()
-                == np.repeat(weights, lengths)[values >= least].tolist()
-            )
-            assert kept.lengths.all()
-    finite = WeightedRuns(np.where(np.isfinite(values), values, dtype(9.5)), weights, lengths)
-    bins, expected = np.zeros(BINS), np.zeros(BINS)
-    by_loops.add_to_bins(finite, bins)
-    by_numpy.add_to_bins(finite, expected)
-    assert np.array_equal(bins, expected)
-    assert bins.sum() == pytest.approx(weights @ lengths)
-    assert finite.weights_at(np.array([0, 7, 279, 280, 281, 499])).tolist() == [
-        weights[run] for run in (1, 2, 40, 43, 44, 44)
-    ]
-
-
-def test_errors_of_float64_are_counted_too() -> None:
-    errors, weights, _ = errors_to_count(0)
-    wide = by_loops.count_errors(errors.T.astype(np.float64), weights, None, 1.0)
-    assert wide.tail.values.dtype == np.float64
-    assert wide.total == pytest.approx(by_loops.count_errors(errors.T, weights, None, 1.0).total)
+def test_each_value_is_counted_in_the_bin_that_holds_it(dtype: type[np.floating]) -> None:
+    """By the edges of the bins: whole multiples of 2⁻⁷ of each power of two."""
+    edges = np.ldexp(1.0 + np.arange(BINS_OF_OCTAVE) / BINS_OF_OCTAVE, np.arange(-32, 32)[:, None]).ravel()
+    small, large = [0.0, 1e-30, np.ldexp(1.0, -33)], [np.ldexp(1.0, 32), 1e30]
+    middles = np.sqrt(edges[:-1] * edges[1:])
+    values = np.array([*small, *edges, *middles, *large], dtype=dtype)
+    wanted = [0] * 3 + [*range(BINS)] + [*range(BINS - 1)] + [BINS - 1] * 2
+    for count in (by_loops.count_errors, by_numpy.count_errors):
+        found = count(values[None], np.arange(1.0, len(values) + 1.0))
+        assert np.array_equal(found.bins, np.bincount(wanted, np.arange(1.0, len(values) + 1.0)))
+    assert [end_of_bin(place) for place in range(1, BINS - 1)] == edges[2:].tolist()
+    assert (end_of_bin(0), end_of_bin(BINS - 1)) == (0.0, np.inf)
 
 
 def test_no_vertices_and_no_poses_are_no_errors() -> None:
     for shape in ((0, 5), (5, 0)):
-        found = by_loops.count_errors(np.zeros(shape, dtype=np.float32).T, np.ones(shape[0]), None, 0.0)
-        assert (found.samples, found.largest, found.tail.end) == (0, -1.0, (0, 0))
+        found = by_loops.count_errors(np.zeros(shape, dtype=np.float32).T, np.ones(shape[0]))
+        assert (found.samples, found.largest, found.bins.sum()) == (0, -1.0, 0.0)
     nothing = Forms(np.zeros((0, 4), dtype=np.int32), np.zeros((0, 4)), np.zeros((0, 3)), np.zeros((2, 0, 3)))
     assert by_loops.blended_normals(nothing, np.zeros((4, 3, 5))).shape == (3, 0, 5)
 
@@ -551,7 +525,7 @@ def test_for_other_processors_and_unoptimised_the_bits_are_the_same(
         part = mesh.rest.parts[1]
         vectors = tuple(component[part].T for component in mesh.deformed)
         errors = by_loops.angles(vectors, normals)
-        counted = by_loops.count_errors(errors[0].T, np.ones(part.stop - part.start), exist[0].T, 20.0)
+        counted = by_loops.count_errors(errors[0].T, np.ones(part.stop - part.start), exist[0].T)
         sums = sums_of_block(mesh, ClassBlock.of(mesh.operator, part), by_loops)
         skinning = moved_by_dqs(45, 4, scaled="alike")
         here = skinning, slice(0, 45), slice(0, 23)
@@ -561,7 +535,7 @@ def test_for_other_processors_and_unoptimised_the_bits_are_the_same(
         turned = by_loops.dqs_normals(*here)
         forms, table = random_forms(2, 4), random_table(67)
         linear = [blended(by_loops, forms, 2, table), by_loops.blended_normals(forms, table)]
-        figures = *counted.tail.arrays, counted.total, counted.largest
+        figures = counted.bins, counted.total, counted.largest
         return [posed, turned, *linear, normals, exist, errors, sums, *figures]
 
     expected = results()
@@ -664,14 +638,8 @@ class TestArguments:
         np.zeros((2, 7), np.float32),
         np.ones(2),
         np.ones((2, 7), np.bool_),
-        np.zeros(14, np.float32),
-        np.zeros(2),
-        np.zeros(2, np.int32),
-        0.0,
+        np.zeros(BINS),
     )
-    RUNS: tuple[Any, ...] = (np.ones(5, np.float32), np.ones(3), int32(2, 0, 3))
-    KEPT: tuple[Any, ...] = (*RUNS, np.zeros(5, np.float32), np.ones(3), int32(0, 0, 0), 0.5)
-    BINNED: tuple[Any, ...] = (*RUNS, np.zeros(BINS), BIN_SHIFT)
 
     CASES: tuple[tuple[Callable[..., Any], tuple[Any, ...], int, Any, type[Exception]], ...] = (
         (_loops.blend, BLEND, 0, np.full((5, 2), 2, np.int32), IndexError),
@@ -774,27 +742,10 @@ class TestArguments:
         (_loops.angles, ANGLES, 4, np.zeros((2, 2, 7)), TypeError),
         (_loops.count_errors, COUNT, 1, np.ones(3), ValueError),
         (_loops.count_errors, COUNT, 2, np.ones((7, 2), np.bool_), ValueError),
-        (_loops.count_errors, COUNT, 3, np.zeros(13, np.float32), ValueError),
-        (_loops.count_errors, COUNT, 4, np.zeros(1), ValueError),
-        (_loops.count_errors, COUNT, 5, np.zeros(3, np.int32), ValueError),
+        (_loops.count_errors, COUNT, 3, np.zeros(0), ValueError),
+        (_loops.count_errors, COUNT, 3, np.zeros(BINS, np.float32), TypeError),
+        (_loops.count_errors, COUNT, 3, np.zeros(2 * BINS)[::2], ValueError),
         (_loops.count_errors, COUNT, 0, np.zeros((2, 7)), TypeError),
-        (_loops.keep_at_least, KEPT, 0, np.zeros(4, np.float32), ValueError),
-        (_loops.keep_at_least, KEPT, 0, np.zeros(5), TypeError),
-        (_loops.keep_at_least, KEPT, 1, np.zeros(6)[::2], ValueError),
-        (_loops.keep_at_least, KEPT, 2, int32(2, 0, 2), ValueError),
-        (_loops.keep_at_least, KEPT, 2, int32(2, 4, -1), ValueError),
-        (_loops.keep_at_least, KEPT, 2, int32(2, 3), ValueError),
-        (_loops.keep_at_least, KEPT, 3, np.zeros(4, np.float32), ValueError),
-        (_loops.keep_at_least, KEPT, 4, np.ones(2), ValueError),
-        (_loops.keep_at_least, KEPT, 5, int32(0, 0), ValueError),
-        (_loops.add_to_bins, BINNED, 0, np.zeros(4, np.float32), ValueError),
-        (_loops.add_to_bins, BINNED, 0, np.zeros(5), TypeError),
-        (_loops.add_to_bins, BINNED, 2, int32(2, 0, 4), ValueError),
-        (_loops.add_to_bins, BINNED, 2, int32(6, -2, 1), ValueError),
-        (_loops.add_to_bins, BINNED, 3, np.zeros(9), IndexError),
-        (_loops.add_to_bins, BINNED, 3, np.zeros(BINS, np.float32), TypeError),
-        (_loops.add_to_bins, BINNED, 4, 32, ValueError),
-        (_loops.add_to_bins, BINNED, 4, -1, ValueError),
     )
 
     def test_right_arguments_of_the_loops_raise_nothing(self) -> None:
@@ -838,9 +789,9 @@ corners, ends = np.arange(6 * V, dtype=np.int32), np.arange(0, 6 * V + 1, 6)
 met = np.arange(2 * V, dtype=np.int32)
 columns, starts = chance.integers(0, V, 7 * V).astype(np.int32), np.arange(0, 7 * V + 1, 7, dtype=np.int32)
 classes = np.arange(V, dtype=np.int32)
+errors = np.ones((V, P), np.float32)
 changing = [triangles, met, corners, ends, columns, starts, classes]
-lengths = np.full(V, 7, np.int32)
-changing += [lengths]
+changing += [errors.view(np.int32)]
 kept = [array.copy() for array in changing]
 going = True
 
@@ -857,10 +808,8 @@ for turn in range(12):
     going, other = True, threading.Timer(0.0005 * turn, spoil)
     other.start()
     try:
-        runs = np.ones(7 * V, np.float32), np.ones(V), lengths
         for _ in range(20 * (turn % 3)):
-            _loops.keep_at_least(*runs, np.zeros(7 * V, np.float32), np.ones(V), np.zeros(V, np.int32), 0.5)
-            _loops.add_to_bins(*runs, np.zeros(1 << 14), 17)
+            _loops.count_errors(errors, np.ones(V), None, np.zeros(1 << 13))
         _loops.gradient_rows(
             np.ones((V, 3)), triangles, corners, ends, classes, np.ones(V), np.ones((2, V, 3)),
             np.zeros(V + 1, np.int32), np.zeros(18 * V, np.int32), np.zeros((2, 18 * V)), 0)

@@ -21,7 +21,7 @@ from skinbake.report.bake import LimitCost, Spread
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import dot
 from skinbake.skinning.rest import RestPrimitive
-from skinbake.truth.areas import RestAreas, angles_between, total_area
+from skinbake.truth.areas import RestAreas, angles_between
 from skinbake.truth.blending import blended_blocks
 from skinbake.truth.poses import PoseRequest, PoseSet, described, pose_set
 
@@ -113,10 +113,7 @@ def _differences(
     by_set are areas (V,) that weight the vertices. The size is the diagonal of the box around the posed
     primitive, the largest of all poses.
     """
-    weight = sum(
-        len(poses.joint_matrices) * total_area(areas) for poses, areas in zip(sets, by_set, strict=True)
-    )
-    turned, moved = ErrorTally(weight), ErrorTally(weight)
+    turned, moved = ErrorTally(), ErrorTally()
     size = 0.0
     for poses, areas in zip(sets, by_set, strict=True):
         matrices = poses.joint_matrices
@@ -134,7 +131,8 @@ def _differences(
 
 def _count(tally: ErrorTally, values: FloatArray, areas: FloatArray) -> None:
     """Count values (P, V). A value that does not exist, like an angle without a normal, is left out."""
-    tally.add(values, areas, valid=np.isfinite(values))
+    with np.errstate(over="ignore"):
+        tally.add(values, areas, valid=np.isfinite(values.astype(np.float32)))
 
 
 def _spread(tally: ErrorTally) -> Spread:
@@ -171,9 +169,8 @@ def added_error(primitives: Iterable[EncodedPrimitive]) -> AddedError | None:
     sample is left out. If only its stored normal vanishes, the sample counts as 180°. None if no sample is
     left.
     """
-    items = list(primitives)
-    tally = ErrorTally(sum(len(item.joint_matrices) * total_area(item.areas) for item in items))
-    for item in items:
+    tally = ErrorTally()
+    for item in primitives:
         exact = replace(item.primitive, alpha=item.alpha, beta=item.beta)
         for pose, part, blended in blended_blocks((item.primitive, exact), item.joint_matrices):
             stored, unrounded = (one.normals((Algorithm.LBS_ACCURATE,), pose, part)[0] for one in blended)

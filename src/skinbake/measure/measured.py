@@ -32,9 +32,8 @@ from skinbake.measure.tally import ErrorTally
 from skinbake.report.verify import Check, ErrorFigures, FileVerdict, Normals, Worst
 from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.skinning.run import joints_in_use
-from skinbake.threads import Threads, thread_count
 from skinbake.timing import stage, tell_steps
-from skinbake.truth.areas import total_area
+from skinbake.truth import kernel
 from skinbake.truth.operator import GradientOperator
 from skinbake.truth.poses import PoseSet, described
 from skinbake.truth.truths import Truths
@@ -101,7 +100,6 @@ class _Measurement:
                 self._tallies.expect(method, drawn)
                 for draw in drawn:
                     self._measure(method, draw, again=method != methods[-1])
-                self._tallies.sum_up()
             with stage("figures"):
                 verdict = self._verdict(drawn, tuple(scaled) if "dqs" in methods else ())
         morphs = morph_count(self._document, [(draw.views[0].source.mesh, draw.poses) for draw in drawn])
@@ -246,21 +244,17 @@ class FileTallies:
         self._by_place: dict[Place, _Tallies] = {}
 
     def expect(self, method: str, drawn: Sequence[Draw]) -> None:
-        """Prepare to count the results of a method. A tally must know how much weight may come."""
-        weights: dict[Place, float] = {}
-        for draw in drawn:
-            for view, areas in zip(draw.views, draw.areas, strict=True):
-                weight = len(draw.poses.clips) * total_area(areas)
-                weights[view.source.place] = weights.get(view.source.place, 0.0) + weight
+        """Prepare to count the results of a method."""
+        places = dict.fromkeys(view.source.place for draw in drawn for view in draw.views)
         for truth in self._truths:
             lightings = [one for one in METHODS[method] if (truth, one) not in NOT_MEASURED]
             if method == "lbs" and any(draw.corrections for draw in drawn):
                 lightings.append("corrected")
-            self._whole[truth, method] = {one: ErrorTally(sum(weights.values())) for one in lightings}
-            for place, weight in weights.items():
+            self._whole[truth, method] = {one: ErrorTally() for one in lightings}
+            for place in places:
                 # A single primitive has the figures of the whole, so nothing is counted twice.
-                own = {one: ErrorTally(weight) for one in lightings}
-                tallies = self._whole[truth, method] if len(weights) == 1 else own
+                own = {one: ErrorTally() for one in lightings}
+                tallies = self._whole[truth, method] if len(places) == 1 else own
                 self._by_place.setdefault(place, {})[truth, method] = tallies
 
     def counting(self, method: str, draw: Draw) -> Callable[[MeasuredBlock], Callable[[], None]]:
@@ -280,9 +274,7 @@ class FileTallies:
         whole, own = (tallies[block.truth, method][block.lighting] for tallies in (self._whole, by_place))
         tallies = [whole] if own is whole else [whole, own]
         with stage("figures"):
-            # A tally that keeps more serves the other one, too.
-            keeps_most = min(tallies, key=lambda tally: tally.least)
-            counted = keeps_most.counted(block.errors, areas, valid=block.valid)
+            counted = kernel.count_errors(block.errors, areas, block.valid)
 
         def add() -> None:
             with stage("figures"):
@@ -290,18 +282,6 @@ class FileTallies:
                     tally.take(counted, start)
 
         return add
-
-    def sum_up(self) -> None:
-        """Summarise the tallies that are complete. Their largest errors take memory until then."""
-        found = {
-            id(tally): tally
-            for tallies in (self._whole, *self._by_place.values())
-            for lightings in tallies.values()
-            for tally in lightings.values()
-        }
-        with stage("figures"), Threads(thread_count()) as threads:
-            for _ in threads.each(ErrorTally.summary, found.values()):
-                pass
 
     def figures(self, truth: Truth) -> Normals:
         """Return the figures of the whole file by one truth."""

@@ -31,7 +31,7 @@ from skinbake.skinning.components import PosedVertex, Vector, cross, dot, plus_s
 from skinbake.skinning.normal_maps import engine_mapped_normal, in_frame, mapped_normal
 from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.skinning.run import Skinning
-from skinbake.truth.areas import total_area
+from skinbake.truth import kernel
 from skinbake.truth.blending import BlendedPrimitive, sides_of
 from skinbake.truth.kernel import dqs_positions
 from skinbake.truth.normals import FLAT_FRAME
@@ -71,17 +71,15 @@ class ReliefTallies:
 
     def __init__(self, document: Document, options: Options) -> None:
         self._document, self._options = document, options
-        self._weights: dict[Place | None, float] = {}
+        self._places: dict[Place, None] = {}
         self._tallies: dict[tuple[str, str, str], dict[Place | None, ErrorTally]] = {}
         self._worst: list[tuple[Place, Draw, IntArray]] = []
 
     def expect(self, drawn: Sequence[Draw]) -> None:
-        """Take the draws of the file. A tally must know how much weight may come."""
-        for draw in drawn:
-            for number in self._mapped(draw):
-                weight = len(draw.poses.clips) * total_area(draw.areas[number])
-                for key in (None, draw.views[number].source.place):
-                    self._weights[key] = self._weights.get(key, 0.0) + weight
+        """Take the draws of the file."""
+        self._places = dict.fromkeys(
+            draw.views[number].source.place for draw in drawn for number in self._mapped(draw)
+        )
 
     def _mapped(self, draw: Draw) -> list[int]:
         """Return the numbers of a draw's primitives that have a normal map, and TANGENT for its frame."""
@@ -113,23 +111,19 @@ class ReliefTallies:
                 view, areas = draw.views[block.primitive], draw.areas[block.primitive][block.rows]
                 texel = _texels(view, draw.rest[block.primitive], block.rows)
                 for kind, lighting, errors, valid in posed.errors(truths, block, moved, texel):
+                    tallies = self._tallies.setdefault((kind, method, lighting), {})
+                    counted = kernel.count_errors(errors, areas, valid)
                     for key in (None, view.source.place):
-                        tally = self._tally(kind, method, lighting, key)
                         where = first + block.primitive, start, block.rows.start
-                        tally.take(tally.counted(errors, areas, valid=valid), where)
-
-    def _tally(self, kind: str, method: str, lighting: str, key: Place | None) -> ErrorTally:
-        tallies = self._tallies.setdefault((kind, method, lighting), {})
-        if key not in tallies:
-            tallies[key] = ErrorTally(self._weights[key])
-        return tallies[key]
+                        tallies.setdefault(key, ErrorTally()).take(counted, where)
 
     def reliefs(self) -> Reliefs | None:
         """Return the figures of what was measured; None if no primitive has a normal map with TANGENT."""
         if not self._tallies:
             return None
-        places = [place for place in self._weights if place is not None]
-        of_places = {kind: tuple((place, self._normals(kind, place)) for place in places) for kind in THIRDS}
+        of_places = {
+            kind: tuple((place, self._normals(kind, place)) for place in self._places) for kind in THIRDS
+        }
         carried, area = THIRDS
         return Reliefs(
             self._normals(carried, None), self._normals(area, None), of_places[carried], of_places[area]

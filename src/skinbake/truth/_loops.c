@@ -35,11 +35,7 @@ static PyMethodDef functions[] = {
     {"true_normals", true_normals, METH_VARARGS, "true_normals(...): fill normals and exist; see _loops.pyi."},
     {"angles", angles, METH_VARARGS, "angles(x, y, z, expected, angles): fill angles, in degrees."},
     {"count_errors", count_errors, METH_VARARGS,
-     "count_errors(errors, weights, valid, tail, ..., least): fill the tail; return counts; see _loops.pyi."},
-    {"keep_at_least", keep_at_least, METH_VARARGS,
-     "keep_at_least(values, weights, lengths, kept, ..., least): fill kept with large values; see _loops.pyi."},
-    {"add_to_bins", add_to_bins, METH_VARARGS,
-     "add_to_bins(values, weights, lengths, bins, shift): add the weight of each value to its bin."},
+     "count_errors(errors, weights, valid, bins): fill bins; return counts; see _loops.pyi."},
     {NULL, NULL, 0, NULL},
 };
 

@@ -157,40 +157,11 @@ def count_errors(
     errors: Float32Array,
     weights: Float64Array,
     valid: BoolArray | None,
-    tail: Float32Array,
-    run_weights: Float64Array,
-    run_lengths: npt.NDArray[np.int32],
-    least: float,
-    /,
-) -> tuple[int, int, int, int, float, float, float, int, int]:
-    """Count errors (B, P) with weights (B,), and fill the tail with those of at least ``least``, in runs.
-
-    Return samples, undefined ones, the length of the tail and the number of its runs, the counted weight, the
-    weighted sum, the largest error (−1: none), its pose and its row.
-    """
-
-def keep_at_least(
-    values: Float32Array,
-    weights: Float64Array,
-    lengths: npt.NDArray[np.int32],
-    kept: Float32Array,
-    kept_weights: Float64Array,
-    kept_lengths: npt.NDArray[np.int32],
-    least: float,
-    /,
-) -> tuple[int, int]:
-    """Fill kept (M,) with those of N values in R runs that are at least ``least``, and their S runs.
-
-    M is at least N, S at least R. kept may begin where values begin. Return the numbers of values and of runs
-    that are kept.
-    """
-
-def add_to_bins(
-    values: Float32Array,
-    weights: Float64Array,
-    lengths: npt.NDArray[np.int32],
     bins: Float64Array,
-    shift: int,
     /,
-) -> None:
-    """Add the weight of each of N values, in R runs, to its bin: its bits without sign after a shift."""
+) -> tuple[int, int, float, float, float, int, int]:
+    """Count errors (B, P) with weights (B,), and add the weight of each to its bin.
+
+    Return samples, undefined ones, the counted weight, the weighted sum, the largest error (−1: none), its
+    pose and its row.
+    """

@@ -85,11 +85,6 @@ def squared_cross(a: Vector, b: Vector) -> Float64Array:
     return total
 
 
-def total_area(areas: FloatArray) -> float:
-    """Return the sum of the areas that count. These are the areas above 0."""
-    return float(np.sum(areas, where=np.asarray(areas) > 0.0))
-
-
 _COLLAPSED = 1e-12
 """A surface is collapsed by its joints below this share of its largest squared coordinate."""
 

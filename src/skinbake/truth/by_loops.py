@@ -18,7 +18,7 @@ from skinbake.skinning.rest import RestPrimitive
 from skinbake.truth import _loops as loops
 from skinbake.truth.mesh import WeldedMesh
 from skinbake.truth.normals import FLAT_FRAME, FLAT_TRIANGLE, ClassBlock, ClassSums, RestFrames
-from skinbake.truth.values import BIN_SHIFT, CountedErrors, Extent, Forms, SparseRows, WeightedRuns
+from skinbake.truth.values import BINS, CountedErrors, Forms, SparseRows
 
 if TYPE_CHECKING:
     from skinbake.skinning.run import Skinning
@@ -184,42 +184,13 @@ def angles(measured: Vector, expected: Float64Array) -> Float32Array:
     return found
 
 
-def count_errors(
-    errors: FloatArray, weights: Float64Array, valid: BoolArray | None, least: float
-) -> CountedErrors:
-    """Count errors (P, B) with weights (B,), and return those of at least ``least``."""
-    if errors.dtype != np.float32:
-        from skinbake.truth import by_numpy  # few ask for it
-
-        return by_numpy.count_errors(errors, weights, valid, least)
-    rows = np.ascontiguousarray(errors.T)
-    room = WeightedRuns.room(rows.size, len(rows))
-    exist = None if valid is None else np.ascontiguousarray(valid.T)
-    samples, undefined, kept, runs, weight, total, largest, pose, row = loops.count_errors(
-        rows, weights, exist, *room.arrays, least
+def count_errors(errors: FloatArray, weights: Float64Array, valid: BoolArray | None = None) -> CountedErrors:
+    """Count errors (P, B) with weights (B,), where they are valid (P, B)."""
+    bins = np.zeros(BINS)
+    samples, undefined, weight, total, largest, pose, row = loops.count_errors(
+        np.ascontiguousarray(errors.T, dtype=np.float32),
+        np.ascontiguousarray(weights, dtype=np.float64),
+        None if valid is None else np.ascontiguousarray(valid.T),
+        bins,
     )
-    return CountedErrors(
-        samples=samples,
-        undefined=undefined,
-        weight=weight,
-        total=total,
-        largest=largest,
-        pose=pose,
-        vertex=row,
-        tail=room.copied(Extent(kept, runs)),
-    )
-
-
-def keep_at_least(found: WeightedRuns, room: WeightedRuns, least: float) -> Extent:
-    """Fill room with those of the values found that are at least ``least``, and return their end."""
-    if not found.values.dtype == room.values.dtype == np.float32:
-        from skinbake.truth import by_numpy  # few ask for it
-
-        return by_numpy.keep_at_least(found, room, least)
-    return Extent(*loops.keep_at_least(*found.arrays, *room.arrays, least))
-
-
-def add_to_bins(found: WeightedRuns, bins: Float64Array) -> None:
-    """Add the weight of each value to its bin."""
-    values, weights, lengths = found.arrays
-    loops.add_to_bins(np.asarray(values, dtype=np.float32), weights, lengths, bins, BIN_SHIFT)
+    return CountedErrors(samples, undefined, weight, total, largest, pose, row, bins)

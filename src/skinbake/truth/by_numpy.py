@@ -22,10 +22,9 @@ from skinbake.truth.normals import (
     tangent_normals,
     triangle_normals,
 )
-from skinbake.truth.values import CountedErrors, Extent, Forms, SparseRows, WeightedRuns, bin_of
+from skinbake.truth.values import BINS, CountedErrors, Forms, SparseRows, bin_of
 
 __all__ = [
-    "add_to_bins",
     "angles",
     "blend",
     "blended_normals",
@@ -34,7 +33,6 @@ __all__ = [
     "dqs_normals",
     "dqs_positions",
     "gradient_rows",
-    "keep_at_least",
     "true_normals",
 ]
 
@@ -216,28 +214,26 @@ def angles(measured: Vector, expected: Float64Array) -> Float32Array:
     return np.stack([angles_of_units(units, list(one)) for one in expected])
 
 
-def count_errors(
-    errors: FloatArray, weights: Float64Array, valid: BoolArray | None, least: float
-) -> CountedErrors:
-    """Count errors (P, B) with weights (B,), and return those of at least ``least``.
+def count_errors(errors: FloatArray, weights: Float64Array, valid: BoolArray | None = None) -> CountedErrors:
+    """Count errors (P, B) in degrees, or other values, as float32, with weights (B,).
 
-    Vertices without weight are left out, and samples that are not valid. A NaN among the others is 180°.
+    valid (P, B), all true by default, tells where the *expected* normal exists. Samples outside it, and
+    vertices without weight, are left out. A NaN inside it means that the measured normal does not exist. It
+    counts as 180°: a method that yields no normal must not look better for it.
     """
     counted = np.broadcast_to(weights > 0.0, errors.shape)
     if valid is not None:
         counted = counted & valid
     # A normal that does not exist is as bad as can be, and what does not count is below all.
     undefined = counted & np.isnan(errors)
-    values = np.where(undefined, 180.0, np.where(counted, errors, -1.0)).astype(errors.dtype, copy=False)
+    values = np.where(undefined, 180.0, np.where(counted, errors, -1.0)).astype(np.float32)
     sums = np.sum(values, axis=0, dtype=np.float64, where=counted)
     positive = np.where(weights > 0.0, weights, 0.0)
     # The largest error; of equal ones the first by pose.
     largest = float(values.max(initial=-1.0))
     pose, vertex = divmod(int(values.argmax()) if values.size else 0, max(1, errors.shape[1]))
-    # The tail, in runs of one vertex.
-    kept = max(least, 0.0) <= values.T
-    lengths = np.count_nonzero(kept, axis=1).astype(np.int32)
-    some = np.flatnonzero(lengths)
+    bins = np.zeros(BINS)
+    np.add.at(bins, bin_of(values[counted]), np.broadcast_to(positive, errors.shape)[counted])
     return CountedErrors(
         samples=int(np.count_nonzero(counted)),
         undefined=int(np.count_nonzero(undefined)),
@@ -246,27 +242,5 @@ def count_errors(
         largest=largest,
         pose=pose,
         vertex=vertex,
-        tail=WeightedRuns(values.T[kept], positive[some], lengths[some]),
+        bins=bins,
     )
-
-
-def keep_at_least(found: WeightedRuns, room: WeightedRuns, least: float) -> Extent:
-    """Fill room with those of the values found that are at least ``least``, and return their end.
-
-    room has the size of found at least, and may begin where found begins.
-    """
-    chosen = found.values >= least
-    owners = np.repeat(np.arange(len(found.lengths)), found.lengths)[chosen]
-    lengths = np.bincount(owners, minlength=len(found.lengths))
-    # Runs that have lost all of their values go.
-    some = np.flatnonzero(lengths)
-    end = Extent(len(owners), len(some))
-    filled = room.part(Extent(0, 0), end)
-    filled.values[:], filled.weights[:] = found.values[chosen], found.weights[some]
-    filled.lengths[:] = lengths[some]
-    return end
-
-
-def add_to_bins(found: WeightedRuns, bins: Float64Array) -> None:
-    """Add the weight of each value to its bin."""
-    bins += np.bincount(bin_of(found.values), np.repeat(found.weights, found.lengths), minlength=len(bins))

@@ -10,7 +10,6 @@ from __future__ import annotations
 from skinbake.choices import numpy_asked_for
 
 __all__ = [
-    "add_to_bins",
     "angles",
     "blend",
     "blended_normals",
@@ -19,7 +18,6 @@ __all__ = [
     "dqs_normals",
     "dqs_positions",
     "gradient_rows",
-    "keep_at_least",
     "true_normals",
 ]
 
@@ -27,7 +25,6 @@ try:
     if numpy_asked_for():
         raise ImportError("SKINBAKE_KERNEL asks for numpy")
     from skinbake.truth.by_loops import (
-        add_to_bins,
         angles,
         blend,
         blended_normals,
@@ -36,7 +33,6 @@ try:
         dqs_normals,
         dqs_positions,
         gradient_rows,
-        keep_at_least,
         true_normals,
     )
 except ImportError as error:
@@ -45,7 +41,6 @@ except ImportError as error:
     logger = getLogger(__name__)
     logger.info("without its compiled loops (%s): verify takes several times as long", error)
     from skinbake.truth.by_numpy import (
-        add_to_bins,
         angles,
         blend,
         blended_normals,
@@ -54,7 +49,6 @@ except ImportError as error:
         dqs_normals,
         dqs_positions,
         gradient_rows,
-        keep_at_least,
         true_normals,
     )
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import DTypeLike
 
-from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
+from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, IntArray
 from skinbake.truth.mesh import Int32Array, Int64Array
 
 if TYPE_CHECKING:
@@ -84,65 +84,17 @@ class SparseRows:
         return csr_array(entries, shape=(len(self), columns))
 
 
-BIN_SHIFT = 17
-"""The bits of a positive float32 that its bin ignores."""
+BIN_SHIFT = 16
+"""The bits of a positive float32 that its bin ignores. The loops in C have the same number."""
 
-BINS = 1 << (31 - BIN_SHIFT)
-"""The number of bins of errors: 64 to each power of two."""
+BINS_OF_OCTAVE = 1 << (23 - BIN_SHIFT)
+"""The number of bins to each power of two: 128, so that a bin ends at most 0.8 % above where it begins."""
 
-FINE_BITS = 10
-"""The bits after those of the bin that tell the parts of it."""
+FIRST_BIN = (127 - 32) * BINS_OF_OCTAVE
+"""What is subtracted from a float32's upper bits: the first bin begins at 2⁻³². The loops in C do so too."""
 
-FINE_BINS = 1 << FINE_BITS
-"""The number of parts of one bin."""
-
-
-class WeightedRuns(NamedTuple):
-    """Values in runs of one weight, such as the errors of a vertex in several poses.
-
-    values (N,) are float32 or float64. weights (R,) and lengths (R,) int32 are those of the runs. The lengths
-    add up to N. Runs take half the memory, and so half the time, of values that have a weight each.
-    """
-
-    values: FloatArray
-    weights: Float64Array
-    lengths: Int32Array
-
-    @classmethod
-    def room(cls, values: int, runs: int, dtype: DTypeLike = np.float32) -> WeightedRuns:
-        """Return arrays of these lengths, to be filled."""
-        return cls(np.empty(values, dtype=dtype), np.empty(runs), np.empty(runs, dtype=np.int32))
-
-    def part(self, first: Extent, end: Extent) -> WeightedRuns:
-        """Return the runs between two places, without a copy."""
-        values, runs = (slice(*bounds) for bounds in zip(first, end, strict=True))
-        return WeightedRuns(self.values[values], self.weights[runs], self.lengths[runs])
-
-    def copied(self, end: Extent) -> WeightedRuns:
-        """Return a copy of what stands before a place."""
-        part = self.part(Extent(0, 0), end)
-        return WeightedRuns(part.values.copy(), part.weights.copy(), part.lengths.copy())
-
-    @property
-    def arrays(self) -> tuple[FloatArray, Float64Array, Int32Array]:
-        """The values, weights and lengths."""
-        return self.values, self.weights, self.lengths
-
-    @property
-    def end(self) -> Extent:
-        """The place behind the last run."""
-        return Extent(len(self.values), len(self.lengths))
-
-    def weights_at(self, places: IntArray) -> Float64Array:
-        """Return the weights of the values at some places (M,) among N."""
-        return self.weights[np.searchsorted(np.cumsum(self.lengths), places, side="right")]
-
-
-class Extent(NamedTuple):
-    """A number of values, and of the runs that they are in: all of them, or those before a place."""
-
-    values: int
-    runs: int
+BINS = 64 * BINS_OF_OCTAVE
+"""The number of bins, up to 2³². The first one holds all smaller values too, the last one all larger ones."""
 
 
 class CountedErrors(NamedTuple):
@@ -150,8 +102,7 @@ class CountedErrors(NamedTuple):
 
     samples are counted, among them undefined ones without a measured normal. weight is the weight of the
     samples, total the weighted sum of their errors. largest is the largest error, −1 if there are no samples.
-    pose and vertex are the first place of it in the block, by pose. tail has the errors that are large enough
-    to be kept.
+    pose and vertex are the first place of it in the block, by pose. bins (BINS,) are the weights by error.
     """
 
     samples: int
@@ -161,23 +112,17 @@ class CountedErrors(NamedTuple):
     largest: float
     pose: int
     vertex: int
-    tail: WeightedRuns
+    bins: Float64Array
 
 
-def bin_of(values: FloatArray) -> Int32Array:
+def bin_of(values: Float32Array) -> Int32Array:
     """Return the bin of each value: the exponent and the first bits of its float32."""
-    return _bits_of(values) >> BIN_SHIFT
+    upper: Int32Array = np.abs(values).view(np.int32) >> BIN_SHIFT
+    return np.clip(upper - FIRST_BIN, 0, BINS - 1)
 
 
-def least_of_bin(place: int) -> float:
-    """Return the smallest value of a bin."""
-    return float(np.array([place << BIN_SHIFT], dtype=np.int32).view(np.float32)[0])
-
-
-def fine_bin_of(values: FloatArray) -> Int32Array:
-    """Return the part of its bin for each value: the next bits of its float32."""
-    return (_bits_of(values) >> (BIN_SHIFT - FINE_BITS)) % FINE_BINS
-
-
-def _bits_of(values: FloatArray) -> Int32Array:
-    return np.abs(values).astype(np.float32).view(np.int32)
+def end_of_bin(place: int) -> float:
+    """Return where a bin ends. What is in the first bin counts as 0; the last bin has no end."""
+    if place in (0, BINS - 1):
+        return math.inf if place else 0.0
+    return float(np.array([(place + 1 + FIRST_BIN) << BIN_SHIFT], dtype=np.int32).view(np.float32)[0])
