@@ -77,7 +77,7 @@ def test_every_public_name_is_documented() -> None:
         thing = getattr(skinbake, name)
         assert thing.__doc__, name
         assert name in page or name in (api.bake.__doc__ or ""), name
-    for name in ("bake", "verify", "inspect", "strip", "weight_gradients"):
+    for name in ("bake", "verify", "normals", "inspect", "strip", "weight_gradients"):
         text = getattr(skinbake, name).__doc__
         assert all(part in text for part in ("Parameters", "Returns", "Raises", "Examples")), name
     assert dir(skinbake) == sorted(skinbake.__all__)

@@ -3,7 +3,8 @@
 After Tarini, Panozzo, Sorkine-Hornung, *Accurate and Efficient Lighting for Skinned Models*,
 Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330.
 
-``bake``, ``verify``, ``inspect`` and ``strip`` do the work of the commands of these names.
+``bake``, ``verify``, ``inspect`` and ``strip`` do the work of the commands of these names. ``normals``
+returns the normals of a pose, to test a port of the shader.
 ``weight_gradients`` computes α and β of arrays. ``joint_dual_quaternions`` and ``joint_scaled_motions``
 prepare joint matrices on the host for the shaders of ``--method dqs``. docs/python.md shows how they are
 used.
@@ -17,7 +18,16 @@ from typing import TYPE_CHECKING, Any
 from skinbake.version import __version__
 
 if TYPE_CHECKING:
-    from skinbake.api import BakeOptions, WeightGradients, bake, inspect, strip, verify, weight_gradients
+    from skinbake.api import (
+        BakeOptions,
+        WeightGradients,
+        bake,
+        inspect,
+        normals,
+        strip,
+        verify,
+        weight_gradients,
+    )
     from skinbake.errors import (
         ChoiceError,
         InputError,
@@ -26,12 +36,14 @@ if TYPE_CHECKING:
         UnsupportedFeatureError,
     )
     from skinbake.geometry.dual_quaternions import joint_dual_quaternions, joint_scaled_motions
+    from skinbake.report.normals import PosedNormals
 
 __all__ = [
     "BakeOptions",
     "ChoiceError",
     "InputError",
     "OutputError",
+    "PosedNormals",
     "SkinbakeError",
     "UnsupportedFeatureError",
     "WeightGradients",
@@ -40,6 +52,7 @@ __all__ = [
     "inspect",
     "joint_dual_quaternions",
     "joint_scaled_motions",
+    "normals",
     "strip",
     "verify",
     "weight_gradients",
@@ -47,6 +60,7 @@ __all__ = [
 
 _ERRORS = "skinbake.errors"
 _HOMES = {
+    "PosedNormals": "skinbake.report.normals",
     "ChoiceError": _ERRORS,
     "InputError": _ERRORS,
     "OutputError": _ERRORS,

@@ -41,6 +41,8 @@ from skinbake.wording import SUFFIXES, did_you_mean
 if TYPE_CHECKING:
     from pygltflib import GLTF2
 
+    from skinbake.report.normals import PosedNormals
+
 FilePath: TypeAlias = str | os.PathLike[str]
 BaselineName: TypeAlias = Baseline | Literal["blended", "inverse-transpose", "cofactor"]
 CorrectiveAimName: TypeAlias = CorrectiveAim | Literal["truths", "gradients"]
@@ -287,6 +289,69 @@ def verify(
     options = VerifyOptions.of(**given)
     with threads_limited(count):
         return file_json(verify_file(_source(source).given, options, bounds=_bounds(allow_outside)))
+
+
+def normals(
+    source: FilePath,
+    clip: str | int | None = None,
+    time: float | None = None,
+    *,
+    methods: Sequence[MethodName] = (),
+    baseline: BaselineName = Baseline.BLENDED,
+    cap: float | None = None,
+    allow_outside: Sequence[FilePath] = (),
+    threads: int | Literal["auto"] = "auto",
+) -> list[PosedNormals]:
+    """Return the normals of a baked file in one pose, of every lighting and by both truths.
+
+    A port of the shader is held to them. All is in the space of the scene, in float64.
+
+    Parameters
+    ----------
+    source
+        A ``.glb``, ``.gltf`` or ``.vrm`` file with α and β.
+    clip
+        The name or the number of a clip. None: the one in which standard lighting is worst.
+    time
+        Seconds in the clip. None: where standard lighting is worst. A file without clips has one random pose.
+    methods
+        ``lbs``, ``dqs`` or both. If empty: ``lbs``.
+    baseline, cap
+        As in ``verify``.
+    allow_outside
+        Folders in which the document may name files, besides its own folder.
+    threads
+        The number of threads, or ``auto``: one for each core.
+
+    Returns
+    -------
+    list of PosedNormals
+        One for each baked primitive of the shown scene, each skin that draws it, and each method.
+
+    Raises
+    ------
+    skinbake.ChoiceError
+        The clip does not exist, the time is outside it, or an option has a value that does not exist.
+    skinbake.InputError
+        The file cannot be read or posed, or is not baked.
+
+    Examples
+    --------
+    >>> [posed] = skinbake.normals(baked, "bend", 0.5)
+    >>> posed.positions.shape, sorted(posed.normals), sorted(posed.truths)
+    ((1518, 3), ['accurate', 'standard'], ['tangents', 'triangles'])
+
+    """
+    from skinbake.commands.normals import NormalsRequest, normals_of_file
+
+    asked = str(clip) if isinstance(clip, int) and not isinstance(clip, bool) else clip
+    given = {"clip": asked, "time": time, "methods": methods, "baseline": baseline, "cap": cap}
+    words = checked(VERIFY, {**given, "allow_outside": allow_outside, "threads": threads})
+    request = NormalsRequest(
+        words["clip"], words["time"], words["methods"] or (Method.LBS,), words["cap"], words["baseline"]
+    )
+    with threads_limited(words["threads"]):
+        return normals_of_file(_source(source).given, request, _bounds(allow_outside))
 
 
 def inspect(source: FilePath, *, allow_outside: Sequence[FilePath] = ()) -> dict[str, Any]:

@@ -337,6 +337,9 @@ SKIP_UNCHANGED = Option("skip_unchanged", bool, False, help=
     "Pass over files whose input, options and output have not changed, by digest.")
 DASK = Option("dask", str, None, By.NOBODY, "ADDRESS", help=
     "Work on the machines of a running Dask scheduler, like tcp://host:8786.")
+CLIP = Option("clip", str, None, metavar="NAME", help=
+    "Name or number of a clip; by default the one in which standard lighting is worst.")
+TIME = Option("time", Range(), None, metavar="SECONDS")
 LIMITS = _under(SAFETY, MAX_MEMORY, TIMEOUT, ISOLATE, ALLOW_OUTSIDE)
 SYNC = _under(SAFETY, NO_SYNC)
 SYNC_IN_PYTHON = (SYNC[0]._replace(by=By.PYTHON),)
@@ -419,7 +422,10 @@ VERIFY = (
             "clips has 24 random poses; --poses random:N gives another number."),
         Option("angle", Range(0, 180), 30.0, By.ALL, "DEG", help=
             "Largest rotation of a joint in random poses."),
-        Option("seed", Range(0, is_whole=True), 0, By.ALL, "N", help="Seed of random poses.")),
+        Option("seed", Range(0, is_whole=True), 0, By.ALL, "N", help="Seed of random poses."),
+        CLIP._replace(by=By.NOBODY, help="Name or number of the clip of --dump-normals."),
+        TIME._replace(by=By.NOBODY, help=
+            "Time in it. Without these two, the pose in which standard lighting is worst.")),
     *_under("Measurement",
         Option("methods", Method, (), By.ALL, flags=("--method",), is_many=True, help=
             "Skinning to measure; by default both."),
@@ -444,6 +450,8 @@ VERIFY = (
         Option("html", str, None, By.NOBODY, "PAGE", help=
             "Also write a page that shows the file and its results; for several files an index, and their "
             "pages in a folder of its name."),
+        Option("dump_normals", str, None, By.NOBODY, "FILE", help=
+            "Also write positions, normals of every lighting, and true normals of one pose, as JSON lines."),
         SUMMARY, TIMINGS),
     *_under("Many files", JOBS, THREADS_OPTION, SKIP_UNCHANGED,
         STATE._replace(help="The file for the notes of --skip-unchanged."), DASK),
@@ -492,9 +500,8 @@ RENDER = (
         Option("lighting", (str(Lighting.STANDARD), str(Lighting.ACCURATE), "corrected"), None, help=
             "Lighting without --split. By default that of the bake: accurate, or corrected by correctives.")),
     *_under("Poses",
-        Option("clip", str, None, metavar="NAME", help=
-            "Name or number of a clip; by default the one in which standard lighting is worst."),
-        Option("time", Range(), None, metavar="SECONDS", help=
+        CLIP,
+        TIME._replace(help=
             "Time in the clip. By default the pose in which standard lighting is worst, or, in .webp and "
             ".gif, the whole clip.")),
     *_under("Picture",

@@ -344,7 +344,10 @@ DANGEROUS = {
         "output out-dir in-place dry-run state summary depfile dask max-memory allow-outside no-sync",
         {"in-place": "true", "dry-run": "true", "no-sync": "true", "allow-outside": '["/"]'},
     ),
-    "verify": ("junit html state summary dask max-memory allow-outside no-sync", {"allow-outside": '["/"]'}),
+    "verify": (
+        "junit html dump-normals clip time state summary dask max-memory allow-outside no-sync",
+        {"allow-outside": '["/"]'},
+    ),
     "strip": (
         "output out-dir in-place depfile summary max-memory allow-outside no-sync",
         {"in-place": "true", "no-sync": "true"},

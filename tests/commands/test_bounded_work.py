@@ -119,6 +119,9 @@ FAMILIES: dict[str, Change] = {
 
 COMMANDS: dict[str, Callable[[Path, Path], list[str | Path]]] = {
     "verify": lambda source, folder: ["verify", folder / "baked.glb", "-q"],
+    "normals": lambda source, folder: [
+        *("verify", folder / "baked.glb", "-q", "--dump-normals", folder / "out.jsonl")
+    ],
     "view": lambda source, folder: ["view", source, "-o", folder / "out.html", "-q"],
     "render": lambda source, folder: ["render", source, "-o", folder / "out.png", "-q"],
     "bake": lambda source, folder: ["bake", source, "-o", folder / "out.glb", "-q"],

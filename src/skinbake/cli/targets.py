@@ -197,6 +197,7 @@ REPORTS: Mapping[str, Callable[[bytes], bool]] = {
     "--summary": lambda head: head.startswith(b"{"),
     "--junit": lambda head: b"<testsuite" in head,
     "--html": is_page,
+    "--dump-normals": lambda head: head.startswith(b'{"schema": "skinbake.normals/'),
     "--depfile": lambda head: RULES.match(head) is not None,
 }
 """The beginning of a file that an earlier run has written, by option."""

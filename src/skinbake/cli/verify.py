@@ -4,23 +4,27 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from skinbake.choices import Method
 from skinbake.cli import exit_codes
 from skinbake.cli.configuration import option_sets
 from skinbake.cli.console import Console, console
 from skinbake.cli.given import Given
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import expanded
+from skinbake.cli.limits import within_limits
 from skinbake.cli.many import Clock, Reporting, notes_of, run_of, state_path, work_through
 from skinbake.cli.targets import check_earlier, check_reports, is_page, jobs_of
 from skinbake.cli.writing import tell_of_report, write_report
-from skinbake.errors import SkinbakeError
+from skinbake.errors import ChoiceError, Chosen, SkinbakeError, printable
 from skinbake.files.bounds import Bounds
 from skinbake.files.urls import STDIO, is_url
 from skinbake.options import VERIFY, By, defaults
+from skinbake.threads import threads_limited
 
 if TYPE_CHECKING:
     from typing import Unpack
@@ -34,6 +38,9 @@ class VerifyGiven(Given):
 
     junit: str | None
     html: str | None
+    dump_normals: str | None
+    clip: str | None
+    time: float | None
 
 
 @click.command(
@@ -63,11 +70,20 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[VerifyG
     reports = {
         "--junit": given["junit"],
         "--html": given["html"],
+        "--dump-normals": given["dump_normals"],
         "--summary": given["summary"],
         "--state": notes_at,
     }
-    if given["html"] and any(entry.source == STDIO or is_url(entry.source) for entry in found):
-        raise click.UsageError("--html needs files on this machine's disks, because it reads them again")
+    for option in ("--html", "--dump-normals"):
+        if reports[option] and any(entry.source == STDIO or is_url(entry.source) for entry in found):
+            raise click.UsageError(
+                f"{option} needs files on this machine's disks, because it reads them again"
+            )
+    if given["dump_normals"] and len(found) > 1:
+        raise click.UsageError("--dump-normals takes one input")
+    for name in ("clip", "time"):
+        if given[name] is not None and not given["dump_normals"]:
+            raise ChoiceError(name, reason=(" is for ", Chosen("dump_normals")))
     check_reports(reports, (entry.file for entry in found))
     if given["html"] and len(found) > 1:
         from skinbake.view.index import pages
@@ -111,7 +127,7 @@ def _reporting(
         file_json,
     )
 
-    junit, page = given["junit"], given["html"]
+    junit, page, dump = given["junit"], given["html"], given["dump_normals"]
     words_of = as_text if given["verbose"] else as_brief if is_one else as_line
 
     def tell(verdict: FileVerdict) -> None:
@@ -131,7 +147,29 @@ def _reporting(
                 tell_of_report(junit, given, say)
         if page is not None:
             code = max(code, write_page(page, verdicts))
+        if dump is not None and verdicts[0].error is None:
+            code = max(code, write_dump(dump, verdicts[0].input))
         return code
+
+    def write_dump(target: str, source: str) -> int:
+        from skinbake.commands.normals import NormalsRequest, write_normals
+
+        own = options[source]
+        methods = tuple(map(Method, own.methods)) or (Method.LBS,)
+        request = NormalsRequest(given["clip"], given["time"], methods, own.cap, own.baseline)
+        bounds = Bounds(searched.get(source), given["allow_outside"])
+        call = partial(write_normals, source, target, request, sync=not given["no_sync"], bounds=bounds)
+        try:
+            with threads_limited(given["threads"]):
+                pose = within_limits(call, given, source)
+        except ChoiceError:
+            raise
+        except SkinbakeError as error:
+            say.error(error)
+            return exit_codes.of_error(error)
+        if not given["as_json"]:
+            say.written(f"{printable(target)}: written, {pose}")
+        return exit_codes.OK
 
     def write_page(target: str, verdicts: Sequence[FileVerdict]) -> int:
         from skinbake.commands.view import write_report
@@ -157,7 +195,7 @@ def _reporting(
         code=_code,
         file_json=file_json,
         document=as_json,
-        write=write if junit or page else None,
+        write=write if junit or page or dump else None,
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from skinbake.choices import Truth
 from skinbake.commands.bake import STEPS_A_BAKE, Baker
 from skinbake.commands.played_correctives import PlayedCorrectives, damaged_correctives
-from skinbake.errors import InputError, Notice
+from skinbake.errors import ChoiceError, InputError, Notice, printable
 from skinbake.format.strip import stripped
 from skinbake.freshness.baked_views import BakedView, is_baked, rest_primitive, whole_surfaces
 from skinbake.freshness.expected import true_operator_of
@@ -64,6 +64,9 @@ MOST_SEARCHED = 100
 HALF_TURN = np.diag([-1.0, 1.0, -1.0, 1.0])
 """A turn of the whole scene around the vertical."""
 
+LISTED = 20
+"""The names of clips that a message lists."""
+
 RANDOM_ANGLE = float(np.radians(30.0))
 LIGHTINGS = ("standard", "accurate", "corrected")
 
@@ -72,12 +75,14 @@ LIGHTINGS = ("standard", "accurate", "corrected")
 class Draw:
     """A surface as one skin draws it: its primitives; with morph targets, the node that has their weights.
 
-    operator builds the operator of the truths at its first call, once for all draws of the surface.
+    skin is its number. operator builds the operator of the truths at its first call, once for all draws of
+    the surface.
     correctives gives those of the file at times of a clip, None without a clip; it is None if it has none.
     """
 
     views: Sequence[BakedView]
     rest: Sequence[RestPrimitive]
+    skin: int
     skeleton: Skeleton
     node: int | None
     operator: Callable[[], GradientOperator]
@@ -86,11 +91,15 @@ class Draw:
 
 @dataclass(frozen=True, slots=True)
 class PosedDraw:
-    """Joint matrices (P, J, 4, 4) of a draw; morph targets that move it then, and correctives, if any."""
+    """Joint matrices (P, J, 4, 4) of a draw; morph targets that move it then, and correctives, if any.
+
+    weights (P, N) are those of all morph targets, None without any.
+    """
 
     matrices: Float64Array
     morphing: Morphing | None = None
     corrections: Corrections | None = None
+    weights: Float64Array | None = None
 
     def every(self, step: int) -> PosedDraw:
         """Return every so many poses."""
@@ -119,7 +128,7 @@ def shown_draws(
             if not any((view.source.mesh, skin) in shown for view in group):
                 continue
             played = partial(_played, correctives, group, targets, skin) if correctives else None
-            yield Draw(group, rest, read_skeleton(document, skin), node, operator, played)
+            yield Draw(group, rest, skin, read_skeleton(document, skin), node, operator, played)
 
 
 def _played(
@@ -152,14 +161,16 @@ def claim_draws(document: Document, draws: Sequence[Draw], clips: Sequence[Clip]
         budget.claim(size, drawn, place)
 
 
-def posed_draw(document: Document, draw: Draw, clip: Clip | None, times: Float64Array) -> PosedDraw:
-    """Return a draw at times of a clip, or in one random pose for all of them. It faces along +Z."""
+def posed_draw(
+    document: Document, draw: Draw, clip: Clip | None, times: Float64Array, *, turned: bool = True
+) -> PosedDraw:
+    """Return a draw at times of a clip, or in one random pose for all. If turned, it faces along +Z."""
     if clip is None:
         pose = random_poses(draw.skeleton, 1, angle=RANDOM_ANGLE, seed=0)
         matrices = np.repeat(pose, len(times), axis=0)
     else:
         matrices = clip_poses(draw.skeleton, clip, times)
-    if faces_backward(document):
+    if turned and faces_backward(document):
         matrices = HALF_TURN @ matrices
     corrections = draw.correctives and draw.correctives(clip, times)
     if draw.node is None:
@@ -170,7 +181,7 @@ def posed_draw(document: Document, draw: Draw, clip: Clip | None, times: Float64
     if clip is not None:
         weights = clip_weights(draw.node, clip, times, weights[0])
     poses = PoseSet((), matrices, (), (), weights)
-    return PosedDraw(matrices, morphing_of(document, draw.views, poses), corrections)
+    return PosedDraw(matrices, morphing_of(document, draw.views, poses), corrections, weights)
 
 
 def posed_primitives(draw: Draw, posed: PosedDraw) -> Iterator[tuple[RestPrimitive, Float64Array]]:
@@ -205,6 +216,38 @@ def lighting_errors_of(draws: Sequence[Draw], posed: Sequence[PosedDraw]) -> lis
         _measure(draw, one, record)
         found += own
     return found
+
+
+def clip_and_moment(
+    document: Document, draws: Sequence[Draw], asked: str | None, time: float | None
+) -> tuple[Clip | None, float]:
+    """Return a clip by its name or number, None if the file has none, and a time in it in seconds.
+
+    Where they are not asked for, standard lighting is worst there. Raises ChoiceError for a clip that does
+    not exist, and for a time outside it.
+    """
+    clips = read_clips(document)
+    if asked is not None:
+        named = [clip for clip in clips if clip.name == asked]
+        if not named and asked.isdecimal() and int(asked) < len(clips):
+            named = [clips[int(asked)]]
+        if not named:
+            listed = [printable(clip.name) for clip in clips[:LISTED]] or ["none"]
+            more = [f"{len(clips) - LISTED} more"] if len(clips) > LISTED else []
+            reason = f": the file has no such clip; it has {', '.join(listed + more)}"
+            raise ChoiceError("clip", printable(asked), reason=(reason,))
+        clips = named[:1]
+    if not clips:
+        if time is not None:
+            raise ChoiceError("time", time, reason=(": the file has no clip",))
+        return None, 0.0
+    clip, worst = clips[0], time
+    if len(clips) > 1 or worst is None:
+        clip, worst = telling_moment(document, draws, clips)
+    if time is not None and not clip.start <= time <= clip.duration:
+        reason = f': clip "{printable(clip.name)}" goes from {clip.start:g} to {clip.duration:g} s'
+        raise ChoiceError("time", time, reason=(reason,))
+    return clip, worst if time is None else time
 
 
 def telling_moment(document: Document, draws: Sequence[Draw], clips: Sequence[Clip]) -> tuple[Clip, float]:

@@ -15,15 +15,15 @@ from skinbake.commands.posed_scene import (
     PosedDraw,
     baked_in_memory,
     claim_draws,
+    clip_and_moment,
     lighting_errors_of,
     posed_draw,
     posed_primitives,
     shown_draws,
     sound_correctives,
-    telling_moment,
     unplaced,
 )
-from skinbake.errors import ChoiceError, InputError, Notice, SkinbakeError, printable
+from skinbake.errors import ChoiceError, InputError, Notice, SkinbakeError
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.writing import write_file
 from skinbake.freshness.baked_views import BakedView, rest_primitive, sound_views
@@ -57,8 +57,6 @@ BYTES_A_SAMPLED_PIXEL, BYTES_A_PIXEL = 224, 10
 """The memory of drawing a pixel, with all its samples, and of keeping it in each picture until the end."""
 
 MOST_PICTURES = 120
-LISTED = 20
-"""The names of clips that a message lists."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,8 +156,8 @@ def _pictures(
     document: Document, draws: Sequence[Draw], sides: Sequence[str], options: RenderOptions, *, moves: bool
 ) -> tuple[list[Picture], str, list[Notice]]:
     """Return the pictures, the first pose in words, and notices on what is missing in them."""
-    clip, worst = _clip_and_moment(document, draws, options)
-    times, pose = _times(clip, worst, options, moves=moves)
+    clip, moment = clip_and_moment(document, draws, options.clip, options.time)
+    times, pose = _times(clip, moment, options, moves=moves)
     pixels = options.look.width * options.look.height
     size = pixels * (BYTES_A_SAMPLED_PIXEL + BYTES_A_PIXEL * len(times))
     document.budget.claim(size, f"drawing {counted(len(times), 'picture')}", document.place)
@@ -218,47 +216,17 @@ def _still(draw: Draw, posed: PosedDraw) -> Iterator[Posed]:
         yield Posed(positions, normals, view.now.triangles)
 
 
-def _clip_and_moment(
-    document: Document, draws: Sequence[Draw], options: RenderOptions
-) -> tuple[Clip | None, float]:
-    """Return the clip to draw, None if there is none, and the time in it at which standard lighting is worst.
-
-    Raises ChoiceError for a clip that does not exist.
-    """
-    clips, asked = read_clips(document), options.clip
-    if asked is not None:
-        named = [clip for clip in clips if clip.name == asked]
-        if not named and asked.isdecimal() and int(asked) < len(clips):
-            named = [clips[int(asked)]]
-        if not named:
-            listed = [printable(clip.name) for clip in clips[:LISTED]] or ["none"]
-            more = [f"{len(clips) - LISTED} more"] if len(clips) > LISTED else []
-            reason = f": the file has no such clip; it has {', '.join(listed + more)}"
-            raise ChoiceError("clip", printable(asked), reason=(reason,))
-        clips = named[:1]
-    if len(clips) == 1 and options.time is not None:
-        return clips[0], options.time
-    return telling_moment(document, draws, clips) if clips else (None, 0.0)
-
-
 def _times(
-    clip: Clip | None, worst: float, options: RenderOptions, *, moves: bool
+    clip: Clip | None, moment: float, options: RenderOptions, *, moves: bool
 ) -> tuple[Float64Array, str]:
-    """Return the time of each picture, and the first pose in words. Raises ChoiceError for another time."""
+    """Return the time of each picture, and the first pose in words."""
+    if clip is not None and options.time is None and (moves or options.turntable):
+        count = max(2, min(MOST_PICTURES, round(1000 * (clip.duration - clip.start) / MILLISECONDS)))
+        return np.linspace(clip.start, clip.duration, count, endpoint=False), f'clip "{clip.name}"'
+    count = MOST_PICTURES // 2 if options.turntable else 1
     if clip is None:
-        if options.time is not None:
-            raise ChoiceError("time", options.time, reason=(": the file has no clip",))
-        count = MOST_PICTURES // 2 if options.turntable else 1
         return np.zeros(count), "a random pose, because it has no clip"
-    if options.time is not None and not clip.start <= options.time <= clip.duration:
-        reason = f': clip "{printable(clip.name)}" goes from {clip.start:g} to {clip.duration:g} s'
-        raise ChoiceError("time", options.time, reason=(reason,))
-    if options.time is not None or (not moves and not options.turntable):
-        time = worst if options.time is None else options.time
-        count = MOST_PICTURES // 2 if options.turntable else 1
-        return np.full(count, time), f'clip "{clip.name}" at {time:.2f} s'
-    count = max(2, min(MOST_PICTURES, round(1000 * (clip.duration - clip.start) / MILLISECONDS)))
-    return np.linspace(clip.start, clip.duration, count, endpoint=False), f'clip "{clip.name}"'
+    return np.full(count, moment), f'clip "{clip.name}" at {moment:.2f} s'
 
 
 def _subject(document: Document, number: int, draw: Draw, view: BakedView, material: Material) -> Subject:

@@ -1,0 +1,148 @@
+"""The normals of a baked file in one pose, of every lighting and by both truths: what a port is held to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from skinbake.choices import USUAL_TRUTHS, Baseline, Method
+from skinbake.commands.posed_scene import Draw, claim_draws, clip_and_moment, posed_draw, shown_draws
+from skinbake.errors import InputError
+from skinbake.files.bounds import BESIDE, Bounds
+from skinbake.files.writing import write_file
+from skinbake.freshness.baked_views import sound_views
+from skinbake.geometry.skinned import Float64Array
+from skinbake.gltf.animation import Clip
+from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.output import refuse_own_input
+from skinbake.measure.angles import INSIDE_OUT, METHODS, truths_at_rest
+from skinbake.report.normals import BYTES_A_NUMBER, PosedNormals, line
+from skinbake.skinning.components import Vector
+from skinbake.skinning.rest import Options
+from skinbake.skinning.run import Skinning
+from skinbake.threads import Threads, thread_count
+from skinbake.truth.blending import sides_of
+from skinbake.truth.truths import PosedSurface
+
+
+@dataclass(frozen=True, slots=True)
+class NormalsRequest:
+    """The asked pose and skinning. The clip is a name or a number, the time in seconds.
+
+    None for either: the pose in which standard lighting is worst.
+    """
+
+    clip: str | None = None
+    time: float | None = None
+    methods: Sequence[Method] = (Method.LBS,)
+    cap: float | None = None
+    baseline: Baseline = Baseline.BLENDED
+
+
+def posed_normals(document: Document, request: NormalsRequest) -> Iterator[PosedNormals]:
+    """Yield the normals of each baked primitive as each skin of the shown scene draws it, by each method.
+
+    Raises InputError if nothing is baked soundly, or if the file cannot be posed, or is too much work. Raises
+    ChoiceError for a clip that does not exist, or a time outside it.
+    """
+    views = sound_views(document)
+    if not views:
+        message = "it has no sound α and β, so that there are no accurate normals: run skinbake verify"
+        raise InputError(message, document.place)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no normal gets NaN
+        draws = list(shown_draws(document, views))
+        clip, moment = clip_and_moment(document, draws, request.clip, request.time)
+        claim_draws(document, draws, [] if clip is None else [clip], len(request.methods))
+    for draw in draws:
+        for method in request.methods:
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                found = _of_draw(document, draw, clip, moment, method, Options(request.cap, request.baseline))
+            yield from found
+
+
+def normals_of_file(source: str, request: NormalsRequest, bounds: Bounds = BESIDE) -> list[PosedNormals]:
+    """Return the normals of a file. Raises SkinbakeError as ``posed_normals``, or if it cannot be read."""
+    return list(posed_normals(read_document(source, bounds), request))
+
+
+def write_normals(
+    source: str, target: str, request: NormalsRequest, *, sync: bool = True, bounds: Bounds = BESIDE
+) -> str:
+    """Write the normals of a file as JSON lines, whole or not at all. Return the pose in words.
+
+    Raises SkinbakeError as ``normals_of_file``, or if the target cannot be written.
+    """
+    document = read_document(source, bounds)
+    refuse_own_input(document, source, target)
+    lines, pose = [], ""
+    for one in posed_normals(document, request):
+        what = f"the text of {one.numbers:,} numbers"
+        document.budget.claim(BYTES_A_NUMBER * one.numbers, what, document.place)
+        lines.append(line(source, one))
+        pose = one.pose
+    write_file(lines, target, sync=sync)
+    return pose
+
+
+def _of_draw(
+    document: Document, draw: Draw, clip: Clip | None, moment: float, method: Method, options: Options
+) -> list[PosedNormals]:
+    """Return the normals of the primitives of a draw at a moment of a clip, or in its random pose."""
+    posed = posed_draw(document, draw, clip, np.array([moment]), turned=False)
+    truths = truths_at_rest(draw.operator(), draw.rest, 1, posed.morphing)
+    rest = draw.rest
+    if posed.morphing is not None:
+        rest, truths = posed.morphing.posed(rest, truths, 0)
+    skinned = (
+        Skinning.of_mesh(rest, posed.matrices, options)
+        if method is Method.DQS
+        else [Skinning.of(one, posed.matrices, dual_quaternions=False, options=options) for one in rest]
+    )
+    algorithms = {name: one for name, one in METHODS[method].items() if name != "direct"}
+    # The positions, and the normals of each lighting, outside where joints mirror.
+    count = len(truths.operator.positions)
+    deformed = np.empty((3, count, 1))
+    normals = {name: np.empty((count, 3)) for name in algorithms}
+    sides = sides_of(rest, posed.matrices)
+    for block in truths.vertex_blocks:
+        found = skinned[block.primitive].run(tuple(algorithms.values()), slice(0, 1), block.rows)
+        deformed[:, block.part, 0] = _rows(found[0].position).T
+        for name, one in zip(algorithms, found, strict=True):
+            normals[name][block.part] = _rows(one.normal)
+            if sides is not None and name in INSIDE_OUT:
+                normals[name][block.part] *= sides[0, block.part, None]
+    for name, vectors in normals.items():
+        lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+        normals[name] = np.where(lengths > 0.0, vectors / lengths, np.nan)
+    # The true normals of these positions.
+    by_truth = {str(name): np.full((count, 3), np.nan) for name in USUAL_TRUTHS}
+    with Threads(thread_count()) as threads:
+        surface = PosedSurface.of(truths, deformed, threads)
+    for block in truths.vertex_blocks:
+        expected, exist = surface.normals(block.number, None if sides is None else sides[:, block.part])
+        for vectors, own, valid in zip(by_truth.values(), expected, exist, strict=True):
+            vectors[block.part] = np.where(valid, own[..., 0].T, np.nan)
+    return [
+        PosedNormals(
+            mesh=view.source.mesh,
+            primitive=view.source.primitive,
+            skin=draw.skin,
+            node=draw.node,
+            clip=None if clip is None else clip.name,
+            time=None if clip is None else moment,
+            method=method,
+            positions=deformed[:, part, 0].T,
+            normals={name: vectors[part] for name, vectors in normals.items()},
+            truths={name: vectors[part] for name, vectors in by_truth.items()},
+            joint_matrices=posed.matrices[0],
+            morph_weights=np.zeros(0) if posed.weights is None else posed.weights[0],
+        )
+        for view, part in zip(draw.views, truths.operator.slices, strict=True)
+    ]
+
+
+def _rows(vector: Vector) -> Float64Array:
+    """Return the vectors (B, 3) of the only pose of a block."""
+    return np.stack([np.asarray(axis, dtype=np.float64)[0] for axis in vector], axis=-1)
