@@ -224,8 +224,9 @@ const api = {
     },
 
     // A vector of the fragment shader at every pixel, from a camera, with one texel as normal map for the base and the
-    // clear coat. Options: those of load; module, or none; method; texel; expression; camera; size; side.
-    async mapped({ module, method, texel, expression, camera, size, anisotropy = 0, ...options }) {
+    // clear coat. Options: those of load; module, or none; method; texel; expression; camera; size; side; beside: the
+    // roots of others of the same geometry and material, at rest, that are drawn before it and after it.
+    async mapped({ module, method, texel, expression, camera, size, anisotropy = 0, beside = [], ...options }) {
         const scene = await load(options);
         const skinbake = module && (await imported(module));
         const [mesh] = skinnedMeshes(scene);
@@ -243,16 +244,23 @@ const api = {
             shader.fragmentShader = beforeLastBrace(shader.fragmentShader, `
                 gl_FragColor = vec4(${expression}, 1.0);`);
         };
+        const all = new THREE.Group().add(mesh);
+        for (const [number, root] of beside.entries()) {
+            const [other] = skinnedMeshes(await load({ url: options.url, root }));
+            Object.assign(other, { geometry: mesh.geometry, material: mesh.material, renderOrder: 2 * number - 1 });
+            other.frustumCulled = other.matrixWorldAutoUpdate = false;
+            all.add(other);
+        }
         const seen = new THREE.Camera();
         seen.matrixWorldAutoUpdate = false;
         seen.projectionMatrix.fromArray(camera.projection);
         seen.matrixWorldInverse.fromArray(camera.view);
         seen.matrixWorld.copy(seen.matrixWorldInverse).invert();
-        const report = skinbake?.applySkinbake(mesh, { method });
-        drawn(mesh, seen, size, size);
-        const image = base64(drawn(mesh, seen, size, size));
+        const report = skinbake?.applySkinbake(all, { method });
+        drawn(all, seen, size, size);
+        const image = base64(drawn(all, seen, size, size));
         const told = report?.meshes.map(({ lighting, normalMap }) => `${lighting} ${normalMap}`);
-        skinbake?.dispose(mesh);
+        skinbake?.dispose(all);
         mesh.material.dispose();
         return { image, told, world: mesh.matrixWorld.toArray() };
     },
