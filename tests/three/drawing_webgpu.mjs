@@ -111,17 +111,24 @@ const MATERIALS = {
 };
 
 const api = {
-    // The normal of the fragment shader at every pixel, with one texel as normal map. camera: { half, view }.
-    async mapped({ backend, texel, camera: { half, view }, size, plugin = true, ...options }) {
+    // The normal of the fragment shader at every pixel, with one texel as normal map. camera: { half, view }; roots: where
+    // the model is, and where others of the same geometry and material are, at rest, before it and after it.
+    async mapped({ backend, texel, camera: { half, view }, size, plugin = true, roots = [], ...options }) {
         const renderer = await rendererOf(backend);
         const { scene: model } = await load({ plugin, ...options });
         const scene = new THREE.Scene();
         scene.add(model);
         const [mesh] = skinnedMeshes(model);
+        if (roots.length) parented(scene, model, { root: roots[0] });
         const normalMap = new THREE.DataTexture(new Uint8Array([...texel, 255]), 1, 1);
         normalMap.needsUpdate = true;
         mesh.material = new THREE.MeshStandardNodeMaterial({ normalMap });
         mesh.material.outputNode = vec4(normalView, 1);
+        for (const [number, root] of roots.slice(1).entries()) {
+            const { scene: another } = await load({ plugin: false, url: options.url });
+            const other = parented(scene, another, { root });
+            Object.assign(other, { geometry: mesh.geometry, material: mesh.material, renderOrder: 2 * number - 1 });
+        }
         const camera = new THREE.OrthographicCamera(-half, half, half, -half, -half, half);
         camera.matrixAutoUpdate = camera.matrixWorldAutoUpdate = false;
         camera.matrixWorldInverse.fromArray(view);

@@ -43,6 +43,27 @@ BENT = Pose(clip=0, time=0.45)
 RANDOM = Pose(clip=None)
 
 
+def transform(
+    rotation: tuple[float, float, float], scale: tuple[float, float, float], at: tuple[float, float, float]
+) -> Array:
+    """Scale along the axes, then a rotation of |rotation| radians round it, then a shift."""
+    axis = np.array(rotation)
+    x, y, z = axis / np.linalg.norm(axis)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    angle = np.linalg.norm(axis)
+    result = np.eye(4)
+    turn = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    result[:3, :3] = turn * np.array(scale)
+    result[:3, 3] = at
+    return result
+
+
+PLACED = transform((0.4, -1.1, 0.3), (1.7, 1.7, 1.7), (0.5, -2.0, 1.0))
+AWAY = transform((0.0, 1.0, 0.0), (1.0, 1.0, 1.0), (100.0, 0.0, 0.0))
+MIRROR = transform((0.0, 0.5, 0.2), (-1.0, 1.0, 1.0), (-100.0, 0.0, 0.0))
+INSTANCES = ((PLACED, AWAY, MIRROR), (AWAY, MIRROR, PLACED), (MIRROR, PLACED, AWAY))
+"""Where the instance is that a camera looks at, and where those that are drawn before and after it."""
+
 CHARACTERS = [
     pytest.param(None, TUBE, BENT, id="bent_tube"),
     pytest.param(None, FOLDER / "weights_u8.glb", RANDOM, id="weights_u8"),

@@ -42,7 +42,7 @@ from tests.support.mapped import TEXELS, look_at, relief_seen
 from tests.support.node import package_folder, require_node
 from tests.support.stage import Stage, opened_page, page_of
 from tests.support.whole_fields import shader_text
-from tests.three.drawn import with_morphs
+from tests.three.drawn import INSTANCES, PLACED, transform, with_morphs
 
 PAGE = page_of(
     "/tests/page.mjs",
@@ -137,28 +137,8 @@ def deviation(found: Array, expected: Array | None) -> float:
     return float(np.abs(found - expected).max())
 
 
-def transform(
-    rotation: tuple[float, float, float], scale: tuple[float, float, float], at: tuple[float, float, float]
-) -> Array:
-    """Scale along the axes, then a rotation of |rotation| radians round it, then a shift."""
-    axis = np.array(rotation)
-    x, y, z = axis / np.linalg.norm(axis)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    angle = np.linalg.norm(axis)
-    result = np.eye(4)
-    turn = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-    result[:3, :3] = turn * np.array(scale)
-    result[:3, 3] = at
-    return result
-
-
-PLACED = transform((0.4, -1.1, 0.3), (1.7, 1.7, 1.7), (0.5, -2.0, 1.0))
 SKEWED = transform((0.9, 0.2, -0.6), (1.4, 0.8, 1.1), (0.3, 0.1, -0.4))
 FLIPPED = np.diag([-1.0, 1.0, 1.0, 1.0])
-AWAY = transform((0.0, 1.0, 0.0), (1.0, 1.0, 1.0), (100.0, 0.0, 0.0))
-MIRROR = transform((0.0, 0.5, 0.2), (-1.0, 1.0, 1.0), (-100.0, 0.0, 0.0))
-INSTANCES = ((PLACED, AWAY, MIRROR), (AWAY, MIRROR, PLACED), (MIRROR, PLACED, AWAY))
-"""Where the instance is that a camera looks at, and where those that are drawn before and after it."""
 
 
 class TestInstruments:

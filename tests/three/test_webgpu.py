@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import base64
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from skinbake.format.layouts import GradientFormat
 from skinbake.shaders.engines import engines_folder
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import corpus
-from tests.support.characters import Array, Character, Placement, Pose, angles, baked
+from tests.support.characters import Array, Character, Placement, Pose, angles, baked, column_by_column
 from tests.support.mapped import TEXELS, look_at, relief_seen
 from tests.support.node import package_folder, require_node
 from tests.support.stage import opened_page, page_of, require_backend
@@ -27,6 +27,7 @@ from tests.three.drawn import (
     CHARACTERS,
     CLIP,
     DEGREES,
+    INSTANCES,
     MIRRORED,
     PARENTS,
     RANDOM,
@@ -398,6 +399,19 @@ def test_every_pixel_of_a_relief_is_that_of_the_replay(
         assert np.percentile(angles(found, wanted), 99.9) < RELIEF_DEGREES
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_three_instances_of_which_one_is_mirrored_have_reliefs_of_their_own(
+    stage: ThreeStage, backend: str
+) -> None:
+    """They share geometry and material. The camera looks at each in turn; all three are drawn."""
+    require_backend(stage, backend)
+    character = stage.character(MIRRORED, RANDOM, "tangent")
+    for roots in INSTANCES:
+        found, wanted, told = relief(stage, character, TEXELS[0], roots, backend=backend)
+        assert told == ["accurate accurate"] * 3
+        assert np.percentile(angles(found, wanted), 99.9) < RELIEF_DEGREES
+
+
 @pytest.mark.parametrize("frame", ["normal", "tangent"])
 def test_a_relief_at_rest_is_three_s_own(stage: ThreeStage, frame: str) -> None:
     character = stage.character(MIRRORED, Pose(clip=None, angle=0.0), frame)
@@ -412,17 +426,35 @@ RELIEF = 160
 
 
 def relief(
-    stage: ThreeStage, character: Character, texel: tuple[int, ...], method: str = "lbs", **options: object
+    stage: ThreeStage,
+    character: Character,
+    texel: tuple[int, ...],
+    roots: Sequence[Array] = (),
+    method: str = "lbs",
+    **options: object,
 ) -> tuple[Array, Array, list[str]]:
-    """Draw a relief of one tilt. Return its pixels, what they should be, and what the module reports."""
-    projection, view = look_at(character, Placement(), (0.4, 0.5, 1.0))
+    """Draw a relief of one tilt. Return its pixels, what they should be, and what the module reports.
+
+    roots (4, 4) are where the character is, and where others are that are drawn too.
+    """
+    placed = Placement(roots[0], world=roots[0]) if roots else Placement()
+    x, y, z = placed.root[:3, :3] @ [0.4, 0.5, 1.0]
+    projection, view = look_at(character, placed, (x, y, z))
     camera = {"half": 1 / projection[0, 0], "view": view.T.ravel().tolist()}
-    told = character.told(Placement())
     found = stage.call(
-        "mapped", {**told, "texel": texel, "camera": camera, "size": RELIEF, "method": method, **options}
+        "mapped",
+        {
+            **character.told(Placement()),
+            "texel": texel,
+            "camera": camera,
+            "size": RELIEF,
+            "method": method,
+            "roots": [column_by_column(root) for root in roots],
+            **options,
+        },
     )
     rows = np.frombuffer(base64.b64decode(found["image"]), "<f4").reshape(RELIEF, RELIEF, 4)
     drawn = (rows if found["isFromTop"] else rows[::-1]).astype(np.float64)
     algorithm = Algorithm.DQS_EXACT if method == "dqs" else Algorithm.LBS_ACCURATE
-    pixels, wanted, _ = relief_seen(character, algorithm, Placement(), (projection, view), drawn, texel)
+    pixels, wanted, _ = relief_seen(character, algorithm, placed, (projection, view), drawn, texel)
     return pixels, wanted, found["told"]
