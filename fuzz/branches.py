@@ -1,36 +1,28 @@
 """Tell which branches of skinbake's readers are reached: ``python -m fuzz.branches --minutes 2``.
 
 By damaged models and by injected faults together. Coverage is measured in the children that run the cases,
-which costs most of the speed. A branch that is missed without an explanation in ``explained.py`` is an error,
-and so is an explanation of a branch that is reached or is not there.
+which costs most of the speed. A branch that is missed is an error, unless its line says why: ``# pragma: no
+cover``, or ``no branch``, and what keeps the fuzzer from it or the tests that reach it.
 """
 
 from __future__ import annotations
 
 import argparse
-import ast
 import json
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from fuzz.aimed import aimed_cases
 from fuzz.batches import FINDS, Plan, run_all
-from fuzz.explained import BY_SYSTEM, EXPLAINED, SELDOM
 from fuzz.log import LOG, note
 from fuzz.measuring import PACKAGES, REPOSITORY, SOURCE, measured, measurement
 from fuzz.seeds import all_seeds
-
-Branch = tuple[str, str, str]
-"""The file below the package, the function, and the two lines that a branch leads from and to."""
-
-KEYS = (("executed_branches", True), ("missing_branches", False))
 
 
 def main() -> int:
@@ -62,14 +54,15 @@ def main() -> int:
         whole.stop()
         whole.save()
         report = _report(folder, Path(name, "report"))
-    reached, missed = branches(report)
-    found, wrong = judged(reached, missed, EXPLAINED)
-    print("\n".join([*found, *(f"ERROR: {line}" for line in wrong)]))
+    covered, count = (report["totals"][name] for name in ("covered_branches", "num_branches"))
+    parts = " and ".join(f"{SOURCE}/{package}" for package in PACKAGES)
+    print(f"{covered} of {count} branches of {parts} reached: {100 * covered / count:.1f} %")
+    wrong = missed(report)
+    print("\n".join(wrong))
     seconds = time.monotonic() - begun
     runs, faults = _tallied(given.keep, totals.runs, faults)
     note("branches", executions=runs, seconds=seconds, seed=given.seed, finds=totals.finds,
-         log=given.log, branches=len(reached) + len(missed), covered=len(reached), faults=faults,
-         explained=len(missed.keys() & EXPLAINED.keys()))  # fmt: skip
+         log=given.log, branches=count, covered=covered, faults=faults)  # fmt: skip
     return 1 if wrong else 0
 
 
@@ -127,66 +120,15 @@ def _report(folder: Path, scratch: Path) -> dict[str, Any]:
     return found
 
 
-def branches(report: Mapping[str, Any]) -> tuple[dict[Branch, str], dict[Branch, str]]:
-    """Return the branches that were reached and those that were missed, each with where it is.
-
-    A branch is told by its function and the text of its lines: numbers change with each edit. The second of
-    one function with the same text has ``#2`` behind it.
-    """
-    found: tuple[dict[Branch, str], dict[Branch, str]] = {}, {}
+def missed(report: Mapping[str, Any]) -> list[str]:
+    """Return a line for each branch that was missed, unless its line is marked."""
+    found = []
     for file, content in sorted(report["files"].items()):
-        text = Path(REPOSITORY, file).read_text(encoding="utf-8")
-        source, functions = text.splitlines(), _functions(ast.parse(text))
-        name = Path(file).as_posix().partition(f"{SOURCE}/")[2]
-        known = [(*arc, reached) for key, reached in KEYS for arc in content[key]]
-        times: Counter[Branch] = Counter()
-        for start, end, reached in sorted(known):
+        source = Path(REPOSITORY, file).read_text(encoding="utf-8").splitlines()
+        for start, end in sorted(content["missing_branches"]):
             goal = source[end - 1].strip() if end > 0 else "the end"
-            function = next((of for first, last, of in functions if first <= start <= last), "")
-            branch = name, function, f"{source[start - 1].strip()} -> {goal}"
-            times[branch] += 1
-            if times[branch] > 1:
-                branch = (*branch[:2], f"{branch[2]} #{times[branch]}")
-            found[0 if reached else 1][branch] = f"{name}:{start}"
+            found.append(f"{file}:{start} is missed: {source[start - 1].strip()} -> {goal}")
     return found
-
-
-def _functions(tree: ast.Module) -> list[tuple[int, int, str]]:
-    """Return the lines and names of all functions, the innermost first."""
-    found = [
-        (node.lineno, node.end_lineno or node.lineno, node.name)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.FunctionDef)
-    ]
-    return sorted(found, key=lambda each: each[0] - each[1], reverse=True)
-
-
-def judged(
-    reached: Mapping[Branch, str], missed: Mapping[Branch, str], explained: Mapping[Branch, str]
-) -> tuple[list[str], list[str]]:
-    """Return what to print, and what is wrong: branches without an explanation, explanations without one."""
-    count = len(reached) + len(missed)
-    parts = " and ".join(f"{SOURCE}/{package}" for package in PACKAGES)
-    lines = [f"{len(reached)} of {count} branches of {parts} reached: {100 * len(reached) / count:.1f} %"]
-    known = [branch for branch in missed if branch in explained]
-    lines += [f"{len(known)} missed, and why:"] if known else []
-    lines += [f"  {missed[branch]}: {branch[2]}   # {explained[branch]}" for branch in known]
-    wrong = [
-        f"{where} is missed, and nothing explains it: {branch!r}"
-        for branch, where in missed.items()
-        if branch not in explained
-    ]
-    wrong += [
-        f"explained, but reached: {branch!r}"
-        for branch, reason in explained.items()
-        if branch in reached and reason not in BY_SYSTEM and not reason.startswith(SELDOM)
-    ]
-    wrong += [
-        f"explained, but not there: {branch!r}"
-        for branch in explained
-        if branch not in reached and branch not in missed
-    ]
-    return lines, wrong
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from functools import lru_cache
 
 from skinbake.files.bounds import BoundedPath, below
 
-if sys.platform != "win32":
+if sys.platform != "win32":  # pragma: no branch: Windows
     import fcntl
 
 MOST_LINKS = 40
@@ -69,10 +69,10 @@ def _regular(descriptor: int) -> int:
 def check_regular(descriptor: int) -> None:
     """Raise OSError unless the descriptor is a regular file on a disk."""
     found = os.fstat(descriptor)
-    if stat.S_ISDIR(found.st_mode):
+    if stat.S_ISDIR(found.st_mode):  # pragma: no cover: tests/files/test_containment.py
         raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
     if not stat.S_ISREG(found.st_mode) or found.st_dev in _made_up():
-        raise OSError(errno.EINVAL, "it is not a regular file")
+        raise OSError(errno.EINVAL, "it is not a regular file")  # pragma: no cover: tests/files
 
 
 @lru_cache(maxsize=1)
@@ -82,7 +82,7 @@ def _made_up() -> frozenset[int]:
     for folder in ("/proc", "/sys") if sys.platform.startswith("linux") else ():
         with suppress(OSError):  # it may not be mounted
             found = os.stat(folder)
-            if found.st_dev != os.stat("/").st_dev:
+            if found.st_dev != os.stat("/").st_dev:  # pragma: no branch: other systems
                 devices.add(found.st_dev)
     return frozenset(devices)
 
@@ -109,7 +109,7 @@ class Folder:
 
     def sync(self) -> None:
         """Wait until the names in the folder are on the disk. Systems that cannot do it are ignored."""
-        if self._descriptor is not None:
+        if self._descriptor is not None:  # pragma: no branch: Windows
             flush(self._descriptor)
 
 
@@ -117,7 +117,7 @@ def flush(descriptor: int) -> None:
     """Wait until a file or folder is on the disk, its cache included. Raises OSError if that fails."""
     try:
         full = getattr(fcntl, "F_FULLFSYNC", None) if sys.platform != "win32" else None
-        if full is None:
+        if full is None:  # pragma: no branch: other systems
             os.fsync(descriptor)
         else:  # macOS: fsync leaves the data in the cache of the disk
             fcntl.fcntl(descriptor, full)
@@ -134,7 +134,7 @@ def beneath(root: str, parts: Sequence[str], made: Callable[[str], None] | None 
     if a link leads out of the root.
     """
     path = os.path.join(root, *parts)
-    if not BY_DESCRIPTOR:
+    if not BY_DESCRIPTOR:  # pragma: no cover: Windows
         for number in range(1, len(parts) + 1):
             step = os.path.join(root, *parts[:number])
             _check_real(root, step)
@@ -162,7 +162,7 @@ def _stepped(root: str, current: int, parts: Sequence[str], made: Callable[[str]
     try:
         return _open(root, name, _FOLDER_FLAGS)
     except FileNotFoundError:
-        if made is None:
+        if made is None:  # pragma: no cover: races
             raise
     with suppress(FileExistsError):  # another process was faster, or a link there leads nowhere
         os.mkdir(parts[-1], dir_fd=current)
@@ -172,7 +172,7 @@ def _stepped(root: str, current: int, parts: Sequence[str], made: Callable[[str]
 
 def _open(root: str, name: str, flags: int) -> int:
     """Open a path below a folder without leaving it."""
-    if not BY_DESCRIPTOR:
+    if not BY_DESCRIPTOR:  # pragma: no cover: Windows
         path = os.path.join(root, *name.split("/"))
         _check_real(root, path)
         return os.open(path, flags)
@@ -184,7 +184,7 @@ def _open(root: str, name: str, flags: int) -> int:
         os.close(folder)
 
 
-def _check_real(root: str, path: str) -> None:
+def _check_real(root: str, path: str) -> None:  # pragma: no cover: Windows
     """Raise OSError if a path, all links followed, is outside the folder."""
     real, base = os.path.realpath(path), os.path.realpath(root)
     if real != base and below(real, base) is None:
@@ -194,7 +194,7 @@ def _check_real(root: str, path: str) -> None:
 @lru_cache(maxsize=1)
 def openat2() -> Callable[[int, bytes, int], int] | None:
     """Return Linux's call that opens a path without leaving a folder, or None if it is missing."""
-    if not sys.platform.startswith("linux"):
+    if not sys.platform.startswith("linux"):  # pragma: no cover: other systems
         return None
     import ctypes  # numpy has imported it by then
 
@@ -210,7 +210,8 @@ def openat2() -> Callable[[int, bytes, int], int] | None:
             code = ctypes.get_errno()
             if code == errno.EXDEV:
                 raise OSError(code, "a link leads out of the folder")
-            if code not in {errno.EAGAIN, errno.EINTR}:  # EAGAIN: a name on the way was changed
+            # EAGAIN: a name on the way was changed.
+            if code not in {errno.EAGAIN, errno.EINTR}:  # pragma: no branch: races
                 raise OSError(code, os.strerror(code))
 
     try:
@@ -224,7 +225,7 @@ def openat2() -> Callable[[int, bytes, int], int] | None:
     return call
 
 
-def _walked(folder: int, name: str, flags: int) -> int:
+def _walked(folder: int, name: str, flags: int) -> int:  # pragma: no cover: without openat2
     """Open a path below an open folder, one part at a time. Links are resolved here and never lead out."""
     stack, links = [os.dup(folder)], 0
     parts = name.split("/")[::-1]
@@ -255,7 +256,7 @@ def _walked(folder: int, name: str, flags: int) -> int:
             os.close(descriptor)
 
 
-def _link(name: str, folder: int) -> str | None:
+def _link(name: str, folder: int) -> str | None:  # pragma: no cover: without openat2
     """Return the target of a symbolic link, or None if the name is not a link."""
     try:
         return os.readlink(name, dir_fd=folder)

@@ -39,7 +39,7 @@ def replaced(folder: Folder, temporary: str, name: str, is_expected: Callable[[]
     after a StuckError.
     """
     exchange = exchange_call()
-    if exchange is None or folder.descriptor is None:
+    if exchange is None or folder.descriptor is None:  # pragma: no cover: other systems
         return None
     ours = _state(folder, temporary)
     try:
@@ -47,12 +47,13 @@ def replaced(folder: Folder, temporary: str, name: str, is_expected: Callable[[]
     except OSError as error:
         if error.errno in NO_EXCHANGE:
             return None
-        if error.errno == errno.ENOENT:  # another program has removed or renamed it
+        # Another program has removed or renamed it.
+        if error.errno == errno.ENOENT:  # pragma: no cover: races
             return False
         raise
     try:
         is_as_read = is_expected()
-        if is_as_read:
+        if is_as_read:  # pragma: no branch: races
             # The former file goes.
             try:
                 os.unlink(temporary, dir_fd=folder.descriptor)
@@ -61,12 +62,12 @@ def replaced(folder: Folder, temporary: str, name: str, is_expected: Callable[[]
     except OSError:
         _put_back(folder, temporary, name, ours, exchange)
         raise
-    if not is_as_read:
+    if not is_as_read:  # pragma: no cover: races
         _put_back(folder, temporary, name, ours, exchange)
     return is_as_read
 
 
-def _put_back(
+def _put_back(  # pragma: no cover: races: tests/files/test_writing.py
     folder: Folder, temporary: str, name: str, ours: State, exchange: Callable[[int, str, str], None]
 ) -> None:
     """Exchange the names again, until no other program has saved meanwhile: the last save stays."""
@@ -90,12 +91,13 @@ def _state(folder: Folder, name: str) -> State:
 @lru_cache(maxsize=1)
 def exchange_call() -> Callable[[int, str, str], None] | None:
     """Return Linux's call that exchanges two names in a folder, None if there is none."""
-    if not sys.platform.startswith("linux"):
+    if not sys.platform.startswith("linux"):  # pragma: no cover: other systems
         return None
     import ctypes
 
     call = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
-    if call is None:  # a C library from before 2018
+    # A C library from before 2018.
+    if call is None:  # pragma: no cover: other systems
         return None
 
     def exchange(folder: int, one: str, other: str) -> None:

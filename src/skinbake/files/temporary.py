@@ -40,7 +40,7 @@ def remove_abandoned(folder: Folder) -> None:
         found = os.stat(folder.path if folder.descriptor is None else folder.descriptor)
         if (found.st_dev, found.st_ino) in _looked_through:
             return
-        if len(_looked_through) >= REMEMBERED:
+        if len(_looked_through) >= REMEMBERED:  # pragma: no cover: takes 4,096 folders
             _looked_through.clear()
         _looked_through.add((found.st_dev, found.st_ino))
         with os.scandir(folder.path if folder.descriptor is None else folder.descriptor) as entries:

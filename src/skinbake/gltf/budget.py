@@ -100,7 +100,7 @@ def group_limits(groups: Path = GROUPS, root: Path = GROUP_ROOT) -> Iterator[int
                 text = (folder / name).read_text(encoding="ascii").strip()
             except (OSError, ValueError):
                 continue
-            if text.isdecimal():
+            if text.isdecimal():  # pragma: no branch: control groups
                 yield int(text)
 
 
@@ -155,7 +155,7 @@ class Budget:
         The message begins with ``what`` and goes on with ``would take``.
         """
         spent = self.spent + size
-        if spent > max(FREE, RATIO * self.backed):
+        if spent > max(FREE, RATIO * self.backed):  # pragma: no cover: too large
             raise self._refusal(
                 f"{what} would take {shown(size)}, so the file would take {shown(spent)} in "
                 f"all. The limit is {RATIO:,} times its {shown(self.backed)}, whatever --max-memory "
@@ -197,7 +197,7 @@ class Budget:
         """Count ``size`` bytes, to which ``stored`` bytes of compressed data will expand."""
         self.unpacked += size
         self.packed += stored
-        if self.unpacked > max(UNPACKED_RATIO * self.packed, UNPACKED_FREE):
+        if self.unpacked > max(UNPACKED_RATIO * self.packed, UNPACKED_FREE):  # pragma: no cover: too large
             raise self._refusal(
                 f"{self.packed} bytes of compressed data, this included, would expand to "
                 f"{self.unpacked}. The limit is {UNPACKED_RATIO} times as many",
@@ -219,7 +219,7 @@ class Budget:
         """Count ``size`` bytes by which welding makes a surface larger."""
         self.welded += size
         most = WELDING_RATIO * self.backed + WELDING_FREE
-        if self.welded > most:
+        if self.welded > most:  # pragma: no cover: thousands of copies
             raise self._refusal(
                 f"its vertices have so many copies at one place that welding them would take "
                 f"{shown(self.welded)}. A file of {shown(self.backed)} may take at most {shown(most)} for it",

@@ -48,7 +48,7 @@ def _converted(document: Document, target: str, *, pack: bool, moves: bool) -> t
             else:
                 glb = packed(glb, buffer_files=target == STDIO)
         return (_self_contained(glb), _loose_images(glb) or notices) if target == STDIO else (glb, notices)
-    if pack:
+    if pack:  # pragma: no cover: refused before: tests/gltf/test_packing.py
         raise OutputError("--pack needs a .glb or .vrm: a .gltf has no binary chunk", Place(target))
     return _as_gltf(document, Path(target).stem) if document.is_glb else (document, [])
 
@@ -56,7 +56,7 @@ def _converted(document: Document, target: str, *, pack: bool, moves: bool) -> t
 def _not_copied(document: Document, *, pack: bool, moves: bool) -> Iterator[Notice]:
     """Yield a notice on the files that extensions name, if the document moves or is packed."""
     uris = files_of_extensions(document.json) if pack or moves else []
-    if uris:
+    if uris:  # pragma: no cover: tests/gltf/test_container.py
         files = one_or_many(
             len(uris), "1 file that its extensions name is", "{} files that its extensions name are"
         )

@@ -189,7 +189,7 @@ def _parsed(path: str, bounds: Bounds) -> Document:
         return parse_glb(memoryview(data).toreadonly(), STDIN, Path(), bounds._replace(root=NOWHERE), budget)
     file = Path(path)
     suffix = file.suffix.lower()
-    if suffix != GLTF_SUFFIX and suffix not in GLB_SUFFIXES:
+    if suffix != GLTF_SUFFIX and suffix not in GLB_SUFFIXES:  # pragma: no cover: tests/gltf/test_document.py
         raise InputError(not_gltf(path, ""), Place(path))
     parse = parse_gltf if suffix == GLTF_SUFFIX else parse_glb
     return parse(read_named(path, bounds.root, budget), path, file.parent, bounds, budget)

@@ -48,7 +48,7 @@ def images_unplaced(
     infos = shown_textures(material).values()
     named = {f"TEXCOORD_{texcoord_set(info)}" for info in infos if reference(info.get("index")) is not None}
     missing = sorted(name for name in named if name not in has)
-    if not missing:
+    if not missing:  # pragma: no branch: tests/render/test_texcoords.py
         return []
     message = f"its material puts an image on {' and '.join(missing)}, which the primitive does not have"
     return [Notice("images-unplaced", f"{message}. The {made} shows the primitive without it", place)]

@@ -174,7 +174,7 @@ def _with_buffers(document: Document, chunk: _Chunk, *, files: bool) -> tuple[Js
 def _left_buffer(uri: str, error: InputError) -> _Left:
     """Return a buffer that stays a file, because of an error in reading it."""
     cause = error.__cause__
-    if isinstance(cause, OSError):
+    if isinstance(cause, OSError):  # pragma: no branch: tests/gltf/test_packing.py
         return _Left(uri, "unreadable", f"cannot be read: {cause.strerror}", "buffer")
     return _Left(uri, "broken", f"is not packed: {error.message}", "buffer")
 

@@ -385,7 +385,7 @@ def read_indices(document: Document, source: PrimitiveSource) -> IntArray:
 def _accessor_index(document: Document, source: PrimitiveSource, attribute: str) -> int:
     place = source.place.at(attribute)
     number = index(source.attributes, attribute, len(document.objects("accessors")), place)
-    if number is None:
+    if number is None:  # pragma: no cover: refused before
         raise InputError(f"it has no {attribute}", source.place)
     return number
 

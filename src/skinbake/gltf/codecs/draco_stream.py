@@ -104,7 +104,7 @@ def decode(
         raise InputError("its Draco stream needs more memory than its accessors justify", place) from error
     except Exception as error:  # C++ may throw anything: DracoPy has no class for damaged data
         raise InputError(f"its Draco stream cannot be decoded: {error}", place) from error
-    if 3 * len(faces) != corners:
+    if 3 * len(faces) != corners:  # pragma: no cover: no such stream is known
         raise InputError(
             f"its Draco stream holds {3 * len(faces)} indices, but its accessor declares {corners}{REMEDY}",
             place,
@@ -124,7 +124,7 @@ def decode(
 def _values(entry: Mapping[str, Any], number: int, vertices: int, place: Place) -> npt.NDArray[Any]:
     values = entry["data"]
     found = 0 if values is None else len(values)
-    if found != vertices:
+    if found != vertices:  # pragma: no cover: no such stream is known
         raise InputError(
             f"its Draco stream holds {counted(found, 'element')} of attribute {number}, but its accessors "
             f"declare {vertices:,}{REMEDY}",
@@ -144,7 +144,7 @@ def _check_counts(counts: Counts, length: int, declared: tuple[int, int, int], p
             f"{REMEDY}",
             place,
         )
-    if size > max(EXPANSION * length, SMALL):
+    if size > max(EXPANSION * length, SMALL):  # pragma: no cover: takes 64 MiB: tests/gltf/test_draco.py
         raise InputError(
             f"its accessors declare {size} bytes for a Draco stream of {length}, over the limit of "
             f"{EXPANSION} times as many",
@@ -160,7 +160,7 @@ def _memory_limit(size: int) -> Iterator[None]:
     of a process and enforces the limit. It would hold for all threads of the process, so a program with
     several threads gets none: there the counts of the stream are the only bound.
     """
-    if threading.active_count() > 1:
+    if threading.active_count() > 1:  # pragma: no cover: takes threads: tests/gltf/test_draco.py
         yield
         return
     try:
@@ -172,7 +172,7 @@ def _memory_limit(size: int) -> Iterator[None]:
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     limit = pages * resource.getpagesize() + size
-    if soft != resource.RLIM_INFINITY and soft <= limit:
+    if soft != resource.RLIM_INFINITY and soft <= limit:  # pragma: no cover: takes a tight limit of memory
         yield
         return
     resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
@@ -234,7 +234,7 @@ def read_counts(data: memoryview, place: Place) -> Counts:
 
 
 def _skip_metadata(reader: _Reader, depth: int, place: Place) -> None:
-    if depth == 0:
+    if depth == 0:  # pragma: no cover: fuzz.targets reaches it
         raise InputError("the metadata of its Draco stream is nested too deep", place)
     for _ in range(reader.varint()):
         reader.skip(reader.byte())
@@ -312,14 +312,14 @@ def encode(
 
 def _check_arrays(arrays: Mapping[str, npt.NDArray[Any]], faces: npt.NDArray[Any], place: Place) -> None:
     count, components = arrays["POSITION"].shape
-    if components != 3:
+    if components != 3:  # pragma: no cover: refused before: tests/gltf/test_draco.py
         raise InputError(f"it has {counted(components, 'component')}, 3 are needed", place.at("POSITION"))
     for name, values in arrays.items():
         if len(values) != count:
             raise InputError(
                 f"it has {counted(len(values), 'element')}, POSITION has {count:,}", place.at(name)
             )
-    if faces.size and faces.max() >= count:
+    if faces.size and faces.max() >= count:  # pragma: no cover: refused before: tests/gltf/test_draco.py
         vertices = counted(count, "vertex", "vertices")
         raise InputError(f"index {faces.max()} is too large for {vertices}", place.at("indices"))
 
