@@ -60,9 +60,8 @@ picture: $(DEV) $(NODE_MODULES) ## Draw bend.png, shaders.png, view.gif (need a 
 	$(BIN)/skinbake render $(EXAMPLE) -o docs/view.gif --split --size 880x400
 	$(BIN)/python -m benchmarks.three_picture
 
-table: $(DEV) ## Write the tables of docs/ that models and tubes yield anew, from the models of SKINBAKE_CORPUS or ../shared/corpus
+table: $(DEV) ## Write the tables of docs/ that models yield anew, from the models of SKINBAKE_CORPUS or ../shared/corpus
 	$(BIN)/python -m benchmarks.corpus_table
-	$(BIN)/python -m benchmarks.analytic_truth
 	$(BIN)/python -m benchmarks.fitted_poses
 	$(BIN)/python -m benchmarks.welded_meshes
 	$(BIN)/python -m benchmarks.extended_influences

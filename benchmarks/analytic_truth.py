@@ -1,16 +1,15 @@
-"""How far the true normals of verify, and algorithm 3, are from closed forms: into docs/lighting.md.
+"""How far the true normals of verify, and algorithm 3, are from closed forms: behind docs/lighting.md.
 
-Usage: python -m benchmarks.analytic_truth [--output FILE]
+Usage: python -m benchmarks.analytic_truth
 
 A bumpy tube with three joints bends in eight steps. Its positions and weights are functions of an angle and
 a height, so that the normal of the deformed tube is known: from differences of fourth order in these two. The
 weights are smooth, steep (they change over a sixth of that height), or kinked (straight ramps, as painting
-tools leave them). The page's part between two marks is written anew.
+tools leave them).
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +17,6 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from benchmarks.marked import write_between
 from fixtures.make_fixtures import (
     ELBOW_DEGREES,
     TUBE_JOINTS,
@@ -52,9 +50,7 @@ from tests.support.replay import replay
 from tests.support.whole_fields import angular_errors, rest_frame
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-DEFAULT_OUTPUT = REPOSITORY / "docs" / "lighting.md"
 BENT_TUBE = REPOSITORY / "fixtures" / "bent_tube.glb"
-START, END = "<!-- analytic surfaces: begin -->", "<!-- analytic surfaces: end -->"
 
 SIZES = ((17, 24), (33, 46), (97, 124))
 """Vertices around the tube, the seam's copies included, and along it."""
@@ -236,13 +232,7 @@ def row(name: str, surface: Errors, rig: Errors) -> str:
 
 
 def main() -> None:
-    """Write the table into the page."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--output", type=Path, default=DEFAULT_OUTPUT, help="the page to write into")
-    options = parser.parse_args()
-    table = "\n".join(lines())
-    print(table)
-    write_between(options.output, START, END, table)
+    print("\n".join(lines()))
 
 
 if __name__ == "__main__":
