@@ -68,9 +68,8 @@ table: $(DEV) ## Write the tables of docs/ that models yield anew, from the mode
 	$(BIN)/python -m benchmarks.encoding_table
 	$(BIN)/python -m benchmarks.morph_frames
 
-bench: $(DEV) $(NODE_MODULES) ## Time bake and verify against peers: write benchmarks/RESULTS.md and docs/library_cost.md (12 minutes)
+bench: $(DEV) $(NODE_MODULES) ## Time bake and verify against peers: write benchmarks/RESULTS.md (12 minutes)
 	$(BIN)/python -m benchmarks.results
-	$(BIN)/python -m benchmarks.library_cost
 
 speeds: $(DEV) $(NODE_MODULES) ## Time the replay, the shaders (writes docs/gpu.md) and frames of three.js (Chromium)
 	$(BIN)/python -m benchmarks.replay_speed

@@ -12,7 +12,6 @@ import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.util import find_spec
 from pathlib import Path
 
 from benchmarks import peers, truth_cost
@@ -44,7 +43,7 @@ SLOW = Rounds(least=3, most=5, warm_up=False)
 
 @dataclass(frozen=True)
 class Plan:
-    """How much is measured: how many vertices, poses, files, calls, bytes and tasks; and how often."""
+    """How much is measured: how many vertices, poses, files, calls and bytes; and how often."""
 
     grid: int = 1_000_000
     scaling: tuple[int, ...] = (1_000, 10_000, 100_000, 1_000_000, 10_000_000)
@@ -55,7 +54,6 @@ class Plan:
     file_vertices: int = 2_500
     single_calls: int = 50
     payload: int = 64_000_000
-    tasks: int = 2_000
     rounds: Rounds = field(default_factory=Rounds)
     slow: Rounds = SLOW
 
@@ -71,7 +69,6 @@ QUICK = Plan(
     file_vertices=400,
     single_calls=2,
     payload=1_000_000,
-    tasks=50,
     rounds=Rounds(least=1, most=1, warm_up=False),
     slow=Rounds(least=1, most=1, warm_up=False),
 )
@@ -244,15 +241,6 @@ def payload(plan: Plan, folder: Path) -> Json:
     }
 
 
-def tasks(plan: Plan, folder: Path) -> Json:
-    """Count the trivial tasks that Dask's scheduler hands out in a second."""
-    if find_spec("distributed") is None:
-        return {"runs": {}}
-    command = [*SCRIPT, "benchmarks.dask_tasks", str(plan.tasks), str(JOBS)]
-    rates = [float(run(command).printed.split()[-1]) for _ in range(plan.slow.least)]
-    return {"tasks": plan.tasks, "workers": JOBS, "per_second": rates}
-
-
 def stages(plan: Plan, folder: Path) -> Json:
     """Record where bake spends its time, by stage, on the character and on the grid; the rest is start-up."""
     models = {character_model().name: character_model()}
@@ -329,6 +317,5 @@ ROWS: dict[str, Callable[[Plan, Path], Json]] = {
     "speedup": speedup,
     "files": files,
     "payload": payload,
-    "tasks": tasks,
     "stages": stages,
 }

@@ -3,7 +3,7 @@
 Usage: python -m benchmarks.results [--quick] [--only ROW ... [--update]] [--real-time]
                                      [--output FILE.md]
 
-Writes the figures of every single run beside the page, as JSON; docs/library_cost.md is computed from those.
+Writes the figures of every single run beside the page, as JSON.
 --quick takes one run each of small inputs, to see that all of it works, and writes into build/. --only prints
 the figures of some rows and writes nothing. With --update it writes them into the stored results, and the
 page says when and where they were measured. --real-time runs the commands before all other work of the
@@ -32,7 +32,7 @@ from skinbake import __version__
 
 OUTPUT = Path(__file__).with_name("RESULTS.md")
 QUICK_OUTPUT = peers.REPOSITORY / "build" / "RESULTS.md"
-PACKAGES = ("numpy", "scipy", "libigl", "distributed")
+PACKAGES = ("numpy", "scipy", "libigl")
 
 
 def main() -> int:

@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from benchmarks import library_cost, speedup_chart
+from benchmarks import speedup_chart
 from benchmarks.measure import ROWS
 from benchmarks.processes import MIB
 from benchmarks.results import OUTPUT, updated
@@ -111,21 +111,6 @@ class TestQuickRun:
     def test_a_page_of_a_quick_run_warns_that_it_is_quick(self, quick: Path) -> None:
         assert "A quick run" in quick.read_text(encoding="utf-8")
 
-    def test_the_library_can_be_computed_from_it(self, quick: Path) -> None:
-        output = quick.with_name("library_cost.md")
-        subprocess.run(
-            [
-                *(sys.executable, "-m", "benchmarks.library_cost"),
-                *("--results", str(quick.with_suffix(".json")), "--output", str(output)),
-            ],
-            cwd=REPOSITORY,
-            check=True,
-            capture_output=True,
-            timeout=TIMEOUT_SECONDS,
-        )
-        rows = table(output.read_text(encoding="utf-8"))
-        assert [row[0] for row in rows] == ["10", "100", "1,000"]
-
 
 def sample() -> Results:
     """Figures chosen so that what follows from them can be seen."""
@@ -175,7 +160,6 @@ def sample() -> Results:
             "payload": 50_000_000,
             "runs": {"bare": {"seconds": [0.2]}, "bake": {"seconds": [0.3]}},
         },
-        "tasks": {"tasks": 100, "workers": 2, "per_second": [400.0, 500.0, 1_000.0]},
         "stages": {
             "models": [
                 {"model": "small", "seconds": 0.5, "stages": {"read": 0.25, "strip": 0.0001}},
@@ -248,59 +232,6 @@ class TestPage:
 MACHINE = {"processor": "a processor", "cores": 2, "memory_gib": 8, "system": "a system"}
 
 
-class TestLibraryCost:
-    def test_rates(self) -> None:
-        found = library_cost.rates(sample())
-        # 1e-5 s a vertex; a file takes 2 cores × (15.01 − 0.01) s / 1,000 less 2,000 vertices.
-        assert found.vertex == pytest.approx(1e-5)
-        assert found.file == pytest.approx(0.030 - 0.020)
-        assert found.payload == pytest.approx(0.1 / 50e6)
-        assert (found.read, found.written, found.tasks) == (80, 100, 500)
-
-    def test_each_limit_of_a_cluster_has_its_figure(self) -> None:
-        found = library_cost.Rates(start=1, file=0, vertex=0, payload=0, read=0, written=0, tasks=2_000)
-        asset = library_cost.Asset(vertices=0, seconds=0.5, read=4e6, written=6e6)
-        cluster = library_cost.Cluster(
-            node_cores=16, node_bytes=1e9, store_bytes=5e9, latency=0, task_seconds=1.0, task_files=64
-        )
-        # A million assets: 500,000 core seconds, 10 TB, two files to a task; 100 cores are 7 nodes.
-        assert library_cost.limits(100, asset, found, cluster) == {
-            "cores": pytest.approx(5_000),
-            "network": pytest.approx(1e13 / 7e9),
-            "store": pytest.approx(2_000),
-            "scheduler": pytest.approx(250),
-        }
-
-    @pytest.mark.parametrize(("seconds", "files"), [(0.001, 64), (0.05, 10), (2.0, 1)])
-    def test_files_of_a_task(self, seconds: float, files: int) -> None:
-        asset = library_cost.Asset(vertices=0, seconds=seconds, read=0, written=0)
-        assert library_cost.task_files(asset, library_cost.Cluster(task_seconds=0.5, task_files=64)) == files
-
-    def test_the_mean_asset_is_that_of_the_library(self) -> None:
-        assert sum(kind.share for kind in library_cost.LIBRARY) == pytest.approx(1)
-        found = library_cost.Rates(
-            start=1, file=0.01, vertex=1e-6, payload=1e-9, read=80, written=120, tasks=None
-        )
-        asset = library_cost.mean_asset(found, library_cost.Cluster(latency=0.02))
-        # 0.6 · 2,500 + 0.3 · 10,000 + 0.09 · 50,000 + 0.01 · 1,000,000 vertices; 3.88 MB of textures.
-        assert asset.vertices == pytest.approx(19_000)
-        assert asset.seconds == pytest.approx(0.01 + 0.019 + 0.00388 + 0.02)
-        assert asset.read == pytest.approx(1.52e6 + 3.88e6)
-        assert asset.written == pytest.approx(2.28e6 + 3.88e6)
-
-    def test_without_dask_no_scheduler_is_told(self) -> None:
-        rows = sample()
-        rows["tasks"] = {"runs": {}}
-        text = library_cost.page(
-            {"quick": False, "date": "", "machine": MACHINE, "versions": {}, "rows": rows}
-        )
-        assert "**Scheduler**" not in text
-
-    @pytest.mark.parametrize(("seconds", "text"), [(59, "59 s"), (1_200, "20 min"), (9_000, "2 h 30 min")])
-    def test_durations(self, seconds: float, text: str) -> None:
-        assert library_cost.duration(seconds) == text
-
-
 class TestCommittedPages:
     """The pages in the repository are those that the committed figures give."""
 
@@ -311,9 +242,6 @@ class TestCommittedPages:
 
     def test_results(self, committed: Results) -> None:
         assert OUTPUT.read_text(encoding="utf-8") == page(committed)
-
-    def test_library_cost(self, committed: Results) -> None:
-        assert library_cost.OUTPUT.read_text(encoding="utf-8") == library_cost.page(committed)
 
     def test_committed_pages_are_of_a_full_run(self, committed: Results) -> None:
         assert committed["quick"] is False
