@@ -17,6 +17,11 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+<<<<<<< Updated upstream
+=======
+from benchmarks.marked import write_between
+from fixtures.builder import grid
+>>>>>>> Stashed changes
 from fixtures.make_fixtures import (
     ELBOW_DEGREES,
     TUBE_JOINTS,
@@ -24,7 +29,6 @@ from fixtures.make_fixtures import (
     TUBE_RADIUS,
     WRIST_DEGREES,
     chain_weights,
-    grid,
     tube_surface,
     tube_weights,
 )

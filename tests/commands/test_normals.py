@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import skinbake
-from fixtures.builder import JsonObject
+from fixtures.builder import JsonObject, grid
 from fixtures.make_fixtures import (
     ELBOW_DEGREES,
     FOLDER,
@@ -18,7 +18,6 @@ from fixtures.make_fixtures import (
     TUBE_LENGTH,
     TUBE_RADIUS,
     WRIST_DEGREES,
-    grid,
     tube_surface,
     tube_weights,
 )

@@ -13,11 +13,11 @@ from fixtures.make_fixtures import FOLDER
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import read_primitive, skinned_sources
 from tests.correctives.models import SHEET, TUBE, parted, rewritten
-from tests.correctives.played import drawn, weights_at
 from tests.support import corpus, gltf_reading, gltf_transform, khronos
 from tests.support.baked_files import verify
 from tests.support.characters import Array, angles
 from tests.support.command_line import invoke, run
+from tests.support.played import drawn, weights_at
 from tests.support.triangle_truth import true_normals
 
 

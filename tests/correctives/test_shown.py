@@ -14,12 +14,12 @@ from skinbake.commands import render
 from skinbake.render.studio import Studio
 from skinbake.render.subject import YAW, Camera, Subject
 from tests.correctives.models import SHEET, parted
-from tests.correctives.played import drawn
 from tests.support import browser
 from tests.support.baked_files import verify
 from tests.support.characters import angles
 from tests.support.command_line import invoke
 from tests.support.gltf_reading import read
+from tests.support.played import drawn
 from tests.support.rasterised import covering, eroded
 from tests.support.webgpu import NAGA
 from tests.view.pages import numbers, shown, take

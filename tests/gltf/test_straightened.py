@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fixtures import make_fixtures
+from fixtures import builder, make_fixtures
 from fixtures.builder import JsonObject
 from skinbake.choices import FrameChoice
 from skinbake.commands.inspect import inspect_file
@@ -373,7 +373,7 @@ def test_tangents_without_a_direction_are_told_as_that(count: int, words: str, t
 
 def large(path: Path) -> Path:
     """Write a flat sheet of 900 vertices with tangents along x."""
-    x, y, triangles = make_fixtures.grid(np.linspace(-1, 1, 30), np.linspace(-1, 1, 30))
+    x, y, triangles = builder.grid(np.linspace(-1, 1, 30), np.linspace(-1, 1, 30))
     joints, weights = make_fixtures.influences(make_fixtures.sheet_weights(x, y, 2))
     attributes: dict[str, np.ndarray] = {
         "POSITION": np.stack([x, y, 0 * x], axis=1).astype(np.float32),

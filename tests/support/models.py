@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pygltflib
 
-from fixtures import make_fixtures
+from fixtures import builder, make_fixtures
 from fixtures.builder import AnyArray, JsonObject, Model, pack_glb
 from skinbake.commands.strip import strip_file
 from skinbake.report.bake import FileResult
@@ -80,7 +80,7 @@ def scaled(path: Path, attribute: str, factor: float, name: str, *, first: int =
 
 def sheet(**changes: AnyArray | None) -> Part:
     """Make a curved sheet of 5 × 4 vertices and two joints; None takes an attribute away."""
-    x, y, triangles = make_fixtures.grid(np.linspace(-1, 1, 5), np.linspace(-0.6, 0.6, 4))
+    x, y, triangles = builder.grid(np.linspace(-1, 1, 5), np.linspace(-0.6, 0.6, 4))
     positions, normals, _ = make_fixtures.sheet_surface(x, y)
     joints, weights = make_fixtures.influences(make_fixtures.sheet_weights(x, y, 2))
     attributes: dict[str, AnyArray | None] = {

@@ -1,5 +1,8 @@
 extends Node3D
-## Plays a clip of a file, with none of our code: window.show(words) loads it, and answers in window.answer.
+## Plays a clip of a file, with none of our code but the add-on where the project has it: window.show(words) loads it,
+## and answers in window.answer.
+
+const IMPORT := "res://addons/skinbake/skinbake_import.gd"
 
 var _callback: JavaScriptObject
 var _scene: Node3D
@@ -7,7 +10,10 @@ var _window := JavaScriptBridge.get_interface("window")
 
 
 func _ready() -> void:
+	if ResourceLoader.exists(IMPORT):
+		GLTFDocument.register_gltf_document_extension(load(IMPORT).new())
 	var camera := Camera3D.new()
+	camera.position.z = 20.0
 	add_child(camera)
 	camera.make_current()
 	add_child(DirectionalLight3D.new())

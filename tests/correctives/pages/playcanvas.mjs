@@ -1,4 +1,5 @@
-// What the tests call in the browser: PlayCanvas plays a clip as a page does, with none of our code.
+// What the tests call in the browser: PlayCanvas plays a clip as a page does, with none of our code but what a page
+// sets as window.optionsFor.
 
 import * as pc from 'playcanvas';
 import { base64 } from '/support/base64.mjs';
@@ -29,9 +30,9 @@ app.root.addChild(camera);
 
 // The normals that each draw hands on, in the scene. isPrecise: morph targets in floats, not in half floats.
 window.played = async ({ url, clip, time, isPrecise = false }) => {
-    const asset = new pc.Asset(url, 'container', { url, filename: url.split('/').pop() }, null, {
-        morphPreferHighPrecision: isPrecise,
-    });
+    const others = { morphPreferHighPrecision: isPrecise };
+    const options = window.optionsFor?.(app, {}, others) ?? others;
+    const asset = new pc.Asset(url, 'container', { url, filename: url.split('/').pop() }, null, options);
     app.assets.add(asset);
     await new Promise((resolve, reject) => {
         asset.ready(resolve);

@@ -1,5 +1,5 @@
-// What the tests call in the browser: three.js plays a clip as a page does, with none of our code. "three" is the module
-// of WebGLRenderer or that of WebGPURenderer, by the page's import map.
+// What the tests call in the browser: three.js plays a clip as a page does, with none of our code but what a page sets as
+// window.plugin. "three" is the module of WebGLRenderer or that of WebGPURenderer, by the page's import map.
 
 import * as THREE from 'three';
 import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
@@ -24,7 +24,9 @@ window.backend = async (name) => ((await rendererOf(name)).backend?.isWebGPUBack
 // The normals that each draw hands on, in the scene: the camera stands at the origin.
 window.played = async ({ url, clip, time, backend = 'webgl' }) => {
     const renderer = await rendererOf(backend);
-    const { scene: model, animations } = await new GLTFLoader().loadAsync(url);
+    const loader = new GLTFLoader();
+    if (window.plugin) loader.register(window.plugin);
+    const { scene: model, animations } = await loader.loadAsync(url);
     model.traverse((object) => (object.frustumCulled = false));
     const mixer = new THREE.AnimationMixer(model);
     mixer.clipAction(animations[clip]).play();
