@@ -17,11 +17,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-<<<<<<< Updated upstream
-=======
-from benchmarks.marked import write_between
 from fixtures.builder import grid
->>>>>>> Stashed changes
 from fixtures.make_fixtures import (
     ELBOW_DEGREES,
     TUBE_JOINTS,
