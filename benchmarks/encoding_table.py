@@ -160,7 +160,7 @@ def table(rows: dict[str, Row]) -> Iterator[str]:
 
 
 def largest(rows: dict[str, Row]) -> Iterator[str]:
-    """Yield what the worst of all models are, by encoding and bytes, and which are not measured."""
+    """Yield what the worst of all models are, by encoding, and which are not measured."""
     still = [name for name, row in rows.items() if any(row[encoding].turned is None for encoding in SCALED)]
     if still:
         yield (
@@ -171,16 +171,8 @@ def largest(rows: dict[str, Row]) -> Iterator[str]:
     yield f"The largest angles by which normals turn, over {counted(len(rows) - len(still), 'model')}:"
     yield ""
     for encoding in SCALED:
-        for bytes_ in sorted({row[encoding].size for row in rows.values()}):
-            found = [
-                (entry.turned, name)
-                for name, row in rows.items()
-                if (entry := row[encoding]).size == bytes_ and entry.turned is not None
-            ]
-            if found:
-                worst, name = max(found)
-                models = counted(len(found), "model")
-                yield f"- {encoding} at {bytes_} bytes, {models}: {pair(worst)} ({name})"
+        worst, name = max((turned, name) for name, row in rows.items() if (turned := row[encoding].turned))
+        yield f"- {encoding}: {pair(worst)} ({name})"
 
 
 def pair(values: Sequence[float] | None) -> str:

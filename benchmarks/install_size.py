@@ -1,4 +1,4 @@
-"""Write the table of what an installation weighs into docs/install.md.
+"""Print what an installation weighs, package by package, for docs/install.md.
 
 ``python -m benchmarks.install_size`` installs the tree, without extras, into a new virtual environment. It
 adds up the files that each package brought and those that Python compiled from them, by the record of pip.
@@ -7,29 +7,13 @@ adds up the files that each package brought and those that Python compiled from 
 from __future__ import annotations
 
 import json
-import re
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-PAGE = REPOSITORY / "docs" / "install.md"
-BEGIN, END = "<!-- sizes: begin -->\n", "<!-- sizes: end -->\n"
 
-PURPOSES = {
-    "scipy": "where the loops are not compiled: products with sparse matrices. Else only for crowded meshes",
-    "numpy": "every array",
-    "rich": "the progress bar, with pygments, markdown-it-py and mdurl",
-    "setuptools": "likewise, up to Python 3.11",
-    "pip": "the installer; `python -m venv` puts it there",
-    "dracopy": "`KHR_draco_mesh_compression`: Google's code",
-    "click": "the command line",
-    "libigl": "`verify` without compiled loops: gradients by another hand than that of `bake`",
-    "jinja2": "`shader`, with markupsafe",
-    "meshopt": "`EXT_meshopt_compression`: meshoptimizer's code",
-    "skinbake": "with compiled loops",
-}
 BROUGHT_BY = {"pygments": "rich", "markdown-it-py": "rich", "mdurl": "rich", "markupsafe": "jinja2"}
 
 WEIGH = """
@@ -59,20 +43,18 @@ def table(sizes: dict[str, tuple[str, int]]) -> str:
         owner = BROUGHT_BY.get(name, name)
         together[owner] = together.get(owner, 0) + size
     rows = [
-        f"| {name} {sizes[name][0]} | {size / 1e6:.1f} | {PURPOSES.get(name, '')} |"
+        f"| {name} {sizes[name][0]} | {size / 1e6:.1f} |"
         for name, size in sorted(together.items(), key=lambda item: -item[1])
         if size >= 50_000
     ]
-    rows.append(f"| all | {sum(together.values()) / 1e6:.1f} | |")
-    return "\n".join(["| package | MB | for |", "|---|--:|---|", *rows]) + "\n"
+    rows.append(f"| all | {sum(together.values()) / 1e6:.1f} |")
+    return "\n".join(["| package | MB |", "|---|--:|", *rows]) + "\n"
 
 
 def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         written = table(weigh(Path(name)))
     print(written)
-    page = PAGE.read_text(encoding="utf-8")
-    PAGE.write_text(re.sub(f"(?s){BEGIN}.*{END}", lambda _: BEGIN + written + END, page), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ def test_a_model_without_a_figure_is_named_and_not_counted() -> None:
     assert lines[0].startswith("Of the corpus, 3 models can be baked. `bake` measures no angle on flat.glb: ")
     assert lines[2] == "The largest angles by which normals turn, over 2 models:"
     assert lines[4:] == [
-        f"- {encoding} at 8 bytes, 2 models: 0.3000° / 0.4000° (b.glb)" for encoding in ("snorm16", "packed8")
+        f"- {encoding}: 0.3000° / 0.4000° (b.glb)" for encoding in ("snorm16", "packed8")
     ]
 
 

@@ -1,7 +1,16 @@
 """Linear blend skinning: algorithms 1, 2 and 3 of Tarini et al. 2014 (supplement, §1–3), line by line.
 
 Joint matrices M[s] come as their upper three rows, one matrix for each slot. ``line(n)`` marks line n of the
-paper.
+paper. Where its lines cannot be meant as printed, they are read so:
+
+- 2, 2: ``M^t[s] p_i^t`` as ``M^t[s] p_i^0``, because lines 5 and 7 find p_i^t later; ``q_j^t(i)`` as
+  ``q_i^t[s]``, and M̃ as M with its translation.
+- 2, 3: T as its 3 × 3 part, summed over all influences, s0 too.
+- 2, 6: ``J_i^t n_i^0`` as ``J'_i n_i^0``, with the inverse transpose of line 4.
+- 3, 5: the sum over ``j ∈ B*`` as over ``s ∈ B*``.
+- 3, 6 and 5, 8: ``t_i^t × b_i^t`` times h, the sign of (t0 × b0) · n0: mirrored textures have left-handed
+  frames.
+- 5, requirements: α and β of all influences but s0 too. 5, 4: less p_i^0, which line 5 does not see.
 """
 
 from __future__ import annotations
