@@ -508,6 +508,7 @@ RENDER = (
         Option("mode", ("shaded", "reflections", "error", "normals"), "shaded", help=
             "Shading, stripes mirrored in the surface, angle to the true normals as colour, or normals."),
         Option("split", bool, False, help="Standard lighting on the left, that of the bake on the right."),
+        Option("closeup", bool, False, help="Look at the place where the bake shows most, and follow it."),
         Option("clay", bool, False, help="Without the colours and images of the materials."),
         Option("turntable", bool, False, help="Turn the camera once around the model (.webp, .gif)."),
         Option("size", PIXELS, "960x600", metavar="WxH", help=

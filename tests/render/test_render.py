@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -135,6 +136,51 @@ def test_each_mode_and_side_is_another_picture(tmp_path: Path) -> None:
         assert np.abs(one[:, : SIZE[0] // 2 - 1] - one[:, SIZE[0] // 2 + 1 :]).max() > 40
         for other in found[:number]:
             assert np.abs(one - other).max() > 40
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("device")
+def test_a_close_up_shows_the_improvement_in_more_pixels(tmp_path: Path) -> None:
+    shares = []
+    for number, options in enumerate([[], ["--closeup"]]):
+        standard, accurate = (
+            drawn(TUBE, tmp_path / f"{number}{one}.png", "--mode", "normals", "--lighting", one, *options)
+            for one in ("standard", "accurate")
+        )
+        differs = np.abs(standard - accurate).max(axis=2) > 16
+        shares.append(differs.mean())
+    assert shares[1] > 3 * shares[0]
+    middle = tuple(slice(side // 4, 3 * side // 4) for side in differs.shape)
+    assert differs[middle].sum() > differs.sum() / 2
+    result = invoke("render", TUBE, "-o", tmp_path / "a.png", "--size", "400x200", "--closeup", "--split")
+    found = re.search(r'clip "bend" at 0\.\d\d s, close up: ([\d.]+)° → ([\d.]+)°', result.stdout)
+    assert found is not None, result.output
+    assert float(found[1]) > 10 * float(found[2])
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("device")
+def test_a_close_up_that_moves_follows_its_place(tmp_path: Path) -> None:
+    """The end of the tube swings far out of a picture that stands still."""
+    target = tmp_path / "clip.webp"
+    result = invoke("render", TUBE, "-o", target, "--size", "96x96", "--closeup", "--mode", "normals")
+    assert result.exit_code == 0, result.output
+    assert '19 pictures, clip "bend", close up: ' in result.stdout
+    with Image.open(target) as image:
+        empty = np.asarray(image.convert("RGB"), np.float64)[0, 0]
+        for number in range(19):
+            image.seek(number)
+            middle = np.asarray(image.convert("RGB"), np.float64)[44:52, 44:52]
+            assert np.abs(middle - empty).max(axis=2).min() > 8, number
+
+
+@pytest.mark.usefixtures("device")
+def test_a_close_up_needs_a_clip_in_which_the_bake_shows(tmp_path: Path) -> None:
+    path = edited("bent_tube.glb", tmp_path, lambda content: content.pop("animations"))
+    result = invoke("render", path, "-o", tmp_path / "a.png", "--closeup")
+    assert result.exit_code == exit_codes.INPUT
+    assert "no clip has a place where the bake shows: leave out --closeup" in " ".join(result.stderr.split())
+    assert not (tmp_path / "a.png").exists()
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""What is in the picture: all of the model, the legend of errors, and the mark of the worst vertex."""
+"""What is in the picture: all of the model, and the legend of errors."""
 
 from __future__ import annotations
 
@@ -110,25 +110,6 @@ def test_a_reading_waits_for_the_samples_around_its_time(browsing: browser.Page)
         })"""
     )
     assert found == [["undefined"] * 3, ["0.5", "3", "6"], ["2", "2", "null"]]
-
-
-def test_the_mark_is_hidden_behind_the_camera(browsing: browser.Page) -> None:
-    take(browsing, TUBE)
-    hidden = browsing.call(
-        """(() => {
-            const { camera, scene } = application;
-            application.stopMeasuring();
-            application.marked = { part: scene.parts[0], vertex: 0 };
-            const { position, normal } = scene.vertex(scene.parts[0], 0);
-            camera.focus(position, normal);
-            return [-0.5, 2].map((steps) => {
-                camera.target = position.map((x, i) => x + steps * (position[i] - camera.eye[i]));
-                application.draw();
-                return document.getElementById('mark').hidden;
-            });
-        })"""
-    )
-    assert hidden == [False, True]
 
 
 def test_a_character_on_a_large_stage_fills_the_picture_until_all_is_shown(

@@ -24,7 +24,7 @@ MOVING = (".webp", ".gif")
     "render",
     cls=Helpful,
     examples=(
-        "skinbake render hero.glb -o build/hero.png --split",
+        "skinbake render hero.glb -o build/hero.png --split --closeup",
         "skinbake render hero.glb -o build/hero.webp --turntable",
     ),
 )
@@ -56,6 +56,7 @@ def command(source: str, output: str, **given: Any) -> None:
         time=given["time"],
         turntable=given["turntable"],
         in_clay=given["clay"],
+        is_close=given["closeup"],
     )
     bounds = Bounds(allowed=given["allow_outside"])
     call = partial(render_file, source, output, options, sync=not given["no_sync"], bounds=bounds)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,9 @@ from skinbake.gltf.primitives import reason_to_skip, skinned_sources, why_nothin
 from skinbake.gltf.scenes import faces_backward, shown_nodes
 from skinbake.measure.angles import Corrections, MeasuredBlock, lighting_errors, truths_at_rest
 from skinbake.measure.morphing import Morphing, morphing_of
-from skinbake.skinning.rest import RestPrimitive
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Options, RestPrimitive
+from skinbake.skinning.run import Skinning
 from skinbake.truth.areas import vertex_areas
 from skinbake.truth.operator import GradientOperator
 from skinbake.truth.poses import (
@@ -44,6 +47,7 @@ from skinbake.truth.poses import (
     PoseSet,
     draws_of,
 )
+from skinbake.truth.truths import Truths
 from skinbake.wording import counted
 
 BYTES_A_VERTEX, BYTES_A_POSED_VERTEX = 2048, 64
@@ -194,10 +198,15 @@ def posed_primitives(draw: Draw, posed: PosedDraw) -> Iterator[tuple[RestPrimiti
             yield rest, posed.matrices[pose : pose + 1]
 
 
-def lighting_errors_of(draws: Sequence[Draw], posed: Sequence[PosedDraw]) -> list[dict[str, Float32Array]]:
+def lighting_errors_of(
+    draws: Sequence[Draw],
+    posed: Sequence[PosedDraw],
+    truth: Truth = Truth.TRIANGLES,
+    at_rest: Sequence[Truths | None] = (),
+) -> list[dict[str, Float32Array]]:
     """Return, for each primitive by lighting, errors in degrees and where they are known: (2, P, V)."""
     found: list[dict[str, Float32Array]] = []
-    for draw, one in zip(draws, posed, strict=True):
+    for draw, one, truths in zip_longest(draws, posed, at_rest):
         count = len(one.matrices)
         names = LIGHTINGS if one.corrections else LIGHTINGS[:2]
         own = [
@@ -213,9 +222,25 @@ def lighting_errors_of(draws: Sequence[Draw], posed: Sequence[PosedDraw]) -> lis
                 found[0, poses, rows] = np.where(block.valid, block.errors, 0.0)
                 found[1, poses, rows] = block.valid
 
-        _measure(draw, one, record)
+        measure_draw(draw, one, record, truth, truths)
         found += own
     return found
+
+
+def asked_clips(document: Document, asked: str | None) -> Sequence[Clip]:
+    """Return the clip of a name or number, or all. Raises ChoiceError for a clip that does not exist."""
+    clips = read_clips(document)
+    if asked is None:
+        return clips
+    named = [clip for clip in clips if clip.name == asked]
+    if not named and asked.isdecimal() and int(asked) < len(clips):
+        named = [clips[int(asked)]]
+    if not named:
+        listed = [printable(clip.name) for clip in clips[:LISTED]] or ["none"]
+        more = [f"{len(clips) - LISTED} more"] if len(clips) > LISTED else []
+        reason = f": the file has no such clip; it has {', '.join(listed + more)}"
+        raise ChoiceError("clip", printable(asked), reason=(reason,))
+    return named[:1]
 
 
 def clip_and_moment(
@@ -226,17 +251,7 @@ def clip_and_moment(
     Where they are not asked for, standard lighting is worst there. Raises ChoiceError for a clip that does
     not exist, and for a time outside it.
     """
-    clips = read_clips(document)
-    if asked is not None:
-        named = [clip for clip in clips if clip.name == asked]
-        if not named and asked.isdecimal() and int(asked) < len(clips):
-            named = [clips[int(asked)]]
-        if not named:
-            listed = [printable(clip.name) for clip in clips[:LISTED]] or ["none"]
-            more = [f"{len(clips) - LISTED} more"] if len(clips) > LISTED else []
-            reason = f": the file has no such clip; it has {', '.join(listed + more)}"
-            raise ChoiceError("clip", printable(asked), reason=(reason,))
-        clips = named[:1]
+    clips = asked_clips(document, asked)
     if not clips:
         if time is not None:
             raise ChoiceError("time", time, reason=(": the file has no clip",))
@@ -276,25 +291,43 @@ def _worst(document: Document, draws: Sequence[Draw], clip: Clip, count: int) ->
                 errors = np.where(block.valid, block.errors, 0.0)
                 total[block.pose : block.pose + poses] += errors @ of_block
 
-        _measure(draw, posed_draw(document, draw, clip, times), record)
+        measure_draw(draw, posed_draw(document, draw, clip, times), record, Truth.TRIANGLES)
     number = int(np.argmax(total))
     return float(total[number]), float(times[number])
 
 
-def _measure(draw: Draw, posed: PosedDraw, record: Callable[[MeasuredBlock], None]) -> None:
-    """Measure the errors of lighting by linear blend skinning against the truth by triangles."""
-    operator = draw.operator()
-    truths = truths_at_rest(operator, draw.rest, len(posed.matrices), posed.morphing, (Truth.TRIANGLES,))
+def truths_of_draw(draw: Draw, posed: PosedDraw, truth: Truth) -> Truths:
+    """Measure a draw at rest for any calls of ``measure_draw`` with so many poses, without morph targets."""
+    return truths_at_rest(draw.operator(), draw.rest, len(posed.matrices), posed.morphing, (truth,))
+
+
+def measure_draw(
+    draw: Draw,
+    posed: PosedDraw,
+    record: Callable[[MeasuredBlock], None],
+    truth: Truth,
+    at_rest: Truths | None = None,
+) -> None:
+    """Measure the errors of lighting by linear blend skinning against one truth, block by block."""
     lighting_errors(
-        operator,
+        draw.operator(),
         draw.rest,
         posed.matrices,
         "lbs",
         record,
         morphing=posed.morphing,
-        at_rest=truths,
+        at_rest=at_rest or truths_of_draw(draw, posed, truth),
         corrections=posed.corrections,
     )
+
+
+def posed_positions(draw: Draw, posed: PosedDraw) -> Iterator[Float64Array]:
+    """Yield positions (P, V, 3) of each primitive: all poses, or one at a time if targets move it."""
+    for rest, matrices in posed_primitives(draw, posed):
+        skinning = Skinning.of(rest, matrices, dual_quaternions=False, options=Options())
+        every = slice(0, len(matrices)), slice(0, len(rest.positions))
+        (found,) = skinning.run((Algorithm.LBS_STANDARD,), *every)
+        yield np.stack([np.asarray(component, np.float64) for component in found.position], axis=-1)
 
 
 SKIPPED = "skipped: "

@@ -13,16 +13,19 @@ from skinbake.choices import Frame
 from skinbake.commands.posed_scene import (
     Draw,
     PosedDraw,
+    asked_clips,
     baked_in_memory,
     claim_draws,
     clip_and_moment,
     lighting_errors_of,
     posed_draw,
+    posed_positions,
     posed_primitives,
     shown_draws,
     sound_correctives,
     unplaced,
 )
+from skinbake.commands.where_it_shows import Spot, followed, in_degrees, in_words, where_it_shows
 from skinbake.errors import ChoiceError, InputError, Notice, SkinbakeError
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.writing import write_file
@@ -57,6 +60,8 @@ BYTES_A_SAMPLED_PIXEL, BYTES_A_PIXEL = 224, 10
 """The memory of drawing a pixel, with all its samples, and of keeping it in each picture until the end."""
 
 MOST_PICTURES = 120
+CLOSE = 1.3
+"""What is seen close up, in radii of the place, as on the page."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +70,8 @@ class RenderOptions:
 
     clip is a name or a number, None for the one in which standard lighting is worst. time is in seconds, None
     for the pose in which it is worst, or, in an animation, for the whole clip. sides are one or two
-    lightings, None for that which the file's bake gives. in_clay draws no images and no colours.
+    lightings, None for that which the file's bake gives. in_clay draws no images and no colours. is_close:
+    the camera looks at the place where the bake shows most, and follows it; that decides clip and time.
     """
 
     look: Look
@@ -74,6 +80,7 @@ class RenderOptions:
     time: float | None = None
     turntable: bool = False
     in_clay: bool = False
+    is_close: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +125,7 @@ def render_file(
     # What is too large is refused, and what is not a number is not drawn.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         draws = list(shown_draws(document, views, correctives))
-        pictures, pose, missing = _pictures(document, draws, sides, options, moves=suffix in MOVING)
+        pictures, pose, missing = _pictures(document, draws, sides, own, options, moves=suffix in MOVING)
     data = encoded(pictures, suffix)
     write_file([data], target, sync=sync)
     told = tuple(dict.fromkeys((*notices, *missing, *_not_drawn(document))))  # a bake tells of unlit ones too
@@ -153,11 +160,19 @@ def _not_drawn(document: Document) -> list[Notice]:
 
 
 def _pictures(
-    document: Document, draws: Sequence[Draw], sides: Sequence[str], options: RenderOptions, *, moves: bool
+    document: Document,
+    draws: Sequence[Draw],
+    sides: Sequence[str],
+    own: str,
+    options: RenderOptions,
+    *,
+    moves: bool,
 ) -> tuple[list[Picture], str, list[Notice]]:
     """Return the pictures, the first pose in words, and notices on what is missing in them."""
-    clip, moment = clip_and_moment(document, draws, options.clip, options.time)
+    clip, moment, spot = _clip_and_moment(document, draws, options)
     times, pose = _times(clip, moment, options, moves=moves)
+    if spot is not None:
+        pose = f"{pose}, close up: {in_words(spot)}"
     pixels = options.look.width * options.look.height
     size = pixels * (BYTES_A_SAMPLED_PIXEL + BYTES_A_PIXEL * len(times))
     document.budget.claim(size, f"drawing {counted(len(times), 'picture')}", document.place)
@@ -170,14 +185,34 @@ def _pictures(
         for number, draw in enumerate(draws)
         for view in draw.views
     ]
-    some = list(_positions(draws, [one.every(max(1, len(times) // 6)) for one in posed]))
+    some = [
+        part
+        for draw, one in zip(draws, posed, strict=True)
+        for part in posed_positions(draw, one.every(max(1, len(times) // 6)))
+    ]
     if not all((np.abs(part) < MOST).all() for part in some):
         raise InputError("its positions are too large for a renderer: scale the model down", document.place)
-    yaws = np.linspace(YAW, YAW + 2 * np.pi, 12) if options.turntable else [YAW]
-    studio = Studio(subjects, placed(some, list(map(float, yaws))))
+    yaw = YAW if spot is None else float(np.arctan2(spot.towards[0], spot.towards[2]))
+    yaws = list(map(float, np.linspace(yaw, yaw + 2 * np.pi, 12))) if options.turntable else [yaw]
+    camera, words = placed(some, yaws), list(sides)
+    if spot is not None:
+        ball = spot.middle + CLOSE * spot.radius * np.concatenate([np.eye(3), -np.eye(3)])
+        pitch = float(np.arcsin(spot.towards[1]))
+        camera = replace(camera, middle=spot.middle, points=ball, pitch=pitch)
+        if (times == spot.time).all():
+            figures = {"standard": spot.standard, own: spot.baked}
+            words = [f"{side}, {in_degrees(figures[side])}" for side in sides]
+        # The camera stays with the place, which is the same as to move the scene.
+        (at,) = followed(
+            spot, draws[spot.draw], posed_draw(document, draws[spot.draw], clip, np.array([spot.time]))
+        )
+        moves_by = np.zeros((len(times), 1, 4, 4))
+        moves_by[..., :3, 3] = [[at - now] for now in followed(spot, draws[spot.draw], posed[spot.draw])]
+        posed = [replace(one, matrices=one.matrices + moves_by) for one in posed]
+    studio = Studio(subjects, camera)
     errors = lighting_errors_of(draws, posed) if options.look.mode == "error" else None
-    shots = _shots(draws, posed, errors, options, len(times))
-    pictures = [captioned(studio.picture(shot, sides, options.look), sides, options.look) for shot in shots]
+    shots = _shots(draws, posed, errors, options, yaws[0], len(times))
+    pictures = [captioned(studio.picture(shot, sides, options.look), words, options.look) for shot in shots]
     missing = materials.notices()
     if not in_clay:
         drawn = (view for draw in draws for view in draw.views)
@@ -214,6 +249,23 @@ def _still(draw: Draw, posed: PosedDraw) -> Iterator[Posed]:
             for vector in (found.position, found.normal)
         )
         yield Posed(positions, normals, view.now.triangles)
+
+
+def _clip_and_moment(
+    document: Document, draws: Sequence[Draw], options: RenderOptions
+) -> tuple[Clip | None, float, Spot | None]:
+    """Return the clip to draw, None if there is none, a time in it, and where the bake shows close up."""
+    if not options.is_close:
+        return *clip_and_moment(document, draws, options.clip, options.time), None
+    clips = asked_clips(document, options.clip)
+    if options.time is not None:
+        clip, moment = clip_and_moment(document, draws, options.clip, options.time)
+        clips = [replace(clip, start=moment, duration=moment)] if clip else []
+    spots = where_it_shows(document, draws, clips)
+    if not spots:
+        raise InputError("no clip has a place where the bake shows: leave out --closeup", document.place)
+    clip = next(clip for clip in read_clips(document) if clip.number == spots[0].clip.number)
+    return clip, spots[0].time, spots[0]
 
 
 def _times(
@@ -271,21 +323,12 @@ def _attribute(
     return np.pad(sound, ((0, 0), (0, widths[-1] - found.shape[1])), constant_values=1.0)
 
 
-def _positions(draws: Sequence[Draw], posed: Sequence[PosedDraw]) -> Iterator[Float64Array]:
-    """Yield positions (P, V, 3) of each primitive: all poses, or one at a time if targets move it."""
-    for draw, one in zip(draws, posed, strict=True):
-        for rest, matrices in posed_primitives(draw, one):
-            skinning = Skinning.of(rest, matrices, dual_quaternions=False, options=Options())
-            every = slice(0, len(matrices)), slice(0, len(rest.positions))
-            (found,) = skinning.run((Algorithm.LBS_STANDARD,), *every)
-            yield np.stack([np.asarray(component, np.float64) for component in found.position], axis=-1)
-
-
 def _shots(
     draws: Sequence[Draw],
     posed: Sequence[PosedDraw],
     errors: Sequence[Any] | None,
     options: RenderOptions,
+    yaw: float,
     count: int,
 ) -> Iterator[Shot]:
     for pose in range(count):
@@ -296,7 +339,7 @@ def _shots(
         }
         yield Shot(
             tuple(one.matrices[pose] for one in posed),
-            YAW + turned,
+            yaw + turned,
             told,
             _morphed(draws, posed, pose),
             _corrected(draws, posed, pose),

@@ -14,16 +14,17 @@ from urllib.parse import quote
 import numpy as np
 
 from skinbake.choices import FrameChoice, Gradients, Neighbours, Scheme, Weld
+from skinbake.commands.played_correctives import PlayedCorrectives
 from skinbake.commands.posed_scene import (
     baked_in_memory,
     damaged_bakes,
     shown_draws,
     sound_correctives,
-    telling_moment,
     unplaced,
 )
 from skinbake.commands.render import small_picture
 from skinbake.commands.verify import verify_document
+from skinbake.commands.where_it_shows import in_words, where_it_shows
 from skinbake.errors import InputError, Notice, SkinbakeError
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.urls import STDIO
@@ -41,6 +42,7 @@ from skinbake.gltf.images import images_missing, texture_image
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.output import plan_output, refuse_own_input
 from skinbake.gltf.resources import is_data_uri, read_resource
+from skinbake.gltf.scenes import faces_backward
 from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import FileVerdict, by_worse_truth, file_json, first_problem, gain, remarks
 from skinbake.timing import stage
@@ -126,7 +128,7 @@ def page_of(
             **_findings(verdict),
             "notes": told,
             "limits": limits,
-            "opening": _opening(document, views),
+            "places": _places(document, views, corrected),
         }
         return page(Shown(name=name, glb=glb, others=others, findings=findings)), missing
 
@@ -256,20 +258,29 @@ def _with_images(document: Document) -> tuple[Document, list[Notice]]:
     return document.edited(json=root, binary=tuple(binary)), images_missing(lost, "page", document.place)
 
 
-def _opening(document: Document, views: Sequence[BakedView]) -> JsonObject | None:
-    """Return the number of the animation and the time in seconds on which the page opens, None for its first.
-
-    There standard lighting is worst.
-    """
+def _places(document: Document, views: Sequence[BakedView], corrected: Document | None) -> list[JsonObject]:
+    """Return where the bake shows, the best first. The page opens on the first of them."""
     try:
-        draws, clips = list(shown_draws(document, views)), read_clips(document)
+        draws = list(shown_draws(document, views, PlayedCorrectives(corrected) if corrected else None))
+        clips = read_clips(document)
         if not draws or not clips:
-            return None
+            return []
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            clip, time = telling_moment(document, draws, clips)
+            spots = where_it_shows(document, draws, clips)
     except InputError:
-        return None  # a part of it cannot be posed, as the figures say
-    return {"clip": clip.number, "time": time}
+        return []  # a part of it cannot be posed, as the figures say
+    side = np.array([-1.0, 1.0, -1.0]) if faces_backward(document) else np.ones(3)
+    return [
+        {
+            "clip": spot.clip.number,
+            "time": spot.time,
+            "words": in_words(spot),
+            "middle": (side * spot.middle).tolist(),
+            "towards": (side * spot.towards).tolist(),
+            "radius": spot.radius,
+        }
+        for spot in spots
+    ]
 
 
 def _not_drawn(document: Document, views: Sequence[BakedView]) -> list[Notice]:

@@ -41,7 +41,7 @@ LEAST = (160, 100)
 
 
 def captioned(picture: Picture, sides: Sequence[str], look: Look) -> Picture:
-    """Return a picture with the name of each of two lightings, and, in mode ``error``, a scale of degrees.
+    """Return a picture with words on each of two lightings, and, in mode ``error``, a scale of degrees.
 
     A picture without room for words is returned as it is.
     """

@@ -18,7 +18,7 @@ from skinbake.choices import Frame, Language, Lighting
 from skinbake.errors import Place, UnsupportedFeatureError
 from skinbake.geometry.skinned import Float64Array
 from skinbake.render.materials import Levels, Sampling
-from skinbake.render.subject import Camera, Shot, Subject
+from skinbake.render.subject import YAW, Camera, Shot, Subject
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.shaders.text import shader_made
 from skinbake.skinning.rest import RestPrimitive
@@ -61,6 +61,10 @@ class Studio:
 
     def __init__(self, subjects: Sequence[Subject], camera: Camera) -> None:
         self._subjects, self._camera = subjects, camera
+        # The light comes from the upper left of the first picture, and stays there.
+        cosine, sine = np.cos(camera.yaws[0] - YAW), np.sin(camera.yaws[0] - YAW)
+        turn = np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
+        self._light = turn @ LIGHT / np.linalg.norm(LIGHT)
         self._device = _device()
         self._modules: dict[tuple[str, int, bool, Frame], Any] = {}
         self._pipelines: dict[tuple[object, ...], Any] = {}
@@ -186,7 +190,7 @@ class Studio:
         parts = [
             self._camera.projected(shot.yaw, aspect).T,
             [*self._camera.eye(shot.yaw, aspect), 1.0],
-            [*(np.array(LIGHT) / np.linalg.norm(LIGHT)), 0.0],
+            [*self._light, 0.0],
             material.base,
             [*material.emissive, material.roughness],
         ]

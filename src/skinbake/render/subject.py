@@ -45,12 +45,13 @@ class Camera:
     radius: float
     points: Float64Array
     yaws: tuple[float, ...]
-    _distances: dict[float, float] = field(default_factory=dict)
+    pitch: float = PITCH
+    _distances: dict[float, float] = field(default_factory=dict, init=False)
 
     def axes(self, yaw: float) -> Float64Array:
         """Return the camera's right, up and backward directions (3, 3) for an angle around the vertical."""
-        flat = np.cos(PITCH)
-        z = np.array([flat * np.sin(yaw), np.sin(PITCH), flat * np.cos(yaw)])
+        flat = np.cos(self.pitch)
+        z = np.array([flat * np.sin(yaw), np.sin(self.pitch), flat * np.cos(yaw)])
         x = np.array([np.cos(yaw), 0.0, -np.sin(yaw)])
         return np.stack([x, np.cross(z, x), z])
 

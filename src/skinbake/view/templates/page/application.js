@@ -54,7 +54,7 @@ class Application {
         byId.left.addEventListener('change', () => this.chooseSides());
         byId.right.addEventListener('change', () => this.chooseSides());
         byId.home.addEventListener('click', () => this.goHome());
-        byId.worst.addEventListener('click', () => this.focusWorst());
+        byId.flip.addEventListener('click', () => this.setSplit(this.split < 0.5 ? 1 : 0));
         byId.open.addEventListener('change', () => {
             this.take([...byId.open.files]);
             byId.open.value = ''; // A file may be baked anew and chosen again.
@@ -67,6 +67,9 @@ class Application {
         this.listenToFiles();
         this.listenToContext();
         document.addEventListener('keydown', (event) => {
+            if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest('select')) return;
+            const alone = { a: 1, b: 0 }[event.key]; // One lighting alone, or both again.
+            if (alone !== undefined) this.setSplit(this.split === alone ? 0.5 : alone);
             if (event.key !== ' ' || event.target.closest('button, input, select, label')) return;
             event.preventDefault();
             this.play(!this.isPlaying);
@@ -170,12 +173,12 @@ class Application {
         const skinned = this.scene.parts.filter(({ skin }) => skin !== undefined);
         const isMixed = skinned.length > 0 && skinned.length < this.scene.parts.length;
         this.ground = [middle[0], low, middle[2], 2.4 * radius];
-        this.marked = null;
         this.measures = new Map();
         this.camera.frame(middle, radius, isMixed ? this.scene.bounds(skinned) : undefined, model.facesBackward ? Math.PI : 0);
-        const opening = given.opening && this.scene.clips.find(({ number }) => number === given.opening.clip);
-        this.choose(opening ?? this.scene.clips[0]);
-        if (opening) this.seek(given.opening.time);
+        const places = (given.places ?? []).filter(({ clip }) => this.clipOf(clip));
+        this.listPlaces(places);
+        this.choose(this.scene.clips[0]);
+        if (places.length) this.go(places[0]);
         await Promise.race([loading, pause(PATIENCE)]);
         if (this.showing !== own) return;
         this.draw();
@@ -185,7 +188,34 @@ class Application {
         this.isShown = true;
         this.firstFrame = performance.now();
         this.measure(this.clip);
-        this.play(!calm.matches);
+        this.play(!calm.matches && !places.length);
+    }
+
+    clipOf(number) {
+        return this.scene.clips.find((clip) => clip.number === number);
+    }
+
+    listPlaces(places) {
+        byId.places.hidden = !places.length;
+        byId['places-list'].replaceChildren(
+            ...places.map((place) => {
+                const item = document.createElement('li');
+                const button = document.createElement('button');
+                Object.assign(button, { type: 'button', className: 'button', textContent: `${place.words}, ${isolated(this.clipOf(place.clip).name)} at ${place.time.toFixed(2)} s` });
+                button.addEventListener('click', () => this.go(place));
+                item.append(button);
+                return item;
+            })
+        );
+    }
+
+    // Go to a place, a clip and a moment at which the bake shows, close up.
+    go({ clip, time, words, ...place }) {
+        this.choose(this.clipOf(clip));
+        this.seek(time, true);
+        this.camera.look(place);
+        this.turn = this.camera.yaw - this.camera.facing + 0.45; // The light comes from beside the camera.
+        this.tell(`Here ${words}`);
     }
 
     fillSides() {
@@ -214,6 +244,7 @@ class Application {
     setSplit(share) {
         this.split = Math.max(0, Math.min(1, share));
         byId.divider.style.left = `${100 * this.split}%`;
+        document.body.dataset.only = ['right', '', 'left'][Math.floor(this.split) + Math.ceil(this.split)];
         byId.divider.setAttribute('aria-valuenow', String(Math.round(100 * this.split)));
         this.changed();
     }
@@ -282,12 +313,11 @@ class Application {
     // Measure the errors of all lightings over a clip, a pose at a time, between the frames.
     measure(clip) {
         this.stopMeasuring();
-        byId.worst.disabled = true;
         if (!this.measures.has(clip)) {
             const times = Array.from({ length: SAMPLES }, (_, i) => clip.start + (i / (SAMPLES - 1)) * (clip.end - clip.start));
             const lightings = Object.keys(NAMES).filter((name) => name !== 'truth' && !this.scene.reasonWithout(name));
             const lines = Object.fromEntries(lightings.map((name) => [name, new Array(SAMPLES)]));
-            this.measures.set(clip, { times, lines, next: 0, worst: { error: -1 } });
+            this.measures.set(clip, { times, lines, next: 0 });
         }
         this.showChart();
         this.measureAll(clip, (this.measuring = {}));
@@ -328,13 +358,10 @@ class Application {
             found.truths[method] = this.scene.truths(method);
             return true;
         }
-        const { mean, worst, isPartial } = this.scene.errors(lighting, found.truths[method]);
+        const { mean, isPartial } = this.scene.errors(lighting, found.truths[method]);
         if (this.renderer.isLost) return false;
         found.lines[lighting][number] = mean;
-        if (lighting === 'standard') {
-            found.isPartial ||= isPartial;
-            if (worst.error > found.worst.error) found.worst = { ...worst, time: found.times[number] };
-        }
+        if (lighting === 'standard') found.isPartial ||= isPartial;
         found.left.shift();
         if (found.left.length) return true;
         Object.assign(found, { left: null, truths: null, next: found.next + 1 });
@@ -343,7 +370,6 @@ class Application {
     }
 
     showMeasures(found) {
-        byId.worst.disabled = found.worst.error < 0;
         this.nameUnknown(found.isPartial);
         this.setLegend(4 * Math.max(...found.lines.standard.filter(isKnown)));
         this.showChart();
@@ -357,21 +383,7 @@ class Application {
         this.chart.set(this.clip, found.times, found.lines, shown, NAMES);
     }
 
-    // Go to the vertex at which standard lighting is wrong by the most in this clip.
-    focusWorst() {
-        const { worst } = this.measures.get(this.clip);
-        if (worst.error < 0) return;
-        this.seek(worst.time, true);
-        this.applyPose();
-        const { position, normal } = this.scene.vertex(worst.part, worst.vertex);
-        this.marked = worst;
-        this.camera.focus(position, normal);
-        const { name, index } = worst.part.primitive;
-        this.tell(`Standard lighting is wrong by ${degrees(worst.error)} here: ${isolated(`“${name}”`)}, primitive ${index}, vertex ${worst.vertex}, at ${worst.time.toFixed(2)} s.`);
-    }
-
     goHome() {
-        this.marked = null;
         this.tell('');
         this.camera.home();
     }
@@ -433,23 +445,16 @@ class Application {
             ground: this.ground,
             isTextured: byId.textures.checked,
         });
-        this.showReadings(projected);
+        this.showReadings();
     }
 
-    showReadings(projected) {
+    showReadings() {
         this.sides.forEach((side, i) => {
             const mean = this.chart.at(side, this.time);
             const text = LIGHTINGS[side].isTrue ? 'by triangles' : isKnown(mean) ? `${degrees(mean)} mean error` : mean === null ? 'no true normals' : '…';
             const output = byId[i ? 'right-error' : 'left-error'];
             if (output.textContent !== text) output.textContent = text;
         });
-        byId.mark.hidden = !this.marked;
-        if (!this.marked) return;
-        const { position } = this.scene.vertex(this.marked.part, this.marked.vertex);
-        const [x, y, , w] = [0, 1, 2, 3].map((row) => projected[row] * position[0] + projected[4 + row] * position[1] + projected[8 + row] * position[2] + projected[12 + row]);
-        byId.mark.hidden = w <= 0; // It is behind the camera.
-        byId.mark.style.left = `${50 * (1 + x / w)}%`;
-        byId.mark.style.top = `${50 * (1 - y / w)}%`;
     }
 
     resize() {

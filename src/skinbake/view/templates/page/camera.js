@@ -4,6 +4,7 @@ import { cross, lookAt, minus, normalised, perspective, plus, product } from './
 
 const ANGLE = (32 * Math.PI) / 180;
 const STEEPEST = 1.5;
+const CLOSE = 1.3; // What is seen close up, in radii of the place.
 
 export class Camera {
     constructor(element, changed) {
@@ -43,11 +44,10 @@ export class Camera {
         return (0.98 * radius) / Math.sin(ANGLE / 2) / Math.max(aspect, 0.45);
     }
 
-    focus(point, normal) {
-        this.target = point;
-        this.distance = Math.min(this.distance, this.fitting(this.closest) * 0.36);
-        this.yaw = Math.atan2(normal[0], normal[2]);
-        this.pitch = Math.max(-1, Math.min(1, Math.asin(Math.max(-1, Math.min(1, normal[1])))));
+    // Look at a place from close up. towards leads from it to the camera.
+    look({ middle, towards, radius }) {
+        const [x, y, z] = towards;
+        Object.assign(this, { target: middle, yaw: Math.atan2(x, z), pitch: Math.asin(y), distance: this.fitting(CLOSE * radius) });
         this.changed();
     }
 

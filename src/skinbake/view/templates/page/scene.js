@@ -114,11 +114,11 @@ export class Scene {
         });
     }
 
-    // The mean error of a lighting in this pose, in degrees, weighted by rest area, and its largest one.
+    // The mean error of a lighting in this pose, in degrees, weighted by rest area.
     // The mean is null if no vertex has a true normal. isPartial: some vertex of a triangle has none.
     errors(lighting, truths = this.truths(LIGHTINGS[lighting].method)) {
         let [sum, total] = [0, 0];
-        let [worst, isPartial] = [{ error: -1 }, false];
+        let isPartial = false;
         this.allSurfaces().forEach(({ parts, surface }, number) => {
             const truth = truths[number];
             isPartial ||= !truth;
@@ -135,18 +135,10 @@ export class Scene {
                     if (!(error >= 0)) continue;
                     sum += area * error;
                     total += area;
-                    if (error > worst.error) worst = { error, part, vertex };
                 }
             });
         });
-        return { mean: total ? sum / total : null, worst, isPartial };
-    }
-
-    // A vertex as it is now: its position and its normal.
-    vertex(part, vertex) {
-        const { positions, normals } = this.renderer.captured(part, 'standard');
-        const three = (values) => Array.from(values.subarray(3 * vertex, 3 * vertex + 3));
-        return { position: three(positions), normal: three(normals) };
+        return { mean: total ? sum / total : null, isPartial };
     }
 
     // The positions of every so many vertices of a part in this pose, without the GPU.

@@ -1,0 +1,459 @@
+"""Where a bake shows: the visible patches, clips and moments at which it improves the lighting most.
+
+A patch is what lies within a geodesic distance of a vertex at rest. Its improvement is the sum, over its
+visible vertices, of area at rest × (error of standard lighting − error of the bake's lighting), along
+tangents. A vertex is visible if it faces a camera that looks at the patch, and no triangle lies before it.
+First a grid of patches is added up in sampled poses without regard to the camera, which bounds what can be
+seen. Then the most promising ones are looked at, and the best are refined in place and time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from skinbake.choices import Truth
+from skinbake.commands.posed_scene import (
+    Draw,
+    PosedDraw,
+    claim_draws,
+    lighting_errors_of,
+    measure_draw,
+    posed_draw,
+    posed_positions,
+    truths_of_draw,
+)
+from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray
+from skinbake.gltf.animation import Clip, rest_pose
+from skinbake.gltf.document import Document
+from skinbake.measure.angles import MeasuredBlock
+from skinbake.report.verify import NEGLIGIBLE
+from skinbake.truth.areas import vertex_areas
+
+RADIUS = 0.07
+"""The geodesic radius of a patch, as a share of the diagonal of the box around the model at rest."""
+
+EACH, MOST_POSES, MOST_SAMPLES = 25, 250, 24_000_000
+"""The most poses of a clip that are sampled, of all clips, and the most poses × vertices."""
+
+PROMISING, LOOKS, GUESSES = 4, 40, 12
+"""The clips that are sampled ``EACH`` times, the poses that are looked at, and the patches in each."""
+
+REFINED = 8
+"""The moments around the best sampled one, and the middles around the best patch's, that are tried."""
+
+STILL = 0.005
+"""A clip stands still if no vertex moves by more than this share of the model's diagonal."""
+
+FACING, PITCHES = 0.15, (-0.35, 0.9)
+"""The least cosine of a visible normal to the camera, and the camera's angles above the level, radians."""
+
+BEFORE = 0.02
+"""What lies before a vertex is nearer to the camera by more than this share of the patch's radius."""
+
+AWAY = 4.0
+"""The distance of the camera in radii of the patch."""
+
+INSIDE_OUT = 90.0
+"""Degrees from which on an error is that of a fold, which no lighting shows."""
+
+CELLS = 1 << 22
+"""The entries of a table of distances or of hits: 32 MiB at a time."""
+
+LISTED = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spot:
+    """A visible patch at a moment of a clip at which the bake improves the lighting.
+
+    improvement is in degrees × squared units. standard and baked are the mean errors in degrees of the
+    visible vertices, weighted by area. middle (3,) and radius enclose them in the scene that ``posed_draw``
+    gives; towards (3,) leads from there to the camera. members are all vertices of the patch, numbered over
+    the primitives of the draw of that number.
+    """
+
+    clip: Clip
+    time: float
+    improvement: float
+    standard: float
+    baked: float
+    middle: Float64Array
+    radius: float
+    towards: Float64Array
+    draw: int
+    members: IntArray
+
+
+class _Surface:
+    """A draw at rest: welded positions, areas (V,), triangles over all its primitives, and its patches."""
+
+    def __init__(self, draw: Draw) -> None:
+        from scipy.sparse import coo_array
+
+        self.draw = draw
+        starts = np.cumsum([0, *(len(rest.positions) for rest in draw.rest)])
+        parts = [view.now.triangles + start for view, start in zip(draw.views, starts, strict=False)]
+        self.triangles = np.concatenate(parts).astype(np.int64)
+        self.starts = starts
+        found = posed_positions(draw, PosedDraw(rest_pose(draw.skeleton)))
+        rest = np.concatenate([part[0] for part in found])
+        self.areas = vertex_areas(rest, self.triangles)
+        extent = np.abs(rest).max(initial=0.0)
+        if not 1e-12 * extent**2 < self.areas.sum() < np.inf:  # joints that are scaled to 0 hide it at rest
+            rest = np.concatenate([one.positions for one in draw.rest]).astype(np.float64)
+            self.areas = vertex_areas(rest, self.triangles)
+        self.rest = rest
+        # The edges between places, each once, with its length.
+        packed = np.ascontiguousarray(rest + 0.0).view(np.dtype((np.void, 24))).ravel()
+        _, first, self.places = np.unique(packed, return_index=True, return_inverse=True)
+        self.first = first
+        ends = np.sort(self.places[self.triangles[:, [0, 1, 1, 2, 2, 0]]].reshape(-1, 2), axis=1)
+        ends = np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0)
+        lengths = np.linalg.norm(rest[first[ends[:, 0]]] - rest[first[ends[:, 1]]], axis=1)
+        shape = len(first), len(first)
+        self.graph = coo_array((np.maximum(lengths, 1e-300), ends.T), shape=shape).tocsr()
+
+    def patches(self, seeds: IntArray, radius: float) -> Any:
+        """Return a sparse matrix (V, K) with 1 for each vertex within a geodesic distance of each place."""
+        from scipy.sparse import csr_array, hstack
+        from scipy.sparse.csgraph import dijkstra
+
+        step = max(1, CELLS // len(self.first))
+        parts = []
+        for start in range(0, len(seeds), step):
+            chosen = seeds[start : start + step]
+            reached = np.isfinite(dijkstra(self.graph, directed=False, indices=chosen, limit=radius))
+            parts.append(csr_array(reached.T.astype(np.float32))[self.places])
+        return hstack(parts, format="csr")
+
+    def seeds(self, radius: float) -> IntArray:
+        """Return one place in each occupied cell of a grid, half a radius wide."""
+        used = np.unique(self.places[self.triangles])
+        cells = np.floor(self.rest[self.first[used]] / (radius / 2))
+        _, chosen = np.unique(cells, axis=0, return_index=True)
+        return np.asarray(used[chosen])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Moment:
+    """All draws in one pose: positions and normals (V, 3), triangles (T, 3); errors (2, V) by draw."""
+
+    positions: Float64Array
+    triangles: IntArray
+    starts: IntArray
+    errors: list[Float64Array]
+    counts: list[BoolArray]
+    normals: Float64Array
+
+
+class _Search:
+    def __init__(self, document: Document, draws: Sequence[Draw]) -> None:
+        self.document = document
+        self.surfaces = [_Surface(draw) for draw in draws]
+        every = np.concatenate([one.rest[np.unique(one.triangles)] for one in self.surfaces])
+        self.size = float(np.linalg.norm(every.max(axis=0) - every.min(axis=0)))
+        self.radius = RADIUS * self.size
+        self.vertices = sum(len(one.rest) for one in self.surfaces)
+        self.truths: dict[tuple[int, int], Any] = {}
+        self.patches: list[Any] = []
+
+    def stands_still(self, clip: Clip) -> bool:
+        """Tell whether no vertex moves over a clip, by some vertices and the joint that moves each most."""
+        times = np.linspace(clip.start, clip.duration, EACH)
+        for surface in self.surfaces:
+            posed = posed_draw(self.document, surface.draw, clip, times)
+            if posed.morphing is not None and np.ptp(posed.morphing.weights, axis=0).any():
+                return False
+            for rest in surface.draw.rest:
+                some = slice(0, None, max(1, len(rest.positions) // 200))
+                joints = rest.joints[some][
+                    np.arange(len(rest.positions[some])), rest.weights[some].argmax(axis=1)
+                ]
+                moved = np.einsum(
+                    "pvij,vj->pvi",
+                    posed.matrices[:, joints][..., :3, :3],
+                    rest.positions[some].astype(np.float64),
+                )
+                moved += posed.matrices[:, joints][..., :3, 3]
+                if np.abs(moved - moved[0]).max() > STILL * self.size:
+                    return False
+        return True
+
+    def totals(self, clip: Clip, times: Float64Array) -> list[Float64Array]:
+        """Return, by draw, the improvement (P, K) of each patch at each time, where it improves anything."""
+        found = []
+        for number, surface in enumerate(self.surfaces):
+            posed = posed_draw(self.document, surface.draw, clip, times)
+            improved = "corrected" if posed.corrections else "accurate"
+            total = np.zeros((len(times), self.patches[number].shape[1]))
+            before: list[MeasuredBlock] = []
+
+            def record(
+                block: MeasuredBlock,
+                surface: _Surface = surface,
+                improved: str = improved,
+                total: Float64Array = total,
+                number: int = number,
+                before: list[MeasuredBlock] = before,
+            ) -> None:
+                if block.lighting == "standard":
+                    before[:] = [block]
+                elif block.lighting == improved:
+                    first = surface.starts[block.primitive] + block.vertex
+                    rows = slice(first, first + block.errors.shape[1])
+                    gains = _gains(before[0].errors, block.errors, block.valid) * surface.areas[rows]
+                    poses = slice(block.pose, block.pose + len(gains))
+                    total[poses] += np.maximum(gains, 0.0) @ self.patches[number][rows]
+
+            measure_draw(surface.draw, posed, record, Truth.TANGENTS, self._truths(number, posed))
+            found.append(total)
+        return found
+
+    def _truths(self, number: int, posed: PosedDraw) -> Any:
+        key = number, len(posed.matrices)
+        if posed.morphing is not None:
+            return truths_of_draw(self.surfaces[number].draw, posed, Truth.TANGENTS)
+        if key not in self.truths:
+            self.truths[key] = truths_of_draw(self.surfaces[number].draw, posed, Truth.TANGENTS)
+        return self.truths[key]
+
+    def moment(self, clip: Clip, time: float) -> _Moment:
+        """Measure all draws in one pose."""
+        positions, triangles, errors, counts, starts = [], [], [], [], [0]
+        for number, surface in enumerate(self.surfaces):
+            posed = posed_draw(self.document, surface.draw, clip, np.array([time]))
+            positions.append(np.concatenate([part[0] for part in posed_positions(surface.draw, posed)]))
+            triangles.append(surface.triangles + starts[-1])
+            starts.append(starts[-1] + len(positions[-1]))
+            improved = "corrected" if posed.corrections else "accurate"
+            known = lighting_errors_of([surface.draw], [posed], Truth.TANGENTS, [self._truths(number, posed)])
+            both = [np.concatenate([one[name][0, 0] for one in known]) for name in ("standard", improved)]
+            sound = np.concatenate([one["standard"][1, 0] > 0 for one in known])
+            errors.append(np.array(both, np.float64))
+            counts.append(sound & (errors[-1] < INSIDE_OUT).all(axis=0))
+        every, corners = np.concatenate(positions), np.concatenate(triangles)
+        edges = every[corners]
+        crossed = np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0])
+        # Copies of a vertex have one normal.
+        places = np.concatenate(
+            [surface.places + start for surface, start in zip(self.surfaces, starts, strict=False)]
+        )
+        normals = np.stack(
+            [
+                np.bincount(places[corners].ravel(), np.repeat(axis, 3), len(every))[places]
+                for axis in crossed.T
+            ],
+            axis=1,
+        )
+        normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
+        return _Moment(every, corners, np.array(starts), errors, counts, normals)
+
+    def seen(self, clip: Clip, time: float, moment: _Moment, draw: int, members: IntArray) -> Spot | None:
+        """Look at a patch. None if nothing of it is visible, or if nothing visible improves."""
+        surface = self.surfaces[draw]
+        counted = members[moment.counts[draw][members]]
+        standard, baked = moment.errors[draw][:, counted]
+        areas, at = surface.areas[counted], counted + moment.starts[draw]
+        gains = areas * (standard - baked)
+        pulls = np.maximum(gains, 0.0)
+        if not pulls.sum() > 0:
+            return None
+        points, normals = moment.positions[at], moment.normals[at]
+        middle = pulls @ points / pulls.sum()
+        mean = pulls @ normals
+        level = np.hypot(mean[0], mean[2])
+        pitch, yaw = np.clip(np.arctan2(mean[1], level), *PITCHES), np.arctan2(mean[0], mean[2])
+        towards = np.array([np.cos(pitch) * np.sin(yaw), np.sin(pitch), np.cos(pitch) * np.cos(yaw)])
+        eye = middle + AWAY * self.radius * towards
+        away = eye - points
+        away /= np.linalg.norm(away, axis=1)[:, None]
+        visible = np.flatnonzero((away * normals).sum(axis=1) > FACING)
+        visible = visible[~self._hidden(moment, eye, towards, at[visible])]
+        total = areas[visible].sum()
+        improvement = float(gains[visible].sum())
+        if not total > 0 or not improvement > 0:
+            return None
+        low, high = points[visible].min(axis=0), points[visible].max(axis=0)
+        return Spot(
+            clip,
+            float(time),
+            improvement,
+            float(areas[visible] @ standard[visible] / total),
+            float(areas[visible] @ baked[visible] / total),
+            (low + high) / 2,
+            float(np.linalg.norm(high - low) / 2) or self.radius,
+            towards,
+            draw,
+            members,
+        )
+
+    def _hidden(self, moment: _Moment, eye: Float64Array, towards: Float64Array, at: IntArray) -> BoolArray:
+        """Return, for some vertices, whether a triangle lies between them and the eye."""
+        x = np.array([towards[2], 0.0, -towards[0]])
+        x /= np.linalg.norm(x)
+        axes = np.stack([x, np.cross(towards, x), -towards])
+        local = (moment.positions - eye) @ axes.T
+        depth = local[:, 2]
+        flat = local[:, :2] / np.where(depth > 0, depth, np.nan)[:, None]
+        seen, deep = flat[at], depth[at]
+        if not len(at):
+            return np.zeros(0, np.bool_)
+        # Only triangles in the part of the picture that the vertices cover, and before the farthest of them.
+        corners = flat[moment.triangles]
+        low, high = corners.min(axis=1), corners.max(axis=1)
+        near = (low <= seen.max(axis=0)).all(axis=1) & (high >= seen.min(axis=0)).all(axis=1)
+        near &= depth[moment.triangles].min(axis=1) < deep.max()  # false for NaN
+        triangles = moment.triangles[near]
+        a, b, c = (flat[triangles[:, corner]].T for corner in range(3))
+        inverse = 1.0 / depth[triangles]
+        doubled = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        least = 1.0 / (deep - BEFORE * self.radius)
+        hidden = np.zeros(len(at), np.bool_)
+        step = max(1, CELLS // 8 // max(len(triangles), 1))
+        for start in range(0, len(at), step):
+            rows = slice(start, start + step)
+            px, py = seen[rows, 0, None], seen[rows, 1, None]
+            second = ((px - a[0]) * (c[1] - a[1]) - (py - a[1]) * (c[0] - a[0])) / doubled
+            third = ((b[0] - a[0]) * (py - a[1]) - (b[1] - a[1]) * (px - a[0])) / doubled
+            first = 1.0 - second - third
+            inside = (first > 0) & (second > 0) & (third > 0)
+            before = first * inverse[:, 0] + second * inverse[:, 1] + third * inverse[:, 2]
+            hidden[rows] = (inside & (before > least[rows, None])).any(axis=1)
+        return hidden
+
+
+def _gains(standard: Any, improved: Any, valid: BoolArray) -> Float64Array:
+    sound = valid & (standard < INSIDE_OUT) & (improved < INSIDE_OUT)
+    return np.where(sound, standard.astype(np.float64) - improved, 0.0)
+
+
+def where_it_shows(document: Document, draws: Sequence[Draw], clips: Sequence[Clip]) -> list[Spot]:
+    """Return what a bake improves most, the best first: at most ``LISTED`` patches that do not overlap.
+
+    Clips that stand still are left out, unless all do, and so is what has nothing to correct. Raises
+    InputError if the work is too much.
+    """
+    search = _Search(document, draws)
+    if not search.size > 0 or not np.isfinite(search.size) or not clips:
+        return []
+    poses = int(max(PROMISING * 2, min(MOST_POSES, MOST_SAMPLES // max(search.vertices, 1))))
+    some = clips[: poses // 2]
+    claim_draws(document, draws, some, EACH)
+    steps = sum(len(draw.skeleton.nodes) + len(draw.skeleton.joints) for draw in draws) * 2 * poses
+    document.budget.claim_steps(steps, "looking for what a bake improves most", document.place)
+    moving = [clip for clip in some if not search.stands_still(clip)] or list(some)
+    search.patches = [one.patches(one.seeds(search.radius), search.radius) for one in search.surfaces]
+    # Sample all clips, then the promising ones more often.
+    each = int(np.clip(poses // len(moving), 2, EACH))
+    sampled = {number: _sampled(search, clip, each) for number, clip in enumerate(moving)}
+    if each < EACH:
+        best = sorted(sampled, key=lambda number: -max(total.max(initial=0) for total in sampled[number][1]))
+        more = int(np.clip(poses // PROMISING, 2, EACH))
+        sampled |= {number: _sampled(search, moving[number], more) for number in best[:PROMISING]}
+    spots = _looked_at(search, moving, sampled)
+    refined = [_refined(search, spot, sampled[moving.index(spot.clip)][0]) for spot in spots]
+    told = (spot for spot in refined if spot.standard >= NEGLIGIBLE)
+    return sorted(told, key=lambda spot: -spot.improvement)
+
+
+def _sampled(search: _Search, clip: Clip, count: int) -> tuple[Float64Array, list[Float64Array]]:
+    times = np.linspace(clip.start, clip.duration, count if clip.duration > clip.start else 1)
+    return times, search.totals(clip, times)
+
+
+def _looked_at(search: _Search, clips: Sequence[Clip], sampled: dict[int, Any]) -> list[Spot]:
+    """Look at the patches that may show most, and return the best that do not overlap."""
+    moments = [(clip, time) for clip in sampled for time in sampled[clip][0]]
+    bounds = [
+        np.concatenate([sampled[clip][1][draw] for clip in sampled]) for draw in range(len(search.surfaces))
+    ]
+    draw_of = np.repeat(np.arange(len(bounds)), [one.shape[1] for one in bounds])
+    patch_of = np.concatenate([np.arange(one.shape[1]) for one in bounds])
+    hoped = np.concatenate(bounds, axis=1)
+    clip_of = np.array([clip for clip, _ in moments])
+    found: dict[int, Spot] = {}
+    for _ in range(min(LOOKS, len(moments))):
+        pose, patch = np.unravel_index(int(np.argmax(hoped)), hoped.shape)
+        least = sorted((spot.improvement for spot in _apart(search, found.values())), reverse=True)
+        if not hoped[pose, patch] > (least[-1] if len(least) == LISTED else 0.0):
+            break
+        clip, time = clips[moments[pose][0]], float(moments[pose][1])
+        moment = search.moment(clip, time)
+        for number in np.argsort(-hoped[pose])[:GUESSES]:
+            if not hoped[pose, number] > 0.5 * hoped[pose, patch]:
+                break
+            draw = int(draw_of[number])
+            members = search.patches[draw][:, [int(patch_of[number])]].nonzero()[0]
+            spot = search.seen(clip, time, moment, draw, members)
+            share = 0.0 if spot is None else spot.improvement / hoped[pose, number]
+            # Much the same of it will be seen in other poses of the clip.
+            hoped[clip_of == moments[pose][0], number] *= min(1.0, 1.1 * share + 0.02)
+            if spot is not None and (number not in found or spot.improvement > found[number].improvement):
+                found[int(number)] = spot
+        hoped[pose] = 0.0
+    return _apart(search, found.values())
+
+
+def _apart(search: _Search, spots: Any) -> list[Spot]:
+    """Return the best spots, each farther than two radii from the better ones."""
+    kept: list[Spot] = []
+    for spot in sorted(spots, key=lambda one: -one.improvement):
+        middle = search.surfaces[spot.draw].rest[spot.members].mean(axis=0)
+        others = (search.surfaces[one.draw].rest[one.members].mean(axis=0) for one in kept)
+        if all(np.linalg.norm(middle - other) > 2 * search.radius for other in others):
+            kept.append(spot)
+        if len(kept) == LISTED:
+            break
+    return kept
+
+
+def _refined(search: _Search, spot: Spot, times: Float64Array) -> Spot:
+    """Return the best spot at moments between the sampled ones, then of patches around its own."""
+    step = times[1] - times[0] if len(times) > 1 else 0.0
+    moments = np.clip(spot.time + step * np.linspace(-1, 1, REFINED), spot.clip.start, spot.clip.duration)
+    best = spot
+    for time in moments if step else ():
+        found = search.seen(spot.clip, time, search.moment(spot.clip, time), spot.draw, spot.members)
+        best = found if found is not None and found.improvement > best.improvement else best
+    surface = search.surfaces[spot.draw]
+    near = np.unique(surface.places[spot.members])
+    middle = surface.rest[spot.members].mean(axis=0)
+    far = np.linalg.norm(surface.rest[surface.first[near]] - middle, axis=1)
+    near = near[far < search.radius / 2]
+    near = near[:: max(1, len(near) // (4 * REFINED))]
+    if len(near):
+        moment = search.moment(best.clip, best.time)
+        patches = surface.patches(near, search.radius).tocsc()
+        for number in range(patches.shape[1]):
+            members = patches.indices[patches.indptr[number] : patches.indptr[number + 1]]
+            found = search.seen(best.clip, best.time, moment, spot.draw, members)
+            best = found if found is not None and found.improvement > best.improvement else best
+    return best
+
+
+def in_degrees(value: float) -> str:
+    """Return an angle as it reads at a glance: "41°", "3.2°"."""
+    return f"{value:.{0 if value >= 10 else 1}f}°"
+
+
+def in_words(spot: Spot) -> str:
+    """Return the mean errors of a spot: "41° → 3.2°"."""
+    return f"{in_degrees(spot.standard)} → {in_degrees(spot.baked)}"
+
+
+def followed(spot: Spot, draw: Draw, posed: PosedDraw) -> Iterator[Float64Array]:
+    """Yield the mean (3,) of a spot's patch in each pose of its draw."""
+    positions = [np.asarray(part) for part in posed_positions(draw, posed)]
+    count = len(draw.rest)
+    for pose in range(len(posed.matrices)):
+        # With morph targets, each pose gives its own arrays.
+        parts = (
+            [part[pose] for part in positions]
+            if posed.morphing is None
+            else [part[0] for part in positions[pose * count : (pose + 1) * count]]
+        )
+        yield np.concatenate(parts)[spot.members].mean(axis=0)
