@@ -107,6 +107,10 @@ def _typed(chosen: Chosen) -> str:
     return flag if chosen.value is ... else f"{flag} {chosen.value}"
 
 
+ADVICE = frozenset({"morph-normals"})
+"""Codes of notices that are advice: see ``Notice.is_advice``."""
+
+
 @dataclass(frozen=True, slots=True)
 class Notice:
     """Something that had to be assumed or was left out, aggregated over one primitive or file.
@@ -123,6 +127,11 @@ class Notice:
     def __str__(self) -> str:
         """Read like a compiler's line: place, then message."""
         return f"{self.place}: {self.message}"
+
+    @property
+    def is_advice(self) -> bool:
+        """Whether the bake is sound as it is, and the notice says what an option would add to the file."""
+        return self.code in ADVICE
 
 
 class SkinbakeError(Exception):

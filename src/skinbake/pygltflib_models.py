@@ -41,8 +41,9 @@ def baked_model(model: GLTF2, baker: Baker) -> GLTF2:
         raise InputError("nothing in it can be baked (require_baked)", prepared.place)
     else:
         return copy.deepcopy(model)
-    if baker.warnings_as_errors and made.notices:
-        raise InputError("; ".join(map(str, made.notices)) + " (warnings_as_errors)", prepared.place)
+    warnings = [str(notice) for notice in made.notices if not notice.is_advice]
+    if baker.warnings_as_errors and warnings:
+        raise InputError("; ".join(warnings) + " (warnings_as_errors)", prepared.place)
     return model_of(document, model)
 
 

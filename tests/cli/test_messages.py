@@ -91,7 +91,7 @@ def test_warnings_of_one_code_on_other_things_are_not_alike() -> None:
     other_files = [Notice("sum", "20 vertices", Place(f"{name}.glb", 0, None, 0)) for name in "abcde"]
     of_files = [Notice("accessor", f"accessor {number} is unused", Place("a.glb")) for number in range(5)]
     mixed = [notice for three in zip(named, other_files, of_files, strict=True) for notice in three]
-    assert list(without_repeats(mixed)) == list(map(str, mixed))
+    assert list(without_repeats(mixed)) == [(notice, str(notice)) for notice in mixed]
 
 
 def test_errors_name_file_mesh_primitive_and_attribute(tmp_path: Path) -> None:

@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pygltflib
 import pytest
 
+import skinbake
 from fixtures.make_fixtures import FOLDER
 from tests.support import corpus, gltf_reading, khronos
 from tests.support.baked_files import Editable, verify
@@ -154,6 +156,16 @@ def test_without_the_option_a_warning_says_what_is_lost(tmp_path: Path) -> None:
     whole = morphed(TUBE, tmp_path / "whole.glb")
     result = json.loads(invoke("bake", "--json", whole, "-o", tmp_path / "out.glb").stdout)
     assert "morph-normals" not in [one["code"] for one in result["files"][0]["warnings"]]
+
+
+def test_targets_without_normal_are_advice_that_fails_no_build(tmp_path: Path) -> None:
+    source = without_normals(TUBE, tmp_path / "in.glb")
+    result = invoke("bake", "--warnings-as-errors", source, "-o", tmp_path / "out.glb")
+    assert result.exit_code == 0
+    assert "note: " in result.stderr and "--morph-normals adds NORMAL" in " ".join(result.stderr.split())
+    assert "warning: " not in result.stderr
+    model = pygltflib.GLTF2().load(str(source))
+    assert skinbake.bake(model, warnings_as_errors=True) != model
 
 
 def test_verify_measures_the_gain(tmp_path: Path) -> None:

@@ -65,10 +65,12 @@ class Console:
         _echo(text, err=False, color=self.color)
 
     def notices(self, notices: Iterable[Notice]) -> None:
-        """Print warnings: many that are alike in one line, but with -v each by itself."""
+        """Print warnings and advice: many that are alike in one line, but with -v each by itself."""
         if self.verbosity >= 0:
-            for text in map(str, notices) if self.verbosity else without_repeats(notices):
-                self._message("warning", "yellow", text)
+            for notice, text in (
+                ((one, str(one)) for one in notices) if self.verbosity else without_repeats(notices)
+            ):
+                self._message(*(("note", "cyan") if notice.is_advice else ("warning", "yellow")), text)
 
     def details(self, lines: Iterable[str]) -> None:
         """Print the details that only -v shows."""
@@ -105,8 +107,8 @@ class Console:
         _echo(fitted(text, width_of(err=err)), err=err, color=self.color)
 
 
-def without_repeats(notices: Iterable[Notice]) -> Iterator[str]:
-    """Yield the text of each notice, but one text for many that are alike: a file may have 84 meshes.
+def without_repeats(notices: Iterable[Notice]) -> Iterator[tuple[Notice, str]]:
+    """Yield each notice and its text, but one text for many that are alike: a file may have 84 meshes.
 
     Notices on data of a file are alike if they differ in places and numbers alone. The text stands for them
     where the first of them is.
@@ -122,11 +124,11 @@ def without_repeats(notices: Iterable[Notice]) -> Iterator[str]:
     for key, notice in keyed:
         group = groups[key]
         if len(group) <= ALIKE:
-            yield str(notice)
+            yield notice, str(notice)
         elif key not in told:
             told.add(key)
             named = "; ".join(other.place.within_file for other in group[1:ALIKE])
-            yield f"{notice} ({len(group) - 1:,} more are alike: {named}; -v shows all)"
+            yield notice, f"{notice} ({len(group) - 1:,} more are alike: {named}; -v shows all)"
 
 
 def json_text(content: Any, *, indent: int | None = None) -> str:

@@ -82,7 +82,7 @@ class Baker(CheckedOptions):
                 planned = plan_output(result, target, root=within.output, keeps_notes=writing.keeps_notes)
             notices = [*notices, *planned.notices, *(other_names(source) if target == source else ())]
         with noticed(notices):
-            if self.warnings_as_errors and notices:
+            if self.warnings_as_errors and not all(notice.is_advice for notice in notices):
                 raise InputError("not written: there are warnings (--warnings-as-errors)", document.place)
             if planned is not None and not writing.dry_run:
                 with stage("write"):
