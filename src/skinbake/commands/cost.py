@@ -42,12 +42,16 @@ from skinbake.skinning.counting import (
     normal_map_cost,
     vertex_bytes,
 )
+from skinbake.wording import counted
 
 TABLE = range(1, 9)
 """The numbers of influences in the table: one or two influence sets of glTF."""
 
 ALIGNMENT = 4
 """The size of a vertex attribute's element is a multiple of this number of bytes (glTF 2.0, §3.6.2.4)."""
+
+STEPS_A_PRIMITIVE = 300
+"""The steps of counting for a primitive of few vertices: see ``budget.STEPS_FREE``."""
 
 
 def cost_of_influences(influences: int) -> InfluenceCosts:
@@ -68,6 +72,8 @@ def cost_of_file(source: str, bounds: Bounds = BESIDE) -> FileCosts:
     """
     document = read_document(source, bounds)
     sources, notices = skinned_sources(document)
+    what = f"counting for {counted(len(sources), 'primitive')}"
+    document.budget.claim_steps(STEPS_A_PRIMITIVE * len(sources), what, document.place)
     draws = _draws(document)
     primitives = []
     for entry in sources:

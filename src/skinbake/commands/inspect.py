@@ -40,9 +40,13 @@ from skinbake.report.inspect import (
     PrimitiveSummary,
 )
 from skinbake.timing import stage
+from skinbake.wording import counted
 
 BYTES_A_VERTEX, BYTES_A_SLOT = 64, 40
 """The approximate memory for summing up a primitive, at most."""
+
+STEPS_A_PRIMITIVE = 500
+"""The steps of summing up a primitive of few vertices: see ``budget.STEPS_FREE``."""
 
 
 def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
@@ -50,6 +54,8 @@ def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
     with stage("read"):
         document = read_document(source, bounds)
     sources, notices = skinned_sources(document)
+    what = f"summing up {counted(len(sources), 'primitive')}"
+    document.budget.claim_steps(STEPS_A_PRIMITIVE * len(sources), what, document.place)
     primitives = []
     read: dict[int, list[PrimitiveSource]] = {}
     leaning: set[int] = set()

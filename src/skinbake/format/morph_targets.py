@@ -205,27 +205,31 @@ class NotedTargets:
         return FRAMES[: 2 if self.frames > COMPONENTS["in_plane"] else bool(self.frames)]
 
 
-def noted_targets(mesh: JsonObject, primitive: int) -> NotedTargets:
-    """Return what the note of a mesh says of a primitive.
+def noted_targets(mesh: JsonObject) -> list[NotedTargets]:
+    """Return what the note of a mesh says of each of its primitives.
 
-    What is damaged in it counts as absent. So does all of it if another tool has removed or added targets:
+    What is damaged in it counts as absent. So does an entry if another tool has removed or added targets:
     then the numbers may be those of others.
     """
     note = morph_note(mesh)
     entries = note[NOTE] if note else []
-    entry = object_of(entries[primitive]) if primitive < len(entries) else {}
-    own = entries_of(mesh.get("primitives"))
-    targets = own[primitive].get("targets") if primitive < len(own) else None
-    if not isinstance(targets, list) or len(targets) != entry.get("targets"):
-        return NotedTargets()
-    numbers = entry.get("normals")
-    normals = numbers if isinstance(numbers, list) else []
-    frames = entry.get("frames")
-    return NotedTargets(
-        tuple(number for number in normals if reference(number) is not None),
-        frames if frames in (4, 6) else 0,
-        entry.get("digest"),
-    )
+    found = []
+    for number, primitive in enumerate(entries_of(mesh.get("primitives"))):
+        entry = object_of(entries[number]) if number < len(entries) else {}
+        targets = primitive.get("targets")
+        if not isinstance(targets, list) or len(targets) != entry.get("targets"):
+            found.append(NotedTargets())
+            continue
+        numbers, frames = entry.get("normals"), entry.get("frames")
+        normals = numbers if isinstance(numbers, list) else []
+        found.append(
+            NotedTargets(
+                tuple(number for number in normals if reference(number) is not None),
+                frames if frames in (4, 6) else 0,
+                entry.get("digest"),
+            )
+        )
+    return found
 
 
 def former_targets(mesh: JsonObject) -> JsonObject:
@@ -234,8 +238,8 @@ def former_targets(mesh: JsonObject) -> JsonObject:
     if note is None:
         return mesh
     primitives = []
-    for number, primitive in enumerate(entries_of(mesh.get("primitives"))):
-        noted, targets = noted_targets(mesh, number), primitive.get("targets")
+    for primitive, noted in zip(entries_of(mesh.get("primitives")), noted_targets(mesh), strict=False):
+        targets = primitive.get("targets")
         changed = dict(primitive)
         if noted.frames and isinstance(primitive.get("attributes"), dict):
             changed["attributes"] = {

@@ -57,13 +57,13 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
             _refuse_later_version(of_targets, place)
         morphing = former_targets(mesh)
         restored = []
-        for position, given in enumerate(objects(mesh, "primitives", place)):
-            primitive = objects(morphing, "primitives", place)[position]
+        pairs = zip(objects(mesh, "primitives", place), objects(morphing, "primitives", place), strict=True)
+        for position, ((given, primitive), noted) in enumerate(zip(pairs, noted_targets(mesh), strict=False)):
             here = Place(place.file, place.mesh, place.mesh_name, position)
             note = read_metadata(document, primitive)
             if note is None:
                 restored.append(primitive)
-                changed += [(given, primitive)] if noted_targets(mesh, position) else []
+                changed += [(given, primitive)] if noted else []
                 continue
             _refuse_later_version(note, here)
             written, found = _restored(document, primitive, note, here)

@@ -39,8 +39,9 @@ class MadeState(NamedTuple):
 
 def made_states(document: Document) -> Iterator[MadeState]:
     """Yield the primitives whose targets have NORMAL by bake, with or without a skin."""
+    meshes = [noted_targets(mesh) for mesh in document.objects("meshes")]
     for source in all_sources(document):
-        noted = noted_targets(document.objects("meshes")[source.mesh], source.primitive)
+        noted = meshes[source.mesh][source.primitive]
         if noted:
             targets = entries_of(source.json.get("targets"))
             with document.budget.passing():

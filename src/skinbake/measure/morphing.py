@@ -79,6 +79,7 @@ def morphing_of(document: Document, views: Sequence[BakedView], poses: PoseSet) 
     moving = poses.moving_targets
     if poses.morph_weights is None or not moving:
         return None
+    made = _noted(document, views)
     targets = tuple(
         read_targets(
             document,
@@ -86,23 +87,24 @@ def morphing_of(document: Document, views: Sequence[BakedView], poses: PoseSet) 
             moving,
             count=len(view.now.positions),
             tangents=view.metadata["frame"] == Frame.TANGENT,
-            further=_noted(document, view).names,
+            further=noted.names,
         )
-        for view in views
+        for view, noted in zip(views, made, strict=True)
     )
-    authored = tuple(_is_authored(document, view, moving) for view in views)
+    authored = tuple(_is_authored(*pair, moving) for pair in zip(views, made, strict=True))
     return Morphing(targets, poses.morph_weights[:, moving], authored)
 
 
-def _noted(document: Document, view: BakedView) -> NotedTargets:
-    """Return what bake has added to the targets of a primitive."""
-    return noted_targets(document.objects("meshes")[view.source.mesh], view.source.primitive)
+def _noted(document: Document, views: Sequence[BakedView]) -> list[NotedTargets]:
+    """Return what bake has added to the targets of primitives."""
+    meshes = {view.source.mesh for view in views}
+    noted = {mesh: noted_targets(document.objects("meshes")[mesh]) for mesh in meshes}
+    return [noted[view.source.mesh][view.source.primitive] for view in views]
 
 
-def _is_authored(document: Document, view: BakedView, moving: Sequence[int]) -> bool:
+def _is_authored(view: BakedView, noted: NotedTargets, moving: Sequence[int]) -> bool:
     """Tell whether all of these targets that move a primitive have NORMAL, and none by bake."""
-    source = view.source
-    made = _noted(document, view).normals
+    source, made = view.source, noted.normals
     targets = objects(source.json, "targets", source.place)
     return all(
         "NORMAL" in targets[number] and number not in made
@@ -119,10 +121,10 @@ def carrier(document: Document, views: Sequence[BakedView], *, numbers: bool) ->
     """
     found = Morphs.NONE
     stored: set[int] = set()
-    for view in views:
+    for view, noted in zip(views, _noted(document, views), strict=True):
         targets = objects(view.source.json, "targets", view.source.place)
         if targets:
-            stored.add(_noted(document, view).frames)
+            stored.add(noted.frames)
             found = Morphs.NORMAL if found is Morphs.NONE else found
             if view.metadata["frame"] == Frame.TANGENT and any("TANGENT" in target for target in targets):
                 found = Morphs.TANGENT

@@ -13,7 +13,9 @@ SURCHARGES.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 
 from skinbake.skinning.algorithms import SCALED_STEPS, STEPS, Algorithm
 from skinbake.skinning.components import RestVertex, Rows, Vector
@@ -121,9 +123,10 @@ class Count:
         return fresh
 
 
+@cache
 def multiply_adds(
     algorithm: Algorithm, influences: int, *, normal_map: bool = False, scaled_joints: bool = False
-) -> dict[int, int]:
+) -> Mapping[int, int]:
     """Return the multiply-adds of each numbered line, for N ≥ 1 influences, in the paper's options.
 
     Their sum is the cost of the algorithm for a vertex. The lines of algorithm 6 are those of ``dqs.exact``:
@@ -236,7 +239,7 @@ def _derivatives(algorithm: Algorithm, influences: int) -> tuple[int, int]:
 class Cost:
     """The cost of one algorithm for a vertex: multiply-adds by line and in all, and bytes."""
 
-    lines: dict[int, int]
+    lines: Mapping[int, int]
     vertex_bytes: VertexBytes
 
     @property
