@@ -136,6 +136,7 @@ def skinned_sources(document: Document) -> tuple[list[PrimitiveSource], list[Not
             )
     counts = [_whole(element.get("count")) or 0 for element in document.objects("accessors")]
     document.budget.check_elements(sum(_element_count(one, counts) for one in sources), document.place)
+    document.budget.allow_parts(_own_vertices(document, sources, counts))
     return sources, notices
 
 
@@ -161,6 +162,41 @@ def _sets_after_gap(source: PrimitiveSource) -> list[Notice]:
         return []
     message = f"it has {unread[0]} and no JOINTS_{source.influence_sets}: sets after the gap are not read"
     return [Notice("sets-after-gap", message, source.place)]
+
+
+def _own_vertices(
+    document: Document, sources: Sequence[PrimitiveSource], counts: Sequence[int]
+) -> Iterator[int]:
+    """Yield the number of vertices of each primitive whose positions lie in bytes that no other one has.
+
+    Positions without bytes do not count, nor does what is not sound: that is refused where it is read.
+    """
+    accessors, views = document.objects("accessors"), document.objects("bufferViews")
+    parts: set[tuple[int, int, int, int]] = set()
+    for source in sources:
+        number = _whole(source.attributes.get("POSITION"))
+        if number is None or number >= len(accessors):
+            continue
+        accessor, stream = accessors[number], draco.extension_of(source.json)
+        at = _whole((accessor if stream is None else stream).get("bufferView"))
+        if at is None or at >= len(views):
+            continue
+        buffer, start, length = (
+            _whole(views[at].get(key, 0)) for key in ("buffer", "byteOffset", "byteLength")
+        )
+        if buffer is None or start is None or length is None:
+            continue
+        if stream is None:
+            start += _whole(accessor.get("byteOffset", 0)) or 0
+            length = (12 if accessor.get("componentType") == 5126 else 3) * counts[
+                number
+            ]  # floats, or the smallest
+        parts.add((buffer, start, start + length, counts[number]))
+    last: dict[int, int] = {}
+    for buffer, start, end, count in sorted(parts):
+        if start >= last.get(buffer, 0):
+            last[buffer] = end
+            yield count
 
 
 def why_nothing(document: Document) -> str:
