@@ -194,6 +194,13 @@ class Language(StrEnum):
     HLSL = "hlsl"
 
 
+class Stage(StrEnum):
+    """What the text of a shader is for: functions for a vertex stage, or a whole compute pass."""
+
+    VERTEX = "vertex"
+    COMPUTE = "compute"
+
+
 class Morphs(StrEnum):
     """What the frame follows under morph targets; none: the text has no function for them."""
 

@@ -31,6 +31,7 @@ from skinbake.choices import (
     Neighbours,
     PoseKind,
     Scheme,
+    Stage,
     Truth,
     Weighting,
     Weld,
@@ -542,6 +543,8 @@ SHADER = (
         Option("lighting", Lighting, None, help=
             "standard (that of common engines), direct (LBS only), accurate, exact (DQS only). By default "
             "accurate for LBS, exact for DQS."),
+        Option("stage", Stage, Stage.VERTEX, help=
+            "Functions for a vertex stage, or a whole compute pass over buffers."),
         INFLUENCES,
         Option("morphs", Morphs, None, help=
             "What t0 and b0 follow under morph targets: the morphed normal, the morphed TANGENT, or numbers "

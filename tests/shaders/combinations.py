@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
-from skinbake.choices import Frame, Language, Lighting, Method, Morphs
+from skinbake.choices import Frame, Language, Lighting, Method, Morphs, Stage
 from skinbake.options import PUBLISHED_CAP
 from skinbake.shaders.choices import ALGORITHMS, BEST, ShaderChoices
 from tests.support.whole_fields import shader_text
@@ -129,6 +129,7 @@ def label(choices: ShaderChoices) -> str:
     words += [choices.encoding] if choices.encoding != "float32" else []
     words += [choices.layout] if choices.layout != "attributes" else []
     words += [f"morphed_{choices.morphs}"] if choices.morphs is not Morphs.NONE else []
+    words += ["compute"] if choices.stage is Stage.COMPUTE else []
     return "-".join(words)
 
 

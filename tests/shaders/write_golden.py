@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from skinbake.choices import Frame, Language, Lighting, Method
+from skinbake.choices import Frame, Language, Lighting, Method, Morphs, Stage
 from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
 from skinbake.shaders.engines import engines_folder
 from skinbake.shaders.text import shader_made
@@ -26,8 +26,9 @@ FRAMES = [Frame.NORMAL, Frame.TANGENT] * 3
 
 
 def golden_choices() -> list[ShaderChoices]:
-    """Return one of each algorithm and language, and of joints that scale; the two frames take turns.
+    """Return one of each algorithm and language, of joints that scale, and of compute passes.
 
+    The two frames take turns.
     The other combinations are compiled and run, not compared: a change of a template shows here once.
     """
     return [
@@ -35,8 +36,12 @@ def golden_choices() -> list[ShaderChoices]:
         for language in Language
         for (method, lighting), frame in zip(ALGORITHMS, FRAMES, strict=True)
     ] + [
-        ShaderChoices(language, Method.DQS, Lighting.EXACT, mirrored_joints=True, scaled_joints=True)
+        one
         for language in Language
+        for one in (
+            ShaderChoices(language, Method.DQS, Lighting.EXACT, mirrored_joints=True, scaled_joints=True),
+            ShaderChoices(language, frame=Frame.TANGENT, morphs=Morphs.TANGENT, stage=Stage.COMPUTE),
+        )
     ]
 
 

@@ -45,11 +45,11 @@ def complaints(shaders: Mapping[str, str]) -> dict[str, str]:
     return {name: "\n".join(lines) for name, lines in found.items()}
 
 
-def spirv(shader: str) -> bytes:
-    """Compile a vertex shader to SPIR-V for Vulkan; ValueError with the compiler's words where it fails."""
+def spirv(shader: str, stage: str = "vert") -> bytes:
+    """Compile a shader of a stage to SPIR-V for Vulkan; ValueError with the compiler's words."""
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "shader.spv"
-        options = ["--stdin", "-S", "vert", "-V", "--auto-map-locations", "--auto-map-bindings"]
+        options = ["--stdin", "-S", stage, "-V", "--auto-map-locations", "--auto-map-bindings"]
         process = _run([require_compiler(), *options, "-o", str(target)], shader)
         if process.returncode != 0:
             raise ValueError(process.stdout + process.stderr)

@@ -134,6 +134,24 @@ class Context:
             thing.release()
         return found
 
+    def compute(self, shader: str, uniform: bytes, storage: Sequence[bytes | int], groups: int) -> bytes:
+        """Run a compute shader over so many groups; binding 0 is uniform, the others are storage.
+
+        One of ``storage`` is the number of bytes of the results, which are zeros at first.
+        """
+        program = self._context.compute_shader(shader)
+        filled = [bytes(one) if isinstance(one, int) else one for one in storage]
+        held = [self._context.buffer(one) for one in (uniform, *filled)]
+        held[0].bind_to_uniform_block(0)
+        for number, one in enumerate(held[1:], 1):
+            one.bind_to_storage_buffer(number)
+        program.run(groups)
+        (results,) = (one for one, given in zip(held[1:], storage, strict=True) if isinstance(given, int))
+        found = bytes(results.read())
+        for thing in (program, *held):
+            thing.release()
+        return found
+
 
 @contextmanager
 def context(kind: str) -> Iterator[Context]:

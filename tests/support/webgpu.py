@@ -50,16 +50,17 @@ TINT = Implementation("wgpudawn", (Path("/usr/lib/chromium/vk_swiftshader_icd.js
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A compute shader, entry point ``main``: what bindings 0, 1, … of group 0 hold; the results' is last.
+    """A compute shader, entry point ``main``: what bindings 0, 1, … of group 0 hold, then the results.
 
-    code is WGSL, or SPIR-V, which NAGA alone takes. workgroups 0 compiles only; else the shader is run over
-    that many.
+    Bindings behind the results hold ``further``. code is WGSL, or SPIR-V, which NAGA alone takes.
+    workgroups 0 compiles only; else the shader is run over that many.
     """
 
     code: str | bytes
     buffers: tuple[bytes, ...] = ()
     result_bytes: int = 0
     workgroups: int = 0
+    further: tuple[bytes, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,9 +118,13 @@ def _answers(gpu: Any, device: Any, jobs: Sequence[Job]) -> Iterator[Answer]:
 
 
 def _results(gpu: Any, device: Any, pipeline: Any, job: Job) -> bytes:
-    storage, source = gpu.BufferUsage.STORAGE, gpu.BufferUsage.COPY_SRC
-    buffers = [device.create_buffer_with_data(data=data, usage=storage) for data in job.buffers]
-    buffers.append(device.create_buffer(size=job.result_bytes, usage=storage | source))
+    usage, source = gpu.BufferUsage.STORAGE | gpu.BufferUsage.UNIFORM, gpu.BufferUsage.COPY_SRC
+    before, behind = (
+        [device.create_buffer_with_data(data=data, usage=usage) for data in given]
+        for given in (job.buffers, job.further)
+    )
+    results = device.create_buffer(size=job.result_bytes, usage=usage | source)
+    buffers = [*before, results, *behind]
     entries = [
         {"binding": number, "resource": {"buffer": buffer, "offset": 0, "size": buffer.size}}
         for number, buffer in enumerate(buffers)
@@ -132,4 +137,4 @@ def _results(gpu: Any, device: Any, pipeline: Any, job: Job) -> bytes:
     run.dispatch_workgroups(job.workgroups)
     run.end()
     device.queue.submit([encoder.finish()])
-    return bytes(device.queue.read_buffer(buffers[-1]))
+    return bytes(device.queue.read_buffer(results))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs
+from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs, Stage
 from skinbake.cli.console import console, ended_by_errors
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import path_on_disk
@@ -88,6 +88,7 @@ def _request(given: Mapping[str, Any]) -> ShaderRequest:
         mirrored_joints=given["mirrored_joints"],
         scaled_joints=given["scaled_joints"],
         normal_map=given["normal_map"],
+        stage=Stage(given["stage"]),
         target=given["target"],
         encoding=Encoding(given["encoding"]) if given["encoding"] else None,
         layout=Layout(given["layout"]) if given["layout"] else None,

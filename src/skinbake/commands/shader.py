@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs
+from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs, Stage
 from skinbake.errors import ChoiceError, InputError, Notice, Place
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.urls import STDIO
@@ -52,6 +52,7 @@ class ShaderRequest:
     layout: Layout | None = None
     morphs: Morphs | None = None
     normal_map: bool = False
+    stage: Stage = Stage.VERTEX
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +137,7 @@ def _made(request: ShaderRequest, frame: Frame, influences: int) -> ShaderChoice
         layout=request.layout or Layout.ATTRIBUTES,
         morphs=request.morphs or Morphs.NONE,
         normal_map=request.normal_map,
+        stage=request.stage,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from skinbake.choices import SLOTS_PER_SET, Encoding, Frame, Language, Layout, Lighting, Method, Morphs
+from skinbake.choices import SLOTS_PER_SET, Encoding, Frame, Language, Layout, Lighting, Method, Morphs, Stage
 from skinbake.errors import ChoiceError, Chosen
 from skinbake.options import SHADER
 
@@ -55,7 +55,8 @@ class ShaderChoices:
     take joints that scale, shear or mirror. attributes None means the default names
     of bake. encoding and layout are the storage of α and β. scale is that of the encoding if the file is
     known, in 1 / length unit of POSITION. ``morphs`` is the direction that the frame follows under morph
-    targets. With ``normal_map`` the text has what mapped normals need, too. Raises ChoiceError for choices
+    targets. With ``normal_map`` the text has what mapped normals need, too. ``stage`` COMPUTE is a whole pass
+    over buffers in place of functions. Raises ChoiceError for choices
     that exclude each other.
     """
 
@@ -74,6 +75,7 @@ class ShaderChoices:
     scale: float | None = None
     morphs: Morphs = Morphs.NONE
     normal_map: bool = False
+    stage: Stage = Stage.VERTEX
 
     def __post_init__(self) -> None:
         if (self.method, self.lighting) not in ALGORITHMS:
@@ -112,6 +114,17 @@ class ShaderChoices:
             method, lighting = Chosen("method", Method.LBS), Chosen("lighting", Lighting.ACCURATE)
             why = f", not {self.method} {self.lighting}"
             raise ChoiceError("mirrored_joints", reason=(" needs ", method, " ", lighting, why))
+
+        self._check_pass()
+
+    def _check_pass(self) -> None:
+        """Raise ChoiceError for what a compute pass has no text for."""
+        if self.stage is not Stage.COMPUTE:
+            return
+        if self.target != "plain":
+            raise self._refusal("stage", " needs ", Chosen("target", "plain"), f", not {self.target}")
+        if self.normal_map:
+            raise self._refusal("stage", " contradicts ", Chosen("normal_map"))
 
     def _refusal(self, option: str, *reason: str | Chosen) -> ChoiceError:
         """Return the error about the value of an option."""
@@ -169,6 +182,7 @@ class ShaderChoices:
         mirrored = ", joints that scale" if self.scaled_joints else ""
         mirrored += ", mirrored joints" if self.mirrored_joints else ""
         mapped = ", normal maps" if self.normal_map else ""
+        mapped += ", a compute pass" if self.stage is Stage.COMPUTE else ""
         if self.target in AT_RUN_TIME:
             return (
                 f"{self.target}, {self.method.upper()} {self.lighting}{capped}{mirrored}; it reads frame, "

@@ -16,9 +16,10 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from skinbake.choices import SLOTS_PER_SET, Encoding, Frame, Language, Layout, Lighting, Method, Morphs
+from skinbake.choices import SLOTS_PER_SET, Encoding, Frame, Language, Layout, Lighting, Method, Morphs, Stage
 from skinbake.errors import ChoiceError, Chosen
 from skinbake.shaders.choices import ShaderChoices
+from skinbake.shaders.compute import compute_context
 from skinbake.shaders.engines import single_module
 from skinbake.shaders.storage import ascii_name, storage_context, storage_parts
 from skinbake.version import __version__
@@ -120,13 +121,17 @@ def _text_for(choices: ShaderChoices, reads: Sequence[str], also: Sequence[str] 
     context = _context(choices)
     language = choices.language
     names = ["vertex", f"frame_{choices.frame}", *also, *_parts(choices), choices.stem]
+    usage = f"{language}/usage.txt"
+    if choices.stage is Stage.COMPUTE:
+        names.append("compute")
+        usage = "compute.txt"
     texts = {name: _rendered(f"{language}/{name}.{language}", context) for name in names}
     parts = {name: "\n".join(map(_broken, text.splitlines())) for name, text in texts.items()}
     return {
         **context,
         "header": _rendered("header.txt", context),
         "inputs": _rendered("inputs.txt", context),
-        "usage": _rendered(f"{language}/usage.txt", context),
+        "usage": _rendered(usage, context),
         "parts": parts,
         "snippet": "\n\n".join(parts.values()),
     }
@@ -193,6 +198,8 @@ def _context(choices: ShaderChoices) -> dict[str, Any]:
         if choices.influences > 1
     ]
 
+    arguments, stored = _arguments(choices, weights, gradients), storage_context(choices)
+
     def corrected(base: str, correction: str) -> str:
         if not others:
             return base
@@ -236,7 +243,8 @@ def _context(choices: ShaderChoices) -> dict[str, Any]:
         "padded": {name: f"{kind:<{max(map(len, types.values()))}}" for name, kind in types.items()},
         "weight_params": weights,
         "gradient_params": gradients,
-        "arguments": _arguments(choices, weights, gradients),
+        "arguments": arguments,
+        "stage": choices.stage,
         "params": lambda pairs: _params(choices.language, pairs),
         "sum": _sum,
         "joined": _joined,
@@ -248,7 +256,8 @@ def _context(choices: ShaderChoices) -> dict[str, Any]:
         "rust_string": _rust_string,
         "count": lambda n, noun: f"{n} {noun}{'' if n == 1 else 's'}",
         "refuse": partial(_refuse, choices),
-        **storage_context(choices),
+        **stored,
+        **compute_context(choices, stored["assembled"], arguments),
     }
 
 
@@ -274,6 +283,8 @@ def command_line(choices: ShaderChoices) -> str:
         words.append(f"--layout {choices.layout}")
     if choices.morphs is not Morphs.NONE:
         words.append(f"--morphs {choices.morphs}")
+    if choices.stage is not Stage.VERTEX:
+        words.append(f"--stage {choices.stage}")
     if choices.target != "plain":
         words.append(f"--target {choices.target}")
     if choices.attributes is not None:
@@ -357,6 +368,7 @@ def _guard(choices: ShaderChoices) -> str:
     words += [choices.encoding] if choices.decodes else []
     words += [f"texcoord_{len(choices.pair_names)}"] if choices.assembles else []
     words += [f"morphed_{choices.morphs}".replace("-", "_")] if choices.morphs is not Morphs.NONE else []
+    words += ["compute"] if choices.stage is Stage.COMPUTE else []
     return "_".join(["SKINBAKE", *words, choices.language]).upper()
 
 

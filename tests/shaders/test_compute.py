@@ -1,0 +1,417 @@
+"""Whole compute passes, compiled and run over buffers as glTF lays them out, give what the replay gives.
+
+WGSL runs on two implementations of WebGPU, GLSL and HLSL as SPIR-V of glslang on lavapipe.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import skinbake
+from fixtures.make_fixtures import FOLDER
+from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs, Stage
+from skinbake.commands.shader import ShaderRequest, shader
+from skinbake.errors import ChoiceError
+from skinbake.geometry.morphs import Differences, MorphTarget, MorphTargets
+from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.morphs import morphed
+from skinbake.skinning.rest import RestPrimitive
+from tests.shaders.combinations import label, motion_kind
+from tests.shaders.judged import TOLERANCE, term_lengths
+from tests.shaders.running import done
+from tests.shaders.scenes import Scene, Wide, irregular
+from tests.support import analytic, glslang, opengl, webgpu
+from tests.support.gltf_reading import read
+from tests.support.replay import replay
+from tests.support.whole_fields import shader_text
+
+SIZES = {5121: 1, 5120: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
+"""The bytes of glTF's component types."""
+
+Single = npt.NDArray[np.float32]
+
+WORKGROUP = 64
+ABSENT = 0xFFFFFFFF
+SCALE = 2.5
+MOVES = np.array([0.7, -0.4, 0.3])
+"""The weights of three morph targets; the second moves no normal, the third no position and no tangent."""
+
+
+def case(method: Method = Method.LBS, lighting: Lighting = Lighting.ACCURATE, **others: Any) -> ShaderChoices:
+    return ShaderChoices(Language.WGSL, method, lighting, stage=Stage.COMPUTE, **others)
+
+
+CASES = [
+    *(
+        case(method, lighting, frame=frame)
+        for (method, lighting), frame in zip(ALGORITHMS, [Frame.NORMAL, Frame.TANGENT] * 3, strict=True)
+    ),
+    case(influences=1),
+    case(influences=8, frame=Frame.TANGENT),
+    case(influences=7, mirrored_joints=True, cap=0.9),
+    case(Method.DQS, Lighting.EXACT, scaled_joints=True, mirrored_joints=True, frame=Frame.TANGENT),
+    case(encoding=Encoding.SNORM16, influences=8),
+    case(encoding=Encoding.PACKED8, scale=SCALE, frame=Frame.TANGENT),
+    case(layout=Layout.TEXCOORD, influences=8, frame=Frame.TANGENT),
+    case(layout=Layout.CUSTOM, encoding=Encoding.PACKED8),
+    case(morphs=Morphs.NORMAL),
+    case(Method.DQS, Lighting.EXACT, morphs=Morphs.TANGENT, frame=Frame.TANGENT),
+    case(morphs=Morphs.FRAMES, frame=Frame.TANGENT),
+    case(morphs=Morphs.FRAMES_NORMAL),
+]
+"""Each algorithm, frame, count of sets, storage and kind of morph at least once."""
+
+
+@dataclass(frozen=True)
+class Pass:
+    """One dispatch: its buffers, and the vectors (V, 4, 3) that it should give with their tolerances."""
+
+    draw: bytes
+    geometry: bytes
+    joints: bytes
+    targets: bytes
+    expected: Wide
+    lengths: Wide
+
+    def job(self, code: str | bytes) -> webgpu.Job:
+        count = len(self.expected)
+        further = (self.targets,) if self.targets else ()
+        given = self.draw, self.geometry, self.joints
+        # A row more than there are vertices, which the pass must leave alone.
+        return webgpu.Job(code, given, POSED.stride * (count + 1), -(-count // WORKGROUP), further)
+
+
+@dataclass(frozen=True)
+class Posed:
+    """Where the results go, in bytes."""
+
+    stride: int
+    position: int
+    normal: int
+    tangent: int
+
+
+POSED = Posed(stride=52, position=4, normal=20, tangent=36)
+
+
+class Geometry:
+    """A buffer as glTF has it: some attributes interleaved, with gaps that hold NaN, others one by one."""
+
+    def __init__(self) -> None:
+        self.data = bytearray(b"\xff" * 12)
+
+    def add(self, *columns: npt.NDArray[Any], gap: int = 0) -> list[tuple[int, int]]:
+        """Interleave columns (V, C) of any type. Return offset and stride of each in bytes."""
+        rows = [np.ascontiguousarray(column).view(np.uint8).reshape(len(column), -1) for column in columns]
+        rows = [np.pad(row, ((0, 0), (0, -row.shape[1] % 4)), constant_values=255) for row in rows]
+        stride, start = sum(row.shape[1] for row in rows) + gap, len(self.data)
+        starts = start + np.cumsum([0, *(row.shape[1] for row in rows)])[:-1]
+        filler = np.full((len(rows[0]), gap), 255, np.uint8)
+        self.data += np.concatenate([*rows, filler], axis=1).tobytes()
+        return [(int(at), stride) for at in starts]
+
+
+def stored(choices: ShaderChoices, scene: Scene, rng: np.random.Generator) -> tuple[Scene, dict[str, Any]]:
+    """Return attributes of α and β by the names of the pass, and the scene with the values that they mean."""
+    count, width = len(scene.positions), 4 * choices.influence_sets
+    kinds = {"alpha": scene.alpha, "beta": scene.beta}
+    if not choices.reads_gradients:
+        return scene, {}
+    found: dict[str, Any] = {}
+    means: dict[str, Single] = {}
+    if choices.decodes:
+        limit, kind = (127, np.int8) if choices.encoding == Encoding.PACKED8 else (32767, np.int16)
+        for name in kinds:
+            # Integers of all sizes, and the one below the least that normalised values have.
+            whole = rng.integers(-limit - 1, limit + 1, (count, width)).astype(kind)
+            whole[0] = -limit - 1
+            values = np.maximum(whole.astype(np.float64) / limit, -1.0)
+            means[name] = (SCALE * values[:, 3:4] ** 2 * np.delete(values, 3, axis=1)).astype(np.float32)
+            for number in range(choices.influence_sets):
+                found[f"stored_{name}_{number}"] = whole[:, 4 * number : 4 * number + 4]
+        means = {name: values[:, : choices.influences - 1] for name, values in means.items()}
+        return replace(scene, alpha=means["alpha"], beta=means["beta"]), found
+    padded = {
+        name: np.pad(values, ((0, 0), (0, width - 1 - values.shape[1]))) for name, values in kinds.items()
+    }
+    if choices.assembles:
+        row = np.concatenate([padded["alpha"], padded["beta"]], axis=1)
+        return scene, {f"texcoord_{n + 1}": row[:, 2 * n : 2 * n + 2] for n in range(width - 1)}
+    for name, values in padded.items():
+        starts = [0, *range(3, width - 1, 4)]
+        for number, start in enumerate(starts):
+            found[f"{name}_{number}"] = values[:, start : start + (4 if number else 3)]
+    return scene, found
+
+
+def moved(choices: ShaderChoices, scene: Scene, rng: np.random.Generator) -> tuple[RestPrimitive, list[Any]]:
+    """Return the primitive under morph targets, and by target the differences of each attribute, or None.
+
+    The attributes are those of a target of the pass. The choices say which of them the frame follows.
+    """
+    count, kind = len(scene.positions), choices.morphs
+    held: list[list[Any]] = [
+        [rng.normal(scale=0.2, size=(count, size)).astype(np.float32) for size in (3, 3, 3, 4, 2)]
+        for _ in MOVES
+    ]
+    held[1][1] = held[2][0] = held[2][2] = held[2][3] = held[2][4] = None
+    reads = (True, kind is not Morphs.FRAMES, kind is Morphs.TANGENT, kind.moves_frame, kind is Morphs.FRAMES)
+    targets = tuple(
+        MorphTarget(
+            *(
+                Differences.of(np.zeros((count, size), np.float32) if one is None or not is_read else one)
+                for one, size, is_read in zip(target, (3, 3, 3, 4, 2), reads, strict=True)
+            )
+        )
+        for target in held
+    )
+    numbers = {Morphs.FRAMES: 6, Morphs.FRAMES_NORMAL: 4}.get(kind, 0)
+    every = MorphTargets(targets, kind is Morphs.TANGENT, numbers)
+    return morphed(scene.rest(choices), every, MOVES, dtype=np.float32), held
+
+
+def pass_of(choices: ShaderChoices, number: int) -> Pass:
+    """Make the pass of a case. The types of joints and weights and the pose differ from case to case."""
+    rng = np.random.default_rng(number)
+    scene = irregular(choices.influences, stretches=motion_kind(choices) != "dqs")
+    pose = 2 if motion_kind(choices) == "dqs" else (0, 1, 3, 4)[number % 4] if choices.crosses else 0
+    if choices.influences == 7:
+        pose = 4  # mirrors
+    joint_type, top = (np.uint8, np.uint16, np.uint32)[number // 2 % 3], (0, 255, 65535)[number % 3]
+    count, width = len(scene.positions), 4 * choices.influence_sets
+    weights: npt.NDArray[Any] = scene.weights
+    if top:
+        weights = np.round(scene.weights * top).astype(np.uint8 if top == 255 else np.uint16)
+        scene = replace(scene, weights=(weights / top).astype(np.float32))
+    scene, slopes = stored(choices, scene, rng)
+    wide = {"joints": scene.joints.astype(joint_type), "weights": weights}
+    sets = {
+        f"{name}_{n}": np.pad(one, ((0, 0), (0, width - one.shape[1])))[:, 4 * n : 4 * n + 4]
+        for name, one in wide.items()
+        for n in range(choices.influence_sets)
+    }
+    geometry, places = Geometry(), dict[str, tuple[int, int]]()
+    rest = {"position": scene.positions, "normal": scene.normals}
+    rest |= {"tangent": scene.tangents} if choices.frame == Frame.TANGENT else {}
+    places |= dict(zip(rest, geometry.add(*rest.values(), gap=8), strict=True))
+    for name, column in {**sets, **slopes}.items():
+        [places[name]] = geometry.add(column, gap=4 * (number % 2))
+    # Morph targets
+    targets, primitive = b"", scene.rest(choices)
+    if choices.morphs is not Morphs.NONE:
+        primitive, held = moved(choices, scene, rng)
+        for weight, target in zip(MOVES, held, strict=True):
+            ends = [(ABSENT, 0) if one is None else geometry.add(one)[0] for one in target]
+            targets += np.float32(weight).tobytes() + bytes(4) + np.array(ends, np.uint32).tobytes()
+    # The numbers of the primitive, in the order of the text
+    numbers = {
+        "vertices": count,
+        "targets": len(targets) // 48,
+        "joint_size": np.dtype(joint_type).itemsize,
+        "weight_size": weights.dtype.itemsize,
+        "posed_stride": POSED.stride,
+        "posed_position": POSED.position,
+        "posed_normal": POSED.normal,
+        "posed_tangent": ABSENT if number == 0 else POSED.tangent,
+    }
+    scales = {"scale": SCALE, "joint_scale": scene.scale(choices)[pose]}
+    assert members(choices) == [*numbers, *scales, *places]
+    draw = np.array([*numbers.values()], np.uint32).tobytes() + np.array([*scales.values()], "f4").tobytes()
+    draw += np.array([*places.values()], np.uint32).tobytes()
+    draw += bytes(-len(draw) % 16)
+    # What it should give
+    matrices = scene.matrices[pose : pose + 1]
+    found = replay(Algorithm(choices.algorithm), primitive, matrices, cap=choices.cap)
+    vectors = [found.positions, found.normals, found.tangents, found.bitangents]
+    expected = np.stack([one[0].astype(np.float64) for one in vectors], axis=1)
+    if choices.mirrored_joints:
+        expected[:, 1] *= np.sign(np.linalg.det(matrices[0, :, :3, :3].astype(np.float64)))[
+            scene.joints[:, :1]
+        ]
+    vertex = replace(choices, stage=Stage.VERTEX, morphs=Morphs.NONE)
+    here = replace(scene, matrices=matrices, positions=primitive.positions.astype(np.float32))
+    joints = replace(scene, matrices=matrices).motions(vertex).tobytes()
+    return Pass(draw, bytes(geometry.data), joints, targets, expected, term_lengths(vertex, here))
+
+
+def members(choices: ShaderChoices) -> list[str]:
+    """Return the numbers of a primitive in the order of the text, the same in all languages."""
+    found = []
+    for language, start in (
+        (Language.WGSL, "struct skinbake_Draw {"),
+        (Language.GLSL, "uniform skinbake_Draw {"),
+        (Language.HLSL, "cbuffer skinbake_Draw : register(b0) {"),
+    ):
+        text = shader_text(replace(choices, language=language))
+        block = text.partition(start)[2].partition("}")[0]
+        words = re.findall(r"\w+(?=:)|\w+(?=;)", block)
+        found.append([word.removeprefix("skinbake_draw_") for word in words])
+    assert found[0] == found[1] == found[2]
+    return found[0]
+
+
+def code_of(choices: ShaderChoices, language: Language) -> str | bytes:
+    text = shader_text(replace(choices, language=language))
+    if language is Language.WGSL:
+        return text
+    module = glslang.spirv(text, "comp") if language is Language.GLSL else glslang.spirv_of_hlsl(text)
+    assert glslang.invalid(module) == "", label(choices)
+    return module
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("language", "implementation"),
+    [
+        (Language.WGSL, webgpu.NAGA),
+        (Language.WGSL, webgpu.TINT),
+        (Language.GLSL, webgpu.NAGA),
+        (Language.HLSL, webgpu.NAGA),
+    ],
+    ids=["wgsl-naga", "wgsl-tint", "glsl", "hlsl"],
+)
+def test_a_pass_gives_what_the_replay_gives(
+    language: Language, implementation: webgpu.Implementation
+) -> None:
+    passes = {f"{number} {label(choices)}": pass_of(choices, number) for number, choices in enumerate(CASES)}
+    jobs = {
+        name: one.job(code_of(choices, language))
+        for (name, one), choices in zip(passes.items(), CASES, strict=True)
+    }
+    answers = webgpu.answers(implementation, jobs)
+    for number, (name, one) in enumerate(passes.items()):
+        assert_like_the_replay(name, done(name, answers[name]), one, leaves_out_tangents=number == 0)
+
+
+@pytest.mark.slow
+def test_a_pass_in_opengl_gives_what_the_replay_gives() -> None:
+    with opengl.context("desktop") as context:
+        for number, choices in enumerate(CASES):
+            one = pass_of(choices, number)
+            text, job = shader_text(replace(choices, language=Language.GLSL)), one.job("")
+            # Its own comments come before the version, which Mesa takes as well.
+            storage: list[bytes | int] = [*job.buffers[1:], job.result_bytes, *job.further]
+            found = context.compute(text, job.buffers[0], storage, job.workgroups)
+            assert_like_the_replay(label(choices), found, one, leaves_out_tangents=number == 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("bent_tube.glb", {}),
+        ("weights_u8.glb", {"encoding": "packed8"}),
+        ("two_sets.glb", {"encoding": "snorm16"}),
+        ("morphed_sheet.glb", {"morph_frames": True}),
+    ],
+)
+def test_a_pass_over_the_buffer_of_a_file_gives_its_normals(
+    name: str, options: dict[str, Any], tmp_path: Path
+) -> None:
+    """The text of --for reads the file's own bytes, and its results are those of ``skinbake.normals``."""
+    path = tmp_path / name
+    skinbake.bake(FOLDER / name, path, **options)
+    made = shader(ShaderRequest(Language.WGSL, stage=Stage.COMPUTE), str(path))
+    [posed] = skinbake.normals(path)
+    file = read(path)
+    primitive = file.content["meshes"][posed.mesh]["primitives"][posed.primitive]
+
+    def place(accessor: int) -> tuple[int, int]:
+        found = file.content["accessors"][accessor]
+        view = file.content["bufferViews"][found["bufferView"]]
+        packed = SIZES[found["componentType"]] * int(found["type"][-1])
+        return view.get("byteOffset", 0) + found.get("byteOffset", 0), view.get("byteStride", packed)
+
+    accessors = {key.lower().removeprefix("_skinbake_"): one for key, one in primitive["attributes"].items()}
+    sizes = {
+        kind: SIZES[file.content["accessors"][accessors[kind]]["componentType"]]
+        for kind in ("joints_0", "weights_0")
+    }
+    targets = b""
+    for weight, target in zip(posed.morph_weights, primitive.get("targets", []), strict=True):
+        names = ("POSITION", "NORMAL", "TANGENT", "_SKINBAKE_MORPH", "_SKINBAKE_MORPH_UP")
+        ends = [place(target[key]) if key in target else (ABSENT, 0) for key in names]
+        targets += np.float32(weight).tobytes() + bytes(4) + np.array(ends, np.uint32).tobytes()
+    count = len(posed.positions)
+    numbers = {
+        **{"vertices": count, "targets": len(posed.morph_weights)},
+        **{"joint_size": sizes["joints_0"], "weight_size": sizes["weights_0"]},
+        **{"posed_stride": 24, "posed_position": 0, "posed_normal": 12, "posed_tangent": ABSENT},
+    }
+    draw = np.array([*numbers.values()], np.uint32).tobytes() + np.array([0.0, 1.0], np.float32).tobytes()
+    for member in members(made.choices)[10:]:
+        draw += np.array(place(accessors[member.removeprefix("stored_")]), np.uint32).tobytes()
+    joints = posed.joint_matrices.transpose(0, 2, 1).astype(np.float32).tobytes()
+    further = (targets,) if made.choices.morphs is not Morphs.NONE else ()
+    given = draw + bytes(-len(draw) % 16), file.buffer(0), joints
+    job = webgpu.Job(made.text, given, 24 * count, -(-count // WORKGROUP), further)
+    found = np.frombuffer(done(name, webgpu.answers(webgpu.NAGA, {name: job})[name]), np.float32).reshape(
+        -1, 6
+    )
+    assert np.abs(found[:, :3] - posed.positions).max() < 1e-5
+    assert analytic.degrees_between(found[:, 3:], posed.normals["accurate"]).max() < 0.02
+
+
+def assert_like_the_replay(name: str, results: bytes, given: Pass, *, leaves_out_tangents: bool) -> None:
+    rows = np.frombuffer(results, np.float32).reshape(-1, POSED.stride // 4)
+    touched = np.zeros(rows.shape, np.bool_)
+    for start, size in ((POSED.position, 3), (POSED.normal, 3), (POSED.tangent, 4)):
+        if not (leaves_out_tangents and start == POSED.tangent):
+            touched[:-1, start // 4 : start // 4 + size] = True
+    assert not rows[~touched].any(), f"{name}: it writes what it should not"
+    position, normal, tangent = (
+        rows[:-1, start // 4 :][:, :3] for start in (POSED.position, POSED.normal, POSED.tangent)
+    )
+    tolerances = TOLERANCE * given.lengths
+    # Written so that NaN fails.
+    apart = np.linalg.norm(position - given.expected[:, 0], axis=1)
+    assert (apart <= tolerances[:, 0]).all(), f"{name}: a position is off by {np.nanmax(apart)}"
+    for at, found in ((1, normal), (2, tangent)):
+        if at == 2 and leaves_out_tangents:
+            continue
+        own = np.linalg.norm(given.expected[:, at], axis=1, keepdims=True)
+        apart = np.linalg.norm(found - given.expected[:, at] / own, axis=1)
+        allowed = 2 * tolerances[:, at] / own[:, 0] + TOLERANCE
+        assert (apart <= allowed).all(), f"{name}: vector {at} is off by {np.nanmax(apart / allowed)} times"
+    if not leaves_out_tangents:
+        _, n, t, b = given.expected.transpose(1, 0, 2)
+        sides = np.einsum("vi,vi->v", np.cross(t, b), n)
+        clear = np.abs(sides) > 1e-3 * np.linalg.norm(t, axis=1) * np.linalg.norm(b, axis=1) * np.linalg.norm(
+            n, axis=1
+        )
+        assert (rows[:-1, POSED.tangent // 4 + 3][clear] == np.sign(sides[clear])).all(), name
+
+
+def test_the_cases_have_what_they_are_for() -> None:
+    assert {choices.algorithm for choices in CASES} == {1, 2, 3, 4, 5, 6}
+    assert {choices.influence_sets for choices in CASES} == {1, 2}
+    given: Mapping[str, Pass] = {str(n): pass_of(one, n) for n, one in enumerate(CASES)}
+    frames = {
+        np.sign(
+            np.einsum("vi,vi->v", np.cross(one.expected[:, 2], one.expected[:, 3]), one.expected[:, 1])
+        ).min()
+        for one in given.values()
+    }
+    assert frames == {-1.0, 1.0}
+
+
+@pytest.mark.parametrize(
+    ("others", "message"),
+    [
+        ({"normal_map": True}, "stage='compute' contradicts normal_map"),
+        ({"target": "three"}, "stage='compute' needs target='plain', not three"),
+    ],
+)
+def test_what_no_pass_does_is_refused(others: dict[str, Any], message: str) -> None:
+    with pytest.raises(ChoiceError) as caught:
+        case(**others)
+    assert str(caught.value) == message
