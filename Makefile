@@ -18,7 +18,7 @@ unexport PYTHONHOME PYTHONPATH PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help bake setup setup-blender test test-all check lint fixtures golden picture table bench speeds man
+.PHONY: help bake setup setup-blender test test-all check lint fixtures golden picture table scores bench speeds man
 .PHONY: docs dist try-dist fuzz fuzz-native fuzz-coverage faults clean
 
 help: ## List the targets
@@ -59,6 +59,7 @@ picture: $(DEV) $(NODE_MODULES) ## Draw bend.png, shaders.png, view.gif (need a 
 	$(BIN)/python -m benchmarks.bend_render docs/shaders.png
 	$(BIN)/skinbake render $(EXAMPLE) -o docs/view.gif --split --size 880x400
 	$(BIN)/python -m benchmarks.three_picture
+	$(BIN)/python -m benchmarks.skinned_normals_scores --pictures fixtures/SkinnedNormalsTest/screenshot
 
 table: $(DEV) ## Write the tables of docs/ that models yield anew, from the models of SKINBAKE_CORPUS or ../shared/corpus
 	$(BIN)/python -m benchmarks.corpus_table
@@ -67,6 +68,9 @@ table: $(DEV) ## Write the tables of docs/ that models yield anew, from the mode
 	$(BIN)/python -m benchmarks.extended_influences
 	$(BIN)/python -m benchmarks.encoding_table
 	$(BIN)/python -m benchmarks.morph_frames
+
+scores: $(DEV) $(NODE_MODULES) ## Write docs/scores.md anew: three.js, Babylon.js, PlayCanvas and Godot in Chromium (3 minutes)
+	$(BIN)/python -m benchmarks.skinned_normals_scores
 
 bench: $(DEV) $(NODE_MODULES) ## Time bake and verify against peers: write benchmarks/RESULTS.md (12 minutes)
 	$(BIN)/python -m benchmarks.results

@@ -25,15 +25,16 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
 
+from benchmarks.marked import write_between
 from fixtures import skinned_normals_test as asset
 from fixtures.builder import pack_glb
 from fixtures.make_fixtures import FOLDER as FIXTURES
 from skinbake.commands.bake import Baker
 from skinbake.shaders.engines import engines_folder
 from tests.support import browser
+from tests.support.characters import angles
 from tests.support.gltf_reading import read
 from tests.support.node import build_page, package_folder
 from tests.support.stage import opened_page, page_of
@@ -47,8 +48,6 @@ POSED_DEGREES = 0.3
 SIZE = (1400, 800)
 """Of a picture, in pixels."""
 START, END = "<!-- scores: begin -->", "<!-- scores: end -->"
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,10 +124,7 @@ def main() -> None:
             write_pictures(models["adapter"], options.pictures, folder)
             return
         rows = {engine: [scores(engine, kind, models[kind], folder) for kind in KINDS] for engine in ENGINES}
-    before, rest = options.output.read_text("utf-8").split(START)
-    after = rest.split(END)[1]
-    options.output.write_text(f"{before}{START}\n{table(rows)}\n{END}{after}", "utf-8")
-    print(table(rows))
+    write_between(options.output, START, END, table(rows))
 
 
 def packed() -> bytes:
@@ -160,10 +156,10 @@ def scores(engine: Engine, kind: str, path: Path, folder: Path) -> list[float]:
     for number, part in enumerate(asset.PARTS):
         exact = file.attribute("NORMAL", 2 * number + 1).astype(np.float64)
         copies = [draw for draw in draws if len(draw) == len(exact)]
-        copies.sort(key=lambda draw: float(apart(draw, exact).max()))
-        if len(copies) != 2 or apart(copies[0], exact).max() > POSED_DEGREES:
+        copies.sort(key=lambda draw: float(angles(draw, exact).max()))
+        if len(copies) != 2 or angles(copies[0], exact).max() > POSED_DEGREES:
             raise SystemExit(f"{engine.title}, {kind}: {part.name} is not drawn twice, once as posed")
-        measured.append(float(apart(*copies).mean()))
+        measured.append(float(angles(*copies).mean()))
     return measured
 
 
@@ -216,12 +212,6 @@ def opened(engine: Engine, has_adapter: bool, scratch: Path) -> Iterator[browser
         page = page_of("/entry/entry.mjs", engine.imports, scripts=scripts)
     with opened_page(page, scratch, folders) as (shown, _):
         yield shown
-
-
-def apart(first: Array, second: Array) -> Array:
-    """Return the angles in degrees between the rows of two arrays (V, 3)."""
-    sine, cosine = np.linalg.norm(np.cross(first, second), axis=1), (first * second).sum(axis=1)
-    return np.asarray(np.rad2deg(np.arctan2(sine, cosine)))
 
 
 def table(rows: Mapping[Engine, list[list[float]]]) -> str:
