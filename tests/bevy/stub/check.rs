@@ -10,35 +10,51 @@ use bevy::{
     shader::{ShaderDefVal, ShaderRef},
 };
 
-// Locations as in Bevy's forward pass.
-const OWN: [(MeshVertexAttribute, u32); 5] = [
+type Places = [(MeshVertexAttribute, u32); 5];
+
+// Locations as in Bevy's forward pass, and in its prepass, which draws shadows too.
+const FORWARD: Places = [
     (Mesh::ATTRIBUTE_POSITION, 0),
     (Mesh::ATTRIBUTE_NORMAL, 1),
     (Mesh::ATTRIBUTE_TANGENT, 4),
     (Mesh::ATTRIBUTE_JOINT_WEIGHT, 7),
     (Mesh::ATTRIBUTE_JOINT_INDEX, 6),
 ];
+const PREPASS: Places = [
+    (Mesh::ATTRIBUTE_POSITION, 0),
+    (Mesh::ATTRIBUTE_NORMAL, 3),
+    (Mesh::ATTRIBUTE_TANGENT, 4),
+    (Mesh::ATTRIBUTE_JOINT_WEIGHT, 6),
+    (Mesh::ATTRIBUTE_JOINT_INDEX, 5),
+];
+
+/// The last location in both passes. Texture coordinates and colours have the others.
+const LAST: u32 = 7;
 
 /// The layout of a mesh with Bevy's attributes and others, and the pipeline that Bevy has begun for it.
-fn mesh(more: &[MeshVertexAttribute]) -> (MeshVertexBufferLayoutRef, RenderPipelineDescriptor) {
-    let mut attributes: Vec<_> = OWN.iter().map(|(attribute, _)| *attribute).collect();
+fn mesh(
+    own: &Places,
+    more: &[MeshVertexAttribute],
+) -> (MeshVertexBufferLayoutRef, RenderPipelineDescriptor) {
+    let mut attributes: Vec<_> = own.iter().map(|(attribute, _)| *attribute).collect();
     attributes.extend(more);
     let layout = MeshVertexBufferLayout { attributes };
-    let places: Vec<_> = OWN.iter().map(|(a, location)| a.at_shader_location(*location)).collect();
+    let places: Vec<_> = own.iter().map(|(a, location)| a.at_shader_location(*location)).collect();
     let buffer = layout.get_layout(&places).unwrap();
     let vertex = VertexState { shader_defs: vec!["SKINNED".into()], buffers: vec![buffer] };
     (MeshVertexBufferLayoutRef(layout.into()), RenderPipelineDescriptor { vertex })
 }
 
 fn specialized(more: &[MeshVertexAttribute]) -> (RenderPipelineDescriptor, RenderPipelineDescriptor) {
-    specialized_with(more, &[])
+    specialized_with(&FORWARD, more, &[])
 }
 
 fn specialized_with(
+    own: &Places,
     more: &[MeshVertexAttribute],
     defs: &[&str],
 ) -> (RenderPipelineDescriptor, RenderPipelineDescriptor) {
-    let (layout, mut before) = mesh(more);
+    let (layout, mut before) = mesh(own, more);
     before.vertex.shader_defs.extend(defs.iter().map(|name| ShaderDefVal::from(*name)));
     let mut after = before.clone();
     let key = MaterialExtensionKey { bind_group_data: () };
@@ -63,7 +79,12 @@ fn main() {
         assert_eq!(before, after);
     }
 
-    let (before, after) = specialized_with(&[skinbake::ALPHA, skinbake::BETA], &["VERTEX_NORMALS_COMPRESSED"]);
+    let (_, in_prepass) = specialized_with(&PREPASS, &[skinbake::ALPHA, skinbake::BETA], &[]);
+    assert_eq!(in_prepass.vertex.buffers[0].attributes[5..], *added);
+    assert!(added.iter().all(|place| place.shader_location > LAST));
+
+    let baked = [skinbake::ALPHA, skinbake::BETA];
+    let (before, after) = specialized_with(&FORWARD, &baked, &["VERTEX_NORMALS_COMPRESSED"]);
     println!("with compressed normals: {}", if before == after { "Bevy's own" } else { "baked" });
     let ShaderRef::Path(path) = skinbake::Skinbake::vertex_shader() else { panic!("no path") };
     println!("{path}");
