@@ -4,8 +4,8 @@
 // clone(), copy(), another material, a hook that is set later, a mesh that is written anew around it.
 
 // GLTFExporter leaves out attributes whose names begin with "morph".
-export const ATTRIBUTES = ['Alpha', 'Beta', 'Tangent', 'Storage', 'Dual'].map((name) => `morphSkinbake${name}`);
-export const [ALPHA, BETA, TANGENT, STORAGE, DUAL] = ATTRIBUTES;
+export const ATTRIBUTES = ['Alpha', 'Beta', 'Tangent', 'Storage', 'Dual', 'Moved'].map((name) => `morphSkinbake${name}`);
+export const [ALPHA, BETA, TANGENT, STORAGE, DUAL, MOVED] = ATTRIBUTES;
 const FRAMES = { normal: 2, tangent: 3 }; // An attribute that is missing reads as 0 or 1.
 const METHODS = { lbs: 0, dqs: 1 };
 const ENCODINGS = { packed8: Int8Array, snorm16: Int16Array };
@@ -15,6 +15,10 @@ export const state = (globalThis[Symbol.for('skinbake.three')] ??= {
     geometries: new WeakMap(), // geometry -> { problem, constants, arrays, unfit }
     // metadata -> method, of geometries that were asked for; undefined after dispose(). Their clones have it too.
     methods: new WeakMap(),
+    moves: new WeakMap(), // metadata -> how the morph targets of the mesh that first had it move the frame
+    sheet: undefined, // texture of these numbers, of all geometries
+    rows: new Set(), // { first, count } of the rows of the sheet that are in use
+    unused: new FinalizationRegistry((rows) => state.rows.delete(rows)),
     fits: new WeakMap(), // metadata -> why the mesh that first had it does not fit it, or empty
     prints: new WeakMap(), // geometry, or metadata -> { skinbake, prints }: of its arrays when it was first seen
     meshes: new WeakMap(), // mesh -> WeakMap of material -> { program, lighting, reason, repaired }
@@ -31,10 +35,17 @@ export function apply(root, method) {
     return light([root], method);
 }
 
-// What GLTFLoader has loaded.
+// What GLTFLoader has loaded: it waits for what a plugin returns. The report is in userData.skinbake.
 export function applyToAll(gltf, parser, method) {
-    gltf.scenes.flatMap(skinnedMeshes).forEach((mesh) => takeMetadata(mesh, parser));
-    return light(gltf.scenes, method);
+    const meshes = gltf.scenes.flatMap(skinnedMeshes);
+    meshes.forEach((mesh) => takeMetadata(mesh, parser));
+    const act = () => {
+        gltf.userData ??= {};
+        gltf.userData.skinbake = light(gltf.scenes, method);
+        return null;
+    };
+    const loading = meshes.map((mesh) => takeMoves(mesh, parser)).filter(Boolean);
+    return loading.length ? Promise.all(loading).then(act) : act();
 }
 
 function light(roots, method) {
@@ -228,15 +239,90 @@ function takeMetadata(mesh, { json, associations }) {
     }
 }
 
+const MOVES = ['_SKINBAKE_MORPH', '_SKINBAKE_MORPH_UP'];
+export const WIDTH = 2048; // texels of a row of a texture
+const MOST_ROWS = 8192; // WebGPU has them everywhere, and WebGL 2 nearly so
+
+// Load the numbers by which morph targets move the frame. Return a promise, or undefined where a file has none.
+function takeMoves(mesh, parser) {
+    const { meshes, primitives = 0 } = parser.associations.get(mesh) ?? {};
+    const { extras, primitives: all } = parser.json.meshes?.[meshes] ?? {};
+    const noted = extras?.skinbake?.morphTargets?.[primitives];
+    const names = { 4: MOVES.slice(0, 1), 6: MOVES }[noted?.frames];
+    const targets = all?.[primitives].targets ?? [];
+    if (!names || noted.targets !== targets.length || !isObject(mesh.geometry.userData.skinbake)) return undefined;
+    const indices = targets.flatMap((target) => names.map((name) => target[name]));
+    if (!indices.every((index) => parser.json.accessors[index]?.componentType === FLOAT)) return undefined;
+    const loading = Promise.all(indices.map((index) => parser.getDependency('accessor', index)));
+    return loading.then((columns) => keepMoves(mesh, columns, names.length));
+}
+
+// A vertex has one texel for each target, or two: of the numbers in the plane, and of those upward.
+function keepMoves({ name, geometry: { attributes, morphAttributes, userData } }, columns, texels) {
+    const { position } = attributes;
+    if (state.moves.has(userData.skinbake) || !columns.every(({ count }) => count === position.count)) return;
+    const rows = { first: 0, count: Math.ceil((columns.length * position.count) / WIDTH) };
+    for (const used of [...state.rows].sort((one, other) => one.first - other.first)) {
+        if (used.first - rows.first >= rows.count) break;
+        rows.first = used.first + used.count;
+    }
+    if (rows.first + rows.count > MOST_ROWS) {
+        console.warn(`skinbake: "${name}" lights morphs by their normals: no room is left for the numbers of its targets`);
+        return;
+    }
+    const sheet = sheetOf(rows.first + rows.count);
+    columns.forEach((column, index) => {
+        for (let vertex = 0; vertex < position.count; vertex++) {
+            const to = 4 * (WIDTH * rows.first + columns.length * vertex + index);
+            for (let at = 0; at < column.itemSize; at++) sheet.image.data[to + at] = column.getComponent(vertex, at);
+        }
+    });
+    sheet.needsUpdate = true;
+    state.rows.add(rows);
+    state.unused.register(userData.skinbake, rows);
+    const prints = [position, ...morphAttributes.position].map(printOf);
+    state.moves.set(userData.skinbake, { place: (texels === 1 ? -1 : 1) * (rows.first + 1), prints });
+}
+
+// Return the row of the sheet, from 1 on, where a geometry has its numbers: negative where they are four. 0 is none,
+// also where a page has combined targets, or put them into another order.
+function placeOf({ attributes, morphAttributes, userData }) {
+    const moves = state.moves.get(userData.skinbake);
+    const present = [attributes.position, ...(morphAttributes.position ?? [])];
+    const isSame = (one, index) => isLike(printOf(one), moves.prints[index]);
+    return moves && present.length === moves.prints.length && present.every(isSame) ? moves.place : 0;
+}
+
+// One texture for all geometries, because materials share what WebGLRenderer hands them.
+export function sheetOf(rows = 1) {
+    const { DataTexture, FloatType } = state.three;
+    if (!state.sheet) {
+        state.sheet = new DataTexture(new Float32Array(4 * WIDTH), WIDTH, 1, undefined, FloatType);
+        state.sheet.clone = () => state.sheet; // three.js clones what its own materials begin with
+        state.sheet.needsUpdate = true;
+    }
+    const { data, height } = state.sheet.image;
+    if (rows > height) {
+        const image = { width: WIDTH, height: Math.min(Math.max(rows, 2 * height), MOST_ROWS) };
+        image.data = new Float32Array(4 * WIDTH * image.height);
+        image.data.set(data);
+        state.sheet.dispose();
+        state.sheet.image = image;
+        state.sheet.needsUpdate = true;
+    }
+    return state.sheet;
+}
+
 export function isBaked(geometry) {
     const adopted = state.geometries.get(geometry);
     return adopted !== undefined && !adopted.problem;
 }
 
-function isIntact({ attributes }, { sources, hidden, arrays }) {
+function isIntact({ attributes, morphAttributes }, { sources, targets, hidden, arrays }) {
     return (
         Boolean(attributes[STORAGE] ?? hidden) &&
         sources.every(([name, source]) => attributes[name] === source) &&
+        targets.every((target, index) => morphAttributes.position?.[index] === target) &&
         arrays.every((one) => isAsBefore(attributes[one.name], one))
     );
 }
@@ -366,13 +452,16 @@ function madeOf(geometry, method) {
         define(attributes, TANGENT, attributes.tangent, false);
         sources.push(['tangent', attributes.tangent]);
     }
-    const constants = constantsOf(metadata, method);
+    const constants = constantsOf(geometry, method);
     const storage = hasStorage(geometry, method) ? attributes[STORAGE] : storageOf(geometry, constants);
     define(attributes, STORAGE, storage, true);
-    // Nothing reads it: WebGPURenderer makes other programs for geometries that have attributes of other names.
+    // Nothing reads these: WebGPURenderer makes other programs for geometries that have attributes of other names.
     if (method === 'dqs') define(attributes, DUAL, storage, true);
+    const targets = constants[3] ? [...geometry.morphAttributes.position] : [];
+    if (targets.length) define(attributes, MOVED, storage, true);
+    else delete attributes[MOVED]; // toJSON() has written it
     const joints = method === 'dqs' ? jointsOf(attributes) : [];
-    return { problem: '', sources, arrays, method, constants, joints, unfit: new WeakMap() };
+    return { problem: '', sources, targets, arrays, method, constants, joints, unfit: new WeakMap() };
 }
 
 const TYPES = [Int8Array, Uint8Array, Int16Array, Uint16Array]; // as glTF numbers them, from 5120 on
@@ -467,17 +556,18 @@ function hasProduct(e, a, b, product) {
     return Math.abs(e[a] * e[b] + e[a + 1] * e[b + 1] + e[a + 2] * e[b + 2] - product) <= RIGID;
 }
 
-function constantsOf({ encoding, scale, frame }, method) {
-    return [encoding ? scale : 1, FRAMES[frame], METHODS[method], 1];
+function constantsOf(geometry, method) {
+    const { encoding, scale, frame } = geometry.userData.skinbake;
+    return [encoding ? scale : 1, FRAMES[frame], METHODS[method], placeOf(geometry)];
 }
 
 const FOR_ALL = 1 << 30; // instances
 
 // Whether a geometry has the constants already, as a clone has.
-function hasStorage({ attributes, userData, isInstancedBufferGeometry }, method) {
-    const { array, meshPerAttribute } = attributes[STORAGE] ?? {};
-    if (isInstancedBufferGeometry || meshPerAttribute !== FOR_ALL) return false;
-    return constantsOf(userData.skinbake, method).every((value, index) => Math.fround(value) === array[index]);
+function hasStorage(geometry, method) {
+    const { array, meshPerAttribute } = geometry.attributes[STORAGE] ?? {};
+    if (geometry.isInstancedBufferGeometry || meshPerAttribute !== FOR_ALL) return false;
+    return constantsOf(geometry, method).every((value, index) => Math.fround(value) === array[index]);
 }
 
 // One element for all vertices and instances. Where the attributes say how many instances there are, one for each

@@ -46,5 +46,5 @@ export class SkinbakePlugin implements GLTFLoaderPlugin {
     readonly name: string;
     readonly parser: GLTFParser;
     readonly method: 'lbs' | 'dqs';
-    afterRoot(gltf: GLTF): null;
+    afterRoot(gltf: GLTF): Promise<void> | null;
 }

@@ -7,8 +7,17 @@
 //
 //     loader.register((parser) => new SkinbakePlugin(parser)); // GLTFLoader; or applySkinbake(scene)
 
-import { BufferAttribute, InstancedBufferAttribute, REVISION, ShaderChunk, SkinnedMesh } from 'three';
-import { apply, applyToAll, DUAL, framedBy, serve } from './core.js';
+import {
+    BufferAttribute,
+    DataTexture,
+    FloatType,
+    InstancedBufferAttribute,
+    REVISION,
+    ShaderChunk,
+    ShaderLib,
+    SkinnedMesh,
+} from 'three';
+import { apply, applyToAll, DUAL, framedBy, MOVED, serve, sheetOf } from './core.js';
 import {
     AFTER_ANISOTROPY,
     AFTER_FRAME,
@@ -48,9 +57,7 @@ export class SkinbakePlugin {
     // The report is in userData.skinbake of what the loader returns.
     afterRoot(gltf) {
         serveWebGL();
-        gltf.userData ??= {};
-        gltf.userData.skinbake = applyToAll(gltf, this.parser, this.method);
-        return null;
+        return applyToAll(gltf, this.parser, this.method);
     }
 }
 
@@ -79,10 +86,12 @@ function changeChunks() {
         usual[name] = ShaderChunk[name];
         ShaderChunk[name] = `${before}${ShaderChunk[name]}${after}`;
     }
+    for (const { uniforms } of Object.values(ShaderLib)) uniforms.skinbakeSheet = { value: sheetOf() };
 }
 
 function restoreChunks() {
     Object.assign(ShaderChunk, usual);
+    for (const { uniforms } of Object.values(ShaderLib)) delete uniforms.skinbakeSheet;
 }
 
 // The program of a material may be from before the chunks were changed. Then this define gives it another one.
@@ -95,23 +104,28 @@ function renew(material) {
 const failed = new WeakSet(); // materials whose program does not link with alpha and beta
 const unmapped = new WeakSet(); // materials whose program does not link with what normal maps need
 
-// With the one define, the program of a material is three.js's own. With the other one, normal maps and anisotropy
-// follow the surface.
+// With SKINBAKE_STANDARD, the program of a material is three.js's own. With the others, normal maps and anisotropy
+// follow the surface, and morph targets move the frame by their numbers. Materials that meshes share keep those.
 function choose(mesh, material, isSettled) {
     const { defines = {}, isRawShaderMaterial, isNodeMaterial } = material;
     if (isRawShaderMaterial || isNodeMaterial) return;
-    const isPlain = isSettled || failed.has(material);
-    const isMapped = !unmapped.has(material) && (defines.SKINBAKE_NORMAL_MAP !== undefined || framedBy(mesh, material) === 'tangent');
-    if (
-        (defines.SKINBAKE_STANDARD !== undefined) === isPlain &&
-        (defines.SKINBAKE_NORMAL_MAP !== undefined) === isMapped
-    ) {
-        return;
+    const isShadow = material.isMeshDepthMaterial || material.isMeshDistanceMaterial;
+    const had = (name) => defines[name] !== undefined;
+    const wanted = {
+        SKINBAKE_STANDARD: isSettled || failed.has(material),
+        SKINBAKE_NORMAL_MAP: !unmapped.has(material) && (had('SKINBAKE_NORMAL_MAP') || framedBy(mesh, material) === 'tangent'),
+        SKINBAKE_SHEET: !isShadow && (had('SKINBAKE_SHEET') || mesh.geometry.hasAttribute(MOVED)),
+    };
+    // Of a page's own uniforms, which it may copy or write to a file, this one is no part.
+    if (wanted.SKINBAKE_SHEET && material.isShaderMaterial) {
+        const uniform = { value: { value: sheetOf() }, configurable: true };
+        if (!material.uniforms.skinbakeSheet) Object.defineProperty(material.uniforms, 'skinbakeSheet', uniform);
     }
-    const { SKINBAKE_STANDARD, SKINBAKE_NORMAL_MAP, ...others } = defines;
-    if (isPlain) others.SKINBAKE_STANDARD = '';
-    if (isMapped) others.SKINBAKE_NORMAL_MAP = '';
-    material.defines = others;
+    const names = Object.keys(wanted);
+    if (names.every((name) => wanted[name] === had(name))) return;
+    const others = Object.entries(defines).filter(([name]) => !names.includes(name));
+    const ours = names.filter((name) => wanted[name]).map((name) => [name, '']);
+    material.defines = Object.fromEntries([...others, ...ours]);
     material.needsUpdate = true;
 }
 
@@ -171,5 +185,6 @@ function serveWebGL() {
         verify: verifyProgram,
         renew,
     };
-    serve('webgl', backend, { BufferAttribute, InstancedBufferAttribute, SkinnedMesh }, REVISION, 160);
+    const classes = { BufferAttribute, DataTexture, FloatType, InstancedBufferAttribute, SkinnedMesh };
+    serve('webgl', backend, classes, REVISION, 160);
 }

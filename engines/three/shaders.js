@@ -14,7 +14,16 @@ export const DECLARATIONS = /* glsl */ `
 attribute vec4 morphSkinbakeAlpha;
 attribute vec4 morphSkinbakeBeta;
 attribute vec4 morphSkinbakeTangent;
-attribute vec4 morphSkinbakeStorage; // scale; frame: 2 normal, 3 tangent; 1 for dual quaternions
+attribute vec4 morphSkinbakeStorage; // scale; frame: 2 normal, 3 tangent; 1 for dual quaternions; row of the sheet
+#ifdef SKINBAKE_SHEET
+uniform highp sampler2D skinbakeSheet; // of the numbers of morph targets, for all meshes
+
+vec4 skinbake_numbers(int texel)
+{
+    int width = textureSize(skinbakeSheet, 0).x;
+    return texelFetch(skinbakeSheet, ivec2(texel % width, texel / width), 0);
+}
+#endif
 
 bool skinbake_isBaked()
 {
@@ -222,6 +231,40 @@ skinbake_Frame skinbake_frame(vec3 n)
 }
 #endif
 
+#ifndef SKINBAKE_MOVED_FRAME
+#define SKINBAKE_MOVED_FRAME
+// The frame under morph targets whose differential the file has: m and up are the weighted sums of _SKINBAKE_MORPH
+// and _SKINBAKE_MORPH_UP of the targets. It is exact, and needs no NORMAL of the targets.
+skinbake_Frame skinbake_moved_frame(skinbake_Frame rest, vec4 m, vec2 up)
+{
+    vec3 tangent = rest.tangent + rest.tangent * m.x + rest.bitangent * m.y + rest.normal * up.x;
+    vec3 bitangent = rest.bitangent + rest.tangent * m.z + rest.bitangent * m.w + rest.normal * up.y;
+    vec3 c = cross(tangent, bitangent) * rest.handedness;
+    float square = dot(c, c);
+    bool moves = square > 0.0 && (any(notEqual(m, vec4(0.0))) || any(notEqual(up, vec2(0.0))));
+    vec3 normal = moves ? c * inversesqrt(square) : rest.normal;
+    return skinbake_Frame(normal, tangent, bitangent, rest.handedness);
+}
+#endif
+
+#ifndef SKINBAKE_MOVED_FRAME_BY_NORMAL
+#define SKINBAKE_MOVED_FRAME_BY_NORMAL
+// The frame under morph targets that have NORMAL and their differential: n is NORMAL plus the weighted sum of its
+// targets, of any length, m the weighted sum of _SKINBAKE_MORPH of the targets.
+skinbake_Frame skinbake_moved_frame_by_normal(skinbake_Frame rest, vec3 n, vec4 m)
+{
+    skinbake_Frame frame = skinbake_morphed_frame(rest, n);
+    vec3 t = rest.tangent + rest.tangent * m.x + rest.bitangent * m.y;
+    vec3 b = rest.bitangent + rest.tangent * m.z + rest.bitangent * m.w;
+    float cosine = dot(rest.normal, frame.normal);
+    bool steep = abs(cosine) < 0.2; // then m tells too little
+    float k = steep ? 0.0 : 1.0 / cosine;
+    frame.tangent = steep ? frame.tangent : t - rest.normal * (dot(t, frame.normal) * k);
+    frame.bitangent = steep ? frame.bitangent : b - rest.normal * (dot(b, frame.normal) * k);
+    return frame;
+}
+#endif
+
 #ifndef SKINBAKE_DECODED
 #define SKINBAKE_DECODED
 // alpha or beta of slots 1 to 3, from set 0. xyz are relative to the scale of the vertex. w is the square root of
@@ -355,14 +398,34 @@ if (skinbake_isBaked()) {
         p = transformed;
     }
     vec3 n0 = dot(normal, normal) > 0.0 ? normalize(normal) : vec3(0.0, 0.0, 1.0);
-    skinbake_Frame frame = skinbake_frame(n0);
-    if (skinbake_hasTangentFrame()) frame = skinbake_frame(n0, morphSkinbakeTangent);
+    skinbake_Frame rest = skinbake_frame(n0);
+    if (skinbake_hasTangentFrame()) rest = skinbake_frame(n0, morphSkinbakeTangent);
+    skinbake_Frame frame = rest;
 #ifdef USE_TANGENT
-    vec2 along = vec2(dot(tangent.xyz, frame.tangent), dot(tangent.xyz, frame.bitangent));
+    vec2 along = vec2(dot(tangent.xyz, rest.tangent), dot(tangent.xyz, rest.bitangent));
     if (skinbake_hasTangentFrame()) along = vec2(1.0, 0.0);
 #endif
     // By morph targets, or by a hook of the page.
-    if (skinbakeMorphedNormal != normal) frame = skinbake_morphed_frame(frame, skinbakeMorphedNormal);
+    bool turned = skinbakeMorphedNormal != normal;
+    if (turned) frame = skinbake_morphed_frame(rest, skinbakeMorphedNormal);
+#if defined(SKINBAKE_SHEET) && defined(SKINBAKE_HAS_MORPHS) && defined(USE_MORPHTARGETS)
+    bool four = morphSkinbakeStorage.w < 0.0;
+    if (four || (morphSkinbakeStorage.w > 0.0 && !turned)) {
+        int first = (int(abs(morphSkinbakeStorage.w)) - 1) * textureSize(skinbakeSheet, 0).x;
+        int texels = four ? 1 : 2;
+        vec4 m = vec4(0.0);
+        vec2 up = vec2(0.0);
+        for (int i = 0; i < MORPHTARGETS_COUNT; i++) {
+            float influence = morphTargetInfluences[i];
+            if (influence == 0.0) continue;
+            int texel = first + texels * (MORPHTARGETS_COUNT * gl_VertexID + i);
+            m += influence * skinbake_numbers(texel);
+            if (!four) up += influence * skinbake_numbers(texel + 1).xy;
+        }
+        if (four) frame = skinbake_moved_frame_by_normal(rest, skinbakeMorphedNormal, m);
+        else frame = skinbake_moved_frame(rest, m, up);
+    }
+#endif
     skinbake_Frame moved = frame;
     mat3 bind = mat3(bindMatrix);
     moved.tangent = bind * frame.tangent;
@@ -371,6 +434,7 @@ if (skinbake_isBaked()) {
     moved.normal = bind * frame.normal;
     // What is displaced along the normal moves as three.js moves normals.
     vec3 carried = objectNormal / max(length(skinbakeMorphedNormal), 1e-20);
+    if (frame.normal != rest.normal && !turned) carried = (skinMatrix * vec4(frame.normal, 0.0)).xyz;
 #endif
     mat4 M[4] = mat4[4](boneMatX, boneMatY, boneMatZ, boneMatW);
     vec3 q = (bindMatrix * vec4(p, 1.0)).xyz;
@@ -400,11 +464,10 @@ if (skinbake_isBaked()) {
         second = cofactors * v.cobitangent;
     }
     if (skinbake_hasTangentFrame()) {
-        skinbakeCotangent = length(frame.tangent) * first;
-        skinbakeCobitangent = length(frame.tangent) * second;
+        skinbakeCotangent = length(rest.tangent) * first;
+        skinbakeCobitangent = length(rest.tangent) * second;
     } else {
         // Cofactors are linear: those of t and b follow from those of t0, b0 and n0. t may lean from n0.
-        skinbake_Frame rest = skinbake_frame(n0);
         vec3 t = normalize(tangent.xyz);
         vec3 b = tangent.w * normalize(cross(n0, t));
         skinbakeCotangent = dot(t, rest.tangent) * first + dot(t, rest.bitangent) * second + dot(t, n0) * skinbakeThird;

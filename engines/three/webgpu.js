@@ -23,6 +23,7 @@ import {
     Vector4,
 } from 'three/webgpu';
 import {
+    abs,
     attribute,
     cameraViewMatrix,
     cross,
@@ -33,6 +34,7 @@ import {
     inverseSqrt,
     ivec2,
     length,
+    Loop,
     mat4,
     max,
     modelNormalMatrix,
@@ -52,7 +54,9 @@ import {
     texture,
     textureSize,
     uniform,
+    uniformArray,
     varyingProperty,
+    vec2,
     vec3,
     vec4,
     vertexIndex,
@@ -68,8 +72,11 @@ import {
     framedBy,
     isBaked,
     isStandard,
+    MOVED,
     serve,
+    sheetOf,
     state,
+    WIDTH,
 } from './core.js';
 
 export { dispose, lighting } from './core.js';
@@ -100,9 +107,7 @@ export class SkinbakePlugin {
     // The report is in userData.skinbake of what the loader returns.
     afterRoot(gltf) {
         serveWebGPU();
-        gltf.userData ??= {};
-        gltf.userData.skinbake = applyToAll(gltf, this.parser, this.method);
-        return null;
+        return applyToAll(gltf, this.parser, this.method);
     }
 }
 
@@ -122,7 +127,7 @@ function choose(mesh, material, isPlain) {
     for (const one of new Set([mesh.material, material].flat())) one.needsUpdate = true;
 }
 
-// Scale; frame: 2 normal, 3 tangent.
+// Scale; frame: 2 normal, 3 tangent; 1 for dual quaternions; row of the sheet.
 function constantsOf(object, isDual) {
     asked.set(object, isDual);
     const adopted = state.geometries.get(object.geometry);
@@ -152,7 +157,7 @@ function setupPosition(builder) {
 }
 
 function light(builder, position, normal) {
-    const { geometry } = builder;
+    const { geometry, object } = builder;
     const isDual = geometry.hasAttribute(DUAL);
     const constants = uniform(new Vector4()).onObjectUpdate(({ object }) => constantsOf(object, isDual));
     const tangent = geometry.hasAttribute('tangent') ? attribute('tangent', 'vec4') : null;
@@ -164,7 +169,8 @@ function light(builder, position, normal) {
     If(constants.y.greaterThan(1.5), () => {
         const isTangentFrame = constants.y.greaterThan(2.5);
         const rest = restFrame(tangent, isTangentFrame);
-        const frame = geometry.morphAttributes.normal ? morphed(rest, normal) : rest;
+        const byNormal = geometry.morphAttributes.normal ? morphed(rest, normal) : rest;
+        const frame = geometry.hasAttribute(MOVED) ? movedFrame(object, rest, byNormal, constants.w) : byNormal;
         const bind = reference('bindMatrix', 'mat4');
         const back = reference('bindMatrixInverse', 'mat4');
         const turned = (matrix, vector) => matrix.mul(vec4(vector, 0)).xyz;
@@ -188,7 +194,9 @@ function light(builder, position, normal) {
         const other = turned(back, found.bitangent).toVar();
         normalLocal.assign(cross(image, other).mul(frame.handedness));
         if (tangent && hasRelief(builder)) {
-            if (isDual) carried.assign(turned(back, found.carried(turned(bind, frame.normal))));
+            if (isDual || geometry.hasAttribute(MOVED)) {
+                carried.assign(turned(back, found.carried(turned(bind, frame.normal))));
+            }
             const first = cross(other, carried).mul(frame.handedness).toVar();
             const second = cross(carried, image).mul(frame.handedness).toVar();
             // Cofactors are linear: those of t and b follow from those of t0, b0 and n0. t may lean from n0.
@@ -196,7 +204,7 @@ function light(builder, position, normal) {
             const b = normalize(cross(rest.normal, t)).mul(tangent.w).toVar();
             const along = (axis) =>
                 first.mul(dot(axis, rest.tangent)).add(second.mul(dot(axis, rest.bitangent))).toVar();
-            const size = length(frame.tangent);
+            const size = length(rest.tangent);
             passRelief(
                 select(isTangentFrame, first.mul(size), along(t).add(normalLocal.mul(dot(t, rest.normal)))),
                 select(isTangentFrame, second.mul(size), along(b)),
@@ -266,11 +274,10 @@ function gradients({ geometry, renderer }) {
 
 // Names of the attributes that materials may read.
 function othersOf(geometry) {
-    const own = new Set([...coordinatesOf(geometry.userData.skinbake), ...ATTRIBUTES]);
+    const unread = ['_skinbake_morph', '_skinbake_morph_up'];
+    const own = new Set([...coordinatesOf(geometry.userData.skinbake), ...ATTRIBUTES, ...unread]);
     return Object.keys(geometry.attributes).filter((name) => !own.has(name));
 }
-
-const WIDTH = 2048; // texels
 
 // One texel for alpha, and the next one for beta.
 function imageOf(geometry) {
@@ -335,6 +342,54 @@ function morphed(rest, morphedNormal) {
     };
 }
 
+// The frame moves by the numbers that the file has for each target: by four of them and the morphed normal, by six.
+function movedFrame(mesh, rest, byNormal, place) {
+    const influences = uniformArray(mesh.morphTargetInfluences, 'float');
+    OnObjectUpdate(({ object }) => {
+        influences.array = object.morphTargetInfluences;
+        influences.update();
+    });
+    const sheet = texture(sheetOf());
+    const numbers = (texel) => {
+        const y = texel.div(WIDTH).toVar();
+        return sheet.load(ivec2(texel.sub(y.mul(WIDTH)), y));
+    };
+    const isFour = place.lessThan(0).toVar();
+    const texels = select(isFour, int(1), int(2)).toVar();
+    const count = mesh.geometry.morphAttributes.position.length;
+    const first = int(abs(place)).sub(1).mul(WIDTH).add(texels.mul(count).mul(int(vertexIndex))).toVar();
+    const m = vec4(0).toVar();
+    const up = vec2(0).toVar();
+    Loop(count, ({ i }) => {
+        const influence = influences.element(i).toVar();
+        If(influence.notEqual(0), () => {
+            const texel = first.add(texels.mul(i)).toVar();
+            m.addAssign(numbers(texel).mul(influence));
+            If(isFour.not(), () => {
+                up.addAssign(numbers(texel.add(1)).xy.mul(influence));
+            });
+        });
+    });
+    const { normal: n0, handedness } = rest;
+    const t = rest.tangent.mul(m.x.add(1)).add(rest.bitangent.mul(m.y)).add(n0.mul(up.x)).toVar();
+    const b = rest.tangent.mul(m.z).add(rest.bitangent.mul(m.w.add(1))).add(n0.mul(up.y)).toVar();
+    const outward = cross(t, b).mul(handedness).toVar();
+    const isMoved = dot(m, m).add(dot(up, up)).greaterThan(0).and(dot(outward, outward).greaterThan(0));
+    const moved = { normal: select(isMoved, normalize(outward), n0).toVar(), tangent: t, bitangent: b };
+    const cosine = dot(n0, byNormal.normal).toVar();
+    const isSteep = abs(cosine).lessThan(0.2).toVar(); // then m tells too little
+    const lain = (vector, steep) => {
+        const flat = vector.sub(n0.mul(dot(vector, byNormal.normal).div(select(isSteep, float(1), cosine))));
+        return select(isSteep, steep, flat);
+    };
+    return {
+        normal: select(isFour, byNormal.normal, moved.normal).toVar(),
+        tangent: select(isFour, lain(t, byNormal.tangent), moved.tangent).toVar(),
+        bitangent: select(isFour, lain(b, byNormal.bitangent), moved.bitangent).toVar(),
+        handedness,
+    };
+}
+
 function boneMatrices(builder) {
     const { skeleton } = builder.object;
     const count = skeleton.bones.length;
@@ -368,7 +423,8 @@ function blended({ position, tangent, bitangent }, { M, weights, alpha, beta }) 
             ...M.map((matrix, slot) => matrix.mul(vec4(vector, 0)).xyz.mul(w[slot])),
             ...d.map((one, slot) => one.mul(parts(slopes)[slot])),
         ]).toVar();
-    return { tangent: along(tangent, alpha), bitangent: along(bitangent, beta) };
+    const carried = (n) => sum(M.map((matrix, slot) => matrix.mul(vec4(n, 0)).xyz.mul(w[slot])));
+    return { tangent: along(tangent, alpha), bitangent: along(bitangent, beta), carried };
 }
 
 // The frame moves by the derivative of the blended motion: algorithm 6 of skinbake. A parent of the skeleton may
@@ -508,5 +564,6 @@ function serveWebGPU() {
         verify: verifyMaterial,
     };
     // Before 0.185 three.js skins after all other lines, wherever it is told to.
-    serve('webgpu', backend, { BufferAttribute, InstancedBufferAttribute, SkinnedMesh }, REVISION, 185);
+    const classes = { BufferAttribute, DataTexture, FloatType, InstancedBufferAttribute, SkinnedMesh };
+    serve('webgpu', backend, classes, REVISION, 185);
 }

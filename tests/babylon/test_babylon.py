@@ -22,7 +22,17 @@ from tests.babylon.stage import DEGREES, expected, opened_stage
 from tests.support import after_bake, corpus, gltf_reading
 from tests.support.baked_files import Editable
 from tests.support.baking import bake_file
-from tests.support.characters import Array, Character, Placement, Pose, angles, baked, unit
+from tests.support.characters import (
+    Array,
+    Character,
+    Placement,
+    Pose,
+    angles,
+    baked,
+    by_numbers,
+    unit,
+    with_scaled_joints,
+)
 from tests.support.mapped import TEXELS, columns, texel_normal
 from tests.support.replay import replay
 from tests.support.stage import Stage, require_backend
@@ -185,15 +195,6 @@ def test_joints_may_come_from_uniforms(stage: Stage, backend: str) -> None:
     assert worst(found["draws"][0], expected(character)) < DEGREES
 
 
-def with_scaled_joints(folder: Path, source: Path) -> Path:
-    """Scale two joints unevenly, of which one carries the other. So the second one shears, too."""
-    file = Editable(source)
-    joints = file.content["skins"][0]["joints"]
-    for joint, scale in zip(joints[:2], ([1.4, 0.8, 1.0], [0.9, 1.0, 1.3]), strict=True):
-        file.content["nodes"][joint]["scale"] = scale
-    return file.write(folder / f"{source.stem}-scaled.glb")
-
-
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("kind", ["rigid", "scaled", "eight influences", "mirrored"])
 def test_dual_quaternions_move_normals_and_positions(stage: Stage, kind: str, backend: str) -> None:
@@ -246,38 +247,9 @@ def test_numbers_of_the_differential_move_the_frame(
 ) -> None:
     """docs/reference/frame.md, *Morph targets*, by four and by six numbers."""
     require_backend(stage, backend)
-    weights = (0.7, -0.4)
-    file = Editable(with_morphs(stage.models, MIRRORED))
-    for one in file.primitive()["targets"] if numbers == 6 else ():
-        del one["NORMAL"]
-    path = stage.models / f"numbers-{numbers}-{frame}.glb"
-    made = bake_file(file.write(path), path, frame=frame, morph_frames=True)
-    assert made.morphs[0][1].frames == numbers
-    plain, character = Character(path, RANDOM), Character(path, RANDOM, weights)
-    read = gltf_reading.read(path)
-    targets = read.primitive(0)["targets"]
-
-    def total(name: str) -> Array:
-        parts = [w * read.values(one[name]) for w, one in zip(weights, targets, strict=True)]
-        return np.asarray(np.sum(parts, axis=0))
-
-    t0, b0, n0 = plain.rest.tangents, plain.rest.bitangents, plain.rest.normals
-    m = total("_SKINBAKE_MORPH")
-    t, b = t0 + m[:, :1] * t0 + m[:, 1:2] * b0, b0 + m[:, 2:3] * t0 + m[:, 3:] * b0
-    if numbers == 6:
-        up = total("_SKINBAKE_MORPH_UP")
-        t, b = t + up[:, :1] * n0, b + up[:, 1:] * n0
-        clear = np.ones(len(t), dtype=np.bool_)
-    else:
-        n = character.rest.normals
-        cosine = np.einsum("vi,vi->v", n, n0)[:, None]
-        t, b = (v - n0 * np.einsum("vi,vi->v", v, n)[:, None] / cosine for v in (t, b))
-        clear = np.abs(cosine[:, 0]) > 0.25
-    assert clear.mean() > 0.5
-    by_rule = expected(character)
-    character.rest = dataclasses.replace(character.rest, tangents=t, bitangents=b)
+    character, by_rule, clear = by_numbers(with_morphs(stage.models, MIRRORED), stage.models, numbers, frame)
     wanted = expected(character)
-    assert angles(wanted, by_rule).max() > 100 * DEGREES
+    assert angles(wanted, expected(by_rule)).max() > 100 * DEGREES
     found = stage.normals(character, backend=backend, material="standard")
     drawn = vectors(found["draws"][0])
     clear = clear[: len(drawn)]

@@ -22,6 +22,7 @@ from skinbake.gltf.document import read_document
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.rest import RestPrimitive
 from tests.support import gltf_reading
+from tests.support.baked_files import Editable
 from tests.support.baking import bake_file
 from tests.support.replay import replay
 
@@ -205,6 +206,55 @@ def baked(source: Path, folder: Path, frame: str = "auto", storage: GradientForm
         result = bake_file(source, target, frame=frame, storage=storage)
         assert result.status == "baked", result.notices
     return target
+
+
+def by_numbers(
+    source: Path, folder: Path, numbers: int, frame: str, weights: tuple[float, float] = (0.7, -0.4)
+) -> tuple[Character, Character, npt.NDArray[np.bool_]]:
+    """Bake a file of two targets with so many numbers of the differential, and morph it.
+
+    Return the character with the frame that docs/reference/frame.md says, the same by NORMAL, and (V,) where
+    the frame turns little enough for four numbers.
+    """
+    file = Editable(source)
+    for one in file.primitive()["targets"] if numbers == 6 else ():
+        del one["NORMAL"]
+    path = folder / f"numbers-{numbers}-{frame}.glb"
+    made = bake_file(file.write(path), path, frame=frame, morph_frames=True)
+    assert made.morphs[0][1].frames == numbers
+    plain, character = (Character(path, Pose(clip=None), morphs) for morphs in ((), weights))
+    read = gltf_reading.read(path)
+
+    def total(name: str) -> Array:
+        targets = read.primitive(0)["targets"]
+        return np.asarray(sum(w * read.values(one[name]) for w, one in zip(weights, targets, strict=True)))
+
+    t0, b0, n0 = plain.rest.tangents, plain.rest.bitangents, plain.rest.normals
+    m = total("_SKINBAKE_MORPH")
+    t, b = t0 + m[:, :1] * t0 + m[:, 1:2] * b0, b0 + m[:, 2:3] * t0 + m[:, 3:] * b0
+    clear, n = np.ones(len(t), dtype=np.bool_), character.rest.normals
+    if numbers == 6:
+        up = total("_SKINBAKE_MORPH_UP")
+        t, b = t + up[:, :1] * n0, b + up[:, 1:] * n0
+        side = np.sign(np.einsum("vi,vi->v", np.cross(t0, b0), n0))[:, None]
+        n = unit(side * np.cross(t, b))
+    else:
+        cosine = np.einsum("vi,vi->v", n, n0)[:, None]
+        t, b = (v - n0 * np.einsum("vi,vi->v", v, n)[:, None] / cosine for v in (t, b))
+        clear = np.abs(cosine[:, 0]) > 0.25
+    assert clear.mean() > 0.5
+    by_rule = Character(path, Pose(clip=None), weights)
+    character.rest = replace(character.rest, tangents=t, bitangents=b, normals=n)
+    return character, by_rule, clear
+
+
+def with_scaled_joints(folder: Path, source: Path) -> Path:
+    """Scale two joints unevenly, of which one carries the other. So the second one shears, too."""
+    file = Editable(source)
+    joints = file.content["skins"][0]["joints"]
+    for joint, scale in zip(joints[:2], ([1.4, 0.8, 1.0], [0.9, 1.0, 1.3]), strict=True):
+        file.content["nodes"][joint]["scale"] = scale
+    return file.write(folder / f"{source.stem}-scaled.glb")
 
 
 def unit(vectors: npt.NDArray[Any]) -> Array:

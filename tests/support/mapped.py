@@ -71,7 +71,7 @@ def columns(character: Character, algorithm: Algorithm, placement: Placement) ->
     vertex = PosedVertex((), *(tuple(vectors[0].T) for vectors in given))
     tangent = tuple(character.tangents.T.astype(np.float64))
     frame = [tuple(v.T.astype(np.float64)) for v in (at_rest.tangents, at_rest.bitangents, at_rest.normals)]
-    length = np.linalg.norm(rest.tangents, axis=1)
+    length = np.linalg.norm(at_rest.tangents, axis=1)
     if algorithm.uses_dual_quaternions:
         length = length * np.cbrt(np.linalg.det(matrices[0, 0, :3, :3]))
     found = []

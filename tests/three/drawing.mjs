@@ -94,6 +94,11 @@ const CHANGES = {
         csm.update();
         mesh.material.needsUpdate = true;
     },
+    'targets in another order': ({ mesh }) => {
+        mesh.geometry = mesh.geometry.clone();
+        for (const targets of Object.values(mesh.geometry.morphAttributes)) targets.reverse();
+        mesh.morphTargetInfluences?.reverse();
+    },
     'mesh.clone()': ({ mesh }) => replace(mesh, mesh.clone()),
     'a new mesh': ({ mesh }) => {
         const other = new THREE.SkinnedMesh(mesh.geometry, new THREE.MeshLambertMaterial());
@@ -265,6 +270,20 @@ const api = {
         skinbake.dispose(mesh);
         skinbake.dispose(original);
         return { ...result, hooked: mesh.userData.hooked ?? false, error: renderer.getContext().getError() };
+    },
+
+    // The draws of characters that share a material.
+    async together({ characters }) {
+        const scene = new THREE.Scene();
+        const material = new THREE.MeshStandardMaterial();
+        for (const options of characters) {
+            const { scene: model } = await load(options);
+            skinnedMeshes(model).forEach((mesh) => (mesh.material = material));
+            scene.add(model);
+        }
+        const draws = (await draw(scene)).map(({ values }) => base64(values));
+        skinbake.dispose(scene);
+        return draws;
     },
 
     // What is reported of a file, which may have several meshes.

@@ -61,6 +61,11 @@ async function draw(renderer, scene, camera) {
 const CHANGES = {
     'geometry.clone()': ({ mesh }) => (mesh.geometry = mesh.geometry.clone()),
     'geometry.copy()': ({ mesh }) => mesh.geometry.copy(mesh.geometry.clone()),
+    'targets in another order': ({ mesh }) => {
+        mesh.geometry = mesh.geometry.clone();
+        for (const targets of Object.values(mesh.geometry.morphAttributes)) targets.reverse();
+        mesh.morphTargetInfluences?.reverse();
+    },
     'mesh.clone()': ({ mesh }) => replace(mesh, mesh.clone()),
     'SkeletonUtils.clone()': ({ scene, model }) => {
         const other = SkeletonUtils.clone(model);
@@ -191,6 +196,21 @@ const api = {
         skinbake.dispose(scene);
         skinbake.dispose(original);
         return { draws, world, report };
+    },
+
+    // The draws of characters that share a material.
+    async together({ backend, characters }) {
+        const renderer = await rendererOf(backend);
+        const scene = new THREE.Scene();
+        const material = new THREE.MeshStandardMaterial();
+        for (const options of characters) {
+            const { scene: model } = await load(options);
+            skinnedMeshes(model).forEach((mesh) => (mesh.material = material));
+            scene.add(model);
+        }
+        const draws = await draw(renderer, scene, new THREE.PerspectiveCamera());
+        skinbake.dispose(scene);
+        return draws.map(({ values }) => base64(values));
     },
 
     // The normals and the report of a mesh whose normals a page computes anew, or writes as they were. Then the same

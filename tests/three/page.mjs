@@ -12,9 +12,11 @@ renderer.setSize(64, 64);
 document.body.append(renderer.domElement);
 
 // Load a model and put it into a pose. Options: url; pose and morphs, as for posed; root, a matrix for the whole
-// scene; bind, a bind matrix.
-async function load({ url, pose = {}, root, bind, morphs }) {
-    const model = await new GLTFLoader().loadAsync(url);
+// scene; bind, a bind matrix; Plugin, that of a module, and its method.
+async function load({ url, pose = {}, root, bind, morphs, Plugin, method }) {
+    const loader = new GLTFLoader();
+    if (Plugin) loader.register((parser) => new Plugin(parser, { method }));
+    const model = await loader.loadAsync(url);
     const { scene } = model;
     if (root) {
         scene.matrixAutoUpdate = false;
@@ -227,8 +229,8 @@ const api = {
     // clear coat. Options: those of load; module, or none; method; texel; expression; camera; size; side; beside: the
     // roots of others of the same geometry and material, at rest, that are drawn before it and after it.
     async mapped({ module, method, texel, expression, camera, size, anisotropy = 0, beside = [], ...options }) {
-        const scene = await load(options);
         const skinbake = module && (await imported(module));
+        const scene = await load({ ...options, method, Plugin: skinbake?.SkinbakePlugin });
         const [mesh] = skinnedMeshes(scene);
         mesh.frustumCulled = mesh.matrixWorldAutoUpdate = false;
         const map = new THREE.DataTexture(new Uint8Array([...texel, 255]), 1, 1);

@@ -27,6 +27,7 @@ from tests.support.characters import (
     Pose,
     angles,
     baked,
+    by_numbers,
 )
 from tests.support.node import package_folder, require_node
 from tests.support.stage import opened_page, page_of
@@ -163,6 +164,51 @@ def test_tangents_of_a_frame_may_be_others_but_must_be_there(stage: ThreeStage, 
     assert without["report"] == [["standard", reason]]
     (message,) = stage.page.messages()
     assert message.endswith(f"has three.js's standard lighting: {reason}")
+
+
+@pytest.mark.parametrize("method", ["lbs", "dqs"])
+@pytest.mark.parametrize("frame", ["normal", "tangent"])
+@pytest.mark.parametrize("numbers", [4, 6])
+def test_numbers_of_the_differential_move_the_frame(
+    stage: ThreeStage, numbers: int, frame: str, method: str
+) -> None:
+    """docs/reference/frame.md, *Morph targets*, by four and by six numbers."""
+    character, by_rule, clear = by_numbers(with_morphs(stage.models, MIRRORED), stage.models, numbers, frame)
+    algorithm = Algorithm.LBS_ACCURATE if method == "lbs" else Algorithm.DQS_EXACT
+    found = stage.normals(character, method=method)
+    wanted = expected(character, found["world"], algorithm)
+    assert angles(wanted, expected(by_rule, found["world"], algorithm)).max() > 100 * DEGREES
+    drawn = vectors(found["draws"][0])
+    clear = clear[: len(drawn)]
+    assert angles(drawn[clear], wanted[: len(drawn)][clear]).max() < DEGREES
+    assert found["report"] == [["accurate", ""]]
+
+
+@pytest.mark.parametrize("change", ["geometry.clone()", "another material", "material.clone()", "mtoon"])
+def test_what_a_page_copies_keeps_the_numbers(stage: ThreeStage, change: str) -> None:
+    character, *_ = by_numbers(with_morphs(stage.models, MIRRORED), stage.models, 6, "normal")
+    found = stage.normals(character, change=change, when="after")
+    assert largest(found["draws"][0], expected(character, found["world"])) < DEGREES
+
+
+def test_targets_that_a_page_has_sorted_move_the_frame_by_the_normal(stage: ThreeStage) -> None:
+    _, by_rule, _ = by_numbers(with_morphs(stage.models, MIRRORED), stage.models, 4, "normal")
+    found = stage.normals(by_rule, change="targets in another order")
+    assert largest(found["draws"][0], expected(by_rule, found["world"])) < DEGREES
+
+
+def test_characters_that_share_a_material_have_their_own_numbers(stage: ThreeStage) -> None:
+    source = with_morphs(stage.models, MIRRORED)
+    four, six = (by_numbers(source, stage.models, numbers, "normal") for numbers in (4, 6))
+    without = stage.character(source, RANDOM, "normal", morphs=(0.7, -0.4))
+    characters = [four[0], six[0], without]
+    told = [one.told(Placement()) for one in characters]
+    draws = stage.call("together", {"characters": told})
+    assert len(draws) == len(characters)
+    for character, clear, drawn in zip(characters, (four[2], six[2], six[2]), draws, strict=True):
+        wanted = expected(character, np.eye(4).ravel().tolist())
+        found = vectors(drawn)
+        assert angles(found, wanted[: len(found)])[clear[: len(found)]].max() < DEGREES
 
 
 @pytest.mark.parametrize("frame", ["normal", "tangent"])

@@ -35,6 +35,7 @@ from tests.support.characters import (
     Pose,
     angles,
     baked,
+    by_numbers,
     column_by_column,
     unit,
 )
@@ -618,6 +619,16 @@ class TestNormalMaps:
         source = with_morphs(stage.models, MIRRORED)
         character = stage.character(source, RANDOM, frame, morphs=(0.1, -0.1))
         assert self.deviation(stage, character, for_frame(frame)) < RELIEF_DEGREES
+
+    @pytest.mark.parametrize("method", ["lbs", "dqs"])
+    @pytest.mark.parametrize("frame", ["normal", "tangent"])
+    @pytest.mark.parametrize("numbers", [4, 6])
+    def test_numbers_of_the_differential_carry_the_relief_along(
+        self, stage: ModuleStage, numbers: int, frame: str, method: str
+    ) -> None:
+        source = with_morphs(stage.models, MIRRORED)
+        character, *_ = by_numbers(source, stage.models, numbers, frame, (0.1, -0.1))
+        assert self.deviation(stage, character, for_frame(frame), method=method) < RELIEF_DEGREES
 
     @pytest.mark.parametrize("root", [PLACED, PLACED @ FLIPPED, SKEWED], ids=["", "mirrored", "skewed"])
     def test_a_relief_is_placed_as_its_surface_is(self, stage: ModuleStage, root: Array) -> None:

@@ -18,7 +18,16 @@ from skinbake.format.layouts import GradientFormat
 from skinbake.shaders.engines import engines_folder
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import corpus
-from tests.support.characters import Array, Character, Placement, Pose, angles, baked, column_by_column
+from tests.support.characters import (
+    Array,
+    Character,
+    Placement,
+    Pose,
+    angles,
+    baked,
+    by_numbers,
+    column_by_column,
+)
 from tests.support.mapped import TEXELS, look_at, relief_seen
 from tests.support.node import package_folder, require_node
 from tests.support.stage import opened_page, page_of, require_backend
@@ -41,6 +50,7 @@ from tests.three.drawn import (
     placed_by,
     rotation,
     shadow_is_of,
+    vectors,
     with_morphs,
 )
 
@@ -111,6 +121,56 @@ def test_a_mesh_whose_normals_a_page_alters_is_three_s_own(stage: ThreeStage, ba
     rewritten = found["as they were"]
     assert rewritten["report"] == [["accurate", ""]]
     assert largest(rewritten["draws"][0], expected(character, rewritten["world"])) < DEGREES
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("method", ["lbs", "dqs"])
+@pytest.mark.parametrize("frame", ["normal", "tangent"])
+@pytest.mark.parametrize("numbers", [4, 6])
+def test_numbers_of_the_differential_move_the_frame(
+    stage: ThreeStage, numbers: int, frame: str, method: str, backend: str
+) -> None:
+    """docs/reference/frame.md, *Morph targets*, by four and by six numbers."""
+    require_backend(stage, backend)
+    character, by_rule, clear = by_numbers(with_morphs(stage.models, MIRRORED), stage.models, numbers, frame)
+    algorithm = Algorithm.LBS_ACCURATE if method == "lbs" else Algorithm.DQS_EXACT
+    found = stage.normals(character, method=method, backend=backend)
+    wanted = expected(character, found["world"], algorithm)
+    assert angles(wanted, expected(by_rule, found["world"], algorithm)).max() > 100 * DEGREES
+    drawn = vectors(found["draws"][0])
+    clear = clear[: len(drawn)]
+    assert angles(drawn[clear], wanted[: len(drawn)][clear]).max() < DEGREES
+    assert found["report"] == [["accurate", ""]]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("change", ["geometry.clone()", "another material"])
+def test_what_a_page_copies_keeps_the_numbers(stage: ThreeStage, change: str, backend: str) -> None:
+    character, *_ = by_numbers(with_morphs(stage.models, MIRRORED), stage.models, 6, "normal")
+    found = stage.normals(character, change=change, backend=backend)
+    assert largest(found["draws"][0], expected(character, found["world"])) < DEGREES
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_targets_that_a_page_has_sorted_move_the_frame_by_the_normal(stage: ThreeStage, backend: str) -> None:
+    _, by_rule, _ = by_numbers(with_morphs(stage.models, MIRRORED), stage.models, 4, "normal")
+    found = stage.normals(by_rule, change="targets in another order", backend=backend)
+    assert largest(found["draws"][0], expected(by_rule, found["world"])) < DEGREES
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_characters_that_share_a_material_have_their_own_numbers(stage: ThreeStage, backend: str) -> None:
+    source = with_morphs(stage.models, MIRRORED)
+    four, six = (by_numbers(source, stage.models, numbers, "normal") for numbers in (4, 6))
+    without = stage.character(source, RANDOM, "normal", morphs=(0.7, -0.4))
+    characters = [four[0], six[0], without]
+    told = [one.told(Placement()) for one in characters]
+    draws = stage.call("together", {"backend": backend, "characters": told})
+    assert len(draws) == len(characters)
+    for character, clear, drawn in zip(characters, (four[2], six[2], six[2]), draws, strict=True):
+        wanted = expected(character, np.eye(4).ravel().tolist())
+        found = vectors(drawn)
+        assert angles(found, wanted[: len(found)])[clear[: len(found)]].max() < DEGREES
 
 
 @pytest.mark.parametrize("frame", ["normal", "tangent"])
@@ -410,6 +470,21 @@ def test_three_instances_of_which_one_is_mirrored_have_reliefs_of_their_own(
         found, wanted, told = relief(stage, character, TEXELS[0], roots, backend=backend)
         assert told == ["accurate accurate"] * 3
         assert np.percentile(angles(found, wanted), 99.9) < RELIEF_DEGREES
+
+
+@pytest.mark.parametrize("method", ["lbs", "dqs"])
+@pytest.mark.parametrize("frame", ["normal", "tangent"])
+@pytest.mark.parametrize("numbers", [4, 6])
+def test_numbers_of_the_differential_carry_the_relief_along(
+    stage: ThreeStage, numbers: int, frame: str, method: str
+) -> None:
+    source = with_morphs(stage.models, MIRRORED)
+    character, by_rule, _ = by_numbers(source, stage.models, numbers, frame, (0.1, -0.1))
+    found, wanted, told = relief(stage, character, TEXELS[0], backend="webgl", method=method)
+    assert told == ["accurate accurate"]
+    assert np.percentile(angles(found, wanted), 99.9) < RELIEF_DEGREES
+    found, otherwise, _ = relief(stage, by_rule, TEXELS[0], backend="webgl", method=method)
+    assert np.percentile(angles(found, otherwise), 99.9) > 3 * RELIEF_DEGREES
 
 
 @pytest.mark.parametrize("frame", ["normal", "tangent"])
