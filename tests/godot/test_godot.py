@@ -25,7 +25,16 @@ from skinbake.skinning.algorithms import Algorithm
 from tests.godot.storage import as_stored
 from tests.support import after_bake, browser, corpus
 from tests.support.baked_files import Editable
-from tests.support.characters import AS_USUAL, Array, Character, Placement, Pose, angles, baked
+from tests.support.characters import (
+    AS_USUAL,
+    Array,
+    Character,
+    Placement,
+    Pose,
+    angles,
+    baked,
+    with_scaled_joints,
+)
 from tests.support.mapped import columns
 from tests.support.morphed_files import morphed
 from tests.support.node import SUPPORT, package_folder, require_node
@@ -330,6 +339,40 @@ def test_shadows_and_bounds_follow(stage: Stage) -> None:
     assert (low <= points.min(axis=0) + 1e-5).all()
     assert (high >= points.max(axis=0) - 1e-5).all()
     assert (high - low <= 2 * np.ptp(points, axis=0)).all()
+
+
+@pytest.mark.parametrize("kind", ["rigid", "scaled", "mirrored", "switched"])
+def test_dual_quaternions_move_normals_shadows_and_bounds(stage: Stage, kind: str) -> None:
+    if kind == "mirrored":
+        character = stage.character(corpus.model("AFrameHands/leftHandLow.glb"), RANDOM)
+    elif kind == "scaled":
+        character = stage.character(with_scaled_joints(stage.models, TUBE), BENT)
+    else:
+        character = stage.character(TUBE if kind == "switched" else MIRRORED, RANDOM)
+    options = {"later": ["blend_dually"]} if kind == "switched" else {"method": "dqs"}
+    found = stage.show(character, isLit=True, isShadowed=True, **options)
+    assert found["said"] == []
+    assert {entry["lighting"] for entry in found["report"]} == {"accurate"}
+    stored = as_stored(character)
+    wanted = expected(stored, found, Algorithm.DQS_EXACT)
+    assert largest(normals(found), wanted) < DEGREES
+    assert angles(wanted, expected(stored, found)).max() > 100 * DEGREES
+    points = stored.positions(placement_of(found), Algorithm.DQS_EXACT)
+    depths = [draw["values"] for draw in found["draws"] if draw["name"] == "gl_Position"]
+    assert depths
+    for values in depths:
+        drawn = floats(values, 4)
+        # The hand is small: its clip coordinates differ by little, and have float32's steps.
+        at_rest = misfit(np.asarray(character.rest.positions, np.float64), drawn)
+        assert misfit(points, drawn) < max(1e-4 * at_rest, 4 * float(np.finfo(np.float32).eps))
+    low, high = np.array(found["bounds"])
+    assert (low <= points.min(axis=0) + 1e-5).all()
+    assert (high >= points.max(axis=0) - 1e-5).all()
+
+
+def test_blending_linearly_again_undoes_dual_quaternions(stage: Stage) -> None:
+    character = stage.character(TUBE, BENT)
+    assert_accurate(character, stage.show(character, method="dqs", later=["blend_linearly"]))
 
 
 def misfit(points: Array, drawn: Array) -> float:

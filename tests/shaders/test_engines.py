@@ -129,7 +129,7 @@ def test_a_module_of_an_engine_serves_every_frame_encoding_and_layout(engine: st
         ("--target playcanvas --method dqs --lighting accurate", "use --lighting exact"),
         ("--target playcanvas --influences 8", "PlayCanvas reads four influences per vertex, not 8"),
         ("--target playcanvas --influences 2", "use --influences 4"),
-        ("--target godot --method dqs", "--method lbs"),
+        ("--target godot --method dqs", "node Skinbake"),
         ("--target godot --lighting standard", "Godot's own"),
         ("--target godot --lighting direct", "--lighting accurate"),
         ("--target godot --influences 8", "--limit-influences 4"),

@@ -144,6 +144,8 @@ func _show(asked: Dictionary) -> Dictionary:
 		meshes[0].set_surface_override_material(0, _varied(asked.properties))
 	if asked.has("change"):
 		call("_" + asked.change, meshes[0])
+	if asked.has("method"):
+		_scene.get_node("Skinbake").method = asked.method
 	add_child(_scene)
 	if asked.get("isCopied", false):
 		var copy: Node3D = _scene.duplicate()
@@ -386,6 +388,14 @@ func _swap_mesh(mesh: MeshInstance3D) -> void:
 	var made := mesh.mesh.duplicate()
 	made.resource_name = "another"
 	mesh.mesh = made
+
+
+func _blend_dually(_mesh: MeshInstance3D) -> void:
+	_scene.get_node("Skinbake").method = "dqs"
+
+
+func _blend_linearly(_mesh: MeshInstance3D) -> void:
+	_scene.get_node("Skinbake").method = "lbs"
 
 
 func _apply(_mesh: MeshInstance3D) -> void:

@@ -14,6 +14,13 @@ const Materials := preload("skinbake_material.gd")
 ## What the import knows of the baked meshes, by their resource names: a dictionary for each surface.
 @export var records: Dictionary = {}
 
+## How joints are blended: linearly, as Godot does, or by dual quaternions, also where joints scale.
+@export_enum("lbs", "dqs") var method := "lbs":
+	set(value):
+		method = value
+		if is_node_ready():
+			apply()
+
 ## A dictionary for each surface: mesh, surface, lighting ("accurate" or "standard") and reason.
 var report: Array[Dictionary] = []
 
@@ -322,6 +329,7 @@ func _set_parameters(material: ShaderMaterial, record: Dictionary, joints: Textu
 	material.set_shader_parameter(Materials.JOINTS, joints)
 	# Without α and β the sums that they scale are 0, and the surface is skinned as Godot would.
 	material.set_shader_parameter(&"skinbake_scale", record.get("skinbake_scale", 0.0))
+	material.set_shader_parameter(&"skinbake_has_dual_quaternions", method == "dqs")
 	for name: StringName in [&"skinbake_has_tangent_frame", &"skinbake_keeps_frame", &"skinbake_is_morphed"]:
 		material.set_shader_parameter(name, record.get(name, false))
 
@@ -330,7 +338,7 @@ func _pose_of(skeleton: Skeleton3D, skin: Skin) -> Pose:
 	for pose in _poses:
 		if pose.skeleton == skeleton and pose.skin == skin:
 			return pose
-	var made := Pose.new(skeleton, skin)
+	var made := Pose.new(skeleton, skin, method == "dqs")
 	_poses.append(made)
 	return made
 
@@ -348,17 +356,19 @@ class Pose:
 	# Keeps Godot's own joint matrices up to date, for the frame in which a mesh is given its skin back.
 	var _reference: SkinReference
 	var _bones := PackedInt32Array()
+	var _is_dual: bool
 	var _values := PackedFloat32Array()
 	var _matrices: Array[Transform3D] = []
 	var _meshes: Dictionary = {}
 
-	func _init(of: Skeleton3D, by: Skin) -> void:
+	func _init(of: Skeleton3D, by: Skin, is_dual: bool) -> void:
 		skeleton = of
 		skin = by
+		_is_dual = is_dual
 		for bind in skin.get_bind_count():
 			var name := skin.get_bind_name(bind)
 			_bones.append(skin.get_bind_bone(bind) if name.is_empty() else skeleton.find_bone(name))
-		_values.resize(12 * _bones.size())
+		_values.resize(4 * _width() * _bones.size())
 		texture = ImageTexture.create_from_image(_image())
 		_reference = skeleton.register_skin(skin)
 		skeleton.skeleton_updated.connect(update)
@@ -367,7 +377,7 @@ class Pose:
 	func add(mesh: MeshInstance3D, boxes: Array[AABB]) -> void:
 		_meshes[mesh] = boxes
 		# Not by the bones, which have no modifiers now: they have them while skeleton_updated is emitted.
-		mesh.custom_aabb = _bounds(_matrices, boxes)
+		mesh.custom_aabb = _bounds(boxes)
 
 	func remove(mesh: MeshInstance3D) -> void:
 		_meshes.erase(mesh)
@@ -376,7 +386,7 @@ class Pose:
 		if is_instance_valid(skeleton):
 			skeleton.skeleton_updated.disconnect(update)
 
-	## Fill the texture, three rows of a matrix for each joint, and move the bounding boxes.
+	## Fill the texture, and move the bounding boxes.
 	func update() -> void:
 		_matrices.clear()
 		for bind in _bones.size():
@@ -384,27 +394,61 @@ class Pose:
 			if _bones[bind] >= 0:
 				pose = skeleton.get_bone_global_pose(_bones[bind]) * skin.get_bind_pose(bind)
 			_matrices.append(pose)
-			for row in 3:
-				var at := 12 * bind + 4 * row
-				_values[at] = pose.basis.x[row]
-				_values[at + 1] = pose.basis.y[row]
-				_values[at + 2] = pose.basis.z[row]
-				_values[at + 3] = pose.origin[row]
+			var texels := _motion(pose) if _is_dual else _rows(pose)
+			for texel in texels.size():
+				for part in 4:
+					_values[4 * (texels.size() * bind + texel) + part] = texels[texel][part]
 		texture.update(_image())
 		for mesh in _meshes:
 			if is_instance_valid(mesh):
-				mesh.custom_aabb = _bounds(_matrices, _meshes[mesh])
+				mesh.custom_aabb = _bounds(_meshes[mesh])
+
+	func _width() -> int:
+		return 5 if _is_dual else 3
+
+	## The rows of a joint matrix.
+	static func _rows(pose: Transform3D) -> Array[Vector4]:
+		var found: Array[Vector4] = []
+		for row in 3:
+			found.append(Vector4(pose.basis.x[row], pose.basis.y[row], pose.basis.z[row], pose.origin[row]))
+		return found
+
+	## A joint matrix as skinbake_ScaledMotion in the shader: four of moved, then turn, the rotation R in the polar
+	## decomposition M = R S, or in that of -M where M mirrors, by Newton's iteration (Higham 1986).
+	static func _motion(pose: Transform3D) -> Array[Vector4]:
+		var columns: Array[Vector3] = [pose.basis.x, pose.basis.y, pose.basis.z, pose.origin]
+		var volume := pose.basis.determinant()
+		var turn := Quaternion.IDENTITY
+		if volume != 0.0:
+			var size := signf(volume) / pow(absf(volume), 1.0 / 3.0)
+			var basis := Basis(size * columns[0], size * columns[1], size * columns[2])
+			for step in 12:
+				# The volume is at least 1, so the squares sum to 3 where it is a rotation.
+				var squares := basis.x.length_squared() + basis.y.length_squared() + basis.z.length_squared()
+				var other := basis.inverse().transposed()
+				basis = Basis(0.5 * (basis.x + other.x), 0.5 * (basis.y + other.y), 0.5 * (basis.z + other.z))
+				if squares < 3.00001:
+					break
+			turn = basis.orthonormalized().get_rotation_quaternion()
+		var axis := Vector3(turn.x, turn.y, turn.z)
+		var found: Array[Vector4] = []
+		for column in columns:
+			var moved := turn.w * column + column.cross(axis)
+			found.append(Vector4(moved.x, moved.y, moved.z, -column.dot(axis)))
+		found.append(Vector4(turn.x, turn.y, turn.z, turn.w))
+		return found
 
 	func _image() -> Image:
-		return Image.create_from_data(3, _bones.size(), false, Image.FORMAT_RGBAF, _values.to_byte_array())
+		return Image.create_from_data(_width(), _bones.size(), false, Image.FORMAT_RGBAF, _values.to_byte_array())
 
-	static func _bounds(matrices: Array[Transform3D], boxes: Array[AABB]) -> AABB:
+	func _bounds(boxes: Array[AABB]) -> AABB:
 		var found := AABB()
 		var is_empty := true
-		for joint in mini(matrices.size(), boxes.size()):
+		for joint in mini(_matrices.size(), boxes.size()):
 			if boxes[joint].size.x < 0.0:
 				continue
-			var box := matrices[joint] * boxes[joint]
+			var box := _matrices[joint] * boxes[joint]
 			found = box if is_empty else found.merge(box)
 			is_empty = false
-		return found
+		# Between two joints dual quaternions go along an arc, which bulges out of the box of its ends.
+		return found.grow(0.5 * found.get_longest_axis_size()) if _is_dual else found
