@@ -81,7 +81,7 @@ def _run(python: Path, shared: Path, files: Path, models: Sequence[Path]) -> str
         text=True,
         timeout=TIMEOUT_SECONDS,
         check=False,
-        env={**_outside_python(), "BLENDER_USER_RESOURCES": str(home)},
+        env={**outside_python(), "BLENDER_USER_RESOURCES": str(home)},
     )
     # The unpacked libraries take 170 MB, and pytest keeps the folders of three runs.
     shutil.rmtree(home)
@@ -90,6 +90,6 @@ def _run(python: Path, shared: Path, files: Path, models: Sequence[Path]) -> str
     return process.stdout
 
 
-def _outside_python() -> dict[str, str]:
+def outside_python() -> dict[str, str]:
     """Return the environment without what would lead Blender's Python to the packages of the tests."""
     return {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "VIRTUAL_ENV"))}

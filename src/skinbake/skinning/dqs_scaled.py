@@ -8,8 +8,8 @@ A vertex moves by the quotient of two linear blends:
 
 For rigid joints p' is where the mix of dual quaternions takes p, because (M[s] p) r[s] = r[s] p + 2 d[s]
 then (Kavan et al. 2007). No origin enters: moving all M[s] p by c adds c B to G, and so c to P. Put
-otherwise, each joint scales about the vertex, then turns and moves it rigidly. Blender does the same
-(*Preserve Volume*).
+otherwise, each joint scales about the vertex, then turns and moves it rigidly. So does Blender (*Preserve
+Volume*), but where a joint shears or mirrors it takes another R, which keeps the direction of the bone.
 
 Along a curve with tangent t the weights change by α. The derivative of P B = G is, exactly,
 
