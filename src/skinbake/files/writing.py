@@ -423,15 +423,10 @@ def _has_content(one: _Written) -> bool:
         )
         with os.fdopen(descriptor, "rb") as file:
             check_regular(file.fileno())
-            return all(file.read(len(piece)) == piece for piece in map(_flat, one.pieces)) and not file.read(
-                1
-            )
+            pieces = (memoryview(part).cast("B") for part in one.pieces)
+            return all(file.read(len(piece)) == piece for piece in pieces) and not file.read(1)
     except OSError:
         return False
-
-
-def _flat(piece: Bytes) -> memoryview:
-    return memoryview(piece).cast("B")
 
 
 def _sync_folders(begun: _Begun) -> None:

@@ -145,7 +145,18 @@ def _written(
     primitive = item.source.json
     extras = primitive.get("extras", {})
     beside = not isinstance(extras, dict) or KEY in extras
-    _add_gradients(store, item, storage, gradients, attributes, extras={KEY: note} if beside else None)
+    holder: JsonObject | None = {KEY: note} if beside else None  # of the first accessor of α and β
+    for name, values in gradients:
+        if name in attributes:
+            choice = "--layout" if storage.layout is Layout.CUSTOM else "--alpha-name and --beta-name"
+            raise InputError(
+                f"it already has an attribute {name}, but no metadata of skinbake (another tool may "
+                "have dropped the extras): remove the attribute, bake from the source file, or "
+                f"choose other names with {choice}",
+                item.source.place,
+            )
+        attributes[name] = store.add(name, values, normalized=storage.encoding.is_scaled, extras=holder)
+        holder = None
     written = {**item.source.json, "attributes": attributes}
     return written if beside else {**written, "extras": {**written.get("extras", {}), KEY: note}}
 
@@ -172,28 +183,6 @@ def _add_influences(
     elif not item.result.adopts:
         return item.primitive
     return _replace_influences(document, store, item, attributes, note)
-
-
-def _add_gradients(
-    store: AttributeStore,
-    item: Baked,
-    storage: GradientFormat,
-    gradients: Sequence[_NamedArray],
-    attributes: dict[str, Any],
-    *,
-    extras: JsonObject | None,
-) -> None:
-    """Add the attributes of α and β. The first one's accessor gets the extras."""
-    for name, values in gradients:
-        if name in attributes:
-            raise InputError(
-                f"it already has an attribute {name}, but no metadata of skinbake (another tool may "
-                "have dropped the extras): remove the attribute, bake from the source file, or "
-                f"choose other names with {_choice_of_names(storage)}",
-                item.source.place,
-            )
-        attributes[name] = store.add(name, values, normalized=storage.encoding.is_scaled, extras=extras)
-        extras = None
 
 
 def _noted_positions(document: Document, item: Baked) -> JsonObject:
@@ -253,10 +242,6 @@ def _stored(
         for entry in ((alpha_name, first), (beta_name, second))
     ]
     return [name for name, _ in pairs], [name for _, name in pairs], arrays
-
-
-def _choice_of_names(storage: GradientFormat) -> str:
-    return "--layout" if storage.layout is Layout.CUSTOM else "--alpha-name and --beta-name"
 
 
 def _replace_influences(

@@ -145,7 +145,11 @@ def _restored(
     if former is not None:
         attributes = former_sets(attributes, note)
     ours = json_access.member(primitive, "attributes", place).keys() - attributes.keys()
-    attributes = _in_former_order({**attributes, **(former or {}), **(tangent or {})}, note)
+    # The former order of the attributes, if bake removed some and noted it.
+    attributes = {**attributes, **(former or {}), **(tangent or {})}
+    noted = noted_names(note, FORMER_ATTRIBUTES)
+    order = [*(name for name in noted if name in attributes), *attributes]
+    attributes = {name: attributes[name] for name in order}
     written = {**primitive, "attributes": attributes} if "attributes" in primitive else dict(primitive)
     if draco.extension_of(primitive) is not None:
         kept = before if former is not None and tangent is not None else None
@@ -219,13 +223,6 @@ def _extensions_before(
         if not extension["extras"]:
             del extension["extras"]
     return {**extensions, draco.EXTENSION: extension}
-
-
-def _in_former_order(attributes: JsonObject, note: JsonObject) -> JsonObject:
-    """Return the attributes in their former order, if bake removed some and noted the order."""
-    noted = noted_names(note, FORMER_ATTRIBUTES)
-    order = [*(name for name in noted if name in attributes), *attributes]
-    return {name: attributes[name] for name in order}
 
 
 def _without(

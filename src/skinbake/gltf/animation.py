@@ -355,12 +355,6 @@ def read_clips(document: Document, some: Sequence[int] | None = None) -> Sequenc
     return clips
 
 
-def _morph_count(document: Document, node: int) -> int | None:
-    from skinbake.gltf.morphs import skinned_target_count  # a bake reads skeletons without it
-
-    return skinned_target_count(document, node)
-
-
 def _channel(
     document: Document,
     clip: str,
@@ -379,7 +373,11 @@ def _channel(
     sampler_index = index(channel, "sampler", len(samplers), place, owner=owner)
     if node is None or path is None or sampler_index is None:
         return None
-    components = _morph_count(document, node) if path == MORPH_WEIGHTS else PATHS.get(path)
+    components = PATHS.get(path)
+    if path == MORPH_WEIGHTS:
+        from skinbake.gltf.morphs import skinned_target_count  # a bake reads skeletons without it
+
+        components = skinned_target_count(document, node)
     if not components:
         return None
     sampler = samplers[sampler_index]
@@ -463,7 +461,9 @@ def _wide(document: Document, number: int, place: Place) -> Float64Array:
 
 
 def _refused(document: Document, clip: str, node: int, fault: str) -> InputError:
-    return InputError(f'clip "{clip}", {_called(document, node)}: {fault}', document.place)
+    name = document.objects("nodes")[node].get("name")
+    called = f'node "{name}"' if isinstance(name, str) and name else f"node {node}"
+    return InputError(f'clip "{clip}", {called}: {fault}', document.place)
 
 
 def _time_fault(times: Float64Array) -> str | None:
@@ -495,9 +495,3 @@ def _fault(values: Float64Array, count: int, components: int, path: str) -> str 
         found = f"{len(values):,} of {counted(values.shape[1], 'component')}"
         return f"its sampler for {path} needs {needed}, found {found}"
     return None if np.isfinite(values).all() else f"{each} of its keys is not a finite number"
-
-
-def _called(document: Document, node: int) -> str:
-    """Return the name of a node, or its number if it has none."""
-    name = document.objects("nodes")[node].get("name")
-    return f'node "{name}"' if isinstance(name, str) and name else f"node {node}"

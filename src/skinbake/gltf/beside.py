@@ -175,7 +175,8 @@ class Beside:
             self._names[key] = self._planned_name(name, pieces, is_buffer=is_buffer)
         free = self._names[key]
         meant = relative_names(uri)[0]  # the literal name is tried if this one does not exist
-        would_stay = name == meant or not self._will_exist(meant)
+        path = self._path(meant)
+        would_stay = name == meant or not (os.path.lexists(path) or self._is_target(path))
         replacing = {} if self._copies is None else self._copies.replacing
         if replacing.get(Path(self._path(name))) == Path(self._path(free)):
             self._final_uris[uri] = uri if would_stay else path_uri(name)
@@ -225,11 +226,6 @@ class Beside:
             return not _same(FileContent(bounded_path(path, os.fspath(self._root))), pieces)
         except OSError:
             return True
-
-    def _will_exist(self, name: str) -> bool:
-        """Tell whether a name in the target's folder is that of an existing file, or of the target."""
-        path = self._path(name)
-        return os.path.lexists(path) or self._is_target(path)
 
     def _is_target(self, path: str) -> bool:
         """Tell whether a path, all links followed, is the target."""

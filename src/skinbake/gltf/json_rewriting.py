@@ -97,7 +97,10 @@ class _Rewriting:
                 entries, more = _paired(before, after)
                 return self._holder(at, entries, more, depth, None)
         end = self._scan(self._text, at)[1]
-        is_same = after is before or _are_equal_scalars(before, after)
+        # One and the same scalar: 1 is not 1.0, and 0.0 is not −0.0.
+        is_same = after is before or (
+            not isinstance(after, dict | list) and type(before) is type(after) and repr(before) == repr(after)
+        )
         return self._text[at:end] if is_same else self._fresh(after, depth), end
 
     def _holder(
@@ -172,12 +175,6 @@ class _Rewriting:
 def _end_of(pattern: re.Pattern[str], text: str, at: int) -> int:
     found = pattern.match(text, at)
     return at if found is None else found.end()
-
-
-def _are_equal_scalars(before: Any, after: Any) -> bool:
-    """Tell whether two values are one and the same scalar: 1 is not 1.0, and 0.0 is not −0.0."""
-    is_scalar = not isinstance(after, dict | list)
-    return is_scalar and type(before) is type(after) and repr(before) == repr(after)
 
 
 def _paired(before: Sequence[Any], after: Sequence[Any]) -> tuple[list[_Entry], list[_Entry]]:

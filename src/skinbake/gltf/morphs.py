@@ -52,22 +52,19 @@ def target_count(document: Document, mesh: int) -> int:
     """
     known: dict[int, int] = document.derived.setdefault("target counts", {})
     if mesh not in known:
-        known[mesh] = _counted_targets(document, mesh)
+        content = document.objects("meshes")[mesh]
+        place = Place(document.name, mesh, text(content, "name", document.place))
+        primitives = objects(content, "primitives", place)
+        counts = sorted({len(objects(primitive, "targets", place)) for primitive in primitives} - {0})
+        if len(counts) > 1:
+            found = " and ".join(str(count) for count in counts)
+            raise InputError(
+                f"its primitives have {found} morph targets; "
+                "all primitives of a mesh must have the same number",
+                place,
+            )
+        known[mesh] = counts[0] if counts else 0
     return known[mesh]
-
-
-def _counted_targets(document: Document, mesh: int) -> int:
-    content = document.objects("meshes")[mesh]
-    place = Place(document.name, mesh, text(content, "name", document.place))
-    primitives = objects(content, "primitives", place)
-    counts = sorted({len(objects(primitive, "targets", place)) for primitive in primitives} - {0})
-    if len(counts) > 1:
-        found = " and ".join(str(count) for count in counts)
-        raise InputError(
-            f"its primitives have {found} morph targets; all primitives of a mesh must have the same number",
-            place,
-        )
-    return counts[0] if counts else 0
 
 
 def skinned_target_count(document: Document, node: int) -> int:
@@ -162,18 +159,13 @@ def _differences(
         if declared != count:
             raise InputError(f"it has {counted(declared, 'element')}, POSITION has {count:,}", place)
         with document.budget.passing():
-            read[name, accessor] = _moved_rows(document, accessor, name, components, place)
+            stored = read_accessor(document, accessor, place)
+            check_format(stored, name, components, place, formats=FORMATS, expected=EXPECTED)
+            document.budget.claim(stored.decoded_size, "its decoded values", place)
+            values = stored.decoded()
+            if name == "POSITION":
+                refuse_not_finite(values, "values", place)
+            read[name, accessor] = Differences.of(values)
         kept = read[name, accessor]
         document.budget.claim(kept.rows.nbytes + kept.values.nbytes, "its differences", place)
     return read[name, accessor]
-
-
-def _moved_rows(document: Document, accessor: int, name: str, components: int, place: Place) -> Differences:
-    """Return the differences in an accessor that are not 0."""
-    stored = read_accessor(document, accessor, place)
-    check_format(stored, name, components, place, formats=FORMATS, expected=EXPECTED)
-    document.budget.claim(stored.decoded_size, "its decoded values", place)
-    values = stored.decoded()
-    if name == "POSITION":
-        refuse_not_finite(values, "values", place)
-    return Differences.of(values)

@@ -252,7 +252,11 @@ def _normal_equations(
     _add_chains(sums, pairs, effects)
     if turns.stored is not None:
         _add_stored_pose(sums, pairs, turns.stored, vertices, given)
-    _add_pulls_of_slots(sums, pairs, given, EVEN * reach)
+    # The pull of each slot, Σ_i (α_i − ∇_i)². That of the last slot is on all unknowns.
+    even = EVEN * reach
+    matrix += even[:, None, None]
+    matrix[:, np.arange(slots), np.arange(slots)] += even[:, None]
+    right += even[:, None, None] * (given - given[np.arange(count), pairs.last][:, None])
     solvable = turns.sound[vertices.classes] & (reach > 0.0)
     return _NormalEquations(*sums, unknowns, solvable)
 
@@ -313,8 +317,19 @@ _Sums: TypeAlias = tuple[Float64Array, Float64Array]
 def _add_chains(sums: _Sums, pairs: _Pairs, effects: _TurnEffects) -> None:
     """Add 10 Σ_C |Σ_{j ∈ C} R_j|², the residuals of long chains whose joints turn alike."""
     matrix, right = sums
-    moved_by_turns = effects.signs[:, :, None] * effects.tilt[:, None]
-    at, moved, wanted = _curls(pairs, moved_by_turns, effects.wanted)
+    # How a turn tilts the tangents for each unit of a slot's gradient, (N, K, 3), and should, (N, 2, 3).
+    tilts = effects.signs[:, :, None] * effects.tilt[:, None], effects.wanted
+    rows = np.flatnonzero(pairs.chains != NO_CHAIN)
+    size = int(pairs.chains.max(initial=0)) + 1
+    # The pairs of one vertex and one long chain are a group. One of a single pair is left out.
+    keys, place, counts = np.unique(
+        pairs.vertices[rows] * size + pairs.chains[rows], return_inverse=True, return_counts=True
+    )
+    several = counts > 1
+    totals = [np.zeros((len(keys), *values.shape[1:])) for values in tilts]
+    for total, values in zip(totals, tilts, strict=True):
+        np.add.at(total, place, values[rows])
+    at, moved, wanted = keys[several] // size, *(total[several] for total in totals)
     np.add.at(matrix, at, TOGETHER * np.einsum("mki,mli->mkl", moved, moved))
     np.add.at(right, at, TOGETHER * np.einsum("mki,mti->mkt", moved, wanted))
 
@@ -342,38 +357,3 @@ def _add_stored_pose(
     by_gradients = np.einsum("vki,vkt->vit", displaced, given)
     right -= (weights[:, None] * raised)[:, :, None] * tilts[:, None, :]
     right += pulls * np.einsum("vki,vit->vkt", over, by_gradients)
-
-
-def _add_pulls_of_slots(sums: _Sums, pairs: _Pairs, given: Float64Array, pulls: FloatArray) -> None:
-    """Add the pull of each slot to the surface's gradient, Σ_i (α_i − ∇_i)², times pulls (V,).
-
-    α of the last slot is minus the sum of the unknowns. So its pull is on all of them.
-    """
-    matrix, right = sums
-    count, slots = pairs.named.shape
-    matrix += pulls[:, None, None]
-    matrix[:, np.arange(slots), np.arange(slots)] += pulls[:, None]
-    right += pulls[:, None, None] * (given - given[np.arange(count), pairs.last][:, None])
-
-
-def _curls(
-    pairs: _Pairs, moved: Float64Array, wanted: Float64Array
-) -> tuple[IntArray, Float64Array, Float64Array]:
-    """Sum up the pairs of each vertex and long chain.
-
-    moved (N, K, 3) is how a turn tilts the tangents for each unit of a slot's gradient, and wanted (N, 2, 3)
-    how it should tilt them. Return the vertices (M,), and both sums, (M, K, 3) and (M, 2, 3). The sums hold
-    if all joints of the chain turn alike. A chain of which one joint alone parts the fitted joints is left
-    out.
-    """
-    rows = np.flatnonzero(pairs.chains != NO_CHAIN)
-    size = int(pairs.chains.max(initial=0)) + 1
-    # The pairs of one vertex and one long chain are a group.
-    keys, place, counts = np.unique(
-        pairs.vertices[rows] * size + pairs.chains[rows], return_inverse=True, return_counts=True
-    )
-    several = counts > 1
-    sums = [np.zeros((len(keys), *values.shape[1:])) for values in (moved, wanted)]
-    for total, values in zip(sums, (moved, wanted), strict=True):
-        np.add.at(total, place, values[rows])
-    return keys[several] // size, sums[0][several], sums[1][several]

@@ -60,8 +60,22 @@ def assign(
         # Without adoption a slot holds the gradient of the joint that it names.
         named[rows] = part.joints
         if capacity is not None and len(foreign.vertices):
-            adopted[rows] = _adopt(foreign, part, capacity[rows])
-            named[rows] = _named_slots(adopted[rows], part)
+            # The n-th foreign joint of a vertex takes its n-th free slot. They go by vertex, then the largest
+            # gradient first; of equal ones the lower joint.
+            order = np.lexsort((foreign.joints, -foreign.magnitudes, foreign.vertices))
+            vertices, joints = foreign.vertices[order], foreign.joints[order]
+            rank = np.arange(len(vertices)) - np.searchsorted(vertices, vertices)
+            free_first = np.argsort(~part.free[vertices], axis=1, kind="stable")
+            fits = rank < capacity[rows][vertices]
+            taken = adopted[rows]
+            taken[vertices[fits], free_first[fits, rank[fits]]] = joints[fits]
+            # A slot that adopts no joint keeps the joint that it names in the file, even at weight zero,
+            # unless that joint has moved into another slot.
+            named[rows] = np.where(taken != NO_JOINT, taken, part.joints)
+            some = np.flatnonzero((taken != NO_JOINT).any(axis=1))
+            moved = (part.joints[some, :, None] == taken[some, None, :]).any(axis=2)
+            moved &= taken[some] == NO_JOINT
+            named[rows][some] = np.where(moved, NO_JOINT, named[rows][some])
         # α and β, and what they leave out.
         alpha[rows], beta[rows], left = _project(entries, named[rows], (frame[0][rows], frame[1][rows]))
         placed = (named[rows][foreign.vertices] == foreign.joints[:, None]).any(axis=1)
@@ -136,35 +150,6 @@ def _foreign(entries: _Entries, field: WeightField) -> _Foreign:
             foreign &= column[rank.vertices] != joints
         found.append((rank.vertices[foreign], joints[foreign], rank.magnitudes[foreign]))
     return _Foreign(*(np.concatenate(column) for column in zip(*found, strict=True)))
-
-
-def _adopt(foreign: _Foreign, field: WeightField, capacity: IntArray) -> IntArray:
-    """Return the joint that each free slot adopts (V, K). The largest gradients take the first free slots."""
-    # By vertex, then the largest gradient first; of equal ones the lower joint.
-    order = np.lexsort((foreign.joints, -foreign.magnitudes, foreign.vertices))
-    vertices, joints = foreign.vertices[order], foreign.joints[order]
-    rank = np.arange(len(vertices)) - np.searchsorted(vertices, vertices)
-    # The n-th foreign joint of a vertex takes its n-th free slot.
-    free_first = np.argsort(~field.free[vertices], axis=1, kind="stable")
-    fits = rank < capacity[vertices]
-    slot = free_first[fits, rank[fits]]
-    adopted = np.full(field.joints.shape, NO_JOINT, dtype=np.int64)
-    adopted[vertices[fits], slot] = joints[fits]
-    return adopted
-
-
-def _named_slots(adopted: IntArray, field: WeightField) -> IntArray:
-    """Return the joint whose gradient each slot holds (V, K), −1 for none.
-
-    A slot that adopts no joint keeps the joint that it names in the file, even at weight zero, unless that
-    joint has moved into another slot.
-    """
-    named = np.where(adopted != NO_JOINT, adopted, field.joints)
-    rows = np.flatnonzero((adopted != NO_JOINT).any(axis=1))
-    # A joint that a free slot has adopted is named by that slot alone.
-    moved = (field.joints[rows, :, None] == adopted[rows, None, :]).any(axis=2) & (adopted[rows] == NO_JOINT)
-    named[rows] = np.where(moved, NO_JOINT, named[rows])
-    return named
 
 
 def _project(

@@ -44,7 +44,12 @@ def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crea
     keys = np.empty((len(copies), 1 + field.joints.shape[1]), dtype=np.uint64)
     for rows in blocks(len(copies)):
         keys[rows, 0] = labels[copies[rows]]
-        keys[rows, 1:] = _influence_keys(field.rows(copies[rows]))
+        # Joint and float32 weight of every influence, in joint order, other slots last.
+        part = field.rows(copies[rows])
+        weights = np.ascontiguousarray(part.weights.astype(np.float32)).view(np.uint32).astype(np.uint64)
+        influences = (part.joints.astype(np.uint64) << np.uint64(32)) | weights
+        influences[part.weights == 0] = np.iinfo(np.uint64).max
+        keys[rows, 1:] = np.sort(influences, axis=1)
     points = kernel.label_equal_rows(keys)
     oriented = kernel.label_equal_rows(_oriented_keys(points, normals, copies))
     # One row for each normal of a point is left to compare by angle.
@@ -67,14 +72,6 @@ def _oriented_keys(points: Labels, normals: FloatArray, copies: IntArray) -> npt
     return keys
 
 
-def _influence_keys(field: WeightField) -> npt.NDArray[np.uint64]:
-    """Return (V, K) keys: joint and float32 weight of every influence, in joint order, other slots last."""
-    weights = np.ascontiguousarray(field.weights.astype(np.float32)).view(np.uint32).astype(np.uint64)
-    keys = (field.joints.astype(np.uint64) << np.uint64(32)) | weights
-    keys[field.weights == 0] = np.iinfo(np.uint64).max
-    return np.asarray(np.sort(keys, axis=1))
-
-
 def _link_by_angle(points: Labels, normals: npt.NDArray[np.float64], crease_angle: float) -> Labels:
     """Return single-linkage classes of rows that share a point and have normals within the angle."""
     # The rows of each point, one after the other.
@@ -82,42 +79,32 @@ def _link_by_angle(points: Labels, normals: npt.NDArray[np.float64], crease_angl
     starts = np.flatnonzero(np.diff(points[order], prepend=-1))
     sizes = np.diff(np.append(starts, len(order)))
     labels = np.arange(len(points))
-    # Small points: all of one size at once, by all pairs.
+    # Small points: all of one size at once, by all pairs. Every row takes the least label that it can reach.
     for size in range(2, PAIRED_GROUP + 1):
-        members = order[starts[sizes == size][:, None] + np.arange(size)]
-        for part in blocks(len(members), PAIRS // size**2):
-            _link_groups(members[part], normals, crease_angle, labels)
-    # Large points: one by one, by growing.
+        alike = order[starts[sizes == size][:, None] + np.arange(size)]
+        for part in blocks(len(alike), PAIRS // size**2):
+            members = alike[part]
+            near = _within(normals[members][:, :, None], normals[members][:, None, :], crease_angle)
+            near |= np.eye(size, dtype=np.bool_)
+            local = np.tile(np.arange(size), (len(members), 1))
+            # Labels spread along chains until none changes.
+            while True:
+                reached = np.where(near, local[:, None, :], size).min(axis=2)
+                if np.array_equal(reached, local):
+                    break
+                local = reached
+            labels[members] = np.take_along_axis(members, local, axis=1)
+    # Large points: one by one. A class grows from a seed until no remaining row is near it.
     for start, size in zip(starts[sizes > PAIRED_GROUP], sizes[sizes > PAIRED_GROUP], strict=True):
-        if size <= LINKED_GROUP:
-            _grow_group(order[start : start + size], normals, crease_angle, labels)
+        remaining = order[start : start + size] if size <= LINKED_GROUP else order[:0]
+        while len(remaining):
+            seed, frontier, remaining = remaining[0], [remaining[0]], remaining[1:]
+            while frontier and len(remaining):
+                near = _within(normals[remaining], normals[frontier.pop()], crease_angle)
+                labels[remaining[near]] = seed
+                frontier.extend(remaining[near])
+                remaining = remaining[~near]
     return labels
-
-
-def _link_groups(members: Labels, normals: npt.NDArray[np.float64], angle: float, labels: Labels) -> None:
-    """Link within groups (G, S) of equal size at once. Every row takes the least label that it can reach."""
-    near = _within(normals[members][:, :, None], normals[members][:, None, :], angle)
-    near |= np.eye(members.shape[1], dtype=np.bool_)
-    local = np.tile(np.arange(members.shape[1]), (len(members), 1))
-    # Labels spread along chains until none changes.
-    while True:
-        reached = np.where(near, local[:, None, :], members.shape[1]).min(axis=2)
-        if np.array_equal(reached, local):
-            break
-        local = reached
-    labels[members] = np.take_along_axis(members, local, axis=1)
-
-
-def _grow_group(members: Labels, normals: npt.NDArray[np.float64], angle: float, labels: Labels) -> None:
-    """Link within one large group. A class grows from a seed until no remaining row is near it."""
-    remaining = members
-    while len(remaining):
-        seed, frontier, remaining = remaining[0], [remaining[0]], remaining[1:]
-        while frontier and len(remaining):
-            near = _within(normals[remaining], normals[frontier.pop()], angle)
-            labels[remaining[near]] = seed
-            frontier.extend(remaining[near])
-            remaining = remaining[~near]
 
 
 def _within(first: npt.NDArray[np.float64], second: npt.NDArray[np.float64], angle: float) -> BoolArray:

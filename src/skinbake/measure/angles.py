@@ -312,7 +312,8 @@ class _Chunk:
             measured = []
             for lighting, vectors in normals.items():
                 outside = vectors if side is None or lighting not in INSIDE_OUT else scaled(side, vectors)
-                names = _truths_of(lighting, self.truths.names)
+                # They come first: NOT_MEASURED leaves out the last truths.
+                names = [truth for truth in self.truths.names if (truth, lighting) not in NOT_MEASURED]
                 errors = kernel.angles(outside, expected[: len(names)])
                 corner = block.primitive, self.first_pose, block.rows.start
                 measured += [
@@ -323,14 +324,6 @@ class _Chunk:
             if self.compares and "direct" in normals:
                 compared = compared_normals(normals["direct"], normals["accurate"])
         return measured if count is None else list(map(count, measured)), compared
-
-
-def _truths_of(lighting: str, names: Sequence[str]) -> list[str]:
-    """Return the truths by which a lighting is measured. They come first among ``names``.
-
-    The reason is that ``NOT_MEASURED`` leaves out the last truths.
-    """
-    return [truth for truth in names if (truth, lighting) not in NOT_MEASURED]
 
 
 class _Skinned(Protocol):

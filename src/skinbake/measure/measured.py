@@ -135,7 +135,9 @@ class _Measurement:
         if key in self._morphed:
             return self._morphed[key] if again else self._morphed.pop(key)
         morphing = morphing_of(self._document, draw.views, draw.poses)
-        size = sum(_morphed_size(rest) for rest in draw.rest) * len(draw.poses.clips)
+        # The memory of each vertex in one pose, with the data that truths need.
+        size = sum(8 * rest.joints.shape[0] * (20 + 3 * rest.joints.shape[1]) for rest in draw.rest)
+        size *= len(draw.poses.clips)
         if morphing is None or not again or size > self._room:
             return morphing
         self._room -= size
@@ -214,12 +216,6 @@ def _readable_clips(document: Document, kind: PoseKind) -> tuple[Sequence[Clip],
             raise InputError(f"{error.message}; {advice}", error.place) from error
         message = f"its animations are broken, and were not read ({error.message})"
         return [], [Notice("animations-broken", message, document.place)]
-
-
-def _morphed_size(rest: RestPrimitive) -> int:
-    """Return the memory of a primitive in one pose of its morph targets, with the data that truths need."""
-    vertices, slots = rest.joints.shape
-    return int(vertices * 8 * (4 * 3 + 3 * slots + 8))
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,6 @@ import numpy.typing as npt
 from skinbake.geometry import frames
 from skinbake.geometry.skinned import (
     BakedPrimitive,
-    BoolArray,
     FloatArray,
     IntArray,
     SkinnedPrimitive,
@@ -77,7 +76,11 @@ def cut_out(
             continue
         used = np.zeros(len(primitive.positions), dtype=np.bool_)
         used[there] = True
-        triangles = _triangles_at(used, primitive.triangles)
+        # The triangles that have one of the used vertices.
+        corners = primitive.triangles.ravel()
+        at = [block.start + np.flatnonzero(used[corners[block]]) for block in blocks(len(corners))]
+        owners = np.concatenate(at or [np.empty(0, dtype=np.int64)]) // 3
+        triangles = primitive.triangles[owners[np.diff(owners, prepend=-1) > 0]]
         used[triangles] = True
         kept = np.flatnonzero(used)
         adopting = used[baked.adopting]
@@ -124,15 +127,6 @@ def _digests(positions: FloatArray) -> IntArray:
     x, y, z = bit_patterns(positions.astype(np.float32, copy=False)).T
     mixed: IntArray = (x * ODD[0]) ^ (y * ODD[1]) ^ (z * ODD[2])
     return mixed >> np.uint32(32 - DIGEST_BITS)
-
-
-def _triangles_at(used: BoolArray, triangles: IntArray) -> IntArray:
-    """Return the triangles (T, 3) that have one of the vertices that are marked (V,) as used."""
-    corners = triangles.ravel()
-    found = [part.start + np.flatnonzero(used[corners[part]]) for part in blocks(len(corners))]
-    numbers = np.concatenate(found or [np.empty(0, dtype=np.int64)]) // 3
-    once: IntArray = numbers[np.diff(numbers, prepend=-1) > 0]
-    return triangles[once]
 
 
 def joined(parts: Sequence[UnwrittenBake]) -> tuple[SkinnedPrimitive, RestPrimitive]:

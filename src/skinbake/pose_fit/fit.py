@@ -185,16 +185,14 @@ def _seen(
                 side = None if sides is None else sides[poses, block.part]
                 found = [surface.normals(block.number, side) for surface in surfaces]
                 normals, exist = (np.concatenate(values) for values in zip(*found, strict=True))
-                normals = _mean(normals, exist, list(aim.values()))
+                # The unit mean of those that exist, 0 if there is none.
+                mean = np.where(
+                    exist[:, None], np.reshape(list(aim.values()), (-1, 1, 1, 1)) * normals, 0.0
+                ).sum(axis=0)
+                mean /= np.sqrt(np.einsum("ibp,ibp->bp", mean, mean))
+                normals = np.where(np.isfinite(mean), mean, 0.0).transpose(1, 0, 2)
                 own = normals[rows - block.rows.start]
                 yield _Seen(block.primitive, rows, poses, own, 1.0 / len(matrices))
-
-
-def _mean(normals: Float64Array, exist: BoolArray, parts: Sequence[float]) -> Float64Array:
-    """Return the unit mean (B, 3, P) of normals (U, 3, B, P) that exist (U, B, P), 0 if there is none."""
-    mean = np.where(exist[:, None], np.reshape(parts, (-1, 1, 1, 1)) * normals, 0.0).sum(axis=0)
-    mean /= np.sqrt(np.einsum("ibp,ibp->bp", mean, mean))
-    return np.where(np.isfinite(mean), mean, 0.0).transpose(1, 0, 2)
 
 
 @dataclass(frozen=True, slots=True)

@@ -208,11 +208,8 @@ def weld_classes(
     nodes = row_numbers(np.column_stack([places, (normals + 0.0).view(np.int64)]))
     firsts = _first_rows(nodes)
     pairs = _close_pairs(places[firsts], normals[firsts], np.radians(crease_angle_degrees), claim)
-    return _by_first_vertex(_components(pairs, len(firsts))[nodes])
-
-
-def _by_first_vertex(classes: Int64Array) -> Int64Array:
-    """Renumber classes in the order of their first vertices: neighbours are then near in memory too."""
+    classes = _components(pairs, len(firsts))[nodes]
+    # In the order of their first vertices: neighbours are then near in memory too.
     firsts = _first_rows(classes)
     numbers = np.empty(len(firsts), dtype=np.int64)
     numbers[np.argsort(firsts)] = np.arange(len(firsts))
@@ -276,7 +273,14 @@ def _close_pairs(
     # A chord of the unit sphere stands for the angle. The errors of normalising are far below the slack.
     chord = 2.0 * np.sin(min(angle, np.pi) / 2.0) + 1e-12
     if counts.max(initial=0) > CROWDED:
-        return _pairs_in_crowds(candidates, places[candidates], directions, chord, claim)
+        from scipy.spatial import cKDTree
+
+        # Without a look at all pairs: places lie 4 apart on the first axis, and normals within 2 of each
+        # other. So only pairs at one place are near.
+        tree = cKDTree(np.column_stack([4.0 * places[candidates], directions]))
+        claim(BYTES_A_PAIR * int(tree.count_neighbors(tree, chord)) // 2)
+        close: Int64Array = candidates[tree.query_pairs(chord, output_type="ndarray")]
+        return close
     # By place. Then a pair is so many steps apart, and each number of steps is looked at.
     order = np.argsort(places[candidates], kind="stable")
     candidates, directions = candidates[order], directions[order]
@@ -288,24 +292,6 @@ def _close_pairs(
         first = first[apart <= chord]
         found.append(np.column_stack([candidates[first], candidates[first + step]]))
     return np.concatenate(found)
-
-
-def _pairs_in_crowds(
-    candidates: Int64Array,
-    at: Int64Array,
-    directions: Float64Array,
-    chord: float,
-    claim: Callable[[int], None],
-) -> Int64Array:
-    """List pairs of candidates, by their places and unit normals, without a look at all of them."""
-    from scipy.spatial import cKDTree
-
-    # Places lie 4 apart on the first axis, and normals within 2 of each other. So only pairs at one place are
-    # near.
-    tree = cKDTree(np.column_stack([4.0 * at, directions]))
-    claim(BYTES_A_PAIR * int(tree.count_neighbors(tree, chord)) // 2)
-    close: Int64Array = candidates[tree.query_pairs(chord, output_type="ndarray")]
-    return close
 
 
 def _components(pairs: Int64Array, count: int) -> Int64Array:

@@ -162,7 +162,9 @@ class PosePlan:
     @property
     def sampled(self) -> Sequence[Clip]:
         """The clips that are sampled; none if random poses replace them, or if the pose is at rest."""
-        if self.request.kind is not PoseKind.ANIMATION or not any(map(_moves_joints, self.clips)):
+        if self.request.kind is not PoseKind.ANIMATION or not any(
+            channel.path != MORPH_WEIGHTS for clip in self.clips for channel in clip.channels
+        ):
             return ()
         count, most = len(self.clips), self.request.most
         some = count if most is None else min(count, max(1, most // LEAST_SAMPLES))
@@ -189,7 +191,11 @@ class PosePlan:
         """Tell whether morph targets may move in the poses."""
         if self.resting is None or self.request.kind is PoseKind.REST:
             return self.resting is not None and bool(self.resting.any())
-        return not self.sampled or bool(self.resting.any()) or any(map(_moves_targets, self.sampled))
+        return (
+            not self.sampled
+            or bool(self.resting.any())
+            or any(channel.path == MORPH_WEIGHTS for clip in self.sampled for channel in clip.channels)
+        )
 
     @property
     def steps(self) -> int:
@@ -275,14 +281,6 @@ def _only(nodes: set[int], morphed: int | None, clip: Clip) -> Clip:
         if (channel.morphs(morphed) if channel.path == MORPH_WEIGHTS else channel.node in nodes)
     )
     return replace(clip, channels=channels)
-
-
-def _moves_joints(clip: Clip) -> bool:
-    return any(channel.path != MORPH_WEIGHTS for channel in clip.channels)
-
-
-def _moves_targets(clip: Clip) -> bool:
-    return any(channel.path == MORPH_WEIGHTS for channel in clip.channels)
 
 
 def _sampled(plan: PosePlan, joint_names: tuple[str, ...]) -> PoseSet:

@@ -20,7 +20,11 @@ TWO, HALF = np.float32(2.0), np.float32(0.5)
 def unfiltered(rows: npt.NDArray[np.uint8], name: str) -> npt.NDArray[np.uint8]:
     """Return rows (count, stride) of bytes with the filter ``name`` undone."""
     if name == "EXPONENTIAL":
-        return _exponential(rows.view("<i4")).view(np.uint8)
+        # The highest byte is the exponent of 2, the other three the mantissa, both signed.
+        stored = rows.view("<i4")
+        with np.errstate(over="ignore"):  # infinity is what such an exponent means
+            floats = np.ldexp(((stored << 8) >> 8).astype(np.float32), stored >> 24)
+        return np.asarray(floats, dtype="<f4").view(np.uint8)
     if name == "NONE":
         return rows
     signed = rows.view("<i1" if rows.shape[1] == 4 else "<i2")
@@ -61,13 +65,6 @@ def _quaternions(stored: Values) -> Values:
     for offset, part in enumerate((w, x, y, z)):
         result[row, (largest + offset) & 3] = _rounded(part * scale, stored.dtype)
     return result
-
-
-def _exponential(stored: npt.NDArray[np.int32]) -> npt.NDArray[np.float32]:
-    """Return floats; the highest byte is the exponent of 2, the other three the mantissa, both signed."""
-    mantissas = ((stored << 8) >> 8).astype(np.float32)
-    with np.errstate(over="ignore"):  # infinity is what such an exponent means
-        return np.asarray(np.ldexp(mantissas, stored >> 24), dtype="<f4")
 
 
 def _colours(stored: Values) -> Values:

@@ -73,7 +73,9 @@ def perform(
     jobs: list[JobWithFiles]
     work, jobs = pickle.loads(pickled)
     start = time.perf_counter()
-    workspace = _local_folder()
+    from distributed import get_worker
+
+    workspace = str(get_worker().local_directory)  # Dask removes it, even if the worker was killed
     with heard(_teller(topic)) if topic else nullcontext():
         results = [work.result_there(job, workspace) for job in jobs]
     return results, time.perf_counter() - start
@@ -93,10 +95,3 @@ def _teller(topic: str) -> Callable[[Told], None]:
             worker.log_event(topic, [told.stage, told.done, told.total])
 
     return tell
-
-
-def _local_folder() -> str | None:
-    """Return the worker's own folder. Dask removes it, even if the worker was killed."""
-    from distributed import get_worker
-
-    return str(get_worker().local_directory)

@@ -81,7 +81,14 @@ class Staging:
 
         Raises SkinbakeError if the file cannot be read.
         """
-        return _read_at(self.end_of(source, bounds), reads, bounds, self.workspace)
+        end = self.end_of(source, bounds)
+        with PrivateFolder(self.workspace) as folder:
+            path = folder.fetch_input(end)
+            here = folder.bounds_of(end, bounds)
+            for resource in resources_of(path, here):
+                if resource.array == "buffers":
+                    folder.fetch_named(end, resource, here, with_content=True)
+            return with_names(lambda: reads(path, here), folder.naming((end, path)))
 
     def end_of(self, given: str, bounds: Bounds = BESIDE) -> End:
         """Return the end that a path or URL names. Raises InputError if a URL's driver is missing.
@@ -117,18 +124,6 @@ def _top(name: str) -> str:
     """Return the name of a folder in a storage, empty for its root."""
     normal = posixpath.normpath(name).strip("/") if not name.startswith("/") else posixpath.normpath(name)
     return "" if normal == "." else normal
-
-
-def _read_at(source: End, reads: Callable[[str, Bounds], T], given: Bounds, workspace: str | None) -> T:
-    """Read the file at an end, through a private folder if it is in a storage; may raise SkinbakeError."""
-    with PrivateFolder(workspace) as folder:
-        path = folder.fetch_input(source)
-        bounds = folder.bounds_of(source, given)
-        for resource in resources_of(path, bounds):
-            if resource.array == "buffers":
-                folder.fetch_named(source, resource, bounds, with_content=True)
-        naming = folder.naming((source, path))
-        return with_names(lambda: reads(path, bounds), naming)
 
 
 def _one_file(first: End, second: End) -> bool:
