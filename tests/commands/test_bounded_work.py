@@ -118,6 +118,7 @@ FAMILIES: dict[str, Change] = {
     "skins by clips": all_of(with_skins(250), with_clips(250)),
     "targets by clips": all_of(with_targets(300), with_clips(700)),
     "targets by clips, primitives and skins": all_of(with_targets(200, 9), with_clips(250), with_skins(9)),
+    "targets": all_of(with_targets(50_000), with_clips(50)),
     "clips": with_clips(9000),
     "joints": with_repeated_joints(150_000),
     "primitives": with_targets(1, 1500),

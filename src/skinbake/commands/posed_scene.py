@@ -59,6 +59,9 @@ STEPS_A_PRIMITIVE, STEPS_A_MORPHED_POSE, STEPS_A_SHOWN_CLIP = 3_000, 1_500, 150
 See ``budget.STEPS_FREE``.
 """
 
+STEPS_A_TARGET, STEPS_A_TARGET_READ = 3, 7
+"""The further steps of a primitive for each of its morph targets, in a pose and for a clip."""
+
 SEARCHED = 25
 """The poses of a clip among which the one with the worst standard lighting is chosen."""
 
@@ -157,7 +160,10 @@ def claim_draws(document: Document, draws: Sequence[Draw], clips: Sequence[Clip]
         vertices = sum(len(rest.positions) for rest in draw.rest)
         steps = STEPS_A_PRIMITIVE * primitives + sum(STEPS_A_CLIP + len(clip.channels) for clip in clips)
         steps += poses * (len(skeleton.nodes) + len(skeleton.joints))
-        steps += 0 if draw.node is None else STEPS_A_MORPHED_POSE * primitives * poses
+        if draw.node is not None:
+            targets = target_count(document, draw.views[0].source.mesh)
+            steps += (STEPS_A_MORPHED_POSE + STEPS_A_TARGET * targets) * primitives * poses
+            steps += STEPS_A_TARGET_READ * targets * primitives * len(clips)
         drawn = f"{counted(vertices, 'vertex', 'vertices')} in {counted(poses, 'pose')}"
         budget.claim_steps(steps, f"drawing {drawn}", place)
         size = BYTES_A_NODE_AND_POSE * len(skeleton.nodes) + BYTES_A_JOINT_AND_POSE * len(skeleton.joints)
