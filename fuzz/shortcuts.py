@@ -35,7 +35,7 @@ def _draw_on_paper() -> None:
 
     class Paper(studio.Studio):
         def __init__(self, subjects: Any, camera: Any) -> None:
-            self._subjects, self._camera = subjects, camera
+            self._subjects, self._camera, self._light = subjects, camera, np.asarray(studio.LIGHT)
 
         def picture(self, shot: Any, sides: Any, look: Any) -> Any:
             for number, subject in enumerate(self._subjects):
