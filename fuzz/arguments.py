@@ -80,6 +80,7 @@ SHADER: Group = (
     (0.2, [["--cap"], ["--cap", "0.5"]]),
     (0.2, [["--mirrored-joints"]]),
     (0.2, [["--scaled-joints"]]),
+    (0.2, [["--stage", "compute"]]),
     (0.2, [["--morphs", "normal"], ["--morphs", "tangent"]]),
 )
 RENDER: Group = (
@@ -139,6 +140,7 @@ def command_line(random: Random, name: str, suffix: str) -> tuple[list[str], dic
         arguments += REPORT if random.random() < 0.25 else []
         arguments += _noted(random, files) if random.random() < 0.1 else []
         arguments += ["--junit", "out/junit.xml"] if random.random() < 0.1 else []
+        arguments += ["--dump-normals", "out/normals.jsonl"] if random.random() < 0.2 else []
         return arguments, files, piped
     if kind < 0.70:
         return ["view", source, "-o", random.choice(("out/page.html", "out/page.html", "-"))], files, piped

@@ -116,7 +116,7 @@ def test_two_options_cannot_have_one_file(linked: bool, model: Path, tmp_path: P
     assert not first.exists()
 
 
-@pytest.mark.parametrize("option", ["--junit", "--html", "--summary"])
+@pytest.mark.parametrize("option", ["--junit", "--html", "--summary", "--dump-normals"])
 def test_a_report_needs_the_name_of_a_file(option: str, model: Path, tmp_path: Path) -> None:
     for name, reason in (
         ("", f"{option}: the name is empty; is a variable of your script not set?"),
