@@ -57,7 +57,7 @@ golden: $(DEV) ## Write tests/shaders/golden and the shader text in engines/ ane
 picture: $(DEV) $(NODE_MODULES) ## Draw bend.png, shaders.png, view.gif (need a Vulkan driver) and three-*.png (Chromium) of docs/ anew
 	$(BIN)/python -m benchmarks.bend_picture docs/bend.png
 	$(BIN)/python -m benchmarks.bend_render docs/shaders.png
-	$(BIN)/skinbake render $(EXAMPLE) -o docs/view.gif --split --size 880x400
+	$(BIN)/skinbake render fixtures/characters/fox.glb -o docs/view.gif --split --closeup --size 640x300
 	$(BIN)/python -m benchmarks.three_picture
 	$(BIN)/python -m benchmarks.skinned_normals_scores --pictures fixtures/SkinnedNormalsTest/screenshot
 

@@ -16,7 +16,7 @@ from PIL import Image
 from fixtures.make_fixtures import FOLDER
 from skinbake.gltf.document import read_document
 from skinbake.render.materials import CLAY, Materials, decoded
-from skinbake.render.studio import Studio
+from skinbake.render.studio import MODES, Studio
 from skinbake.render.subject import Shot
 from tests.support.baked_files import Editable
 from tests.support.baking import bake_file
@@ -24,7 +24,7 @@ from tests.support.characters import Array
 from tests.support.command_line import invoke
 from tests.support.models import edited, sheet, write_model
 from tests.support.morphed_files import morphed, warped
-from tests.support.textured import image
+from tests.support.textured import image, with_holes
 from tests.support.webgpu import NAGA
 
 SIZE = "160x120"
@@ -279,7 +279,7 @@ def test_an_image_that_cannot_be_had_is_left_out_with_a_notice(
 
     document = read_document(str(write_model(tmp_path / "sheet.glb", [sheet()], change=change)))
     materials = Materials(document)
-    made = materials.of({"material": 0}, in_clay=False)
+    made = materials.of({"material": 0}, False)
     assert (made.base, dict(made.images)) == (CLAY, {})
     (notice,) = materials.notices()
     assert notice.code == "images-missing"
@@ -294,5 +294,22 @@ def test_a_material_of_other_types_is_clay(tmp_path: Path) -> None:
 
     document = read_document(str(write_model(tmp_path / "sheet.glb", [sheet()], change=change)))
     for number in (0, 5, "first", None):
-        made = Materials(document).of({"material": number}, in_clay=False)
+        made = Materials(document).of({"material": number}, False)
         assert (made.base, made.emissive) == (CLAY, (0.0, 0.0, 0.0))
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("device")
+@pytest.mark.parametrize("alpha", ["MASK", "BLEND"])
+def test_holes_stay_holes_in_clay_and_in_every_mode(tmp_path: Path, alpha: str) -> None:
+    base = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}, "doubleSided": False}
+    path = tube(tmp_path, {**base, "alphaMode": alpha}, with_holes())
+    options: list[list[str]] = [[], ["--clay"], *(["--mode", mode] for mode in MODES if mode != "shaded")]
+    pictures = [drawn(path, *one)[:90] for one in options]  # the scale of errors lies below
+    covered = [np.abs(one - one[0, 0]).max(axis=2) > 4 for one in pictures]
+    whole = drawn(tube(tmp_path, base, with_holes()))[:90]
+    assert covered[0].mean() < 0.8 * (np.abs(whole - whole[0, 0]).max(axis=2) > 4).mean()
+    for one in covered[1:]:
+        assert (one != covered[0]).mean() < 0.03  # the edges of holes, where alpha is between
+    red, _, blue = pictures[1][covered[0]].T
+    assert np.abs(red - blue).max() < 40, "clay has no colour"

@@ -232,16 +232,66 @@ def test_a_turntable_turns_one_pose(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("device")
-def test_meshes_without_a_skin_are_counted(tmp_path: Path) -> None:
-    def add_props(content: JsonObject) -> None:
+@pytest.mark.parametrize("mode", ["normals", "error"])
+@pytest.mark.parametrize("has_clip", [True, False])
+def test_what_hangs_on_a_joint_is_drawn_as_if_it_were_skinned_to_it(
+    tmp_path: Path, has_clip: bool, mode: str
+) -> None:
+    """A copy of the tube hangs on its last joint, or has a skin and weights that do the same."""
+    seen = []
+    for is_skinned in (False, True, None):
+        file = Editable(TUBE)
+        content, (skin,) = file.content, file.content["skins"]
+        if not has_clip:
+            del content["animations"]
         (primitive,) = content["meshes"][0]["primitives"]
+        inverse = read(TUBE).matrices(skin["inverseBindMatrices"])
         bare = {name: number for name, number in primitive["attributes"].items() if name[-2:] != "_0"}
-        for mesh in (1, 2):
-            content["meshes"].append({"primitives": [{**primitive, "attributes": bare}]})
-            content["nodes"] += [{"mesh": mesh}, {"mesh": mesh}]
+        count = content["accessors"][bare["POSITION"]]["count"]
+        joints: Any = np.tile(np.array([2, 0, 0, 0], np.uint8), (count, 1))
+        weights = np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1))
+        moved = {"JOINTS_0": file.add(joints), "WEIGHTS_0": file.add(weights)}
+        content["accessors"][moved["JOINTS_0"]]["componentType"] = 5121
+        content["meshes"].append(
+            {"primitives": [{**primitive, "attributes": {**bare, **(moved if is_skinned else {})}}]}
+        )
+        node: JsonObject = {"mesh": 1}
+        content["nodes"].append(node)
+        if is_skinned:
+            node["skin"] = 0
+            content["scenes"][0]["nodes"].append(len(content["nodes"]) - 1)
+        elif is_skinned is False:
+            node["matrix"] = inverse[2].T.ravel().tolist()
+            content["nodes"][skin["joints"][2]].setdefault("children", []).append(len(content["nodes"]) - 1)
+        path = file.write(tmp_path / f"{is_skinned}.glb")
+        options = ["--time", "0.4"] if has_clip else []
+        seen.append(drawn(path, path.with_suffix(".png"), "--mode", mode, *options))
+    hanging, skinned, without = seen
+    assert np.abs(hanging - without).max(axis=2).astype(bool).mean() > 0.02
+    if mode == "normals":
+        assert (np.abs(hanging - skinned).max(axis=2) > 6).mean() < 0.002
+    else:
+        unknown, colours = np.array([139.0, 147.0, 160.0]), np.linalg.norm(hanging, axis=2, keepdims=True)
+        apart = np.linalg.norm(hanging / colours - unknown / np.linalg.norm(unknown), axis=2)
+        assert (apart < 0.015).mean() > 0.02, "nothing is known of its error"
 
-    path = edited("bent_tube.glb", tmp_path, add_props)
-    for source, words in ((path, "2 meshes without a skin are left out of the picture"), (TUBE, "")):
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("device")
+def test_a_mesh_without_a_skin_that_is_broken_is_left_out(tmp_path: Path) -> None:
+    def add_prop(content: JsonObject) -> None:
+        (primitive,) = content["meshes"][0]["primitives"]
+        content["meshes"].append(
+            {"primitives": [{"attributes": {"POSITION": primitive["attributes"]["WEIGHTS_0"]}}]}
+        )
+        content["nodes"].append({"mesh": 1})
+        content["scenes"][0]["nodes"].append(len(content["nodes"]) - 1)
+
+    path = edited("bent_tube.glb", tmp_path, add_prop)
+    for source, words in (
+        (path, "1 mesh without a skin cannot be read: left out of the picture"),
+        (TUBE, ""),
+    ):
         result = invoke("render", source, "-o", tmp_path / "a.png", "--size", "64x48", "--time", "0.5")
         assert (result.exit_code, "without a skin" in result.stderr) == (0, bool(words))
         assert words in result.stderr

@@ -255,3 +255,13 @@ def quarters_seen(picture: npt.NDArray[Any]) -> Quarters:
         return known[int(apart.argmin())]
 
     return tuple(tuple(seen(down, right) for right in (0.25, 0.75)) for down in (0.25, 0.75))
+
+
+def with_holes() -> dict[str, str]:
+    """Return a red image, every other stripe of which is a hole: its alpha is 0."""
+    pixels = np.zeros((32, 32, 4), np.uint8)
+    pixels[..., 0] = 255
+    pixels[:, np.arange(32) // 8 % 2 == 0, 3] = 255
+    data = io.BytesIO()
+    Image.fromarray(pixels).save(data, "PNG")
+    return {"uri": f"data:image/png;base64,{base64.b64encode(data.getvalue()).decode()}"}

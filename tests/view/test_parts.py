@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import re
 import tomllib
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+from PIL import Image
 
+from skinbake.commands import view
 from skinbake.view.sources import FOLDER, MODULES, filled_page, script
 from skinbake.view.texts import packed_texts, shown_choices
 from tests.support.command_line import invoke
+from tests.support.models import edited
 
 DECLARED = re.compile(r"^(?:export )?(?:async )?(?:const|let|class|function)\s+(\w+)", re.MULTILINE)
 
@@ -74,3 +80,20 @@ def test_a_value_is_never_filled_in_again() -> None:
     assert "@{model}@{script}" in filled_page({**empty, "title": "@{model}@{script}"})
     with pytest.raises(KeyError):
         filled_page(empty)
+
+
+def test_a_large_page_says_what_makes_it_large(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An image of a megabyte, and a limit of a megabyte in place of fifty."""
+    noise = np.random.default_rng(0).integers(0, 256, (600, 600, 3), np.uint8)
+    Image.fromarray(noise).save(tmp_path / "noise.png")
+
+    def paint(content: dict[str, Any]) -> None:
+        content["images"] = [{"uri": "noise.png"}]
+
+    path = edited("bent_tube.glb", tmp_path, paint)
+    for limit, is_told in ((1_000_000, True), (view.LARGE_PAGE, False)):
+        monkeypatch.setattr(view, "LARGE_PAGE", limit)
+        result = invoke("view", path, "-o", tmp_path / "page.html")
+        assert result.exit_code == 0, result.output
+        told = "the page has 2 MB, because the model has 1 MB, of which 1 MB are images: show a copy"
+        assert (told in result.stderr) == is_told

@@ -208,3 +208,27 @@ def test_broken_values_say_nothing(browsing: browser.Page, tmp_path: Path, conte
     )
     assert places == {"base": 0, "normal": 1, "emissive": 2}
     assert np.array_equal(np.float32(found), file.array("TEXCOORD_2").ravel()[:60])
+
+
+@pytest.mark.parametrize("alpha", ["MASK", "BLEND"])
+def test_holes_stay_holes_in_clay_and_in_every_mode(
+    browsing: browser.Page, tmp_path: Path, alpha: str
+) -> None:
+    covered = []
+    for mode in (None, alpha):
+        file = Editable(TUBE)
+        own = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}, "doubleSided": False}
+        file.content["materials"][0] = own if mode is None else {**own, "alphaMode": mode}
+        file.content |= {"images": [textured.with_holes()], "textures": [{"source": 0}]}
+        path = file.write(tmp_path / f"{mode}.glb")
+        for images in (True, False):
+            drawn(browsing, path, images=images)
+            browsing.call("(() => { application.ground = [0, 0, 0, 0]; })")
+            for name in ("shaded", "reflections", "error", "normals"):
+                browsing.call("((name) => document.querySelector(`input[value=${name}]`).click())", name)
+                covered.append(picture(browsing)[..., 3] > 20)
+            browsing.call("(() => document.querySelector('input[value=shaded]').click())")
+    whole, holed = covered[0], covered[8]
+    assert holed.sum() < 0.8 * whole.sum()
+    for one in covered[8:]:
+        assert (one != holed).sum() < 0.08 * whole.sum()  # the edges of holes, where alpha is between

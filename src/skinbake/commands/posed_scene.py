@@ -17,7 +17,9 @@ from skinbake.errors import ChoiceError, InputError, Notice, printable
 from skinbake.format.strip import stripped
 from skinbake.freshness.baked_views import BakedView, is_baked, rest_primitive, whole_surfaces
 from skinbake.freshness.expected import true_operator_of
-from skinbake.geometry.skinned import Float32Array, Float64Array
+from skinbake.geometry.frames import frame_from_normal, unit_normals
+from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, IntArray
+from skinbake.geometry.triangles import smooth_normals
 from skinbake.gltf.animation import (
     Clip,
     Skeleton,
@@ -25,13 +27,23 @@ from skinbake.gltf.animation import (
     clip_weights,
     random_poses,
     read_clips,
+    read_node,
     read_skeleton,
+    rest_pose,
 )
 from skinbake.gltf.document import Document
 from skinbake.gltf.images import images_unplaced
 from skinbake.gltf.json_access import reference
 from skinbake.gltf.morphs import resting_weights, target_count
-from skinbake.gltf.primitives import reason_to_skip, skinned_sources, why_nothing
+from skinbake.gltf.primitives import (
+    PrimitiveSource,
+    has_surface,
+    plain_sources,
+    read_primitive,
+    reason_to_skip,
+    skinned_sources,
+    why_nothing,
+)
 from skinbake.gltf.scenes import faces_backward, shown_nodes
 from skinbake.measure.angles import Corrections, MeasuredBlock, lighting_errors, truths_at_rest
 from skinbake.measure.morphing import Morphing, morphing_of
@@ -48,7 +60,7 @@ from skinbake.truth.poses import (
     draws_of,
 )
 from skinbake.truth.truths import Truths
-from skinbake.wording import counted
+from skinbake.wording import counted, one_or_many
 
 BYTES_A_VERTEX, BYTES_A_POSED_VERTEX = 2048, 64
 """The memory of a vertex that is drawn, and in each pose."""
@@ -94,6 +106,77 @@ class Draw:
     node: int | None
     operator: Callable[[], GradientOperator]
     correctives: Callable[[Clip | None, Float64Array], Corrections] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Attachment:
+    """A primitive that a node of the shown scene draws without a skin: a hat, a staff."""
+
+    source: PrimitiveSource
+    rest: RestPrimitive
+    triangles: IntArray
+    tangents: FloatArray | None
+    skeleton: Skeleton
+
+    def positions(self, matrices: Float64Array) -> Float64Array:
+        """Return its positions (V, 3) under the node's matrix (4, 4)."""
+        return np.asarray(self.rest.positions @ matrices[:3, :3].T + matrices[:3, 3])
+
+
+def attachments(document: Document) -> tuple[list[Attachment], list[Notice]]:
+    """Return what nodes of the shown scene draw without a skin, and a notice on what of it cannot be read."""
+    sources: dict[int | None, list[PrimitiveSource]] = {}
+    for source in plain_sources(document):
+        sources.setdefault(source.mesh, []).append(source)
+    nodes, budget = document.objects("nodes"), document.budget
+    found: list[Attachment] = []
+    read: dict[tuple[int, int], Any] = {}
+    lost: set[int] = set()
+    for number in sorted(shown_nodes(document)):
+        for source in sources.get(reference(nodes[number].get("mesh")), ()):
+            try:
+                skeleton = read_node(document, number)
+                steps = STEPS_A_PRIMITIVE + STEPS_A_SHOWN_CLIP * len(skeleton.nodes)
+                budget.claim_steps(steps, "drawing meshes without a skin", document.place)
+                key = source.mesh, source.primitive
+                if key not in read:
+                    read[key] = _rigid(document, source)
+            except InputError as error:
+                if error is budget.refusal:
+                    raise
+                lost.add(source.mesh)
+                continue
+            if read[key] is not None:
+                rest, triangles, tangents = read[key]
+                found.append(Attachment(source, rest, triangles, tangents, skeleton))
+    if not lost:
+        return found, []
+    words = one_or_many(len(lost), "1 mesh without a skin", "{} meshes without a skin")
+    message = f"{words} cannot be read: left out of the picture"
+    return found, [Notice("not-skinned", message, document.place, len(lost))]
+
+
+def _rigid(document: Document, source: PrimitiveSource) -> tuple[RestPrimitive, IntArray, Any] | None:
+    """Return a primitive as one joint moves all of it, its triangles and TANGENT; None without a surface."""
+    if not has_surface(document, source):
+        return None
+    mesh = read_primitive(document, source)
+    count = len(mesh.positions)
+    document.budget.claim(BYTES_A_VERTEX * count, "a mesh without a skin", source.place)
+    normals = mesh.normals
+    if not len(normals):
+        normals = smooth_normals(mesh.positions, mesh.triangles, np.arange(count))
+    normals = unit_normals(normals)
+    rest = RestPrimitive(
+        np.asarray(mesh.positions, np.float64),
+        normals,
+        *frame_from_normal(normals),
+        joints=np.zeros((count, 4), np.int64),
+        weights=np.eye(4)[np.zeros(count, np.int64)],
+        alpha=np.zeros((count, 3)),
+        beta=np.zeros((count, 3)),
+    )
+    return rest, mesh.triangles, mesh.tangents
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,6 +275,30 @@ def posed_draw(
         weights = clip_weights(draw.node, clip, times, weights[0])
     poses = PoseSet((), matrices, (), (), weights)
     return PosedDraw(matrices, morphing_of(document, draw.views, poses), corrections, weights)
+
+
+def posed_attachment(
+    document: Document,
+    attached: Attachment,
+    draws: Sequence[Draw],
+    posed: Sequence[PosedDraw],
+    clip: Clip | None,
+    times: Float64Array,
+) -> Float64Array:
+    """Return the matrix (P, 1, 4, 4) of its node while draws are posed. It faces along +Z."""
+    turn = HALF_TURN if faces_backward(document) else np.eye(4)
+    if clip is not None:
+        return turn @ clip_poses(attached.skeleton, clip, times)
+    # In a random pose it follows the nearest joint above it.
+    (own,) = rest_pose(attached.skeleton)[0]
+    for node in reversed(attached.skeleton.nodes):
+        for draw, one in zip(draws, posed, strict=True):
+            joints = np.array(draw.skeleton.nodes)[draw.skeleton.joints]
+            for joint in np.flatnonzero(joints == node)[:1]:
+                (rest,) = rest_pose(read_node(document, node))[0]
+                unbound = np.linalg.inv(draw.skeleton.inverse_bind[joint])
+                return np.asarray(one.matrices[:, [joint]] @ unbound @ np.linalg.inv(rest) @ own)
+    return np.broadcast_to(turn @ own, (len(times), 1, 4, 4))
 
 
 def posed_primitives(draw: Draw, posed: PosedDraw) -> Iterator[tuple[RestPrimitive, Float64Array]]:

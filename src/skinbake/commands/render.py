@@ -11,13 +11,17 @@ import numpy as np
 
 from skinbake.choices import Frame
 from skinbake.commands.posed_scene import (
+    LIGHTINGS,
+    Attachment,
     Draw,
     PosedDraw,
     asked_clips,
+    attachments,
     baked_in_memory,
     claim_draws,
     clip_and_moment,
     lighting_errors_of,
+    posed_attachment,
     posed_draw,
     posed_positions,
     posed_primitives,
@@ -32,14 +36,11 @@ from skinbake.files.writing import write_file
 from skinbake.freshness.baked_views import BakedView, rest_primitive, sound_views
 from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.gltf.accessors import read_accessor
-from skinbake.gltf.animation import (
-    Clip,
-    read_clips,
-)
+from skinbake.gltf.animation import Clip, Skeleton, read_clips, rest_pose
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import reference
 from skinbake.gltf.output import refuse_own_input
-from skinbake.gltf.primitives import reason_to_skip, skinned_sources
+from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources
 from skinbake.render.materials import CLAY, WHITE, Material, Materials
 from skinbake.render.pictures import MILLISECONDS, MOVING, captioned, encoded
 from skinbake.render.studio import Look, Picture, Studio, placed, require_packages
@@ -48,7 +49,7 @@ from skinbake.render.thumbnail import Posed, thumbnail
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.skinning.run import Skinning
-from skinbake.wording import counted, one_or_many
+from skinbake.wording import counted
 
 MOST = 1e15
 """The largest coordinate of a picture: squares of lengths then stay floats, as on the page."""
@@ -60,6 +61,9 @@ BYTES_A_SAMPLED_PIXEL, BYTES_A_PIXEL = 224, 10
 """The memory of drawing a pixel, with all its samples, and of keeping it in each picture until the end."""
 
 MOST_PICTURES = 120
+NEAR = 1.5
+"""What hangs on a character lies within so many radii of the box around it."""
+
 CLOSE = 1.3
 """What is seen close up, in radii of the place, as on the page."""
 
@@ -145,18 +149,11 @@ def _check_influences(views: Sequence[BakedView]) -> None:
 
 
 def _not_drawn(document: Document) -> list[Notice]:
-    """Return notices on what no picture has: unlit primitives, and meshes that nodes draw without a skin."""
+    """Return notices on the unlit primitives, which no picture has."""
     reasons = (
         reason_to_skip(document, source, generate_normals=True) for source in skinned_sources(document)[0]
     )
-    unlit = [reason for reason in reasons if reason is not None and reason.code == "unlit"]
-    nodes = [node for node in document.objects("nodes") if "mesh" in node]
-    skinned = {node["mesh"] for node in nodes if "skin" in node}
-    count = len({node["mesh"] for node in nodes} - skinned)
-    if not count:
-        return unlit
-    message = one_or_many(count, "1 mesh without a skin is", "{} meshes without a skin are")
-    return [*unlit, Notice("not-skinned", f"{message} left out of the picture", document.place, count)]
+    return [reason for reason in reasons if reason is not None and reason.code == "unlit"]
 
 
 def _pictures(
@@ -179,11 +176,17 @@ def _pictures(
     claim_draws(document, draws, [] if clip is None else [clip], len(times))
     posed = [posed_draw(document, draw, clip, times) for draw in draws]
     materials = Materials(document)
-    in_clay = options.in_clay or options.look.mode != "shaded"
+    is_lit = options.look.mode == "shaded"
+    in_clay = options.in_clay or not is_lit
+    rigid, missing = attachments(document)
+    held = [posed_attachment(document, one, draws, posed, clip, times) for one in rigid]
+    parts: list[tuple[int, BakedView | Attachment, Skeleton]] = [
+        (number, view, draw.skeleton) for number, draw in enumerate(draws) for view in draw.views
+    ]
+    parts += [(number, one, one.skeleton) for number, one in enumerate(rigid, len(draws))]
     subjects = [
-        _subject(document, number, draw, view, materials.of(view.source.json, in_clay=in_clay))
-        for number, draw in enumerate(draws)
-        for view in draw.views
+        _subject(document, number, drawn, skeleton, materials.of(drawn.source.json, in_clay, is_lit=is_lit))
+        for number, drawn, skeleton in parts
     ]
     some = [
         part
@@ -192,6 +195,7 @@ def _pictures(
     ]
     if not all((np.abs(part) < MOST).all() for part in some):
         raise InputError("its positions are too large for a renderer: scale the model down", document.place)
+    some += _hanging(some, rigid, [matrices[:: max(1, len(times) // 6)] for matrices in held])
     yaw = YAW if spot is None else float(np.arctan2(spot.towards[0], spot.towards[2]))
     yaws = list(map(float, np.linspace(yaw, yaw + 2 * np.pi, 12))) if options.turntable else [yaw]
     camera, words = placed(some, yaws), list(sides)
@@ -209,15 +213,34 @@ def _pictures(
         moves_by = np.zeros((len(times), 1, 4, 4))
         moves_by[..., :3, 3] = [[at - now] for now in followed(spot, draws[spot.draw], posed[spot.draw])]
         posed = [replace(one, matrices=one.matrices + moves_by) for one in posed]
+        held = [matrices + moves_by for matrices in held]
     studio = Studio(subjects, camera)
     errors = lighting_errors_of(draws, posed) if options.look.mode == "error" else None
-    shots = _shots(draws, posed, errors, options, yaws[0], len(times))
+    if errors:  # nothing is known of what has no skin
+        unknown = (np.zeros((2, len(times), len(one.rest.positions)), np.float32) for one in rigid)
+        errors += [dict.fromkeys(LIGHTINGS, nothing) for nothing in unknown]
+    shots = (
+        replace(shot, matrices=(*shot.matrices, *(matrices[number] for matrices in held)))
+        for number, shot in enumerate(_shots(draws, posed, errors, options, yaws[0], len(times)))
+    )
     pictures = [captioned(studio.picture(shot, sides, options.look), words, options.look) for shot in shots]
-    missing = materials.notices()
+    missing += materials.notices()
     if not in_clay:
         drawn = (view for draw in draws for view in draw.views)
         missing += [notice for view in drawn for notice in unplaced(document, view, "picture")]
     return pictures, pose, missing
+
+
+def _hanging(
+    shown: Sequence[Float64Array], rigid: Sequence[Attachment], held: Sequence[Float64Array]
+) -> Iterator[Float64Array]:
+    """Yield positions of what hangs on the character, which is in the picture with it; a stage is not."""
+    every = np.concatenate([part.reshape(-1, 3) for part in shown])
+    low, high = every.min(axis=0), every.max(axis=0)
+    for one, matrices in zip(rigid, held, strict=True):
+        points = np.stack([one.positions(matrix) for (matrix,) in matrices])
+        if (np.linalg.norm(points - (low + high) / 2, axis=-1) < NEAR * np.linalg.norm(high - low) / 2).all():
+            yield points
 
 
 def small_picture(document: Document) -> bytes | None:
@@ -281,42 +304,58 @@ def _times(
     return np.full(count, moment), f'clip "{clip.name}" at {moment:.2f} s'
 
 
-def _subject(document: Document, number: int, draw: Draw, view: BakedView, material: Material) -> Subject:
-    at_rest = draw.skeleton.joint_matrices({}, None, 1)[0, :, :3, :3]
-    count = len(view.now.positions)
+def _subject(
+    document: Document,
+    number: int,
+    drawn: BakedView | Attachment,
+    skeleton: Skeleton,
+    material: Material,
+) -> Subject:
+    """Return what is drawn of a primitive, with the joint matrices of a number."""
+    at_rest = rest_pose(skeleton)[0, :, :3, :3]
+    if isinstance(drawn, Attachment):
+        rest, triangles, tangents, ours, frame = drawn.rest, drawn.triangles, drawn.tangents, set[str](), None
+    else:
+        rest, triangles, tangents = rest_primitive(drawn), drawn.now.triangles, drawn.now.tangents
+        ours = {
+            *drawn.metadata["alpha"],
+            *drawn.metadata["beta"],
+        }  # they may be stored as such sets
+        frame = drawn.metadata["frame"]
+    count = len(rest.positions)
     # the texture coordinates (V, 2) of each image that lies on a set which the primitive has
-    ours = {*view.metadata["alpha"], *view.metadata["beta"]}  # they may be stored as such sets
     texcoords: dict[str, FloatArray] = {}
     for use, placement in material.placements.items():
         name = f"TEXCOORD_{placement.texcoord}"
-        own = None if name in ours else _attribute(document, view, name, (2,), count)
+        own = None if name in ours else _attribute(document, drawn.source, name, (2,), count)
         if own is not None:
             texcoords[use] = placement.placed(own)
     material = material.with_images(texcoords)
-    colours = None if material.is_plain else _attribute(document, view, "COLOR_0", (3, 4), count)
+    colours = None if material.is_plain else _attribute(document, drawn.source, "COLOR_0", (3, 4), count)
     if colours is not None and material.base == CLAY:
         material = replace(material, base=WHITE)
     return Subject(
-        rest=rest_primitive(view),
-        triangles=view.now.triangles,
+        rest=rest,
+        triangles=triangles,
         pose_set=number,
         material=material,
         texcoords=texcoords,
         colours=colours,
         is_mirrored=bool((np.linalg.det(at_rest) < 0).any()),
-        tangents=view.now.tangents,
-        in_their_frame=view.metadata["frame"] == Frame.TANGENT,
+        tangents=tangents,
+        in_their_frame=frame == Frame.TANGENT,
+        is_rigid=frame is None,
     )
 
 
 def _attribute(
-    document: Document, view: BakedView, name: str, widths: tuple[int, ...], count: int
+    document: Document, source: PrimitiveSource, name: str, widths: tuple[int, ...], count: int
 ) -> FloatArray | None:
     """Return the values of an attribute that is only drawn (V, the largest width); None if it has no such."""
-    number = reference(view.source.attributes.get(name))
+    number = reference(source.attributes.get(name))
     if number is None or not 0 <= number < len(document.objects("accessors")):
         return None
-    found = read_accessor(document, number, view.source.place).decoded()
+    found = read_accessor(document, number, source.place).decoded()
     if found.shape[0] != count or found.shape[1] not in widths:
         return None
     sound = np.nan_to_num(found.astype(np.float64), posinf=0.0, neginf=0.0)

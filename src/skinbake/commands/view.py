@@ -39,7 +39,7 @@ from skinbake.gltf.container import for_target
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.glb import STDIN
 from skinbake.gltf.images import images_missing, texture_image
-from skinbake.gltf.json_access import JsonObject
+from skinbake.gltf.json_access import JsonObject, reference
 from skinbake.gltf.output import plan_output, refuse_own_input
 from skinbake.gltf.resources import is_data_uri, read_resource
 from skinbake.gltf.scenes import faces_backward
@@ -54,6 +54,9 @@ from skinbake.wording import counted
 PNG, JPEG, WEBP = b"\x89PNG", b"\xff\xd8\xff", b"RIFF"
 IMAGES = {PNG: "image/png", JPEG: "image/jpeg", WEBP: "image/webp"}
 
+
+LARGE_PAGE = 50_000_000
+"""The bytes of a page from which on a notice says so."""
 
 PAGE_BYTES = 4
 """The memory of a page for each byte of its model: its text in base64, filled into the page, and encoded."""
@@ -117,7 +120,7 @@ def page_of(
             others += [_with_influences(view, noted_kind(view)) for view in views]
             notes = [*notes, COMPARED]
     with stage("page"):
-        glb, missing = _self_contained(corrected or document)
+        glb, images, missing = _self_contained(corrected or document)
         size = sum(map(len, glb))
         document.budget.claim(PAGE_BYTES * size, f"a page of {counted(size, 'byte')}", document.place)
         missing += [notice for view in views for notice in unplaced(document, view, "page")]
@@ -130,7 +133,14 @@ def page_of(
             "limits": limits,
             "places": _places(document, views, corrected),
         }
-        return page(Shown(name=name, glb=glb, others=others, findings=findings)), missing
+        made = page(Shown(name=name, glb=glb, others=others, findings=findings))
+        if len(made) > LARGE_PAGE:
+            message = (
+                f"the page has {len(made) / 1e6:.0f} MB, because the model has {size / 1e6:.0f} MB, of which "
+                f"{images / 1e6:.0f} MB are images: show a copy with smaller images or fewer clips"
+            )
+            missing.append(Notice("page-large", message, document.place, len(made)))
+        return made, missing
 
 
 def _sentence(notice: Notice) -> str:
@@ -205,12 +215,17 @@ def _with_influences(view: BakedView, kind: Gradients) -> OtherGradients:
     )
 
 
-def _self_contained(document: Document) -> tuple[list[bytes | memoryview], list[Notice]]:
-    """Return the pieces of a GLB without compression, with all buffers and images in it; and notices."""
+def _self_contained(document: Document) -> tuple[list[bytes | memoryview], int, list[Notice]]:
+    """Return the pieces of a GLB without compression that holds all; the bytes of its images; notices."""
     plain, _ = recoded(document, [], Compression(Scheme.NONE))
     packed, _ = for_target(plain, STDIO)
     packed, notices = _with_images(packed)
-    return list(plan_output(packed, STDIO).files.popitem()[1]), notices
+    views = packed.objects("bufferViews")
+    held = {reference(image.get("bufferView")) for image in packed.objects("images")}
+    sizes = (reference(views[one].get("byteLength")) for one in held if one is not None and one < len(views))
+    images = sum(size or 0 for size in sizes)
+    images += sum(len(str(image.get("uri", ""))) for image in packed.objects("images"))
+    return list(plan_output(packed, STDIO).files.popitem()[1]), images, notices
 
 
 def _with_images(document: Document) -> tuple[Document, list[Notice]]:

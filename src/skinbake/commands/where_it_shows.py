@@ -19,9 +19,11 @@ from skinbake.choices import Truth
 from skinbake.commands.posed_scene import (
     Draw,
     PosedDraw,
+    attachments,
     claim_draws,
     lighting_errors_of,
     measure_draw,
+    posed_attachment,
     posed_draw,
     posed_positions,
     truths_of_draw,
@@ -36,8 +38,8 @@ from skinbake.truth.areas import vertex_areas
 RADIUS = 0.07
 """The geodesic radius of a patch, as a share of the diagonal of the box around the model at rest."""
 
-EACH, MOST_POSES, MOST_SAMPLES = 25, 250, 24_000_000
-"""The most poses of a clip that are sampled, of all clips, and the most poses × vertices."""
+EACH, MOST_POSES, MOST_SAMPLES, MOST_STEPS = 25, 250, 24_000_000, 150_000
+"""The most poses of a clip that are sampled, and of all clips; the most poses × vertices, and × nodes."""
 
 PROMISING, LOOKS, GUESSES = 4, 40, 12
 """The clips that are sampled ``EACH`` times, the poses that are looked at, and the patches in each."""
@@ -153,6 +155,7 @@ class _Moment:
 class _Search:
     def __init__(self, document: Document, draws: Sequence[Draw]) -> None:
         self.document = document
+        self.rigid, _ = attachments(document)
         self.surfaces = [_Surface(draw) for draw in draws]
         every = np.concatenate([one.rest[np.unique(one.triangles)] for one in self.surfaces])
         self.size = float(np.linalg.norm(every.max(axis=0) - every.min(axis=0)))
@@ -224,8 +227,10 @@ class _Search:
     def moment(self, clip: Clip, time: float) -> _Moment:
         """Measure all draws in one pose."""
         positions, triangles, errors, counts, starts = [], [], [], [], [0]
+        every_posed = []
         for number, surface in enumerate(self.surfaces):
             posed = posed_draw(self.document, surface.draw, clip, np.array([time]))
+            every_posed.append(posed)
             positions.append(np.concatenate([part[0] for part in posed_positions(surface.draw, posed)]))
             triangles.append(surface.triangles + starts[-1])
             starts.append(starts[-1] + len(positions[-1]))
@@ -235,16 +240,25 @@ class _Search:
             sound = np.concatenate([one["standard"][1, 0] > 0 for one in known])
             errors.append(np.array(both, np.float64))
             counts.append(sound & (errors[-1] < INSIDE_OUT).all(axis=0))
-        every, corners = np.concatenate(positions), np.concatenate(triangles)
+        # What hangs on the character may hide some of it.
+        places, at = (
+            [one.places + start for one, start in zip(self.surfaces, starts, strict=False)],
+            starts[-1],
+        )
+        for one in self.rigid:
+            draws = [surface.draw for surface in self.surfaces]
+            held = posed_attachment(self.document, one, draws, every_posed, clip, np.array([time]))
+            positions.append(one.positions(held[0, 0]))
+            triangles.append(one.triangles.astype(np.int64) + at)
+            places.append(np.arange(at, at + len(positions[-1])))
+            at += len(positions[-1])
+        every, corners, place = map(np.concatenate, (positions, triangles, places))
         edges = every[corners]
         crossed = np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0])
         # Copies of a vertex have one normal.
-        places = np.concatenate(
-            [surface.places + start for surface, start in zip(self.surfaces, starts, strict=False)]
-        )
         normals = np.stack(
             [
-                np.bincount(places[corners].ravel(), np.repeat(axis, 3), len(every))[places]
+                np.bincount(place[corners].ravel(), np.repeat(axis, 3), len(every))[place]
                 for axis in crossed.T
             ],
             axis=1,
@@ -340,11 +354,12 @@ def where_it_shows(document: Document, draws: Sequence[Draw], clips: Sequence[Cl
     search = _Search(document, draws)
     if not search.size > 0 or not np.isfinite(search.size) or not clips:
         return []
-    poses = int(max(PROMISING * 2, min(MOST_POSES, MOST_SAMPLES // max(search.vertices, 1))))
+    nodes = sum(len(draw.skeleton.nodes) + len(draw.skeleton.joints) for draw in draws)
+    affordable = min(MOST_POSES, MOST_SAMPLES // max(search.vertices, 1), MOST_STEPS // nodes)
+    poses = int(max(PROMISING * 2, affordable))
     some = clips[: poses // 2]
     claim_draws(document, draws, some, EACH)
-    steps = sum(len(draw.skeleton.nodes) + len(draw.skeleton.joints) for draw in draws) * 2 * poses
-    document.budget.claim_steps(steps, "looking for what a bake improves most", document.place)
+    document.budget.claim_steps(2 * nodes * poses, "looking for what a bake improves most", document.place)
     moving = [clip for clip in some if not search.stands_still(clip)] or list(some)
     search.patches = [one.patches(one.seeds(search.radius), search.radius) for one in search.surfaces]
     # Sample all clips, then the promising ones more often.

@@ -207,7 +207,7 @@ def read_skeleton(document: Document, skin_index: int) -> Skeleton:
             alike: dict[object, Skeleton] = document.derived.setdefault("skeletons", {})
             key = tuple(joints), matrices
             if key not in alike:
-                alike[key] = _read_skeleton(document, skin_index, joints, matrices)
+                alike[key] = _read_skeleton(document, owner, joints, matrices)
             known[skin_index] = alike[key]
         except InputError as error:
             known[skin_index] = error
@@ -228,8 +228,13 @@ def listed_joints(document: Document, skin_index: int) -> list[int]:
     return [joint for joint in joints if joint is not None]
 
 
+def read_node(document: Document, node: int) -> Skeleton:
+    """Return a node with its ancestors as a skeleton of one joint, in the space of the node."""
+    return _read_skeleton(document, f"node {node}", [node], None)
+
+
 def _read_skeleton(
-    document: Document, skin_index: int, joints: Sequence[int], matrices_in: int | None
+    document: Document, owner: str, joints: Sequence[int], matrices_in: int | None
 ) -> Skeleton:
     place, nodes = document.place, document.objects("nodes")
     # The parents are read once, because every skin needs them.
@@ -238,9 +243,7 @@ def _read_skeleton(
         known["parents"] = _read_parents(document)
     parents: dict[int, int] = known["parents"]
     order = _ancestors_first(joints, parents, place)
-    document.budget.claim(
-        BYTES_A_NODE * len(order), f"the joints of skin {skin_index} and those above", place
-    )
+    document.budget.claim(BYTES_A_NODE * len(order), f"the joints of {owner} and those above", place)
     where = {node: position for position, node in enumerate(order)}
     matrices = {
         position: _numbers(nodes, node, "matrix", np.eye(4).ravel(), place).reshape(4, 4).T

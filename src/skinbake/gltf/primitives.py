@@ -282,6 +282,12 @@ def reason_to_skip(document: Document, source: PrimitiveSource, *, generate_norm
     return None
 
 
+def has_surface(document: Document, source: PrimitiveSource) -> bool:
+    """Tell whether a primitive draws a triangle, lit or not. Raises InputError if it is broken."""
+    skipped = reason_to_skip(document, source, generate_normals=True)
+    return skipped is None or skipped.code == "unlit"
+
+
 def is_unlit(document: Document, source: PrimitiveSource) -> bool:
     """Tell whether no light reaches a primitive in any of its materials. A broken material counts as lit.
 

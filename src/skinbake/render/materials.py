@@ -51,6 +51,9 @@ DEEP_BYTES_A_PIXEL = 16
 KEPT_BYTES_A_PIXEL = 11
 """The bytes for a pixel of an image's levels, and of their copies in Pillow."""
 
+HOLE = 0.5
+"""The alpha under which blending leaves a hole where there is none."""
+
 COPIES = 3
 """The copies of an encoded image that Pillow holds while it decodes."""
 
@@ -129,17 +132,40 @@ class Materials:
         self._images: dict[int, Levels | None] = {}
         self._lost: list[str] = []
 
-    def of(self, primitive: JsonObject, *, in_clay: bool) -> Material:
-        """Return a primitive's material; in clay only its sides count. A missing or broken one is clay."""
+    def of(self, primitive: JsonObject, in_clay: bool, *, is_lit: bool = True) -> Material:
+        """Return a primitive's material. A missing or broken one is clay.
+
+        In clay only its sides and its alpha count. Modes that show no light have no blending: there half of
+        it counts as a hole.
+        """
         number = reference(primitive.get("material"))
         content = listed(self._document.json, "materials", number)
         if number is None or content is None:
             return Material(is_plain=in_clay)
-        if in_clay:
+        if in_clay and content.get("alphaMode") not in {"MASK", "BLEND"}:
             return Material(is_double=content.get("doubleSided") is True, is_plain=True)
         if number not in self._made:
             self._made[number] = self._read(content)
-        return self._made[number]
+        found = self._made[number]
+        if not in_clay:
+            return found
+        images = {}
+        if "base" in found.images:
+            levels = tuple(level.copy() for level in found.images["base"])
+            for level in levels:
+                level[..., :3] = 255
+            images["base"] = levels
+        return replace(
+            found,
+            base=(*CLAY[:3], found.base[3]),
+            emissive=BLACK,
+            roughness=CLAY_ROUGHNESS,
+            cutoff=found.cutoff if is_lit or not found.is_blended else HOLE,
+            is_blended=found.is_blended and is_lit,
+            is_plain=True,
+            images=images,
+            placements={use: found.placements[use] for use in images},
+        )
 
     def notices(self) -> list[Notice]:
         """Return a notice if images were left out."""

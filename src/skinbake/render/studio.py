@@ -240,6 +240,8 @@ class Studio:
         culled = "none" if material.is_double or subject.is_mirrored else "back"
         if lighting == "corrected":  # standard lighting, of other normals
             lighting = "standard"
+        if subject.is_rigid:  # its normals are right under any scale
+            lighting = "accurate"
         frame = Frame.TANGENT if subject.in_their_frame else Frame.NORMAL
         key = (lighting, slots, subject.is_mirrored, frame, culled, material.is_blended)
         if key in self._pipelines:

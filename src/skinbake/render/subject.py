@@ -23,7 +23,7 @@ class Subject:
     triangles (T, 3). texcoords (V, 2) are those of each image of the material, by its use. colours (V, 4) are
     None if they are not drawn. is_mirrored: joints mirror the surface. tangents (V, 4) are TANGENT, to which
     normal maps belong, None without it. in_their_frame: α and β belong to it too. pose_set is the number of
-    its joint matrices among those of a ``Shot``.
+    its joint matrices among those of a ``Shot``. is_rigid: one joint moves all of it.
     """
 
     rest: RestPrimitive
@@ -35,6 +35,7 @@ class Subject:
     is_mirrored: bool = False
     tangents: FloatArray | None = None
     in_their_frame: bool = False
+    is_rigid: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

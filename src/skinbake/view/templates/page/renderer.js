@@ -7,6 +7,7 @@ import {
 
 const CAPTURED = ['v_position', 'v_normal'];
 const CLAY = [0.60, 0.585, 0.56, 1];
+const HOLE = 0.5;
 
 // How each lighting is drawn: the algorithm, the kind of its α and β, and whether its normals are the true ones.
 export const LIGHTINGS = {
@@ -68,7 +69,7 @@ export class Renderer {
     prepare(lightings, mode, isTextured) {
         return lightings.flatMap((lighting) =>
             this.parts.map((part) => {
-                const { has } = this.shownMaterial(part, isTextured && mode === 'shaded', 'expected');
+                const { has } = this.shownMaterial(part, isTextured, mode, 'expected');
                 const { name, texts } = this.chosen(part, lighting, mode, has);
                 return this.started(name, texts);
             })
@@ -390,7 +391,7 @@ export class Renderer {
             if (right <= left) continue;
             gl.scissor(left, 0, right - left, height);
             for (const part of [...opaque, ...blended]) {
-                const shown = this.shownMaterial(part, isTextured && mode === 'shaded');
+                const shown = this.shownMaterial(part, isTextured, mode);
                 const places = this.bound(part, lighting, projected, mode, shown.has);
                 gl.uniform3fv(places.eye, eye);
                 gl.uniform3fv(places.light, light);
@@ -427,18 +428,24 @@ export class Renderer {
     }
 
     // What is shown of a part's material: its images, and what the shading has to know of it.
-    shownMaterial({ primitive }, isTextured, kind = 'maps') {
+    // In clay only its alpha counts. Modes that show no light have no blending: there half of it counts as a hole.
+    shownMaterial({ primitive }, isTextured, mode, kind = 'maps') {
         const own = this.materials[primitive.material];
-        const isPlain = !isTextured || !own;
+        const isLit = mode === 'shaded';
+        const isPlain = !isTextured || !isLit || !own;
+        const isBlended = Boolean(own?.isBlended && isLit);
+        const cutoff = own?.isBlended && !isLit ? HOLE : own?.cutoff ?? 0;
         const { texcoordOf } = primitive;
-        const maps = Object.fromEntries(Object.entries(isPlain ? {} : own[kind]).filter(([name]) => name in texcoordOf));
+        const isShown = (name) => name in texcoordOf && (!isPlain || (name === 'base' && (isBlended || cutoff > 0)));
+        const maps = Object.fromEntries(Object.entries(own?.[kind] ?? {}).filter(([name]) => isShown(name)));
         const has = Object.keys(maps).sort().map((name) => `${name.toUpperCase()}_TEXCOORD ${TEXCOORDS[texcoordOf[name]]}`);
         if (!isPlain && primitive.colors) has.push('HAS_COLORS');
+        if (isPlain && maps.base) has.push('IS_PLAIN');
         if (maps.normal && primitive.tangents && !numbersOf(primitive, primitive.metadata?.frame)) has.push('HAS_TANGENTS');
-        return { own, isPlain, maps, has };
+        return { own, isPlain, maps, has, isBlended, cutoff };
     }
 
-    setMaterial(part, places, { own, isPlain, maps }) {
+    setMaterial(part, places, { own, isPlain, maps, isBlended, cutoff }) {
         const { gl } = this;
         Object.entries(maps).forEach(([name, texture], i) => {
             gl.activeTexture(gl.TEXTURE1 + i);
@@ -449,12 +456,11 @@ export class Renderer {
         // An image that is missing or cannot be shown is left out, with the factor that belongs to it.
         const isLost = (name) => isPlain || (own.named.includes(name) && !maps[name]);
         const isClay = isLost('base') || (own.isUncoloured && !part.primitive.colors);
-        gl.uniform4fv(places.base_factor, isClay ? CLAY : own.base);
+        gl.uniform4fv(places.base_factor, !isClay ? own.base : isPlain && own ? [...CLAY.slice(0, 3), own.base[3]] : CLAY);
         gl.uniform3fv(places.emissive_factor, isLost('emissive') ? [0, 0, 0] : own.emissive);
         gl.uniform1f(places.roughness, isPlain ? 0.42 : own.roughness);
         gl.uniform1f(places.normal_scale, own?.normalScale ?? 1);
-        gl.uniform1f(places.cutoff, isPlain ? 0 : own.cutoff);
-        const isBlended = !isPlain && own.isBlended;
+        gl.uniform1f(places.cutoff, cutoff);
         gl.uniform1i(places.is_blended, Number(isBlended));
         isBlended ? gl.enable(gl.BLEND) : gl.disable(gl.BLEND);
         gl.depthMask(!isBlended);

@@ -218,7 +218,11 @@ void main()
 #endif
 #ifdef BASE_TEXCOORD
     vec4 texel = texture(base_map, BASE_TEXCOORD);
+#ifdef IS_PLAIN
+    base.a *= texel.a;
+#else
     base *= vec4(linear(texel.rgb), texel.a);
+#endif
 #endif
     if (base.a < cutoff) discard;
     vec3 n = normalize(v_normal);
