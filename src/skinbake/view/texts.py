@@ -15,7 +15,7 @@ INFLUENCES = (4, 8)
 
 MORPHS = {
     Frame.NORMAL: (Morphs.NONE, Morphs.NORMAL, Morphs.FRAMES, Morphs.FRAMES_NORMAL),
-    Frame.TANGENT: (Morphs.NONE, Morphs.NORMAL, Morphs.TANGENT),
+    Frame.TANGENT: (Morphs.NONE, Morphs.NORMAL, Morphs.TANGENT, Morphs.FRAMES, Morphs.FRAMES_NORMAL),
 }
 
 

@@ -506,8 +506,8 @@ export class Renderer {
 export const pause = (milliseconds) => new Promise((done) => setTimeout(done, milliseconds));
 
 // How many numbers of the differential the page reads: a normal map follows the tangent frame by its own rule.
-function numbersOf({ numbers, correctives }, frame = 'normal') {
-    return frame === 'normal' && !correctives.length ? numbers : 0;
+function numbersOf({ numbers, correctives, texcoordOf }, frame = 'normal') {
+    return (frame === 'normal' || !('normal' in texcoordOf)) && !correctives.length ? numbers : 0;
 }
 
 function morphsOf(primitive, frame, isLit) {
