@@ -50,7 +50,7 @@ CHARACTERS = (
     "RobotMantis/animated_robot_mantis.glb",
     "RiggedElf/RiggedElf.gltf",
     "Mannequiny/mannequiny-0.3.0.glb",
-    REPOSITORY / "fixtures/characters/barbarian_walking.glb",
+    REPOSITORY / "fixtures/characters/butterfly_wings.glb",
 )
 
 

@@ -82,6 +82,14 @@ def test_a_gate_passes_what_was_left_on_purpose(folder: Path) -> None:
     assert "  left unbaked by bake --leave-under\n" in invoke("inspect", alone).stdout
 
 
+def test_a_gate_passes_a_file_without_normals_that_was_left(tmp_path: Path) -> None:
+    fox, out = FOLDER / "characters/fox.glb", tmp_path / "out"
+    assert invoke("bake", fox, "--out-dir", out, "--leave-under", "1.5", "--generate-normals").exit_code == 0
+    code, (file,) = verified(out, "--min-gain", "1.5")
+    assert (code, file["left"], file["warnings"]) == (0, True, [])
+    assert verified(fox, "--min-gain", "1.5")[0] == 1
+
+
 def test_a_gate_fails_what_was_forgotten_or_gains_too_little(tmp_path: Path) -> None:
     code, [plain] = verified(FOLDER / LITTLE, "--min-gain", "1.2")
     assert (code, plain["left"]) == (1, False)

@@ -130,14 +130,14 @@ def _unbaked(
 ) -> FileVerdict:
     """Return the verdict for a file without a bake. Limits are for those that draw a skinned surface."""
     unlit = not wanted and any(notice.code == "unlit" for notice in notices)
-    left = read_left(document)
-    if left is not None and wanted:
-        return _left(document, left, notices)
     nothing = "nothing that light reaches is baked in it" if unlit else "nothing in it is baked"
     missing = Notice("not-baked", nothing, document.place)
     command = "skinbake bake" if wanted else ""
     if not wanted and any(notice.code == "no-normals" for notice in notices):
         command = "skinbake bake --generate-normals"
+    left = read_left(document)
+    if left is not None and command:  # what has no NORMAL was left, too, by a bake that generates them
+        return _left(document, left, [notice for notice in notices if notice.code != "no-normals"])
     if options.require_baked:
         advice = (
             f"run {command}" if command else "nothing in it can be baked; --require-baked is for characters"
