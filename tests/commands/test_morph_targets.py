@@ -9,10 +9,15 @@ from typing import Any
 import numpy as np
 import pygltflib
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import skinbake
 from fixtures.make_fixtures import FOLDER
-from tests.support import corpus, gltf_reading, khronos
+from skinbake.format.morph_targets import morph_digest
+from skinbake.geometry.morphs import Differences
+from skinbake.geometry.skinned import SkinnedPrimitive
+from tests.support import corpus, gltf_reading, gltf_transform, khronos
 from tests.support.baked_files import Editable, verify
 from tests.support.characters import Array, angles
 from tests.support.command_line import invoke
@@ -268,6 +273,52 @@ def test_six_numbers_halve_the_error_of_the_rule_on_a_real_face(tmp_path: Path) 
         by_random.append(skinned_errors(tmp_path / "out.glb")[0])
     assert by_clip[1] < 0.65 * by_clip[0]
     assert by_random[1] < 0.65 * by_random[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("option", ["--morph-normals", "--morph-frames"])
+def test_what_is_made_for_targets_is_fresh_in_another_order(option: str, tmp_path: Path) -> None:
+    bake(without_normals(TUBE, tmp_path / "in.glb"), tmp_path / "out.glb", option)
+    for tool in ("reorder", "weld", "unweld"):
+        assert gltf_transform.transform([(tmp_path / "out.glb", tmp_path / "other.glb", tool)]) == [""]
+        result = invoke("verify", tmp_path / "other.glb", "--poses", "rest")
+        assert result.exit_code == 0, result.output
+
+
+@given(st.data())
+def test_a_digest_of_targets_sees_edits_and_no_order(data: st.DataObject) -> None:
+    """Vertices and triangles change places, each triangle begins elsewhere, and vertices are copied."""
+    seed = np.random.default_rng(data.draw(st.integers(0, 1 << 32)))
+    given_rows = seed.choice(12, 5, replace=False)
+    values = seed.normal(size=(5, 3)).astype(np.float32)
+    rest = seed.normal(size=(12, 6)).astype(np.float32)
+    triangles = np.array([seed.choice(12, 3, replace=False) for _ in range(9)])
+    dense = np.zeros((12, 3), np.float32)
+    dense[given_rows] = values
+
+    def digest(rest: Any, triangles: Any, moves: Any, target: int = 1) -> str:
+        primitive = SkinnedPrimitive(
+            rest[:, :3], rest[:, 3:], None, np.zeros((0, 4), int), np.zeros((0, 4)), triangles
+        )
+        rows = np.flatnonzero(moves.any(axis=1))
+        return morph_digest(primitive, {target: Differences(rows, moves[rows])})
+
+    order = np.concatenate([seed.permutation(12), seed.integers(0, 12, 4)])
+    places = [np.flatnonzero(order == number) for number in range(12)]
+    moved = np.array([[seed.choice(places[corner]) for corner in corners] for corners in triangles])
+    moved = np.array([np.roll(corners, seed.integers(3)) for corners in seed.permutation(moved)])
+    first = digest(rest, triangles, dense)
+    assert digest(rest[order], moved, dense[order]) == first
+    corner = int(triangles[0, 0])
+    for changed in (rest.copy(), dense.copy()):
+        changed[corner, int(seed.integers(3))] += np.float32(0.001)
+        assert (
+            digest(*((changed, triangles, dense) if changed.shape[1] == 6 else (rest, triangles, changed)))
+            != first
+        )
+    assert digest(rest, triangles[:, ::-1], dense) != first
+    assert digest(rest, triangles[1:], dense) != first
+    assert digest(rest, triangles, dense, 2) != first
 
 
 def test_numbers_light_a_morphed_and_skinned_tube_nearer_than_the_rule(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.format.attribute_store import meshopt_packing
 from skinbake.format.metadata import DEEPEST_NOTE, KEY, VERSION, array_digest
 from skinbake.geometry.morphs import COMPONENTS, Differences
-from skinbake.geometry.skinned import SkinnedPrimitive
+from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive
 from skinbake.gltf.additions import Additions, Packed
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, entries_of, is_deeper, object_of, reference, with_integers
@@ -92,13 +92,27 @@ def add_differences(
 
 
 def morph_digest(primitive: SkinnedPrimitive, targets: Mapping[int, Differences]) -> str:
-    """Return the digest of what made normals follow from: the mesh, and what targets add to POSITION."""
-    parts = [(primitive.positions, "<f4"), (primitive.normals, "<f4"), (primitive.triangles, "<u4")]
-    for number, target in sorted(targets.items()):
-        parts += [(np.array([number]), "<u4"), (target.rows, "<u4"), (target.values, "<f4")]
-    return array_digest(
-        np.frombuffer("".join(array_digest(*part) for part in parts).encode(), np.uint8), "|u1"
-    )
+    """Return the digest of what made normals follow from: the mesh, and what targets add to POSITION.
+
+    The order of vertices and triangles does not count, nor do copies of a vertex: tools change both.
+    """
+    # A number of 64 bits for what is known of each vertex, mixed as by splitmix64 (Steele et al. 2014).
+    vertices = np.zeros(len(primitive.positions), np.uint64)
+    every = np.arange(len(vertices))
+    parts: list[tuple[int, IntArray, FloatArray]]
+    parts = [(0, every, primitive.positions), (1, every[: len(primitive.normals)], primitive.normals)]
+    parts += ((2 + number, one.rows, one.values) for number, one in sorted(targets.items()))
+    for part, rows, values in parts:
+        for column in (values.astype(np.float32) + np.float32(0)).T:  # −0 is 0
+            mixed = (vertices[rows] ^ np.uint64(part)) * np.uint64(0x9E3779B97F4A7C15)
+            mixed = (mixed ^ column.view(np.uint32)) * np.uint64(0xBF58476D1CE4E5B9)
+            mixed = (mixed ^ mixed >> np.uint64(27)) * np.uint64(0x94D049BB133111EB)
+            vertices[rows] = mixed ^ mixed >> np.uint64(31)
+    # Each triangle begins with its smallest number, and so does their list.
+    corners = vertices[primitive.triangles]
+    turns = corners.argmin(axis=1)[:, None] + np.arange(3)
+    corners = np.take_along_axis(corners, turns % 3, axis=1)
+    return array_digest(corners[np.lexsort(corners.T[::-1])], "<u8")
 
 
 def check_extras(document: Document, mesh: int, place: Place) -> None:
