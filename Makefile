@@ -87,10 +87,10 @@ man: $(PACKAGE) ## Write the man page build/skinbake.1 from the declarations of 
 docs: $(DEV) ## Build the documentation's site into build/site/html: warnings and broken links are errors
 	$(BIN)/python -m website.build
 
-dist: .venv/dist.stamp ## Build the sdist, the wheel of this system and the wheel without compiled loops into dist/
+dist: .venv/dist.stamp ## Build the sdist, the wheels of seven systems and the wheel without compiled loops into dist/
 	$(BIN)/python -m release.build
 
-try-dist: dist ## Install them in clean environments of each Python at hand, bake and verify (minutes)
+try-dist: dist ## Try them with each Python at hand, and on the other systems that Linux can run (a quarter of an hour)
 	$(BIN)/python -m release.try_dist
 
 FUZZ_MODELS := build/fuzz-models

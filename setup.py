@@ -44,16 +44,13 @@ class WithEngines(build_py):
             self.copy_file(str(source), str(target))
 
 
-COMMANDS = {"build_py": WithEngines}
-
-if os.environ.get("SKINBAKE_PURE") == "1":
-    setup(cmdclass=COMMANDS)
-else:
-    setup(
-        cmdclass=COMMANDS,
-        ext_modules=[
+if __name__ == "__main__":  # release/ imports the flags
+    compiled = {
+        "ext_modules": [
             loops("skinbake.gradients._kernel", "src/skinbake/gradients/_kernel.c"),
             loops("skinbake.truth._loops", "src/skinbake/truth/_loops.c"),
         ],
-        options={"bdist_wheel": {"py_limited_api": "cp311"}},
-    )
+        "options": {"bdist_wheel": {"py_limited_api": "cp311"}},
+    }
+    pure = os.environ.get("SKINBAKE_PURE") == "1"
+    setup(cmdclass={"build_py": WithEngines}, **({} if pure else compiled))

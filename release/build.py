@@ -1,7 +1,8 @@
-"""Build the sdist and two wheels into dist/: ``python -m release.build``.
+"""Build the sdist and the wheels into dist/: ``python -m release.build``.
 
-One wheel has the compiled loops, for this system and every Python from 3.11 on (abi3). The other one has none
-and fits every system: numpy does their work, more slowly. Both are made from the sdist, so that it is whole.
+The wheels of seven systems have compiled loops, for every Python from 3.11 on (abi3). zig compiles all of
+them on any one system. One more wheel has none and fits every system: numpy does their work, more slowly. All
+are made from the sdist, so that it is whole.
 """
 
 from __future__ import annotations
@@ -13,9 +14,10 @@ import sys
 import tempfile
 from pathlib import Path
 
-from release.contents import faults
+from release.contents import LOOPS, REPOSITORY, faults
+from release.cross import SYSTEMS, compile_loops
+from release.wheels import with_modules
 
-REPOSITORY = Path(__file__).resolve().parents[1]
 TARGET = REPOSITORY / "dist"
 
 
@@ -27,13 +29,14 @@ def build(target: Path) -> list[Path]:
     [sdist] = target.glob("*.tar.gz")
     wheel = ["pip", "wheel", "--quiet", "--disable-pip-version-check", "--no-deps", str(sdist), "--wheel-dir"]
     _run(*wheel, str(target), SKINBAKE_PURE="1")
-    with tempfile.TemporaryDirectory() as folder:
-        _run(*wheel, folder)
-        [compiled] = Path(folder).glob("*.whl")
-        if sys.platform == "linux":  # an index takes wheels only of named generations of Linux systems
-            _run("auditwheel", "repair", "--wheel-dir", str(target), str(compiled))
-        else:
-            shutil.copy(compiled, target)
+    [pure] = target.glob("*.whl")
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        shutil.unpack_archive(sdist, folder, filter="data")
+        tree = folder / sdist.name.removesuffix(".tar.gz")
+        for platform in SYSTEMS:
+            made = (compile_loops(module, tree, platform, folder) for module in LOOPS)
+            with_modules(pure, {f"skinbake/{name}": data for name, data in made}, platform, target)
     return [sdist, *sorted(target.glob("*.whl"))]
 
 
@@ -51,6 +54,8 @@ def main() -> None:
     found = [f"{path.name}: {fault}" for path in built for fault in faults(path)]
     if found:
         sys.exit("\n".join(found))
+    compiled = [str(path) for path in built if "-abi3-" in path.name]
+    _run("abi3audit", "--strict", *compiled)
 
 
 if __name__ == "__main__":

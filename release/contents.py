@@ -12,6 +12,9 @@ PACKAGE = REPOSITORY / "src" / "skinbake"
 LOOPS = ("gradients/_kernel", "truth/_loops")
 """The compiled loops: C in the sdist, libraries in a wheel that has a platform."""
 
+LC_CODE_SIGNATURE = 0x1D
+"""The load command of Mach-O that names a signature."""
+
 UNWANTED = {"tests", "fixtures", "benchmarks", "fuzz", "release", "engines", "node_modules", "__pycache__"}
 
 
@@ -26,11 +29,28 @@ def faults(path: Path) -> list[str]:
         missing = [name for name in LOOPS if not any(loop.startswith(f"skinbake/{name}.") for loop in loops)]
     else:
         loops, missing = set(), []
+    unsigned = _unsigned(path, loops) if "macosx" in path.name and "arm64" in path.name else []
     package = {name for name in held if name.startswith("skinbake/")}
     extra = sorted(package - wanted - loops)
     others = held - package - wanted
     extra += sorted(name for name in others if UNWANTED & set(PurePosixPath(name).parts))
-    return [f"lacks {name}" for name in sorted(wanted - held) + missing] + [f"has {name}" for name in extra]
+    lacking = sorted(wanted - held) + missing + [f"a signature of {name}" for name in unsigned]
+    return [f"lacks {name}" for name in lacking] + [f"has {name}" for name in extra]
+
+
+def _unsigned(wheel: Path, modules: set[str]) -> list[str]:
+    """Return the modules for macOS on ARM that have no signature: that system does not load them."""
+    unsigned = []
+    with zipfile.ZipFile(wheel) as archive:
+        for name in sorted(modules):
+            data = archive.read(name)
+            count = int.from_bytes(data[16:20], "little")
+            commands, at = set(), 32  # load commands follow the header: number, size, contents
+            for _ in range(count):
+                commands.add(int.from_bytes(data[at : at + 4], "little"))
+                at += int.from_bytes(data[at + 4 : at + 8], "little")
+            unsigned += [] if LC_CODE_SIGNATURE in commands else [name]
+    return unsigned
 
 
 def _names(path: Path) -> set[str]:

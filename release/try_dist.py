@@ -1,22 +1,27 @@
 """Install what ``release.build`` made in clean environments, and compare it with the tree.
 
 ``python -m release.try_dist`` takes each Python from 3.11 on that it finds on PATH and below ~/.pyenv. For
-each of them and each file of dist/ it makes a virtual environment, installs, bakes and verifies. The bakes
-have the bytes of the tree's; those without compiled loops have the bytes of the tree's numpy.
+each of them and each file of dist/ that fits this system it makes a virtual environment, installs, bakes and
+verifies. On Linux it then does so for the other systems that can be run there (``release.other_systems``).
+
+The bakes have the bytes of the tree's; those without compiled loops have the bytes of the tree's numpy.
+With SKINBAKE_STRICT=1 in the environment, a system that cannot be tried is a failure.
 """
 
 from __future__ import annotations
 
 import os
+import platform
 import re
-import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from release.build import REPOSITORY, TARGET
+from release.build import TARGET
+from release.contents import REPOSITORY
+from release.other_systems import OTHER_SYSTEMS, OtherSystem, made, missing_programs, site_with, variables_of
 
 OLDEST = (3, 11)
 MODELS = ("bent_tube.glb", "foreign_joints.glb", "morphed_sheet.glb")
@@ -46,69 +51,129 @@ def _has_venv(python: Path) -> bool:
     return tried.returncode == 0
 
 
-def bakes(python: Path, folder: Path, variables: Mapping[str, str]) -> dict[str, bytes]:
-    """Bake and verify the models with an interpreter's skinbake. Return the bytes of the outputs."""
-    environment = {
-        name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "SKINBAKE"))
-    }
-    command = [str(python), "-m", "skinbake"]
+def fits_here(archive: str) -> bool:
+    """Tell whether an sdist or a wheel fits this system, by its name."""
+    family = {"linux": "manylinux", "darwin": "macosx", "win32": "win"}.get(sys.platform, sys.platform)
+    here = f"-{family}_" in archive and archive.endswith(f"_{platform.machine().lower()}.whl")
+    return here or archive.endswith(("-any.whl", ".tar.gz"))
+
+
+def bakes(
+    python: Sequence[str], folder: Path, variables: Mapping[str, str], *, briefly: bool = False
+) -> dict[str, bytes]:
+    """Bake, verify and strip the models by an interpreter's skinbake. Return the bytes of the bakes.
+
+    Unless briefly, write a page and a shader too.
+    """
+    out = folder / "out"
     sources = [str(REPOSITORY / "fixtures" / name) for name in MODELS]
+    shown = (
+        ["view", "-q", "out/bent_tube.glb", "-o", "page.html"],
+        ["shader", "--lang", "wgsl", "--for", "out/bent_tube.glb"],
+    )
     for arguments in (
         ["bake", "-q", *sources, "--out-dir", "out"],
         ["verify", "-q", "out", "--samples", "4"],
-        ["view", "-q", "out/bent_tube.glb", "-o", "page.html"],
-        ["shader", "--lang", "wgsl", "--for", "out/bent_tube.glb"],
+        ["strip", "-q", *(f"out/{name}" for name in MODELS), "--out-dir", "stripped"],
+        *(() if briefly else shown),
     ):
-        subprocess.run(
-            [*command, *arguments],
-            check=True,
-            cwd=folder,
-            env={**environment, **variables},
-            stdout=subprocess.DEVNULL,
-        )
-    return {name: (folder / "out" / name).read_bytes() for name in MODELS}
+        said(python, ["-m", "skinbake", *arguments], folder, variables)
+    for name in MODELS:
+        if (folder / "stripped" / name).read_bytes() != (REPOSITORY / "fixtures" / name).read_bytes():
+            raise SystemExit(f"{name}: strip gives other bytes than before the bake")
+    return {name: (out / name).read_bytes() for name in MODELS}
+
+
+def said(python: Sequence[str], arguments: list[str], folder: Path, variables: Mapping[str, str]) -> str:
+    """Return what an interpreter prints. If it fails, end with that."""
+    clean = {name: text for name, text in os.environ.items() if not name.startswith(("PYTHON", "SKINBAKE"))}
+    done = subprocess.run(
+        [*python, *arguments],
+        check=False,
+        cwd=folder,
+        env={**clean, **variables},
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+    )
+    told, errors = (stream.decode(errors="replace") for stream in (done.stdout, done.stderr))
+    if done.returncode:
+        raise SystemExit(f"{' '.join([*python, *arguments])}: exit {done.returncode}\n{told}{errors}")
+    return told
+
+
+def require_compiled(
+    python: Sequence[str], folder: Path, variables: Mapping[str, str], *, compiled: bool
+) -> None:
+    """End with a message if an interpreter's skinbake has compiled loops and should not, or the reverse."""
+    told = said(python, ["-c", IS_COMPILED], folder, variables)
+    if told.split() != [str(compiled)] * 2:
+        raise SystemExit(f"{python[-1]}: compiled loops: {told.strip()}; expected: {compiled}")
 
 
 def try_one(python: Path, archive: Path, folder: Path, *, compiled: bool) -> dict[str, bytes]:
     """Install an archive in a new virtual environment, and return its bakes."""
     subprocess.run([python, "-m", "venv", folder / "venv"], check=True)
-    own = folder / "venv" / ("Scripts" if sys.platform == "win32" else "bin") / "python"
-    pip = [str(own), "-m", "pip", "--disable-pip-version-check", "--quiet"]
-    subprocess.run([*pip, "install", str(archive)], check=True, cwd=folder)
-    subprocess.run([*pip, "check"], check=True, cwd=folder, stdout=subprocess.DEVNULL)
-    told = subprocess.run([own, "-c", IS_COMPILED], check=True, cwd=folder, capture_output=True, text=True)
-    if told.stdout.split() != [str(compiled)] * 2:
-        raise SystemExit(f"{archive.name}: compiled loops: {told.stdout.strip()}; expected: {compiled}")
+    own = [str(folder / "venv" / ("Scripts" if sys.platform == "win32" else "bin") / "python")]
+    pip = ["-m", "pip", "--disable-pip-version-check", "--quiet"]
+    said(own, [*pip, "install", str(archive)], folder, {})
+    said(own, [*pip, "check"], folder, {})
+    require_compiled(own, folder, {}, compiled=compiled)
     return bakes(own, folder, {})
 
 
+def try_elsewhere(system: OtherSystem, name: str, folder: Path) -> dict[str, bytes]:
+    """Install skinbake for another system, run it there, and return its bakes."""
+    folder_of_python = REPOSITORY / "build" / "systems" / name.replace(" ", "-").lower()
+    python = made(system, folder_of_python)
+    site_with(system, TARGET, folder / "site")
+    variables = variables_of(system, folder_of_python, folder)
+    require_compiled(python, folder, variables, compiled=True)
+    return bakes(python, folder, variables, briefly=True)
+
+
 def main() -> None:
-    """Try each file of dist/ with each Python."""
+    """Try each file of dist/ that can be tried."""
     archives = sorted(path for path in TARGET.glob("skinbake-*") if path.suffix in {".gz", ".whl"})
     found = pythons()
     if not archives or not found:
         sys.exit(f"nothing in {TARGET}: run make dist" if not archives else "no Python was found")
-    different = []
-    with tempfile.TemporaryDirectory() as name:
+    failed = False
+    with tempfile.TemporaryDirectory() as temporary:
         expected = {}
         for compiled in (True, False):
-            folder = Path(name, f"tree-{compiled}")
+            folder = Path(temporary, f"tree-{compiled}")
             folder.mkdir()
-            expected[compiled] = bakes(Path(sys.executable), folder, {} if compiled else NUMPY)
+            expected[compiled] = bakes([sys.executable], folder, {} if compiled else NUMPY)
+
+        def tell(what: str, given: dict[str, bytes], *, compiled: bool = True) -> bool:
+            same = given == expected[compiled]
+            print(
+                f"{what}: bake, verify and strip pass, {'the bytes' if same else 'OTHER BYTES than those'} "
+                "of the tree",
+                flush=True,
+            )
+            return same
+
+        here = [path for path in archives if fits_here(path.name)]
         for version, python in found.items():
-            for archive in archives:
+            for archive in here:
                 compiled = not archive.name.endswith("-any.whl")
-                folder = Path(name, "tried")
-                folder.mkdir()
-                same = try_one(python, archive, folder, compiled=compiled) == expected[compiled]
-                shutil.rmtree(folder)
-                said = "the bytes of the tree" if same else "OTHER BYTES than the tree"
-                print(
-                    f"Python {version[0]}.{version[1]}, {archive.name}: bake and verify pass, {said}",
-                    flush=True,
-                )
-                different += [] if same else [archive.name]
-    sys.exit(1 if different else 0)
+                with tempfile.TemporaryDirectory() as name:
+                    given = try_one(python, archive, Path(name), compiled=compiled)
+                label = f"Python {version[0]}.{version[1]}, {archive.name}"
+                failed |= not tell(label, given, compiled=compiled)
+        tried = {path.name for path in here}
+        for name, system in OTHER_SYSTEMS.items():
+            missing = missing_programs(system)
+            if missing:
+                print(f"{name}: not tried, for want of {', '.join(missing)}", flush=True)
+                failed |= os.environ.get("SKINBAKE_STRICT") == "1"
+                continue
+            with tempfile.TemporaryDirectory() as work:
+                failed |= not tell(name, try_elsewhere(system, name, Path(work)))
+            tried |= {path.name for path in archives if system.wheels[0] in path.name}
+        print("built, not run: " + (", ".join(p.name for p in archives if p.name not in tried) or "none"))
+    sys.exit(1 if failed else 0)
 
 
 if __name__ == "__main__":

@@ -9,8 +9,6 @@ later ones (Python 3.13). The same sources and wheels give the same bytes.
 from __future__ import annotations
 
 import argparse
-import base64
-import hashlib
 import platform
 import subprocess
 import sys
@@ -18,11 +16,11 @@ import sysconfig
 import tempfile
 import tomllib
 import zipfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from importlib.metadata import distribution
-from io import BytesIO
 from pathlib import Path
 
+from release.wheels import record, zipped
 from skinbake.version import __version__
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -53,7 +51,7 @@ def build(folder: Path, python: str, wheels: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     target = folder / f"skinbake-blender-{__version__}-{system()}-py{python.replace('.', '')}.zip"
     # Wheels are compressed already.
-    target.write_bytes(_zipped(contents, zipfile.ZIP_STORED))
+    target.write_bytes(zipped(contents, zipfile.ZIP_STORED))
     return target
 
 
@@ -95,8 +93,8 @@ def skinbake_wheel() -> tuple[str, bytes]:
     about = f"Wheel-Version: 1.0\nGenerator: engines.blender\nRoot-Is-Purelib: {pure}\nTag: {tag}\n"
     contents[f"{info}/METADATA"] = (distribution("skinbake").read_text("METADATA") or "").encode()
     contents[f"{info}/WHEEL"] = about.encode()
-    contents[f"{info}/RECORD"] = _record(contents, f"{info}/RECORD").encode()
-    return f"skinbake-{__version__}-{tag}.whl", _zipped(contents, zipfile.ZIP_DEFLATED)
+    contents[f"{info}/RECORD"] = record(contents, f"{info}/RECORD").encode()
+    return f"skinbake-{__version__}-{tag}.whl", zipped(contents, zipfile.ZIP_DEFLATED)
 
 
 def _compiled_loops() -> list[Path]:
@@ -107,15 +105,6 @@ def _compiled_loops() -> list[Path]:
 
 def _is_source(path: Path) -> bool:
     return "__pycache__" not in path.parts and path.suffix not in {".c", ".so", ".pyd"}
-
-
-def _record(contents: Mapping[str, bytes], itself: str) -> str:
-    """Return the RECORD of a wheel: digests and sizes of all other files."""
-    lines = []
-    for name, data in sorted(contents.items()):
-        digest = base64.urlsafe_b64encode(hashlib.sha256(data).digest()).rstrip(b"=").decode()
-        lines.append(f"{name},sha256={digest},{len(data)}\n")
-    return "".join([*lines, f"{itself},,\n"])
 
 
 def _library_wheels(folder: Path, python: str) -> list[Path]:
@@ -148,17 +137,6 @@ def _manifest(python: str, wheels: Iterable[str]) -> bytes:
     known += [*(f'    "./{wheel}",' for wheel in sorted(wheels)), "]"]
     head, table, rest = (ADDON / "blender_manifest.toml").read_text(encoding="utf-8").partition("\n[")
     return f"{head}{chr(10).join(known)}\n{table}{rest}".encode()
-
-
-def _zipped(contents: Mapping[str, bytes], method: int) -> bytes:
-    """Return a zip of files in the order of their names, without the time of day."""
-    buffer = BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        for name, data in sorted(contents.items()):
-            entry = zipfile.ZipInfo(name)
-            entry.external_attr = 0o644 << 16
-            archive.writestr(entry, data, method)
-    return buffer.getvalue()
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

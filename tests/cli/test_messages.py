@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
+from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import skinbake
 from fixtures.builder import JsonObject
 from skinbake.cli.console import without_repeats
 from skinbake.cli.terminal import with_colours
@@ -29,6 +32,7 @@ from tests.support.command_line import document, invoke, run
 from tests.support.models import FIXTURES, FOLDER, bake, edited, sheet, write_model
 
 SEAM = FOLDER / "seam.glb"
+SOURCES = Path(skinbake.__file__).parent
 ESCAPE = "\x1b["
 
 
@@ -372,6 +376,32 @@ def test_verbose_says_that_no_loops_are_compiled() -> None:
         assert result.returncode == code, result.stderr
         assert words in result.stderr
     assert len(result.stderr.splitlines()) == 1
+
+
+@pytest.mark.slow
+def test_numpy_does_the_work_of_loops_that_do_not_load(tmp_path: Path) -> None:
+    left = shutil.ignore_patterns("*.so", "*.pyd", "__pycache__")
+    shutil.copytree(SOURCES, tmp_path / "skinbake", ignore=left)
+    for name in ("gradients/_kernel", "truth/_loops"):
+        (tmp_path / "skinbake" / f"{name}{EXTENSION_SUFFIXES[-1]}").write_bytes(b"of another system")
+    made = []
+    asked = {"broken": {"PYTHONPATH": str(tmp_path)}, "numpy": {"SKINBAKE_KERNEL": "numpy"}}
+    for name, variables in asked.items():
+        result = subprocess.run(
+            [sys.executable, "-m", "skinbake", "bake", "-v", FOLDER / "seam.glb", "-o", f"{name}.glb"],
+            env={**os.environ, **variables, "PYTHONDONTWRITEBYTECODE": "1"},
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        told = [line for line in result.stderr.splitlines() if "without its compiled loops" in line]
+        assert len(told) == 2
+        assert [("_kernel." in line, "_loops." in line) for line in told] == (
+            [(True, False), (False, True)] if name == "broken" else [(False, False)] * 2
+        )
+        made.append((tmp_path / f"{name}.glb").read_bytes())
+    assert made[0] == made[1]
 
 
 class TestInspect:

@@ -13,6 +13,7 @@ import pytest
 
 from skinbake.choices import Frame, Language, Lighting
 from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
+from skinbake.version import __version__
 from tests.support.baked_files import Editable
 from tests.support.command_line import invoke, run
 from tests.support.gltf_reading import read
@@ -223,7 +224,7 @@ class TestForFile:
         assert (note["frame"], note["influences"]) == (frame, influences)
         text = invoke("shader", "--lang", "glsl", "--for", file).stdout
         assert f"{influences} influences a vertex, {frame} frame" in header(text)
-        assert f"skinbake 0.1.0 for {file.name}:" in header(text)
+        assert f"skinbake {__version__} for {file.name}:" in header(text)
 
     def test_the_command_in_the_header_names_the_file(self, tmp_path: Path, monkeypatch: Any) -> None:
         file = baked(TUBE, tmp_path, "--encoding", "packed8", "--alpha-name", "_A{set}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import struct
 import subprocess
 import sys
 import zipfile
@@ -28,6 +29,7 @@ def test_a_wheel_holds_the_package_and_nothing_else(tmp_path: Path) -> None:
         "MANIFEST.in",
         "README.md",
         "LICENSE",
+        "NOTICE",
         "CHANGELOG.md",
         "CITATION.cff",
     ):
@@ -71,3 +73,18 @@ def test_a_compiled_wheel_needs_both_modules_of_loops(tmp_path: Path) -> None:
     assert "lacks truth/_loops" in found
     assert "lacks gradients/_kernel" not in found
     assert "has skinbake/gradients/_kernel.pyd" not in found
+
+
+def test_a_module_for_macos_on_arm_needs_a_signature(tmp_path: Path) -> None:
+    wheel = tmp_path / "skinbake-1-cp311-abi3-macosx_11_0_arm64.whl"
+    header = [0xFEEDFACF, 0x0100000C, 0, 6]
+    uuid, signature = [0x1B, 24, 0, 0, 0, 0], [0x1D, 16, 0, 0]
+    with zipfile.ZipFile(wheel, "w") as archive:
+        for name, commands in (("gradients/_kernel", [uuid, signature]), ("truth/_loops", [signature, uuid])):
+            words = [*header, 2, 40, 0, 0, *commands[0], *commands[1]]
+            archive.writestr(f"skinbake/{name}.abi3.so", struct.pack(f"<{len(words)}I", *words))
+    assert not any("signature" in fault for fault in faults(wheel))
+    with zipfile.ZipFile(wheel, "w") as archive:
+        words = [*header, 1, 24, 0, 0, *uuid]
+        archive.writestr("skinbake/truth/_loops.abi3.so", struct.pack(f"<{len(words)}I", *words))
+    assert "lacks a signature of skinbake/truth/_loops.abi3.so" in faults(wheel)

@@ -196,7 +196,10 @@ def openat2() -> Callable[[int, bytes, int], int] | None:
     """Return Linux's call that opens a path without leaving a folder, or None if it is missing."""
     if not sys.platform.startswith("linux"):  # pragma: no cover: other systems
         return None
-    import ctypes  # numpy has imported it by then
+    try:
+        import ctypes  # numpy has imported it by then
+    except ImportError:  # pragma: no cover: a Python that was built without libffi
+        return None
 
     syscall = ctypes.CDLL(None, use_errno=True).syscall
     syscall.restype = ctypes.c_long

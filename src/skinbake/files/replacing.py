@@ -93,7 +93,10 @@ def exchange_call() -> Callable[[int, str, str], None] | None:
     """Return Linux's call that exchanges two names in a folder, None if there is none."""
     if not sys.platform.startswith("linux"):  # pragma: no cover: other systems
         return None
-    import ctypes
+    try:
+        import ctypes
+    except ImportError:  # pragma: no cover: a Python that was built without libffi
+        return None
 
     call = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
     # A C library from before 2018.
