@@ -41,7 +41,8 @@ def compile_loops(module: str, tree: Path, platform: str, folder: Path) -> tuple
     if platform.startswith("win"):
         suffix, more = ".pyd", [str(import_library("python3", stable_names(), folder))]
     elif platform.startswith("macosx"):
-        more = ["-fPIC", "-undefined", "dynamic_lookup"]
+        # Else the module would hold the path of the temporary folder.
+        more = ["-fPIC", "-undefined", "dynamic_lookup", f"-Wl,-install_name,{Path(module).name}.abi3.so"]
     made = folder / f"{module.replace('/', '.')}.{platform}{suffix}"
     source = tree / "src" / "skinbake" / f"{module}.c"
     zig("cc", "-target", SYSTEMS[platform], *FLAGS, f"-I{headers}", str(source), *more, "-o", str(made))
