@@ -34,10 +34,10 @@ setup: $(DEV) $(NODE_MODULES) ## Set up .venv and tests/support
 setup-blender: $(BLENDER) ## Set up build/blender for the tests of the add-on: Blender as a Python module (1 GB), and the zip
 
 test: setup ## Set up, and run the tests without the slow ones: under two minutes
-	$(BIN)/python -m pytest -n $(WORKERS) -m "not slow"
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m "not slow"
 
 test-all: setup ## Set up, and run all tests
-	$(BIN)/python -m pytest -n $(WORKERS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 check: lint docs test-all ## Run every check: style, types, layers, fixtures, documentation, all tests
 
@@ -57,7 +57,7 @@ golden: $(DEV) ## Write tests/shaders/golden and the shader text in engines/ ane
 picture: $(DEV) $(NODE_MODULES) ## Draw bend.png, shaders.png, view.gif (need a Vulkan driver) and three-*.png (Chromium) of docs/ anew
 	$(BIN)/python -m benchmarks.bend_picture docs/bend.png
 	$(BIN)/python -m benchmarks.bend_render docs/shaders.png
-	$(BIN)/skinbake render fixtures/characters/fox.glb -o docs/view.gif --split --closeup --size 640x300
+	$(BIN)/skinbake render $(EXAMPLE) -o docs/view.gif --split --size 880x400
 	$(BIN)/python -m benchmarks.three_picture
 	$(BIN)/python -m benchmarks.skinned_normals_scores --pictures fixtures/SkinnedNormalsTest/screenshot
 
