@@ -181,7 +181,8 @@ def _jobs_are_sent_in_a_bounded_number(
         patch.setattr(dask_runner, "TASK_JOBS", 1)
         for _ in runner.run(baking(), jobs):
             most = max(most, _count_of_tasks(client))
-    assert 0 < most <= 3
+    # Three are sent. Of those that are done, some count until the scheduler hears that nobody wants them.
+    assert 0 < most < len(jobs) // 3
 
 
 def _count_of_tasks(client: Any) -> int:
