@@ -242,7 +242,7 @@ def test_parts_allow_steps_by_vertices_of_their_own(tmp_path: Path, monkeypatch:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", ["inspect", "cost"])
-def test_so_are_thousands_where_they_are_only_read(command: str, tmp_path: Path) -> None:
+def test_thousands_of_meshes_that_are_only_read_are_refused_early(command: str, tmp_path: Path) -> None:
     source = write_model(tmp_path / "in.glb", [sheet()], change=with_targets(1, 9000))
     done = invoke(command, source)
     assert done.exit_code == 3
