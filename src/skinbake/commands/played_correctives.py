@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -61,12 +62,16 @@ class PlayedCorrectives:
 
     def __init__(self, document: Document) -> None:
         self._document = document
-        self.clips = {clip.number: clip for clip in read_clips(document)}
         notes = {
             n: note for n, one in enumerate(document.objects("meshes")) if (note := corrective_note(one))
         }
         self.targets = {mesh: int(note["targets"]) for mesh, note in notes.items()}
         self.clips_of = {mesh: list(note.get("clips", [])) for mesh, note in notes.items()}
+
+    @cached_property
+    def clips(self) -> dict[int, Clip]:
+        """The clips by number. Reading many takes long, and most documents have no correctives."""
+        return {clip.number: clip for clip in read_clips(self._document)}
 
     def of_views(self, views: Sequence[BakedView]) -> list[Float64Array]:
         """Return the changes (K, V, 3) of unit normals of primitives; K is 0 in a mesh without correctives.
