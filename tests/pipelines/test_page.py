@@ -21,6 +21,7 @@ except ImportError:
 
 REPOSITORY = Path(__file__).parents[2]
 TEXT = (REPOSITORY / "docs" / "pipelines.md").read_text("utf-8")
+OPTIONS = (REPOSITORY / "docs" / "reference" / "configuration.md").read_text("utf-8")
 BLOCKS: list[tuple[str, str]] = re.findall(r"```(\w+)\n(.*?)```", TEXT, re.DOTALL)
 
 
@@ -55,7 +56,8 @@ def test_the_commands_for_a_folder_work_as_they_stand(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / ".git").mkdir()
-    (tmp_path / "skinbake.toml").write_text(block("toml"), encoding="utf-8")
+    options = OPTIONS.partition("```toml\n")[2].partition("```")[0]
+    (tmp_path / "skinbake.toml").write_text(options, encoding="utf-8")
     (tmp_path / "art" / "heroes").mkdir(parents=True)
     shutil.copyfile(FOLDER / "bent_tube.glb", tmp_path / "art" / "heroes" / "knight.glb")
     for turn in range(2):
@@ -65,4 +67,4 @@ def test_the_commands_for_a_folder_work_as_they_stand(
             result = invoke(*arguments)
             assert result.exit_code == 0
             assert ("up to date" in result.stdout) is (turn == 1)
-    assert "for art/heroes/**" in invoke("config", "--changed", "art/heroes/knight.glb").stdout
+    assert "for **/heroes/**" in invoke("config", "--changed", "art/heroes/knight.glb").stdout
