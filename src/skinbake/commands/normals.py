@@ -49,7 +49,7 @@ def posed_normals(document: Document, request: NormalsRequest) -> Iterator[Posed
     """
     views = sound_views(document)
     if not views:
-        message = "it has no sound α and β, so that there are no accurate normals: run skinbake verify"
+        message = "no α and β in it are sound, so it has no accurate normals: run skinbake bake"
         raise InputError(message, document.place)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no normal gets NaN
         draws = list(shown_draws(document, views))
