@@ -1,8 +1,8 @@
-"""Run the wrapped texts on scenes: WGSL by two compilers, GLSL in two kinds of context, HLSL by glslang."""
+"""Run the wrapped texts on scenes: WGSL and HLSL by two compilers each, GLSL in two kinds of context."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -48,16 +48,16 @@ def run_wgsl(implementation: webgpu.Implementation, work: Work) -> dict[str, Sin
     }
 
 
-def run_hlsl(work: Work) -> dict[str, Single]:
+def run_hlsl(work: Work, compiled: Callable[[str], bytes]) -> dict[str, Single]:
     """Return the same of HLSL, whose SPIR-V wgpu runs; fail where the SPIR-V is not valid.
 
-    Texts for one scene that differ in nothing but the lighting share a shader: the compiler starts slowly.
+    Texts for one scene that differ in nothing but the lighting share a shader: glslang starts slowly.
     """
     groups: dict[str, list[str]] = {}
     for name, (choices, scene) in work.items():
         alike = f"{motion_kind(choices)} {label(choices).partition('-')[2]} {id(scene)}"
         groups.setdefault(alike, []).append(name)
-    jobs = {alike: _hlsl_job([work[name] for name in names]) for alike, names in groups.items()}
+    jobs = {alike: _hlsl_job([work[name] for name in names], compiled) for alike, names in groups.items()}
     found: dict[str, Single] = {}
     for alike, answer in webgpu.answers(webgpu.NAGA, jobs).items():
         names = groups[alike]
@@ -66,9 +66,9 @@ def run_hlsl(work: Work) -> dict[str, Single]:
     return found
 
 
-def _hlsl_job(pairs: Sequence[tuple[ShaderChoices, Scene]]) -> webgpu.Job:
+def _hlsl_job(pairs: Sequence[tuple[ShaderChoices, Scene]], compiled: Callable[[str], bytes]) -> webgpu.Job:
     several = [choices for choices, _ in pairs]
-    module = glslang.spirv_of_hlsl(hlsl(several))
+    module = compiled(hlsl(several))
     assert glslang.invalid(module) == "", label(several[0])
     widest, scene = max(pairs, key=lambda pair: len(columns(pair[0])))
     assert columns(widest) == shared_columns(several)

@@ -1,12 +1,12 @@
 """Whole compute passes, compiled and run over buffers as glTF lays them out, give what the replay gives.
 
-WGSL runs on two implementations of WebGPU, GLSL and HLSL as SPIR-V of glslang on lavapipe.
+WGSL runs on two implementations of WebGPU, GLSL and HLSL as SPIR-V of glslang and of DXC on lavapipe.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from tests.shaders.combinations import label, motion_kind
 from tests.shaders.judged import TOLERANCE, term_lengths
 from tests.shaders.running import done
 from tests.shaders.scenes import Scene, Wide, irregular
-from tests.support import analytic, glslang, opengl, webgpu
+from tests.support import analytic, dxc, glslang, opengl, webgpu
 from tests.support.gltf_reading import read
 from tests.support.replay import replay
 from tests.support.whole_fields import shader_text
@@ -259,37 +259,41 @@ def members(choices: ShaderChoices) -> list[str]:
     return found[0]
 
 
-def code_of(choices: ShaderChoices, language: Language) -> str | bytes:
-    text = shader_text(replace(choices, language=language))
-    if language is Language.WGSL:
-        return text
-    module = glslang.spirv(text, "comp") if language is Language.GLSL else glslang.spirv_of_hlsl(text)
-    assert glslang.invalid(module) == "", label(choices)
-    return module
+def spirv_of_glsl(text: str) -> bytes:
+    return glslang.spirv(text, "comp")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("language", "implementation"),
+    ("language", "compiled", "implementation"),
     [
-        (Language.WGSL, webgpu.NAGA),
-        (Language.WGSL, webgpu.TINT),
-        (Language.GLSL, webgpu.NAGA),
-        (Language.HLSL, webgpu.NAGA),
+        (Language.WGSL, None, webgpu.NAGA),
+        (Language.WGSL, None, webgpu.TINT),
+        (Language.GLSL, spirv_of_glsl, webgpu.NAGA),
+        (Language.HLSL, glslang.spirv_of_hlsl, webgpu.NAGA),
+        (Language.HLSL, dxc.spirv, webgpu.NAGA),
     ],
-    ids=["wgsl-naga", "wgsl-tint", "glsl", "hlsl"],
+    ids=["wgsl-naga", "wgsl-tint", "glsl", "hlsl-glslang", "hlsl-dxc"],
 )
 def test_a_pass_gives_what_the_replay_gives(
-    language: Language, implementation: webgpu.Implementation
+    language: Language, compiled: Callable[[str], bytes] | None, implementation: webgpu.Implementation
 ) -> None:
     passes = {f"{number} {label(choices)}": pass_of(choices, number) for number, choices in enumerate(CASES)}
-    jobs = {
-        name: one.job(code_of(choices, language))
-        for (name, one), choices in zip(passes.items(), CASES, strict=True)
-    }
+    jobs = {}
+    for (name, one), choices in zip(passes.items(), CASES, strict=True):
+        text = shader_text(replace(choices, language=language))
+        module = compiled(text) if compiled else b""
+        assert not module or glslang.invalid(module) == "", name
+        jobs[name] = one.job(module or text)
     answers = webgpu.answers(implementation, jobs)
     for number, (name, one) in enumerate(passes.items()):
         assert_like_the_replay(name, done(name, answers[name]), one, leaves_out_tangents=number == 0)
+
+
+def test_a_pass_compiles_for_direct3d() -> None:
+    for choices in CASES:
+        text = shader_text(replace(choices, language=Language.HLSL))
+        assert dxc.dxil(text).startswith(dxc.CONTAINER), label(choices)
 
 
 @pytest.mark.slow

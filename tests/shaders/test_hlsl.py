@@ -1,11 +1,11 @@
-"""Every HLSL text, compiled by glslang, valid, and run on lavapipe, gives what the replay gives.
+"""Every HLSL text, compiled by glslang and by DXC, valid, and run on lavapipe, gives what the replay gives.
 
-DXC and FXC, Microsoft's compilers, are not run here. The tolerances are those of ``test_run``.
+DXC compiles it to DXIL too, which cannot be run here. The tolerances are those of ``test_run``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -25,10 +25,11 @@ from tests.shaders.rigid_joints import (
 )
 from tests.shaders.running import WORKGROUP, Single, done, run_hlsl
 from tests.shaders.scenes import CHARACTERS, Scene
-from tests.support import glslang, webgpu
+from tests.support import dxc, glslang, webgpu
 from tests.support.whole_fields import shader_text
 
 HLSL = Language.HLSL
+COMPILERS = pytest.mark.parametrize("compiled", [glslang.spirv_of_hlsl, dxc.spirv], ids=["glslang", "dxc"])
 
 
 def fewer(every: Mapping[str, ShaderChoices]) -> dict[str, ShaderChoices]:
@@ -47,22 +48,24 @@ def has_option(choices: ShaderChoices) -> bool:
 
 
 @pytest.mark.slow
-def test_every_combination() -> None:
+@COMPILERS
+def test_every_combination(compiled: Callable[[str], bytes]) -> None:
     work = irregular_work(fewer(every_text(HLSL)))
     assert len(work) >= 30
-    for name, found in run_hlsl(work).items():
+    for name, found in run_hlsl(work, compiled).items():
         assert_like_the_replay(*work[name], found)
 
 
 @pytest.mark.slow
-def test_characters(tmp_path: Path) -> None:
+@COMPILERS
+def test_characters(compiled: Callable[[str], bytes], tmp_path: Path) -> None:
     work: dict[str, tuple[ShaderChoices, Scene]] = {}
     for character in CHARACTERS:
         scene = character.scene(tmp_path, 1)
         for method, lighting in BEST.items():
             choices = ShaderChoices(HLSL, method, lighting, character.influences, character.frame)
             work[f"{character.path} {label(choices)}"] = choices, scene
-    for name, found in run_hlsl(work).items():
+    for name, found in run_hlsl(work, compiled).items():
         assert_like_the_replay(*work[name], found)
 
 
@@ -73,8 +76,10 @@ def test_every_storage_and_morph_compiles() -> None:
     every = [choices for choices in stored if choices.frame == Frame.TANGENT]
     assert len(every) == 11
     for choices in every:
-        module = glslang.spirv_of_hlsl(hlsl([choices, replace(choices, lighting=Lighting.DIRECT)]))
-        assert glslang.invalid(module) == "", label(choices)
+        text = hlsl([choices, replace(choices, lighting=Lighting.DIRECT)])
+        for compiled in (glslang.spirv_of_hlsl, dxc.spirv):
+            assert glslang.invalid(compiled(text)) == "", label(choices)
+        assert dxc.dxil(text).startswith(dxc.CONTAINER), label(choices)
 
 
 COMPUTE = """
@@ -99,11 +104,10 @@ class Part:
     width: int
     code: str
 
-    @property
-    def job(self) -> webgpu.Job:
+    def job(self, compiled: Callable[[str], bytes]) -> webgpu.Job:
         """Return the part as a compute shader and its buffers."""
         code = shader_text(self.choices) + COMPUTE.format(width=self.width, code=self.code)
-        module, count = glslang.spirv_of_hlsl(code), len(self.rows)
+        module, count = compiled(code), len(self.rows)
         return webgpu.Job(module, (self.rows.tobytes(),), 16 * self.width * count, -(-count // WORKGROUP))
 
 
@@ -156,10 +160,11 @@ def parts() -> dict[str, Part]:
 
 
 @pytest.mark.slow
-def test_parts() -> None:
+@COMPILERS
+def test_parts(compiled: Callable[[str], bytes]) -> None:
     """The frame has the bits of bake; α and β are those of the two formulas of the file format."""
     every = parts()
-    answers = webgpu.answers(webgpu.NAGA, {name: part.job for name, part in every.items()})
+    answers = webgpu.answers(webgpu.NAGA, {name: part.job(compiled) for name, part in every.items()})
     found = {
         name: np.frombuffer(done(name, answer), np.float32).reshape(-1, every[name].width, 4)
         for name, answer in answers.items()
@@ -175,7 +180,8 @@ def test_parts() -> None:
 
 
 @pytest.mark.slow
-def test_the_compiler_does_complain() -> None:
+@pytest.mark.parametrize("compiled", [glslang.spirv_of_hlsl, dxc.spirv, dxc.dxil])
+def test_a_compiler_does_complain(compiled: Callable[[str], bytes]) -> None:
     good = hlsl([ShaderChoices(HLSL)])
     with pytest.raises(ValueError, match="skinbake_lost"):
-        glslang.spirv_of_hlsl(good.replace("skinbake_moved(M[0]", "skinbake_lost(M[0]"))
+        compiled(good.replace("skinbake_moved(M[0]", "skinbake_lost(M[0]"))
