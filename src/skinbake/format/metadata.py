@@ -109,9 +109,9 @@ def array_digests(arrays: Mapping[str, tuple[npt.NDArray[Any], str]]) -> dict[st
 def slots_digest(arrays: Mapping[str, npt.NDArray[Any]]) -> str:
     """Return one digest of the attributes that hold α and β, by name, as they are stored."""
     digest = hashlib.sha256()
-    for name, values in sorted(arrays.items()):
-        stored = values.dtype.newbyteorder("<").str
-        digest.update(f"{name} {stored} {array_digest(values, stored)} ".encode())
+    typed = {name: (values, values.dtype.newbyteorder("<").str) for name, values in sorted(arrays.items())}
+    for name, found in array_digests(typed).items():
+        digest.update(f"{name} {typed[name][1]} {found} ".encode())
     return digest.hexdigest()[:32]
 
 
