@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -64,24 +64,26 @@ def label_equal_rows(rows: npt.NDArray[np.generic]) -> Labels:
 
 
 def normalise_influences(
-    joints: npt.NDArray[np.int32],
-    weights: Float64Array,
+    joints: npt.NDArray[Any],
+    weights: npt.NDArray[Any],
     *,
     adopting_sum: float,
     adopting_weight: float,
     tolerance: float,
     least: float,
 ) -> tuple[WeightField, WeightDefects]:
-    """Turn stored influences (V, K) into a weight field in place. Return it with the assumptions made."""
-    free = np.empty(joints.shape, dtype=np.bool_)
+    """Return the weight field of stored influences (V, K), with the assumptions made."""
+    shape = joints.shape
+    field = WeightField(np.empty(shape, np.int32), np.empty(shape), np.empty(shape, np.bool_))
 
     def normalise(rows: slice) -> dict[str, int]:
-        parts = joints[rows], weights[rows], free[rows]
-        return loops.normalise_influences(*parts, adopting_sum, adopting_weight, tolerance, least)
+        part = field.rows(rows)
+        part.joints[:], part.weights[:] = joints[rows], weights[rows]
+        return loops.normalise_influences(*part, adopting_sum, adopting_weight, tolerance, least)
 
     found = _by_rows(normalise, len(joints))
     defects = {name: sum(part[name] for part in found) for name in found[0]}
-    return WeightField(joints, weights, free), WeightDefects(**defects)
+    return field, WeightDefects(**defects)
 
 
 def mark_proper(positions: FloatArray, triangles: IntArray) -> BoolArray:

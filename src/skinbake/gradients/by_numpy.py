@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from skinbake.geometry.frames import frame_from_normal, unit_normals
-from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray
+from skinbake.geometry.skinned import Float32Array, FloatArray
 from skinbake.geometry.triangles import mark_proper
 from skinbake.gradients.rig_fit import FittedVertices, fitted
 from skinbake.gradients.ring_turns import ring_turns
@@ -59,21 +60,22 @@ def row_hashes(keys: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
 
 
 def normalise_influences(
-    joints: npt.NDArray[np.int32],
-    weights: Float64Array,
+    joints: npt.NDArray[Any],
+    weights: npt.NDArray[Any],
     *,
     adopting_sum: float,
     adopting_weight: float,
     tolerance: float,
     least: float,
 ) -> tuple[WeightField, WeightDefects]:
-    """Turn stored influences (V, K) into a weight field in place. Return it with the assumptions made.
+    """Return the weight field of stored influences (V, K), with the assumptions made.
 
     A vertex may adopt if its weights sum to more than ``adopting_sum``, its largest weight is more than
     ``adopting_weight``, and none is negative. It counts as not normalised if the sum is further than
     ``tolerance`` from 1. Weights below ``least`` of the vertex's largest count as 0.
     ``influences.weight_field`` has the policy.
     """
+    joints, weights = joints.astype(np.int32), weights.astype(np.float64)
     # Weights that move nothing count as 0, and so do negative ones.
     largest = weights.max(axis=1, keepdims=True, initial=0.0)
     weights[(weights > 0) & (weights < least * largest)] = 0.0

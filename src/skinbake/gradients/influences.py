@@ -67,13 +67,11 @@ def weight_field(primitive: SkinnedPrimitive) -> tuple[WeightField, WeightDefect
     three.js. Weights that move nothing count as 0, and all are divided by their sum. A joint in several slots
     keeps the first slot with a positive weight (or the first of all), with the sum of the weights.
     """
-    joints = primitive.joints.astype(np.int32, order="C")
-    weights = primitive.weights.astype(np.float64, order="C")
     field, defects = kernel.normalise_influences(
-        joints,
-        weights,
+        primitive.joints,
+        primitive.weights,
         adopting_sum=ADOPTING_SUM,
-        adopting_weight=SLOT_COST * joints.shape[1],
+        adopting_weight=SLOT_COST * primitive.joints.shape[1],
         tolerance=SUM_TOLERANCE,
         least=LEAST_WEIGHT,
     )
