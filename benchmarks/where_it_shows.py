@@ -155,7 +155,7 @@ def compare(path: Path) -> str:
     document, _ = baked_in_memory(read_document(str(path)))
     model, clips = Model(document), read_clips(document)
     begun = time.perf_counter()
-    spots = search.where_it_shows(document, model.draws, clips)
+    spots = search.where_it_shows(document, model.draws)
     seconds = time.perf_counter() - begun
     if not spots:
         return f"| {path.stem} | no place |"

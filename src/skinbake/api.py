@@ -311,9 +311,9 @@ def normals(
     source
         A ``.glb``, ``.gltf`` or ``.vrm`` file with α and β.
     clip
-        The name or the number of a clip. None: the one in which standard lighting is worst.
+        The name or the number of a clip. None: the one in which the bake shows most.
     time
-        Seconds in the clip. None: where standard lighting is worst. A file without clips has one random pose.
+        Seconds in the clip, or in random poses if no clip moves the file. None: where the bake shows most.
     methods
         ``lbs``, ``dqs`` or both. If empty: ``lbs``.
     baseline, cap

@@ -339,7 +339,7 @@ SKIP_UNCHANGED = Option("skip_unchanged", bool, False, help=
 DASK = Option("dask", str, None, By.NOBODY, "ADDRESS", help=
     "Work on the machines of a running Dask scheduler, like tcp://host:8786.")
 CLIP = Option("clip", str, None, metavar="NAME", help=
-    "Name or number of a clip; by default the one in which standard lighting is worst.")
+    "Name or number of a clip; by default the one in which the bake shows most.")
 TIME = Option("time", Range(), None, metavar="SECONDS")
 LIMITS = _under(SAFETY, MAX_MEMORY, TIMEOUT, ISOLATE, ALLOW_OUTSIDE)
 SYNC = _under(SAFETY, NO_SYNC)
@@ -426,7 +426,7 @@ VERIFY = (
         Option("seed", Range(0, is_whole=True), 0, By.ALL, "N", help="Seed of random poses."),
         CLIP._replace(by=By.NOBODY, help="Name or number of the clip of --dump-normals."),
         TIME._replace(by=By.NOBODY, help=
-            "Time in it. Without these two, the pose in which standard lighting is worst.")),
+            "Time in it. Without these two, the pose in which the bake shows most.")),
     *_under("Measurement",
         Option("methods", Method, (), By.ALL, flags=("--method",), is_many=True, help=
             "Skinning to measure; by default both."),
@@ -503,7 +503,7 @@ RENDER = (
     *_under("Poses",
         CLIP,
         TIME._replace(help=
-            "Time in the clip. By default the pose in which standard lighting is worst, or, in .webp and "
+            "Time in the clip. By default the pose in which the bake shows most, or, in .webp and "
             ".gif, the whole clip.")),
     *_under("Picture",
         Option("mode", ("shaded", "reflections", "error", "normals"), "shaded", help=

@@ -160,13 +160,10 @@ def same(numbers: list[float | None], array: Array) -> None:
     assert np.allclose(read_back, array.ravel(), rtol=1e-8, atol=1e-12, equal_nan=True)
 
 
-def test_by_default_the_pose_is_the_one_in_which_standard_lighting_is_worst(
-    tube: Path, tmp_path: Path
-) -> None:
+def test_by_default_the_pose_is_the_one_in_which_the_bake_shows_most(tube: Path, tmp_path: Path) -> None:
     [posed] = skinbake.normals(tube)
     assert posed.clip == "bend"
-    assert posed.time is not None
-    assert abs(posed.time - BENT) < 0.04  # 25 poses of 0.96 s
+    assert abs(posed.time - BENT) < 0.08  # it may show more a little before or after, seen from elsewhere
     dump = tmp_path / "dump.jsonl"
     result = invoke("verify", tube, "--dump-normals", dump)
     assert f'{dump}: written, clip "bend" at {posed.time:.9g} s\n' in result.stdout
@@ -194,15 +191,15 @@ def test_morph_targets_and_their_weights_are_in_the_pose(tmp_path: Path) -> None
     assert np.abs(posed.positions - still.positions - moved).max() < 1e-6
 
 
-def test_a_file_without_clips_has_one_random_pose(tmp_path: Path) -> None:
+def test_a_file_without_clips_is_dumped_in_a_random_pose(tmp_path: Path) -> None:
     path = edited("bent_tube.glb", tmp_path, lambda content: content.pop("animations"))
     skinbake.bake(path, path)
     [posed] = skinbake.normals(path)
-    assert (posed.clip, posed.time) == (None, None)
+    assert posed.clip is None
     assert np.abs(posed.joint_matrices[1:] - np.eye(4)).max() > 0.1
     dump = tmp_path / "tube.jsonl"
     result = invoke("verify", path, "--dump-normals", dump)
-    assert f"{dump}: written, a random pose, because it has no clip\n" in result.stdout
+    assert f"{dump}: written, random poses (no clip moves it) at {posed.time:.9g} s\n" in result.stdout
 
 
 def test_characters_of_vrm_0_stay_in_the_space_of_their_scene(tube: Path, tmp_path: Path) -> None:

@@ -73,14 +73,14 @@ def cameras(monkeypatch: pytest.MonkeyPatch) -> list[Camera]:
 @pytest.mark.usefixtures("device")
 @pytest.mark.parametrize("lighting", ["standard", "accurate"])
 @pytest.mark.parametrize(
-    ("name", "time"), [("bent_tube.glb", 0.45), ("mirrored_tangent.glb", None), ("two_sets.glb", None)]
+    ("name", "time"), [("bent_tube.glb", 0.45), ("mirrored_tangent.glb", 2.0), ("two_sets.glb", 3.5)]
 )
 def test_pixels_are_those_of_the_replay(
-    tmp_path: Path, cameras: list[Camera], name: str, time: float | None, lighting: str
+    tmp_path: Path, cameras: list[Camera], name: str, time: float, lighting: str
 ) -> None:
     path = baked(FOLDER / name, tmp_path)
-    options = [] if time is None else ["--time", str(time)]
-    found = drawn(path, tmp_path / "picture.png", "--mode", "normals", "--lighting", lighting, *options)
+    options = ["--mode", "normals", "--lighting", lighting, "--time", str(time)]
+    found = drawn(path, tmp_path / "picture.png", *options)
     matrix = cameras[0].projected(YAW, SIZE[0] / SIZE[1])
     algorithm = Algorithm.LBS_ACCURATE if lighting == "accurate" else Algorithm.LBS_STANDARD
     wanted = fragments(path, algorithm, time, matrix, SIZE)
@@ -175,9 +175,8 @@ def test_a_close_up_that_moves_follows_its_place(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("device")
-def test_a_close_up_needs_a_clip_in_which_the_bake_shows(tmp_path: Path) -> None:
-    path = edited("bent_tube.glb", tmp_path, lambda content: content.pop("animations"))
-    result = invoke("render", path, "-o", tmp_path / "a.png", "--closeup")
+def test_a_close_up_needs_a_moment_in_which_the_bake_shows(tmp_path: Path) -> None:
+    result = invoke("render", TUBE, "-o", tmp_path / "a.png", "--closeup", "--time", "0")
     assert result.exit_code == exit_codes.INPUT
     assert "no clip has a place where the bake shows: leave out --closeup" in " ".join(result.stderr.split())
     assert not (tmp_path / "a.png").exists()
@@ -223,7 +222,7 @@ def test_a_turntable_turns_one_pose(tmp_path: Path) -> None:
         "render", FOLDER / "seam.glb", "-o", target, "--size", "64x48", "--turntable", "--mode", "normals"
     )
     assert result.exit_code == 0
-    assert "60 pictures, a random pose" in result.stdout
+    assert "60 pictures, random poses (no clip moves it) at " in result.stdout
     with Image.open(target) as image:
         first = np.asarray(image.convert("RGB"), np.float64)
         image.seek(20)
@@ -464,7 +463,7 @@ def measure_errors(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) ->
     render.render_file(str(path), str(folder / "a.png"), render.RenderOptions(Look(64, 48, "error")))
 
 
-def test_the_errors_are_those_of_the_pose_that_bends_most(
+def test_the_errors_are_those_of_a_pose_that_bends_much(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The clip of the tube bends it by 90° at most."""
@@ -479,7 +478,7 @@ def test_the_errors_are_those_of_the_pose_that_bends_most(
         measure_errors(TUBE, tmp_path, monkeypatch)
     ((matrices,),) = (shot.matrices for shot in shots)
     angles = np.degrees(np.arccos((np.trace(matrices[:, :3, :3], axis1=1, axis2=2) - 1.0) / 2.0))
-    assert 88.0 < angles[1] <= 90.01
+    assert 85.0 < angles[1] <= 90.01
     means = {}
     for lighting, ((degrees, known),) in shots[0].errors.items():
         assert known.all()

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from skinbake.freshness.baked_views import baked_views, rest_primitive
-from skinbake.gltf.animation import clip_poses, random_poses, read_clips, read_skeleton
+from skinbake.gltf.animation import clip_poses, random_clip, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.skinning.algorithms import Algorithm
@@ -26,24 +26,22 @@ class Fragments:
 
 
 def fragments(
-    path: Path, algorithm: Algorithm, time: float | None, matrix: Array, size: tuple[int, int]
+    path: Path, algorithm: Algorithm, time: float, matrix: Array, size: tuple[int, int]
 ) -> Fragments:
-    """Rasterise a baked file of one primitive, at a time of its clip, or in the random pose of seed 0.
+    """Rasterise a baked file of one primitive, at a time of its clip, or of random poses.
 
     matrix (4, 4) leads to the screen. Normals and positions are perspective-correct.
     """
     document = read_document(str(path))
     (view,), _ = baked_views(document, skinned_sources(document)[0])
     skeleton = read_skeleton(document, 0)
-    if time is None:
-        poses = random_poses(skeleton, 1, angle=float(np.radians(30.0)), seed=0)
-    else:
-        poses = clip_poses(skeleton, read_clips(document)[0], np.array([time]))
+    clip = next(iter(read_clips(document)), None) or random_clip(document)
+    poses = clip_poses(skeleton, clip, np.array([time]))
     posed = replay(algorithm, rest_primitive(view), poses)
     positions, normals = posed.positions[0].astype(float), unit(posed.normals[0])
-    clip = np.column_stack([positions, np.ones(len(positions))]) @ matrix.T
-    places = (clip[:, :3] / clip[:, 3:] * [1, -1, 1] * 0.5 + 0.5) * [*size, 1]
-    covered, corners, shares = covering(places, clip[:, 3], view.now.triangles, size)
+    cut = np.column_stack([positions, np.ones(len(positions))]) @ matrix.T
+    places = (cut[:, :3] / cut[:, 3:] * [1, -1, 1] * 0.5 + 0.5) * [*size, 1]
+    covered, corners, shares = covering(places, cut[:, 3], view.now.triangles, size)
     mixed = [np.einsum("hwk,hwki->hwi", shares, values[corners]) for values in (positions, normals)]
     mixed[1] = mixed[1] / np.maximum(np.linalg.norm(mixed[1], axis=-1, keepdims=True), 1e-9)
     return Fragments(covered, *mixed)

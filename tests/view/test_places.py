@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import skinbake
 from fixtures.make_fixtures import FOLDER
 from skinbake.commands.view import view_file
 from tests.support import browser
@@ -117,6 +118,24 @@ def test_one_lighting_is_shown_alone_by_key_and_by_button(browsing: browser.Page
 def test_a_dropped_file_has_no_places(browsing: browser.Page) -> None:
     take(browsing, FOLDER / "seam.glb")
     assert browsing.call(SHOWN)["hidden"] is True
+
+
+def test_a_file_without_clips_opens_on_a_place_in_random_poses(tmp_path: Path) -> None:
+    """The CPU draws the same poses, though it makes their numbers by itself."""
+    path = edited("bent_tube.glb", tmp_path, lambda content: content.pop("animations"))
+    with shown(path) as page:
+        found = page.call(SHOWN)
+        drawn = normals(page, "standard", clip=0, time=found["time"])
+    assert (found["clip"], found["playing"]) == ("Random poses", False)
+    assert 0.2 < found["time"] < 8.8  # at 0 and 9 s it rests
+    words = re.match(r"([\d.]+)° → ([\d.]+)°", found["places"][0])
+    assert words is not None
+    assert float(words[1]) > 5 * float(words[2])
+    skinbake.bake(path, path)
+    [posed] = skinbake.normals(path, time=found["time"])
+    assert posed.clip is None
+    assert np.abs(drawn - posed.normals["standard"]).max() < 2e-4  # 0.01°
+    assert posed.time == skinbake.normals(path)[0].time
 
 
 def places(path: Path) -> list[dict[str, Any]]:

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from skinbake.choices import USUAL_TRUTHS, Baseline, Method
-from skinbake.commands.posed_scene import Draw, claim_draws, clip_and_moment, posed_draw, shown_draws
+from skinbake.commands.posed_scene import Draw, claim_draws, posed_draw, shown_draws
+from skinbake.commands.where_it_shows import telling_pose
 from skinbake.errors import InputError
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.writing import write_file
 from skinbake.freshness.baked_views import sound_views
 from skinbake.geometry.skinned import Float64Array
-from skinbake.gltf.animation import Clip
+from skinbake.gltf.animation import RANDOM, Clip
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.output import refuse_own_input
 from skinbake.measure.angles import INSIDE_OUT, METHODS, truths_at_rest
@@ -31,7 +32,7 @@ from skinbake.truth.truths import PosedSurface
 class NormalsRequest:
     """The asked pose and skinning. The clip is a name or a number, the time in seconds.
 
-    None for either: the pose in which standard lighting is worst.
+    None for either: the pose in which the bake shows most.
     """
 
     clip: str | None = None
@@ -53,8 +54,8 @@ def posed_normals(document: Document, request: NormalsRequest) -> Iterator[Posed
         raise InputError(message, document.place)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no normal gets NaN
         draws = list(shown_draws(document, views))
-        clip, moment = clip_and_moment(document, draws, request.clip, request.time)
-        claim_draws(document, draws, [] if clip is None else [clip], len(request.methods))
+        clip, moment, _ = telling_pose(document, draws, request.clip, request.time)
+        claim_draws(document, draws, [clip], len(request.methods))
     for draw in draws:
         for method in request.methods:
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -87,9 +88,9 @@ def write_normals(
 
 
 def _of_draw(
-    document: Document, draw: Draw, clip: Clip | None, moment: float, method: Method, options: Options
+    document: Document, draw: Draw, clip: Clip, moment: float, method: Method, options: Options
 ) -> list[PosedNormals]:
-    """Return the normals of the primitives of a draw at a moment of a clip, or in its random pose."""
+    """Return the normals of the primitives of a draw at a moment of a clip."""
     posed = posed_draw(document, draw, clip, np.array([moment]), turned=False)
     truths = truths_at_rest(draw.operator(), draw.rest, 1, posed.morphing)
     rest = draw.rest
@@ -130,8 +131,8 @@ def _of_draw(
             primitive=view.source.primitive,
             skin=draw.skin,
             node=draw.node,
-            clip=None if clip is None else clip.name,
-            time=None if clip is None else moment,
+            clip=None if clip.number == RANDOM else clip.name,
+            time=moment,
             method=method,
             positions=deformed[:, part, 0].T,
             normals={name: vectors[part] for name, vectors in normals.items()},

@@ -98,5 +98,5 @@ class PlayedCorrectives:
             return np.zeros((len(times), added))
         resting = resting_weights(self._document, nodes[0])
         # A clip of a stripped document, or of joints alone, has no channels of morph weights.
-        whole = self.clips[clip.number]
+        whole = self.clips.get(clip.number, clip)
         return clip_weights(nodes[0], whole, times, resting)[:, -added:]

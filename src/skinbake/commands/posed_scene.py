@@ -25,11 +25,9 @@ from skinbake.gltf.animation import (
     Skeleton,
     clip_poses,
     clip_weights,
-    random_poses,
     read_clips,
     read_node,
     read_skeleton,
-    rest_pose,
 )
 from skinbake.gltf.document import Document
 from skinbake.gltf.images import images_unplaced
@@ -50,7 +48,6 @@ from skinbake.measure.morphing import Morphing, morphing_of
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.skinning.run import Skinning
-from skinbake.truth.areas import vertex_areas
 from skinbake.truth.operator import GradientOperator
 from skinbake.truth.poses import (
     BYTES_A_JOINT_AND_POSE,
@@ -74,19 +71,12 @@ See ``budget.STEPS_FREE``.
 STEPS_A_TARGET, STEPS_A_TARGET_READ = 3, 7
 """The further steps of a primitive for each of its morph targets, in a pose and for a clip."""
 
-SEARCHED = 25
-"""The poses of a clip among which the one with the worst standard lighting is chosen."""
-
-MOST_SEARCHED = 100
-"""The poses by which one of several clips is chosen, two or more for each. Further clips are not searched."""
-
 HALF_TURN = np.diag([-1.0, 1.0, -1.0, 1.0])
 """A turn of the whole scene around the vertical."""
 
 LISTED = 20
 """The names of clips that a message lists."""
 
-RANDOM_ANGLE = float(np.radians(30.0))
 LIGHTINGS = ("standard", "accurate", "corrected")
 
 
@@ -96,7 +86,7 @@ class Draw:
 
     skin is its number. operator builds the operator of the truths at its first call, once for all draws of
     the surface.
-    correctives gives those of the file at times of a clip, None without a clip; it is None if it has none.
+    correctives gives those of the file at times of a clip; it is None if it has none.
     """
 
     views: Sequence[BakedView]
@@ -105,7 +95,7 @@ class Draw:
     skeleton: Skeleton
     node: int | None
     operator: Callable[[], GradientOperator]
-    correctives: Callable[[Clip | None, Float64Array], Corrections] | None = None
+    correctives: Callable[[Clip, Float64Array], Corrections] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,12 +216,10 @@ def _played(
     views: Sequence[BakedView],
     targets: Sequence[Float64Array],
     skin: int,
-    clip: Clip | None,
+    clip: Clip,
     times: Float64Array,
 ) -> Corrections:
-    """Return the correctives of a surface at times of a clip. Without one, nothing plays them."""
-    if clip is None:
-        return Corrections(targets, [np.zeros((len(times), len(own))) for own in targets])
+    """Return the correctives of a surface at times of a clip. Random poses play none."""
     return Corrections(targets, [correctives.weights(one.source.mesh, skin, clip, times) for one in views])
 
 
@@ -255,50 +243,29 @@ def claim_draws(document: Document, draws: Sequence[Draw], clips: Sequence[Clip]
 
 
 def posed_draw(
-    document: Document, draw: Draw, clip: Clip | None, times: Float64Array, *, turned: bool = True
+    document: Document, draw: Draw, clip: Clip, times: Float64Array, *, turned: bool = True
 ) -> PosedDraw:
-    """Return a draw at times of a clip, or in one random pose for all. If turned, it faces along +Z."""
-    if clip is None:
-        pose = random_poses(draw.skeleton, 1, angle=RANDOM_ANGLE, seed=0)
-        matrices = np.repeat(pose, len(times), axis=0)
-    else:
-        matrices = clip_poses(draw.skeleton, clip, times)
+    """Return a draw at times of a clip. If turned, it faces along +Z."""
+    # A scene of a hundred characters has a hundred times the channels of each.
+    nodes = set(draw.skeleton.nodes)
+    own = replace(clip, channels=tuple(channel for channel in clip.channels if channel.node in nodes))
+    matrices = clip_poses(draw.skeleton, own, times)
     if turned and faces_backward(document):
         matrices = HALF_TURN @ matrices
     corrections = draw.correctives and draw.correctives(clip, times)
     if draw.node is None:
         return PosedDraw(matrices, None, corrections)
-    weights = np.broadcast_to(
-        resting_weights(document, draw.node), (len(times), target_count(document, draw.views[0].source.mesh))
-    )
-    if clip is not None:
-        weights = clip_weights(draw.node, clip, times, weights[0])
+    weights = clip_weights(draw.node, clip, times, resting_weights(document, draw.node))
     poses = PoseSet((), matrices, (), (), weights)
     return PosedDraw(matrices, morphing_of(document, draw.views, poses), corrections, weights)
 
 
 def posed_attachment(
-    document: Document,
-    attached: Attachment,
-    draws: Sequence[Draw],
-    posed: Sequence[PosedDraw],
-    clip: Clip | None,
-    times: Float64Array,
+    document: Document, attached: Attachment, clip: Clip, times: Float64Array
 ) -> Float64Array:
-    """Return the matrix (P, 1, 4, 4) of its node while draws are posed. It faces along +Z."""
+    """Return the matrix (P, 1, 4, 4) of its node at times of a clip. It faces along +Z."""
     turn = HALF_TURN if faces_backward(document) else np.eye(4)
-    if clip is not None:
-        return turn @ clip_poses(attached.skeleton, clip, times)
-    # In a random pose it follows the nearest joint above it.
-    (own,) = rest_pose(attached.skeleton)[0]
-    for node in reversed(attached.skeleton.nodes):
-        for draw, one in zip(draws, posed, strict=True):
-            joints = np.array(draw.skeleton.nodes)[draw.skeleton.joints]
-            for joint in np.flatnonzero(joints == node)[:1]:
-                (rest,) = rest_pose(read_node(document, node))[0]
-                unbound = np.linalg.inv(draw.skeleton.inverse_bind[joint])
-                return np.asarray(one.matrices[:, [joint]] @ unbound @ np.linalg.inv(rest) @ own)
-    return np.broadcast_to(turn @ own, (len(times), 1, 4, 4))
+    return turn @ clip_poses(attached.skeleton, clip, times)
 
 
 def posed_primitives(draw: Draw, posed: PosedDraw) -> Iterator[tuple[RestPrimitive, Float64Array]]:
@@ -354,59 +321,6 @@ def asked_clips(document: Document, asked: str | None) -> Sequence[Clip]:
         reason = f": the file has no such clip; it has {', '.join(listed + more)}"
         raise ChoiceError("clip", printable(asked), reason=(reason,))
     return named[:1]
-
-
-def clip_and_moment(
-    document: Document, draws: Sequence[Draw], asked: str | None, time: float | None
-) -> tuple[Clip | None, float]:
-    """Return a clip by its name or number, None if the file has none, and a time in it in seconds.
-
-    Where they are not asked for, standard lighting is worst there. Raises ChoiceError for a clip that does
-    not exist, and for a time outside it.
-    """
-    clips = asked_clips(document, asked)
-    if not clips:
-        if time is not None:
-            raise ChoiceError("time", time, reason=(": the file has no clip",))
-        return None, 0.0
-    clip, worst = clips[0], time
-    if len(clips) > 1 or worst is None:
-        clip, worst = telling_moment(document, draws, clips)
-    if time is not None and not clip.start <= time <= clip.duration:
-        reason = f': clip "{printable(clip.name)}" goes from {clip.start:g} to {clip.duration:g} s'
-        raise ChoiceError("time", time, reason=(reason,))
-    return clip, worst if time is None else time
-
-
-def telling_moment(document: Document, draws: Sequence[Draw], clips: Sequence[Clip]) -> tuple[Clip, float]:
-    """Return the clip and the time in seconds at which standard lighting is worst on average over the area.
-
-    Each clip is searched at a few times, and the chosen one at ``SEARCHED``. Of equal ones the first counts.
-    """
-    some = clips[: MOST_SEARCHED // 2]
-    claim_draws(document, draws, some, MOST_SEARCHED + SEARCHED if len(some) > 1 else SEARCHED)
-    each = min(SEARCHED, MOST_SEARCHED // len(some))
-    chosen = max(some, key=lambda clip: _worst(document, draws, clip, each)[0]) if len(some) > 1 else some[0]
-    return chosen, _worst(document, draws, chosen, SEARCHED)[1]
-
-
-def _worst(document: Document, draws: Sequence[Draw], clip: Clip, count: int) -> tuple[float, float]:
-    """Return the largest sum of errors of standard lighting times area in a clip, and its time."""
-    times = np.linspace(clip.start, clip.duration, count)
-    total = np.zeros(count)
-    for draw in draws:
-        areas = [vertex_areas(view.now.positions, view.now.triangles) for view in draw.views]
-
-        def record(block: MeasuredBlock, areas: Any = areas) -> None:
-            if block.lighting == "standard":
-                poses, vertices = block.errors.shape
-                of_block = areas[block.primitive][block.vertex : block.vertex + vertices]
-                errors = np.where(block.valid, block.errors, 0.0)
-                total[block.pose : block.pose + poses] += errors @ of_block
-
-        measure_draw(draw, posed_draw(document, draw, clip, times), record, Truth.TRIANGLES)
-    number = int(np.argmax(total))
-    return float(total[number]), float(times[number])
 
 
 def truths_of_draw(draw: Draw, posed: PosedDraw, truth: Truth) -> Truths:

@@ -15,11 +15,9 @@ from skinbake.commands.posed_scene import (
     Attachment,
     Draw,
     PosedDraw,
-    asked_clips,
     attachments,
     baked_in_memory,
     claim_draws,
-    clip_and_moment,
     lighting_errors_of,
     posed_attachment,
     posed_draw,
@@ -29,14 +27,14 @@ from skinbake.commands.posed_scene import (
     sound_correctives,
     unplaced,
 )
-from skinbake.commands.where_it_shows import Spot, followed, in_degrees, in_words, where_it_shows
+from skinbake.commands.where_it_shows import followed, in_degrees, in_words, telling_pose
 from skinbake.errors import ChoiceError, InputError, Notice, SkinbakeError
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.writing import write_file
 from skinbake.freshness.baked_views import BakedView, rest_primitive, sound_views
 from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.gltf.accessors import read_accessor
-from skinbake.gltf.animation import Clip, Skeleton, read_clips, rest_pose
+from skinbake.gltf.animation import RANDOM, Clip, Skeleton, random_clip, read_clips, rest_pose
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import reference
 from skinbake.gltf.output import refuse_own_input
@@ -72,10 +70,10 @@ CLOSE = 1.3
 class RenderOptions:
     """The options of ``skinbake render``.
 
-    clip is a name or a number, None for the one in which standard lighting is worst. time is in seconds, None
-    for the pose in which it is worst, or, in an animation, for the whole clip. sides are one or two
+    clip is a name or a number, None for the one in which the bake shows most. time is in seconds, None for
+    the pose in which it does, or, in an animation, for the whole clip. sides are one or two
     lightings, None for that which the file's bake gives. in_clay draws no images and no colours. is_close:
-    the camera looks at the place where the bake shows most, and follows it; that decides clip and time.
+    the camera looks at the place where the bake shows most, and follows it.
     """
 
     look: Look
@@ -166,20 +164,20 @@ def _pictures(
     moves: bool,
 ) -> tuple[list[Picture], str, list[Notice]]:
     """Return the pictures, the first pose in words, and notices on what is missing in them."""
-    clip, moment, spot = _clip_and_moment(document, draws, options)
+    clip, moment, spot = telling_pose(document, draws, options.clip, options.time, is_close=options.is_close)
     times, pose = _times(clip, moment, options, moves=moves)
     if spot is not None:
         pose = f"{pose}, close up: {in_words(spot)}"
     pixels = options.look.width * options.look.height
     size = pixels * (BYTES_A_SAMPLED_PIXEL + BYTES_A_PIXEL * len(times))
     document.budget.claim(size, f"drawing {counted(len(times), 'picture')}", document.place)
-    claim_draws(document, draws, [] if clip is None else [clip], len(times))
+    claim_draws(document, draws, [clip], len(times))
     posed = [posed_draw(document, draw, clip, times) for draw in draws]
     materials = Materials(document)
     is_lit = options.look.mode == "shaded"
     in_clay = options.in_clay or not is_lit
     rigid, missing = attachments(document)
-    held = [posed_attachment(document, one, draws, posed, clip, times) for one in rigid]
+    held = [posed_attachment(document, one, clip, times) for one in rigid]
     parts: list[tuple[int, BakedView | Attachment, Skeleton]] = [
         (number, view, draw.skeleton) for number, draw in enumerate(draws) for view in draw.views
     ]
@@ -250,8 +248,8 @@ def small_picture(document: Document) -> bytes | None:
     """
     try:
         draws = list(shown_draws(document, sound_views(document)))
-        clip = next(iter(read_clips(document)), None)
-        times = np.zeros(1) if clip is None else np.array([(clip.start + clip.duration) / 2])
+        clip = next(iter(read_clips(document)), None) or random_clip(document)
+        times = np.array([(clip.start + clip.duration) / 2])
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # only numbers are drawn
             found = [part for draw in draws for part in _still(draw, posed_draw(document, draw, clip, times))]
     except SkinbakeError:
@@ -274,34 +272,14 @@ def _still(draw: Draw, posed: PosedDraw) -> Iterator[Posed]:
         yield Posed(positions, normals, view.now.triangles)
 
 
-def _clip_and_moment(
-    document: Document, draws: Sequence[Draw], options: RenderOptions
-) -> tuple[Clip | None, float, Spot | None]:
-    """Return the clip to draw, None if there is none, a time in it, and where the bake shows close up."""
-    if not options.is_close:
-        return *clip_and_moment(document, draws, options.clip, options.time), None
-    clips = asked_clips(document, options.clip)
-    if options.time is not None:
-        clip, moment = clip_and_moment(document, draws, options.clip, options.time)
-        clips = [replace(clip, start=moment, duration=moment)] if clip else []
-    spots = where_it_shows(document, draws, clips)
-    if not spots:
-        raise InputError("no clip has a place where the bake shows: leave out --closeup", document.place)
-    clip = next(clip for clip in read_clips(document) if clip.number == spots[0].clip.number)
-    return clip, spots[0].time, spots[0]
-
-
-def _times(
-    clip: Clip | None, moment: float, options: RenderOptions, *, moves: bool
-) -> tuple[Float64Array, str]:
+def _times(clip: Clip, moment: float, options: RenderOptions, *, moves: bool) -> tuple[Float64Array, str]:
     """Return the time of each picture, and the first pose in words."""
-    if clip is not None and options.time is None and (moves or options.turntable):
+    if clip.number != RANDOM and options.time is None and (moves or options.turntable):
         count = max(2, min(MOST_PICTURES, round(1000 * (clip.duration - clip.start) / MILLISECONDS)))
         return np.linspace(clip.start, clip.duration, count, endpoint=False), f'clip "{clip.name}"'
     count = MOST_PICTURES // 2 if options.turntable else 1
-    if clip is None:
-        return np.zeros(count), "a random pose, because it has no clip"
-    return np.full(count, moment), f'clip "{clip.name}" at {moment:.2f} s'
+    at = "random poses (no clip moves it)" if clip.number == RANDOM else f'clip "{clip.name}"'
+    return np.full(count, moment), f"{at} at {moment:.2f} s"
 
 
 def _subject(

@@ -33,7 +33,6 @@ from skinbake.format.metadata import corrective_note
 from skinbake.format.strip import stripped
 from skinbake.freshness.baked_views import BakedView, sound_views
 from skinbake.freshness.expected import noted_kind
-from skinbake.gltf.animation import read_clips
 from skinbake.gltf.codecs.recode import Compression, recoded
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import Document, read_document
@@ -277,11 +276,10 @@ def _places(document: Document, views: Sequence[BakedView], corrected: Document 
     """Return where the bake shows, the best first. The page opens on the first of them."""
     try:
         draws = list(shown_draws(document, views, PlayedCorrectives(corrected) if corrected else None))
-        clips = read_clips(document)
-        if not draws or not clips:
+        if not draws:
             return []
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            spots = where_it_shows(document, draws, clips)
+            spots = where_it_shows(document, draws)
     except InputError:
         return []  # a part of it cannot be posed, as the figures say
     side = np.array([-1.0, 1.0, -1.0]) if faces_backward(document) else np.ones(3)

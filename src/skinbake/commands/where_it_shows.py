@@ -10,7 +10,7 @@ seen. Then the most promising ones are looked at, and the best are refined in pl
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from skinbake.choices import Truth
 from skinbake.commands.posed_scene import (
     Draw,
     PosedDraw,
+    asked_clips,
     attachments,
     claim_draws,
     lighting_errors_of,
@@ -28,8 +29,9 @@ from skinbake.commands.posed_scene import (
     posed_positions,
     truths_of_draw,
 )
+from skinbake.errors import ChoiceError, InputError, printable
 from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray
-from skinbake.gltf.animation import Clip, rest_pose
+from skinbake.gltf.animation import Clip, random_clip, read_clips, rest_pose
 from skinbake.gltf.document import Document
 from skinbake.measure.angles import MeasuredBlock
 from skinbake.report.verify import NEGLIGIBLE
@@ -142,14 +144,17 @@ class _Surface:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Moment:
-    """All draws in one pose: positions and normals (V, 3), triangles (T, 3); errors (2, V) by draw."""
+    """All draws in one pose: positions and normals (V, 3), triangles (T, 3).
 
+    errors holds, for the draws that were looked at, errors (2, V) and where they count (V,).
+    """
+
+    posed: list[PosedDraw]
     positions: Float64Array
     triangles: IntArray
     starts: IntArray
-    errors: list[Float64Array]
-    counts: list[BoolArray]
     normals: Float64Array
+    errors: dict[int, tuple[Float64Array, BoolArray]]
 
 
 class _Search:
@@ -225,29 +230,20 @@ class _Search:
         return self.truths[key]
 
     def moment(self, clip: Clip, time: float) -> _Moment:
-        """Measure all draws in one pose."""
-        positions, triangles, errors, counts, starts = [], [], [], [], [0]
-        every_posed = []
-        for number, surface in enumerate(self.surfaces):
-            posed = posed_draw(self.document, surface.draw, clip, np.array([time]))
-            every_posed.append(posed)
-            positions.append(np.concatenate([part[0] for part in posed_positions(surface.draw, posed)]))
+        """Pose all draws. Errors are measured when a draw is looked at."""
+        positions, triangles, starts, posed = [], [], [0], []
+        for surface in self.surfaces:
+            posed.append(posed_draw(self.document, surface.draw, clip, np.array([time])))
+            positions.append(np.concatenate([part[0] for part in posed_positions(surface.draw, posed[-1])]))
             triangles.append(surface.triangles + starts[-1])
             starts.append(starts[-1] + len(positions[-1]))
-            improved = "corrected" if posed.corrections else "accurate"
-            known = lighting_errors_of([surface.draw], [posed], Truth.TANGENTS, [self._truths(number, posed)])
-            both = [np.concatenate([one[name][0, 0] for one in known]) for name in ("standard", improved)]
-            sound = np.concatenate([one["standard"][1, 0] > 0 for one in known])
-            errors.append(np.array(both, np.float64))
-            counts.append(sound & (errors[-1] < INSIDE_OUT).all(axis=0))
         # What hangs on the character may hide some of it.
         places, at = (
             [one.places + start for one, start in zip(self.surfaces, starts, strict=False)],
             starts[-1],
         )
         for one in self.rigid:
-            draws = [surface.draw for surface in self.surfaces]
-            held = posed_attachment(self.document, one, draws, every_posed, clip, np.array([time]))
+            held = posed_attachment(self.document, one, clip, np.array([time]))
             positions.append(one.positions(held[0, 0]))
             triangles.append(one.triangles.astype(np.int64) + at)
             places.append(np.arange(at, at + len(positions[-1])))
@@ -264,13 +260,28 @@ class _Search:
             axis=1,
         )
         normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
-        return _Moment(every, corners, np.array(starts), errors, counts, normals)
+        return _Moment(posed, every, corners, np.array(starts), normals, {})
+
+    def errors(self, moment: _Moment, draw: int) -> tuple[Float64Array, BoolArray]:
+        """Return the errors (2, V) of a draw, standard and with the bake, and where they count (V,)."""
+        if draw not in moment.errors:
+            own, posed = self.surfaces[draw].draw, moment.posed[draw]
+            improved = "corrected" if posed.corrections else "accurate"
+            known = lighting_errors_of([own], [posed], Truth.TANGENTS, [self._truths(draw, posed)])
+            errors = np.array(
+                [np.concatenate([one[name][0, 0] for one in known]) for name in ("standard", improved)],
+                np.float64,
+            )
+            sound = np.concatenate([one["standard"][1, 0] > 0 for one in known])
+            moment.errors[draw] = errors, sound & (errors < INSIDE_OUT).all(axis=0)
+        return moment.errors[draw]
 
     def seen(self, clip: Clip, time: float, moment: _Moment, draw: int, members: IntArray) -> Spot | None:
         """Look at a patch. None if nothing of it is visible, or if nothing visible improves."""
         surface = self.surfaces[draw]
-        counted = members[moment.counts[draw][members]]
-        standard, baked = moment.errors[draw][:, counted]
+        errors, counts = self.errors(moment, draw)
+        counted = members[counts[members]]
+        standard, baked = errors[:, counted]
         areas, at = surface.areas[counted], counted + moment.starts[draw]
         gains = areas * (standard - baked)
         pulls = np.maximum(gains, 0.0)
@@ -345,22 +356,59 @@ def _gains(standard: Any, improved: Any, valid: BoolArray) -> Float64Array:
     return np.where(sound, standard.astype(np.float64) - improved, 0.0)
 
 
-def where_it_shows(document: Document, draws: Sequence[Draw], clips: Sequence[Clip]) -> list[Spot]:
+def telling_pose(
+    document: Document,
+    draws: Sequence[Draw],
+    asked: str | None,
+    time: float | None,
+    *,
+    is_close: bool = False,
+) -> tuple[Clip, float, Spot | None]:
+    """Return a clip by its name or number, a time in it in seconds, and for a close-up the best place then.
+
+    Where they are not asked for, the bake shows most there. If it shows nowhere, they are the middle of the
+    first clip. Raises ChoiceError for a clip that does not exist, and for a time outside it. Raises
+    InputError if a close-up has no place, or if the work is too much.
+    """
+    clips, spots = asked_clips(document, asked) or [random_clip(document)], list[Spot]()
+    if time is None or len(clips) > 1:
+        spots = where_it_shows(document, draws, None if asked is None else clips)
+    clip = spots[0].clip if spots else clips[0]
+    if time is None:
+        time = spots[0].time if spots else (clip.start + clip.duration) / 2
+    elif not clip.start <= time <= clip.duration:
+        reason = f': clip "{printable(clip.name)}" goes from {clip.start:g} to {clip.duration:g} s'
+        raise ChoiceError("time", time, reason=(reason,))
+    elif is_close:
+        spots = where_it_shows(document, draws, [replace(clip, start=time, duration=time)])
+    if is_close and not spots:
+        raise InputError("no clip has a place where the bake shows: leave out --closeup", document.place)
+    return clip, time, spots[0] if is_close else None
+
+
+def where_it_shows(
+    document: Document, draws: Sequence[Draw], asked: Sequence[Clip] | None = None
+) -> list[Spot]:
     """Return what a bake improves most, the best first: at most ``LISTED`` patches that do not overlap.
 
-    Clips that stand still are left out, unless all do, and so is what has nothing to correct. Raises
-    InputError if the work is too much.
+    If no clips are asked for, they are all that do not stand still, or random poses if all do. What has
+    nothing to correct is left out. Raises InputError if the work is too much.
     """
     search = _Search(document, draws)
-    if not search.size > 0 or not np.isfinite(search.size) or not clips:
+    if not search.size > 0 or not np.isfinite(search.size):
         return []
+    clips = read_clips(document) if asked is None else asked
     nodes = sum(len(draw.skeleton.nodes) + len(draw.skeleton.joints) for draw in draws)
     affordable = min(MOST_POSES, MOST_SAMPLES // max(search.vertices, 1), MOST_STEPS // nodes)
+    # The rest of the work that the file may ask for is not all for this.
+    affordable = min(affordable, document.budget.steps_left // (4 * nodes) - EACH)
     poses = int(max(PROMISING * 2, affordable))
     some = clips[: poses // 2]
     claim_draws(document, draws, some, EACH)
     document.budget.claim_steps(2 * nodes * poses, "looking for what a bake improves most", document.place)
-    moving = [clip for clip in some if not search.stands_still(clip)] or list(some)
+    moving = list(some)
+    if asked is None:
+        moving = [clip for clip in some if not search.stands_still(clip)] or [random_clip(document)]
     search.patches = [one.patches(one.seeds(search.radius), search.radius) for one in search.surfaces]
     # Sample all clips, then the promising ones more often.
     each = int(np.clip(poses // len(moving), 2, EACH))

@@ -27,7 +27,11 @@ from skinbake.gltf.json_access import (
 from skinbake.wording import counted
 
 PATHS = {"translation": 3, "rotation": 4, "scale": 3}
-MORPH_WEIGHTS = "weights"
+MORPH_WEIGHTS, TURN = "weights", "turn"
+"""A path that is no transform of a node, and one of our own: a rotation after the transform of a node."""
+
+RANDOM, RANDOM_POSES, RANDOM_ANGLE = -1, 8, np.pi / 6
+"""The number of ``random_clip``, its poses, and the largest turn of a joint in radians, as on the page."""
 
 POINTER_EXTENSION = "KHR_animation_pointer"
 POINTER = re.compile("/nodes/(0|[1-9][0-9]{0,8})/(translation|rotation|scale|weights)")
@@ -68,7 +72,7 @@ class Clip:
 
     start and duration are in seconds, from the first key to the last. glTF clips usually begin at 0, but
     exporters also cut clips from a longer take, and these begin later. number is that of the animation in the
-    file.
+    file, or ``RANDOM``.
     """
 
     name: str
@@ -116,6 +120,9 @@ class Skeleton:
         local = poses.composed(*parts)
         for position, matrix in self.matrices.items():
             local[position] = matrix
+        for position, node in enumerate(self.nodes):
+            if (node, TURN) in animated:
+                local[position, :, :3, :3] @= poses.rotation_matrices(animated[node, TURN])
         if turned is not None:
             extra = np.zeros((*turned.shape[:2], 4, 4))
             extra[..., :3, :3] = poses.rotation_matrices(turned)
@@ -134,6 +141,31 @@ def random_poses(skeleton: Skeleton, count: int, *, angle: float, seed: int) -> 
     """Return joint matrices (P, J, 4, 4) with every joint turned at random by up to ``angle`` radians."""
     turned = poses.random_rotations((len(skeleton.joints), count), angle, seed)
     return skeleton.joint_matrices({}, turned, count)
+
+
+def random_clip(document: Document) -> Clip:
+    """Return a clip in which all joints turn from one random pose to the next, from rest to rest.
+
+    A pose lasts a second. The page has the same clip (``randomClip`` in poses.js), by the same numbers.
+    """
+    skins = range(len(document.objects("skins")))
+    joints = list(dict.fromkeys(joint for skin in skins for joint in listed_joints(document, skin)))
+    # Mulberry32: its state grows by a constant, so that all numbers of a sequence are known at once.
+    state = np.arange(1, 3 * RANDOM_POSES * len(joints) + 1, dtype=np.uint32) * np.uint32(0x6D2B79F5)
+    state += np.uint32(1)  # the seed
+    mixed = (state ^ (state >> 15)) * (state | 1)
+    mixed ^= mixed + (mixed ^ (mixed >> 7)) * (mixed | 61)
+    z, around, half = np.moveaxis((mixed ^ (mixed >> 14)).reshape(-1, RANDOM_POSES, 3) / 2.0**32, 2, 0)
+    z, around, half = 2 * z - 1, 2 * np.pi * around, RANDOM_ANGLE * half / 2
+    flat = np.sqrt(1 - z * z) * np.sin(half)
+    turned = np.stack([np.cos(half), flat * np.cos(around), flat * np.sin(around), z * np.sin(half)], axis=2)
+    values = np.tile([1.0, 0.0, 0.0, 0.0], (len(joints), RANDOM_POSES + 2, 1))
+    values[:, 1:-1] = turned.astype(np.float32)  # as the page keeps them
+    times = np.arange(RANDOM_POSES + 2, dtype=np.float64)
+    channels = (
+        Channel(node, TURN, poses.LINEAR, times, own) for node, own in zip(joints, values, strict=True)
+    )
+    return Clip("Random poses", float(times[-1]), tuple(channels), number=RANDOM)
 
 
 def clip_poses(skeleton: Skeleton, clip: Clip, at: Float64Array) -> Float64Array:
@@ -176,7 +208,7 @@ def clip_weights(node: int, clip: Clip, at: Float64Array, resting: Float64Array)
 
 def _at(channel: Channel, at: Float64Array) -> Float64Array:
     return poses.interpolated(
-        channel.times, channel.values, at, method=channel.method, rotation=channel.path == "rotation"
+        channel.times, channel.values, at, method=channel.method, rotation=channel.path in ("rotation", TURN)
     )
 
 

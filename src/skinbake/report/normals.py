@@ -31,9 +31,9 @@ class PosedNormals:
     node : int or None
         The node that draws it, if the mesh has morph targets.
     clip : str or None
-        The name of the clip, None for the random pose of a file without clips.
-    time : float or None
-        The time in the clip, in seconds.
+        The name of the clip, None for random poses.
+    time : float
+        The time in the clip, or in the random poses, in seconds.
     method : str
         ``lbs`` or ``dqs``.
     positions : ndarray (V, 3) float64
@@ -54,7 +54,7 @@ class PosedNormals:
     skin: int
     node: int | None
     clip: str | None
-    time: float | None
+    time: float
     method: Method
     positions: Float64Array
     normals: Mapping[str, Float64Array]
@@ -65,9 +65,10 @@ class PosedNormals:
     @property
     def pose(self) -> str:
         """Return the pose in words."""
-        if self.clip is None:
-            return "a random pose, because it has no clip"
-        return f'clip "{printable(self.clip)}" at {self.time:.9g} s'
+        clip = "random poses (no clip moves it)"
+        if self.clip is not None:
+            clip = f'clip "{printable(self.clip)}"'
+        return f"{clip} at {self.time:.9g} s"
 
     @property
     def numbers(self) -> int:

@@ -3,6 +3,7 @@
 import { composed, determinant, dualQuaternion, product, slerp } from './matrices.js';
 
 const RIGID = 1e-3; // As skinbake has it: a larger deviation of a joint matrix is not a rotation.
+const RANDOM = -1; // A number that no animation of the file has.
 const RANDOM_POSES = 8;
 const RANDOM_ANGLE = Math.PI / 6;
 const UNTURNED = [0, 0, 0, 1];
@@ -64,7 +65,7 @@ function spline(a, out, b, into, s, step, path) {
 }
 
 // A clip in which all joints turn from one random pose to the next, the first and the last being at rest.
-// Its path is `turn`: a rotation after the transform of the node, as skinbake verify has it.
+// Its path is `turn`: a rotation after the transform of the node. `random_clip` in animation.py has the same numbers.
 export function randomClip(model, seed = 1) {
     const random = numbers(seed);
     const joints = [...new Set(model.skins.flatMap((skin) => skin.joints))];
@@ -73,7 +74,7 @@ export function randomClip(model, seed = 1) {
         const keys = [UNTURNED, ...Array.from({ length: RANDOM_POSES }, () => randomRotation(random)), UNTURNED];
         return { node, path: 'turn', times, values: Float32Array.from(keys.flat()), method: 'LINEAR', size: 4 };
     });
-    return { name: 'Random poses', channels, start: 0, end: RANDOM_POSES + 1 };
+    return { number: RANDOM, name: 'Random poses', channels, start: 0, end: RANDOM_POSES + 1 };
 }
 
 function randomRotation(random) {
