@@ -42,7 +42,7 @@ def _draw_on_paper() -> None:
                 for lighting in sides:
                     errors = shot.errors.get(lighting)
                     rest = shot.morphed.get(number, subject.rest)
-                    studio._rows(subject, rest, None if errors is None else errors[number])
+                    studio._rows(subject, rest, None if errors is None else errors[number], lighting)
                 self._scene(subject, shot, look)
             return np.zeros((look.height, look.width, 3), np.uint8)
 

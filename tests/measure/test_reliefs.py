@@ -171,3 +171,24 @@ def test_morph_targets_take_the_relief_along(tmp_path: Path) -> None:
     found = verify(baked(with_map(tmp_path, "morphed_sheet.glb")), "--method", "lbs").file["reliefs"]
     means = {name: found["normals"]["lbs"][name]["mean"] for name in ("standard", "engine_frame", "accurate")}
     assert means["accurate"] < 0.6 * means["engine_frame"] < 0.6 * means["standard"]
+
+
+@pytest.mark.parametrize("frame", ["tangent", "normal"])
+@pytest.mark.parametrize("numbers", [4, 6])
+def test_numbers_of_morph_targets_stretch_the_relief_as_they_stretch_the_surface(
+    tmp_path: Path, numbers: int, frame: str
+) -> None:
+    """By a rule, the frame only turns. Without NORMAL the file's own normals stay behind."""
+    file = Editable(with_map(tmp_path, "morphed_sheet.glb"))
+    for target in file.primitive()["targets"] if numbers == 6 else ():
+        del target["NORMAL"]
+    plain = file.write(tmp_path / "plain.glb")
+    path = tmp_path / "numbers.glb"
+    made = bake_file(plain, path, frame=frame, morph_frames=True)
+    assert made.morphs[0][1].frames == numbers
+    by_numbers, by_rule = (
+        verify(one, "--method", "lbs").file["reliefs"] for one in (path, baked(plain, frame))
+    )
+    assert by_numbers["normals"]["lbs"]["accurate"]["mean"] < 0.1
+    least = 7 if numbers == 6 else 0.5
+    assert by_rule["normals"]["lbs"]["accurate"]["mean"] > least

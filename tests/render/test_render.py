@@ -28,12 +28,13 @@ from skinbake.render.subject import YAW, Camera, Shot, Subject
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.truth.operator import GradientOperator
 from tests.support.baked_files import Editable
-from tests.support.characters import Array, baked
+from tests.support.characters import Array, Character, Pose, baked, by_numbers
 from tests.support.command_line import invoke
 from tests.support.cutting import cut_into_meshes, halved
 from tests.support.gltf_reading import read
 from tests.support.mapped import TEXELS, relief_angles, unfolded, with_relief
 from tests.support.models import edited, sheet, write_model
+from tests.support.morphed_files import morphed
 from tests.support.rasterised import eroded, fragments
 from tests.support.webgpu import NAGA
 
@@ -106,24 +107,43 @@ PACKED = """
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("device")
-@pytest.mark.parametrize(("texel", "frame"), [*zip(TEXELS, ["tangent", "normal"], strict=False)])
+@pytest.mark.parametrize(
+    ("texel", "frame", "numbers"),
+    [
+        (TEXELS[0], "tangent", 0),
+        (TEXELS[1], "normal", 0),
+        (TEXELS[1], "tangent", 4),
+        (TEXELS[0], "tangent", 6),
+        (TEXELS[1], "normal", 6),
+    ],
+)
 def test_pixels_of_a_relief_are_those_of_the_replay(
     tmp_path: Path,
     cameras: list[Camera],
     monkeypatch: pytest.MonkeyPatch,
     texel: tuple[int, ...],
     frame: str,
+    numbers: int,
 ) -> None:
+    """With morph targets too, whose numbers move the frame."""
     scene, end = studio.SCENE.read_text(encoding="utf-8"), "    return vec4<f32>(color * alpha, alpha);\n}\n"
     assert scene.endswith(end)
     (tmp_path / "scene.wgsl").write_text(scene.removesuffix(end) + PACKED, encoding="utf-8")
     monkeypatch.setattr(studio, "SCENE", tmp_path / "scene.wgsl")
     monkeypatch.setattr(studio, "SUPERSAMPLING", 1)
-    path = baked(with_relief(tmp_path, texel), tmp_path, frame)
-    red, green, blue = np.moveaxis(drawn(path, tmp_path / "picture.png", "--time", "0.45"), 2, 0).astype(int)
+    pose, plain = Pose(0, 0.45), with_relief(tmp_path, texel)
+    if numbers:
+        weights = (0.9, -0.7)
+        source = morphed(plain, tmp_path / "morphed.glb", weights=[*weights])
+        character, *_ = by_numbers(source, tmp_path, numbers, frame, weights, pose)
+    else:
+        character = Character(baked(plain, tmp_path, frame), pose)
+    red, green, blue = np.moveaxis(
+        drawn(character.path, tmp_path / "picture.png", "--time", "0.45"), 2, 0
+    ).astype(int)
     high = np.stack([(red << 4) | (green >> 4), ((green & 15) << 8) | blue], axis=-1) / 4095 * 2 - 1
     matrix = cameras[0].projected(YAW, SIZE[0] / SIZE[1])
-    apart = relief_angles(path, 0.45, Algorithm.LBS_ACCURATE, texel, matrix, unfolded(high))
+    apart = relief_angles(character, Algorithm.LBS_ACCURATE, texel, matrix, unfolded(high))
     assert len(apart) > 1_000
     assert np.percentile(apart, 99) < 0.2  # degrees
 

@@ -91,7 +91,8 @@ def stored_and_morphed(language: Language) -> list[ShaderChoices]:
         moved = [Morphs.FRAMES, Morphs.FRAMES_NORMAL]
         found += [replace(base, **storage) for storage in STORED]
         found += [replace(base, morphs=kind) for kind in (*morphs, *moved)]
-        found += [replace(base, morphs=kind, normal_map=True) for kind in morphs if influences == 4]
+        mapped = [replace(base, morphs=kind, normal_map=True) for kind in (*morphs, *moved)]
+        found += mapped if influences == 4 else []
         found += [replace(base, **storage, morphs=morphs[-1]) for storage in STORED[1:4:2]]
     return found
 

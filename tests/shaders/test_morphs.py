@@ -314,6 +314,16 @@ def numbers_of(points: analytic.Sample, rest: RestPrimitive, shape: analytic.Sur
     return [Differences.of(in_plane), Differences.of(np.stack([t[:, 2], b[:, 2]], axis=1))]
 
 
+def target_of(points: analytic.Sample, rest: RestPrimitive, morphs: Morphs) -> MorphTargets:
+    """Return one target, with what a frame follows."""
+    target = morphing.target(points, morphing.mixture, tangents=morphs is Morphs.TANGENT)
+    if not morphs.moves_frame:
+        return target
+    in_plane, upward = numbers_of(points, rest, morphing.morphed_surface(morphing.mixture, 1.0))
+    one = replace(target.targets[0], in_plane=in_plane, upward=upward)
+    return MorphTargets((one,), numbers=6 if morphs is Morphs.FRAMES else 4)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("frame", "morphs"), KINDS)
 @pytest.mark.parametrize("lighting", [Lighting.DIRECT, Lighting.ACCURATE])
@@ -323,33 +333,13 @@ def test_a_morphed_and_skinned_vertex_is_the_float32_replay_s(
 ) -> None:
     """From p + Δp, n + Δn, t + Δt to the skinned normal: the call that the header shows."""
     rest, points = surface_at(frame)
-    target = morphing.target(points, morphing.mixture, tangents=morphs is Morphs.TANGENT)
-    if morphs.moves_frame:
-        shape = morphing.morphed_surface(morphing.mixture, 1.0)
-        in_plane, upward = numbers_of(points, rest, shape)
-        one = replace(target.targets[0], in_plane=in_plane, upward=upward)
-        target = MorphTargets((one,), numbers=6 if morphs is Morphs.FRAMES else 4)
-    weights = np.array([0.7])
+    target, weights = target_of(points, rest, morphs), np.array([0.7])
     matrices = analytic.joint_matrices("medium")
     algorithm = Algorithm(ALGORITHMS[Method.LBS, lighting])
     moved = morphed(rest, target, weights, dtype=np.float32)
     expected = replay(algorithm, moved, matrices[None], dtype=np.float32)
     text = shader_text(choices(language, frame, morphs, lighting=lighting))
-    count = len(rest.positions)
-    sums = [target.summed(kind, weights, count) for kind in ("positions", "normals", "tangents")]
-    numbers = [target.summed("in_plane", weights, count), target.summed("upward", weights, count)]
-    added = [
-        array + by for array, by in zip((rest.positions, rest.normals, rest.tangents), sums, strict=True)
-    ]
-    joints = matrices[rest.joints].transpose(0, 1, 3, 2).reshape(count, 12, 4)
-    rows = np.concatenate(
-        [
-            padded(rest.normals, np.pad(rest.tangents, ((0, 0), (0, 1)), constant_values=1.0), *added),
-            padded(rest.weights, rest.alpha, rest.beta, *numbers),
-            joints.astype(np.float32),
-        ],
-        axis=1,
-    )
+    rows = rows_of(rest, rest.tangents, target, weights, matrices)
     found = run(language, text, call_of(language, text), rows, tmp_path)
     for place, name in enumerate(("positions", "normals", "tangents", "bitangents")):
         # float32 in another order: sums of a dozen terms, each up to 5 times as large as the result.
@@ -359,10 +349,81 @@ def test_a_morphed_and_skinned_vertex_is_the_float32_replay_s(
         assert (np.abs(got - values) <= 2e-5 * np.maximum(scale, 1.0)).all(), name
 
 
+TEXEL = (0.36, -0.48, 0.8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("frame", "morphs"), KINDS)
+@pytest.mark.parametrize("language", Language)
+def test_a_normal_map_follows_morph_targets_as_a_relief_does(
+    language: Language, frame: Frame, morphs: Morphs, tmp_path: Path
+) -> None:
+    """The texel is a covector of the map whose columns are the images of unit t0 and b0, and T n."""
+    rest, points = surface_at(frame)
+    target, weights = target_of(points, rest, morphs), np.array([0.7])
+    matrices = analytic.joint_matrices("medium")
+    moved = morphed(rest, target, weights, dtype=np.float32)
+    posed, carried = (
+        replay(algorithm, moved, matrices[None])
+        for algorithm in (Algorithm.LBS_ACCURATE, Algorithm.LBS_STANDARD)
+    )
+    # A morphed TANGENT has the length of a sum, which is no stretch.
+    known = (moved if morphs is Morphs.TANGENT else rest).tangents
+    size = np.linalg.norm(known, axis=1)[:, None]
+    columns = np.stack([posed.tangents[0] / size, posed.bitangents[0] / size, carried.normals[0]], axis=2)
+    # The texture follows TANGENT, which in the normal frame is at an angle of its own to t0.
+    t = (
+        rest.tangents
+        if frame == Frame.TANGENT
+        else rest.tangents + 0.6 * rest.bitangents + 0.1 * rest.normals
+    )
+    t0, b0, n0 = (
+        v / np.linalg.norm(v, axis=1)[:, None] for v in (rest.tangents, rest.bitangents, rest.normals)
+    )
+    along = t / np.linalg.norm(t, axis=1)[:, None]
+    across = np.cross(n0, along) / np.linalg.norm(np.cross(n0, along), axis=1)[:, None]
+    drawn = TEXEL[0] * along + TEXEL[1] * across + TEXEL[2] * n0
+    parts = np.stack([(drawn * v).sum(axis=1) for v in (t0, b0, n0)], axis=1)
+    inverse = np.linalg.inv(columns).swapaxes(1, 2)
+    wanted = np.einsum("vij,vj->vi", inverse, parts)
+    wanted *= (np.linalg.det(columns) * size[:, 0] ** 2)[:, None]
+    text = shader_text(choices(language, frame, morphs, normal_map=True))
+    found = run(
+        language, text, call_of(language, text), rows_of(rest, t, target, weights, matrices), tmp_path
+    )[:, 4, :3]
+    scale = np.linalg.norm(wanted, axis=1, keepdims=True)
+    assert (np.abs(found - wanted) <= 5e-5 * np.maximum(scale, 1.0)).all()
+
+
+def rows_of(
+    rest: RestPrimitive,
+    tangents: npt.NDArray[Any],
+    target: MorphTargets,
+    weights: npt.NDArray[Any],
+    matrices: npt.NDArray[Any],
+) -> Float32Array:
+    """Return what ``call_of`` reads: attributes, sums over targets, and joints. tangents (V, 3): TANGENT."""
+    count = len(rest.positions)
+    sums = [target.summed(kind, weights, count) for kind in ("positions", "normals", "tangents")]
+    numbers = [target.summed("in_plane", weights, count), target.summed("upward", weights, count)]
+    added = [
+        array + by for array, by in zip((rest.positions, rest.normals, rest.tangents), sums, strict=True)
+    ]
+    joints = matrices[rest.joints].transpose(0, 1, 3, 2).reshape(count, 12, 4)
+    return np.concatenate(
+        [
+            padded(rest.normals, np.pad(tangents, ((0, 0), (0, 1)), constant_values=1.0), *added),
+            padded(rest.weights, rest.alpha, rest.beta, *numbers),
+            joints.astype(np.float32),
+        ],
+        axis=1,
+    )
+
+
 def call_of(language: Language, text: str) -> str:
     """Return the code of the header's usage, between reading its names and writing its result."""
     lines = [line for line in usage(text) if not line.startswith("//")]
-    assert len(lines) in ((3, 5) if language is Language.HLSL else (3,))
+    assert len(lines) - ("map" in lines[-1]) in ((3, 5) if language is Language.HLSL else (3,))
     if language is Language.WGSL:
         before = (
             "let normal = row[0].xyz; let tangent = row[1]; let morphed_position = row[2].xyz;"
@@ -394,6 +455,10 @@ def call_of(language: Language, text: str) -> str:
         f"OUT[{place}] = {vector}(v.{name}, 0.0);"
         for place, name in enumerate(("position", "normal", "tangent", "bitangent"))
     )
+    if "map" in lines[-1]:
+        given = "map.normal, map.cotangent, map.cobitangent"
+        texel = f"{vector.replace('4', '3')}{TEXEL}"
+        after += f"OUT[4] = {vector}(length(v.normal) * skinbake_mapped_normal({texel}, {given}), 0.0);"
     return "\n".join([before, *lines, after])
 
 
@@ -470,9 +535,7 @@ def test_a_file_with_numbers_of_the_differential_is_read_by_them(tmp_path: Path)
     assert for_file(four).morphs is Morphs.FRAMES_NORMAL
     assert "_SKINBAKE_MORPH of the targets" in shader(ShaderRequest(language=Language.GLSL), str(four)).text
     assert for_file(four, morphs=Morphs.NORMAL).morphs is Morphs.NORMAL
-    assert for_file(four, normal_map=True).morphs is Morphs.NORMAL
+    assert for_file(four, normal_map=True).morphs is Morphs.FRAMES_NORMAL
     assert for_file(four, target="bevy", language=Language.WGSL).morphs is Morphs.NORMAL
     with pytest.raises(ChoiceError, match="no place for the numbers"):
         for_file(four, target="bevy", language=Language.WGSL, morphs=Morphs.FRAMES_NORMAL)
-    with pytest.raises(ChoiceError, match="contradicts normal_map"):
-        ShaderChoices(Language.GLSL, morphs=Morphs.FRAMES, normal_map=True)

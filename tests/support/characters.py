@@ -209,20 +209,25 @@ def baked(source: Path, folder: Path, frame: str = "auto", storage: GradientForm
 
 
 def by_numbers(
-    source: Path, folder: Path, numbers: int, frame: str, weights: tuple[float, float] = (0.7, -0.4)
+    source: Path,
+    folder: Path,
+    numbers: int,
+    frame: str,
+    weights: tuple[float, float] = (0.7, -0.4),
+    pose: Pose | None = None,
 ) -> tuple[Character, Character, npt.NDArray[np.bool_]]:
-    """Bake a file of two targets with so many numbers of the differential, and morph it.
+    """Bake a file of two targets with so many numbers of the differential, and morph it, in any pose.
 
     Return the character with the frame that docs/reference/frame.md says, the same by NORMAL, and (V,) where
     the frame turns little enough for four numbers.
     """
-    file = Editable(source)
+    file, pose = Editable(source), pose or Pose(clip=None)
     for one in file.primitive()["targets"] if numbers == 6 else ():
         del one["NORMAL"]
     path = folder / f"numbers-{numbers}-{frame}.glb"
     made = bake_file(file.write(path), path, frame=frame, morph_frames=True)
     assert made.morphs[0][1].frames == numbers
-    plain, character = (Character(path, Pose(clip=None), morphs) for morphs in ((), weights))
+    plain, character = (Character(path, pose, morphs) for morphs in ((), weights))
     read = gltf_reading.read(path)
 
     def total(name: str) -> Array:
@@ -243,7 +248,7 @@ def by_numbers(
         t, b = (v - n0 * np.einsum("vi,vi->v", v, n)[:, None] / cosine for v in (t, b))
         clear = np.abs(cosine[:, 0]) > 0.25
     assert clear.mean() > 0.5
-    by_rule = Character(path, Pose(clip=None), weights)
+    by_rule = Character(path, pose, weights)
     character.rest = replace(character.rest, tangents=t, bitangents=b, normals=n)
     return character, by_rule, clear
 

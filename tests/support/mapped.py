@@ -16,7 +16,7 @@ from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import PosedVertex
 from skinbake.skinning.normal_maps import engine_mapped_normal, in_frame, mapped_normal
 from tests.support.baked_files import Editable
-from tests.support.characters import Array, Character, Placement, Pose, angles, unit
+from tests.support.characters import Array, Character, Placement, angles, unit
 from tests.support.rasterised import covering, eroded
 from tests.support.replay import replay
 
@@ -170,14 +170,13 @@ def unfolded(high: Array) -> Array:
 
 
 def relief_angles(
-    path: Path, time: float, algorithm: Algorithm, texel: tuple[int, ...], matrix: Array, drawn: Array
+    character: Character, algorithm: Algorithm, texel: tuple[int, ...], matrix: Array, drawn: Array
 ) -> Array:
     """Return the angles in degrees of normals (H, W, 3) that were drawn to those of the replay, (P,).
 
     matrix (4, 4) leads to the screen. Pixels beside edges are left out: samples of both sides mix there.
     """
     height, width = drawn.shape[:2]
-    character = Character(path, Pose(0, time))
     points = character.positions(Placement(), algorithm)
     clip = np.insert(points, 3, 1, axis=1) @ matrix.T
     places = (clip[:, :3] / clip[:, 3:] * [1, -1, 1] * 0.5 + 0.5) * [width, height, 1]

@@ -11,8 +11,9 @@ import pytest
 from fixtures.make_fixtures import FOLDER
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser
-from tests.support.characters import Array, baked
+from tests.support.characters import Array, Character, Pose, baked, by_numbers
 from tests.support.mapped import TEXELS, relief_angles, unfolded, with_relief
+from tests.support.morphed_files import morphed
 from tests.support.rasterised import Fragments, eroded, fragments
 from tests.view.pages import picture, shown
 
@@ -135,7 +136,24 @@ def test_pixels_of_a_relief_are_those_of_the_replay(
     tmp_path: Path, lighting: str, algorithm: int, frame: str
 ) -> None:
     path = baked(with_relief(tmp_path, TEXELS[1]), tmp_path, frame)
-    with shown(path) as page:
+    apart = pixels_apart(Character(path, Pose(0, TIME)), lighting, Algorithm(algorithm))
+    assert np.percentile(apart, 99) < RELIEF_DEGREES
+
+
+@pytest.mark.parametrize(("numbers", "frame"), [(4, "tangent"), (6, "tangent"), (6, "normal")])
+def test_pixels_of_a_relief_follow_the_numbers_of_morph_targets(
+    tmp_path: Path, numbers: int, frame: str
+) -> None:
+    weights = (0.9, -0.7)
+    source = morphed(with_relief(tmp_path, TEXELS[1]), tmp_path / "morphed.glb", weights=[*weights])
+    character, *_ = by_numbers(source, tmp_path, numbers, frame, weights, Pose(0, TIME))
+    apart = pixels_apart(character, "rig", Algorithm.LBS_ACCURATE)
+    assert np.percentile(apart, 99) < RELIEF_DEGREES
+
+
+def pixels_apart(character: Character, lighting: str, algorithm: Algorithm) -> Array:
+    """Return the angles between the mapped normals of the page's pixels and the replay's, in degrees."""
+    with shown(character.path) as page:
         page.show_as(900, 640, "light")
         page.call(
             """(async (time, lighting) => {
@@ -161,9 +179,9 @@ def test_pixels_of_a_relief_are_those_of_the_replay(
         )
     high = (256 * found[..., ::2] + found[..., 1::2]) / 65535 * 2 - 1
     screen = np.array(matrix).reshape(4, 4).T
-    apart = relief_angles(path, TIME, Algorithm(algorithm), TEXELS[1], screen, unfolded(high))
+    apart = relief_angles(character, algorithm, TEXELS[1], screen, unfolded(high))
     assert len(apart) > 4_000
-    assert np.percentile(apart, 99) < RELIEF_DEGREES
+    return apart
 
 
 RELIEF_DEGREES = 0.2

@@ -166,7 +166,7 @@ def _choices_of_file(
     choices, others = _with_names(document, serving, choices)
     if request.morphs is None:
         # Only the plain text leaves it to its user where the numbers of a differential come from.
-        numbers = choices.target == "plain" and not choices.normal_map
+        numbers = choices.target == "plain"
         choices = replace(choices, morphs=carrier(document, serving, numbers=numbers))
     choices = _with_joints(document, serving, choices)
     others += [notice for view in serving for notice in weight_sum_notices(view.now, view.source.place)]

@@ -35,13 +35,25 @@ class Morphing:
     kept: dict[int, tuple[Sequence[RestPrimitive], Truths]] | None = None
 
     def primitives(self, primitives: Sequence[RestPrimitive], pose: int) -> list[RestPrimitive]:
-        """Return the primitives as they are in one pose, before skinning."""
+        """Return the primitives as they are in one pose, before skinning, with the normals of engines."""
+        return self.lit(self.moved(primitives, pose), primitives, pose)
+
+    def moved(self, primitives: Sequence[RestPrimitive], pose: int) -> list[RestPrimitive]:
+        """Return the primitives in one pose, before skinning, with the normals of their own frames."""
         weights = self.weights[pose]
         return [
-            primitive
-            if targets is None
-            else as_engines_light(morphed(primitive, targets, weights), primitive, targets, weights)
+            primitive if targets is None else morphed(primitive, targets, weights)
             for primitive, targets in zip(primitives, self.targets, strict=True)
+        ]
+
+    def lit(
+        self, moved: Sequence[RestPrimitive], primitives: Sequence[RestPrimitive], pose: int
+    ) -> list[RestPrimitive]:
+        """Return moved primitives with the normals that engines give them. primitives are those at rest."""
+        weights = self.weights[pose]
+        return [
+            one if targets is None else as_engines_light(one, rest, targets, weights)
+            for one, rest, targets in zip(moved, primitives, self.targets, strict=True)
         ]
 
     def posed(
@@ -56,10 +68,10 @@ class Morphing:
         kept = {} if self.kept is None else self.kept
         if pose not in kept:
             moved = self.primitives(primitives, pose)
-            kept[pose] = moved, truths.moved(self._as_true(moved, truths))
+            kept[pose] = moved, truths.moved(self.as_true(moved, truths))
         return kept[pose]
 
-    def _as_true(self, moved: Sequence[RestPrimitive], truths: Truths) -> Sequence[RestPrimitive]:
+    def as_true(self, moved: Sequence[RestPrimitive], truths: Truths) -> Sequence[RestPrimitive]:
         """Return the primitives of a pose with the normals that are true before skinning."""
         if all(self.authored):
             return moved

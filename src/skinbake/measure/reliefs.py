@@ -3,7 +3,10 @@
 The relief tilts the normal of each vertex by RELIEF_TILT in a direction of its own. Its truth is the relief
 displaced along n0 and skinned with the mesh. So it is carried by the cofactors of a map whose columns are F t
 and F b, the true images of the tangents (``truth.normals``, along tangents), and a third one: what skinning
-does to n0. Two things can stand for it. T n0 is what skinning does to a displacement. It is the same vector
+does to n0. Morph targets come first: they take t and b to their true images on the moved surface, and n0 to
+the true normal there.
+
+Two things can stand for the third column. T n0 is what skinning does to a displacement. It is the same vector
 that accurate lighting uses, so a fault of it would not show. The other one is F n0 of the truth itself, which
 grows by the root of the change of area, and knows nothing of T. Figures are made with both.
 """
@@ -19,6 +22,7 @@ import numpy as np
 from skinbake.choices import Baseline
 from skinbake.errors import Place
 from skinbake.freshness.baked_views import BakedView
+from skinbake.geometry.morphs import carried_by_normal
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import listed, object_of
@@ -102,15 +106,14 @@ class ReliefTallies:
         size = 1 if morphing is not None else size
         for start in range(0, len(chosen), size):
             poses = chosen[start : start + size]
-            primitives = draw.rest if morphing is None else morphing.primitives(draw.rest, int(poses[0]))
-            posed = _PosedRelief.of(method, primitives, draw.poses.joint_matrices[poses], self._options)
-            moved = _joined(primitives, "positions").T[:, :, None]
+            rests = _Rests.of(draw.rest, truths, morphing, int(poses[0]))
+            posed = _PosedRelief.of(method, rests, draw.poses.joint_matrices[poses], self._options)
             for block in truths.vertex_blocks:
                 if block.primitive not in mapped:
                     continue
                 view, areas = draw.views[block.primitive], draw.areas[block.primitive][block.rows]
                 texel = _texels(view, draw.rest[block.primitive], block.rows)
-                for kind, lighting, errors, valid in posed.errors(truths, block, moved, texel):
+                for kind, lighting, errors, valid in posed.errors(truths, block, texel):
                     tallies = self._tallies.setdefault((kind, method, lighting), {})
                     counted = kernel.count_errors(errors, areas, valid)
                     for key in (None, view.source.place):
@@ -180,71 +183,93 @@ def _texels(view: BakedView, rest: RestPrimitive, rows: slice) -> _Texel:
 
 
 @dataclass(frozen=True, slots=True)
-class _PosedRelief:
-    """The primitives of a draw in some poses of a method: positions (3, V, P), and what skins each of them.
+class _Rests:
+    """The primitives of a draw before skinning: at rest, and under the morph targets of a pose.
 
-    standard has the normals of the baseline, plain T n0. sides (P, V) are those of ``sides_of``.
+    moved have the normals of their own frames, lit those of engines, true the true ones.
     """
 
-    method: str
-    rest: Sequence[RestPrimitive]
-    positions: Float64Array
-    plain: Sequence[Skinning]
-    standard: Sequence[Skinning]
-    sides: Float64Array | None
+    still: Sequence[RestPrimitive]
+    moved: Sequence[RestPrimitive]
+    lit: Sequence[RestPrimitive]
+    true: Sequence[RestPrimitive]
 
     @classmethod
     def of(
-        cls,
-        method: str,
-        primitives: Sequence[RestPrimitive],
-        joint_matrices: Float64Array,
-        options: Options,
-    ) -> _PosedRelief:
+        cls, still: Sequence[RestPrimitive], truths: Truths, morphing: Morphing | None, pose: int
+    ) -> _Rests:
+        """Move primitives by the targets of a pose. truths are those at rest."""
+        moved = lit = true = still
+        if morphing is not None:
+            moved = morphing.moved(still, pose)
+            lit, true = morphing.lit(moved, still, pose), morphing.as_true(moved, truths)
+        return cls(still, moved, lit, true)
+
+
+@dataclass(frozen=True, slots=True)
+class _PosedRelief:
+    """The primitives of a draw in some poses of a method: positions (3, V, P), and what skins each of them.
+
+    standard has the normals of the baseline, plain T n, true T n of the true normals before skinning.
+    sides (P, V) are those of ``sides_of``.
+    """
+
+    method: str
+    rests: _Rests
+    positions: Float64Array
+    plain: Sequence[Skinning]
+    standard: Sequence[Skinning]
+    true: Sequence[Skinning]
+    sides: Float64Array | None
+
+    @classmethod
+    def of(cls, method: str, rests: _Rests, joint_matrices: Float64Array, options: Options) -> _PosedRelief:
         """Skin the primitives (V vertices in all) by joint matrices (P, J, 4, 4)."""
         mapped = replace(options, baseline=Baseline.BLENDED, normal_map=True)
         of_baseline = replace(mapped, baseline=options.baseline)
         is_dual = method == "dqs"
 
-        def skinned(by: Options) -> list[Skinning]:
+        def skinned(primitives: Sequence[RestPrimitive], by: Options) -> list[Skinning]:
             if is_dual:
                 return Skinning.of_mesh(primitives, joint_matrices, by)
             return [
                 Skinning.of(rest, joint_matrices, dual_quaternions=False, options=by) for rest in primitives
             ]
 
-        plain = skinned(mapped)
-        whole, count = slice(0, len(joint_matrices)), sum(len(rest.positions) for rest in primitives)
+        plain = skinned(rests.moved, mapped)
+        whole, count = slice(0, len(joint_matrices)), sum(len(rest.positions) for rest in rests.moved)
         positions = np.empty((3, count, len(joint_matrices)))
         row = 0
-        for rest, skinning in zip(primitives, plain, strict=True):
+        for rest, skinning in zip(rests.moved, plain, strict=True):
             part = slice(0, len(rest.positions))
             if is_dual:
                 dqs_positions(skinning, whole, part, positions, row)
             else:
                 BlendedPrimitive(rest, joint_matrices, options).put_positions(whole, part, positions, row)
             row += len(rest.positions)
-        standard = plain if options.baseline is Baseline.BLENDED else skinned(of_baseline)
-        return cls(method, primitives, positions, plain, standard, sides_of(primitives, joint_matrices))
+        is_plain = options.baseline is Baseline.BLENDED and rests.lit is rests.moved
+        return cls(
+            method,
+            rests,
+            positions,
+            plain,
+            plain if is_plain else skinned(rests.lit, of_baseline),
+            plain if rests.true is rests.moved else skinned(rests.true, mapped),
+            sides_of(rests.moved, joint_matrices),
+        )
 
     def errors(
-        self, truths: Truths, block: VertexBlock, moved: Float64Array, at: _Texel
+        self, truths: Truths, block: VertexBlock, at: _Texel
     ) -> Iterator[tuple[str, str, FloatArray, BoolArray]]:
-        """Yield kind of third column, lighting, errors (P, B) in degrees, and where they are valid.
-
-        moved (3, V, 1) are the positions before skinning.
-        """
-        rest = self.rest[block.primitive].rows(block.rows)
-        t0, b0, n0 = (tuple(v.T.astype(np.float64)) for v in (rest.tangents, rest.bitangents, rest.normals))
-        hand, whole = rest.handedness(), slice(0, self.positions.shape[2])
-        skinning = self.plain[block.primitive]
+        """Yield kind of third column, lighting, errors (P, B) in degrees, and where they are valid."""
+        rests, number, whole = self.rests, block.primitive, slice(0, self.positions.shape[2])
+        skinning = self.plain[number]
         standard = STANDARD[self.method]
         algorithms = ALGORITHMS[self.method]
         plain, *accurate = skinning.run((standard, *algorithms.values()), whole, block.rows)
         scale = skinning.motions.scale
         times = 1.0 if scale is None else scale[:, None]
-        length = times * np.sqrt(dot(t0, t0))
-        carried = scaled(times, plain.normal)
+        length = times * rests.moved[number].rows(block.rows).tangent_lengths()
         side = 1.0 if self.sides is None else self.sides[:, block.part]
         # The standard frame has T t of TANGENT, the accurate one its image under the differential.
         found = {"standard": self._standard(block, plain, standard, length, at)}
@@ -254,11 +279,25 @@ class _PosedRelief:
         outside = scaled(side, posed.normal)
         found["engine_frame"] = engine_mapped_normal(outside, tangent, at.handedness, at.texel)
 
+        # What morph targets make of unit t0 and b0, turned onto the true normal before skinning.
+        rest = rests.still[number].rows(block.rows)
+        unit: list[FloatArray] = [
+            _unit(vectors) for vectors in (rest.tangents, rest.bitangents, rest.normals)
+        ]
         along = truths.frames.derivatives[block.number]
-        before = [_derivative(rows, moved) for rows in along]
-        after = [_derivative(rows, self.positions) for rows in along]
-        (images, third), valid = _images(before, after, (t0, b0, n0), side)
-        for kind, column in zip(THIRDS, (carried, third), strict=True):
+        states = [_joined(primitives, "positions").T[:, :, None] for primitives in (rests.still, rests.moved)]
+        before, moved, after = (
+            [_derivative(rows, positions) for rows in along] for positions in (*states, self.positions)
+        )
+        valid: BoolArray | bool = True
+        if rests.moved is not rests.still:
+            images, third, valid = _images(before, moved, [tuple(one.T) for one in unit], 1.0)
+            normals = rests.true[number].normals[block.rows].astype(np.float64)
+            surface, *turned = (np.stack([part[0] for part in one], axis=1) for one in (third, *images))
+            unit = [*carried_by_normal(_unit(surface), turned, normals), normals]
+        images, third, known = _images(moved, after, [tuple(one.T) for one in unit], side)
+        (true,) = self.true[number].run((standard,), whole, block.rows)
+        for kind, column in zip(THIRDS, (scaled(times, true.normal), third), strict=True):
             wanted = plus_scaled(
                 plus_scaled(
                     scaled(at.drawn[0], cross(images[1], column)), at.drawn[1], cross(column, images[0])
@@ -266,12 +305,12 @@ class _PosedRelief:
                 at.drawn[2],
                 cross(*images),
             )
-            wanted = scaled(side * hand, wanted)
-            exists = valid & np.isfinite(wanted[0]) & (dot(wanted, wanted) > 0)
-            for lighting, normals in found.items():
-                across = cross(normals, wanted)
-                angles = np.degrees(np.arctan2(np.sqrt(dot(across, across)), dot(normals, wanted)))
-                angles[dot(normals, normals) == 0] = np.nan
+            wanted = scaled(side * rest.handedness(), wanted)
+            exists = valid & known & np.isfinite(wanted[0]) & (dot(wanted, wanted) > 0)
+            for lighting, shown in found.items():
+                across = cross(shown, wanted)
+                angles = np.degrees(np.arctan2(np.sqrt(dot(across, across)), dot(shown, wanted)))
+                angles[dot(shown, shown) == 0] = np.nan
                 yield kind, lighting, angles.astype(np.float32), exists
 
     def _standard(
@@ -304,15 +343,12 @@ def _derivative(rows: SparseRows, positions: Float64Array) -> Vector:
 
 
 def _images(
-    before: Sequence[Vector],
-    after: Sequence[Vector],
-    frame: tuple[Vector, Vector, Vector],
-    side: FloatArray | float,
-) -> tuple[tuple[tuple[Vector, Vector], Vector], BoolArray]:
-    """Return F t and F b of unit tangents, F n0, all components (P, B), and where F is known.
+    before: Sequence[Vector], after: Sequence[Vector], frame: Sequence[Vector], side: FloatArray | float
+) -> tuple[tuple[Vector, Vector], Vector, BoolArray]:
+    """Return F t and F b, F n, all components (P, B), and where F is known, for frame (t, b, n).
 
-    F maps the frame (a, b, ĉ) before skinning, c = a × b, onto (a', b', ĉ') after it, where ĉ' is as long as
-    the root of the change of area. frame is (t0, b0, n0) of any lengths.
+    F maps the frame (a, b, ĉ) before, c = a × b, onto (a', b', ĉ') after, where ĉ' is as long as the root of
+    the change of area.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what is not finite is not valid
         (a0, b0), (a, b) = before, after
@@ -321,13 +357,19 @@ def _images(
         m = scaled(side / np.sqrt(area * area0), c)
         images = []
         for vector in frame:
-            unit = scaled(1.0 / np.sqrt(dot(vector, vector)), vector)
-            up = dot(unit, c0) / area0
-            by_a, by_b = dot(cross(b0, c0), unit) / area0**2, dot(cross(c0, a0), unit) / area0**2
+            up = dot(vector, c0) / area0
+            by_a, by_b = dot(cross(b0, c0), vector) / area0**2, dot(cross(c0, a0), vector) / area0**2
             images.append(plus_scaled(plus_scaled(scaled(by_a, a), by_b, b), up, m))
         valid = (area > FLAT_FRAME * np.sqrt(dot(a, a) * dot(b, b))) & np.isfinite(images[0][0])
         valid &= area0 > FLAT_FRAME * np.sqrt(dot(a0, a0) * dot(b0, b0))
-    return ((images[0], images[1]), images[2]), valid
+    return (images[0], images[1]), images[2], valid
+
+
+def _unit(vectors: FloatArray) -> Float64Array:
+    """Return vectors (B, 3) at length 1."""
+    with np.errstate(invalid="ignore", divide="ignore"):  # what is not finite is not valid
+        found: Float64Array = vectors / np.linalg.norm(vectors.astype(np.float64), axis=1, keepdims=True)
+    return found
 
 
 def _joined(primitives: Sequence[RestPrimitive], name: str) -> Float64Array:

@@ -41,7 +41,9 @@ fn vertex(@builtin(vertex_index) index: u32) -> Varying {
     let M = array<mat4x4<f32>, INFLUENCES>(MATRICES);
     let frame = skinbake_Frame(row[1].xyz, row[2].xyz, row[3].xyz, row[2].w);
     let v = skinbake_CALL;
+    // In the coordinates of the frame without morph targets.
     let tangent = row[TANGENT];
+    let rest = skinbake_Frame(vec3<f32>(0.0, 0.0, 1.0), ALONG, vec3<f32>(0.0, 1.0, 0.0), 1.0);
     return Varying(scene.projected * vec4<f32>(v.position, 1.0), v.position, normalize(v.normal),
         vec2<f32>(row[0].w, row[1].w), COTANGENT, COBITANGENT, row[4], row[5].xy, row[6]);
 }

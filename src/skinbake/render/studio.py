@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from skinbake.choices import Frame, Language, Lighting
 from skinbake.errors import Place, UnsupportedFeatureError
+from skinbake.geometry.morphs import normals_of_frames
 from skinbake.geometry.skinned import Float64Array
 from skinbake.render.materials import Levels, Sampling
 from skinbake.render.subject import YAW, Camera, Shot, Subject
@@ -162,9 +163,9 @@ class Studio:
         moved = shot.corrected if lighting == "corrected" else shot.morphed
         if errors is not None or number in moved:
             rest = moved.get(number, subject.rest)
-            return self._vertices(_rows(subject, rest, None if errors is None else errors[number]))
+            return self._vertices(_rows(subject, rest, None if errors is None else errors[number], lighting))
         if number not in self._at_rest:
-            self._at_rest[number] = self._vertices(_rows(subject, subject.rest, None))
+            self._at_rest[number] = self._vertices(_rows(subject, subject.rest, None, lighting))
         return self._at_rest[number]
 
     def _vertices(self, rows: npt.NDArray[np.float32]) -> Any:
@@ -328,16 +329,17 @@ def shader(lighting: str, slots: int, mirrored: bool, frame: Frame = Frame.TANGE
     ]
     arguments = ["row[0].xyz", "frame", "M", *weights, *(slopes if choices.reads_gradients else [])]
     is_own = frame is Frame.TANGENT
-    given = "v, frame" if is_own else "v, frame, tangent"
+    given = "v, rest" if is_own else "v, rest, tangent"
     relief = [f"skinbake_normal_map({given}).{name}" for name in ("cotangent", "cobitangent")]
     if not choices.normal_map:  # as in engines, standard lighting keeps no lengths
         columns = ["v.tangent", "v.bitangent"]
         if not is_own:
-            across = "(tangent.w * cross(frame.normal, tangent.xyz))"
+            across = "(tangent.w * cross(rest.normal, tangent.xyz))"
             columns = [_of_frame(one) for one in ("tangent.xyz", across)]
         relief = [f"vec4<f32>(normalize({column}), 1.0)" for column in columns]
     words = {
         "row[TANGENT]": f"row[{first + 4 * len(sets)}]",
+        "ALONG": "tangent.xyz" if is_own else "vec3<f32>(1.0, 0.0, 0.0)",
         "COTANGENT": relief[0],
         "COBITANGENT": relief[1],
         "ROW": str(first + 4 * len(sets) + 1),
@@ -354,11 +356,13 @@ def shader(lighting: str, slots: int, mirrored: bool, frame: Frame = Frame.TANGE
 
 def _of_frame(vector: str) -> str:
     """Return what standard lighting makes of a vector at rest, from what it makes of the frame."""
-    parts = (f"dot({vector}, frame.{name}) * v.{name}" for name in ("tangent", "bitangent", "normal"))
+    parts = (f"dot({vector}, rest.{name}) * v.{name}" for name in ("tangent", "bitangent", "normal"))
     return " + ".join(parts)
 
 
-def _rows(subject: Subject, rest: RestPrimitive, errors: tuple[Any, Any] | None) -> npt.NDArray[np.float32]:
+def _rows(
+    subject: Subject, rest: RestPrimitive, errors: tuple[Any, Any] | None, lighting: str
+) -> npt.NDArray[np.float32]:
     """Return what the vertex stage reads of each vertex, in vec4 (V, R, 4): see ``shader``."""
     count, slots = rest.joints.shape
     padded = 4 * -(-slots // 4)
@@ -374,9 +378,22 @@ def _rows(subject: Subject, rest: RestPrimitive, errors: tuple[Any, Any] | None)
         first = np.pad(values[:, :3], ((0, 0), (0, 4 - min(3, values.shape[1]))))
         return [first, *wide(np.pad(values, ((0, 0), (1, 0))))[1:]]
 
+    # A texture lies along the frame without morph targets: these are the parts of TANGENT there.
+    still = subject.rest
+    texture = np.zeros((count, 4))
+    if subject.in_their_frame:
+        texture[:, 0] = rest.tangent_lengths()
+    elif subject.tangents is not None:
+        frame = np.stack([still.tangents, still.bitangents, still.normals], axis=1)
+        texture[:, :3] = np.einsum("vij,vj->vi", frame, subject.tangents[:, :3])
+        texture[:, 3] = subject.tangents[:, 3]
+    normals = rest.normals
+    if lighting == "accurate" and rest.sides is not None:  # they are those of engines, not of the frame
+        every = np.ones(count, dtype=np.bool_)
+        normals = normals_of_frames(normals, (rest.tangents, rest.bitangents), rest.sides, every)
     parts = [
         np.column_stack([rest.positions, degrees]),
-        np.column_stack([rest.normals, known]),
+        np.column_stack([normals, known]),
         np.column_stack([rest.tangents, rest.handedness()]),
         np.column_stack([rest.bitangents, np.zeros(count)]),
         np.column_stack([base, normal]),
@@ -386,7 +403,7 @@ def _rows(subject: Subject, rest: RestPrimitive, errors: tuple[Any, Any] | None)
         *wide(rest.weights),
         *slopes(rest.alpha),
         *slopes(rest.beta),
-        np.zeros((count, 4)) if subject.tangents is None else subject.tangents,
+        texture,
     ]
     return np.stack(parts, axis=1).astype(np.float32)
 

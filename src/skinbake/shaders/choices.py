@@ -101,8 +101,6 @@ class ShaderChoices:
             frame, needed = Chosen("frame", self.frame), Chosen("morphs", Morphs.NORMAL)
             wanted = Chosen("frame", Frame.TANGENT)
             raise self._refusal("morphs", " needs ", wanted, "; ", frame, " needs ", needed)
-        if self.normal_map and self.morphs.moves_frame:
-            raise self._refusal("morphs", " contradicts ", Chosen("normal_map"), ": take normal or tangent")
         if self.normal_map and not self.is_corrected:
             why = f" is for accurate and exact lighting, not {self.lighting}"
             raise ChoiceError("normal_map", reason=(why,), also=("lighting",))

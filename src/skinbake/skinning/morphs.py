@@ -70,7 +70,7 @@ def morphed(
         gradients=None,
     )
     if targets.numbers:
-        return _with_gradients_of_any_frame(primitive)
+        return _with_gradients_of_any_frame(replace(primitive, lengths=rest.tangent_lengths()))
     return _with_gradients(primitive) if targets.with_tangents else primitive
 
 

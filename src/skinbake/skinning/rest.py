@@ -43,7 +43,8 @@ class RestPrimitive:
     orthonormal. joints (V, K) are integers below the J of the poses. weights (V, K) sum to one. alpha, beta
     (V, K − 1) are ∇w · t0 and ∇w · b0 of slots 1 … K − 1, in 1 / length unit of POSITION. gradients (V, K, 3)
     is ∇w of every slot for algorithm 2, or None to compute them from alpha and beta. sides (V,) is the
-    handedness of the frame where the normals are not those of the frame, else None.
+    handedness of the frame where the normals are not those of the frame, else None. lengths (V,) are those of
+    t0 at rest where t and b are its images under morph targets, else None.
     """
 
     positions: FloatArray
@@ -56,6 +57,7 @@ class RestPrimitive:
     beta: FloatArray
     gradients: FloatArray | None = None
     sides: FloatArray | None = None
+    lengths: FloatArray | None = None
 
     def rows(self, part: slice | IntArray) -> RestPrimitive:
         """Return some of the vertices."""
@@ -70,6 +72,7 @@ class RestPrimitive:
             beta=self.beta[part],
             gradients=None if self.gradients is None else self.gradients[part],
             sides=None if self.sides is None else self.sides[part],
+            lengths=None if self.lengths is None else self.lengths[part],
         )
 
     def weight_gradients(self) -> FloatArray:
@@ -95,6 +98,12 @@ class RestPrimitive:
         # For very small arrays, numpy's own cross product would take most of the time.
         volume = dot(cross(tuple(self.tangents.T), tuple(self.bitangents.T)), tuple(self.normals.T))
         return np.where(volume < 0, -1.0, 1.0)
+
+    def tangent_lengths(self) -> FloatArray:
+        """Return |t0| at rest (V,). Where TANGENT itself is morphed, the length of the sum stands for it."""
+        if self.lengths is not None:
+            return self.lengths
+        return np.asarray(np.linalg.norm(self.tangents.astype(np.float64), axis=1))
 
     def joints_in_use(self, joint_count: int) -> BoolArray:
         """Tell which of the joints (J,) have a weight or a weight derivative at any vertex."""

@@ -63,9 +63,7 @@ def _named(
         mirrored_joints=mirrored,
         encoding=encoding,
         morphs=usual.morphs,
-        # Where frames move by what the file notes of them, a normal map has its frame from derivatives.
-        normal_map=lighting is not Lighting.STANDARD
-        and usual.morphs not in (Morphs.FRAMES, Morphs.FRAMES_NORMAL),
+        normal_map=lighting is not Lighting.STANDARD,
     )
     parts = (choices.stem, usual.influences, usual.frame, encoding, usual.morphs)
     return "/".join([*map(str, parts), "mirrored" if mirrored else "plain"]), choices

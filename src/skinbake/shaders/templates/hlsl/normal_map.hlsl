@@ -24,17 +24,18 @@ float3 skinbake_mapped_normal(float3 texel, float3 normal, float4 cotangent, flo
 }
 #endif
 
-//% if frame == "tangent"
-//%   set comment = "frame: as it was given to the lighting. Its tangent may have any length."
-//% elif morphs == "none"
-//%   set comment = "frame: as it was given to the lighting. tangent: TANGENT, which the texture follows."
+//% if morphs in ("none", "tangent")
+//%   set given = "as it was given to the lighting"
 //% else
-//%   set comment = "frame: as it was given to the lighting; rest: the frame without morphs; tangent: TANGENT at rest."
+//%   set given = "the one without morph targets"
 //% endif
-//% set guard = "SKINBAKE_NORMAL_MAP_" ~ (frame if morphs == "none" or frame == "tangent" else "MORPHED") | upper
+//% set guard = "SKINBAKE_NORMAL_MAP_" ~ frame | upper
 #ifndef @{ guard }
 #define @{ guard }
-// Make it at the vertex. @{ comment }
+// Make it at the vertex. @{ "frame" if frame == "tangent" else "rest" }: @{ given }. A scale of dual quaternions multiplies its tangents.
+//% if frame == "normal"
+// tangent: TANGENT at rest, which the texture follows.
+//% endif
 // By a model matrix: transform v.normal, v.cotangent and v.cobitangent like normals, by its cofactors, before the call.
 //% if frame == "tangent"
 skinbake_NormalMap skinbake_normal_map(skinbake_Vertex v, skinbake_Frame frame)
@@ -43,19 +44,14 @@ skinbake_NormalMap skinbake_normal_map(skinbake_Vertex v, skinbake_Frame frame)
     float3 cobitangent = v.cobitangent;
     float k = length(frame.tangent) / length(v.normal);
 //% else
-//%   set at = "frame" if morphs == "none" else "rest"
-skinbake_NormalMap skinbake_normal_map(skinbake_Vertex v, skinbake_Frame frame@{ ", skinbake_Frame rest" if morphs != "none" }, float4 tangent)
+skinbake_NormalMap skinbake_normal_map(skinbake_Vertex v, skinbake_Frame rest, float4 tangent)
 {
     // Cofactors are linear: those of t and b follow from those of t0, b0 and n0. t may lean from n0.
     float3 t = normalize(tangent.xyz);
-    float3 b = tangent.w * normalize(cross(@{ at }.normal, t));
-    float3 cotangent = dot(t, @{ at }.tangent) * v.cotangent + dot(t, @{ at }.bitangent) * v.cobitangent;
-    float3 cobitangent = dot(b, @{ at }.tangent) * v.cotangent + dot(b, @{ at }.bitangent) * v.cobitangent;
-//%   if morphs != "none"
-    cotangent *= length(frame.tangent); // it has the scale of the joints that dual quaternions share
-    cobitangent *= length(frame.tangent);
-//%   endif
-    cotangent += dot(t, @{ at }.normal) * v.normal;
+    float3 b = tangent.w * normalize(cross(rest.normal, t));
+    float3 cotangent = dot(t, rest.tangent) * v.cotangent + dot(t, rest.bitangent) * v.cobitangent
+        + dot(t, rest.normal) * v.normal;
+    float3 cobitangent = dot(b, rest.tangent) * v.cotangent + dot(b, rest.bitangent) * v.cobitangent;
     float k = 1.0 / length(v.normal);
 //% endif
     skinbake_NormalMap map;

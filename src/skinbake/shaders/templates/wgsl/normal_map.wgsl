@@ -19,14 +19,15 @@ fn skinbake_mapped_normal(texel: vec3<f32>, normal: vec3<f32>, cotangent: vec4<f
         + texel.z * normalize(normal);
 }
 
-//% if frame == "tangent"
-//%   set comment = "frame: as it was given to the lighting. Its tangent may have any length."
-//% elif morphs == "none"
-//%   set comment = "frame: as it was given to the lighting. tangent: TANGENT, which the texture follows."
+//% if morphs in ("none", "tangent")
+//%   set given = "as it was given to the lighting"
 //% else
-//%   set comment = "frame: as it was given to the lighting; rest: the frame without morphs; tangent: TANGENT at rest."
+//%   set given = "the one without morph targets"
 //% endif
-// Make it at the vertex. @{ comment }
+// Make it at the vertex. @{ "frame" if frame == "tangent" else "rest" }: @{ given }. A scale of dual quaternions multiplies its tangents.
+//% if frame == "normal"
+// tangent: TANGENT at rest, which the texture follows.
+//% endif
 // By a model matrix: transform v.normal, v.cotangent and v.cobitangent like normals, by its cofactors, before the call.
 //% if frame == "tangent"
 fn skinbake_normal_map(v: skinbake_Vertex, frame: skinbake_Frame) -> skinbake_NormalMap {
@@ -34,19 +35,13 @@ fn skinbake_normal_map(v: skinbake_Vertex, frame: skinbake_Frame) -> skinbake_No
     let cobitangent = v.cobitangent;
     let k = length(frame.tangent) / length(v.normal);
 //% else
-//%   set at = "frame" if morphs == "none" else "rest"
-fn skinbake_normal_map(v: skinbake_Vertex, frame: skinbake_Frame@{ ", rest: skinbake_Frame" if morphs != "none" }, tangent: vec4<f32>) -> skinbake_NormalMap {
+fn skinbake_normal_map(v: skinbake_Vertex, rest: skinbake_Frame, tangent: vec4<f32>) -> skinbake_NormalMap {
     // Cofactors are linear: those of t and b follow from those of t0, b0 and n0. t may lean from n0.
     let t = normalize(tangent.xyz);
-    let b = tangent.w * normalize(cross(@{ at }.normal, t));
-//%   if morphs == "none"
-    let size = 1.0;
-//%   else
-    let size = length(frame.tangent); // the scale of the joints that dual quaternions share
-//%   endif
-    let cotangent = size * (dot(t, @{ at }.tangent) * v.cotangent + dot(t, @{ at }.bitangent) * v.cobitangent)
-        + dot(t, @{ at }.normal) * v.normal;
-    let cobitangent = size * (dot(b, @{ at }.tangent) * v.cotangent + dot(b, @{ at }.bitangent) * v.cobitangent);
+    let b = tangent.w * normalize(cross(rest.normal, t));
+    let cotangent = dot(t, rest.tangent) * v.cotangent + dot(t, rest.bitangent) * v.cobitangent
+        + dot(t, rest.normal) * v.normal;
+    let cobitangent = dot(b, rest.tangent) * v.cotangent + dot(b, rest.bitangent) * v.cobitangent;
     let k = 1.0 / length(v.normal);
 //% endif
     return skinbake_NormalMap(

@@ -97,7 +97,7 @@ export class Renderer {
         const indices = this.buffer(primitive.triangles, gl.ELEMENT_ARRAY_BUFFER);
         const [first, second, third] = primitive.texcoords;
         const isMorphed = primitive.targets.length > 0 || primitive.correctives.length > 0;
-        const numbers = numbersOf(primitive, primitive.metadata?.frame);
+        const { numbers } = primitive;
         const zeros = (size) => this.buffer(new Float32Array(size * primitive.count));
         const shared = [
             ['position', this.buffer(primitive.positions), 3],
@@ -106,21 +106,19 @@ export class Renderer {
             ['texcoord', first && this.buffer(second ? pairedVectors(first, second) : first), second ? 4 : 2],
             ['further_texcoord', third && this.buffer(third), 2],
             ['color', primitive.colors && this.buffer(primitive.colors.array), primitive.colors?.size],
-            ['morphed_normal', isMorphed && numbers !== 6 ? this.buffer(primitive.normals.slice()) : null, 3],
-            ['morph', numbers === 6 ? zeros(4) : null, 4],
-            ['morph_up', numbers === 6 ? zeros(2) : null, 2],
-            ['morph_by_normal', numbers === 4 ? zeros(4) : null, 4],
-            ['morphed_tangent', isMorphed && !numbers && primitive.tangents ? this.buffer(withoutHandedness(primitive.tangents)) : null, 3],
         ];
-        const kinds = Object.entries(primitive.gradients);
-        const arrays = Object.fromEntries(
-            [['', null], ...kinds].map(([kind, gradients]) => [kind, this.array(indices, shared, primitive, gradients)])
-        );
-        const buffers = Object.fromEntries(shared.map(([name, buffer]) => [name, buffer]));
+        const normal = ['morphed_normal', isMorphed ? this.buffer(primitive.normals.slice()) : null, 3];
+        const tangent = ['morphed_tangent', isMorphed && primitive.tangents ? this.buffer(withoutHandedness(primitive.tangents)) : null, 3];
+        const six = () => [['morph', zeros(4), 4], ['morph_up', zeros(2), 2]];
+        const moved = numbers === 6 ? six() : [normal, numbers === 4 ? ['morph_by_normal', zeros(4), 4] : tangent];
+        const arrays = { '': this.array(indices, [...shared, normal, tangent], primitive, null) };
+        for (const [kind, gradients] of Object.entries(primitive.gradients)) {
+            arrays[kind] = this.array(indices, [...shared, ...moved], primitive, gradients);
+        }
+        const buffers = Object.fromEntries([...shared, normal, tangent, ...moved].map(([name, buffer]) => [name, buffer]));
         if (primitive.correctives.length) {
             buffers.corrected = this.buffer(primitive.stored);
-            const others = shared.filter(([name]) => name !== 'morphed_normal');
-            arrays.corrected = this.array(indices, [...others, ['morphed_normal', buffers.corrected, 3]], primitive, null);
+            arrays.corrected = this.array(indices, [...shared, ['morphed_normal', buffers.corrected, 3], tangent], primitive, null);
         }
         return { arrays, shared: buffers, indices };
     }
@@ -441,7 +439,7 @@ export class Renderer {
         const has = Object.keys(maps).sort().map((name) => `${name.toUpperCase()}_TEXCOORD ${TEXCOORDS[texcoordOf[name]]}`);
         if (!isPlain && primitive.colors) has.push('HAS_COLORS');
         if (isPlain && maps.base) has.push('IS_PLAIN');
-        if (maps.normal && primitive.tangents && !numbersOf(primitive, primitive.metadata?.frame)) has.push('HAS_TANGENTS');
+        if (maps.normal && primitive.tangents) has.push('HAS_TANGENTS');
         return { own, isPlain, maps, has, isBlended, cutoff };
     }
 
@@ -505,16 +503,10 @@ export class Renderer {
 
 export const pause = (milliseconds) => new Promise((done) => setTimeout(done, milliseconds));
 
-// How many numbers of the differential the page reads: a normal map follows the tangent frame by its own rule.
-function numbersOf({ numbers, correctives, texcoordOf }, frame = 'normal') {
-    return (frame === 'normal' || !('normal' in texcoordOf)) && !correctives.length ? numbers : 0;
-}
-
-function morphsOf(primitive, frame, isLit) {
-    const { targets, tangents } = primitive;
+// What the frame follows. Engines, whose lighting is standard, know nothing of the numbers of a differential.
+function morphsOf({ targets, tangents, numbers }, frame, isLit) {
     if (!targets.length) return 'none';
-    const numbers = numbersOf(primitive, frame);
-    if (numbers) return isLit ? (numbers === 6 ? 'frames' : 'frames-normal') : numbers === 6 ? 'none' : 'normal';
+    if (isLit && numbers) return numbers === 6 ? 'frames' : 'frames-normal';
     return frame === 'tangent' && tangents && targets.some((target) => target.tangents) ? 'tangent' : 'normal';
 }
 

@@ -39,15 +39,14 @@ export function vertexText(text, choices) {
         return `skinbake_decoded_further(stored_${kind}_${set}, stored_${kind}_0, storage_scale)`;
     };
     const gradients = reads ? ['alpha', 'beta'].flatMap((kind) => numbers.map((set) => decoded(kind, set))) : [];
-    const given = ['scale * morphed_position', 'frame', name, ...lists('weights'), ...gradients].join(', ');
+    const passed = ['scale * morphed_position', 'frame', name, ...lists('weights'), ...gradients].join(', ');
     // For normal maps: directions in xyz, and their lengths over that of the normal. As in engines, standard lighting
     // has no lengths. In the normal frame, both follow from TANGENT, if there is one.
-    const others = frame === 'tangent' ? '' : morphs === 'none' ? ', tangent' : ', rest, tangent';
+    const given = frame === 'tangent' ? (morphs === 'tangent' ? 'frame' : 'rest') : 'rest, tangent';
     const along = (one) => `(dot(${one}, rest.tangent) * v.tangent + dot(${one}, rest.bitangent) * v.bitangent + dot(${one}, rest.normal) * v.normal)`;
     const columns = frame === 'tangent' ? ['v.tangent', 'v.bitangent'] :
         ['tangent.xyz', 'tangent.w * cross(rest.normal, tangent.xyz)'].map(along);
-    const isRelief = reads && !morphs.startsWith('frames');
-    const relief = isRelief ? ['map.cotangent', 'map.cobitangent'] : columns.map((one) => `vec4(normalize(${one}), 1.0)`);
+    const relief = reads ? ['map.cotangent', 'map.cobitangent'] : columns.map((one) => `vec4(normalize(${one}), 1.0)`);
     const followed = {
         none: '',
         normal: 'frame = skinbake_morphed_frame(frame, morphed_normal);',
@@ -99,11 +98,13 @@ void main()
     ${followed}
     frame.tangent *= scale;
     frame.bitangent *= scale;
+    rest.tangent *= scale;
+    rest.bitangent *= scale;
     ${type} ${name}[${4 * sets}] = ${type}[${4 * sets}](${slots.join(', ')});
-    skinbake_Vertex v = skinbake_${stem}(${given});
+    skinbake_Vertex v = skinbake_${stem}(${passed});
     v_position = v.position;
     v_normal = mix(normalize(v.normal), truth.xyz, is_true * truth.w);
-    ${isRelief ? `skinbake_NormalMap map = skinbake_normal_map(v, frame${others});` : ''}
+    ${reads ? `skinbake_NormalMap map = skinbake_normal_map(v, ${given});` : ''}
     v_cotangent = ${relief[0]};
     v_cobitangent = ${relief[1]};
     v_texcoord = texcoord;
