@@ -309,7 +309,7 @@ def normals(
     Parameters
     ----------
     source
-        A ``.glb``, ``.gltf`` or ``.vrm`` file with α and β.
+        A ``.glb``, ``.gltf`` or ``.vrm`` file with α and β, or with correctives.
     clip
         The name or the number of a clip. None: the one in which the bake shows most.
     time

@@ -102,6 +102,7 @@ def test_lightings_are_the_lines_of_the_paper_on_the_stored_numbers(tube: Path) 
         assert degrees_between(posed.normals[name], unit(vectors)).max() < 1e-3, name
 
 
+@pytest.mark.parametrize("options", [{}, {"correctives": "auto"}], ids=["shader", "correctives"])
 @pytest.mark.parametrize(
     "source",
     [
@@ -111,14 +112,17 @@ def test_lightings_are_the_lines_of_the_paper_on_the_stored_numbers(tube: Path) 
     ],
     ids=lambda path: path.name,
 )
-def test_the_worst_normals_of_verify_are_found_again(source: Path, tmp_path: Path) -> None:
+def test_the_worst_normals_of_verify_are_found_again(
+    source: Path, options: dict[str, Any], tmp_path: Path
+) -> None:
     """By each truth and method, at the vertex, clip and time that verify names."""
     path = tmp_path / "baked.glb"
-    skinbake.bake(source, path)
+    skinbake.bake(source, path, **options)
     verdict = skinbake.verify(path, samples=3)
     for truth, figures in (("tangents", verdict["normals"]), ("triangles", verdict["normals_by_triangles"])):
         for method, lightings in figures.items():
-            for lighting in {"standard", "accurate", "exact"} & lightings.keys():
+            assert ("corrected" in lightings) == bool(options)
+            for lighting in {"standard", "accurate", "exact", "corrected"} & lightings.keys():
                 worst = lightings[lighting]["worst"]
                 found = skinbake.normals(path, worst["clip"], worst["time"], methods=[method])
                 [posed] = [
@@ -127,6 +131,30 @@ def test_the_worst_normals_of_verify_are_found_again(source: Path, tmp_path: Pat
                 own = posed.normals[lighting], posed.truths[truth]
                 error = degrees_between(*own)[worst["vertex"]]
                 assert abs(error - lightings[lighting]["max"]) < 0.01, (truth, method, lighting)
+
+
+def test_correctives_are_the_targets_that_a_clip_plays_under_standard_lighting(tmp_path: Path) -> None:
+    path, time = tmp_path / "tube.glb", 0.41
+    skinbake.bake(TUBE, path, correctives=2)
+    [posed] = skinbake.normals(path, "bend", time)
+    file = read(path)
+    [mesh], [clip] = file.content["meshes"], file.content["animations"]
+    [channel] = [one for one in clip["channels"] if one["target"]["path"] == "weights"]
+    sampler = clip["samplers"][channel["sampler"]]
+    times, values = (file.values(sampler[name]).ravel() for name in ("input", "output"))
+    weights = [np.interp(time, times, column) for column in values.reshape(-1, 2).T]
+    assert posed.node == channel["target"]["node"]
+    assert np.abs(posed.morph_weights - weights).max() < 1e-6
+    [primitive] = mesh["primitives"]
+    normals, slots = file.attribute("NORMAL"), file.influences()
+    for weight, target in zip(weights, primitive["targets"], strict=True):
+        normals = normals + weight * file.values(target["NORMAL"])
+    blended = np.einsum("vk,vkij->vij", slots[1], posed.joint_matrices[slots[0]][..., :3, :3])
+    lit = unit(np.einsum("vij,vj->vi", blended, normals))
+    assert degrees_between(posed.normals["corrected"], lit).max() < 1e-3
+    true = posed.truths["tangents"]
+    before, after = (degrees_between(posed.normals[name], true).mean() for name in ("standard", "corrected"))
+    assert after < 0.1 * before
 
 
 def test_a_dump_has_the_same_numbers_as_lines_of_json(tmp_path: Path) -> None:

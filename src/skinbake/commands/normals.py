@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from skinbake.choices import USUAL_TRUTHS, Baseline, Method
-from skinbake.commands.posed_scene import Draw, claim_draws, posed_draw, shown_draws
+from skinbake.commands.played_correctives import PlayedCorrectives
+from skinbake.commands.posed_scene import (
+    Draw,
+    baked_in_memory,
+    claim_draws,
+    posed_draw,
+    shown_draws,
+    sound_correctives,
+)
 from skinbake.commands.where_it_shows import telling_pose
 from skinbake.errors import InputError
 from skinbake.files.bounds import BESIDE, Bounds
@@ -18,8 +26,9 @@ from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import RANDOM, Clip
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.output import refuse_own_input
-from skinbake.measure.angles import INSIDE_OUT, METHODS, truths_at_rest
+from skinbake.measure.angles import INSIDE_OUT, METHODS, Corrections, truths_at_rest
 from skinbake.report.normals import BYTES_A_NUMBER, PosedNormals, line
+from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Vector
 from skinbake.skinning.rest import Options
 from skinbake.skinning.run import Skinning
@@ -45,21 +54,27 @@ class NormalsRequest:
 def posed_normals(document: Document, request: NormalsRequest) -> Iterator[PosedNormals]:
     """Yield the normals of each baked primitive as each skin of the shown scene draws it, by each method.
 
+    A document with correctives is baked in memory too: so it has accurate lighting beside them.
     Raises InputError if nothing is baked soundly, or if the file cannot be posed, or is too much work. Raises
     ChoiceError for a clip that does not exist, or a time outside it.
     """
     views = sound_views(document)
+    correctives = None if views else sound_correctives(document)
+    if correctives:
+        document, _ = baked_in_memory(document)
+        views = sound_views(document)
     if not views:
         message = "no α and β in it are sound, so it has no accurate normals: run skinbake bake"
         raise InputError(message, document.place)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no normal gets NaN
-        draws = list(shown_draws(document, views))
+        draws = list(shown_draws(document, views, correctives))
         clip, moment, _ = telling_pose(document, draws, request.clip, request.time)
         claim_draws(document, draws, [clip], len(request.methods))
     for draw in draws:
         for method in request.methods:
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                found = _of_draw(document, draw, clip, moment, method, Options(request.cap, request.baseline))
+                options = Options(request.cap, request.baseline)
+                found = _of_draw(document, draw, clip, moment, method, options, correctives)
             yield from found
 
 
@@ -88,7 +103,13 @@ def write_normals(
 
 
 def _of_draw(
-    document: Document, draw: Draw, clip: Clip, moment: float, method: Method, options: Options
+    document: Document,
+    draw: Draw,
+    clip: Clip,
+    moment: float,
+    method: Method,
+    options: Options,
+    correctives: PlayedCorrectives | None,
 ) -> list[PosedNormals]:
     """Return the normals of the primitives of a draw at a moment of a clip."""
     posed = posed_draw(document, draw, clip, np.array([moment]), turned=False)
@@ -105,7 +126,8 @@ def _of_draw(
     # The positions, and the normals of each lighting, outside where joints mirror.
     count = len(truths.operator.positions)
     deformed = np.empty((3, count, 1))
-    normals = {name: np.empty((count, 3)) for name in algorithms}
+    names = [*algorithms, *(["corrected"] if posed.corrections and method is Method.LBS else [])]
+    normals = {name: np.empty((count, 3)) for name in names}
     sides = sides_of(rest, posed.matrices)
     for block in truths.vertex_blocks:
         found = skinned[block.primitive].run(tuple(algorithms.values()), slice(0, 1), block.rows)
@@ -114,6 +136,16 @@ def _of_draw(
             normals[name][block.part] = _rows(one.normal)
             if sides is not None and name in INSIDE_OUT:
                 normals[name][block.part] *= sides[0, block.part, None]
+    # Correctives change the normals that standard lighting skins.
+    played = posed.corrections or Corrections([], [np.zeros((1, 0))] * len(rest))
+    if "corrected" in normals:
+        for own, part, targets, weights in zip(
+            rest, truths.operator.slices, played.targets, played.weights, strict=True
+        ):
+            changed = replace(own, normals=own.normals + np.einsum("k,kvi->vi", weights[0], targets))
+            lit = Skinning.of(changed, posed.matrices, dual_quaternions=False, options=options)
+            (vertex,) = lit.run((Algorithm.LBS_STANDARD,), slice(0, 1), slice(0, len(own.positions)))
+            normals["corrected"][part] = _rows(vertex.normal)
     for name, vectors in normals.items():
         lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
         normals[name] = np.where(lengths > 0.0, vectors / lengths, np.nan)
@@ -130,7 +162,7 @@ def _of_draw(
             mesh=view.source.mesh,
             primitive=view.source.primitive,
             skin=draw.skin,
-            node=draw.node,
+            node=draw.node if correctives is None else correctives.node(view.source.mesh, draw.skin),
             clip=None if clip.number == RANDOM else clip.name,
             time=moment,
             method=method,
@@ -138,9 +170,10 @@ def _of_draw(
             normals={name: vectors[part] for name, vectors in normals.items()},
             truths={name: vectors[part] for name, vectors in by_truth.items()},
             joint_matrices=posed.matrices[0],
-            morph_weights=np.zeros(0) if posed.weights is None else posed.weights[0],
+            # Correctives are the last targets of a file.
+            morph_weights=np.append([] if posed.weights is None else posed.weights[0], weights[0]),
         )
-        for view, part in zip(draw.views, truths.operator.slices, strict=True)
+        for view, part, weights in zip(draw.views, truths.operator.slices, played.weights, strict=True)
     ]
 
 

@@ -92,11 +92,15 @@ class PlayedCorrectives:
 
     def weights(self, mesh: int, skin: int, clip: Clip, times: Float64Array) -> Float64Array:
         """Return the weights (P, K) that a clip gives a mesh's correctives at times (P,)."""
-        added = self.targets.get(mesh, 0)
-        nodes = nodes_with(self._document, mesh, skin) or nodes_with(self._document, mesh)
-        if not added or not nodes:
+        added, node = self.targets.get(mesh, 0), self.node(mesh, skin)
+        if not added or node is None:
             return np.zeros((len(times), added))
-        resting = resting_weights(self._document, nodes[0])
+        resting = resting_weights(self._document, node)
         # A clip of a stripped document, or of joints alone, has no channels of morph weights.
         whole = self.clips.get(clip.number, clip)
-        return clip_weights(nodes[0], whole, times, resting)[:, -added:]
+        return clip_weights(node, whole, times, resting)[:, -added:]
+
+    def node(self, mesh: int, skin: int) -> int | None:
+        """Return the first node that draws a mesh with a skin, whose weights its correctives have."""
+        nodes = nodes_with(self._document, mesh, skin) or nodes_with(self._document, mesh)
+        return nodes[0] if nodes else None

@@ -39,13 +39,14 @@ class PosedNormals:
     positions : ndarray (V, 3) float64
         The skinned positions.
     normals : dict of ndarray (V, 3) float64
-        By lighting: ``standard`` and ``accurate``, for ``dqs`` ``exact`` too.
+        By lighting: ``standard`` and ``accurate``, for ``dqs`` ``exact`` too. In a file with correctives
+        ``corrected`` for ``lbs``, and ``accurate`` is what α and β would give.
     truths : dict of ndarray (V, 3) float64
         The true normals ``tangents`` and ``triangles`` (docs/lighting.md).
     joint_matrices : ndarray (J, 4, 4) float64
         The joint matrices of the pose: global transform × inverse bind matrix.
     morph_weights : ndarray (N,) float64
-        The weights of the morph targets.
+        The weights of the morph targets, those of correctives included.
 
     """
 
