@@ -96,6 +96,16 @@ ssize_t write(int descriptor, const void *data, size_t size) {
     return real(descriptor, data, what == SHORT && size > 1 ? size / 2 : size);
 }
 
+#define PWRITE(name, offset_type) \
+    ssize_t name(int descriptor, const void *data, size_t size, offset_type offset) { \
+        REAL(name); \
+        int what = hit(#name, AT_FDCWD, NULL, descriptor); \
+        if (what == ERROR) return -1; \
+        return real(descriptor, data, what == SHORT && size > 1 ? size / 2 : size, offset); \
+    }
+PWRITE(pwrite, off_t)
+PWRITE(pwrite64, off64_t)
+
 ssize_t writev(int descriptor, const struct iovec *pieces, int length) {
     REAL(writev);
     static ssize_t (*one)(int, const void *, size_t);

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from fixtures.make_fixtures import FOLDER
+from skinbake.gltf.glb import join_glb
+from skinbake.gltf.output import LARGE
 
 Tree = Mapping[str, bytes]
 """Files below a folder, by path."""
@@ -47,6 +50,16 @@ def _over(folder: Path) -> None:
     (folder / "out/a.glb").write_bytes(b"what was there before")
 
 
+def _large(folder: Path) -> None:
+    """Lay a model with so many unused bytes at the end of its BIN chunk that they are written ahead."""
+    data = (FOLDER / "seam.glb").read_bytes()
+    json_length = int.from_bytes(data[12:16], "little")
+    text, binary = json.loads(data[20 : 20 + json_length]), data[28 + json_length :]
+    text["buffers"][0]["byteLength"] = len(binary) + LARGE
+    parts = join_glb(json.dumps(text).encode(), [binary, bytes(LARGE)], ())
+    lay(folder, {"in/a.glb": b"".join(parts), "out/a.glb": b"what was there before"})
+
+
 def _gltf(folder: Path) -> None:
     lay(folder, {"in/sub/tex.png": b"an image"})
     text = (FOLDER / "shared_accessors.gltf").read_bytes()
@@ -64,6 +77,8 @@ QUICK = ("--poses", "rest", "--method", "lbs")
 
 SCENES = (
     Scene("glb", ("bake", "in/a.glb", "-o", "out/a.glb"), _over),
+    Scene("large", ("bake", "in/a.glb", "-o", "out/a.glb", "--threads", "2"), _large),
+    Scene("large in place", ("bake", "in/a.glb", "--in-place", "--threads", "2"), _large),
     Scene("glb to gltf", ("bake", "in/a.glb", "-o", "out/a.gltf"), _one),
     Scene("gltf with files", ("bake", "in/a.gltf", "-o", "out/a.gltf"), _gltf),
     Scene("in place", ("bake", "in/a.glb", "--in-place"), _one),

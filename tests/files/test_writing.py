@@ -23,6 +23,7 @@ from skinbake.files import folders, replacing, temporary, versions, writing
 from skinbake.files.temporary import temporary_name
 from skinbake.files.versions import signature_of, version_of
 from skinbake.files.writing import TakenError, write_file, write_files
+from skinbake.gltf import output
 from skinbake.gltf.document import read_document
 from skinbake.gltf.output import plan_output
 from skinbake.signals import interrupts_put_off
@@ -645,9 +646,12 @@ class TestInPlace:
         assert list(contents(tmp_path)) == ["seam.glb"]
 
     @LINUX
+    @pytest.mark.parametrize("large", [1, 1 << 24])
     def test_a_former_file_that_cannot_be_put_back_is_named(
-        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+        self, large: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
+        """Also if its new bytes were written ahead: the former file has that temporary name then."""
+        monkeypatch.setattr(output, "LARGE", large)
         path = copied("seam.glb", tmp_path)
         call = replacing.exchange_call()
         assert call is not None
@@ -661,7 +665,7 @@ class TestInPlace:
             exchanged.append(one)
 
         monkeypatch.setattr(replacing, "exchange_call", lambda: exchange)
-        result = invoke("bake", path, "--in-place")
+        result = invoke("bake", path, "--in-place", "--threads", "2")
         assert result.exit_code == 4
         assert f"the former file is now {exchanged[0]}" in result.stderr
         assert (tmp_path / exchanged[0]).read_bytes() == TUBE.read_bytes()

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from skinbake.choices import FrameChoice, Gradients, Neighbours, Scheme, Weld
 from skinbake.commands.bake_options import CheckedOptions
 from skinbake.commands.surface_bake import FitTarget, PrimitiveBake, SurfaceBake, unwritten
 from skinbake.errors import Chosen, InputError, Message, Notice, Place, noticed
+from skinbake.files.ahead import Ahead
 from skinbake.files.bounds import OWN_FOLDERS, Within
 from skinbake.files.urls import STDIO
 from skinbake.files.versions import version_of
@@ -23,8 +25,8 @@ from skinbake.format.strip import stripped
 from skinbake.gltf.beside import files_read
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.json_access import JsonObject
-from skinbake.gltf.output import AS_USUAL, Writing, other_names, plan_output, refuse_own_input
+from skinbake.gltf.json_access import JsonObject, entries_of
+from skinbake.gltf.output import AS_USUAL, Writing, other_names, plan_output, refuse_own_input, write_ahead
 from skinbake.gltf.primitives import (
     PrimitiveSource,
     reason_to_skip,
@@ -47,6 +49,9 @@ from skinbake.wording import counted
 STEPS_A_BAKE = 700
 """The steps of baking a primitive of few vertices: see ``budget.STEPS_FREE``."""
 
+JSON_A_PRIMITIVE = 1450
+"""About as many bytes of JSON are added for a primitive."""
+
 if TYPE_CHECKING:
     from skinbake.commands.morph_bake import MorphBake
 
@@ -68,25 +73,35 @@ class Baker(CheckedOptions):
             document = read_document(source, within.bounds)
         if target is not None:
             refuse_own_input(document, source, target)
-        made, result, notices = self._rebaked(document, target, pack=writing.pack)
-        untouched = result is document and target == source and source != STDIO
-        read: tuple[str, ...] = ()
-        if writing.lists_read:
-            from skinbake.report.depfile import prerequisites  # only --depfile needs it
+        with Ahead(sync=writing.sync, is_itself=replaced is not None) as ahead:
+            begin = None
+            if target is not None and not writing.dry_run:
+                begin = partial(write_ahead, ahead, target=target, root=within.output)
+            made, result, notices = self._rebaked(document, target, pack=writing.pack, begin=begin)
+            untouched = result is document and target == source and source != STDIO
+            read: tuple[str, ...] = ()
+            if writing.lists_read:
+                from skinbake.report.depfile import prerequisites  # only --depfile needs it
 
+                with noticed(notices):
+                    read = prerequisites(source, files_read(document, target, pack=writing.pack))
+            planned = None
+            if target is not None and not untouched:
+                with noticed(notices), stage("write"):
+                    planned = plan_output(
+                        result,
+                        target,
+                        root=within.output,
+                        keeps_notes=writing.keeps_notes,
+                        grows=made.is_baked,
+                    )
+                notices = [*notices, *planned.notices, *(other_names(source) if target == source else ())]
             with noticed(notices):
-                read = prerequisites(source, files_read(document, target, pack=writing.pack))
-        planned = None
-        if target is not None and not untouched:
-            with noticed(notices), stage("write"):
-                planned = plan_output(result, target, root=within.output, keeps_notes=writing.keeps_notes)
-            notices = [*notices, *planned.notices, *(other_names(source) if target == source else ())]
-        with noticed(notices):
-            if self.warnings_as_errors and not all(notice.is_advice for notice in notices):
-                raise InputError("not written: there are warnings (--warnings-as-errors)", document.place)
-            if planned is not None and not writing.dry_run:
-                with stage("write"):
-                    planned = replace(planned, replaces=replaced).write(sync=writing.sync)
+                if self.warnings_as_errors and not all(notice.is_advice for notice in notices):
+                    raise InputError("not written: there are warnings (--warnings-as-errors)", document.place)
+                if planned is not None and not writing.dry_run:
+                    with stage("write"):
+                        planned = replace(planned, replaces=replaced).write(sync=writing.sync, ahead=ahead)
         written: dict[str, str] = {}
         if writing.traced and planned:
             from skinbake.files.versions import digests_of
@@ -108,17 +123,22 @@ class Baker(CheckedOptions):
         )
 
     def _rebaked(
-        self, document: Document, target: str | None, *, pack: bool
+        self, document: Document, target: str | None, *, pack: bool, begin: Callable[..., None] | None
     ) -> tuple[BakedDocument, Document, list[Notice]]:
         """Bake a document that may hold an earlier bake, for the container of the target.
 
-        Returns the bake, the document to write, and notices. If no primitive can be baked, the document is
-        written as it came, with any earlier bake.
+        ``begin`` gets the document before the bake, and about how much its JSON will grow. Returns the bake,
+        the document to write, and notices. If no primitive can be baked, the document is written as it came,
+        with any earlier bake.
         """
         refuse_other_kind(document, correctives=self.correctives is not None)
         with stage("strip"):
             original, _, undone = stripped(document)
             prepared, moved = (original, []) if target is None else for_target(original, target, pack=pack)
+        if begin is not None and document.objects("skins") and self.compress is Scheme.KEEP:
+            meshes = document.objects("meshes") if original is document else []
+            count = sum(len(entries_of(mesh.get("primitives"))) for mesh in meshes)
+            begin(prepared, growth=JSON_A_PRIMITIVE * count)
         made = self.bake_document(prepared)
         if made.is_baked or made.left:
             return made, made.document, [*undone, *moved, *made.notices]

@@ -17,7 +17,7 @@ from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from skinbake.errors import OutputError, Place, ReaderGoneError
 from skinbake.files import Bytes
@@ -29,6 +29,9 @@ from skinbake.signals import interrupts_put_off
 
 if sys.platform != "win32":  # pragma: no branch: Windows
     import fcntl
+
+if TYPE_CHECKING:
+    from skinbake.files.ahead import Ahead
 
 MOST_PIECES = 512
 """Pieces of one call: POSIX promises 16, every system with writev accepts 1,024."""
@@ -46,7 +49,7 @@ SHORT = 1 << 20
 NO_LINKS = frozenset({errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EACCES, errno.EINVAL})
 """Error codes of systems that cannot give a file a second name."""
 
-_NEW = (
+NEW_FILE = (
     os.O_WRONLY
     | os.O_CREAT
     | os.O_EXCL
@@ -121,13 +124,15 @@ def write_files(
     replaces: Version | None = None,
     sync: bool = True,
     notes: Noting | None = None,
+    ahead: Ahead | None = None,
 ) -> None:
     """Write files below ``root`` under temporary names, then rename them, the last one last.
 
     ``serving`` are existing files that the last one names, as they were. ``replaces`` is the source of the
     last one, if it replaces its source. ``sync`` waits until all is on the disk. ``notes`` are taken
-    before the files get their names, while no other run names files there. Raises OutputError that names
-    ``target``, and TakenError if the names must be planned again. In both cases everything is as it was.
+    before the files get their names, while no other run names files there. ``ahead`` may have a part of the
+    last one. Raises OutputError that names ``target``, and TakenError if the names must be planned again. In
+    both cases everything is as it was.
     """
     place = Place(target)
     begun = _Begun(os.path.realpath(root), str(root))
@@ -137,8 +142,9 @@ def write_files(
         with interrupts_put_off() if is_short else nullcontext(), ExitStack() as stack, begun:
             _make_root(begun)
             for path, pieces in files.items():
-                is_itself = replaces is not None and len(begun.written) == len(files) - 1
-                one = _written(path, pieces, begun, stack, place, sync=sync, is_itself=is_itself)
+                is_last = len(begun.written) == len(files) - 1
+                is_itself, part = replaces is not None and is_last, ahead if is_last else None
+                one = _written(path, pieces, begun, stack, place, sync=sync, is_itself=is_itself, ahead=part)
                 begun.written.append(one)
             for path in serving or ():  # files that ended runs left beside these are removed too
                 _opened(tuple(_parts(path, (begun.root, begun.given), place)[:-1]), begun, stack)
@@ -243,35 +249,26 @@ def _written(
     *,
     sync: bool,
     is_itself: bool,
+    ahead: Ahead | None,
 ) -> _Written:
-    """Write one file under a temporary name, with the mode of its target, or the mode of a new file.
-
-    If it replaces itself, it keeps its owner and its extended attributes too, as far as the system lets it.
-    """
+    """Write one file under a temporary name, or the rest of it, if a part has been written ahead."""
     *parts, name = _parts(path, (begun.root, begun.given), place)
     folder = _opened(tuple(parts), begun, stack)
-    temporary = temporary_name()
+    there = ahead.part(folder, pieces) if ahead is not None and isinstance(pieces, Sequence) else None
     with interrupts_put_off():
-        descriptor = os.open(folder.name(temporary), _NEW, 0o666, dir_fd=folder.descriptor)
+        if ahead is None or there is None:
+            temporary, there = temporary_name(), slice(0, 0)
+            descriptor = os.open(folder.name(temporary), NEW_FILE, 0o666, dir_fd=folder.descriptor)
+        else:
+            descriptor, temporary = ahead.handed_over()
         begun.temporary.append((folder, temporary))
     try:
-        before = _there(folder, name)
-        if before is not None and stat.S_ISREG(before.st_mode):
-            if is_itself and BY_DESCRIPTOR:
-                # Give a file the owner and the group that it had; only the superuser may give any owner.
-                now = os.fstat(descriptor)
-                if (now.st_uid, now.st_gid) != (before.st_uid, before.st_gid):
-                    try:
-                        os.fchown(descriptor, before.st_uid, before.st_gid)
-                    except OSError:
-                        with suppress(OSError):
-                            os.fchown(descriptor, -1, before.st_gid)
-                _keep_attributes(descriptor, folder, name)
-            mode = stat.S_IMODE(before.st_mode)
-            os.chmod(descriptor if BY_DESCRIPTOR else folder.name(temporary), mode)
+        take_over(descriptor, folder, temporary, name, is_itself=is_itself)
         # Write the pieces one after the other, without joining them; generated pieces are written singly.
         if isinstance(pieces, Sequence):
-            _write_all(descriptor, pieces)
+            _write_all(descriptor, pieces[: there.start])
+            os.lseek(descriptor, sum(map(len, pieces[there])), os.SEEK_CUR)
+            _write_all(descriptor, pieces[there.stop :])
         else:
             for piece in pieces:
                 _write_all(descriptor, [piece])
@@ -280,6 +277,27 @@ def _written(
     finally:
         os.close(descriptor)
     return _Written(folder, temporary, name, pieces)
+
+
+def take_over(descriptor: int, folder: Folder, temporary: str, name: str, *, is_itself: bool) -> None:
+    """Give a temporary file the mode of the file whose name it will have.
+
+    If it replaces itself, it keeps its owner and its extended attributes too, as far as the system lets it.
+    """
+    before = _there(folder, name)
+    if before is None or not stat.S_ISREG(before.st_mode):
+        return
+    if is_itself and BY_DESCRIPTOR:
+        # Give a file the owner and the group that it had; only the superuser may give any owner.
+        now = os.fstat(descriptor)
+        if (now.st_uid, now.st_gid) != (before.st_uid, before.st_gid):
+            try:
+                os.fchown(descriptor, before.st_uid, before.st_gid)
+            except OSError:
+                with suppress(OSError):
+                    os.fchown(descriptor, -1, before.st_gid)
+        _keep_attributes(descriptor, folder, name)
+    os.chmod(descriptor if BY_DESCRIPTOR else folder.name(temporary), stat.S_IMODE(before.st_mode))
 
 
 def _keep_attributes(descriptor: int, folder: Folder, name: str) -> None:

@@ -99,14 +99,20 @@ def _chunks(view: memoryview, place: Place) -> list[tuple[int, memoryview]]:
 
 
 def join_glb(
-    json_bytes: bytes, binary: Sequence[Bytes] | None, others: Sequence[tuple[int, Bytes]]
+    json_bytes: bytes,
+    binary: Sequence[Bytes] | None,
+    others: Sequence[tuple[int, Bytes]],
+    *,
+    multiple: int = 4,
 ) -> list[Bytes]:
     """Return the pieces of a GLB file in order, ready to be written one after the other.
 
-    ``binary`` comes in pieces so that large buffers are never joined; None writes no BIN chunk. Raises
-    OutputError if the file exceeds the 4 GiB that the header can hold.
+    ``binary`` comes in pieces so that large buffers are never joined; None writes no BIN chunk. Its bytes
+    begin at a ``multiple`` of so many bytes (``binary_offset``). Raises OutputError if the file exceeds the
+    4 GiB that the header can hold.
     """
-    parts: list[Bytes] = _chunk(CHUNK_JSON, [json_bytes], b" ")
+    end = binary_offset(len(json_bytes), multiple) - HEADER.size - 2 * CHUNK_HEADER.size
+    parts: list[Bytes] = _chunk(CHUNK_JSON, [json_bytes, b" " * (end - len(json_bytes))], b" ")
     if binary is not None:
         parts += _chunk(CHUNK_BIN, binary, b"\0")
     for kind, chunk in others:
@@ -115,6 +121,12 @@ def join_glb(
     if length > MAX_LENGTH:  # pragma: no cover: takes 4 GiB: tests/gltf/test_glb.py
         raise OutputError(f"the GLB would have {length} bytes, over the format's limit of 4 GiB; write .gltf")
     return [HEADER.pack(MAGIC, 2, length), *parts]
+
+
+def binary_offset(json_length: int, multiple: int) -> int:
+    """Return the least multiple of so many bytes where the bytes of a BIN chunk can begin, after JSON."""
+    least = HEADER.size + 2 * CHUNK_HEADER.size + json_length
+    return least + -least % multiple
 
 
 def _chunk(kind: int, pieces: Sequence[Bytes], pad: bytes) -> list[Bytes]:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from skinbake.errors import InputError, Notice, OutputError, Place
 from skinbake.files import Bytes
+from skinbake.files.ahead import Ahead
 from skinbake.files.bounds import OutsideError, RefusedError, below, bounded_path, relative_names
 from skinbake.files.urls import STDIO
 from skinbake.files.versions import Signature, Version
@@ -18,13 +19,21 @@ from skinbake.gltf import json_text
 from skinbake.gltf.beside import Beside, named_files
 from skinbake.gltf.copies import Copies, named_paths
 from skinbake.gltf.document import Document, refuse_buffers_outside
-from skinbake.gltf.glb import join_glb
+from skinbake.gltf.glb import binary_offset, join_glb
 from skinbake.gltf.json_rewriting import FormerText, rewritten
 from skinbake.gltf.resources import find
+from skinbake.threads import thread_count
 from skinbake.wording import one_or_many
 
 ATTEMPTS = 8
 """The number of times that an output is planned again if the files beside it change meanwhile."""
+
+
+LARGE, MULTIPLE = 1 << 24, 1 << 16
+"""The bytes of a BIN chunk from which on it is written ahead, and begins at a multiple of so many bytes.
+
+The text of the JSON before it is not known yet. Spaces after the text leave it some room.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,11 +77,11 @@ class PlannedOutput:
     copies: Copies | None = None
     needed: frozenset[Path] = frozenset()
 
-    def write(self, *, sync: bool = True) -> PlannedOutput:
+    def write(self, *, sync: bool = True, ahead: Ahead | None = None) -> PlannedOutput:
         """Write all files, or raise OutputError and leave everything as it was; return the written paths.
 
-        ``sync`` waits until all is on the disk. Raises TakenError if a name is taken and there is no
-        ``again``.
+        ``sync`` waits until all is on the disk. ``ahead`` may have a part of the target. Raises TakenError if
+        a name is taken and there is no ``again``.
         """
         if self.target == STDIO:
             write_stdout(self.files[Path(STDIO)])
@@ -88,6 +97,7 @@ class PlannedOutput:
                     replaces=self.replaces,
                     sync=sync,
                     notes=planned.copies,
+                    ahead=ahead,
                 )
             except TakenError:
                 if planned.again is None:  # pragma: no cover: Dask: tests/files/test_writing.py
@@ -112,7 +122,12 @@ class PlannedOutput:
 
 
 def plan_output(
-    document: Document, target: str, *, root: str | None = None, keeps_notes: bool = True
+    document: Document,
+    target: str,
+    *,
+    root: str | None = None,
+    keeps_notes: bool = True,
+    grows: bool = False,
 ) -> PlannedOutput:
     """Return the plan of writing a document to ``target``, or to stdout for ``-``.
 
@@ -123,16 +138,17 @@ def plan_output(
     is replaced only if it is noted as an earlier copy (``copies``), unless not ``keeps_notes``. A copy that
     would have the name of the target has another name too.
     Other URIs are rewritten so that they still lead to the same file. A document that was not edited is
-    written with the bytes that were read. The folder of the target is made if it is missing. Raises
-    OutputError if the target cannot be written, and InputError if a buffer is outside the bounds of the
-    document or has a name that is never opened.
+    written with the bytes that were read. ``grows`` tells that a large one may have been given to
+    ``write_ahead``. The folder of the target is made if it is missing. Raises OutputError if the target
+    cannot be written, and InputError if a buffer is outside the bounds of the document or has a name that is
+    never opened.
     """
     refuse_buffers_outside(document)
     if target == STDIO:
-        return PlannedOutput(target, {Path(STDIO): _serialised(document)}, [])
+        return PlannedOutput(target, {Path(STDIO): _serialised(document, grows=grows)}, [])
 
     def again() -> PlannedOutput:
-        return plan_output(document, target, root=root, keeps_notes=keeps_notes)
+        return plan_output(document, target, root=root, keeps_notes=keeps_notes, grows=grows)
 
     try:
         path, base = _path_of(target, root)
@@ -147,10 +163,10 @@ def plan_output(
         reason = getattr(error, "strerror", None) or error
         raise OutputError(f"cannot be written: {reason}", Place(target)) from error
     if copies is not None and last is not None:
-        copies.final = _serialised(last)
+        copies.final = _serialised(last, grows=grows)
     return PlannedOutput(
         target,
-        {**beside, path: _serialised(written)},
+        {**beside, path: _serialised(written, grows=grows)},
         notices,
         root=base,
         serving=serving,
@@ -158,6 +174,25 @@ def plan_output(
         copies=copies,
         needed=named_paths(last or written, path.parent),
     )
+
+
+def write_ahead(ahead: Ahead, document: Document, target: str, *, root: str | None, growth: int) -> None:
+    """Begin to write the BIN chunk of a large GLB that will be ``target``, before it gets its additions.
+
+    Its JSON will be longer by about ``growth`` bytes. If the chunk will then begin elsewhere, or does not
+    begin with the same bytes, the output is written without what is there. Nothing is raised: errors are for
+    ``plan_output``. The arguments are as there.
+    """
+    if document.former is None or target == STDIO or thread_count() == 1:
+        return
+    pieces = document.binary or ()
+    if sum(map(len, pieces)) < LARGE:
+        return
+    length = len(bytes(document.former[0]).rstrip(b" ")) + growth
+    with suppress(OSError, OutputError, RuntimeError, ValueError):
+        path, base = _path_of(target, root)
+        check_target(path, target)
+        ahead.begin(path, base, binary_offset(length, MULTIPLE), pieces)
 
 
 def _path_of(target: str, root: str | None) -> tuple[Path, Path]:
@@ -216,13 +251,15 @@ def other_names(source: str) -> list[Notice]:
     return [Notice("hard-links", message, Place(source), count)]
 
 
-def _serialised(document: Document) -> Sequence[Bytes]:
+def _serialised(document: Document, *, grows: bool) -> Sequence[Bytes]:
     if document.raw is not None:
         return [document.raw]
     text = _json_bytes(document)
     if not document.is_glb:
         return [text]
-    return [*join_glb(text, document.binary, document.other_chunks), document.trailing]
+    multiple = MULTIPLE if grows and sum(map(len, document.binary or ())) >= LARGE else 4
+    parts = join_glb(text, document.binary, document.other_chunks, multiple=multiple)
+    return [*parts, document.trailing]
 
 
 def _json_bytes(document: Document) -> bytes:
