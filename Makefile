@@ -54,10 +54,10 @@ fixtures: $(DEV) ## Write fixtures/ anew
 golden: $(DEV) ## Write tests/shaders/golden and the shader text in engines/ anew, after a change of templates: review the diff
 	$(BIN)/python -m tests.shaders.write_golden
 
-picture: $(DEV) $(NODE_MODULES) ## Draw bend.png, shaders.png, view.gif (need a Vulkan driver) and three-*.png (Chromium) of docs/ anew
+picture: $(DEV) $(NODE_MODULES) ## Draw bend.png, shaders.png, view.webp (need a Vulkan driver, the last the corpus) and three-*.png (Chromium) of docs/ anew
 	$(BIN)/python -m benchmarks.bend_picture docs/bend.png
 	$(BIN)/python -m benchmarks.bend_render docs/shaders.png
-	$(BIN)/skinbake render $(EXAMPLE) -o docs/view.gif --split --size 880x400
+	$(BIN)/python -m benchmarks.character_picture
 	$(BIN)/python -m benchmarks.three_picture
 	$(BIN)/python -m benchmarks.skinned_normals_scores --pictures fixtures/SkinnedNormalsTest/screenshot
 

@@ -31,5 +31,5 @@ def test_the_laid_out_pages_have_the_help_and_lead_to_the_front_page(tmp_path: P
     assert "--neighbours [adopt|extend|drop]" in help_page
     front = (tmp_path / "index.md").read_text("utf-8")
     assert "\nthree.js <engines/three/README>\n" in front
-    assert (tmp_path / "docs" / "view.gif").is_file()
+    assert (tmp_path / "docs" / "view.webp").is_file()
     assert "](../index.md#cite)" in (tmp_path / "docs" / "why.md").read_text("utf-8")
