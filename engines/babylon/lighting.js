@@ -34,8 +34,8 @@ class Plugin extends MaterialPluginBase {
         defines.SKINBAKE = defines.NORMAL ? litBy(mesh, defines) : 0;
         defines.SKINBAKE_DUAL = defines.SKINBAKE && bakeOf(mesh).method === 'dqs' ? 1 : 0;
         if (defines.SKINBAKE) defines.USESPHERICALINVERTEX = false;
-        const isMorphed = defines.SKINBAKE && defines.MORPHTARGETS && defines.MORPHTARGETS_TEXTURE;
-        defines.SKINBAKE_MORPHS = isMorphed ? bakeOf(mesh).morphs?.numbers ?? 0 : 0;
+        const isMoved = defines.SKINBAKE && defines.MORPHTARGETS && !moveObstacle(mesh, defines);
+        defines.SKINBAKE_MORPHS = isMoved ? bakeOf(mesh).morphs?.numbers ?? 0 : 0;
     }
 
     getAttributes(attributes, scene, mesh) {
@@ -219,8 +219,22 @@ function tellOf(mesh) {
         if (!subMesh.effect?.isReady()) continue;
         const { lighting, reason } = drawnWith(mesh, subMesh);
         if (lighting === 'standard' && reason !== SWITCHED) tell(mesh, reason);
-        if (lighting === 'accurate' && isInGeometryBuffer(mesh)) tell(mesh, GEOMETRY_BUFFER, ' in its geometry buffer');
+        if (lighting !== 'accurate') continue;
+        if (isInGeometryBuffer(mesh)) tell(mesh, GEOMETRY_BUFFER, "Babylon.js's standard lighting in its geometry buffer");
+        const problem = moveObstacle(mesh, subMesh.materialDefines ?? {});
+        if (problem) tell(mesh, problem, 'a frame that follows NORMAL or TANGENT under morph targets');
     }
+}
+
+// Return why morph targets do not move the frame by the numbers of the file; empty if they do, or it has none.
+function moveObstacle(mesh, defines) {
+    const { morphs } = bakeOf(mesh);
+    if (!morphs || !defines.MORPHTARGETS) return '';
+    if (!defines.MORPHTARGETS_TEXTURE) return 'Babylon.js keeps its targets in attributes, not in a texture';
+    const manager = mesh.morphTargetManager;
+    const isSame = (target, index) => manager.getTarget(index).getPositions() === target.getPositions();
+    const isWhole = manager.numTargets === morphs.targets.length && morphs.targets.every(isSame);
+    return isWhole ? '' : 'a page has added or removed targets, and the numbers are for those of the file';
 }
 
 // Its shaders are Babylon.js's alone: no material, and no plugin of one, has a part in them.

@@ -68,7 +68,7 @@ export class Loading {
                 geometry.setVerticesBuffer(buffer, count);
             }
             baked.loaded = loadedOf(geometry, baked);
-            baked.morphs = await this.#morphs(primitive, count, scene);
+            baked.morphs = await this.#morphs(primitive, count, mesh);
             return geometry;
         });
     }
@@ -82,7 +82,7 @@ export class Loading {
 
     // Return the numbers by which morph targets move the frame, as a texture with a layer for each target; null
     // without any. Of six numbers a vertex has two texels, of four one.
-    async #morphs(primitive, count, scene) {
+    async #morphs(primitive, count, mesh) {
         const { numbers, targets } = morphsOf(this.loader.gltf, primitive);
         if (!numbers) return null;
         const texels = numbers === 6 ? 2 : 1;
@@ -100,9 +100,9 @@ export class Loading {
             }
         }
         const texture = RawTexture2DArray.CreateRGBATexture(
-            values, WIDTH, height, targets.length, scene, false, false, 1, 1, // nearest, floats
+            values, WIDTH, height, targets.length, mesh.getScene(), false, false, 1, 1, // nearest, floats
         );
-        return { numbers, texture };
+        return { numbers, texture, targets: targets.map((_, index) => mesh.morphTargetManager.getTarget(index)) };
     }
 
     // Return the values of attributes row by row: as they are stored, or as floats.
@@ -364,9 +364,9 @@ function misfit(accessor, index, { encoding, layout, alpha }) {
     return fits ? '' : `is not encoded as ${encoding}`;
 }
 
-export function tell(mesh, reason, where = '') {
+export function tell(mesh, reason, what = "Babylon.js's standard lighting") {
     const messages = state.told.get(mesh) ?? state.told.set(mesh, new Set()).get(mesh);
     if (messages.has(reason)) return;
     messages.add(reason);
-    console.warn(`skinbake: "${mesh.name}" has Babylon.js's standard lighting${where}: ${reason}`);
+    console.warn(`skinbake: "${mesh.name}" has ${what}: ${reason}`);
 }

@@ -85,9 +85,10 @@ function takeUp(mesh, method) {
     takeOwnHooks(mesh);
     const { skinbake } = mesh.geometry.userData;
     if (isObject(skinbake)) state.methods.set(skinbake, method);
-    const { problem, unfit } = adopt(mesh.geometry, method);
-    unfit?.delete(mesh);
-    return problem;
+    const adopted = adopt(mesh.geometry, method);
+    adopted.unfit?.delete(mesh);
+    tellOfMoves(mesh, adopted);
+    return adopted.problem;
 }
 
 /**
@@ -258,7 +259,7 @@ function takeMoves(mesh, parser) {
 }
 
 // A vertex has one texel for each target, or two: of the numbers in the plane, and of those upward.
-function keepMoves({ name, geometry: { attributes, morphAttributes, userData } }, columns, texels) {
+function keepMoves({ geometry: { attributes, morphAttributes, userData } }, columns, texels) {
     const { position } = attributes;
     if (state.moves.has(userData.skinbake) || !columns.every(({ count }) => count === position.count)) return;
     const rows = { first: 0, count: Math.ceil((columns.length * position.count) / WIDTH) };
@@ -266,8 +267,9 @@ function keepMoves({ name, geometry: { attributes, morphAttributes, userData } }
         if (used.first - rows.first >= rows.count) break;
         rows.first = used.first + used.count;
     }
+    const prints = [position, ...morphAttributes.position].map(printOf);
     if (rows.first + rows.count > MOST_ROWS) {
-        console.warn(`skinbake: "${name}" lights morphs by their normals: no room is left for the numbers of its targets`);
+        state.moves.set(userData.skinbake, { place: 0, prints, problem: 'no room is left for the numbers of its targets' });
         return;
     }
     const sheet = sheetOf(rows.first + rows.count);
@@ -280,7 +282,6 @@ function keepMoves({ name, geometry: { attributes, morphAttributes, userData } }
     sheet.needsUpdate = true;
     state.rows.add(rows);
     state.unused.register(userData.skinbake, rows);
-    const prints = [position, ...morphAttributes.position].map(printOf);
     state.moves.set(userData.skinbake, { place: (texels === 1 ? -1 : 1) * (rows.first + 1), prints });
 }
 
@@ -680,6 +681,16 @@ function tellOfNone(root) {
     console.info(`skinbake: "${root.name}" has no bake, and three.js's standard lighting: run skinbake bake on its file`);
 }
 
+// A file with numbers has the attribute on the mesh, too. They belong to the targets as the file has them.
+function tellOfMoves(mesh, { constants }) {
+    const { attributes, morphAttributes, userData } = mesh.geometry;
+    if (!constants || constants[3] || !attributes._skinbake_morph || !morphAttributes.position?.length) return;
+    const changed = 'a page has changed its targets, and their numbers are for the old ones';
+    const absent = { problem: 'only SkinbakePlugin loads the numbers of its targets, and toJSON() leaves them out' };
+    const { problem = changed } = state.moves.get(userData.skinbake) ?? absent;
+    tell(mesh, problem, 'a frame that follows NORMAL under morph targets');
+}
+
 function tellOfMap(mesh, { name, type, normalMapType }) {
     const why = normalMapType === 1 ? 'it is in object space' : 'the shader has none of the lines for it';
     tell(mesh, why, `three.js's own tangents for the normal map of its ${type} "${name}"`);
@@ -788,8 +799,9 @@ function methodOf({ attributes, userData: { skinbake } }) {
 // are there. WebGPURenderer needs all in this frame.
 function adoptDrawn(renderer, mesh, geometry, method) {
     const act = () => {
-        const { problem } = adopt(geometry, method);
-        if (problem) tell(mesh, problem);
+        const adopted = adopt(geometry, method);
+        if (adopted.problem) tell(mesh, adopted.problem);
+        else tellOfMoves(mesh, adopted);
     };
     if (renderer.isWebGLRenderer && !hasStorage(geometry, method)) queueMicrotask(act);
     else act();

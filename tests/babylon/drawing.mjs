@@ -84,8 +84,8 @@ async function stageOf({ backend = 'webgl', left = false, plugin = true, method 
     return scene;
 }
 
-// Options: those of stageOf; url; pose; morphs; material; bones: where the shader reads them.
-async function load({ url, pose, morphs = [], material = 'pbr', bones = 'texture', ...options }) {
+// Options: those of stageOf; url; pose; morphs; a change of them; material; bones: where the shader reads them.
+async function load({ url, pose, morphs = [], change = 'nothing', material = 'pbr', bones = 'texture', ...options }) {
     const scene = await stageOf(options);
     const loaded = await ImportMeshAsync(url, scene, { pluginExtension: '.glb' });
     posed(loaded, pose);
@@ -93,11 +93,26 @@ async function load({ url, pose, morphs = [], material = 'pbr', bones = 'texture
     for (const mesh of meshes) {
         mesh.alwaysSelectAsActiveMesh = true;
         morphs.forEach((weight, index) => (mesh.morphTargetManager.getTarget(index).influence = weight));
+        MORPH_CHANGES[change](mesh);
         if (bones === 'uniforms') mesh.skeleton.useTextureToStoreBoneMatrices = false;
         if (material !== 'pbr') mesh.material = new MATERIALS[material](material, scene);
     }
     return { scene, mesh: meshes[0], loaded };
 }
+
+// What a page does to morph targets.
+const MORPH_CHANGES = {
+    nothing: () => {},
+    'targets in attributes': ({ morphTargetManager }) => (morphTargetManager.useTextureToStoreTargets = false),
+    'targets in another order': ({ morphTargetManager }) => {
+        const first = morphTargetManager.getTarget(0);
+        morphTargetManager.removeTarget(first);
+        morphTargetManager.addTarget(first);
+    },
+    clone: (mesh) => {
+        mesh.morphTargetManager = mesh.morphTargetManager.clone();
+    },
+};
 
 const MATERIALS = { standard: StandardMaterial, openpbr: OpenPBRMaterial };
 

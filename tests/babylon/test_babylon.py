@@ -256,6 +256,33 @@ def test_numbers_of_the_differential_move_the_frame(
     assert angles(drawn[clear], wanted[: len(drawn)][clear]).max() < DEGREES
 
 
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ("targets in attributes", "Babylon.js keeps its targets in attributes, not in a texture"),
+        (
+            "targets in another order",
+            "a page has added or removed targets, and the numbers are for those of the file",
+        ),
+    ],
+)
+def test_numbers_that_do_not_belong_to_the_targets_leave_the_normal_and_a_message(
+    stage: Stage, change: str, reason: str
+) -> None:
+    _, by_rule, _ = by_numbers(with_morphs(stage.models, MIRRORED), stage.models, 4, "normal")
+    told = {**by_rule.told(Placement()), "material": "standard", "change": change}
+    found = stage.page.call("normals", told)
+    assert worst(found["draws"][0], expected(by_rule)) < DEGREES
+    (message,) = stage.page.messages()
+    assert message.endswith(f" has a frame that follows NORMAL or TANGENT under morph targets: {reason}")
+
+
+def test_a_copy_of_the_targets_keeps_their_numbers(stage: Stage) -> None:
+    character, *_ = by_numbers(with_morphs(stage.models, MIRRORED), stage.models, 6, "normal")
+    found = stage.normals(character, material="standard", change="clone")
+    assert worst(found["draws"][0], expected(character)) < DEGREES
+
+
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_morph_targets_with_tangents_turn_the_tangent_frame(stage: Stage, backend: str) -> None:
     """docs/reference/frame.md, *Morph targets*, by TANGENT."""
@@ -324,6 +351,23 @@ def test_normal_maps_have_the_matrix_of_a_relief(
     require_backend(stage, backend)
     character = stage.character(MIRRORED, RANDOM, frame)
     found = stage.normals(character, left=left, bump=True, material=material, backend=backend)
+    assert_matrix_of_a_relief(found, character, left, backend)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("frame", ["normal", "tangent"])
+@pytest.mark.parametrize("numbers", [4, 6])
+def test_numbers_of_the_differential_carry_the_relief_along(
+    stage: Stage, numbers: int, frame: str, backend: str
+) -> None:
+    require_backend(stage, backend)
+    source = with_morphs(stage.models, MIRRORED)
+    character, *_ = by_numbers(source, stage.models, numbers, frame, (0.1, -0.1))
+    found = stage.normals(character, bump=True, material="standard", backend=backend)
+    assert_matrix_of_a_relief(found, character, False, backend)
+
+
+def assert_matrix_of_a_relief(found: Any, character: Character, left: bool, backend: str) -> None:
     right = columns(character, Algorithm.LBS_ACCURATE, Placement())
     size = np.linalg.norm(right.n, axis=1, keepdims=True)
     wanted = [part / size * ((-1, 1, 1) if left else 1) for part in (right.t, right.b, right.n)]

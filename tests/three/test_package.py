@@ -191,10 +191,35 @@ def test_what_a_page_copies_keeps_the_numbers(stage: ThreeStage, change: str) ->
     assert largest(found["draws"][0], expected(character, found["world"])) < DEGREES
 
 
-def test_targets_that_a_page_has_sorted_move_the_frame_by_the_normal(stage: ThreeStage) -> None:
+@pytest.mark.parametrize(
+    ("change", "plugin", "reason"),
+    [
+        (
+            "targets in another order",
+            True,
+            "a page has changed its targets, and their numbers are for the old ones",
+        ),
+        (
+            "toJSON()",
+            True,
+            "only SkinbakePlugin loads the numbers of its targets, and toJSON() leaves them out",
+        ),
+        (
+            "applied twice",
+            False,
+            "only SkinbakePlugin loads the numbers of its targets, and toJSON() leaves them out",
+        ),
+    ],
+)
+def test_numbers_that_a_page_has_lost_leave_the_normal_and_a_message(
+    stage: ThreeStage, change: str, plugin: bool, reason: str
+) -> None:
     _, by_rule, _ = by_numbers(with_morphs(stage.models, MIRRORED), stage.models, 4, "normal")
-    found = stage.normals(by_rule, change="targets in another order")
+    told = {**by_rule.told(Placement()), "change": change, "plugin": plugin}
+    found = stage.page.call("normals", told)
     assert largest(found["draws"][0], expected(by_rule, found["world"])) < DEGREES
+    (message,) = stage.page.messages()
+    assert message.endswith(f" has a frame that follows NORMAL under morph targets: {reason}")
 
 
 def test_characters_that_share_a_material_have_their_own_numbers(stage: ThreeStage) -> None:

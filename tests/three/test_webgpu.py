@@ -154,8 +154,11 @@ def test_what_a_page_copies_keeps_the_numbers(stage: ThreeStage, change: str, ba
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_targets_that_a_page_has_sorted_move_the_frame_by_the_normal(stage: ThreeStage, backend: str) -> None:
     _, by_rule, _ = by_numbers(with_morphs(stage.models, MIRRORED), stage.models, 4, "normal")
-    found = stage.normals(by_rule, change="targets in another order", backend=backend)
+    told = {**by_rule.told(Placement()), "change": "targets in another order", "backend": backend}
+    found = stage.page.call("normals", told)
     assert largest(found["draws"][0], expected(by_rule, found["world"])) < DEGREES
+    (message,) = stage.page.messages()
+    assert "a frame that follows NORMAL under morph targets: a page has changed its targets" in message
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
