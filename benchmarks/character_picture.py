@@ -23,8 +23,7 @@ from skinbake.render.pictures import MILLISECONDS
 from skinbake.render.studio import Look
 
 SIZE = 720, 300
-KEPT = 3
-QUALITY = {"quality": 80, "method": 6}
+KEPT, QUALITY = 3, 80
 
 
 def frames(model: Path, mode: str) -> tuple[list[Image.Image], str]:
@@ -54,7 +53,9 @@ def main() -> None:
         pictures.append(picture)
     first, *others = pictures
     duration = KEPT * MILLISECONDS
-    first.save(arguments.output, save_all=True, append_images=others, duration=duration, loop=0, **QUALITY)
+    first.save(
+        arguments.output, save_all=True, append_images=others, duration=duration, loop=0, quality=QUALITY
+    )
     print(f"{arguments.output}: {words}, {len(pictures)} pictures, {arguments.output.stat().st_size:,} bytes")
 
 

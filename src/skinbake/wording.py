@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable
 from contextlib import suppress
 from itertools import islice
@@ -30,6 +31,17 @@ ALIASES = {".usda": ".usd", ".usdc": ".usd", ".usdz": ".usd"}
 def counted(count: int, singular: str, plural: str | None = None) -> str:
     """Return ``1 primitive``, ``2,000 vertices``."""
     return f"{count:,} {singular if count == 1 else plural or singular + 's'}"
+
+
+def installing(extra: str) -> str:
+    """Return the command that installs the packages of an extra, also where skinbake came from no index."""
+    from importlib.metadata import PackageNotFoundError, requires  # slow, and only errors need it
+
+    with suppress(PackageNotFoundError):
+        named = (re.match(r"([^\s;]+).*extra == .(\w+).", one) for one in requires("skinbake") or ())
+        packages = [f"'{found[1]}'" for found in named if found and found[2] == extra]
+        return f"pip install {' '.join(packages)}"
+    return f"install the packages of its extra {extra!r}"
 
 
 def percent(share: float, decimals: int) -> str:

@@ -23,6 +23,7 @@ from skinbake.render.subject import YAW, Camera, Shot, Subject
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.shaders.text import shader_made
 from skinbake.skinning.rest import RestPrimitive
+from skinbake.wording import installing
 
 SCENE = Path(__file__).parent / "scene.wgsl"
 MODES = ("shaded", "reflections", "error", "normals")
@@ -288,7 +289,7 @@ def require_packages() -> None:
         try:
             import_module(module)
         except ImportError as error:
-            message = f"pictures need {package}, which is missing ({error}): pip install 'skinbake[render]'"
+            message = f"pictures need {package}, which is missing ({error}): {installing('render')}"
             raise UnsupportedFeatureError(message, Place("render")) from error
 
 

@@ -22,6 +22,7 @@ from skinbake.jobs.remote.dask_task import build, call, perform, versions
 from skinbake.jobs.remote.sent_files import DoneHere, JobWithFiles, ResultWithFiles, WorkWithFiles
 from skinbake.jobs.work import Job, ResultT, Work
 from skinbake.timing import Told, is_heard, tell
+from skinbake.wording import installing
 
 if TYPE_CHECKING:
     from distributed import Client, Future  # distributed is untyped: these are Any
@@ -388,7 +389,7 @@ def _client(address: str) -> Client:
     try:
         from distributed import Client
     except ImportError as error:
-        message = "--dask needs Dask, which is not installed: pip install 'skinbake[dask]'"
+        message = f"--dask needs Dask, which is not installed: {installing('dask')}"
         raise InputError(message, Place(address)) from error
     _silence()
     try:

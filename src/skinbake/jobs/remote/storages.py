@@ -12,7 +12,7 @@ from urllib.parse import unquote, urlsplit
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
 from skinbake.files.bounds import is_relative
 from skinbake.files.urls import URL, file_part, join_url
-from skinbake.wording import SUFFIXES
+from skinbake.wording import SUFFIXES, installing
 
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem  # fsspec is untyped: this is Any
@@ -136,7 +136,7 @@ def _filesystem(url: str) -> tuple[AbstractFileSystem, str]:
         from fsspec.core import url_to_fs
     except ImportError as error:
         raise InputError(
-            "URLs need fsspec, which is not installed: pip install 'skinbake[dask]'", Place(url)
+            f"URLs need fsspec, which is not installed: {installing('dask')}", Place(url)
         ) from error
     try:
         filesystem, path = url_to_fs(url)
