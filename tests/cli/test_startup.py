@@ -250,6 +250,21 @@ run()
         assert (process.returncode, process.stderr) == (code, b"")
 
 
+def test_a_short_run_spends_no_time_on_garbage(tmp_path: Path) -> None:
+    """Python looked 80 times during the imports, and at exit once more through all that they had made."""
+    script = """
+import atexit, gc
+from skinbake.__main__ import run
+searches = []
+gc.callbacks.append(lambda phase, found: searches.append(phase))
+atexit.register(lambda: print(len(searches), len(gc.get_objects()) < gc.get_freeze_count() / 100))
+run()
+"""
+    command = [sys.executable, "-c", script, "bake", str(SEAM), "-o", str(tmp_path / "a.glb"), "-q"]
+    process = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert process.stdout == "0 True\n"
+
+
 @LINUX
 @pytest.mark.slow
 @pytest.mark.parametrize(
