@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import importlib
 import itertools
 import re
@@ -38,7 +39,7 @@ from skinbake.skinning.rest import RestPrimitive
 from tests.shaders.combinations import usage
 from tests.support import analytic, glslang, morphing, opengl
 from tests.support.analytic_rest import rest_primitive, sample
-from tests.support.baked_files import baked, source
+from tests.support.baked_files import Editable, baked, source
 from tests.support.baking import bake_settings
 from tests.support.morphed_files import morphed as with_targets
 from tests.support.morphed_files import with_tangents
@@ -539,3 +540,35 @@ def test_a_file_with_numbers_of_the_differential_is_read_by_them(tmp_path: Path)
     assert for_file(four, target="bevy", language=Language.WGSL).morphs is Morphs.NORMAL
     with pytest.raises(ChoiceError, match="no place for the numbers"):
         for_file(four, target="bevy", language=Language.WGSL, morphs=Morphs.FRAMES_NORMAL)
+
+
+@pytest.mark.parametrize(
+    ("target", "language", "names"),
+    [("playcanvas", Language.GLSL, True), ("bevy", Language.WGSL, True), ("three", Language.GLSL, False)],
+)
+def test_an_engine_that_reads_no_numbers_is_named_where_targets_have_no_normal(
+    tmp_path: Path, target: str, language: Language, names: bool
+) -> None:
+    moved = with_targets(source("mirrored_tangent.glb"), tmp_path / "moved.glb")
+    file, four = Editable(moved), baked(moved, tmp_path, morph_frames=True)
+    for one in file.primitive()["targets"]:
+        del one["NORMAL"]
+    six = baked(file.write(tmp_path / "six.glb"), tmp_path, morph_frames=True)
+    found = [shader(ShaderRequest(language, target=target), str(path)).notices for path in (six, four)]
+    assert [[one.code for one in notices] for notices in found] == [["morph-frames-unread"] * names, []]
+    if names:
+        assert "bake with --morph-normals too" in found[0][0].message
+
+
+def test_one_text_does_not_serve_targets_of_four_and_of_six_numbers(tmp_path: Path) -> None:
+    file = Editable(with_targets(source("mirrored_tangent.glb"), tmp_path / "moved.glb"))
+    primitives = file.content["meshes"][0]["primitives"]
+    primitives.append(copy.deepcopy(primitives[0]))
+    for one in primitives[1]["targets"]:
+        del one["NORMAL"]
+    both = baked(file.write(tmp_path / "both.glb"), tmp_path, morph_frames=True)
+    notices = shader(ShaderRequest(Language.GLSL), str(both)).notices
+    assert [one.code for one in notices] == ["morph-frames-unread"] * 2
+    for one, wanted in zip(notices, ("frames-normal", "frames"), strict=True):
+        assert one.message.endswith(f"write another text for it with --morphs {wanted}")
+        assert not shader(ShaderRequest(Language.GLSL, morphs=Morphs(wanted)), str(both)).notices

@@ -23,7 +23,7 @@ from skinbake.gltf.output import refuse_own_input
 from skinbake.gltf.primitives import reason_to_skip, skinned_sources, why_nothing
 from skinbake.gradients.influences import weight_sum_notices
 from skinbake.measure.measured import scaled_joints
-from skinbake.measure.morphing import carrier
+from skinbake.measure.morphing import NUMBERS, carrier, noted_of
 from skinbake.options import on_command_line
 from skinbake.shaders.choices import AT_RUN_TIME, BEST, AttributeText, ShaderChoices
 from skinbake.shaders.text import shader_made
@@ -168,6 +168,7 @@ def _choices_of_file(
         # Only the plain text leaves it to its user where the numbers of a differential come from.
         numbers = choices.target == "plain"
         choices = replace(choices, morphs=carrier(document, serving, numbers=numbers))
+        others += _unread_numbers(document, serving, choices)
     choices = _with_joints(document, serving, choices)
     others += [notice for view in serving for notice in weight_sum_notices(view.now, view.source.place)]
     served = {view.source.place for view in serving}
@@ -186,6 +187,7 @@ def _choices_at_run_time(
     choices = _made(request, Frame(str(views[0].metadata["frame"])), influences)
     served = {view.source.place for view in serving}
     others = [_over_module(view, influences) for view in views if view.source.place not in served]
+    others += _unread_numbers(document, serving, choices)
     return _with_joints(document, serving, choices), others
 
 
@@ -195,6 +197,33 @@ def _over_module(view: BakedView, influences: int) -> Notice:
         f"{view.metadata['influences']} influences. Bake it with --limit-influences {influences}"
     )
     return Notice("shader-not-for", message, view.source.place)
+
+
+def _unread_numbers(
+    document: Document, views: Sequence[BakedView], choices: ShaderChoices
+) -> Iterator[Notice]:
+    """Yield a notice for each primitive whose numbers of ``--morph-frames`` the text does not read, and miss.
+
+    Other engines than three.js and Babylon.js follow NORMAL of the targets. It is there where the numbers are
+    four. The plain text reads one kind of them.
+    """
+    if choices.target in {"three", "babylon"}:
+        return
+    for view, noted in zip(views, noted_of(document, views), strict=True):
+        wanted = NUMBERS.get(noted.frames)
+        if choices.target == "plain" and wanted not in (None, choices.morphs):
+            message = (
+                f"this text does not read the {noted.frames} numbers of its morph targets, because other "
+                f"primitives have others: write another text for it with --morphs {wanted}"
+            )
+        elif choices.target != "plain" and wanted is Morphs.FRAMES:
+            message = (
+                f"{choices.target} reads NORMAL of its morph targets, which some do not have, and not the "
+                "numbers of --morph-frames: bake with --morph-normals too"
+            )
+        else:
+            continue
+        yield Notice("morph-frames-unread", message, view.source.place)
 
 
 def _with_names(
@@ -349,7 +378,7 @@ def _with_joints(document: Document, views: Sequence[BakedView], choices: Shader
             names = scaled_joints([primitive], poses)
             rigid_only = choices.target in {"three", "playcanvas"}
             if names and (choices.lighting is not Lighting.EXACT or rigid_only):
-                needs = "--target plain" if rigid_only else "--lighting exact"
+                needs = "--method lbs, or --target babylon or plain" if rigid_only else "--lighting exact"
                 message = f"this file does not fit --method dqs: {names[0]} scales or shears; use {needs}"
                 raise InputError(message, view.source.place)
             scales |= bool(names) and choices.target not in AT_RUN_TIME

@@ -19,6 +19,9 @@ from skinbake.skinning.rest import RestPrimitive
 from skinbake.truth.poses import PoseSet
 from skinbake.truth.truths import Truths
 
+NUMBERS = {6: Morphs.FRAMES, 4: Morphs.FRAMES_NORMAL}
+"""What follows so many numbers of the differential."""
+
 
 @dataclass(frozen=True, slots=True)
 class Morphing:
@@ -91,7 +94,7 @@ def morphing_of(document: Document, views: Sequence[BakedView], poses: PoseSet) 
     moving = poses.moving_targets
     if poses.morph_weights is None or not moving:
         return None
-    made = _noted(document, views)
+    made = noted_of(document, views)
     targets = tuple(
         read_targets(
             document,
@@ -107,7 +110,7 @@ def morphing_of(document: Document, views: Sequence[BakedView], poses: PoseSet) 
     return Morphing(targets, poses.morph_weights[:, moving], authored)
 
 
-def _noted(document: Document, views: Sequence[BakedView]) -> list[NotedTargets]:
+def noted_of(document: Document, views: Sequence[BakedView]) -> list[NotedTargets]:
     """Return what bake has added to the targets of primitives."""
     meshes = {view.source.mesh for view in views}
     noted = {mesh: noted_targets(document.objects("meshes")[mesh]) for mesh in meshes}
@@ -133,15 +136,14 @@ def carrier(document: Document, views: Sequence[BakedView], *, numbers: bool) ->
     """
     found = Morphs.NONE
     stored: set[int] = set()
-    for view, noted in zip(views, _noted(document, views), strict=True):
+    for view, noted in zip(views, noted_of(document, views), strict=True):
         targets = objects(view.source.json, "targets", view.source.place)
         if targets:
             stored.add(noted.frames)
             found = Morphs.NORMAL if found is Morphs.NONE else found
             if view.metadata["frame"] == Frame.TANGENT and any("TANGENT" in target for target in targets):
                 found = Morphs.TANGENT
-    kinds = {6: Morphs.FRAMES, 4: Morphs.FRAMES_NORMAL}
-    return kinds.get(next(iter(stored)), found) if numbers and len(stored) == 1 else found
+    return NUMBERS.get(next(iter(stored)), found) if numbers and len(stored) == 1 else found
 
 
 def morph_count(document: Document, drawn: Iterable[tuple[int, PoseSet]]) -> MorphCount | None:
