@@ -50,7 +50,7 @@ EncodingName: TypeAlias = Encoding | Literal["float32", "snorm16", "packed8"]
 FrameName: TypeAlias = FrameChoice | Literal["auto", "tangent", "normal"]
 GradientsName: TypeAlias = Gradients | Literal["surface", "rig", "poses"]
 LayoutName: TypeAlias = Layout | Literal["attributes", "texcoord", "custom"]
-MethodName: TypeAlias = Method | Literal["lbs", "dqs"]
+MethodName: TypeAlias = Method | Literal["lbs", "dqs", "blend"]
 NeighboursName: TypeAlias = Neighbours | Literal["adopt", "extend", "drop"]
 SchemeName: TypeAlias = Scheme | Literal["keep", "none", "draco", "meshopt"]
 TruthName: TypeAlias = Truth | Literal["tangents", "triangles", "fine", "relief"]
@@ -77,6 +77,7 @@ class BakeOptions(TypedDict, total=False):
     generate_normals: bool
     morph_normals: bool
     morph_frames: bool
+    blend: str | None
     correctives: int | Literal["auto"] | None
     clips: Sequence[str]
     corrective_aim: CorrectiveAimName

@@ -117,10 +117,11 @@ class Scheme(StrEnum):
 
 
 class Method(StrEnum):
-    """The blending of joint motions: as matrices or as dual quaternions."""
+    """The blending of joint motions: as matrices, as dual quaternions, or by each vertex between the two."""
 
     LBS = "lbs"
     DQS = "dqs"
+    BLEND = "blend"
 
 
 class Lighting(StrEnum):

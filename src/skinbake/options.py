@@ -377,7 +377,10 @@ BAKE = (
             "Add NORMAL to morph targets without it, with or without a skin. Else engines light them as at "
             "rest."),
         Option("morph_frames", bool, False, By.ALL, help=
-            "Store beside each morph target how it moves the frame, so that α and β light morphs exactly.")),
+            "Store beside each morph target how it moves the frame, so that α and β light morphs exactly."),
+        Option("blend", str, None, By.ALL, "ATTRIBUTE", help=
+            "The attribute with each vertex's weight of dual quaternions against linear blending, 0 to 1: "
+            "store its gradient too.")),
     *_under("Correctives",
         Option("correctives", TARGETS, None, By.ALL, "auto|K", help=
             "Instead of α and β, add K morph targets of normals that the clips play, for engines without the "
@@ -429,7 +432,7 @@ VERIFY = (
             "Time in it. Without these two, the pose in which the bake shows most.")),
     *_under("Measurement",
         Option("methods", Method, (), By.ALL, flags=("--method",), is_many=True, help=
-            "Skinning to measure; by default both."),
+            "Skinning to measure; by default every one that the file has data for."),
         Option("baseline", Baseline, Baseline.BLENDED, By.ALL, help=
             "Standard LBS lighting to compare with: that of three.js, Bevy or Filament."),
         Option("cap", Range(0, is_open=True), None, By.ALL, "X", help=
@@ -539,7 +542,8 @@ SHADER = (
         Option("source", str, None, By.NOBODY, "BAKED_FILE", flags=("--for",), help=
             "Match this baked file (.glb, .gltf, .vrm; - for a GLB on stdin), and refuse options that "
             "contradict it."),
-        Option("method", Method, Method.LBS, help="Linear blend skinning, or dual quaternions."),
+        Option("method", Method, Method.LBS, help=
+            "Linear blend skinning, dual quaternions, or each vertex between the two."),
         Option("lighting", Lighting, None, help=
             "standard (that of common engines), direct (LBS only), accurate, exact (DQS only). By default "
             "accurate for LBS, exact for DQS."),

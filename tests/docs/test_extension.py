@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import jsonschema
+import numpy as np
 import pytest
 
 from fixtures import skinned_normals_test
@@ -57,6 +58,14 @@ def with_empty_extras(file: Editable) -> None:
 
 Change = Callable[[Editable], None]
 ASSET = f"{skinned_normals_test.FOLDER}/{skinned_normals_test.NAME}.gltf"
+
+
+def with_blend_weights(file: Editable) -> None:
+    """Give the mesh blend weights of linear blending and dual quaternions."""
+    weights = np.linspace(0, 1, len(file.array("POSITION")), dtype=np.float32)
+    file.primitive()["attributes"]["_B"] = file.add(weights[:, None])
+
+
 BAKES: list[tuple[str, Change | None, str]] = [
     ("bent_tube.glb", None, ""),
     ("bent_tube.glb", with_first_node_turned, ""),
@@ -75,6 +84,7 @@ BAKES: list[tuple[str, Change | None, str]] = [
     ("weights_u8.glb", None, "--compress draco"),
     ("shared_accessors.gltf", None, ""),
     (ASSET, None, ""),
+    ("bent_tube.glb", with_blend_weights, "--blend _B"),
     ("morphed_sheet.glb", None, "--morph-frames"),
     ("morphed_sheet.glb", without_normals_of_targets, "--morph-frames"),
     ("morphed_sheet.glb", with_empty_extras, "--morph-frames"),
@@ -135,7 +145,15 @@ def test_the_metadata_of_every_option_fits_the_schemas(written: list[tuple[str, 
 def test_schemas_have_what_bakes_write_and_nothing_else(
     kind: str, written: list[tuple[str, JsonObject]]
 ) -> None:
-    for path in ((), ("positions",), ("poses",), ("kept",), ("straightened",), ("morphTargets", "items")):
+    for path in (
+        (),
+        ("positions",),
+        ("poses",),
+        ("kept",),
+        ("straightened",),
+        ("blend",),
+        ("morphTargets", "items"),
+    ):
         schema = json.loads(SCHEMAS[kind].read_text("utf-8"))
         held = [note for one, note in written if one == kind]
         for key in path:

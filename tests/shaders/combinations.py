@@ -10,7 +10,7 @@ from typing import Any
 
 from skinbake.choices import Frame, Language, Lighting, Method, Morphs, Stage
 from skinbake.options import PUBLISHED_CAP
-from skinbake.shaders.choices import ALGORITHMS, BEST, ShaderChoices
+from skinbake.shaders.choices import ALGORITHMS, BEST, BLENDED, ShaderChoices
 from tests.support.whole_fields import shader_text
 
 FRAMES = (Frame.NORMAL, Frame.TANGENT)
@@ -45,8 +45,10 @@ GLSL_MOTIONS = {
 
 
 def motion_kind(choices: ShaderChoices) -> str:
-    """Return which motions of joints a text takes: lbs, dqs or scaled."""
-    return "scaled" if choices.scaled_joints else str(choices.method)
+    """Return which motions of joints a text takes, blended ones beside matrices: lbs, dqs or scaled."""
+    if choices.scaled_joints:
+        return "scaled"
+    return "lbs" if choices.method is Method.LBS else "dqs"
 
 
 def combinations(language: Language) -> list[ShaderChoices]:
@@ -67,7 +69,7 @@ def variants(language: Language) -> list[ShaderChoices]:
     mapped += [replace(choices, normal_map=True) for choices in both]
     fours = [choices for choices in combinations(language) if choices.influences == 4]
     many = [replace(choices, influences=count) for choices, count in product(fours, MANY_INFLUENCES)]
-    return [*capped, *mirrored, *both, *mapped, *many, *_scaled_joints(language)]
+    return [*capped, *mirrored, *both, *mapped, *many, *_scaled_joints(language), *_blended(language)]
 
 
 def _scaled_joints(language: Language) -> list[ShaderChoices]:
@@ -81,9 +83,21 @@ def _scaled_joints(language: Language) -> list[ShaderChoices]:
     return [*every, *mirrored, *both]
 
 
+def _blended(language: Language) -> list[ShaderChoices]:
+    """Return what blended skinning adds."""
+    every = [
+        ShaderChoices(language, Method.BLEND, lighting, influences, frame)
+        for lighting, influences, frame in product(BLENDED, (1, 2, 4, 9), FRAMES)
+    ]
+    best = [choices for choices in every if choices.is_corrected]
+    scaled = [replace(choices, scaled_joints=True) for choices in best]
+    mirrored = [replace(choices, mirrored_joints=True) for choices in scaled]
+    return [*every, *scaled, *mirrored, *(replace(choices, cap=PUBLISHED_CAP) for choices in best + mirrored)]
+
+
 def stored_and_morphed(language: Language) -> list[ShaderChoices]:
     """Return what encodings, layouts and morph targets add to the best lighting, also together."""
-    methods = [ShaderChoices(language, method, lighting) for method, lighting in BEST.items()]
+    methods = [ShaderChoices(language, method, BEST[method]) for method in (Method.LBS, Method.DQS)]
     found = []
     for choices, influences, frame in product(methods, (4, 8), FRAMES):
         base = replace(choices, influences=influences, frame=frame)
@@ -194,6 +208,8 @@ def columns(choices: ShaderChoices) -> list[Column]:
         found += [Column(name, 2) for name in dict.fromkeys(re.findall(r"\btexcoord_\d+", shown))]
     elif choices.reads_gradients:
         found += [Column(f"{kind}_{number}", 4 if number else 3) for kind, number in product(kinds, sets)]
+    if choices.method is Method.BLEND:
+        found.append(Column("blend", 3))
     return found
 
 
@@ -229,12 +245,16 @@ def glsl(several: Sequence[ShaderChoices], version: str, motions: int = 64) -> s
 
 
 def _glsl_call(choices: ShaderChoices) -> list[str]:
-    kind, table = GLSL_MOTIONS[motion_kind(choices)]
-    name = "M" if choices.method is Method.LBS else "Q"
+    motions = [(*GLSL_MOTIONS[motion_kind(choices)], "M" if choices.method is Method.LBS else "Q")]
+    motions += [("mat4", "matrices", "M")] if choices.method is Method.BLEND else []
     return [
         "{",
-        f"{kind} {name}[{choices.influences}];",
-        *(f"{name}[{slot}] = {table}[{joint}];" for slot, joint in enumerate(_joints(choices))),
+        *(f"{kind} {name}[{choices.influences}];" for kind, _, name in motions),
+        *(
+            f"{name}[{slot}] = {table}[{joint}];"
+            for _, table, name in motions
+            for slot, joint in enumerate(_joints(choices))
+        ),
         f"vec3 {_position(choices)} = point.w * point.xyz;",
         *_scaled(usage(shader_text(choices)), "skinbake_Frame"),
         *(
@@ -246,11 +266,16 @@ def _glsl_call(choices: ShaderChoices) -> list[str]:
 
 
 def wgsl(choices: ShaderChoices) -> str:
-    """Return a compute shader, 64 vertices a workgroup: bindings 0 motions, 1 columns, 2 the results."""
+    """Return a compute shader, 64 vertices a workgroup: bindings 0 motions, 1 columns, 2 the results.
+
+    Of blended skinning 3, too: the matrices beside the motions.
+    """
     own = shader_text(choices)
     kind = {"lbs": "mat4x4<f32>", "dqs": "mat2x4<f32>", "scaled": SCALED}[motion_kind(choices)]
     name = "M" if choices.method is Method.LBS else "Q"
     reads = columns(choices)
+    is_blend = choices.method is Method.BLEND
+    matrices = ", ".join(f"matrices[{joint}]" for joint in _joints(choices))
     chosen = ", ".join(f"motions[{joint}]" for joint in _joints(choices))
     loads = []
     for number, column in enumerate(reads):
@@ -264,12 +289,14 @@ def wgsl(choices: ShaderChoices) -> str:
             f"@group(0) @binding(0) var<storage, read> motions: array<{kind}>;",
             "@group(0) @binding(1) var<storage, read> columns: array<vec4<f32>>;",
             "@group(0) @binding(2) var<storage, read_write> results: array<vec4<f32>>;",
+            *["@group(0) @binding(3) var<storage, read> matrices: array<mat4x4<f32>>;"][: int(is_blend)],
             "@compute @workgroup_size(64)",
             "fn main(@builtin(global_invocation_id) id: vec3<u32>) {",
             "let row = id.x;",
             "if (4u * row >= arrayLength(&results)) { return; }",
             *loads,
             f"let {name} = array<{kind}, {choices.influences}>({chosen});",
+            *[f"let M = array<mat4x4<f32>, {choices.influences}>({matrices});"][: int(is_blend)],
             f"let {_position(choices)} = point.w * point.xyz;",
             *_scaled(usage(own), "let"),
             *(
@@ -301,6 +328,10 @@ def hlsl(several: Sequence[ShaderChoices]) -> str:
             f"StructuredBuffer<{kind}> motions : register(t0);",
             "StructuredBuffer<float4> columns : register(t1);",
             "RWStructuredBuffer<float4> results : register(u2);",
+            *(
+                "StructuredBuffer<float4x4> matrices : register(t3);"
+                for _ in range(several[0].method is Method.BLEND)
+            ),
             "[numthreads(64, 1, 1)]",
             "void main(uint3 id : SV_DispatchThreadID) {",
             "uint row = id.x, count, size;",
@@ -331,6 +362,14 @@ def _hlsl_call(choices: ShaderChoices, at: int, count: int) -> list[str]:
         "{",
         f"{kind} {name}[{choices.influences}];",
         *(take.format(f"{name}[{slot}]", joint) for slot, joint in enumerate(_joints(choices))),
+        *(
+            line
+            for _ in range(choices.method is Method.BLEND)
+            for line in (
+                f"float4x4 M[{choices.influences}];",
+                *(f"M[{slot}] = matrices[{joint}];" for slot, joint in enumerate(_joints(choices))),
+            )
+        ),
         f"float3 {_position(choices)} = place.w * place.xyz;",
         *_hlsl_scaled(usage(shader_text(choices))),
         *(

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from skinbake.choices import Lighting
+from skinbake.choices import Lighting, Method
 from skinbake.shaders.choices import ShaderChoices
 from tests.shaders.combinations import ATTRIBUTES, label, motion_kind
 from tests.shaders.running import Single, Wide, Work
@@ -35,6 +35,9 @@ def term_lengths(choices: ShaderChoices, scene: Scene) -> Wide:
     blended = scene.posed(plain, np.float64)
     own, other = (np.linalg.norm(vectors, axis=2) for vectors in (posed, blended))
     farthest, steps = _reach(scene, choices.influences)
+    if choices.method is Method.BLEND:
+        # The derivatives of the blend weight times how far both methods are apart.
+        steps = steps + np.tile(np.abs(scene.blend[:, 1:].T), len(scene.matrices)) * 2 * farthest
     longest = np.maximum(own, other)
     corrected = choices.lighting is not Lighting.STANDARD
     tangent, bitangent = longest[:, 2:].T + corrected * ROUNDING / TOLERANCE * steps
@@ -83,7 +86,10 @@ def assert_like_the_replay(choices: ShaderChoices, scene: Scene, found: Single) 
 
 
 def irregular_work(every: Mapping[str, ShaderChoices]) -> Work:
-    return {
-        name: (choices, irregular(choices.influences, stretches=motion_kind(choices) != "dqs"))
-        for name, choices in every.items()
-    }
+    found = {}
+    for name, choices in every.items():
+        scene = irregular(choices.influences, stretches=motion_kind(choices) != "dqs")
+        if choices.method is Method.BLEND and not choices.scaled_joints:
+            scene = replace(scene, matrices=scene.matrices[:2])  # the third pose has another scale
+        found[name] = choices, scene
+    return found

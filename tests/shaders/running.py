@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from skinbake.choices import Method
 from skinbake.shaders.choices import ShaderChoices
 from tests.shaders.combinations import (
     ATTRIBUTES,
@@ -41,6 +42,7 @@ def run_wgsl(implementation: webgpu.Implementation, work: Work) -> dict[str, Sin
             (scene.motions(choices).tobytes(), given.tobytes()),
             len(ATTRIBUTES) * 16 * len(given),
             -(-len(given) // WORKGROUP),
+            _matrices_beside(choices, scene),
         )
     return {
         name: np.frombuffer(done(name, answer), np.float32).reshape(-1, len(ATTRIBUTES), 4)[:, :, :3]
@@ -55,7 +57,7 @@ def run_hlsl(work: Work, compiled: Callable[[str], bytes]) -> dict[str, Single]:
     """
     groups: dict[str, list[str]] = {}
     for name, (choices, scene) in work.items():
-        alike = f"{motion_kind(choices)} {label(choices).partition('-')[2]} {id(scene)}"
+        alike = f"{choices.method} {motion_kind(choices)} {label(choices).partition('-')[2]} {id(scene)}"
         groups.setdefault(alike, []).append(name)
     jobs = {alike: _hlsl_job([work[name] for name in names], compiled) for alike, names in groups.items()}
     found: dict[str, Single] = {}
@@ -78,7 +80,12 @@ def _hlsl_job(pairs: Sequence[tuple[ShaderChoices, Scene]], compiled: Callable[[
         (scene.motions(widest).tobytes(), given.tobytes()),
         len(several) * len(ATTRIBUTES) * 16 * len(given),
         -(-len(given) // WORKGROUP),
+        _matrices_beside(widest, scene),
     )
+
+
+def _matrices_beside(choices: ShaderChoices, scene: Scene) -> tuple[bytes, ...]:
+    return (scene.columns_of_matrices().tobytes(),) if choices.method is Method.BLEND else ()
 
 
 def done(name: str, answer: webgpu.Answer) -> bytes:
@@ -98,7 +105,10 @@ def run_glsl(context: opengl.Context, version: str, choices: ShaderChoices, scen
         scene.columns(choices),
         outputs,
         3 * len(outputs),
-        {table.capitalize(): motions},
+        {
+            table.capitalize(): motions,
+            **({"Matrices": scene.columns_of_matrices()} if choices.method is Method.BLEND else {}),
+        },
     )
     return found.reshape(-1, len(outputs), 3)
 

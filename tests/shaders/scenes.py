@@ -28,7 +28,7 @@ from skinbake.truth.poses import PoseRequest, pose_set
 from tests.shaders.combinations import ATTRIBUTES, TEXELS, columns
 from tests.support import analytic, corpus
 from tests.support.baking import bake_file
-from tests.support.replay import SkinnedSurface, replay
+from tests.support.replay import SkinnedSurface, blended_replay, replay
 
 Single = npt.NDArray[np.float32]
 Wide = npt.NDArray[np.float64]
@@ -74,7 +74,15 @@ class Scene:
             self.weights[:, :count],
             self.alpha[:, : count - 1],
             self.beta[:, : count - 1],
+            blend=self.blend,
         )
+
+    @property
+    def blend(self) -> Single:
+        """Return blend weights from 0 to 1, and derivatives as large as those of weights: (V, 3)."""
+        rng = np.random.default_rng(len(self.positions))
+        derivatives = rng.normal(scale=1.5, size=(len(self.positions), 2))
+        return np.column_stack([rng.random(len(self.positions)), derivatives]).astype(np.float32)
 
     def texture_tangents(self, choices: ShaderChoices) -> Single:
         """Return TANGENT (V, 4), which a normal map follows. Beside a normal frame it leans by 11°."""
@@ -101,9 +109,12 @@ class Scene:
         With a normal map, the last two are the mapped normals of TEXELS.
         """
         algorithm, rest = Algorithm(choices.algorithm), self.rest(choices)
-        found = replay(
-            algorithm, rest, self.matrices, dtype=dtype, cap=choices.cap, normal_map=choices.normal_map
-        )
+        if choices.method is Method.BLEND:
+            found = blended_replay(algorithm, rest, self.matrices, dtype=dtype, cap=choices.cap)
+        else:
+            found = replay(
+                algorithm, rest, self.matrices, dtype=dtype, cap=choices.cap, normal_map=choices.normal_map
+            )
         vectors = [getattr(found, f"{name}s").astype(np.float64) for name in ATTRIBUTES]
         if choices.normal_map:
             vectors[2:] = [self._mapped(choices, found, texel) for texel in TEXELS]
@@ -135,6 +146,7 @@ class Scene:
         found: dict[str, npt.NDArray[np.number]] = {
             "normal": self.normals,
             "tangent": self.texture_tangents(choices),
+            "blend": self.blend,
         }
         width = SLOTS_PER_SET * sets
         weights = _wide(self.weights[:, : choices.influences], width)
@@ -164,8 +176,12 @@ class Scene:
             found.append((name, padded))
         return found
 
+    def columns_of_matrices(self) -> Single:
+        """Return all poses' joint matrices, column by column, (P J, 16)."""
+        return np.swapaxes(self.matrices, 2, 3).reshape(-1, 16)
+
     def motions(self, choices: ShaderChoices) -> Single:
-        """Return all poses' joint matrices, column by column, (P J, 16), or dual quaternions, (P J, 8).
+        """Return all poses' joint matrices (``columns_of_matrices``), or dual quaternions, (P J, 8).
 
         Of joints that scale: scaled motions (P J, 20). Every other quaternion is given as its negative, which
         is the same motion.
@@ -175,7 +191,7 @@ class Scene:
             found[::2] *= -1
             return np.roll(found.reshape(-1, 5, 4), -1, axis=2).reshape(-1, 20).astype(np.float32)
         if choices.method is Method.LBS:
-            return np.swapaxes(self.matrices, 2, 3).reshape(-1, 16)
+            return self.columns_of_matrices()
         found = self.rigid(choices).dual_quaternions.reshape(-1, 8)
         found[::2] *= -1
         return shader_order(found)

@@ -8,7 +8,7 @@ from functools import cache
 
 import pytest
 
-from skinbake.choices import Language
+from skinbake.choices import Language, Method
 from skinbake.shaders.choices import ShaderChoices
 from tests.shaders.combinations import every_stored_and_morphed, every_text, usage
 from tests.support.whole_fields import shader_text
@@ -50,7 +50,7 @@ def outside_functions(text: str) -> str:
 class TestEveryText:
     def test_every_combination_has_a_text(self, language: Language) -> None:
         plain = Counter(
-            (choices.algorithm, choices.frame)
+            (choices.method, choices.algorithm, choices.frame)
             for choices in every_text(language).values()
             if choices.cap is None
             and not choices.mirrored_joints
@@ -58,8 +58,11 @@ class TestEveryText:
             and not choices.scaled_joints
             and choices.influences <= 8
         )
+        blended = {key: plain.pop(key) for key in list(plain) if key[0] is Method.BLEND}
         assert len(plain) == 12
         assert set(plain.values()) == {8}
+        assert len(blended) == 4
+        assert set(blended.values()) == {3}
         assert len({text for _, text in texts(language).values()}) == len(texts(language))
 
     def test_is_ascii_and_ends_in_one_newline(self, language: Language) -> None:
@@ -93,7 +96,7 @@ class TestEveryText:
             shown = "\n".join(usage(text))
             expected = {found for found in names if f"{found}(" in shown}
             assert len(expected) >= 2, name
-            if choices.method == "dqs":  # for the host
+            if choices.method != "lbs":  # for the host
                 host = "scaled_motion" if choices.scaled_joints else "dual_quaternion"
                 expected.add(f"skinbake_{host}")
             assert uncalled == expected, name

@@ -26,7 +26,7 @@ FRAMES = [Frame.NORMAL, Frame.TANGENT] * 3
 
 
 def golden_choices() -> list[ShaderChoices]:
-    """Return one of each algorithm and language, of joints that scale, and of compute passes.
+    """Return one of each algorithm and language, of joints that scale, blends and compute passes.
 
     The two frames take turns.
     The other combinations are compiled and run, not compared: a change of a template shows here once.
@@ -40,6 +40,7 @@ def golden_choices() -> list[ShaderChoices]:
         for language in Language
         for one in (
             ShaderChoices(language, Method.DQS, Lighting.EXACT, mirrored_joints=True, scaled_joints=True),
+            ShaderChoices(language, Method.BLEND, mirrored_joints=True, scaled_joints=True),
             ShaderChoices(language, frame=Frame.TANGENT, morphs=Morphs.TANGENT, stage=Stage.COMPUTE),
         )
     ]

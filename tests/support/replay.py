@@ -12,6 +12,7 @@ from skinbake.choices import Baseline
 from skinbake.geometry.dual_quaternions import RIGID_TOLERANCE
 from skinbake.geometry.skinned import FloatArray
 from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.blended import BlendedSkinning
 from skinbake.skinning.components import PosedVertex
 from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.skinning.run import Skinning
@@ -74,7 +75,38 @@ def replay(
         options=Options(cap, baseline, normal_map),
         tolerance=tolerance,
     )
-    poses, count = len(joint_matrices), len(rest.positions)
+    shape = len(joint_matrices), len(rest.positions)
+    return _posed(skinning, algorithm, shape, dtype, normal_map=normal_map)
+
+
+def blended_replay(
+    algorithm: Algorithm,
+    rest: RestPrimitive,
+    joint_matrices: FloatArray,
+    *,
+    dtype: npt.DTypeLike = np.float64,
+    cap: float | None = None,
+    baseline: Baseline = Baseline.BLENDED,
+) -> SkinnedSurface:
+    """Skin a rest surface between an algorithm of dual quaternions and its like, by its blend weights."""
+    both = (
+        Skinning.of(rest, joint_matrices, dual_quaternions=dual, dtype=dtype, options=Options(cap, baseline))
+        for dual in (False, True)
+    )
+    shape = len(joint_matrices), len(rest.positions)
+    return _posed(BlendedSkinning(rest, *both), algorithm, shape, dtype, normal_map=False)
+
+
+def _posed(
+    skinning: Skinning | BlendedSkinning,
+    algorithm: Algorithm,
+    shape: tuple[int, int],
+    dtype: npt.DTypeLike,
+    *,
+    normal_map: bool,
+) -> SkinnedSurface:
+    """Return all poses and vertices (P, V), block by block."""
+    poses, count = shape
     posed = [np.empty((poses, count, 3), dtype=dtype) for _ in range(6 if normal_map else 4)]
     for pose, part in _blocks(poses, count, np.dtype(dtype).itemsize):
         (vertex,) = skinning.run((algorithm,), pose, part)

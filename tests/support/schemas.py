@@ -322,6 +322,7 @@ NORMALS = strict(
             optional={"corrected": FIGURES},
         ),
         "dqs": strict({"standard": FIGURES, "accurate": FIGURES, "exact": FIGURES, "gain": GAIN}),
+        "blend": strict({"standard": FIGURES, "accurate": FIGURES, "gain": GAIN}),
     },
 )
 NORMALS_BY_TRIANGLES = strict(
@@ -331,6 +332,7 @@ NORMALS_BY_TRIANGLES = strict(
             {"standard": FIGURES, "accurate": FIGURES, "gain": GAIN}, optional={"corrected": FIGURES}
         ),
         "dqs": strict({"standard": FIGURES, "accurate": FIGURES, "exact": FIGURES, "gain": GAIN}),
+        "blend": strict({"standard": FIGURES, "accurate": FIGURES, "gain": GAIN}),
     },
 )
 RELIEF_FIGURES = strict(

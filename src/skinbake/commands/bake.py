@@ -273,6 +273,13 @@ class Baker(CheckedOptions):
         if self.gradients is Gradients.RIG:
             made, found = _guarded(document, read, made, self.settings)
             notices += found
+        if self.blend is not None and made:
+            made = [one.with_blend(own, self.blend) for one, own in zip(read, made, strict=True)]
+            without = [bake for bakes in made for bake in bakes if bake.blend is None]
+            if len(without) == len(sources):
+                raise InputError(f"nothing that is baked has an attribute {self.blend}", document.place)
+            message = f"it has no attribute {self.blend}, and is left to linear blend skinning"
+            notices += [Notice("no-blend", message, bake.source.place) for bake in without]
         return [bake for bakes in made for bake in bakes], notices
 
     def _bakeable(self, document: Document) -> tuple[list[PrimitiveSource], int, list[Notice]]:

@@ -50,6 +50,7 @@ class CheckedOptions:
     generate_normals: bool = USUAL["generate_normals"]
     morph_normals: bool = USUAL["morph_normals"]
     morph_frames: bool = USUAL["morph_frames"]
+    blend: str | None = USUAL["blend"]
     correctives: int | Literal["auto"] | None = USUAL["correctives"]
     clips: tuple[str, ...] = USUAL["clips"]
     corrective_aim: CorrectiveAim = USUAL["corrective_aim"]
@@ -85,6 +86,9 @@ class CheckedOptions:
                 raise ChoiceError(name, reason=(" needs ", needed, f"; {self.layout} has fixed names"))
         if self.attribute_names.alpha == self.attribute_names.beta:
             raise ChoiceError("alpha_name", reason=(" and ", Chosen("beta_name"), " must differ"))
+        if self.blend is not None and not self.blend.startswith("_"):
+            expected = "an attribute whose name begins with an underscore, as glTF wants"
+            raise ChoiceError("blend", self.blend, expected)
         # Bits, levels and layouts that the compression cannot use.
         for name in ("position_bits", "normal_bits", "texcoord_bits"):
             if getattr(self, name) is not None and self.compress is not Scheme.DRACO:
@@ -143,6 +147,7 @@ ONLY_FOR_GRADIENTS = (
     "limit_influences",
     "morph_normals",
     "morph_frames",
+    "blend",
 )
 """The options that say how α and β are stored, or that belong to them."""
 

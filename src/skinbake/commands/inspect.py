@@ -11,6 +11,7 @@ from skinbake.choices import FrameChoice
 from skinbake.errors import Notice
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.format.attribute_store import meshopt_of
+from skinbake.format.blend_weights import blend_names
 from skinbake.format.metadata import changed_arrays, corrective_note, read_left, read_metadata, slot_names
 from skinbake.freshness.baked_views import other_version
 from skinbake.freshness.made_targets import made_states
@@ -122,7 +123,7 @@ def _summary(document: Document, source: PrimitiveSource, primitive: SkinnedPrim
     metadata = read_metadata(document, source.json)
     bake = None
     if metadata is not None:
-        names = set(slot_names(metadata))
+        names = {*slot_names(metadata), *blend_names(metadata)}
         gone = sorted(names - source.attributes.keys())
         changed = (*changed_arrays(metadata, primitive), *gone)
         size = sum(attribute.byte_length for attribute in attributes if attribute.name in names)

@@ -29,6 +29,7 @@ from skinbake.gltf.output import refuse_own_input
 from skinbake.measure.angles import INSIDE_OUT, METHODS, Corrections, truths_at_rest
 from skinbake.report.normals import BYTES_A_NUMBER, PosedNormals, line
 from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.blended import BlendedSkinning
 from skinbake.skinning.components import Vector
 from skinbake.skinning.rest import Options
 from skinbake.skinning.run import Skinning
@@ -65,6 +66,9 @@ def posed_normals(document: Document, request: NormalsRequest) -> Iterator[Posed
         views = sound_views(document)
     if not views:
         message = "no α and β in it are sound, so it has no accurate normals: run skinbake bake"
+        raise InputError(message, document.place)
+    if Method.BLEND in request.methods and all(view.blend is None for view in views):
+        message = "no primitive of it has blend weights that a bake has read: run skinbake bake --blend"
         raise InputError(message, document.place)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no normal gets NaN
         draws = list(shown_draws(document, views, correctives))
@@ -117,8 +121,10 @@ def _of_draw(
     rest = draw.rest
     if posed.morphing is not None:
         rest, truths = posed.morphing.posed(rest, truths, 0)
-    skinned = (
-        Skinning.of_mesh(rest, posed.matrices, options)
+    skinned: Sequence[Skinning | BlendedSkinning] = (
+        BlendedSkinning.of_mesh(rest, posed.matrices, options)
+        if method is Method.BLEND
+        else Skinning.of_mesh(rest, posed.matrices, options)
         if method is Method.DQS
         else [Skinning.of(one, posed.matrices, dual_quaternions=False, options=options) for one in rest]
     )

@@ -99,7 +99,8 @@ def _notice(place: Place, own: _Gains, *, is_guarded: bool) -> Notice:
         rig = Chosen("gradients", Gradients.RIG)
         advice = ", is no worse than standard lighting in the file's own clips: bake so"
         return Notice("lighting-worse", Message(f"{message}The default, ", rig, advice), place)
-    message += "With dual quaternions, light" if only_dqs else "Light"
+    other = "Blended" if own.least_of[0] == "blend" else "With dual quaternions"
+    message += f"{other}, light" if only_dqs else "Light"
     message += " it the standard way (in skinbake-three: lighting(mesh, 'standard'))"
     return Notice("lighting-worse", message, place)
 

@@ -14,9 +14,11 @@ from skinbake.errors import ChoiceError, InputError, Notice, Place
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.urls import STDIO
 from skinbake.files.writing import write_file, write_stdout
+from skinbake.format import blend_weights
 from skinbake.format.metadata import corrective_note, slot_names
 from skinbake.freshness.baked_views import BakedView, baked_views, is_baked, rest_primitive
 from skinbake.freshness.staleness import claim_freshness, refuse_stale
+from skinbake.geometry.dual_quaternions import RIGID_TOLERANCE
 from skinbake.gltf.animation import read_clips, skins_of
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.output import refuse_own_input
@@ -246,7 +248,8 @@ def _with_names(
         found = " and ".join(sorted(f"{scale:.9g}" for scale in scales))
         raise InputError(f"its primitives have different scales ({found}): bake it again", document.place)
     first = views[0].metadata
-    text = AttributeText(PurePath(document.name).name, tuple(first["alpha"]), tuple(first["beta"]))
+    blend = first[blend_weights.NOTE]["weights"] if choices.method is Method.BLEND else None
+    text = AttributeText(PurePath(document.name).name, tuple(first["alpha"]), tuple(first["beta"]), blend)
     choices = replace(choices, attributes=text, scale=scales.pop() if choices.decodes else None)
     if choices.layout != Layout.TEXCOORD:
         return choices, []
@@ -298,6 +301,7 @@ def _serves(view: BakedView, request: ShaderRequest) -> bool:
     fits = request.frame in (None, view.metadata["frame"]) and all(
         getattr(request, member) in (None, _noted(view, member)) for member in DEFAULTS
     )
+    fits &= request.method is not Method.BLEND or view.blend is not None
     return fits and (request.influences or 0) <= int(view.metadata["influences"])
 
 
@@ -306,6 +310,8 @@ def _noted(view: BakedView, member: str) -> Any:
 
 
 def _why_none(views: Sequence[BakedView], request: ShaderRequest) -> str:
+    if request.method is Method.BLEND and all(view.blend is None for view in views):
+        return "this file does not fit --method blend: it is baked without --blend"
     frames = " and ".join(sorted({str(view.metadata["frame"]) for view in views}))
     slots = max(int(view.metadata["influences"]) for view in views)
     asked = [f"--frame {request.frame}"] if request.frame else []
@@ -374,15 +380,21 @@ def _with_joints(document: Document, views: Sequence[BakedView], choices: Shader
     mirrors, scales = choices.mirrored_joints, choices.scaled_joints
     for view, poses in _posed(document, views):
         primitive = rest_primitive(view)
-        if choices.method is Method.DQS:
-            names = scaled_joints([primitive], poses)
-            rigid_only = choices.target in {"three", "playcanvas"}
-            if names and (choices.lighting is not Lighting.EXACT or rigid_only):
-                needs = "--method lbs, or --target babylon or plain" if rigid_only else "--lighting exact"
-                message = f"this file does not fit --method dqs: {names[0]} scales or shears; use {needs}"
-                raise InputError(message, view.source.place)
-            scales |= bool(names) and choices.target not in AT_RUN_TIME
         used = primitive.joints_in_use(poses.joint_matrices.shape[1])
+        if choices.method is not Method.LBS:
+            names = scaled_joints([primitive], poses)
+            if choices.method is Method.BLEND and not names:
+                # Linear blending takes the vertex as it is, so there is no scale to share.
+                volumes = np.abs(np.linalg.det(poses.joint_matrices[:, used, :3, :3]))
+                of_one_size = np.abs(volumes - 1.0).max(initial=0.0) < 3 * RIGID_TOLERANCE
+                names = [] if of_one_size else ["the skeleton"]
+            rigid_only = choices.target in {"three", "playcanvas"}
+            if names and (choices.lighting is not BEST[choices.method] or rigid_only):
+                best = f"--lighting {BEST[choices.method]}"
+                needs = "--method lbs, or --target babylon or plain" if rigid_only else best
+                what = f"this file does not fit --method {choices.method}"
+                raise InputError(f"{what}: {names[0]} scales or shears; use {needs}", view.source.place)
+            scales |= bool(names) and choices.target not in AT_RUN_TIME
         mirrors |= bool((np.linalg.det(poses.joint_matrices[:, used, :3, :3]) < 0).any())
     choices = replace(choices, scaled_joints=scales)
     return replace(choices, mirrored_joints=mirrors and choices.crosses)
@@ -400,6 +412,9 @@ def _posed(document: Document, views: Sequence[BakedView]) -> Iterator[tuple[Bak
 
 def _not_for(view: BakedView, request: ShaderRequest) -> Notice:
     """Return the notice for a primitive that needs a shader of its own, with the options that write it."""
+    if request.method is Method.BLEND and view.blend is None:
+        message = "this shader does not fit it: it is baked without --blend. Light it by --method lbs"
+        return Notice("shader-not-for", message, view.source.place)
     storage = {member: str(_noted(view, member)) for member in DEFAULTS}
     others = {
         member: kind for member, kind in storage.items() if getattr(request, member) not in (None, kind)

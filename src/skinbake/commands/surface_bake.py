@@ -6,9 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from skinbake.choices import SLOTS_PER_SET, Encoding, FrameChoice, Gradients
-from skinbake.errors import Notice
+from skinbake.errors import InputError, Notice
 from skinbake.format.baked import Baked
+from skinbake.format.blend_weights import BlendGradient, read_blend_weights
 from skinbake.format.encodings import vertex_bytes
 from skinbake.format.metadata import KEPT, STORED_POSE
 from skinbake.geometry.rig import Rig
@@ -17,10 +20,11 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.primitives import PrimitiveSource, has_float_tangents, read_influences, read_primitive
 from skinbake.gltf.rigs import fitting_rig
+from skinbake.gradients import kernel
 from skinbake.gradients.assumptions import assumptions, check_finite
 from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_primitives
 from skinbake.gradients.kept import Slots, mixed, scaled
-from skinbake.gradients.tangents import with_straight_tangents
+from skinbake.gradients.tangents import frame_vectors, with_straight_tangents
 from skinbake.report.bake import BakedCounts, ExtensionCost, KeptCounts, LimitCost
 from skinbake.timing import stage
 from skinbake.version import FIT
@@ -34,6 +38,9 @@ if TYPE_CHECKING:
 
 BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 128, 48, 24
 """The approximate memory of a bake, at most."""
+
+BYTES_A_CORNER = 256
+"""The approximate memory for the gradient of blend weights, at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,6 +181,52 @@ class SurfaceBake:
             bakes if self.target.poses is None else _fitted_to_poses(self.document, bakes, self.target.poses)
         )
 
+    def with_blend(self, bakes: Sequence[PrimitiveBake], attribute: str) -> list[PrimitiveBake]:
+        """Return the bakes with the gradient of the blend weights that an attribute holds.
+
+        The gradient is that of the surface, taken as those of the skin weights are. Raises InputError if some
+        primitives of the surface have the attribute and some have not.
+        """
+        primitives = [bake.primitive for bake in bakes]
+        weights = [
+            read_blend_weights(self.document, bake.source, attribute, len(bake.primitive.positions))
+            for bake in bakes
+        ]
+        found = [one for one in weights if one is not None]
+        if not found:
+            return list(bakes)
+        if len(found) < len(bakes):
+            lacking = next(bake for bake, one in zip(bakes, weights, strict=True) if one is None)
+            message = (
+                f"it has no attribute {attribute}, and other primitives of the same surface have it: give it "
+                "to all of them, as 0 where they are skinned by linear blending"
+            )
+            raise InputError(message, lacking.source.place)
+        from skinbake.gradients.weight_gradients import field_derivatives  # few bakes ask for it
+
+        for one in primitives:
+            size = BYTES_A_CORNER * 3 * len(one.triangles)
+            self.document.budget.claim(size, "the gradient of blend weights", bakes[0].source.place)
+        with stage("gradients"):
+            ends = np.cumsum([len(one.positions) for one in primitives])
+            triangles = [
+                one.triangles[kernel.mark_proper(one.positions, one.triangles)].astype(np.int64) + start
+                for one, start in zip(primitives, [0, *ends[:-1]], strict=True)
+            ]
+            frames = [frame_vectors(bake.primitive, bake.result.frame) for bake in bakes]
+            derivatives = field_derivatives(
+                np.concatenate([one.positions for one in primitives]),
+                np.concatenate(triangles),
+                np.concatenate(found),
+                np.concatenate([bake.result.classes for bake in bakes]),
+                (np.concatenate([t for t, _ in frames]), np.concatenate([b for _, b in frames])),
+                weighting=self.settings.weighting,
+            ).astype(np.float32)
+        return [
+            replace(bake, blend=BlendGradient(attribute, own))
+            for bake, own in zip(bakes, np.split(derivatives, ends[:-1]), strict=True)
+        ]
+
     def keeping(
         self, bakes: Sequence[PrimitiveBake], shares: Sequence[KeptShare | None]
     ) -> list[PrimitiveBake]:
@@ -198,7 +251,8 @@ class PrimitiveBake:
     """One primitive: the arrays that were baked, the result, the findings, and the loss by a limit.
 
     asked is the kind of gradients that the user asked for. fitted is what the metadata says of the fit,
-    nothing for the gradients of the surface. share is how much of it is kept, None for all.
+    nothing for the gradients of the surface. share is how much of it is kept, None for all. blend is the
+    gradient of its blend weights, if it has any.
     """
 
     source: PrimitiveSource
@@ -211,6 +265,7 @@ class PrimitiveBake:
     fitted: JsonObject = field(default_factory=dict)
     extended: Extended | None = None
     share: KeptShare | None = None
+    blend: BlendGradient | None = None
 
     @property
     def notices(self) -> list[Notice]:
@@ -231,9 +286,8 @@ class PrimitiveBake:
         changed = self.limited or self.extended
         influences = changed.stored if changed else None
         kept = {} if self.share is None else {KEPT: {"fit": self.share.fit}}
-        return Baked(
-            self.source, self.primitive, self.result, {**settings, **self.fitted, **kept}, influences
-        )
+        noted = {**settings, **self.fitted, **kept}
+        return Baked(self.source, self.primitive, self.result, noted, influences, self.blend)
 
     def counts(self, encoding: Encoding, added_bytes: int) -> BakedCounts:
         """Return the numbers of the report."""
@@ -252,7 +306,7 @@ class PrimitiveBake:
             gradient=self.findings.magnitude,
             lost_gradient=self.findings.lost,
             added_bytes=added_bytes,
-            bytes_per_vertex=vertex_bytes(encoding, influences),
+            bytes_per_vertex=vertex_bytes(encoding, influences) + (8 if self.blend else 0),
             limited=self.limit_cost,
             extended=None if self.extended is None else _extension_cost(self.extended, self.result, encoding),
         )

@@ -11,8 +11,9 @@ import numpy.typing as npt
 
 from skinbake.choices import Layout
 from skinbake.errors import Chosen, InputError, Message
-from skinbake.format import metadata
+from skinbake.format import blend_weights, metadata
 from skinbake.format.attribute_store import AttributeStore, store_for
+from skinbake.format.blend_weights import BlendGradient
 from skinbake.format.encodings import common_scale, encoded
 from skinbake.format.influences import with_adopted
 from skinbake.format.layouts import CUSTOM_NAMES, GradientFormat, free_texcoords, of_alpha_and_beta, paired
@@ -54,7 +55,8 @@ class Baked:
     """One primitive to write: its place, its input arrays, the result, and the settings.
 
     The metadata holds the settings as they are. replaced_sets are the influence sets that replace those
-    of the file, if the bake has fewer or more of them. The arrays of the primitive then belong to them.
+    of the file, if the bake has fewer or more of them. The arrays of the primitive then belong to them. blend
+    is the gradient of its blend weights, if it has any.
     """
 
     source: PrimitiveSource
@@ -62,6 +64,7 @@ class Baked:
     result: BakedPrimitive
     settings: JsonObject
     replaced_sets: Sequence[StoredInfluences] | None = None
+    blend: BlendGradient | None = None
 
 
 def with_baked(
@@ -157,6 +160,13 @@ def _written(
             )
         attributes[name] = store.add(name, values, normalized=storage.encoding.is_scaled, extras=holder)
         holder = None
+    if item.blend is not None:
+        name = blend_weights.GRADIENT
+        if name in attributes:
+            message = f"it already has an attribute {name}: remove it, or bake without --blend"
+            raise InputError(message, item.source.place)
+        note[blend_weights.NOTE] = {"weights": item.blend.weights, "gradient": name}
+        attributes[name] = store.add(name, item.blend.gradient)
     written = {**item.source.json, "attributes": attributes}
     return written if beside else {**written, "extras": {**written.get("extras", {}), KEY: note}}
 

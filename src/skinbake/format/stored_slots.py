@@ -76,7 +76,7 @@ def read_slots(
     arrays: dict[str, npt.NDArray[Any]] = {}
     for name in slot_names(metadata):
         first = name in (metadata["alpha"][0], metadata["beta"][0])
-        found = _array(document, source, name, _shape(storage, count, first=first), storage.encoding)
+        found = read_array(document, source, name, _shape(storage, count, first=first), storage.encoding)
         if isinstance(found, Notice):
             return found
         arrays[name] = found
@@ -98,9 +98,10 @@ def _shape(storage: GradientFormat, count: int, *, first: bool) -> tuple[int, in
     return count, 3 if first and not storage.encoding.is_scaled else 4
 
 
-def _array(
+def read_array(
     document: Document, source: PrimitiveSource, name: str, shape: Sequence[int], encoding: Encoding
 ) -> npt.NDArray[Any] | Notice:
+    """Return an attribute that a bake has added to a primitive, of this shape, or the problem with it."""
     place = source.place.at(name)
     accessor = index(source.attributes, name, len(document.objects("accessors")), place)
     if accessor is None:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from skinbake.choices import Layout
 from skinbake.errors import Notice, Place, UnsupportedFeatureError
+from skinbake.format.blend_weights import blend_names
 from skinbake.format.former import former_attributes, former_sets, former_tangent, with_former_stream
 from skinbake.format.layouts import added_slot_names
 from skinbake.format.metadata import (
@@ -193,7 +194,7 @@ def _removed(attributes: JsonObject, note: JsonObject, place: Place) -> list[Not
     missing = [name for name in names if name not in attributes]
     doubtful = note.get("layout") == Layout.TEXCOORD and missing and len(missing) < len(names)
     generated = [name for name in noted_names(note, "generated") if name == "NORMAL"]
-    for name in [*(() if doubtful else names), *generated]:
+    for name in [*(() if doubtful else names), *blend_names(note), *generated]:
         attributes.pop(name, None)
     if not doubtful:
         return []

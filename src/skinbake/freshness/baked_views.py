@@ -11,6 +11,7 @@ import numpy as np
 
 from skinbake.choices import Frame, FrameChoice, Gradients, Weighting, Weld
 from skinbake.errors import Chosen, Message, Notice
+from skinbake.format.blend_weights import read_blend, wrong_blend
 from skinbake.format.metadata import KEPT, POSES, STORED_POSE, VERSION, changed_arrays, read_metadata
 from skinbake.format.stored_slots import BAKE, read_slots, shown, wrong_storage
 from skinbake.geometry import frames
@@ -38,7 +39,8 @@ class BakedView:
 
     now holds its arrays. alpha, beta are (V, K − 1). tangents, bitangents (V, 3) are the frame that the
     metadata names. changed are the digests that no longer hold. rounding (V, 2) is the largest change that an
-    encoding may have made to a value of α, and to a value of β.
+    encoding may have made to a value of α, and to a value of β. blend (V, 3) are the blend weight and its
+    derivatives along the frame, None without them.
     """
 
     source: PrimitiveSource
@@ -50,6 +52,7 @@ class BakedView:
     bitangents: FloatArray
     changed: tuple[str, ...]
     rounding: Float64Array
+    blend: Float64Array | None = None
 
 
 def is_baked(document: Document, source: PrimitiveSource) -> bool:
@@ -117,7 +120,9 @@ def _weld(view: BakedView) -> str:
     return str(view.metadata.get("weld", Weld.MESH))
 
 
-def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
+def _view(  # noqa: PLR0911  # one for each problem
+    document: Document, source: PrimitiveSource
+) -> BakedView | Notice:
     metadata = read_metadata(document, source.json)
     if metadata is None:
         message = f"it is not baked: {BAKE}"
@@ -139,6 +144,9 @@ def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
     slots = read_slots(document, source, metadata, len(now.positions))
     if isinstance(slots, Notice):
         return slots
+    blend = read_blend(document, source, metadata, len(now.positions))
+    if isinstance(blend, Notice):
+        return blend
     frame = _rest_frame(now, metadata["frame"])
     if frame is None:
         message = (
@@ -148,9 +156,8 @@ def _view(document: Document, source: PrimitiveSource) -> BakedView | Notice:
         return Notice("frame", message, source.place)
     with stage("digests"):
         changed = changed_arrays(metadata, now)
-    return BakedView(
-        source, metadata, now, slots.alpha, slots.beta, frame[0], frame[1], changed, slots.rounding
-    )
+    found = slots.alpha, slots.beta, *frame, changed, slots.rounding
+    return BakedView(source, metadata, now, *found, blend)
 
 
 def other_version(metadata: JsonObject) -> str | None:
@@ -188,6 +195,7 @@ def _wrong_members(metadata: JsonObject, source: PrimitiveSource) -> Iterator[st
     if isinstance(slots, bool) or slots != now:
         yield f'"influences" is {shown(slots)}, and it has {now} a vertex'
     yield from wrong_storage(metadata, source.influence_sets)
+    yield from wrong_blend(metadata)
     digest = metadata.get("digest")
     if not isinstance(digest, dict) or not digest:
         yield f'"digest" is {shown(digest)}'
@@ -290,4 +298,5 @@ def rest_primitive(view: BakedView) -> RestPrimitive:
         weights=normalised_weights(view.now.weights, joints),
         alpha=view.alpha,
         beta=view.beta,
+        blend=view.blend,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -11,6 +11,7 @@ import numpy as np
 
 from skinbake.choices import Gradients, Weighting
 from skinbake.errors import InputError, Notice
+from skinbake.format import blend_weights
 from skinbake.freshness import comparison
 from skinbake.freshness.baked_views import BakedView, gathered_together
 from skinbake.freshness.expected import (
@@ -124,10 +125,51 @@ def freshness_check(
                 problems.append(_staleness_notice(surface, number))
             elif view.changed:
                 changed.append(view)
+        if any(view.blend is not None for view in views):
+            problems += _stale_blends(document, views, operator)
     remarks = [_remark_on(changed, sum(map(len, surfaces)))] if changed else []
     remarks += sorted(unchecked)
     remark = "" if problems else "; ".join(remarks)
     return Check("freshness", "failed" if problems else "passed", tuple(problems), remark)
+
+
+def _stale_blends(
+    document: Document, views: Sequence[BakedView], operator: GradientOperator
+) -> Iterator[Notice]:
+    """Yield a problem for each view of a surface whose stored gradient is not that of its blend weights."""
+    fields = [np.zeros((len(view.now.positions), 3)) if view.blend is None else view.blend for view in views]
+    frames = [np.concatenate([getattr(one, name) for one in views]) for name in ("tangents", "bitangents")]
+
+    def compared(by: GradientOperator) -> list[comparison.Comparison]:
+        expected = np.empty((len(by.positions), 2))
+        weights = np.concatenate(fields)[:, 0]
+        for part in by.row_blocks():
+            rows = by.rows(part, [directions[part] for directions in frames])
+            expected[part] = rows.times(weights).reshape(2, -1).T
+        reach = by.reach()
+        return [
+            comparison.compare(
+                (field[:, 1:2], field[:, 2:]), (expected[rows, :1], expected[rows, 1:]), reach=reach[rows]
+            )
+            for field, rows in zip(fields, by.slices, strict=True)
+        ]
+
+    found = compared(operator)
+    if not all(one.agrees for one in found):
+        # The bake has welded by the influences from before adoption.
+        with document.budget.passing():
+            before = [_before_adoption(document, view) for view in views]
+            again = compared(surface_operator(document, before))
+        found = [min(pair, key=lambda one: one.differing) for pair in zip(found, again, strict=True)]
+    for view, one in zip(views, found, strict=True):
+        if view.blend is not None and not one.agrees:
+            name = view.metadata[blend_weights.NOTE]["weights"]
+            vertices = counted(one.count, "vertex", "vertices")
+            message = (
+                f"the gradient of its blend weights {name} is wrong at {one.differing:,} of {vertices}, most "
+                f"at vertex {one.worst}: run skinbake bake --blend {name} on the last tool's output"
+            )
+            yield Notice("stale", message, view.source.place, one.differing)
 
 
 def claim_freshness(document: Document, count: int) -> None:

@@ -64,6 +64,33 @@ def weight_gradients(
     return VertexGradients(offsets, joints, sums / total[owner, None])
 
 
+def field_derivatives(
+    positions: FloatArray,
+    triangles: IntArray,
+    values: FloatArray,
+    classes: IntArray,
+    frame: tuple[FloatArray, FloatArray],
+    *,
+    weighting: str,
+) -> Float64Array:
+    """Return the derivatives of one field (V,) along t0 and b0 (V, 3) at every vertex: (V, 2).
+
+    The other arguments are those of ``weight_gradients``, and so is the mean. A vertex without triangles has
+    zeros.
+    """
+    classes = classes.astype(np.int64)
+    count = int(classes.max(initial=-1)) + 1
+    total, sums = np.zeros(count), np.zeros((count, 3))
+    for corners in corners_of(positions, triangles, WEIGHTINGS[weighting]):
+        own = classes[corners.origin]
+        total += np.bincount(own, corners.weight, count)
+        for neighbour, _, coefficients in corners.ends():
+            change = values[neighbour].astype(np.float64) - values[corners.origin]
+            sums += summed_rows(own, coefficients * change[:, None], count)
+    gradients = (sums / np.where(total > 0.0, total, 1.0)[:, None])[classes]
+    return np.stack([np.einsum("vi,vi->v", gradients, axis) for axis in frame], axis=1)
+
+
 @dataclass(frozen=True, slots=True)
 class Corners:
     """One corner of each of T triangles.

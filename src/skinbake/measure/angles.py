@@ -11,9 +11,10 @@ import numpy as np
 
 from skinbake.choices import USUAL_TRUTHS, Truth
 from skinbake.geometry import dual_quaternions
-from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray
+from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, blocks
 from skinbake.measure.morphing import Morphing
 from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.blended import BlendedSkinning
 from skinbake.skinning.components import Vector, cross, dot, scaled
 from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.skinning.run import Skinning, joints_in_use
@@ -37,6 +38,8 @@ METHODS: dict[str, dict[str, Algorithm]] = {
         "accurate": Algorithm.DQS_ACCURATE,
         "exact": Algorithm.DQS_EXACT,
     },
+    # Each with the algorithm of linear blending that ``blended.LINEAR`` names.
+    "blend": {"standard": Algorithm.DQS_STANDARD, "accurate": Algorithm.DQS_EXACT},
 }
 
 INSIDE_OUT = {"accurate", "exact"}
@@ -47,6 +50,10 @@ NOT_MEASURED = {(Truth.TRIANGLES, "direct"), (Truth.FINE, "direct")}
 
 IDENTITY_SAMPLES = 1 << 21
 """The approximate number of vertices × poses for algorithm 2: evenly spread, if there are more."""
+
+
+STEPPED_SAMPLES = 1 << 13
+"""Vertices × poses that go through the steps of blended skinning at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,7 +225,7 @@ class _PosedMesh:
 
     def _skinned(
         self, primitives: Sequence[RestPrimitive], truths: Truths, joint_matrices: Float64Array
-    ) -> list[_Skinned]:
+    ) -> Sequence[_Skinned]:
         """Return what skins the primitives, and, behind them, the points of a fine mesh."""
         if truths.fine is not None:
             primitives = [*primitives, truths.fine.points]
@@ -226,12 +233,16 @@ class _PosedMesh:
             return [
                 SteppedPrimitive(one) for one in Skinning.of_mesh(primitives, joint_matrices, self.options)
             ]
-        return [
+        linear = [
             BlendedPrimitive(
                 primitive, joint_matrices, self.options, direct=partial(primitive_for_direct, primitive)
             )
             for primitive in primitives
         ]
+        if self.method == "lbs":
+            return linear
+        both = BlendedSkinning.of_mesh(primitives, joint_matrices, self.options)
+        return list(map(BetweenPrimitive, linear, both))
 
 
 @dataclass(frozen=True, slots=True)
@@ -351,6 +362,37 @@ class SteppedPrimitive:
         normals = kernel.dqs_normals(self._skinning, pose, part)
         chosen = (normals[algorithm - Algorithm.DQS_STANDARD] for algorithm in algorithms)
         return [tuple(axis.T for axis in normal) for normal in chosen]
+
+
+class BetweenPrimitive:
+    """A primitive between linear blending and dual quaternions, by the blend weights of its vertices."""
+
+    def __init__(self, linear: BlendedPrimitive, skinning: BlendedSkinning) -> None:
+        self._linear, self._skinning = linear, skinning
+
+    def put_positions(self, pose: slice, part: slice, out: Float64Array, first_row: int) -> None:
+        """Write the positions of some vertices to the rows of out (3, V, P) from ``first_row`` on."""
+        self._linear.put_positions(pose, part, out, first_row)
+        blend = self._skinning.rest.rows(part).blend
+        if blend is None:
+            return
+        own = out[:, first_row : first_row + len(blend)]
+        moved = np.empty(own.shape)
+        kernel.dqs_positions(self._skinning.dual, pose, part, moved, 0)
+        own += blend[:, :1] * (moved - own)
+
+    def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
+        """Return the normals of a block, by algorithms of dual quaternions and those that go with them."""
+        # Small parts: both methods, step by step, have two hundred numbers of each sample at a time.
+        size = max(1, STEPPED_SAMPLES // max(pose.stop - pose.start, 1))
+        found: list[list[Vector]] = [[] for _ in algorithms]
+        for rows in blocks(part.stop - part.start, size):
+            own = slice(part.start + rows.start, part.start + rows.stop)
+            for normals, one in zip(found, self._skinning.run(algorithms, pose, own), strict=True):
+                normals.append(one.normal)
+        return [
+            tuple(np.concatenate(axis, axis=1) for axis in zip(*normals, strict=True)) for normals in found
+        ]
 
 
 IDENTITY_TOLERANCE = 1e-4

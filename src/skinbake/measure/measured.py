@@ -90,7 +90,11 @@ class _Measurement:
             )
         if self._corrected is not None:
             drawn = list(map(self._corrected, drawn))
-        methods = self._options.methods or ("lbs", "dqs")
+        has_blend = any(view.blend is not None for views in meshes for view in views)
+        methods = self._options.methods or ("lbs", "dqs", *(["blend"] if has_blend else []))
+        if "blend" in methods and not has_blend:
+            message = "no primitive of it has blend weights that a bake has read: run skinbake bake --blend"
+            raise InputError(message, self._document.place)
         scaled = dict.fromkeys(name for draw in drawn for name in scaled_joints(draw.rest, draw.poses))
         self._total = sum(len(draw.poses.clips) for draw in drawn) * len(methods)
         self._reliefs.expect(drawn)
@@ -101,7 +105,7 @@ class _Measurement:
                 for draw in drawn:
                     self._measure(method, draw, again=method != methods[-1])
             with stage("figures"):
-                verdict = self._verdict(drawn, tuple(scaled) if "dqs" in methods else ())
+                verdict = self._verdict(drawn, tuple(scaled) if {"dqs", "blend"} & {*methods} else ())
         morphs = morph_count(self._document, [(draw.views[0].source.mesh, draw.poses) for draw in drawn])
         notices = *self._unread, *left_out, *dict.fromkeys(mirrored(drawn))
         return replace(verdict, notices=notices, morphs=morphs)
@@ -125,8 +129,9 @@ class _Measurement:
             corrections=draw.corrections,
             advance=self._advance,
         )
-        with stage("reliefs"):
-            self._reliefs.measure(method, draw, truths, morphing)
+        if method != "blend":
+            with stage("reliefs"):
+                self._reliefs.measure(method, draw, truths, morphing)
         self._identity = max(self._identity, identity)
 
     def _morphing(self, draw: Draw, *, again: bool) -> Morphing | None:

@@ -240,8 +240,11 @@ def _bake_text(bake: BakeSummary | None) -> str:
 
 
 def _storage(noted: dict[str, Any]) -> str:
-    """Return the storage of α and β, if it is not the default."""
-    return "".join(f"{key} {noted[key]}, " for key in ("encoding", "layout") if key in noted)
+    """Return the storage of α and β, if it is not the default, and the attribute of blend weights."""
+    blend = noted.get("blend")
+    words = [f"{key} {noted[key]}" for key in ("encoding", "layout") if key in noted]
+    words += [f"blend weights {blend.get('weights')}"] if isinstance(blend, dict) else []
+    return "".join(f"{one}, " for one in words)
 
 
 def as_json(result: InspectResult) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from skinbake.choices import SLOTS_PER_SET, Encoding, Frame, Language, Layout, Lighting, Method, Morphs, Stage
 from skinbake.errors import ChoiceError, Chosen
@@ -29,7 +29,10 @@ ALGORITHMS = {
 }
 """The numbers of ``skinning.algorithms.Algorithm``; a missing pair does not exist."""
 
-BEST = {Method.LBS: Lighting.ACCURATE, Method.DQS: Lighting.EXACT}
+BLENDED = {Lighting.STANDARD: 4, Lighting.ACCURATE: 6}
+"""For blended skinning, the number of its dual quaternions; ``blended.LINEAR`` names what goes with it."""
+
+BEST = {Method.LBS: Lighting.ACCURATE, Method.DQS: Lighting.EXACT, Method.BLEND: Lighting.ACCURATE}
 """The lighting with the smallest error of each method, without inverting a matrix."""
 
 
@@ -38,12 +41,13 @@ class AttributeText:
     """Names of the attributes of α and β by influence set, in the spelling of the file ``file``.
 
     In the texcoord layout these are the sets that hold any of α, and any of β. The last set of α is the first
-    set of β.
+    set of β. blend is the attribute of blend weights.
     """
 
     file: str
     alpha: tuple[str, ...]
     beta: tuple[str, ...]
+    blend: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +82,8 @@ class ShaderChoices:
     stage: Stage = Stage.VERTEX
 
     def __post_init__(self) -> None:
-        if (self.method, self.lighting) not in ALGORITHMS:
-            legal = [light for method, light in ALGORITHMS if method is self.method]
+        legal = [light for method, light in ALGORITHMS if method is self.method] or list(BLENDED)
+        if self.lighting not in legal:
             why = f" has no {self.lighting} lighting; take {', '.join(legal[:-1])} or {legal[-1]}"
             raise ChoiceError("method", self.method, reason=(why,), also=("lighting",))
         if self.influences < 1:
@@ -105,7 +109,8 @@ class ShaderChoices:
             why = f" is for accurate and exact lighting, not {self.lighting}"
             raise ChoiceError("normal_map", reason=(why,), also=("lighting",))
         if self.scaled_joints and self.algorithm != 6:
-            method, lighting = Chosen("method", Method.DQS), Chosen("lighting", Lighting.EXACT)
+            dual = Method.DQS if self.method is Method.LBS else self.method
+            method, lighting = Chosen("method", dual), Chosen("lighting", BEST[dual])
             why = f", not {self.method} {self.lighting}"
             raise ChoiceError("scaled_joints", reason=(" needs ", method, " ", lighting, why))
         if self.mirrored_joints and not self.crosses:
@@ -116,7 +121,14 @@ class ShaderChoices:
         self._check_pass()
 
     def _check_pass(self) -> None:
-        """Raise ChoiceError for what a compute pass has no text for."""
+        """Raise ChoiceError for what blended skinning and a compute pass have no text for."""
+        if self.method is Method.BLEND:
+            if self.target != "plain":
+                raise self._refusal("method", " needs ", Chosen("target", "plain"), f", not {self.target}")
+            if self.normal_map:
+                raise self._refusal("method", " contradicts ", Chosen("normal_map"))
+            if self.stage is Stage.COMPUTE:
+                raise self._refusal("method", " contradicts ", Chosen("stage", Stage.COMPUTE))
         if self.stage is not Stage.COMPUTE:
             return
         if self.target != "plain":
@@ -131,17 +143,19 @@ class ShaderChoices:
     @property
     def algorithm(self) -> int:
         """Return the number of the algorithm, 1 … 6."""
+        if self.method is Method.BLEND:
+            return BLENDED[self.lighting]
         return ALGORITHMS[self.method, self.lighting]
 
     @property
     def is_corrected(self) -> bool:
-        """Tell whether t' and b' are T t and T b plus a correction (algorithms 3, 5, 6)."""
+        """Tell whether t' and b' are T t and T b plus a correction (algorithms 3, 5, 6, and their blend)."""
         return self.lighting in (Lighting.ACCURATE, Lighting.EXACT)
 
     @property
     def crosses(self) -> bool:
         """Tell whether joints may mirror and n' is t' × b', which then points inside."""
-        return self.algorithm == 3 or self.scaled_joints
+        return (self.method is not Method.DQS and self.is_corrected) or self.scaled_joints
 
     @property
     def reads_gradients(self) -> bool:
@@ -205,4 +219,14 @@ class ShaderChoices:
     @property
     def stem(self) -> str:
         """Return the name of the template and function of the algorithm, without the prefix."""
-        return "dqs_scaled" if self.scaled_joints else f"{self.method}_{self.lighting}"
+        return f"{self.method}_{'scaled' if self.scaled_joints else self.lighting}"
+
+    @property
+    def both(self) -> tuple[ShaderChoices, ShaderChoices]:
+        """Return, for blended skinning, the choices of linear blending and of dual quaternions alone."""
+        best = Lighting.EXACT if self.is_corrected else Lighting.STANDARD
+        mirrored = self.mirrored_joints and self.scaled_joints
+        return (
+            replace(self, method=Method.LBS, scaled_joints=False),
+            replace(self, method=Method.DQS, lighting=best, mirrored_joints=mirrored),
+        )

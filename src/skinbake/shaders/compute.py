@@ -93,7 +93,7 @@ def compute_context(
         "compute_reads": reads,
         "motion_type": "skinbake_ScaledMotion"
         if choices.scaled_joints
-        else MATRICES[choices.language][choices.method],
+        else MATRICES[choices.language][Method.LBS if choices.method is Method.LBS else Method.DQS],
         "motion_name": "M" if choices.method is Method.LBS else "Q",
         "scales_joints": choices.method is Method.DQS and not choices.scaled_joints,
         "slot_joints": [f"joints_{slot // 4}.{'xyzw'[slot % 4]}" for slot in range(choices.influences)],

@@ -49,7 +49,11 @@ MORPH_CALLS = {
     Morphs.FRAMES: "skinbake_moved_frame(rest, morph, morph_up)",
     Morphs.FRAMES_NORMAL: "skinbake_moved_frame_by_normal(rest, morphed_normal, morph)",
 }
-METHOD_NAMES = {Method.LBS: "linear blend skinning", Method.DQS: "dual quaternion skinning"}
+METHOD_NAMES = {
+    Method.LBS: "linear blend skinning",
+    Method.DQS: "dual quaternion skinning",
+    Method.BLEND: "blended skinning",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,12 +124,22 @@ def _text_for(choices: ShaderChoices, reads: Sequence[str], also: Sequence[str] 
         raise ChoiceError("target", choices.target, reason=reason, also=("encoding", "layout"))
     context = _context(choices)
     language = choices.language
-    names = ["vertex", f"frame_{choices.frame}", *also, *_parts(choices), choices.stem]
+    wanted = [(name, context) for name in ("vertex", f"frame_{choices.frame}", *also)]
     usage = f"{language}/usage.txt"
+    if choices.method is Method.BLEND:
+        wanted += [(name, _context(one)) for one in choices.both for name in (*_parts(one), one.stem)]
+        wanted.append(("blend", context))
+    else:
+        wanted += [(name, context) for name in (*_parts(choices), choices.stem)]
     if choices.stage is Stage.COMPUTE:
-        names.append("compute")
+        wanted.append(("compute", context))
         usage = "compute.txt"
-    texts = {name: _rendered(f"{language}/{name}.{language}", context) for name in names}
+    texts = {name: _rendered(f"{language}/{name}.{language}", own) for name, own in wanted}
+    if choices.method is Method.BLEND and language is not Language.WGSL:
+        # The guards of the texts of either method alone, which may stand in the same shader.
+        for one in choices.both:
+            guard = _guard(one)
+            texts[one.stem] = f"#ifndef {guard}\n#define {guard}\n{texts[one.stem]}\n#endif"
     parts = {name: "\n".join(map(_broken, text.splitlines())) for name, text in texts.items()}
     return {
         **context,
@@ -228,6 +242,9 @@ def _context(choices: ShaderChoices) -> dict[str, Any]:
         "frame": choices.frame,
         "cap": choices.cap,
         "mirrored_joints": choices.mirrored_joints,
+        "scaled_joints": choices.scaled_joints,
+        "dual_stem": choices.both[1].stem if choices.method is Method.BLEND else "",
+        "blend_name": (choices.attributes and choices.attributes.blend) or "b",
         "morphs": str(choices.morphs),
         "moves_frame": choices.morphs.moves_frame,
         "morph_call": MORPH_CALLS.get(choices.morphs, ""),
@@ -385,12 +402,13 @@ def _arguments(
     """Return the arguments of the example call."""
     names = [name for _, name in weights]
     given = [name for _, name in gradients]
-    motions = "M" if choices.method is Method.LBS else "Q"
+    motions = {Method.LBS: ["M"], Method.DQS: ["Q"], Method.BLEND: ["M", "Q"]}[choices.method]
+    blend = ["blend" if choices.is_corrected else "blend.x"] if choices.method is Method.BLEND else []
     if not choices.reads_gradients and choices.lighting != "direct":
         given = []
     if choices.lighting == "direct":
         given = [f"skinbake_gradients({', '.join(['frame', *given])})"]
-    return ["position", "frame", motions, *names, *given]
+    return ["position", "frame", *motions, *names, *given, *blend]
 
 
 def _sum(kind: str, pattern: str, slots: Sequence[Slot]) -> str:

@@ -44,7 +44,8 @@ class RestPrimitive:
     (V, K − 1) are ∇w · t0 and ∇w · b0 of slots 1 … K − 1, in 1 / length unit of POSITION. gradients (V, K, 3)
     is ∇w of every slot for algorithm 2, or None to compute them from alpha and beta. sides (V,) is the
     handedness of the frame where the normals are not those of the frame, else None. lengths (V,) are those of
-    t0 at rest where t and b are its images under morph targets, else None.
+    t0 at rest where t and b are its images under morph targets, else None. blend (V, 3) are the blend weight
+    b, ∂b/∂t0 and ∂b/∂b0 (``blended``), None for zeros.
     """
 
     positions: FloatArray
@@ -58,6 +59,7 @@ class RestPrimitive:
     gradients: FloatArray | None = None
     sides: FloatArray | None = None
     lengths: FloatArray | None = None
+    blend: FloatArray | None = None
 
     def rows(self, part: slice | IntArray) -> RestPrimitive:
         """Return some of the vertices."""
@@ -73,6 +75,7 @@ class RestPrimitive:
             gradients=None if self.gradients is None else self.gradients[part],
             sides=None if self.sides is None else self.sides[part],
             lengths=None if self.lengths is None else self.lengths[part],
+            blend=None if self.blend is None else self.blend[part],
         )
 
     def weight_gradients(self) -> FloatArray:

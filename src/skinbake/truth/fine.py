@@ -128,6 +128,9 @@ class FineMesh:
         ends = self.near, self.far
         shares = 1.0 - SHARE, SHARE
         none = np.zeros((len(self.near), 2 * width - 1))
+        blend = np.concatenate(
+            [np.zeros((len(one.positions), 3)) if one.blend is None else one.blend for one in primitives]
+        )
         zeros = np.zeros((len(self.near), 3))
         return RestPrimitive(
             positions=positions[len(self.mesh.positions) :],
@@ -138,6 +141,7 @@ class FineMesh:
             weights=np.concatenate([s * weights[end] for s, end in zip(shares, ends, strict=True)], axis=1),
             alpha=none,
             beta=none,
+            blend=shares[0] * blend[self.near] + shares[1] * blend[self.far],
         )
 
 

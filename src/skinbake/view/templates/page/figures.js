@@ -7,6 +7,8 @@ const ROWS = [
     ['dqs', 'standard', 'Dual quaternions, standard'],
     ['dqs', 'accurate', 'Dual quaternions, accurate'],
     ['dqs', 'exact', 'Dual quaternions, exact'],
+    ['blend', 'standard', 'Between both, standard'],
+    ['blend', 'accurate', 'Between both, accurate'],
 ];
 
 export function showFigures(byId, given) {
@@ -25,7 +27,7 @@ export function showFigures(byId, given) {
                 ? `${name} lighting is not nearer to the true normals of this file than standard lighting: `
                 : `${name} lighting is that much nearer to the true normals than standard lighting: `) +
             `${degrees(bakedOf(least).mean)} instead of ${degrees(least.standard.mean)} in the mean, ${least.truth}` +
-            (figures.lbs ? '.' : ', with dual quaternions.') +
+            (figures.lbs ? '.' : figures.dqs ? ', with dual quaternions.' : ', blended with dual quaternions.') +
             (other ? ` The gain ${other.truth} is ${times(other.gain)}.` : '');
     }
     byId.table.replaceChildren(tableOf(figures, triangles));
@@ -38,8 +40,8 @@ const bakedOf = ({ corrected, accurate }) => corrected ?? accurate;
 // The figures of the first method by both truths, the smaller gain first: that one counts.
 function byGain(figures, triangles) {
     return [
-        { truth: 'by tangents', ...(figures?.lbs ?? figures?.dqs) },
-        { truth: 'by triangles', ...(triangles?.lbs ?? triangles?.dqs) },
+        { truth: 'by tangents', ...(figures?.lbs ?? figures?.dqs ?? figures?.blend) },
+        { truth: 'by triangles', ...(triangles?.lbs ?? triangles?.dqs ?? triangles?.blend) },
     ]
         .filter(({ gain }) => gain)
         .sort((a, b) => a.gain - b.gain);
