@@ -102,6 +102,17 @@ def test_a_build_bakes_what_changed_and_fails_where_verify_fails(tool: str, tmp_
 
 
 @pytest.mark.slow
+def test_make_takes_names_with_spaces(tmp_path: Path) -> None:
+    build = Build("make", tmp_path)
+    (build.folder / "art" / "hero.glb").rename(build.folder / "art" / "my old hero.glb")
+    assert build() == (True, ["bake", "verify"])
+    assert (build.folder / "build" / "my old hero.glb").is_file()
+    assert build() == (True, [])
+    build.configure('"snorm16"', '"packed8"')  # the rules that bake has written name it too
+    assert build() == (True, ["bake", "verify"])
+
+
+@pytest.mark.slow
 def test_the_npm_script_passes_over_what_has_not_changed(tmp_path: Path) -> None:
     build = Build("npm", tmp_path)
     assert build() == (True, ["bake", "verify"])
