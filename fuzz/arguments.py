@@ -71,7 +71,10 @@ SHADER: Group = (
         0.5,
         [
             ["--target", target]
-            for target in ("plain", "three", "bevy", "bevy-wesl", "godot", "babylon", "playcanvas")
+            for target in (
+                *("plain", "bevy", "bevy-wesl", "godot"),
+                *("three", "babylon", "playcanvas", "galacean"),
+            )
         ],
     ),
     (0.3, [["--method", "dqs"]]),

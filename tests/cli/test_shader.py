@@ -65,7 +65,7 @@ def test_output_goes_to_a_file_and_says_what_it_is(tmp_path: Path) -> None:
     assert target.read_text(encoding="utf-8") == shader_text(ShaderChoices(Language.WGSL))
 
 
-@pytest.mark.parametrize("target", ["three", "babylon", "godot", "playcanvas"])
+@pytest.mark.parametrize("target", ["three", "babylon", "godot", "playcanvas", "galacean"])
 def test_a_module_for_all_files_is_not_called_one_for_a_frame(target: str, tmp_path: Path) -> None:
     file = tmp_path / "skinbake.txt"
     result = invoke("shader", "--target", target, "--frame", "tangent", "--cap", "0.5", "-o", file)
@@ -303,7 +303,7 @@ class TestForFile:
         asked = invoke("shader", "--target", target, "--for", file, "--lighting", "standard")
         assert asked.exit_code == 2
 
-    @pytest.mark.parametrize("target", ["three", "babylon", "godot", "playcanvas"])
+    @pytest.mark.parametrize("target", ["three", "babylon", "godot", "playcanvas", "galacean"])
     def test_influences_that_vertices_use_are_not_left_out_by_a_module(
         self, target: str, tmp_path: Path
     ) -> None:

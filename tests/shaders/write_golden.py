@@ -19,6 +19,7 @@ IN_ENGINES = {
     "three": "three/shaders.js",
     "babylon": "babylon/shaders.js",
     "playcanvas": "playcanvas/shaders.js",
+    "galacean": "galacean/shaders.js",
     "godot": "godot/addons/skinbake/skinbake.gdshaderinc",
 }
 """The generated file of each target that has a package in engines/. All else there is written by hand."""

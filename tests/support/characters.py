@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.choices import Frame
+from skinbake.choices import Baseline, Frame
 from skinbake.format.layouts import GradientFormat
 from skinbake.geometry import frames
 from skinbake.geometry.poses import random_rotations
@@ -145,9 +145,16 @@ class Character:
         posed = replay(algorithm, self.rest, self.matrices(placement)[None])
         return np.asarray(posed.positions[0] @ placement.world[:3, :3].T + placement.world[:3, 3])
 
-    def expected(self, algorithm: Algorithm, placement: Placement, *, cap: float | None = None) -> Normals:
+    def expected(
+        self,
+        algorithm: Algorithm,
+        placement: Placement,
+        *,
+        cap: float | None = None,
+        baseline: Baseline = Baseline.BLENDED,
+    ) -> Normals:
         """Return the normals that an algorithm gives in the world, and the images of TANGENT."""
-        posed = replay(algorithm, self.rest, self.matrices(placement)[None], cap=cap)
+        posed = replay(algorithm, self.rest, self.matrices(placement)[None], cap=cap, baseline=baseline)
         normals = unit(posed.normals[0] @ np.linalg.inv(placement.world[:3, :3]))
         if self._along is None:
             return Normals(normals, None)

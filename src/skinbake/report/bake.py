@@ -444,7 +444,8 @@ def _remedy(counts: Sequence[BakedCounts]) -> str:
         return ""
     if any(count.limited for count in counts):
         return "; try a larger --limit-influences"
-    return "; try --neighbours extend, but three.js, PlayCanvas, Godot and Bevy read four influences only"
+    engines = "three.js, PlayCanvas, Galacean, Godot and Bevy"
+    return f"; try --neighbours extend, but {engines} read four influences only"
 
 
 def as_json(
