@@ -85,6 +85,25 @@ def test_strip_gives_the_input_back_and_a_second_bake_changes_nothing(tmp_path: 
     assert GRADIENT not in gltf_reading.read(plain).primitive(0)["attributes"]
 
 
+@pytest.mark.parametrize(
+    "options",
+    [
+        "--layout texcoord",
+        "--layout custom --encoding snorm16",
+        "--encoding packed8 --neighbours extend",
+        "--gradients poses --fit-poses random:3 --weld skin",
+    ],
+)
+def test_a_blend_goes_with_every_kind_of_alpha_and_beta(tmp_path: Path, options: str) -> None:
+    given = with_blend_weights(TUBE, tmp_path / "in.glb")
+    bake(given, tmp_path / "out.glb", *options.split())
+    answer = verify(tmp_path / "out.glb", "--method", "blend")
+    assert not answer.failed
+    assert answer.file["normals"]["blend"]["gain"] > 10
+    assert invoke("strip", tmp_path / "out.glb", "-o", tmp_path / "back.glb").exit_code == 0
+    assert (tmp_path / "back.glb").read_bytes() == given.read_bytes()
+
+
 def test_alpha_and_beta_are_those_of_a_bake_without_a_blend(tmp_path: Path) -> None:
     given = with_blend_weights(TUBE, tmp_path / "in.glb")
     bake(given, tmp_path / "out.glb")

@@ -9,6 +9,9 @@ import pytest
 
 from skinbake.choices import Baseline
 from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.blended import accurate
+from skinbake.skinning.components import PosedVertex
+from skinbake.skinning.counting import Count, Sign, Tally
 from tests.support import analytic
 from tests.support.analytic_rest import rest_primitive, sample, slots
 from tests.support.blended_surface import RIGID, blended_rest, blended_surface
@@ -60,6 +63,14 @@ def test_a_primitive_without_blend_weights_is_blended_linearly() -> None:
     np.testing.assert_allclose(
         found.normals, replay(Algorithm.LBS_ACCURATE, rest, matrices).normals, atol=1e-12
     )
+
+
+def test_accurate_lighting_of_a_blend_costs_what_its_docstring_says() -> None:
+    tally = Tally()
+    tally.mark(1)
+    one, other = (PosedVertex(*(tuple(Count(tally) for _ in range(3)) for _ in range(4))) for _ in range(2))
+    accurate(one, other, tuple(Count(tally) for _ in range(3)), Sign())
+    assert tally.lines == {1: 30}
 
 
 @pytest.mark.parametrize("baseline", Baseline)

@@ -53,7 +53,10 @@ def standard(linear: PosedVertex, dual: PosedVertex, blend: Vector) -> PosedVert
 
 
 def accurate(linear: PosedVertex, dual: PosedVertex, blend: Vector, handedness: Component) -> PosedVertex:
-    """Return accurate lighting between that of both methods. blend is b, ∂b/∂t0 and ∂b/∂b0."""
+    """Return accurate lighting between that of both methods. blend is b, ∂b/∂t0 and ∂b/∂b0.
+
+    It costs 30 multiply-adds (``counting``) more than both methods.
+    """
     weight, along_t, along_b = blend
     apart = minus(dual.position, linear.position)
     position = plus_scaled(linear.position, weight, apart)
