@@ -118,9 +118,12 @@ function metadataOf({ accessors = [] }, { extras, attributes }) {
     return notes.find((note) => isObject(note) && Number.isInteger(note.version));
 }
 
-function problemOf({ accessors }, { attributes }, metadata) {
+function problemOf({ accessors }, { attributes, extensions }, metadata) {
     const { version, frame, encoding, layout, influences, scale, alpha, beta } = metadata;
     if (version !== 1) return `its bake has version ${version}, and this module reads version 1: update it`;
+    if (extensions?.KHR_draco_mesh_compression) {
+        return 'Galacean reads nothing of a mesh in Draco: bake it again with --compress none';
+    }
     if (influences > 4 || attributes.JOINTS_1 !== undefined) {
         const count = influences > 4 ? influences : 8;
         const remedy = 'bake it again with --limit-influences 4';

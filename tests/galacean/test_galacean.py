@@ -180,6 +180,25 @@ def test_morph_targets_come_before_skinning(stage: DrawingStage, frame: str) -> 
     assert largest(found["values"][0], expected(character, found).normals) < DEGREES
 
 
+def test_sparse_accessors_are_read(stage: DrawingStage) -> None:
+    """Those of α and TANGENT: every second element lies in the sparse part."""
+    character = stage.character(MIRRORED, RANDOM, "tangent")
+    file = Editable(character.path)
+    for name in ("_SKINBAKE_ALPHA_0", "TANGENT"):
+        stored = file.array(name)
+        places = np.arange(0, len(stored), 2, dtype=np.uint32)
+        values = stored[places].copy()
+        stored[places] = 0
+        added = [file.add(part) for part in (places.view(np.float32)[:, None], values)]
+        indices, substitutes = ({"bufferView": file.content["accessors"][one]["bufferView"]} for one in added)
+        sparse = {"count": len(places), "values": substitutes, "indices": {**indices, "componentType": 5125}}
+        file.content["accessors"][file.primitive()["attributes"][name]]["sparse"] = sparse
+    path = file.write(stage.models / "sparse.glb")
+    found = stage.call("draw", {**character.told(Placement()), "url": f"/models/{path.name}"})
+    assert largest(found["values"][0], expected(character, found).normals) < DEGREES
+    assert found["report"] == [["accurate", ""]]
+
+
 STRETCHED = {"position": [1, 2, 3], "angles": [0, 0, 0], "scale": [1, 2, 1]}
 
 
@@ -312,6 +331,12 @@ class TestMessages:
         reason = "it has 8 influences for each vertex, and Galacean reads four: "
         reason += "bake it again with --limit-influences 4"
         path = baked(FIXTURES / "two_sets.glb", stage.models)
+        assert stage.told(path) == ([["standard", reason]], [reason])
+
+    def test_draco(self, stage: DrawingStage) -> None:
+        path = stage.models / "draco.glb"
+        bake_file(TUBE, path, compress=Scheme.DRACO)
+        reason = "Galacean reads nothing of a mesh in Draco: bake it again with --compress none"
         assert stage.told(path) == ([["standard", reason]], [reason])
 
     def test_a_shader_of_a_page(self, stage: DrawingStage) -> None:
