@@ -172,6 +172,7 @@ def test_inputs_named_twice_by_folders_and_patterns_are_baked_once(tree: Path, t
         (["one/**", "--out-dir", "one"], "is the input; use --in-place"),
         (["nest", "--out-dir", "."], "is also an input"),
         (["nest", "--out-dir", "-"], "--out-dir needs the name of a folder, not -"),
+        (["one", "--out-dir", "nest/x.glb"], "--out-dir nest/x.glb is a file, not a folder"),
         (["nest", "-o", "a.glb"], "-o takes one input"),
         (["nest/**/*.glb", "-o", "a.glb"], "-o takes one input"),
     ],

@@ -185,6 +185,7 @@ VIEW, NEARER = "skinbake view hero.glb shows", "times nearer to the true normals
     [
         ((4.0, 1.0), (5.0, 2.0), f"Clear gain: 2.5 {NEARER}. Next: {VIEW} where."),
         ((4.0, 2.0), (5.0, 1.0), f"Clear gain: 2.0 {NEARER}. Next: {VIEW} where."),
+        ((4.0, 2.004), (9.0, 1.0), f"Clear gain: 2.0 {NEARER}. Next: {VIEW} where."),
         ((4.0, 2.01), (9.0, 1.0), f"Small gain: 1.99 {NEARER}. Next: {VIEW} whether it is worth its bytes."),
         ((4.0, 3.0), (6.0, 5.0), f"Small gain: 1.20 {NEARER}. Next: {VIEW} whether it is worth its bytes."),
         ((4.0, 1.0), (5.5, 5.0), f"Little to win: 1.10 {NEARER}. Next: leave the file unbaked."),
@@ -267,7 +268,7 @@ def test_little_to_win_is_not_said_of_an_unsound_bake_or_beside_other_advice() -
         texts = map(text_of, (little, stale, advised, worse, missed, other))
         assert [text.count("Little to win") for text in texts] == [1, 0, 0, 1, 1, 1]
     assert as_brief(advised).endswith("Next: bake as the warning says.")
-    assert as_brief(missed).endswith("Next: meet the limit that it misses, or change it.")
+    assert as_brief(missed).endswith("Next: leave it unbaked by bake --leave-under, or change the limit.")
 
 
 def test_remarks_on_checks_cannot_control_a_terminal() -> None:

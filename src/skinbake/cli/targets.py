@@ -119,6 +119,8 @@ def targets_of(inputs: list[Input], given: Mapping[str, Any]) -> list[tuple[Inpu
     if given["out_dir"] == STDIO:
         raise click.UsageError("--out-dir needs the name of a folder, not -; -o - writes to stdout")
     if given["out_dir"]:
+        if os.path.isfile(on_disk(given["out_dir"]) or ""):  # noqa: PTH113  # pathlib fails for long names
+            raise click.UsageError(f"--out-dir {given['out_dir']} is a file, not a folder")
         return list(pair_up(inputs, given["out_dir"]))
     return [(entry, None) for entry in inputs]
 

@@ -362,7 +362,8 @@ def conclusion(verdict: FileVerdict) -> Conclusion | None:
             for notice in verdict.notices
         )
         judged = _on_gain(found[2], f"skinbake view {name}", advised=advised)
-        return replace(judged, step="meet the limit that it misses, or change it") if failed else judged
+        meet = "leave it unbaked by bake --leave-under" if judged.leave else "meet the limit that it misses"
+        return replace(judged, step=f"{meet}, or change the limit") if failed else judged
     if any(check.name == "structure" and check.outcome == "skipped" for check in verdict.checks):
         return Conclusion("There is no bake to judge.", f"skinbake inspect {name} shows what can be baked")
     return Conclusion("No light was measured in these poses.", "skinbake verify --poses random")
@@ -374,7 +375,8 @@ def _on_gain(figures: Mapping[str, ErrorFigures], look: str, *, advised: bool) -
     ``look`` is the command that shows the file. advised: a warning knows a better bake.
     """
     standard, factor = figures["standard"].mean, gain(figures)
-    nearer = "" if factor is None else f"{factor:.1f}" if CLEAR <= factor < 100 else gain_in_words(factor)
+    clear = factor is None or round(factor, 2) >= CLEAR  # as it is written, with two decimals
+    nearer = "" if factor is None else f"{factor:.1f}" if clear and factor < 100 else gain_in_words(factor)
     told = f"{nearer} times nearer to the true normals" if nearer else "exact but for rounding"
     if standard < NEGLIGIBLE:
         sentence = f"Nothing to correct: standard lighting errs by {standard:.2f}° in the mean."
@@ -382,7 +384,7 @@ def _on_gain(figures: Mapping[str, ErrorFigures], look: str, *, advised: bool) -
     if advised:
         return Conclusion(f"Another bake is better: this one is {told}.", "bake as the warning says")
     shows = f"{look} shows"
-    if factor is None or factor >= CLEAR:
+    if factor is None or clear:
         return Conclusion(f"Clear gain: {told}.", f"{shows} where", "clear gain")
     if round(factor, 2) >= LITTLE:
         step = f"{shows} whether it is worth its bytes"
