@@ -206,7 +206,7 @@ def _unread_numbers(
 ) -> Iterator[Notice]:
     """Yield a notice for each primitive whose numbers of ``--morph-frames`` the text does not read, and miss.
 
-    Other engines than three.js and Babylon.js follow NORMAL of the targets. It is there where the numbers are
+    Engines but three.js and Babylon.js follow NORMAL of the targets. It is there where the numbers are
     four. The plain text reads one kind of them.
     """
     if choices.target in {"three", "babylon"}:
@@ -391,7 +391,7 @@ def _with_joints(document: Document, views: Sequence[BakedView], choices: Shader
             rigid_only = choices.target in {"three", "playcanvas"}
             if names and (choices.lighting is not BEST[choices.method] or rigid_only):
                 best = f"--lighting {BEST[choices.method]}"
-                needs = "--method lbs, or --target babylon or plain" if rigid_only else best
+                needs = "--method lbs, or --target babylon, galacean or plain" if rigid_only else best
                 what = f"this file does not fit --method {choices.method}"
                 raise InputError(f"{what}: {names[0]} scales or shears; use {needs}", view.source.place)
             scales |= bool(names) and choices.target not in AT_RUN_TIME
