@@ -69,7 +69,7 @@ table: $(DEV) ## Write the tables of docs/ that models yield anew, from the mode
 	$(BIN)/python -m benchmarks.encoding_table
 	$(BIN)/python -m benchmarks.morph_frames
 
-scores: $(DEV) $(NODE_MODULES) ## Write docs/scores.md anew: three.js, Babylon.js, PlayCanvas and Godot in Chromium (3 minutes)
+scores: $(DEV) $(NODE_MODULES) ## Write docs/scores.md anew: the engines of the tests in Chromium (4 minutes)
 	$(BIN)/python -m benchmarks.skinned_normals_scores
 
 bench: $(DEV) $(NODE_MODULES) ## Time bake and verify against peers: write benchmarks/RESULTS.md (12 minutes)

@@ -93,6 +93,12 @@ ENGINES = (
         "import { registerSkinbake } from 'skinbake-babylon'; registerSkinbake();",
     ),
     Engine(
+        "Galacean",
+        "@galacean/engine",
+        "galacean.mjs",
+        "import { registerSkinbake } from 'skinbake-galacean'; registerSkinbake();",
+    ),
+    Engine(
         "PlayCanvas",
         "playcanvas",
         "playcanvas.mjs",
@@ -202,10 +208,11 @@ def opened(engine: Engine, has_adapter: bool, scratch: Path) -> Iterator[browser
                     archive.write(file, file.relative_to(part).as_posix())
         folders["engine"] = package_folder(engine.package) / "godot"
         page = (PAGES / "godot.html").read_text("utf-8")
-    elif engine.page == "babylon.mjs":
-        names = ("@babylonjs/core", "@babylonjs/loaders")
-        packages = {name: str(package_folder(name)) for name in names}
-        packages |= {"skinbake-babylon": str(engines_folder() / "babylon" / "index.js"), "/pages": str(PAGES)}
+    elif engine.page in {"babylon.mjs", "galacean.mjs"}:
+        name = engine.page.removesuffix(".mjs")
+        names = ("@babylonjs/core", "@babylonjs/loaders") if name == "babylon" else (engine.package,)
+        packages = {one: str(package_folder(one)) for one in names}
+        packages |= {f"skinbake-{name}": str(engines_folder() / name / "index.js"), "/pages": str(PAGES)}
         build_page(project, entry / "entry.mjs", packages)
         page = page_of("/project/dist/app.js", scripts=scripts)
     else:

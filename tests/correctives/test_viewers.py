@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -73,14 +74,21 @@ def turned(found: list[str], path: Path, time: float) -> float:
     return max(min(_apart(draw, one.normals) for one in standard) for draw in map(vectors, found))
 
 
-def largest(found: list[str], path: Path, time: float, *, store: str = "difference") -> float:
+def largest(
+    found: list[str], path: Path, time: float, *, store: str = "difference", inverse: bool = False
+) -> float:
     """Return the largest angle of any vertex between what a page has drawn and the replay.
 
     Draws have no names: each primitive and node is that draw which is nearest to it, and the reverse. A draw
-    may leave out the last vertices.
+    may leave out the last vertices. ``inverse``: normals turn by the inverse transpose of the matrices.
     """
     draws = list(map(vectors, found))
     expected = list(drawn(path, 0, time, store=store))
+    if inverse:
+        expected = [
+            replace(one, blended=np.asarray(np.linalg.inv(one.blended).transpose(0, 2, 1), np.float64))
+            for one in expected
+        ]
     assert len(draws) == len(expected)
     apart = np.array([[_apart(draw, one.normals) for draw in draws] for one in expected])
     return float(max(apart.min(axis=0).max(), apart.min(axis=1).max()))
@@ -158,6 +166,29 @@ def test_babylon_draws_what_the_replay_says(babylon: ViewerStage, case: str, enc
     path, time = corrected(case, babylon.models, encoding)
     found = babylon.call("played", {"url": f"/models/{path.name}", "clip": 0, "time": time})
     assert largest(found, path, time) < DEGREES
+
+
+@pytest.fixture(scope="module")
+def galacean(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ViewerStage]:
+    require_node("vite", "@galacean/engine")
+    folder = tmp_path_factory.mktemp("galacean")
+    (folder / "project").mkdir()
+    packages = {"@galacean/engine": str(package_folder("@galacean/engine"))}
+    build_page(folder / "project", PAGES / "galacean.mjs", packages)
+    page = page_of("/built/app.js", scripts=["/support/capture.js"])
+    with opened_page(page, folder, {"built": folder / "project" / "dist"}) as found:
+        yield ViewerStage(*found)
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("encoding", ["float32", "packed8"])
+def test_galacean_turns_corrected_normals_by_the_inverse_transpose(
+    galacean: ViewerStage, case: str, encoding: str
+) -> None:
+    """Correctives are for the matrices themselves: so they bring less there."""
+    path, time = corrected(case, galacean.models, encoding)
+    found = galacean.call("played", {"url": f"/models/{path.name}", "clip": 0, "time": time})
+    assert largest(found, path, time, inverse=True) < DEGREES
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ import {
     Material,
     Quaternion,
     Shader,
+    ShadowType,
     SkinnedMeshRenderer,
     Texture2D,
     UnlitMaterial,
@@ -31,8 +32,8 @@ const started = (async () => {
     const camera = eye.addComponent(Camera);
     camera.enableFrustumCulling = false;
     camera.depthTextureMode = DepthTextureMode.PrePass;
-    root.createChild('sun').addComponent(DirectLight);
-    return { engine, scene, root };
+    const sun = root.createChild('sun').addComponent(DirectLight);
+    return { engine, scene, root, sun };
 })();
 
 const renderersOf = (entity) => entity.getComponentsIncludeChildren(SkinnedMeshRenderer, []).filter(({ skin }) => skin);
@@ -87,8 +88,9 @@ CAPTURE.namesFor = (text) => {
 
 // Load a character, change it as a page might, draw it, and return what its vertex shaders hand on.
 export async function draw(options) {
-    const { change = '', mapped = null, morphs = [], node = null, root: placed = null, varying = 'v_normal' } = options;
-    const { engine, root } = await started;
+    const { change = '', mapped = null, morphs = [], node = null, root: placed = null, shadows = false, varying = 'v_normal' } = options;
+    const { engine, root, sun } = await started;
+    sun.shadowType = shadows ? ShadowType.Hard : ShadowType.None;
     const resource = await loaded(options);
     const parent = root.createChild('parent');
     if (placed) place(parent, placed);

@@ -232,15 +232,19 @@ def test_dual_quaternions_move_normals_and_positions(stage: DrawingStage, kind: 
     assert np.abs(vectors(positions) - posed)[weighted].max() < 1e-5 * np.ptp(posed)
 
 
-def test_dual_quaternions_move_depths_too(stage: DrawingStage) -> None:
-    """Galacean draws depths by a shader that reads no normals."""
-    character = stage.character(MIRRORED, RANDOM)
-    depths, seen = (
-        vectors(values) for values in stage.draw(character, method="dqs", varying="gl_Position")["values"]
+def test_dual_quaternions_move_depths_and_shadows_too(stage: DrawingStage) -> None:
+    """Galacean draws depths by a shader that reads no normals. Shadows are seen from the sun."""
+    options = {"shadows": True, "varying": "gl_Position"}
+    found, usual = (
+        [vectors(one).reshape(-1, 4) for one in stage.draw(character, **options, method=method)["values"]]
+        for character in [stage.character(MIRRORED, RANDOM)]
+        for method in ("dqs", "lbs")
     )
-    (usual, _) = stage.draw(character, varying="gl_Position")["values"]
-    assert np.abs(depths - seen).max() < 1e-5 * np.ptp(seen)
-    assert np.abs(vectors(usual) - seen).max() > 1e-3 * np.ptp(seen)
+    size = np.ptp(found[-1])
+    assert len(found) == 3
+    assert sorted(np.abs(one - found[-1]).max() < 1e-5 * size for one in found[:-1]) == [False, True]
+    moved = [np.abs(one - other).max() / np.ptp(one) for one, other in zip(found, usual, strict=True)]
+    assert min(moved) > 1e-4
 
 
 @pytest.mark.parametrize("storage", [AS_USUAL, PACKED, PAIRS], ids=["float32", "packed8", "pairs"])
