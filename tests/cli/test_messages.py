@@ -16,9 +16,11 @@ import pytest
 
 import skinbake
 from fixtures.builder import JsonObject
+from skinbake.cli import bake as bake_command
 from skinbake.cli.console import without_repeats
 from skinbake.cli.terminal import with_colours
 from skinbake.errors import Notice, Place
+from skinbake.gradients import kernel
 from skinbake.report.bake import (
     BakedCounts,
     FileResult,
@@ -376,6 +378,19 @@ def test_verbose_says_that_no_loops_are_compiled() -> None:
         assert result.returncode == code, result.stderr
         assert words in result.stderr
     assert len(result.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(("vertices", "lines"), [(1_518, 1), (1_519, 0)])
+def test_one_line_says_that_a_large_mesh_lacks_the_compiled_loops(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, vertices: int, lines: int
+) -> None:
+    """The larger of two files has 1,518 vertices."""
+    monkeypatch.setattr(kernel, "IS_COMPILED", False)
+    monkeypatch.setattr(bake_command, "LARGE", vertices)
+    models = [FOLDER / "bent_tube.glb", FOLDER / "seam.glb"]
+    result = invoke("bake", *models, "--out-dir", tmp_path)
+    assert result.exit_code == 0
+    assert result.stderr.count("lacks its compiled loops") == lines
 
 
 @pytest.mark.slow

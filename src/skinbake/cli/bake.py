@@ -89,6 +89,11 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[Given])
     write_depfile = depfile_writer(depfile_at, given, say, also_read, configuration)
 
     def write(results: Sequence[FileResult]) -> int:
+        from skinbake.gradients import kernel
+
+        sizes = (counts.vertices for result in results for _, counts in result.primitives)
+        if not kernel.IS_COMPILED and max(sizes, default=0) >= LARGE:
+            say.note("skinbake lacks its compiled loops: large meshes take many times as long (-v tells why)")
         code = exit_codes.OK if write_depfile is None else write_depfile(results)
         untracked = _untracked_code(results, say) if given.get("require_tracked") else exit_codes.OK
         return max(code, untracked)
@@ -98,6 +103,10 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[Given])
     clock.imports_done()
     run = run_of(commands, jobs, given, say, notes, turns)
     sys.exit(work_through(run, reporting, given, say, clock, notes))
+
+
+LARGE = 100_000
+"""The vertices of a primitive from which on the compiled loops are missed."""
 
 
 def _reporting(
