@@ -30,6 +30,12 @@ def with_two_sets(path: Path, joints: AnyArray) -> Path:
     return write_model(path, [sheet(JOINTS_1=joints, WEIGHTS_1=weights)])
 
 
+def _with_a_target(content: JsonObject) -> None:
+    """Make a morph target of the attribute _MOVED."""
+    (primitive,) = content["meshes"][0]["primitives"]
+    primitive["targets"] = [{"POSITION": primitive["attributes"].pop("_MOVED")}]
+
+
 class TestNotANumbers:
     def test_influences_of_different_types_are_joined_without_a_warning(self, tmp_path: Path) -> None:
         """Sets of different types become one array of float64: each weight is converted."""
@@ -53,6 +59,22 @@ class TestNotANumbers:
         tangents[2].view(np.uint32)[:] = SIGNALLING
         tangents[3, 3] = np.inf
         assert tangent_deviation(normals, tangents).tolist() == [0, 180, 180, 180]  # a huge one overflows
+
+    def test_morph_targets_of_odd_numbers_are_baked_without_a_warning(self, tmp_path: Path) -> None:
+        """A normal that is no number, an infinite one, and differences that no float32 holds over slivers."""
+        positions, normals = sheet().attributes["POSITION"].copy(), sheet().attributes["NORMAL"].copy()
+        positions[:, :2] *= np.float32(1e-19)
+        normals.view(np.uint32)[3] = SIGNALLING
+        normals[7, 0] = np.inf
+        source = write_model(
+            tmp_path / "in.glb",
+            [sheet(POSITION=positions, NORMAL=normals, _MOVED=positions * np.float32(1e38))],
+            change=_with_a_target,
+        )
+        result = invoke("bake", source, "-o", tmp_path / "out.glb", "--morph-normals", "--morph-frames")
+        assert result.exit_code == 0, result.output
+        assert invoke("strip", tmp_path / "out.glb", "-o", tmp_path / "back.glb").exit_code == 0
+        assert (tmp_path / "back.glb").read_bytes() == source.read_bytes()
 
     def test_a_digest_is_of_the_bytes_as_they_are_converted(self) -> None:
         """Values that the noted type cannot hold have a digest too, the same each time."""

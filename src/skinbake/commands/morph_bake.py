@@ -294,8 +294,9 @@ def _changes(
     for part, here in zip(parts, slices, strict=True):
         own = slice(*np.searchsorted(change.rows, (here.start, here.stop)))
         rows = change.rows[own] - here.start
-        stored = part.primitive.normals[rows].astype(np.float64)
-        added = normals[own] * np.linalg.norm(stored, axis=1, keepdims=True) - stored
+        with np.errstate(over="ignore", invalid="ignore"):  # a NaN may be signalling
+            stored = part.primitive.normals[rows].astype(np.float64)
+            added = normals[own] * np.linalg.norm(stored, axis=1, keepdims=True) - stored
         found.append(
             _Change(
                 _kept(rows, added, turned[own, None]),
@@ -307,9 +308,11 @@ def _changes(
 
 
 def _kept(rows: IntArray, values: Float64Array, wanted: BoolArray) -> Differences:
-    """Return the finite rows of values (R, C) of which anything is wanted (R, …), as they are stored."""
-    sound = np.asarray(wanted.any(axis=1)) & np.isfinite(values).all(axis=1)
-    return Differences(rows[sound], values[sound].astype(np.float32))
+    """Return the rows of values (R, C) that float32 holds and of which anything is wanted (R, …)."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        stored = values.astype(np.float32)
+    sound = np.asarray(wanted.any(axis=1)) & np.isfinite(stored).all(axis=1)
+    return Differences(rows[sound], stored[sound])
 
 
 def _degrees(part: _Part, normals: Differences) -> Float64Array:

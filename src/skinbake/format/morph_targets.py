@@ -103,7 +103,9 @@ def morph_digest(primitive: SkinnedPrimitive, targets: Mapping[int, Differences]
     parts = [(0, every, primitive.positions), (1, every[: len(primitive.normals)], primitive.normals)]
     parts += ((2 + number, one.rows, one.values) for number, one in sorted(targets.items()))
     for part, rows, values in parts:
-        for column in (values.astype(np.float32) + np.float32(0)).T:  # −0 is 0
+        with np.errstate(over="ignore", invalid="ignore"):  # a NaN may be signalling
+            stored = values.astype(np.float32) + np.float32(0)  # −0 is 0
+        for column in stored.T:
             mixed = (vertices[rows] ^ np.uint64(part)) * np.uint64(0x9E3779B97F4A7C15)
             mixed = (mixed ^ column.view(np.uint32)) * np.uint64(0xBF58476D1CE4E5B9)
             mixed = (mixed ^ mixed >> np.uint64(27)) * np.uint64(0x94D049BB133111EB)
