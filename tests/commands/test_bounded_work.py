@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.truth.poses import pose_steps
 from tests.support.command_line import invoke
-from tests.support.models import Change, bake, sheet, write_model
+from tests.support.models import Change, Part, bake, sheet, write_model
 from tests.support.webgpu import NAGA
 
 CPU_SECONDS = 25
@@ -174,10 +175,14 @@ def test_steps_are_refused_by_the_bytes_of_a_file(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.slow
-def test_many_tiny_meshes_are_refused_before_they_are_worked_on(tmp_path: Path) -> None:
+def test_many_tiny_meshes_are_refused_before_they_are_worked_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     source = write_model(tmp_path / "in.glb", [sheet()], change=with_meshes(700))
     out, text = tmp_path / "baked.glb", tmp_path / "x.glsl"
-    assert invoke("bake", source, "-o", out).exit_code == 0
+    with monkeypatch.context() as unbounded:
+        unbounded.setattr(budgets, "STEPS_FREE", 1 << 30)
+        assert invoke("bake", source, "-o", out).exit_code == 0
     for command, what in [
         (("bake", source, "-o", tmp_path / "p.glb", "--gradients", "poses"), "fitting it to its poses"),
         (("shader", "--lang", "glsl", "--for", out, "-o", text), "the freshness of 700 primitives"),
@@ -206,7 +211,8 @@ def test_a_character_of_many_small_parts_is_baked_verified_and_shown(tmp_path: P
     write_model(tmp_path / "in.glb", parts)
     assert [invoke(*command).exit_code for command in commands] == [0, 0, 0, 0]
     write_model(tmp_path / "in.glb", [sheet()], change=with_targets(1, 350))
-    assert [invoke(*command).exit_code for command in commands] == [0, 3, 3, 3]
+    (tmp_path / "out.glb").unlink()
+    assert [invoke(*command).exit_code for command in commands] == [3, 3, 3, 3]
 
 
 def test_parts_allow_steps_by_vertices_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -304,6 +310,91 @@ def test_poses_that_are_too_much_work_are_left_out_with_a_notice(
     measured, notice = verified(tmp_path / "baked.glb")
     assert measured.startswith("600 poses of 200 clips")
     assert not notice
+
+
+@pytest.mark.parametrize("clips", [1, 150])
+def test_skins_that_are_too_much_work_are_left_out_with_a_notice(clips: int, tmp_path: Path) -> None:
+    """A scene of 250 skins in 20 KB was baked, and verify refused it."""
+    source = write_model(tmp_path / "in.glb", [sheet()], change=all_of(with_skins(250), with_clips(clips)))
+    bake(source, tmp_path / "baked.glb")
+    measured, notice = verified(tmp_path / "baked.glb")
+    assert measured
+    found = re.search("in ([0-9]+) of the 250 ways in which skins draw its meshes", notice)
+    assert found is not None
+    assert 50 < int(found[1]) < 150
+
+
+def test_each_mesh_is_measured_in_its_first_skin_before_any_in_its_second(tmp_path: Path) -> None:
+    def change(content: JsonObject) -> None:
+        with_skins(150)(content)
+        content["meshes"].append(json.loads(json.dumps(content["meshes"][0])))
+        content["nodes"].append({"mesh": 1, "skin": 0})
+        content["scenes"][0]["nodes"].append(len(content["nodes"]) - 1)
+
+    bake(write_model(tmp_path / "in.glb", [sheet()], change=change), tmp_path / "baked.glb")
+    (found,) = json.loads(invoke("verify", tmp_path / "baked.glb", "--json").stdout)["files"]
+    assert "poses-left-out" in {one["code"] for one in found["warnings"]}
+    assert [one["mesh"] for one in found["primitives"]] == [0, 1]
+
+
+def fan(count: int) -> Part:
+    """Make a cone with a copy of its tip for each triangle."""
+    angles = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    rim = np.stack([np.cos(angles), np.sin(angles), np.zeros(count)], axis=1)
+    positions = np.concatenate([rim, np.tile([[0, 0, 0.3]], (count, 1))]).astype(np.float32)
+    weights = np.zeros((2 * count, 4), np.float32)
+    weights[:, 0] = (positions[:, 0] + 1) / 2
+    weights[:, 1] = 1 - weights[:, 0]
+    numbers = np.arange(count)
+    part = sheet(
+        POSITION=positions,
+        NORMAL=np.tile(np.array([[0, 0, 1]], np.float32), (2 * count, 1)),
+        WEIGHTS_0=weights,
+        JOINTS_0=np.tile(np.array([[0, 1, 0, 0]], np.uint8), (2 * count, 1)),
+    )
+    return replace(part, indices=np.stack([count + numbers, numbers, (numbers + 1) % count], axis=1))
+
+
+@pytest.mark.slow
+def test_vertices_times_poses_are_left_out_with_a_notice(tmp_path: Path) -> None:
+    """A crowd of one mesh with sixty skins was refused by verify."""
+    bake(
+        write_model(tmp_path / "in.glb", [fan(600)], change=all_of(with_skins(60), with_clips(1))),
+        tmp_path / "baked.glb",
+    )
+    measured, notice = verified(tmp_path / "baked.glb")
+    assert measured
+    assert "poses of each skin" in notice
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [40, 60, 90, 150, 1500])
+def test_a_bake_that_verify_would_refuse_is_not_written(count: int, tmp_path: Path) -> None:
+    """2,000 primitives of a few shared vertices were baked, and verify refused them."""
+    source = write_model(tmp_path / "in.glb", [sheet()], change=with_targets(1, count))
+    done = invoke("bake", source, "-o", tmp_path / "baked.glb")
+    if count < 50:
+        assert done.exit_code == 0, done.stderr
+    if done.exit_code:
+        assert done.exit_code == 3
+        assert re.search("would take .* steps of work|so many copies at one place", done.stderr)
+        assert not (tmp_path / "baked.glb").exists()
+    else:
+        assert count < 100
+        assert invoke("verify", tmp_path / "baked.glb").exit_code == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [300, 1500])
+def test_a_fan_with_a_centre_for_each_triangle_is_refused_or_verifies(count: int, tmp_path: Path) -> None:
+    source = write_model(tmp_path / "in.glb", [fan(count)])
+    done = invoke("bake", source, "-o", tmp_path / "baked.glb")
+    if count > 1000:
+        assert done.exit_code == 3
+        assert "so many copies at one place that welding them would take" in done.stderr
+    else:
+        assert done.exit_code == 0, done.stderr
+        assert invoke("verify", tmp_path / "baked.glb").exit_code == 0
 
 
 def verified(path: Path) -> tuple[str, str]:

@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from skinbake.choices import FrameChoice, Gradients, Neighbours, Scheme, Weld
 from skinbake.commands.bake_options import CheckedOptions
 from skinbake.commands.surface_bake import FitTarget, PrimitiveBake, SurfaceBake, unwritten
@@ -22,7 +24,9 @@ from skinbake.format.baked import with_baked, with_scale
 from skinbake.format.layouts import GradientFormat
 from skinbake.format.metadata import refuse_other_kind, with_left
 from skinbake.format.strip import stripped
+from skinbake.gltf import json_text
 from skinbake.gltf.beside import files_read
+from skinbake.gltf.budget import WELDING_RATIO, Budget
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import JsonObject, entries_of
@@ -51,6 +55,9 @@ STEPS_A_BAKE = 700
 
 JSON_A_PRIMITIVE = 1450
 """About as many bytes of JSON are added for a primitive."""
+
+STEPS_TO_VERIFY, STEPS_A_TARGET, STEPS_A_JOINT, BYTES_A_COPY = 22_000, 60, 30, 192
+"""About the steps of verifying a primitive, a target and a joint; the bytes of each corner at copies."""
 
 if TYPE_CHECKING:
     from skinbake.commands.morph_bake import MorphBake
@@ -179,7 +186,8 @@ class Baker(CheckedOptions):
                 compression = Compression(self.compress, self.compress_level, self._bits)
                 document, kept = recoded(document, sources, compression)
         sources = [source.in_document(document) for source in sources]
-        bakes, remarks = self._bakes(document, sources)
+        surfaces, remarks = self._bakes(document, sources)
+        bakes = [bake for surface in surfaces for bake in surface]
         morphs = self._morphs(document, bakes)
         made_targets = morphs.made if morphs else ()
         remarks += morphs.notices if morphs else ()
@@ -192,6 +200,7 @@ class Baker(CheckedOptions):
             written, lengths, made_lengths = with_baked(
                 document, to_store, names, storage, level=level, made=made_targets
             )
+            _refuse_unverifiable(document, written, surfaces, sum(lengths))
         with stage("encoding"):
             cost, unmeasured = _encoding_cost(document, bakes, storage)
         notices = [*kept, *reasons, *remarks, *(notice for bake in bakes for notice in bake.notices)]
@@ -257,7 +266,7 @@ class Baker(CheckedOptions):
 
     def _bakes(
         self, document: Document, sources: Sequence[PrimitiveSource]
-    ) -> tuple[list[PrimitiveBake], list[Notice]]:
+    ) -> tuple[list[list[PrimitiveBake]], list[Notice]]:
         """Bake primitives, surface by surface, and return notices on surfaces that stay apart or unfitted.
 
         All poses to fit to are read before the first surface is baked.
@@ -280,7 +289,7 @@ class Baker(CheckedOptions):
                 raise InputError(f"nothing that is baked has an attribute {self.blend}", document.place)
             message = f"it has no attribute {self.blend}, and is left to linear blend skinning"
             notices += [Notice("no-blend", message, bake.source.place) for bake in without]
-        return [bake for bakes in made for bake in bakes], notices
+        return made, notices
 
     def _bakeable(self, document: Document) -> tuple[list[PrimitiveSource], int, list[Notice]]:
         """Return the primitives to bake, the number of skinned ones left out, and notices on the latter."""
@@ -387,6 +396,35 @@ def _guarded(
         groups = zip(surfaces, made, shares, strict=True)
         kept = [surface.keeping(bakes, own) for surface, bakes, own in groups]
     return kept, notices
+
+
+def _refuse_unverifiable(
+    given: Document, baked: Document, surfaces: Sequence[Sequence[PrimitiveBake]], added: int
+) -> None:
+    """Raise InputError if verify would refuse a baked document, to which so many bytes of α and β were added.
+
+    Nobody could tell whether such a bake is fresh.
+    """
+    fresh = Budget(limit=given.budget.limit, backed=given.budget.backed, parts=given.budget.parts)
+    joints = max((len(skin.get("joints", ())) for skin in given.objects("skins")), default=0)
+    steps = STEPS_A_JOINT * joints
+    copied = 0
+    for surface in surfaces:
+        for bake in surface:
+            steps += STEPS_TO_VERIFY + STEPS_A_TARGET * len(bake.source.json.get("targets", ()))
+        # Each copy of a vertex has the corners of all its copies.
+        classes = [bake.result.classes for bake in surface]
+        every = np.concatenate(classes)
+        used = [own[bake.primitive.triangles].ravel() for own, bake in zip(classes, surface, strict=True)]
+        corners = np.bincount(np.concatenate(used), minlength=int(every.max(initial=-1)) + 1)
+        copied += int(corners[every].sum() - corners.sum())
+    if steps <= fresh.steps_left and BYTES_A_COPY * copied <= WELDING_RATIO * fresh.backed:
+        return
+    from skinbake.commands.verify import claim_verification  # few files come near
+
+    sizes = [len(json_text.written(one.json, indent=None, ascii_only=False)) for one in (given, baked)]
+    fresh.backed += added + sizes[1] - sizes[0]
+    claim_verification(baked.edited(budget=fresh))
 
 
 def _encoding_cost(

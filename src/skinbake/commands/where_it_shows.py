@@ -165,7 +165,6 @@ class _Search:
         every = np.concatenate([one.rest[np.unique(one.triangles)] for one in self.surfaces])
         self.size = float(np.linalg.norm(every.max(axis=0) - every.min(axis=0)))
         self.radius = RADIUS * self.size
-        self.vertices = sum(len(one.rest) for one in self.surfaces)
         self.truths: dict[tuple[int, int], Any] = {}
         self.patches: list[Any] = []
 
@@ -394,18 +393,19 @@ def where_it_shows(
     If no clips are asked for, they are all that do not stand still, or random poses if all do. What has
     nothing to correct is left out. Raises InputError if the work is too much.
     """
-    search = _Search(document, draws)
-    if not search.size > 0 or not np.isfinite(search.size):
-        return []
-    clips = read_clips(document) if asked is None else asked
+    vertices = sum(len(rest.positions) for draw in draws for rest in draw.rest)
     nodes = sum(len(draw.skeleton.nodes) + len(draw.skeleton.joints) for draw in draws)
-    affordable = min(MOST_POSES, MOST_SAMPLES // max(search.vertices, 1), MOST_STEPS // nodes)
+    clips = read_clips(document) if asked is None else asked
+    affordable = min(MOST_POSES, MOST_SAMPLES // max(vertices, 1), MOST_STEPS // nodes)
     # The rest of the work that the file may ask for is not all for this.
     affordable = min(affordable, document.budget.steps_left // (4 * nodes) - EACH)
     poses = int(max(PROMISING * 2, affordable))
     some = clips[: poses // 2]
     claim_draws(document, draws, some, EACH)
     document.budget.claim_steps(2 * nodes * poses, "looking for what a bake improves most", document.place)
+    search = _Search(document, draws)
+    if not search.size > 0 or not np.isfinite(search.size):
+        return []
     moving = list(some)
     if asked is None:
         moving = [clip for clip in some if not search.stands_still(clip)] or [random_clip(document)]

@@ -6,6 +6,7 @@ import math
 from bisect import bisect_left
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 from skinbake.choices import USUAL_TRUTHS, Truth
 from skinbake.errors import InputError, Notice
@@ -27,6 +28,7 @@ from skinbake.truth.poses import (
     PoseSet,
     draws_of,
     planned_poses,
+    steps_of_looking,
 )
 from skinbake.wording import counted
 
@@ -48,6 +50,10 @@ of one mesh of 3,000 vertices need 20 a byte, a character of a million vertices 
 
 FINE_RATIO = 8
 """The vertices and points of a usual fine mesh for each vertex of the mesh. So many of them count as one."""
+
+
+DrawKey: TypeAlias = tuple[int, int | None]
+"""A skin, and the node with the morph weights, if there are any."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,29 +121,22 @@ def draws(
 
     truths are those to measure by.
 
-    If all poses are too much work for the file, some of each skin are measured, and a notice says so. Raises
-    InputError if a skin cannot be posed, or if the work is out of proportion to the file even so.
+    If all skins or poses are too much work for the file, some skins of each surface are measured, in some
+    poses each, and a notice says so. Raises InputError if a skin cannot be posed, or if the work is out of
+    proportion to the file even so.
     """
-    plans: dict[tuple[int, int | None], PosePlan] = {}
-    drawn: list[tuple[Sequence[BakedView], GradientOperator, tuple[int, int | None]]] = []
-    for views, operator in surfaces:
-        place = replace(views[0].source.place, primitive=None)
-        for draw in draws_of(document, views[0].source.mesh, clips):
-            document.budget.claim_steps(
-                STEPS_A_DRAW * len(views), f"{counted(len(views), 'primitive')} of skin {draw[0]}", place
-            )
-            if draw not in plans:
-                plans[draw] = PosePlan.of(document, draw[0], clips, request, draw[1])
-            drawn.append((views, operator, draw))
-    plans, notices = _fewer_poses(document, plans, [(len(views), draw) for views, _, draw in drawn])
-    work = _Work(document, request)
+    drawn, plans, notices = _planned(document, surfaces, clips, request)
+    measured = [(views, draw) for views, _, draw in drawn]
+    plans, fewer = _fewer_poses(document, plans, measured)
+    notices += fewer
+    work = _Work(document)
     rests = {id(views): [rest_primitive(view) for view in views] for views, _ in surfaces}
     fine = {
         id(views): _fine_mesh(document, views, operator)
         for views, operator in surfaces
         if Truth.FINE in truths
     }
-    sets: dict[tuple[int, int | None], PoseSet] = {}
+    sets: dict[DrawKey, PoseSet] = {}
     found = []
     for views, operator, draw in drawn:
         work.claim(views, plans[draw], fine.get(id(views)))
@@ -150,6 +149,54 @@ def draws(
     return found, notices
 
 
+def _planned(
+    document: Document,
+    surfaces: Sequence[tuple[Sequence[BakedView], GradientOperator]],
+    clips: Sequence[Clip],
+    request: PoseRequest,
+) -> tuple[
+    list[tuple[Sequence[BakedView], GradientOperator, DrawKey]], dict[DrawKey, PosePlan], list[Notice]
+]:
+    """Return the draws to measure, their plans, and a notice if these are not all."""
+    every = [
+        (rank, views, operator, draw)
+        for views, operator in surfaces
+        for rank, draw in enumerate(draws_of(document, views[0].source.mesh, clips))
+    ]
+    budget, plans, chosen = document.budget, dict[DrawKey, PosePlan](), list[int]()
+    steps = samples = 0
+    looking = steps_of_looking(clips)
+    # One draw of each surface is measured in any case, or the file is refused.
+    for number in sorted(range(len(every)), key=lambda number: every[number][0]):
+        rank, views, _, draw = every[number]
+        place = replace(views[0].source.place, primitive=None)
+        needed = STEPS_A_DRAW * len(views)
+        if rank and steps + needed + looking > budget.steps_left:
+            break
+        budget.claim_steps(needed, f"{counted(len(views), 'primitive')} of skin {draw[0]}", place)
+        plan = plans.get(draw) or PosePlan.of(document, draw[0], clips, request, draw[1])
+        few = _limited(plan, LEAST_SAMPLES)
+        steps += (0 if draw in plans else few.steps) + _morphed_steps(few, len(views))
+        samples += _samples(views, few)
+        if rank and (steps > budget.steps_left or samples > _most_samples(document)):
+            break
+        plans[draw] = plan
+        chosen.append(number)
+    left_out = len(every) - len(chosen)
+    drawn = [every[number][1:] for number in sorted(chosen)]
+    if not left_out:
+        return drawn, plans, []
+    message = (
+        f"its lighting is measured in {len(chosen):,} of the {len(every):,} ways in which skins draw its "
+        "meshes: all are too much work for a file of its size"
+    )
+    return drawn, plans, [Notice("poses-left-out", message, document.place, left_out)]
+
+
+def _limited(plan: PosePlan, most: int) -> PosePlan:
+    return replace(plan, request=replace(plan.request, most=most))
+
+
 def _fine_mesh(document: Document, views: Sequence[BakedView], operator: GradientOperator) -> FineMesh:
     """Return the mesh of the truth *fine*. Raises InputError if it takes too much memory for the file."""
     corners, place = operator.triangles.size, replace(views[0].source.place, primitive=None)
@@ -160,23 +207,24 @@ def _fine_mesh(document: Document, views: Sequence[BakedView], operator: Gradien
 
 def _fewer_poses(
     document: Document,
-    plans: dict[tuple[int, int | None], PosePlan],
-    drawn: Sequence[tuple[int, tuple[int, int | None]]],
-) -> tuple[dict[tuple[int, int | None], PosePlan], list[Notice]]:
-    """Return plans of so few poses that the document may claim their steps, and a notice on it.
+    plans: dict[DrawKey, PosePlan],
+    drawn: Sequence[tuple[Sequence[BakedView], DrawKey]],
+) -> tuple[dict[DrawKey, PosePlan], list[Notice]]:
+    """Return plans of so few poses that the document may claim their work, and a notice on it.
 
-    drawn are the number of primitives of each draw, and its plan. Plans that are too much work in
+    drawn are the primitives of each draw, and its plan. Plans that are too much work in
     ``LEAST_SAMPLES`` poses each are returned so: their claims are refused.
     """
     every = max((plan.count for plan in plans.values()), default=0)
 
-    def limited(most: int) -> dict[tuple[int, int | None], PosePlan]:
-        return {draw: replace(plan, request=replace(plan.request, most=most)) for draw, plan in plans.items()}
+    def limited(most: int) -> dict[DrawKey, PosePlan]:
+        return {draw: _limited(plan, most) for draw, plan in plans.items()}
 
-    def is_too_much(some: dict[tuple[int, int | None], PosePlan]) -> bool:
+    def is_too_much(some: dict[DrawKey, PosePlan]) -> bool:
         steps = sum(plan.steps for plan in some.values())
-        steps += sum(_morphed_steps(some[draw], primitives) for primitives, draw in drawn)
-        return steps > document.budget.steps_left
+        steps += sum(_morphed_steps(some[draw], len(views)) for views, draw in drawn)
+        samples = sum(_samples(views, some[draw]) for views, draw in drawn)
+        return steps > document.budget.steps_left or samples > _most_samples(document)
 
     if every <= LEAST_SAMPLES or not is_too_much(plans):
         return plans, []
@@ -198,18 +246,29 @@ def _morphed_steps(plan: PosePlan, primitives: int) -> int:
     return primitives * plan.count * (STEPS_A_MORPHED_POSE + STEPS_A_TARGET * len(plan.resting))
 
 
+def _samples(views: Sequence[BakedView], plan: PosePlan, fine: FineMesh | None = None) -> int:
+    """Return the vertices × poses of a draw. The clips of the file count, not the samples that users ask for.
+
+    A fine mesh has about eight times the vertices, and its user has asked for it.
+    """
+    vertices = sum(len(view.now.positions) for view in views) if fine is None else -(-fine.size // FINE_RATIO)
+    asked = plan.request.samples
+    return vertices * (plan.count if asked is None else -(-plan.count // asked) * SHARED_SAMPLES)
+
+
+def _most_samples(document: Document) -> int:
+    return SAMPLES_FREE + SAMPLES_A_BYTE * document.budget.backed
+
+
 class _Work:
     """The work of measuring the draws of a document, as vertices × poses."""
 
-    def __init__(self, document: Document, request: PoseRequest) -> None:
-        self._document, self._request = document, request
+    def __init__(self, document: Document) -> None:
+        self._document = document
         self._samples = 0
 
     def claim(self, views: Sequence[BakedView], plan: PosePlan, fine: FineMesh | None) -> None:
-        """Count the work of a draw. Raises InputError if all of it is far out of proportion to the file.
-
-        A fine mesh has about eight times the vertices, and its user has asked for it.
-        """
+        """Count the work of a draw. Raises InputError if all of it is far out of proportion to the file."""
         vertices, count = sum(len(view.now.positions) for view in views), plan.count
         place = replace(views[0].source.place, primitive=None)
         samples = f"{counted(vertices, 'vertex', 'vertices')} in {counted(count, 'pose')}"
@@ -217,11 +276,8 @@ class _Work:
             _morphed_steps(plan, len(views)), f"{samples} of morph targets", place
         )
         self._document.budget.claim(BYTES_A_SAMPLE * vertices * count, samples, place)
-        # The clips of the file count, not how many samples of each the user asks for.
-        asked = self._request.samples
-        measured = vertices if fine is None else -(-fine.size // FINE_RATIO)
-        self._samples += measured * (count if asked is None else -(-count // asked) * SHARED_SAMPLES)
-        most = SAMPLES_FREE + SAMPLES_A_BYTE * self._document.budget.backed
+        self._samples += _samples(views, plan, fine)
+        most = _most_samples(self._document)
         if self._samples > most:
             raise InputError(
                 f"it asks for {self._samples:,} vertices times poses, as often as nodes draw it and clips "

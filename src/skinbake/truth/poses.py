@@ -120,11 +120,16 @@ def joint_clips(document: Document, skin: int, clips: Sequence[Clip]) -> list[Cl
     return _moving(document, skin, clips, None)
 
 
+def steps_of_looking(clips: Sequence[Clip]) -> int:
+    """Return the steps of looking for the clips that move one skin."""
+    return sum(3 + 2 * len(clip.channels) for clip in clips)
+
+
 def _moving(document: Document, skin: int, clips: Sequence[Clip], node: int | None) -> list[Clip]:
     """Return the clips that move a skin, or the morph weights of a node, with the channels that do."""
     skeleton = read_skeleton(document, skin)
-    looked_at = sum(3 + 2 * len(clip.channels) for clip in clips)
-    document.budget.claim_steps(looked_at, f"looking for the clips of skin {skin}", document.place)
+    what = f"looking for the clips of skin {skin}"
+    document.budget.claim_steps(steps_of_looking(clips), what, document.place)
     nodes = set(skeleton.nodes)
     return [clip for clip in (_only(nodes, node, clip) for clip in clips) if clip.channels]
 
