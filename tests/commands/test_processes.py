@@ -27,12 +27,15 @@ from tests.commands.works import (
     Deadly,
     DeadlyOnce,
     Deaf,
+    DyingBesideOthers,
     Echoing,
     Hungry,
+    Lingering,
     Raising,
     Slow,
     SlowToStart,
     SlowToStop,
+    Stillborn,
     Surroundings,
     ToldTooLate,
     Unborn,
@@ -103,6 +106,16 @@ def test_while_a_suspect_is_tried_again_nobody_else_works(tmp_path: Path) -> Non
 
 
 @POSIX
+@pytest.mark.slow
+def test_a_suspect_waits_until_all_others_are_done(tmp_path: Path) -> None:
+    found = outcomes(DyingBesideOthers(tmp_path), 3, workers=3)
+    assert {number: result[0] for number, result in found.items()} == {0: 0, 1: 2, 2: 4}
+    times = {(job, what): int(when) for job, what, when in (p.name.split("-") for p in tmp_path.iterdir())}
+    began = max(int(path.name.split("-")[2]) for path in tmp_path.glob("0-began-*"))
+    assert began > times["2", "ended"]
+
+
+@POSIX
 def test_a_crash_in_native_code_costs_one_job() -> None:
     found = outcomes(Crashing(), 10)
     assert found[3][0] == "lost"
@@ -122,6 +135,14 @@ def test_a_defect_is_a_job_s_own_and_kills_nobody() -> None:
 def test_workers_that_never_start_end_the_run(capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SkinbakeError, match=r"worker processes cannot be started .*try --jobs 1"):
         outcomes(Unborn(), 10)
+
+
+@POSIX
+@pytest.mark.slow
+def test_workers_that_start_in_the_end_do_all_jobs(tmp_path: Path) -> None:
+    """Each of two workers may fail to start, and once more."""
+    found = outcomes(Stillborn(2 * processes.ATTEMPTS - 1, tmp_path), 10)
+    assert {number: result[0] for number, result in found.items()} == {n: 2 * n for n in range(10)}
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
@@ -341,6 +362,45 @@ def test_a_start_that_fails_once_is_tried_again(monkeypatch: pytest.MonkeyPatch)
     found = outcomes(Work(), 40)
     assert {number: result[0] for number, result in found.items()} == {n: 2 * n for n in range(40)}
     assert len(calls) == 3
+
+
+def test_each_worker_s_start_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    started, calls = starting.started, []
+
+    def fails_first_for_each(*arguments: Any) -> Any:
+        calls.append(arguments)
+        if len(calls) in {1, 3}:
+            raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
+        return started(*arguments)
+
+    monkeypatch.setattr(processes, "started", fails_first_for_each)
+    assert len({pid for _, pid in outcomes(Work(), 300).values()}) == 2
+    assert len(calls) == 4
+
+
+def test_descriptors_are_looked_at_before_each_worker_but_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    def none_left() -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr(processes, "check_descriptors", none_left)
+    assert len({pid for _, pid in outcomes(Work(), 40, workers=4).values()}) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_released_workers_have_ended_when_the_run_is_over() -> None:
+    found = limited(Lingering(), range(2), Limits(memory=1 << 30))
+    for _, pid in found.values():
+        state = Path(f"/proc/{pid}/stat")
+        assert not state.exists() or "Z" in state.read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="has no limit of descriptors")
+def test_released_workers_hold_no_descriptors() -> None:
+    with descriptors_left(starting.SPARE_DESCRIPTORS + 12):
+        found = limited(Work(), range(25), Limits(memory=1 << 30), workers=1)
+    assert {number: result[0] for number, result in found.items()} == {n: 2 * n for n in range(25)}
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux holds to the limit")

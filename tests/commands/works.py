@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import signal
+import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -126,6 +127,54 @@ class Unborn(Work):
 
     def __reduce__(self) -> Any:
         return os._exit, (7,)
+
+
+@dataclass(frozen=True)
+class Stillborn(Work):
+    """Ends the first processes that unpickle it, and then works."""
+
+    count: int
+    log: Path
+
+    def __reduce__(self) -> Any:
+        return _born_after, (self.count, self.log)
+
+
+def _born_after(count: int, log: Path) -> Stillborn:
+    for number in range(count):
+        try:
+            (log / str(number)).touch(exist_ok=False)
+        except FileExistsError:
+            continue
+        os._exit(7)
+    return Stillborn(count, log)
+
+
+@dataclass(frozen=True)
+class DyingBesideOthers(Work):
+    """Kills its process on the first try of job 0, while job 2 takes long. Notes in ``log`` the times."""
+
+    log: Path
+
+    def __call__(self, job: Any) -> Any:
+        number = len(list(self.log.glob(f"{job}-began-*")))
+        (self.log / f"{job}-began-{time.monotonic_ns()}").touch()
+        if job == 0 and not number:
+            time.sleep(0.4)
+            os.kill(os.getpid(), signal.SIGKILL)
+        if job == 2:
+            time.sleep(1.5)
+        (self.log / f"{job}-ended-{time.monotonic_ns()}").touch()
+        return super().__call__(job)
+
+
+@dataclass(frozen=True)
+class Lingering(Work):
+    """Leaves a thread that keeps the process alive for some seconds after the job."""
+
+    def __call__(self, job: Any) -> Any:
+        threading.Thread(target=time.sleep, args=(2.0,)).start()
+        return super().__call__(job)
 
 
 @dataclass(frozen=True)
