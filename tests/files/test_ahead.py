@@ -76,11 +76,10 @@ def temporaries(folder: Path) -> list[Path]:
     return list(folder.rglob("*.tmp"))
 
 
-@pytest.mark.parametrize("sync", [True, False])
 def test_the_chunk_is_in_a_temporary_file_before_the_kernel_runs(
-    sync: bool, at_once: bytes, seen: list[tuple[int, bytes]], tmp_path: Path
+    at_once: bytes, seen: list[tuple[int, bytes]], tmp_path: Path
 ) -> None:
-    bake_file(SEAM, tmp_path / "a.glb", sync=sync)
+    bake_file(SEAM, tmp_path / "a.glb")
     [(_, part)] = seen
     assert part == bytes(SPACING) + SOURCE_BINARY
     assert (tmp_path / "a.glb").read_bytes() == at_once
@@ -122,10 +121,14 @@ def test_what_would_not_be_used_is_not_begun(
     assert seen == []
 
 
-def test_one_thread_writes_nothing_ahead(seen: list[tuple[int, bytes]], tmp_path: Path) -> None:
+def test_one_thread_and_no_sync_write_the_same_bytes_at_the_end(
+    at_once: bytes, seen: list[tuple[int, bytes]], tmp_path: Path
+) -> None:
+    bake_file(SEAM, tmp_path / "a.glb", sync=False)
     with threads_limited(1):
-        bake_file(SEAM, tmp_path / "a.glb")
+        bake_file(SEAM, tmp_path / "b.glb")
     assert seen == []
+    assert {path.read_bytes() for path in tmp_path.iterdir()} == {at_once}
 
 
 def test_a_folder_that_does_not_exist_yet_is_made_at_the_end(
@@ -284,7 +287,7 @@ def test_a_process_that_is_stopped_in_the_kernel_leaves_the_source(
 @pytest.fixture
 def begun(tmp_path: Path) -> Callable[..., ahead.Ahead]:
     def make(*pieces: bytes) -> ahead.Ahead:
-        one = ahead.Ahead(sync=True, is_itself=False)
+        one = ahead.Ahead(is_itself=False)
         one.begin(tmp_path / "a", tmp_path, 2, pieces)
         return one
 

@@ -80,9 +80,9 @@ class Baker(CheckedOptions):
             document = read_document(source, within.bounds)
         if target is not None:
             refuse_own_input(document, source, target)
-        with Ahead(sync=writing.sync, is_itself=replaced is not None) as ahead:
+        with Ahead(is_itself=replaced is not None) as ahead:
             begin = None
-            if target is not None and not writing.dry_run:
+            if target is not None and writing.sync and not writing.dry_run:
                 begin = partial(write_ahead, ahead, target=target, root=within.output)
             made, result, notices = self._rebaked(document, target, pack=writing.pack, begin=begin)
             untouched = result is document and target == source and source != STDIO

@@ -19,14 +19,14 @@ STEP = 1 << 23
 
 
 class Ahead:
-    """A temporary file that a thread fills with a part of an output, and brings to the disk if ``sync``.
+    """A temporary file that a thread fills with a part of an output, and brings to the disk.
 
     ``is_itself`` tells that the output replaces its own source. There is no file before ``begin``. After the
     block the temporary name is gone. Nobody waits for the thread then: its file has no name any more.
     """
 
-    def __init__(self, *, sync: bool, is_itself: bool) -> None:
-        self._sync, self._is_itself = sync, is_itself
+    def __init__(self, *, is_itself: bool) -> None:
+        self._is_itself = is_itself
         self._open = ExitStack()
         self._pieces: Sequence[Bytes] = ()
         self._is_wanted, self._is_whole = True, False
@@ -101,8 +101,7 @@ class Ahead:
                         return
                     written = os.pwrite(descriptor, view[:STEP], offset)
                     view, offset = view[written:], offset + written
-            if self._sync:
-                flush(descriptor)
+            flush(descriptor)
             self._is_whole = True
         except OSError:  # the output is written without it, and fails in its own way
             pass
