@@ -108,7 +108,9 @@ def stored_and_morphed(language: Language) -> list[ShaderChoices]:
         mapped = [replace(base, morphs=kind, normal_map=True) for kind in (*morphs, *moved)]
         found += mapped if influences == 4 else []
         found += [replace(base, **storage, morphs=morphs[-1]) for storage in STORED[1:4:2]]
-    return found
+    blend = ShaderChoices(language, Method.BLEND, BEST[Method.BLEND], 8, Frame.TANGENT, scaled_joints=True)
+    found += [replace(blend, **storage) for storage in STORED[1:4:2]]
+    return [*found, *(replace(blend, morphs=kind) for kind in (Morphs.TANGENT, Morphs.FRAMES))]
 
 
 def together(language: Language) -> dict[str, list[ShaderChoices]]:

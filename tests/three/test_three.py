@@ -27,6 +27,8 @@ from skinbake.shaders.choices import ShaderChoices
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser, corpus
 from tests.support.baked_files import Editable
+from tests.support.baking import bake_file
+from tests.support.blended_files import NAME, with_blend_weights
 from tests.support.characters import (
     IDENTITY,
     Array,
@@ -382,6 +384,15 @@ class TestStorage:
         packed = stage.character(TUBE, BENT, storage=PACKED8)
         both = [each.expected(Algorithm.LBS_ACCURATE, placement).normals for each in (of_floats, packed)]
         assert deviation(*both) > 10 * TOLERANCE
+
+    def test_a_blend_with_dual_quaternions_changes_nothing(self, stage: ModuleStage) -> None:
+        """It is posed by one method, and lit for that."""
+        given = with_blend_weights(TUBE, stage.models / "given.glb")
+        bake_file(given, stage.models / "blended.glb", blend=NAME)
+        character = Character(stage.models / "blended.glb", BENT, ())
+        found = stage.vertices(character, for_file(character))
+        expected = character.expected(Algorithm.LBS_ACCURATE, found.placement)
+        assert deviation(found.values[0], expected.normals) < TOLERANCE
 
     @pytest.mark.parametrize("sets", [0, 1, 3])
     @pytest.mark.parametrize("material", ["standard", "second coordinates"])
