@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skinbake.geometry.skinned import IntArray
-from skinbake.render.pictures import captioned
+from skinbake.render.pictures import INK, captioned
 from skinbake.render.studio import STOPS, Look, Picture
 
 BOTH = ("standard", "accurate")
@@ -29,6 +29,13 @@ def test_each_half_of_a_split_picture_has_its_own_word() -> None:
     assert halves[0].min() == pytest.approx(halves[1].min(), abs=2)
     found = captioned(blank(600, 300), BOTH, look)
     assert not np.array_equal(found[:, :300], found[:, 300:])
+
+
+def test_words_stand_out_on_parts_of_their_own_colour() -> None:
+    dark = np.broadcast_to(np.array(INK, np.uint8), (300, 600, 3)).copy()
+    found = captioned(dark, BOTH, Look(600, 300))
+    for half in (found[:, :300], found[:, 300:]):
+        assert half.max() > 230
 
 
 def test_the_scale_has_the_colours_of_the_errors_and_its_largest_angle() -> None:

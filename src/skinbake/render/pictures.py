@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.render.studio import STOPS, Look, Picture
+from skinbake.render.studio import BACKGROUND, STOPS, Look, Picture
 
 SUFFIXES = {".png": "PNG", ".webp": "WEBP", ".gif": "GIF"}
 OPTIONS: dict[str, dict[str, Any]] = {".png": {"optimize": True}, ".webp": {"quality": 90}, ".gif": {}}
@@ -36,6 +36,8 @@ def encoded(pictures: Sequence[Picture], suffix: str) -> bytes:
 
 
 INK = (74, 72, 68)
+PAPER = (round(255 * BACKGROUND[0]), round(255 * BACKGROUND[1]), round(255 * BACKGROUND[2]))
+"""The colour round words, which may lie on a dark part of a character."""
 LEAST = (160, 100)
 """The size in pixels of one lighting's picture from which on there is room for words."""
 
@@ -54,17 +56,18 @@ def captioned(picture: Picture, sides: Sequence[str], look: Look) -> Picture:
     image = Image.fromarray(picture)
     draw = ImageDraw.Draw(image)
     size = max(12, round(look.height / 26))
+    outlined: dict[str, Any] = {"stroke_width": max(1, size // 6), "stroke_fill": PAPER}
     font, edge = ImageFont.load_default(size), look.height - size
     if len(sides) > 1:
         for number, lighting in enumerate(sides):
-            draw.text((number * width + size, edge), lighting, INK, font, anchor="ls")
+            draw.text((number * width + size, edge), lighting, INK, font, anchor="ls", **outlined)
     if has_scale:
         last, bar = f"{look.legend:g}°", _bar(4 * size, size // 2)
         right = len(sides) * width - size
-        draw.text((right, edge), last, INK, font, anchor="rs")
+        draw.text((right, edge), last, INK, font, anchor="rs", **outlined)
         left = right - round(draw.textlength(last, font)) - size // 2 - bar.shape[1]
         image.paste(Image.fromarray(bar), (left, edge - bar.shape[0] - size // 8))
-        draw.text((left - size // 2, edge), "0°", INK, font, anchor="rs")
+        draw.text((left - size // 2, edge), "0°", INK, font, anchor="rs", **outlined)
     return np.asarray(image)
 
 
