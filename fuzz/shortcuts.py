@@ -41,8 +41,8 @@ def _draw_on_paper() -> None:
             for number, subject in enumerate(self._subjects):
                 for lighting in sides:
                     errors = shot.errors.get(lighting)
-                    rest = shot.morphed.get(number, subject.rest)
-                    studio._rows(subject, rest, None if errors is None else errors[number], lighting)
+                    rest = shot.morphed.get(lighting, {}).get(number, subject.rest)
+                    studio._rows(subject, rest, None if errors is None else errors[number])
                 self._scene(subject, shot, look)
             return np.zeros((look.height, look.width, 3), np.uint8)
 

@@ -180,7 +180,7 @@ def test_morph_targets_are_drawn_with_the_weights_of_each_node(
     two.content["nodes"].append({**two.content["nodes"][0], "weights": [0.0, 0.3]})
     two.content["scenes"][0]["nodes"].append(len(two.content["nodes"]) - 1)
     drawn(two.write(tmp_path / "two.glb"), *options)
-    first, second = (shots[0].morphed[number].positions for number in (0, 1))
+    first, second = (shots[0].morphed["accurate"][number].positions for number in (0, 1))
     assert np.allclose(first - positions, sums[0], atol=1e-6)
     assert np.allclose(second - positions, 0.3 * warped(positions, normals, 1)[0], atol=1e-6)
 

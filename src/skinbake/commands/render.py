@@ -359,31 +359,26 @@ def _shots(
             yaw + turned,
             told,
             _morphed(draws, posed, pose),
-            _corrected(draws, posed, pose),
         )
 
 
-def _morphed(draws: Sequence[Draw], posed: Sequence[PosedDraw], pose: int) -> dict[int, RestPrimitive]:
-    """Return the primitives that morph targets move, by their number among all, as they are in a pose."""
-    found: dict[int, RestPrimitive] = {}
+def _morphed(
+    draws: Sequence[Draw], posed: Sequence[PosedDraw], pose: int
+) -> dict[str, dict[int, RestPrimitive]]:
+    """Return the primitives that targets move in a pose, by lighting and by their number among all."""
+    found: dict[str, dict[int, RestPrimitive]] = {"standard": {}, "accurate": {}, "corrected": {}}
     first = 0
     for draw, one in zip(draws, posed, strict=True):
+        standard = draw.rest
         if one.morphing is not None:
-            found.update(enumerate(one.morphing.primitives(draw.rest, pose), first))
-        first += len(draw.rest)
-    return found
-
-
-def _corrected(draws: Sequence[Draw], posed: Sequence[PosedDraw], pose: int) -> dict[int, RestPrimitive]:
-    """Return the primitives with the normals that their correctives give in a pose, by their number."""
-    found: dict[int, RestPrimitive] = {}
-    first = 0
-    for draw, one in zip(draws, posed, strict=True):
+            standard = one.morphing.standard(draw.rest, pose)
+            for lighting in ("standard", "corrected"):
+                found[lighting].update(enumerate(standard, first))
+            found["accurate"].update(enumerate(one.morphing.accurate(draw.rest, pose), first))
         if one.corrections is not None:
-            rest = draw.rest if one.morphing is None else one.morphing.primitives(draw.rest, pose)
-            played = zip(rest, one.corrections.targets, one.corrections.weights, strict=True)
+            played = zip(standard, one.corrections.targets, one.corrections.weights, strict=True)
             for number, (primitive, targets, weights) in enumerate(played, first):
                 change = np.einsum("k,kvi->vi", weights[pose], targets)
-                found[number] = replace(primitive, normals=primitive.normals + change)
+                found["corrected"][number] = replace(primitive, normals=primitive.normals + change)
         first += len(draw.rest)
     return found

@@ -38,26 +38,30 @@ class Morphing:
     kept: dict[int, tuple[Sequence[RestPrimitive], Truths]] | None = None
 
     def primitives(self, primitives: Sequence[RestPrimitive], pose: int) -> list[RestPrimitive]:
-        """Return the primitives as they are in one pose, before skinning, with the normals of engines."""
-        return self.lit(self.moved(primitives, pose), primitives, pose)
+        """Return the primitives as they are in one pose, before skinning.
 
-    def moved(self, primitives: Sequence[RestPrimitive], pose: int) -> list[RestPrimitive]:
-        """Return the primitives in one pose, before skinning, with the normals of their own frames."""
+        One of them serves all lightings: it has the normals of engines, and the frame of accurate lighting.
+        """
+        weights = self.weights[pose]
+        return [
+            moved if targets is None else as_engines_light(moved, rest, targets, weights)
+            for moved, rest, targets in zip(
+                self.accurate(primitives, pose), primitives, self.targets, strict=True
+            )
+        ]
+
+    def accurate(self, primitives: Sequence[RestPrimitive], pose: int) -> list[RestPrimitive]:
+        """Return the primitives in one pose as accurate lighting has them: normals belong to frames."""
         weights = self.weights[pose]
         return [
             primitive if targets is None else morphed(primitive, targets, weights)
             for primitive, targets in zip(primitives, self.targets, strict=True)
         ]
 
-    def lit(
-        self, moved: Sequence[RestPrimitive], primitives: Sequence[RestPrimitive], pose: int
-    ) -> list[RestPrimitive]:
-        """Return moved primitives with the normals that engines give them. primitives are those at rest."""
-        weights = self.weights[pose]
-        return [
-            one if targets is None else as_engines_light(one, rest, targets, weights)
-            for one, rest, targets in zip(moved, primitives, self.targets, strict=True)
-        ]
+    def standard(self, primitives: Sequence[RestPrimitive], pose: int) -> list[RestPrimitive]:
+        """Return the primitives in one pose as engines have them, which know no numbers of bake."""
+        without = [None if targets is None else replace(targets, numbers=0) for targets in self.targets]
+        return replace(self, targets=tuple(without)).accurate(primitives, pose)
 
     def posed(
         self, primitives: Sequence[RestPrimitive], truths: Truths, pose: int

@@ -31,7 +31,7 @@ from skinbake.measure.morphing import Morphing
 from skinbake.measure.tally import ErrorTally
 from skinbake.report.verify import ErrorFigures, Normals, Reliefs, Worst
 from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.components import PosedVertex, Vector, cross, dot, plus_scaled, scaled
+from skinbake.skinning.components import Vector, cross, dot, plus_scaled, scaled
 from skinbake.skinning.normal_maps import engine_mapped_normal, in_frame, mapped_normal
 from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.skinning.run import Skinning
@@ -186,12 +186,12 @@ def _texels(view: BakedView, rest: RestPrimitive, rows: slice) -> _Texel:
 class _Rests:
     """The primitives of a draw before skinning: at rest, and under the morph targets of a pose.
 
-    moved have the normals of their own frames, lit those of engines, true the true ones.
+    moved is for accurate lighting, standard for that of engines. true has the true normals.
     """
 
     still: Sequence[RestPrimitive]
     moved: Sequence[RestPrimitive]
-    lit: Sequence[RestPrimitive]
+    standard: Sequence[RestPrimitive]
     true: Sequence[RestPrimitive]
 
     @classmethod
@@ -199,18 +199,18 @@ class _Rests:
         cls, still: Sequence[RestPrimitive], truths: Truths, morphing: Morphing | None, pose: int
     ) -> _Rests:
         """Move primitives by the targets of a pose. truths are those at rest."""
-        moved = lit = true = still
+        moved = standard = true = still
         if morphing is not None:
-            moved = morphing.moved(still, pose)
-            lit, true = morphing.lit(moved, still, pose), morphing.as_true(moved, truths)
-        return cls(still, moved, lit, true)
+            moved, standard = morphing.accurate(still, pose), morphing.standard(still, pose)
+            true = morphing.as_true(moved, truths)
+        return cls(still, moved, standard, true)
 
 
 @dataclass(frozen=True, slots=True)
 class _PosedRelief:
     """The primitives of a draw in some poses of a method: positions (3, V, P), and what skins each of them.
 
-    standard has the normals of the baseline, plain T n, true T n of the true normals before skinning.
+    plain and engine have T n of both frames, standard the normals of the baseline, true T n of the true ones.
     sides (P, V) are those of ``sides_of``.
     """
 
@@ -218,6 +218,7 @@ class _PosedRelief:
     rests: _Rests
     positions: Float64Array
     plain: Sequence[Skinning]
+    engine: Sequence[Skinning]
     standard: Sequence[Skinning]
     true: Sequence[Skinning]
     sides: Float64Array | None
@@ -247,13 +248,14 @@ class _PosedRelief:
             else:
                 BlendedPrimitive(rest, joint_matrices, options).put_positions(whole, part, positions, row)
             row += len(rest.positions)
-        is_plain = options.baseline is Baseline.BLENDED and rests.lit is rests.moved
+        engine = plain if rests.standard is rests.moved else skinned(rests.standard, mapped)
         return cls(
             method,
             rests,
             positions,
             plain,
-            plain if is_plain else skinned(rests.lit, of_baseline),
+            engine,
+            engine if options.baseline is Baseline.BLENDED else skinned(rests.standard, of_baseline),
             plain if rests.true is rests.moved else skinned(rests.true, mapped),
             sides_of(rests.moved, joint_matrices),
         )
@@ -266,13 +268,13 @@ class _PosedRelief:
         skinning = self.plain[number]
         standard = STANDARD[self.method]
         algorithms = ALGORITHMS[self.method]
-        plain, *accurate = skinning.run((standard, *algorithms.values()), whole, block.rows)
+        accurate = skinning.run([*algorithms.values()], whole, block.rows)
         scale = skinning.motions.scale
         times = 1.0 if scale is None else scale[:, None]
         length = times * rests.moved[number].rows(block.rows).tangent_lengths()
         side = 1.0 if self.sides is None else self.sides[:, block.part]
         # The standard frame has T t of TANGENT, the accurate one its image under the differential.
-        found = {"standard": self._standard(block, plain, standard, length, at)}
+        found = {"standard": self._standard(block, standard, times, at)}
         for lighting, posed in zip(algorithms, accurate, strict=True):
             found[lighting] = scaled(side, mapped_normal(posed, length, at.drawn))
         tangent = plus_scaled(scaled(at.parts[0], posed.tangent), at.parts[1], posed.bitangent)
@@ -314,15 +316,14 @@ class _PosedRelief:
                 yield kind, lighting, angles.astype(np.float32), exists
 
     def _standard(
-        self, block: VertexBlock, plain: PosedVertex, algorithm: Algorithm, length: FloatArray, at: _Texel
+        self, block: VertexBlock, algorithm: Algorithm, times: FloatArray | float, at: _Texel
     ) -> Vector:
-        (posed,) = (
-            [plain]
-            if self.standard is self.plain
-            else self.standard[block.primitive].run(
-                (algorithm,), slice(0, self.positions.shape[2]), block.rows
-            )
-        )
+        number, rows, poses = block.primitive, block.rows, slice(0, self.positions.shape[2])
+        (plain,) = self.engine[number].run((algorithm,), poses, rows)
+        posed = plain
+        if self.standard is not self.engine:
+            (posed,) = self.standard[number].run((algorithm,), poses, rows)
+        length = times * self.rests.standard[number].rows(rows).tangent_lengths()
         images = scaled(1.0 / length, plain.tangent), scaled(1.0 / length, plain.bitangent), plain.normal
         tangent = scaled(at.parts[0], images[0])
         for part, image in zip(at.parts[1:], images[1:], strict=True):

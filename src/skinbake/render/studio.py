@@ -16,7 +16,6 @@ import numpy.typing as npt
 
 from skinbake.choices import Frame, Language, Lighting
 from skinbake.errors import Place, UnsupportedFeatureError
-from skinbake.geometry.morphs import normals_of_frames
 from skinbake.geometry.skinned import Float64Array
 from skinbake.render.materials import Levels, Sampling
 from skinbake.render.subject import YAW, Camera, Shot, Subject
@@ -161,12 +160,12 @@ class Studio:
     def _rows(self, number: int, shot: Shot, lighting: str) -> Any:
         """Return the buffer of a subject's vertices. Those that no picture changes are uploaded once."""
         subject, errors = self._subjects[number], shot.errors.get(lighting)
-        moved = shot.corrected if lighting == "corrected" else shot.morphed
+        moved = shot.morphed.get(lighting, {})
         if errors is not None or number in moved:
             rest = moved.get(number, subject.rest)
-            return self._vertices(_rows(subject, rest, None if errors is None else errors[number], lighting))
+            return self._vertices(_rows(subject, rest, None if errors is None else errors[number]))
         if number not in self._at_rest:
-            self._at_rest[number] = self._vertices(_rows(subject, subject.rest, None, lighting))
+            self._at_rest[number] = self._vertices(_rows(subject, subject.rest, None))
         return self._at_rest[number]
 
     def _vertices(self, rows: npt.NDArray[np.float32]) -> Any:
@@ -361,9 +360,7 @@ def _of_frame(vector: str) -> str:
     return " + ".join(parts)
 
 
-def _rows(
-    subject: Subject, rest: RestPrimitive, errors: tuple[Any, Any] | None, lighting: str
-) -> npt.NDArray[np.float32]:
+def _rows(subject: Subject, rest: RestPrimitive, errors: tuple[Any, Any] | None) -> npt.NDArray[np.float32]:
     """Return what the vertex stage reads of each vertex, in vec4 (V, R, 4): see ``shader``."""
     count, slots = rest.joints.shape
     padded = 4 * -(-slots // 4)
@@ -388,13 +385,9 @@ def _rows(
         frame = np.stack([still.tangents, still.bitangents, still.normals], axis=1)
         texture[:, :3] = np.einsum("vij,vj->vi", frame, subject.tangents[:, :3])
         texture[:, 3] = subject.tangents[:, 3]
-    normals = rest.normals
-    if lighting == "accurate" and rest.sides is not None:  # they are those of engines, not of the frame
-        every = np.ones(count, dtype=np.bool_)
-        normals = normals_of_frames(normals, (rest.tangents, rest.bitangents), rest.sides, every)
     parts = [
         np.column_stack([rest.positions, degrees]),
-        np.column_stack([normals, known]),
+        np.column_stack([rest.normals, known]),
         np.column_stack([rest.tangents, rest.handedness()]),
         np.column_stack([rest.bitangents, np.zeros(count)]),
         np.column_stack([base, normal]),

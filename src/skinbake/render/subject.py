@@ -91,12 +91,11 @@ class Shot:
     """One picture: joint matrices (J, 4, 4) of each pose set, an angle of the camera.
 
     errors holds, for each lighting, the errors (V,) in degrees of each subject, and where they are known.
-    morphed holds subjects by their number as their morph targets make them, before skinning. corrected holds
-    them for the lighting of that name: with changed normals.
+    morphed holds, for each lighting, subjects by their number as their morph targets make them, before
+    skinning.
     """
 
     matrices: tuple[Float64Array, ...]
     yaw: float = YAW
     errors: Mapping[str, tuple[tuple[Float32Array, BoolArray], ...]] = field(default_factory=dict)
-    morphed: Mapping[int, RestPrimitive] = field(default_factory=dict)
-    corrected: Mapping[int, RestPrimitive] = field(default_factory=dict)
+    morphed: Mapping[str, Mapping[int, RestPrimitive]] = field(default_factory=dict)
