@@ -4,9 +4,9 @@ Usage: python -m benchmarks.character_picture [MODEL] [--output FILE]
 
 Both rows are ``skinbake render MODEL --split --closeup``, with ``--mode error`` for the lower one. Of three
 pictures one is kept. Without a model, it is the alien of the corpus (SKINBAKE_CORPUS, or
-../shared/corpus), by Quaternius, CC0. Other characters whose licence is clear show less at a glance: on the
-mannequin a joint hides the place, on the barbarian it is a wrist behind his belt, the fox is coarse, and the
-open hand has no clip.
+../shared/corpus), by Quaternius, CC0. Other characters show less at a glance: on the mannequin a joint hides
+the place, on the barbarian it is a wrist behind his belt, robot, mantis and fox are coarse, the hand has no
+clip, and Cesium's man has a trademark. The files of the dinosaur and the elf state no licence.
 """
 
 from __future__ import annotations
