@@ -29,7 +29,8 @@ from tests.shaders.combinations import label, motion_kind
 from tests.shaders.judged import TOLERANCE, term_lengths
 from tests.shaders.running import done
 from tests.shaders.scenes import Scene, Wide, irregular
-from tests.support import analytic, dxc, glslang, opengl, webgpu
+from tests.support import analytic, dxc, glslang, gltf_transform, opengl, webgpu
+from tests.support.baked_files import Editable
 from tests.support.gltf_reading import read
 from tests.support.replay import replay
 from tests.support.whole_fields import shader_text
@@ -363,6 +364,51 @@ def test_a_pass_over_the_buffer_of_a_file_gives_its_normals(
     )
     assert np.abs(found[:, :3] - posed.positions).max() < 1e-5
     assert analytic.degrees_between(found[:, 3:], posed.normals["accurate"]).max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "told"),
+    [
+        ("bent_tube.glb", {}, ""),
+        ("weights_u8.glb", {"encoding": "packed8"}, ""),
+        ("bent_tube.glb", {"compress": "meshopt"}, "EXT_meshopt_compression"),
+        ("bent_tube.glb", {"compress": "draco"}, "KHR_draco_mesh_compression"),
+    ],
+)
+def test_what_no_pass_can_read_as_it_is_in_the_file_is_told(
+    name: str, options: dict[str, Any], told: str, tmp_path: Path
+) -> None:
+    skinbake.bake(FOLDER / name, tmp_path / name, **options)
+    made = shader(ShaderRequest(Language.HLSL, stage=Stage.COMPUTE), str(tmp_path / name))
+    messages = [notice.message for notice in made.notices if notice.code == "pass-reads-plain"]
+    assert len(messages) == bool(told)
+    assert all(f"has others ({told})" in message for message in messages)
+    assert not shader(ShaderRequest(Language.HLSL), str(tmp_path / name)).notices
+
+
+def test_a_sparse_attribute_of_a_pass_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "tube.glb"
+    skinbake.bake(FOLDER / "bent_tube.glb", path)
+    file = Editable(path)
+    accessors, primitive = file.content["accessors"], file.content["meshes"][0]["primitives"][0]
+    number = primitive["attributes"]["_SKINBAKE_ALPHA_0"]
+    accessors[number]["sparse"] = {
+        "count": 1,
+        "indices": {"bufferView": accessors[primitive["indices"]]["bufferView"], "componentType": 5123},
+        "values": {"bufferView": accessors[number]["bufferView"]},
+    }
+    request = ShaderRequest(Language.HLSL, stage=Stage.COMPUTE)
+    [told] = [one.message for one in shader(request, str(file.write(path))).notices]
+    assert "(sparse _SKINBAKE_ALPHA_0)" in told
+
+
+@pytest.mark.slow
+def test_quantised_attributes_of_a_pass_are_told(tmp_path: Path) -> None:
+    small, path = tmp_path / "small.glb", tmp_path / "tube.glb"
+    assert gltf_transform.run(["quantize", FOLDER / "bent_tube.glb", small]).returncode == 0
+    skinbake.bake(small, path)
+    [told] = shader(ShaderRequest(Language.HLSL, stage=Stage.COMPUTE), str(path)).notices
+    assert "(quantised NORMAL, quantised POSITION)" in told.message
 
 
 def assert_like_the_replay(name: str, results: bytes, given: Pass, *, leaves_out_tangents: bool) -> None:

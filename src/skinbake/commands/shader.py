@@ -15,12 +15,16 @@ from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.urls import STDIO
 from skinbake.files.writing import write_file, write_stdout
 from skinbake.format import blend_weights
+from skinbake.format.baked import FLOAT
 from skinbake.format.metadata import corrective_note, slot_names
+from skinbake.format.morph_targets import IN_PLANE, UPWARD
 from skinbake.freshness.baked_views import BakedView, baked_views, is_baked, rest_primitive
 from skinbake.freshness.staleness import claim_freshness, refuse_stale
 from skinbake.geometry.dual_quaternions import RIGID_TOLERANCE
 from skinbake.gltf.animation import read_clips, skins_of
+from skinbake.gltf.codecs import draco, meshopt
 from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.json_access import entries_of, object_of, reference
 from skinbake.gltf.output import refuse_own_input
 from skinbake.gltf.primitives import reason_to_skip, skinned_sources, why_nothing
 from skinbake.gradients.influences import weight_sum_notices
@@ -173,6 +177,8 @@ def _choices_of_file(
         others += _unread_numbers(document, serving, choices)
     choices = _with_joints(document, serving, choices)
     others += [notice for view in serving for notice in weight_sum_notices(view.now, view.source.place)]
+    if request.stage is Stage.COMPUTE:
+        others += [notice for view in serving for notice in _not_plain(document, view, choices)]
     served = {view.source.place for view in serving}
     return choices, [*others, *(_not_for(view, request) for view in views if view.source.place not in served)]
 
@@ -260,6 +266,38 @@ def _other_texcoords(view: BakedView) -> Notice:
     names = slot_names(view.metadata)
     message = f"its α and β are in {names[0]} to {names[-1]}: pass these attributes to the same functions"
     return Notice("texcoords-differ", message, view.source.place)
+
+
+def _not_plain(document: Document, view: BakedView, choices: ShaderChoices) -> Iterator[Notice]:
+    """Yield a notice if a compute pass cannot read the bytes of a primitive as they are in the file."""
+    whole = {f"{name}_{n}" for name in ("JOINTS", "WEIGHTS") for n in range(choices.influence_sets)}
+    whole |= set(slot_names(view.metadata)) if choices.decodes else set()
+    floats = {
+        "POSITION",
+        "NORMAL",
+        IN_PLANE,
+        UPWARD,
+        *(["TANGENT"] if choices.frame == Frame.TANGENT else []),
+    }
+    floats |= set() if choices.decodes else set(slot_names(view.metadata))
+    json, accessors, spans = (view.source.json, *map(document.objects, ("accessors", "bufferViews")))
+    moved = entries_of(json.get("targets")) if choices.morphs is not Morphs.NONE else []
+    packed = set(object_of(json.get("extensions"))) & {draco.EXTENSION}
+    for attributes in (object_of(json.get("attributes")), *moved):
+        for name in attributes.keys() & (whole | floats):
+            accessor = accessors[attributes[name]]
+            held = reference(accessor.get("bufferView"))
+            extensions = {} if held is None else object_of(spans[held].get("extensions"))
+            packed |= extensions.keys() & {meshopt.KHRONOS, meshopt.VENDOR}
+            packed |= {f"sparse {name}"} if "sparse" in accessor else set()
+            if name in floats and accessor.get("componentType") != FLOAT:
+                packed.add(f"quantised {name}")
+    if packed:
+        message = (
+            f"a compute pass reads plain bytes, and this primitive has others ({', '.join(sorted(packed))}): "
+            "give it the arrays that your loader has expanded, with their offsets"
+        )
+        yield Notice("pass-reads-plain", message, view.source.place)
 
 
 def _views(document: Document) -> list[BakedView]:
