@@ -126,6 +126,21 @@ class TestOneSource:
         assert invoke("bake", "art/hero.gltf", "--in-place", "--weighting", "area").exit_code == 0
         assert before.items() - files(here / "art").items() == {("hero.gltf", before["hero.gltf"])}
 
+    def test_gradients_in_another_folder_than_the_buffers_are_replaced_too(self, here: Path) -> None:
+        """A former target that names a buffer outside its own folder counted as none."""
+        (here / "art" / "deep").mkdir()
+        content = json.loads(Path("art/hero.gltf").read_text("utf-8"))
+        for entry in (*content["buffers"], *content["images"]):
+            entry["uri"] = entry["uri"] if entry["uri"].startswith("data:") else f"../{entry['uri']}"
+        Path("art/deep/hero.gltf").write_text(json.dumps(content), encoding="utf-8")
+        Path("art/hero.gltf").unlink()
+        for encoding in ("float32", "snorm16", "packed8"):
+            shutil.rmtree("clean", ignore_errors=True)
+            for folder in ("build", "clean"):
+                result = invoke("bake", "art", "--out-dir", folder, "--encoding", encoding)
+                assert result.exit_code == 0, result.stderr
+            assert files(here / "build") == files(here / "clean")
+
     def test_a_removed_copy_is_made_again(self, here: Path) -> None:
         call = ["bake", "art", "--out-dir", "build", "--skip-unchanged", "--json"]
         assert invoke(*call).exit_code == 0

@@ -27,7 +27,7 @@ from urllib.parse import quote
 
 from skinbake.errors import SkinbakeError
 from skinbake.files import Bytes
-from skinbake.files.bounds import BoundedPath, below, bounded_path, is_relative, relative_names
+from skinbake.files.bounds import BoundedPath, Bounds, below, bounded_path, is_relative, relative_names
 from skinbake.files.folders import Folder, beneath, check_regular, open_beneath
 from skinbake.files.temporary import temporary_name
 from skinbake.files.versions import DIGITS, signature_of
@@ -168,7 +168,9 @@ class Copies:
         if self.target.suffix.lower() != GLTF_SUFFIX:
             return
         with suppress(SkinbakeError, OSError, ValueError):
-            self._earlier = named_paths(read_document(os.fspath(self.target)), self.target.parent)
+            # What it names may lie in any folder of the root.
+            bounds = Bounds(root=os.fspath(self.root))
+            self._earlier = named_paths(read_document(os.fspath(self.target), bounds), self.target.parent)
 
     def is_replaceable(self, path: Path, source: str, *, is_buffer: bool) -> bool:
         """Tell whether a file is an earlier copy of the file ``source``, and only our targets name it.
