@@ -474,6 +474,13 @@ SQUARE: dict[str, Any] = {
 }
 
 
+class Failing:
+    """An array of another library whose device is gone."""
+
+    def __array__(self, *arguments: Any, **options: Any) -> Any:
+        raise RuntimeError("the device is gone")
+
+
 class TestArrays:
     """``weight_gradients``."""
 
@@ -549,6 +556,8 @@ class TestArrays:
             ({"positions": [["0", "0", "0"]] * 4}, "positions are <U1: expected numbers"),
             ({"positions": [[None] * 3] * 4}, "positions are object: expected numbers"),
             ({"positions": [[0, 0, 0], [1]]}, "positions are not an array"),
+            ({"positions": range(2**40)}, "positions are a range"),
+            ({"weights": Failing()}, "weights are not an array: the device is gone"),
             ({"positions": np.broadcast_to(np.zeros(3), (2**40, 3))}, "repeat few numbers in memory"),
             ({"triangles": np.broadcast_to([0, 1, 2], (2**34, 3))}, "repeat few numbers in memory"),
             ({"weights": [[np.nan, 1]] * 4}, "weights hold numbers that are not finite"),

@@ -657,9 +657,11 @@ def _indices(name: str, values: npt.ArrayLike, shape: tuple[int | None, int | No
 
 def _array(name: str, values: npt.ArrayLike, shape: tuple[int | None, int | None]) -> npt.NDArray[Any]:
     """Return values as an array of a shape. Raises ValueError if they are none."""
+    if isinstance(values, range):  # it may be longer than memory
+        raise ValueError(f"{name} are a range: expected an array of {len(shape)} dimensions")
     try:
         array = np.asarray(values)
-    except (TypeError, ValueError, RecursionError) as error:
+    except Exception as error:  # an array of another library raises what it likes
         raise ValueError(f"{name} are not an array: {error}") from error
     fits = array.ndim == len(shape) and all(
         wanted is None or found == wanted for found, wanted in zip(array.shape, shape, strict=True)
