@@ -408,17 +408,18 @@ def _refuse_unverifiable(
     fresh = Budget(limit=given.budget.limit, backed=given.budget.backed, parts=given.budget.parts)
     joints = max((len(skin.get("joints", ())) for skin in given.objects("skins")), default=0)
     steps = STEPS_A_JOINT * joints
-    copied = 0
+    most = 0
     for surface in surfaces:
         for bake in surface:
             steps += STEPS_TO_VERIFY + STEPS_A_TARGET * len(bake.source.json.get("targets", ()))
-        # Each copy of a vertex has the corners of all its copies.
-        classes = [bake.result.classes for bake in surface]
-        every = np.concatenate(classes)
-        used = [own[bake.primitive.triangles].ravel() for own, bake in zip(classes, surface, strict=True)]
-        corners = np.bincount(np.concatenate(used), minlength=int(every.max(initial=-1)) + 1)
-        copied += int(corners[every].sum() - corners.sum())
-    if steps <= fresh.steps_left and BYTES_A_COPY * copied <= WELDING_RATIO * fresh.backed:
+        # Each copy of a vertex has the corners of all its copies: at most as often as the class with most.
+        every = np.concatenate([bake.result.classes for bake in surface])
+        corners = sum(bake.primitive.triangles.size for bake in surface)
+        most += (int(np.bincount(every).max(initial=1)) - 1) * corners
+    bound = WELDING_RATIO * fresh.backed
+    if steps <= fresh.steps_left and (
+        BYTES_A_COPY * most <= bound or BYTES_A_COPY * sum(map(_copied_corners, surfaces)) <= bound
+    ):
         return
     from skinbake.commands.verify import claim_verification  # few files come near
 
@@ -444,3 +445,12 @@ def _encoding_cost(
         notice = Notice("encoding-unmeasured", message, error.place or document.place)
         return EncodingCost(str(encoding)), [notice]
     return EncodingCost(str(encoding), added.mean if added else None, added.p99 if added else None), []
+
+
+def _copied_corners(surface: Sequence[PrimitiveBake]) -> int:
+    """Count the corners that copies of vertices have besides their own."""
+    classes = [bake.result.classes for bake in surface]
+    every = np.concatenate(classes)
+    used = [own[bake.primitive.triangles].ravel() for own, bake in zip(classes, surface, strict=True)]
+    corners = np.bincount(np.concatenate(used), minlength=int(every.max(initial=-1)) + 1)
+    return int(corners[every].sum() - corners.sum())
