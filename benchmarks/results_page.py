@@ -316,6 +316,12 @@ def stages(rows: Json) -> Iterator[str]:
     rest = [model["seconds"] - sum(model["stages"].get(name, 0.0) for name in names) for model in models]
     yield f"| start-up | {' | '.join(spent(model, left) for model, left in zip(models, rest, strict=True))} |"
     yield f"| together | {' | '.join(spent(model, model['seconds']) for model in models)} |"
+    yield ""
+    yield (
+        "bake writes the unchanged bytes of a large GLB while its kernel runs, unless `--no-sync` is given. "
+        "Of two cores one is idle in start-up, which imports modules and makes their dataclasses, in the "
+        "weld, in the guard, and in *write*, where α and β wait for the disk."
+    )
 
 
 def spent(model: Json, taken: float) -> str:

@@ -221,7 +221,8 @@ class TestPage:
         told = (
             text.partition("## Where the time goes")[2].partition("|---|---|---|---|---|\n")[2].splitlines()
         )
-        assert told == [
+        assert told[4:5] == [""]
+        assert told[:4] == [
             "| read | 0.250 | 50% | 0.500 | 25% |",
             "| write | 0.000 | 0% | 1.000 | 50% |",
             "| start-up | 0.250 | 50% | 0.500 | 25% |",
