@@ -305,7 +305,7 @@ def test_a_file_that_is_handed_over_is_not_removed(begun: Callable[..., ahead.Ah
 
 
 @pytest.mark.parametrize("pieces", [(b"ab", b"cde"), (b"a", b"cde", b"fg"), (b"ab", b"fg"), ()])
-def test_other_pieces_or_places_take_no_part(
+def test_pieces_or_places_that_differ_take_no_part(
     pieces: tuple[bytes, ...], begun: Callable[..., ahead.Ahead], tmp_path: Path
 ) -> None:
     """Equal bytes are not compared: pieces are known by identity."""
