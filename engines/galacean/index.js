@@ -100,12 +100,29 @@ function obstacle(renderer, bake) {
     if (!renderer.skin?.bones.length) return 'it has no skin';
     const changed = changedIn(renderer.mesh, bake);
     if (changed) return `a page has written or removed its ${changed}: its bake is for the old values`;
+    const missing = shortage(renderer, bake);
+    if (missing) return missing;
     for (const material of renderer.getMaterials()) {
         const isOther = passesOf(material).some((text) => !INCLUDES.every((name) => text.includes(`<${name}>`)));
         if (isOther) return `the shader "${material.shader.name}" does not include Galacean's ${INCLUDES.join(' and ')}`;
     }
     return '';
 }
+
+// Return which limit of the device the attributes of a mesh exceed, with alpha and beta; empty if none. Galacean keeps few
+// targets in attributes, of which it declares as many as it serves.
+function shortage({ engine, mesh }, bake) {
+    const used = mesh.vertexElements.filter(({ attribute }) => ATTRIBUTES.includes(attribute)).length;
+    const targets = mesh._blendShapeManager;
+    const isInAttributes = mesh.blendShapeCount > 0 && !targets._useTextureMode();
+    const perTarget = targets._useBlendNormal && targets._useBlendTangent ? 6 : 8;
+    const count = used + (isInAttributes ? perTarget : 0) + (bake.isPaired ? 3 : 2);
+    const { gl } = engine._hardwareRenderer;
+    const most = gl.getParameter(gl.MAX_VERTEX_ATTRIBS);
+    return count > most ? `it needs ${count} vertex attributes, and this device has ${most}` : '';
+}
+
+const ATTRIBUTES = 'POSITION NORMAL TANGENT TEXCOORD_0 TEXCOORD_1 COLOR_0 JOINTS_0 WEIGHTS_0'.split(' ');
 
 const INCLUDES = ['common_vert', 'skinning_vert'];
 

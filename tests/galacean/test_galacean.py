@@ -343,6 +343,14 @@ class TestMessages:
         reason = "Galacean reads nothing of a mesh in Draco: bake it again with --compress none"
         assert stage.told(path) == ([["standard", reason]], [reason])
 
+    def test_too_many_attributes(self, stage: DrawingStage) -> None:
+        """Galacean has eight for up to eight morph targets. SwiftShader has 16."""
+        file = Editable(baked(with_morphs(stage.models, MIRRORED), stage.models))
+        attributes = file.primitive()["attributes"]
+        attributes["COLOR_0"] = file.add(np.ones((len(file.array("NORMAL")), 4), np.float32))
+        reason = "it needs 17 vertex attributes, and this device has 16"
+        assert stage.told(file.write(stage.models / "many.glb")) == ([["standard", reason]], [reason])
+
     def test_a_shader_of_a_page(self, stage: DrawingStage) -> None:
         reason = 'the shader "own" does not include Galacean\'s common_vert and skinning_vert'
         path = baked(TUBE, stage.models)
