@@ -45,7 +45,8 @@ def test_the_texts_are_what_skinbake_shader_writes() -> None:
     assert set(packed["texts"]) == {name for name, _ in shown_choices()}
 
     def text(name: str) -> str:
-        return "\n".join(packed["lines"][number] for number in packed["texts"][name])
+        parts = [packed["paragraphs"][number] for number in packed["texts"][name]]
+        return "\n\n".join("\n".join(packed["lines"][number] for number in part) for part in parts)
 
     plain = ["--frame", "normal"]
     tangent = ["--frame", "tangent", "--encoding", "snorm16", "--morphs", "tangent", "--mirrored-joints"]

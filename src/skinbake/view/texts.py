@@ -21,13 +21,15 @@ MORPHS = {
 
 @cache
 def packed_texts() -> dict[str, Any]:
-    """Return the lines of all texts, each once, and the texts by name, as the numbers of their lines."""
-    numbers: dict[str, int] = {}
-    texts = {
-        name: [numbers.setdefault(line, len(numbers)) for line in shader_made(choices)[0].split("\n")]
-        for name, choices in shown_choices()
-    }
-    return {"lines": list(numbers), "texts": texts}
+    """Return all lines, each once, paragraphs as numbers of lines, texts by name as numbers of paragraphs."""
+    lines: dict[str, int] = {}
+    paragraphs: dict[tuple[int, ...], int] = {}
+    texts = {}
+    for name, choices in shown_choices():
+        parts = [part.split("\n") for part in shader_made(choices)[0].split("\n\n")]
+        numbers = [tuple(lines.setdefault(line, len(lines)) for line in part) for part in parts]
+        texts[name] = [paragraphs.setdefault(one, len(paragraphs)) for one in numbers]
+    return {"lines": list(lines), "paragraphs": list(paragraphs), "texts": texts}
 
 
 def shown_choices() -> Iterator[tuple[str, ShaderChoices]]:

@@ -28,9 +28,10 @@ const byId = Object.fromEntries([...document.querySelectorAll('[id]')].map((elem
 const calm = matchMedia('(prefers-reduced-motion: reduce)');
 const dark = matchMedia('(prefers-color-scheme: dark)');
 
-// The texts of skinbake shader by name. The page holds each of their lines once.
-function unpackedTexts({ lines, texts }) {
-    return Object.fromEntries(Object.entries(texts).map(([name, numbers]) => [name, numbers.map((number) => lines[number]).join('\n')]));
+// The texts of skinbake shader by name. The page holds each of their lines, and each paragraph, once.
+function unpackedTexts({ lines, paragraphs, texts }) {
+    const made = paragraphs.map((numbers) => numbers.map((number) => lines[number]).join('\n'));
+    return Object.fromEntries(Object.entries(texts).map(([name, numbers]) => [name, numbers.map((number) => made[number]).join('\n\n')]));
 }
 
 class Application {
