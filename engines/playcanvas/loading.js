@@ -191,6 +191,10 @@ function changeSince(noted, accessors, { attributes, indices }) {
     const positions = accessors?.[attributes.POSITION];
     if (!isObject(noted) || !positions) return '';
     if (positions.componentType !== noted.componentType) return 'the type of its positions';
+    for (const [name, type] of Object.entries(noted.types ?? {})) {
+        const accessor = accessors[attributes[name]];
+        if (accessor && accessor.componentType !== type) return `the type of its ${name}`;
+    }
     const { count } = accessors[indices] ?? positions;
     if (noted.corners !== undefined && noted.corners !== count) return 'its triangles';
     if (![noted, positions].every(({ min, max }) => [min, max].every(Array.isArray))) return '';

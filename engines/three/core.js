@@ -466,6 +466,16 @@ function madeOf(geometry, method) {
 }
 
 const TYPES = [Int8Array, Uint8Array, Int16Array, Uint16Array]; // as glTF numbers them, from 5120 on
+// What GLTFLoader calls attributes, but for those that it only puts in lower case.
+const NAMES = {
+    TEXCOORD_0: 'uv',
+    TEXCOORD_1: 'uv1',
+    TEXCOORD_2: 'uv2',
+    TEXCOORD_3: 'uv3',
+    COLOR_0: 'color',
+    JOINTS_0: 'skinIndex',
+    WEIGHTS_0: 'skinWeight',
+};
 const FLOAT = 5126;
 const SAME_BOUNDS = 1e-3; // of the diagonal, as in skinbake: Draco rounds positions
 
@@ -479,10 +489,18 @@ function misfitOf(geometry, metadata) {
     return state.fits.get(metadata);
 }
 
-function changeSince({ positions: noted }, { attributes: { position }, index }) {
+function changeSince({ positions: noted }, { attributes, index }) {
+    const { position } = attributes;
     if (!isObject(noted) || !position || !holderOf(position).array) return '';
-    const type = TYPES.findIndex((one) => holderOf(position).array instanceof one);
-    if (noted.componentType !== (type < 0 ? FLOAT : 5120 + type)) return 'the type of its positions';
+    const hasType = (attribute, type) => {
+        const found = TYPES.findIndex((one) => holderOf(attribute).array instanceof one);
+        return type === (found < 0 ? FLOAT : 5120 + found);
+    };
+    if (!hasType(position, noted.componentType)) return 'the type of its positions';
+    for (const [name, type] of Object.entries(noted.types ?? {})) {
+        const attribute = attributes[NAMES[name] ?? name.toLowerCase()];
+        if (attribute && !hasType(attribute, type)) return `the type of its ${name}`;
+    }
     if (noted.corners !== undefined && noted.corners !== (index ?? position).count) return 'its triangles';
     if (!noted.min || !noted.max) return '';
     const axes = [0, 1, 2];

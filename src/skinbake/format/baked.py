@@ -138,6 +138,14 @@ def _written(
         note["digest"] = metadata.digests(stored, item.result.frame)
     note["alpha"], note["beta"], gradients = _stored(item, names, storage)
     note[metadata.POSITIONS] = _noted_positions(document, item)
+    if (stored.weights[:, 1:] > stored.weights[:, :-1]).any():
+        # Tools that quantise any attribute also sort the influences of a vertex, but not its α and β.
+        accessors = document.objects("accessors")
+        note[metadata.POSITIONS]["types"] = {
+            name: accessors[int(number)]["componentType"]
+            for name, number in item.source.attributes.items()
+            if name != "POSITION" and attributes[name] == number
+        }
     note |= storage.noted
     for member in (metadata.STORED_POSE, metadata.POSES):
         if member in note:
