@@ -144,7 +144,7 @@ def _written(
         note[metadata.POSITIONS]["types"] = {
             name: accessors[int(number)]["componentType"]
             for name, number in item.source.attributes.items()
-            if name != "POSITION" and attributes[name] == number
+            if name != "POSITION" and attributes.get(name) == number
         }
     note |= storage.noted
     for member in (metadata.STORED_POSE, metadata.POSES):
