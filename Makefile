@@ -90,7 +90,8 @@ docs: $(DEV) ## Build the documentation's site into build/site/html: warnings an
 dist: .venv/dist.stamp ## Build the sdist, the wheels of seven systems and the wheel without compiled loops into dist/
 	$(BIN)/python -m release.build
 
-try-dist: dist ## Try them with each Python at hand, and on the other systems that Linux can run (a quarter of an hour)
+try-dist: dist $(DEV) ## Try them with each Python at hand, and on the other systems that Linux can run (a quarter of an hour)
+	$(BIN)/python -m pytest tests/release/test_cross.py
 	$(BIN)/python -m release.try_dist
 
 FUZZ_MODELS := build/fuzz-models

@@ -473,7 +473,6 @@ const NAMES = {
     TEXCOORD_2: 'uv2',
     TEXCOORD_3: 'uv3',
     COLOR_0: 'color',
-    JOINTS_0: 'skinIndex',
     WEIGHTS_0: 'skinWeight',
 };
 const FLOAT = 5126;

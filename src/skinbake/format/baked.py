@@ -31,6 +31,9 @@ from skinbake.version import __version__
 
 FLOAT = 5126
 
+TYPED = ("NORMAL", "TANGENT", "TEXCOORD_", "COLOR_", "WEIGHTS_")
+"""Attributes whose type is noted. For its own use WebGPURenderer of three.js changes that of joints."""
+
 SAME_BOUNDS = 1e-3
 """The most that bounds of one mesh may differ, as a part of its diagonal: Draco rounds positions."""
 
@@ -144,7 +147,7 @@ def _written(
         note[metadata.POSITIONS]["types"] = {
             name: accessors[int(number)]["componentType"]
             for name, number in item.source.attributes.items()
-            if name != "POSITION" and attributes.get(name) == number
+            if name.startswith(TYPED) and attributes.get(name) == number
         }
     note |= storage.noted
     for member in (metadata.STORED_POSE, metadata.POSES):
