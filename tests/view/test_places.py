@@ -13,6 +13,7 @@ import pytest
 
 import skinbake
 from fixtures.make_fixtures import FOLDER
+from skinbake.commands import where_it_shows
 from skinbake.commands.view import view_file
 from tests.support import browser
 from tests.support.models import edited
@@ -155,3 +156,16 @@ def test_places_of_vrm_0_lie_where_those_of_the_same_character_do(tmp_path: Path
     assert first["words"] == other["words"]
     assert other["middle"] == pytest.approx(first["middle"], abs=0.05)  # the same side, at its angle
     assert np.dot(other["towards"], first["towards"]) > 0.95
+
+
+def test_where_triangles_are_too_many_some_vertices_find_much_the_same_place(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    every = places(TUBE)[0]
+    monkeypatch.setattr(where_it_shows, "TESTS", 1 << 11)
+    some = places(TUBE)[0]
+    assert some["middle"] == pytest.approx(every["middle"], abs=0.3)
+    assert np.dot(some["towards"], every["towards"]) > 0.8
+    angles = [[float(one) for one in re.findall(r"[\d.]+", found["words"])] for found in (every, some)]
+    assert angles[1][0] == pytest.approx(angles[0][0], rel=0.2)
+    assert angles[1][0] > 10 * angles[1][1]

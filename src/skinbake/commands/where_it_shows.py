@@ -67,6 +67,9 @@ INSIDE_OUT = 90.0
 CELLS = 1 << 22
 """The entries of a table of distances or of hits: 32 MiB at a time."""
 
+TESTS = 1 << 19
+"""The most vertices × triangles of a look. If there are more, a vertex is seen like one shortly before it."""
+
 LISTED = 5
 
 
@@ -336,9 +339,11 @@ class _Search:
         inverse = 1.0 / depth[triangles]
         doubled = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
         least = 1.0 / (deep - BEFORE * self.radius)
-        hidden = np.zeros(len(at), np.bool_)
+        every = len(at) * len(triangles) // TESTS + 1
+        seen, least = seen[::every], least[::every]
+        hidden = np.zeros(len(seen), np.bool_)
         step = max(1, CELLS // 8 // max(len(triangles), 1))
-        for start in range(0, len(at), step):
+        for start in range(0, len(seen), step):
             rows = slice(start, start + step)
             px, py = seen[rows, 0, None], seen[rows, 1, None]
             second = ((px - a[0]) * (c[1] - a[1]) - (py - a[1]) * (c[0] - a[0])) / doubled
@@ -347,7 +352,7 @@ class _Search:
             inside = (first > 0) & (second > 0) & (third > 0)
             before = first * inverse[:, 0] + second * inverse[:, 1] + third * inverse[:, 2]
             hidden[rows] = (inside & (before > least[rows, None])).any(axis=1)
-        return hidden
+        return np.repeat(hidden, every)[: len(at)]
 
 
 def _gains(standard: Any, improved: Any, valid: BoolArray) -> Float64Array:
