@@ -576,6 +576,13 @@ class TestArrays:
             skinbake.weight_gradients(**{**SQUARE, "positions": tiny})
 
 
+class Gone:
+    """An object of which nothing can be read."""
+
+    def __getattr__(self, name: str) -> Any:
+        raise RuntimeError("the object is gone")
+
+
 def deep(levels: int) -> dict[str, Any]:
     """Return objects in objects."""
     found: dict[str, Any] = {}
@@ -599,6 +606,13 @@ def deep(levels: int) -> dict[str, Any]:
         (lambda model: model.set_binary_blob([1, 300]), "its binary blob is of type list"),
         (lambda model: model.__dict__.update(_path=object()), "expected the folder of its files"),
         (lambda model: model.__dict__.update(_path="\0"), "expected the folder of its files"),
+        (lambda model: model.__dict__.update(_path="\ud800"), "expected the folder of its files"),
+        (lambda model: model.__dict__.update(_path=np.zeros(3)), "expected the folder of its files"),
+        (lambda model: model.__dict__.update(_name=np.zeros(3), nodes=[1]), "GLTF2: .*array of objects"),
+        (lambda model: setattr(model, "nodes", Gone()), "cannot be written as JSON .the object is gone"),
+        (lambda model: setattr(model, "extensions", 5), "holds what pygltflib does not read"),
+        (lambda model: setattr(model.meshes[0].primitives[0], "material", "x"), "pygltflib does not read"),
+        (lambda model: setattr(model.buffers[0], "extras", [1]), "holds what pygltflib does not read"),
     ],
 )
 def test_a_hostile_model_of_pygltflib_ends_in_an_error_of_ours(change: Any, message: str) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import copy
 import json
-from os import PathLike
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,7 +42,8 @@ def baked_model(model: GLTF2, baker: Baker) -> GLTF2:
     elif baker.require_baked:
         raise InputError("nothing in it can be baked (require_baked)", prepared.place)
     else:
-        return copy.deepcopy(model)
+        with _of_pygltflib("cannot be copied", prepared.place):
+            return copy.deepcopy(model)
     warnings = [str(notice) for notice in made.notices if not notice.is_advice]
     if baker.warnings_as_errors and warnings:
         raise InputError("; ".join(warnings) + " (warnings_as_errors)", prepared.place)
@@ -54,15 +57,19 @@ def document_of(model: GLTF2) -> Document:
     """
     if not hasattr(model, "gltf_to_json") or not hasattr(model, "binary_blob"):
         raise TypeError(f"bake() takes a path or a GLTF2 of pygltflib, not {type(model).__name__}")
-    name = str(getattr(model, "_name", None) or "GLTF2")
-    try:
+    name = getattr(model, "_name", None)
+    name = name if isinstance(name, str) and name else "GLTF2"
+    with _of_pygltflib("cannot be written as JSON", Place(name)):
         text = model.gltf_to_json(separators=(",", ":"), indent=None).encode("utf-8")
-    except (TypeError, ValueError, AttributeError, RecursionError) as error:
-        raise InputError(f"the model cannot be written as JSON ({error})", Place(name)) from error
-    folder = getattr(model, "_path", None) or "."
-    if not isinstance(folder, str | PathLike) or "\0" in str(folder):
-        raise InputError(f"its _path is {shown(folder)}: expected the folder of its files", Place(name))
-    document = parse_gltf(text, name, Path(folder))
+    given = getattr(model, "_path", None)
+    try:
+        folder = Path("." if given is None else given)
+        is_path = b"\0" not in os.fsencode(folder)
+    except (TypeError, ValueError):
+        is_path = False
+    if not is_path:
+        raise InputError(f"its _path is {shown(given)}: expected the folder of its files", Place(name))
+    document = parse_gltf(text, name, folder)
     blob = model.binary_blob()
     if blob is None:
         return document.edited()
@@ -76,10 +83,20 @@ def document_of(model: GLTF2) -> Document:
 
 def model_of(document: Document, like: GLTF2) -> GLTF2:
     """Return a document, a GLB, as a model of the same class, with the folder and the name of ``like``."""
-    model = type(like).from_json(json.dumps(document.json), infer_missing=True)
+    with _of_pygltflib("holds what pygltflib does not read", document.place):
+        model = type(like).from_json(json.dumps(document.json), infer_missing=True)
     if document.binary is not None:
         model.set_binary_blob(bytes(joined(document.binary)))
     for member in ("_path", "_name"):
         if hasattr(like, member):
             setattr(model, member, getattr(like, member))
     return model
+
+
+@contextmanager
+def _of_pygltflib(what: str, place: Place) -> Iterator[None]:
+    """Raise InputError for any exception of pygltflib, which takes the types of members as sound."""
+    try:
+        yield
+    except Exception as error:  # members of a model may be any objects
+        raise InputError(f"the model {what} ({error})", place) from error

@@ -7,6 +7,7 @@ import pickle
 import re
 import shutil
 import time
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -293,11 +294,50 @@ class TestValues:
         ("text", "message"),
         [
             ("#" + " " * (1 << 20), "larger than 1,048,576 bytes, too large for options"),
-            ("a = " + "[" * 100_000, "not valid TOML"),
+            ("a = " + "[" * 100_000, "not valid TOML: it is nested too deep"),
+            ("[bake]\njobs = 0x" + "f" * 100_000, "not valid TOML: an integer has more than 64 bits"),
+            ("[bake]\njobs = [{a = " + "9" * 5000 + "}]", "not valid TOML: an integer has more than 64 bits"),
+            (f"[bake]\ncrease-angle = {10**400}", "not valid TOML: an integer has more than 64 bits"),
+            (f"[bake]\ncrease-angle = {2**63}", "not valid TOML: an integer has more than 64 bits"),
         ],
     )
     def test_absurd_files_end_with_a_message(self, text: str, message: str, project: Path) -> None:
         assert refused(text).startswith(f"skinbake.toml is {message}")
+
+    @pytest.mark.parametrize("value", ['"{}"', '["a", "{}"]'])
+    def test_a_long_text_is_not_repeated_in_a_message(self, value: str, project: Path) -> None:
+        key = "clips" if value.startswith("[") else "encoding"
+        said = refused(f"[bake]\n{key} = {value.format('a' * 4097)}")
+        assert said == f"skinbake.toml:2: bake.{key}: a text has 4,097 characters, over 4,096"
+
+    def test_the_smallest_integer_of_toml_is_read(self, project: Path) -> None:
+        assert "expected a number from 0 to 180" in refused(f"[bake]\ncrease-angle = {-(2**63)}")
+
+    @pytest.mark.parametrize("is_wrong", [False, True])
+    def test_thousands_of_overrides_and_mentions_are_parsed_a_few_times(
+        self, is_wrong: bool, project: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """10,000 overrides took minutes, to find the line of each."""
+        override = '[[overrides]]\nfiles = ["*.glb"]\n[overrides.bake]\nencoding = "packed8"\n'
+        text = override * 3000 + "# encoding\n" * 3000
+        text += override.replace("packed8", "no") if is_wrong else ""
+        parsed, loads = list[int](), tomllib.loads
+
+        def counted(some: str) -> Any:
+            parsed.append(len(some))
+            return loads(some)
+
+        monkeypatch.setattr(tomllib, "loads", counted)
+        (project / "skinbake.toml").write_text(text)
+        result = invoke("bake", "a.glb", "--dry-run")
+        assert result.exit_code == (2 if is_wrong else 0), result.stderr
+        assert sum(parsed) < 15 * len(text)
+
+    def test_an_error_of_many_overrides_names_those_that_win(self, project: Path) -> None:
+        override = '[[overrides]]\nfiles = ["*.glb"]\n[overrides.bake]\nlimit-influences = 4\n'
+        said = refused(5 * override + override.replace("limit-influences = 4", 'neighbours = "extend"'))
+        assert "overrides[5]" in said
+        assert "overrides[2]" not in said
 
     def test_a_file_of_the_largest_size_is_read(self, project: Path) -> None:
         (project / "skinbake.toml").write_text("[bake]\n#".ljust(1 << 20))

@@ -10,8 +10,8 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from functools import cache
-from itertools import chain, islice
+from functools import cache, partial
+from itertools import chain
 from typing import IO, TYPE_CHECKING, Any, NamedTuple, NoReturn, TypeVar
 
 import click
@@ -45,11 +45,17 @@ _PART = rb"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+"""
 DEEP_KEY = re.compile(rb"(?<![\w-])(?:%s){%d}" % (_PART, MOST_PARTS - 1))
 """A key of so many parts between dots, wherever it stands: ``a.b.c``."""
 
-LONGEST_PATTERN = 4096
-"""The characters of a pattern. No path is longer."""
+LONGEST_TEXT = 4096
+"""The characters of a pattern or another text. No path is longer."""
 
-MOST_TRIES = 100
-"""The number of lines that are tried to find the one of a message."""
+LARGEST_INTEGER = 2**63
+"""The size of the integers that TOML promises. Larger ones are no texts, and no floats."""
+
+MOST_PARSED = 1 << 21
+"""The number of characters that are parsed to find the line of a message."""
+
+MOST_NAMED = 3
+"""The number of overrides that a message names."""
 
 PER_FILE = ("bake", "verify")
 """The commands that have options which may differ from file to file."""
@@ -155,11 +161,11 @@ class Configured(NamedTuple):
         """Return the options of overrides, as click converts them. The last one wins."""
         return {name: one for number in chosen for name, one in self.overrides[number].given.items()}
 
-    def origin_of(self, chosen: Iterable[int]) -> str:
-        """Return where overrides are."""
+    def origin_of(self, chosen: Sequence[int]) -> str:
+        """Return where overrides are. The last of them win, and are named."""
         return ", ".join(
             f"{self.configuration.place(('overrides', number, 'files'))}: {spelt(('overrides', number))}"
-            for number in chosen
+            for number in chosen[-MOST_NAMED:]
         )
 
     def settings_of(self, source: str) -> Settings:
@@ -181,11 +187,11 @@ class Configured(NamedTuple):
 class OptionSets(NamedTuple):
     """The different sets of options that the inputs have. ``numbers`` has the number of each input's set.
 
-    The first set is that without overrides. ``origins`` tells where the others come from.
+    The first set is that without overrides. ``origins`` tell where the others come from, for an error.
     """
 
     given: Sequence[Mapping[str, Any]]
-    origins: Sequence[str]
+    origins: Sequence[Callable[[], str] | None]
     numbers: Sequence[int]
 
     def each(self, make: Callable[[Mapping[str, Any]], MadeT]) -> list[MadeT]:
@@ -198,10 +204,10 @@ class OptionSets(NamedTuple):
             try:
                 made.append(make(given))
             except ChoiceError as error:
-                if not origin:
+                if origin is None:
                     raise
                 message = error.worded(on_command_line)
-                raise ConfigurationError(f"{origin}: {message}") from error
+                raise ConfigurationError(f"{origin()}: {message}") from error
         return made
 
     def numbered(self, jobs: Sequence[Job]) -> Sequence[Job]:
@@ -217,17 +223,17 @@ def option_sets(ctx: click.Context, given: Mapping[str, Any], sources: Sequence[
     """Return the sets of options of the inputs. An option of the command line is the same for all."""
     configured = configured_in(ctx)
     if configured is None or not configured.overrides:
-        return OptionSets([given], [""], [0] * len(sources))
+        return OptionSets([given], [None], [0] * len(sources))
     typed = {name for name in given if ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE}
     known: dict[tuple[int, ...], int] = {(): 0}
-    sets, origins, numbers = [given], [""], []
+    sets, numbers, origins = [given], list[int](), list[Callable[[], str] | None]([None])
     for source in sources:
         chosen = configured.overrides_of(source)
         if chosen not in known:
             known[chosen] = len(sets)
             changes = configured.given_by(chosen)
             sets.append({**given, **{name: one for name, one in changes.items() if name not in typed}})
-            origins.append(configured.origin_of(chosen))
+            origins.append(partial(configured.origin_of, chosen))
         numbers.append(known[chosen])
     return OptionSets(sets, origins, numbers)
 
@@ -354,6 +360,12 @@ def read_configuration(path: str) -> Configuration | None:
     try:
         text = data.decode("utf-8-sig").replace("\r\n", "\n")
         tables = tomllib.loads(text)
+        waiting: list[Any] = [tables]
+        while waiting:
+            value = waiting.pop()
+            if isinstance(value, int) and not -LARGEST_INTEGER <= value < LARGEST_INTEGER:
+                raise ValueError
+            waiting += value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
     except (ValueError, RecursionError) as error:
         raise ConfigurationError(f"{path} is not valid TOML: {_fault(error)}") from error
     found = Configuration(path, os.path.realpath(os.path.dirname(path) or os.curdir), text, (), tables)
@@ -368,8 +380,14 @@ def read_configuration(path: str) -> Configuration | None:
 
 def _fault(error: Exception) -> str:
     """Return what is wrong with a text that is not TOML, and the usual cause of an invalid value."""
+    from tomllib import TOMLDecodeError
+
     if isinstance(error, UnicodeDecodeError):
         return "it is not text in UTF-8"
+    if isinstance(error, RecursionError):
+        return "it is nested too deep"
+    if not isinstance(error, TOMLDecodeError):
+        return "an integer has more than 64 bits"
     return f"{error}{'; text stands in quotes' if str(error).startswith('Invalid value') else ''}"
 
 
@@ -380,23 +398,26 @@ def _line_of(text: str, keys: Keys) -> int | None:
     tomllib tells no lines. A key begins in a line if the text before it is valid without the key, and the
     text up to this line, or to a later one for a long value, is valid with the key.
     """
-    lines = text.split("\n")
-    name = next(key for key in reversed(keys) if isinstance(key, str))
-    candidates = (number for number, line in enumerate(lines) if name in line)
-    for number in islice(candidates, MOST_TRIES):
-        if _has(lines[:number], keys) is False:
-            later = (_has(lines[: end + 1], keys) for end in range(number, len(lines))[:MOST_TRIES])
-            if next((found for found in later if found is not None), False):
-                return number + 1
-    return None
-
-
-def _has(lines: Sequence[str], keys: Keys) -> bool | None:
-    """Tell whether a text has a key, or None if the text is not valid TOML."""
     import tomllib
 
-    with suppress(ValueError, RecursionError):
-        return _at(tomllib.loads("\n".join(lines)), keys) is not None
+    lines, left = text.split("\n"), MOST_PARSED
+    name = next(key for key in reversed(keys) if isinstance(key, str))
+
+    def has(end: int) -> bool | None:
+        """Tell whether the first lines have the key; None if they are not valid TOML, or too much work."""
+        nonlocal left
+        left -= len(some := "\n".join(lines[:end]))
+        with suppress(ValueError, RecursionError):
+            return None if left < 0 else _at(tomllib.loads(some), keys) is not None
+        return None
+
+    for number, line in enumerate(lines):
+        if left < 0:
+            break
+        if name in line and has(number) is False:
+            later = (has(end + 1) for end in range(number, len(lines)) if left >= 0)
+            if next((found for found in later if found is not None), False):
+                return number + 1
     return None
 
 
@@ -452,7 +473,7 @@ def _patterns(configuration: Configuration, keys: Keys, value: object) -> tuple[
     if not isinstance(value, list) or not value or not all(isinstance(one, str) for one in value):
         configuration.refuse(keys, "expected an array of patterns")
     for pattern in value:
-        if len(pattern) > LONGEST_PATTERN:
+        if len(pattern) > LONGEST_TEXT:
             configuration.refuse(keys, f"a pattern has {len(pattern):,} characters: expected a path")
         if not pattern or "\\" in pattern or {"", ".", ".."} & {*pattern.split("/")}:
             configuration.refuse(
@@ -527,6 +548,9 @@ def _converted(
         configuration.refuse(
             keys, 'expected "animations" or "random:N"; a file is given on the command line, by --fit-poses'
         )
+    for text in value if isinstance(value, list) else [value]:
+        if isinstance(text, str) and len(text) > LONGEST_TEXT:
+            configuration.refuse(keys, f"a text has {len(text):,} characters, over {LONGEST_TEXT:,}")
     try:
         return option.type_cast_value(ctx, value)
     except click.BadParameter as error:
