@@ -54,6 +54,10 @@ class Neighbours(StrEnum):
     DROP = "drop"
 
 
+READERS_OF_FOUR = "three.js, PlayCanvas, Galacean, Godot and Bevy"
+"""The engines for which an influence set of ``Neighbours.EXTEND`` is one too many."""
+
+
 class Frame(StrEnum):
     """The source of the tangent frame of a bake: TANGENT, or NORMAL alone."""
 

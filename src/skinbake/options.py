@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, TypeAlias, cast
 
 from skinbake.choices import (
     POSES_EXPECTED,
+    READERS_OF_FOUR,
     SLOTS_PER_SET,
     Baseline,
     CorrectiveAim,
@@ -367,7 +368,8 @@ BAKE = (
             "characters cut into several meshes."),
         Option("neighbours", Neighbours, Neighbours.ADOPT, By.ALL, help=
             "Joints that only the neighbours of a vertex have: put them into free slots, add an influence "
-            "set where these are too few, or drop them."),
+            "set where these are too few, or drop them. "
+            f"{READERS_OF_FOUR} read only one set."),
         FRAME,
         Option("limit_influences", Range(SLOTS_PER_SET, is_whole=True), None, By.ALL, "N", help=
             "Keep the N largest influences of each vertex, N a multiple of 4, and print the cost."),

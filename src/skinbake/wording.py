@@ -21,11 +21,15 @@ OTHER_FORMATS = {
     ".blend": "export it from Blender (File > Export > glTF 2.0)",
     ".usd": "Blender imports USD and exports glTF (File > Export > glTF 2.0)",
     ".stl": "STL has no skin: export glTF from the program that rigs the model, like Blender",
+    ".dae": "COLLADA2GLTF converts it",
     ".zip": "unpack it",
 }
 """The way to glTF, by the suffix of another format."""
 
-ALIASES = {".usda": ".usd", ".usdc": ".usd", ".usdz": ".usd"}
+ALIASES = {
+    **dict.fromkeys((".usda", ".usdc", ".usdz"), ".usd"),
+    **dict.fromkeys((".7z", ".rar", ".gz", ".tgz", ".tar"), ".zip"),
+}
 
 
 def counted(count: int, singular: str, plural: str | None = None) -> str:

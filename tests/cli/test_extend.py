@@ -82,6 +82,11 @@ def test_the_bytes_are_those_of_the_types_in_the_file(tmp_path: Path, kind: type
     assert told == sum(file.stored_attribute(name)[0].nbytes for name in names)
 
 
+def test_a_bake_that_adds_a_set_names_the_engines_that_do_not_read_it(tmp_path: Path) -> None:
+    result = invoke("bake", source(FULL), "-o", tmp_path / "out.glb", "--neighbours", "extend")
+    assert "; three.js, PlayCanvas, Galacean, Godot and Bevy read four influences only)" in result.stdout
+
+
 def test_the_new_set_moves_no_vertex(extended: Path) -> None:
     file = read(extended)
     assert file.attribute("WEIGHTS_2").max() <= 2.0**-30

@@ -124,6 +124,7 @@ def test_a_broken_link_is_not_meant_itself(tmp_path: Path) -> None:
         ("hero.usd", "Blender imports USD"),
         ("hero.usdz", "USDZ is not glTF: Blender imports USD"),
         ("hero.stl", "STL has no skin"),
+        ("hero.7z", "7Z is not glTF: unpack it"),
         ("hero.txt", "expected a name that ends in .glb, .gltf, .vrm"),
     ],
 )

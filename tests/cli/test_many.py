@@ -151,17 +151,27 @@ def test_results_and_verdicts_survive_it(mixed: Path, tmp_path: Path) -> None:
 
 
 class TestWhatIsSaidAtTheEnd:
-    def test_failures_are_listed_once_more(self, mixed: Path, tmp_path: Path) -> None:
+    def test_failures_whose_lines_are_in_sight_are_told_once(self, mixed: Path, tmp_path: Path) -> None:
+        lines = invoke("bake", mixed, "--out-dir", tmp_path / "out").stderr.splitlines()
+        assert sum(str(mixed / "broken.glb") in line for line in lines) == 1
+        assert sum(str(mixed / "text.gltf") in line for line in lines) == 1
+        assert lines[-1].startswith("15 files: 12 baked, 1 unchanged, 2 failed, in ")
+
+    def test_failures_of_many_files_are_listed_once_more(self, mixed: Path, tmp_path: Path) -> None:
+        for number in range(6):
+            shutil.copyfile(FOLDER / "seam.glb", mixed / f"more{number}.glb")
         result = invoke("bake", mixed, "--out-dir", tmp_path / "out")
         lines = result.stderr.splitlines()
-        start = lines.index("2 of 15 files failed:")
+        start = lines.index("2 of 21 files failed:")
         assert lines[start + 1].startswith(f"  {mixed / 'broken.glb'}: ")
         assert lines[start + 2].startswith(f"  {mixed / 'text.gltf'}: its JSON cannot be parsed")
-        assert lines[start + 3].startswith("15 files: 12 baked, 1 unchanged, 2 failed, in ")
+        assert lines[start + 3].startswith("21 files: 18 baked, 1 unchanged, 2 failed, in ")
         assert len(lines) == start + 4
 
     def test_a_single_failure_is_not_listed_once_more(self, mixed: Path, tmp_path: Path) -> None:
         (mixed / "text.gltf").unlink()
+        for number in range(7):
+            shutil.copyfile(FOLDER / "seam.glb", mixed / f"more{number}.glb")
         result = invoke("bake", mixed, "--out-dir", tmp_path / "out")
         assert result.exit_code == 3
         assert "failed:" not in result.stderr
@@ -177,13 +187,13 @@ class TestWhatIsSaidAtTheEnd:
         result = invoke("verify", tmp_path, "--poses", "rest", "--min-gain", "1000", "--max-mean-error", "0")
         assert result.exit_code == 1
         assert "files failed:" not in result.stderr  # a few are told once
-        for number in range(4):
-            shutil.copyfile(tmp_path / "seam.glb", tmp_path / f"{number}.glb")
+        for number in range(20):
+            shutil.copyfile(tmp_path / "seam.glb", tmp_path / f"{number:02}.glb")
         result = invoke("verify", tmp_path, "--poses", "rest", "--min-gain", "1000", "--max-mean-error", "0")
         lines = result.stderr.splitlines()
-        start = lines.index("6 of 6 files failed:")
-        assert lines[start + 1].startswith(f"  {tmp_path / '0.glb'}: ")
-        assert lines[start + 7].startswith("6 files: 6 failed, in ")
+        start = lines.index("22 of 22 files failed:")
+        assert lines[start + 1].startswith(f"  {tmp_path / '00.glb'}: ")
+        assert lines[start + 23].startswith("22 files: 22 failed, in ")
 
     def test_of_very_many_the_first_are_listed(self, tmp_path: Path) -> None:
         for number in range(130):

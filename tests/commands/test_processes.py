@@ -184,6 +184,17 @@ def test_results_come_in_the_order_of_the_jobs() -> None:
     assert list(results) == ["b", "c", "d"]
 
 
+def test_an_interrupt_comes_after_the_results_that_wait_for_earlier_ones() -> None:
+    def interrupted() -> Any:
+        yield from [(3, "d"), (0, "a"), (2, "c")]
+        raise KeyboardInterrupt
+
+    results = in_order(interrupted())
+    assert [next(results) for _ in range(3)] == ["a", "c", "d"]
+    with pytest.raises(KeyboardInterrupt):
+        next(results)
+
+
 def test_jobs_that_take_turns_come_first_in_order() -> None:
     class Backwards:
         def run(self, work: Any, jobs: Any) -> Any:

@@ -236,7 +236,17 @@ def test_a_brief_verdict_has_the_figures_by_the_lower_gain() -> None:
         (FileVerdict("a.glb", up_to_date=True), []),
         (
             FileVerdict("a.glb", (Check("structure", "passed"),)),
-            ["  No light was measured in these poses. Next: skinbake verify --poses random."],
+            ["  No light was measured in these poses. Next: skinbake verify a.glb --poses random."],
+        ),
+        (
+            FileVerdict("a.glb", (Check("structure", "passed"),), poses="24 random poses"),
+            ["  No light was measured in these poses. Next: skinbake view a.glb shows them."],
+        ),
+        (
+            FileVerdict(
+                "a.glb", (Check("structure", "passed"),), notices=(Notice("a", "b", Place("a.glb")),)
+            ),
+            ["  No light was measured in these poses. Next: do what the warning says."],
         ),
     ],
 )
@@ -269,6 +279,12 @@ def test_little_to_win_is_not_said_of_an_unsound_bake_or_beside_other_advice() -
         assert [text.count("Little to win") for text in texts] == [1, 0, 0, 1, 1, 1]
     assert as_brief(advised).endswith("Next: bake as the warning says.")
     assert as_brief(missed).endswith("Next: leave it unbaked by bake --leave-under, or change the limit.")
+
+
+def test_a_missed_limit_names_another_bake_where_there_is_something_to_win() -> None:
+    small = replace(PASSED, normals=lit(4.0, 2.5), by_triangles=None, checks=(Check("limits", "failed"),))
+    other = "try bake --gradients poses if this is not such a bake"
+    assert as_brief(small).endswith(f"Next: {other}, or change the limit.")
 
 
 def test_remarks_on_checks_cannot_control_a_terminal() -> None:

@@ -345,7 +345,7 @@ def _outcomes(
             if totals.files > 1:
                 say.note(closing_line(totals, clock.working, interrupted=True))
             raise
-    for line in failure_lines(totals) if totals.files > FEW else ():
+    for line in failure_lines(totals):
         say.note(line)
     if totals.files > FEW or len(totals.failures) > 1 or (totals.files > 1 and say.verbosity > 0):
         for line in lowest_lines(totals):

@@ -50,13 +50,19 @@ class FirstThese(Generic[JobT, ReturnT]):
 def in_order(results: Generator[tuple[int, T], None, None]) -> Generator[T, None, None]:
     """Yield results in the order of their numbers, each as soon as all earlier results are there.
 
-    Closing this generator closes ``results``.
+    An interrupt comes after the results that wait for earlier ones: their outputs stay. Closing this
+    generator closes ``results``.
     """
     waiting: dict[int, T] = {}
     following = 0
     with closing(results):
-        for number, result in results:
-            waiting[number] = result
-            while following in waiting:
-                yield waiting.pop(following)
-                following += 1
+        try:
+            for number, result in results:
+                waiting[number] = result
+                while following in waiting:
+                    yield waiting.pop(following)
+                    following += 1
+        except KeyboardInterrupt:
+            for _, result in sorted(waiting.items(), key=lambda item: item[0]):
+                yield result
+            raise

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
+from skinbake.choices import READERS_OF_FOUR
 from skinbake.errors import Notice, Place, SkinbakeError, printable
 from skinbake.report.totals import (
     Totals,
@@ -428,7 +429,7 @@ def _extended(costs: Sequence[ExtensionCost]) -> str:
     vertices = counted(sum(cost.vertices for cost in costs), "vertex", "vertices")
     return (
         f"an influence set added to {counted(len(costs), 'primitive')} for {vertices} "
-        f"(+{size} bytes and +{work} multiply-adds a vertex)"
+        f"(+{size} bytes and +{work} multiply-adds a vertex; {READERS_OF_FOUR} read four influences only)"
     )
 
 
@@ -444,8 +445,7 @@ def _remedy(counts: Sequence[BakedCounts]) -> str:
         return ""
     if any(count.limited for count in counts):
         return "; try a larger --limit-influences"
-    engines = "three.js, PlayCanvas, Galacean, Godot and Bevy"
-    return f"; try --neighbours extend, but {engines} read four influences only"
+    return f"; try --neighbours extend, but {READERS_OF_FOUR} read four influences only"
 
 
 def as_json(

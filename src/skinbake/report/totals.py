@@ -10,6 +10,9 @@ from typing import Any
 from skinbake.errors import Notice, Place, SkinbakeError, printable
 from skinbake.wording import counted, gain_in_words
 
+SCREEN = 20
+"""The number of files whose lines are still in sight at the end."""
+
 LISTED = 100
 """The number of failures that the end lists."""
 
@@ -58,9 +61,9 @@ def reason_of(source: str, error: SkinbakeError | None) -> str:
 
 
 def failure_lines(totals: Totals) -> Iterator[str]:
-    """Yield the failures again, if there are several files and more than one failed."""
+    """Yield the failures again, if there are several and their own lines may be out of sight."""
     count = len(totals.failures)
-    if count < 2:
+    if count < 2 or totals.files <= SCREEN:
         return
     yield f"{count:,} of {counted(totals.files, 'file')} failed:"
     for failure in totals.failures[:LISTED]:

@@ -362,11 +362,21 @@ def conclusion(verdict: FileVerdict) -> Conclusion | None:
             for notice in verdict.notices
         )
         judged = _on_gain(found[2], f"skinbake view {name}", advised=advised)
-        meet = "leave it unbaked by bake --leave-under" if judged.leave else "meet the limit that it misses"
+        meet = "try bake --gradients poses if this is not such a bake"
+        if judged.leave:
+            meet = "leave it unbaked by bake --leave-under"
+        elif baked_lighting(found[2]) == "corrected":
+            meet = "try a larger bake --correctives"
         return replace(judged, step=f"{meet}, or change the limit") if failed else judged
     if any(check.name == "structure" and check.outcome == "skipped" for check in verdict.checks):
         return Conclusion("There is no bake to judge.", f"skinbake inspect {name} shows what can be baked")
-    return Conclusion("No light was measured in these poses.", "skinbake verify --poses random")
+    again = (
+        f"skinbake view {name} shows them"
+        if "random" in verdict.poses
+        else f"skinbake verify {name} --poses random"
+    )
+    step = "do what the warning says" if verdict.notices else again
+    return Conclusion("No light was measured in these poses.", step)
 
 
 def _on_gain(figures: Mapping[str, ErrorFigures], look: str, *, advised: bool) -> Conclusion:
