@@ -396,6 +396,19 @@ def test_angles_below_45_degrees_are_those_of_larger_ones(largest: float) -> Non
     assert found[0] == pytest.approx(wanted, rel=3e-7, abs=1e-12)
 
 
+def test_an_opposite_normal_among_small_angles_is_180_degrees() -> None:
+    """Rounding makes the chord of opposite vectors a little shorter or longer than the diameter."""
+    units = np.random.default_rng(7).normal(size=(3, 400, 1))
+    measured = np.repeat(units / np.linalg.norm(units, axis=0), 64, axis=2)
+    expected = measured.copy()
+    expected[:, :, 30] *= -1.0
+    turned = tuple(component.T for component in measured)
+    found = by_loops.angles(turned, expected[None])
+    # Nearly opposite by rounding: the float32 next to 180 is 1.5e-5 off.
+    assert found[0, :, 30] == pytest.approx(180.0, abs=1e-4)
+    assert np.allclose(found, by_numpy.angles(turned, expected[None]), rtol=6e-7, atol=3e-6)
+
+
 def errors_to_count(seed: int) -> tuple[Any, Any, Any]:
     """Few values, so that there are ties; some missing, some not valid, some without weight."""
     rng = np.random.default_rng(seed)

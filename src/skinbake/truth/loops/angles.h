@@ -33,10 +33,11 @@ static void find_angles(Components measured, const double *expected, float *angl
             const Components wanted = components(expected + 3 * truth * size, size, first);
             int large = 0;
             for (Py_ssize_t p = 0; p < count; p++) {
-                /* tan²(angle / 2) = chord² / (4 − chord²) of unit vectors. */
+                /* tan²(angle / 2) = chord² / (4 − chord²) of unit vectors. The chord of opposite ones may round to
+                   more than 2. */
                 const Vector apart = minus((Vector){x[p], y[p], z[p]}, vector_at(wanted, p));
                 const double chord = dot(apart, apart);
-                ratios[p] = (float)chord / (float)(4.0 - chord);
+                ratios[p] = (float)chord / (float)fabs(4.0 - chord);
             }
             for (Py_ssize_t p = 0; p < count; p++)
                 large |= ratios[p] > SMALL_RATIO;

@@ -52,16 +52,16 @@ static ALWAYS_INLINE float float_arctangent(float y, float x)
 /* A little less than the square of tan(π/8). */
 #define SMALL_RATIO 0.1715728f
 
-/* Return twice the arctangent of the root of a ratio of at most SMALL_RATIO, in degrees: the same as below. */
+/* Return twice the arctangent of the root of a ratio from 0 to SMALL_RATIO, in degrees: the same as below. */
 static ALWAYS_INLINE float degrees_of_small(float ratio)
 {
-    return small_arctangent(sqrtf(fabsf(ratio))) * (float)(180.0 / HALF);
+    return small_arctangent(sqrtf(ratio)) * (float)(180.0 / HALF);
 }
 
-/* Return twice the arctangent of the root of a ratio, in degrees. */
+/* Return twice the arctangent of the root of a ratio of at least 0, in degrees. */
 static ALWAYS_INLINE float degrees_of(float ratio)
 {
-    const float tangent = sqrtf(fabsf(ratio));
+    const float tangent = sqrtf(ratio);
     const float y = tangent < 1.0f ? tangent : 1.0f, x = tangent < 1.0f ? 1.0f : tangent;
     const float acute = float_arctangent(y, x);
     const float angle = tangent > 1.0f ? (float)HALF - acute : acute;
