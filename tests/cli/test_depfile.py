@@ -302,6 +302,8 @@ PIECES = (
         "$$",
         "$(shell touch ran)",
         "%.o",
+        ".c",
+        ".c.o",
     ),
     *("include ", "-include ", "export ", "define ", "endif", "ifeq", "override ", "private ", "load "),
 )
@@ -311,8 +313,9 @@ SPECIAL = (
     *(".PHONY", ".SUFFIXES", ".DEFAULT", ".PRECIOUS", ".INTERMEDIATE", ".SECONDARY", ".SECONDEXPANSION"),
     *(".DELETE_ON_ERROR", ".IGNORE", ".LOW_RESOLUTION_TIME", ".SILENT", ".EXPORT_ALL_VARIABLES"),
     *(".NOTPARALLEL", ".ONESHELL", ".POSIX", ".WAIT", ".MAKE", ".NOTINTERMEDIATE", ".BEGIN", ".END"),
+    *(".c", ".c.o", ".o", ".sh", ".y.c", ".glb"),
 )
-"""Targets by which GNU Make, POSIX or BSD change other rules."""
+"""Targets by which GNU Make, POSIX or BSD change other rules, and suffix rules, which may have recipes."""
 
 RULES_OF_MAKE = """
 .SECONDEXPANSION:

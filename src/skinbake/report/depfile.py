@@ -14,9 +14,9 @@ ESCAPED = re.compile("[ #:]")
 
 IN_NO_RULE = re.compile(
     r"""
-      ^(?:\./+)*(?:\.[A-Z]|[-~])        # .IGNORE and its like, -lm, ~root. Make drops ./ before them
+      ^(?:\./+)*(?:\.[A-Z]|\.[^/]*$|[-~])  # .IGNORE, .c.o and their like, -lm, ~root. Make drops ./
     | [^\w+,./@!{}()~\ #:\x80-\U0010ffff-]
-    | [\ :)]$                           # lib(member), also with the member in the next name
+    | [\ :)]$                              # lib(member), also with the member in the next name
     """,
     re.VERBOSE | re.ASCII,
 )
@@ -24,7 +24,8 @@ IN_NO_RULE = re.compile(
 
 All characters that are not listed here count: names come from strangers, and a name that is misread is a rule
 that the user has not written. Make reads ``$`` twice after ``.SECONDEXPANSION``, and runs ``$(shell …)``.
-``[a]`` is a pattern that also finds ``a``. Ninja 1.11 ends a name at quotes and at ``&``.
+``[a]`` is a pattern that also finds ``a``. ``.c`` is a suffix rule: its recipe overwrites the file under
+``make -B``. Ninja 1.11 ends a name at quotes and at ``&``.
 """
 
 
