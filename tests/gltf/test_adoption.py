@@ -16,6 +16,7 @@ from skinbake.gltf.accessors import StoredArray
 from skinbake.gltf.animation import random_poses, read_skeleton
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import StoredInfluences
+from tests.support import khronos
 from tests.support.baked_arrays import (
     AFRAME_HAND,
     CESIUM_MAN,
@@ -28,7 +29,9 @@ from tests.support.baked_arrays import (
     path_of,
 )
 from tests.support.baking import bake_file, bake_settings
+from tests.support.command_line import invoke
 from tests.support.gltf_reading import read
+from tests.support.models import sheet, write_model
 
 FLOAT_FILES = ["foreign_joints.glb", CESIUM_MAN, TREX, MANTIS, PBR_TEST, AFRAME_HAND]
 INTEGER_FILES = ["weights_u8.glb", "weights_u16.glb", HAND_U8, HAND_U16]
@@ -246,3 +249,26 @@ def test_without_adoption_the_influences_stay_the_files_own(name: str, tmp_path:
         for attribute in ("JOINTS_0", "WEIGHTS_0"):
             old = before.primitive(*place)["attributes"][attribute]
             assert after.primitive(*place)["attributes"][attribute] == old
+
+
+@pytest.mark.parametrize("options", [[], ["--neighbours", "extend"], ["--limit-influences", "4"]])
+def test_no_vertex_adopts_a_joint_past_the_skin_from_one_without_weight(
+    options: list[str], tmp_path: Path
+) -> None:
+    """Such a vertex counts as bound to its first joint. Past the skin's, that would be no joint at all."""
+    arrays: dict[str, npt.NDArray[np.generic]] = {}
+    for number in range(2):
+        arrays[f"JOINTS_{number}"] = np.zeros((20, 4), np.uint8)
+        arrays[f"WEIGHTS_{number}"] = np.zeros((20, 4), np.float32)
+    arrays["JOINTS_0"][:10, 0] = 1
+    arrays["WEIGHTS_0"][:, 0] = 1
+    arrays["JOINTS_0"][7], arrays["WEIGHTS_0"][7] = [201, 0, 0, 0], 0
+    source, target = write_model(tmp_path / "source.glb", [sheet(**arrays)]), tmp_path / "baked.glb"
+    assert invoke("bake", source, "-o", target, *options, "-q").exit_code == 0
+    joints, weights = read(target).influences()
+    assert (weights[6:9:2] == np.float32(2.0**-30)).any(), "its neighbours adopt a joint"
+    assert joints[weights > 0].max() == 1
+    verdict = invoke("verify", target, "--poses", "rest", "--method", "lbs", "-v")
+    assert verdict.exit_code == 0, verdict.output
+    assert "changed since" not in verdict.output
+    assert not khronos.new_findings(khronos.validate(source), khronos.validate(target))

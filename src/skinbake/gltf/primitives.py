@@ -351,7 +351,7 @@ def read_primitive(document: Document, source: PrimitiveSource) -> SkinnedPrimit
     for number in range(len(influences)):
         own = weights[:, 4 * number : 4 * number + 4]
         refuse_not_finite(own, "weights", source.place.at(f"WEIGHTS_{number}"))
-    _check_joints(joints, weights, source)
+    joints = joints_of_skin(joints, weights, source)
     return SkinnedPrimitive(positions, normals, tangents, joints, weights, read_triangles(document, source))
 
 
@@ -477,9 +477,13 @@ def _decoded(
     return stored.decoded()
 
 
-def _check_joints(joints: IntArray, weights: FloatArray, source: PrimitiveSource) -> None:
-    if joints.max(initial=0) < source.joint_count:
-        return
+def joints_of_skin(joints: IntArray, weights: FloatArray, source: PrimitiveSource) -> IntArray:
+    """Return joints (V, K) as they count: 0 in slot 0 of a vertex without weight if that is past the skin's.
+
+    Raises InputError for a joint past the skin's at a weight other than zero.
+    """
+    if not joints.size or joints.max() < source.joint_count:
+        return joints
     outside = (joints >= source.joint_count) & (weights != 0)
     if outside.any():
         vertex, slot = np.argwhere(outside)[0]
@@ -489,3 +493,9 @@ def _check_joints(joints: IntArray, weights: FloatArray, source: PrimitiveSource
             f"{np.count_nonzero(outside.any(axis=1)):,}",
             source.place.at(f"JOINTS_{slot // 4}"),
         )
+    # Such a vertex counts as bound to the joint of slot 0, and its neighbours adopt that one.
+    unbound = (joints[:, 0] >= source.joint_count) & ~(weights > 0.0).any(axis=1)
+    if unbound.any():
+        joints = joints.copy()
+        joints[unbound, 0] = 0
+    return joints

@@ -13,7 +13,7 @@ from skinbake.format.layouts import GradientFormat
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.animation import read_clips, skins_of
 from skinbake.gltf.document import Document
-from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, read_influences
+from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, joints_of_skin, read_influences
 from skinbake.gradients.influences import limited_slots
 from skinbake.measure.tally import ErrorTally
 from skinbake.measure.unwritten import UnwrittenBake
@@ -49,12 +49,11 @@ def limited(
     kept = limited_slots(primitive, count)
     before = read_influences(document, source, len(primitive.positions))
     stored = with_limit(before, kept.slots, kept.shares, kept.rewritten)
+    joints = np.concatenate([entry.joints.values.astype(np.int64) for entry in stored], axis=1)
+    weights = np.concatenate([entry.weights.decoded() for entry in stored], axis=1)
     losing = kept.dropped > 0
     return Limited(
-        primitive.with_influences(
-            np.concatenate([entry.joints.values.astype(np.int64) for entry in stored], axis=1),
-            np.concatenate([entry.weights.decoded() for entry in stored], axis=1),
-        ),
+        primitive.with_influences(joints_of_skin(joints, weights, source), weights),
         tuple(stored),
         int(np.count_nonzero(losing)),
         float(kept.dropped[losing].mean()) if losing.any() else 0.0,
