@@ -10,7 +10,7 @@ PACKAGE := .venv/package.stamp
 DEV := .venv/dev.stamp
 NODE_MODULES := tests/support/node_modules/.stamp
 BLENDER := build/blender/stamp
-BUILT_FROM := pyproject.toml setup.py $(wildcard src/skinbake/*/*.c src/skinbake/*/loops/*.h)
+BUILT_FROM := pyproject.toml setup.py $(wildcard src/skinbake/*.h src/skinbake/*/*.c src/skinbake/*/loops/*.h)
 EXAMPLE := fixtures/bent_tube.glb
 
 # What the caller's shell has set up for other projects must not leak into .venv.

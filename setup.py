@@ -19,11 +19,12 @@ OTHERS += ["-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"]
 
 
 def loops(name: str, source: str) -> Extension:
-    """Return one module of compiled loops. Its headers stand in the folder loops/ beside its source."""
+    """Return one module of compiled loops. Its headers stand in loops/ beside its source, and above that."""
+    headers = sorted(Path("src/skinbake").glob("*.h")) + sorted(Path(source).parent.glob("loops/*.h"))
     return Extension(
         name,
         [source],
-        depends=sorted(header.as_posix() for header in Path(source).parent.glob("loops/*.h")),
+        depends=[header.as_posix() for header in headers],
         extra_compile_args=MICROSOFT if sys.platform == "win32" else OTHERS,
         py_limited_api=True,
         optional=True,

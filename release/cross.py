@@ -27,9 +27,6 @@ OLDEST = (3, 11)
 # zig compiles for the processor and with the checks that it likes unless told: any processor, and none.
 FLAGS = [*OTHERS, "-mcpu=baseline", "-fno-sanitize=undefined", "-shared", "-s"]
 
-PROCESSORS = Path(__file__).with_name("processors.c")
-"""What tells the loops of manylinux_2_17_x86_64 which processor they run on. Others are compiled for any."""
-
 
 def compile_loops(module: str, tree: Path, platform: str, folder: Path) -> tuple[str, bytes]:
     """Compile a module, such as ``gradients/_kernel``, of an unpacked sdist. Return its file name and bytes.
@@ -46,8 +43,6 @@ def compile_loops(module: str, tree: Path, platform: str, folder: Path) -> tuple
     elif platform.startswith("macosx"):
         # Else the module would hold the path of the temporary folder.
         more = ["-fPIC", "-undefined", "dynamic_lookup", f"-Wl,-install_name,{Path(module).name}.abi3.so"]
-    elif platform == "manylinux_2_17_x86_64":
-        more = ["-fPIC", str(PROCESSORS)]
     made = folder / f"{module.replace('/', '.')}.{platform}{suffix}"
     source = tree / "src" / "skinbake" / f"{module}.c"
     zig("cc", "-target", SYSTEMS[platform], *FLAGS, f"-I{headers}", str(source), *more, "-o", str(made))

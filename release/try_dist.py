@@ -25,10 +25,11 @@ from release.other_systems import OTHER_SYSTEMS, OtherSystem, made, missing_prog
 
 OLDEST = (3, 11)
 MODELS = ("bent_tube.glb", "foreign_joints.glb", "morphed_sheet.glb")
-IS_COMPILED = """
-from skinbake.gradients import kernel as gradients
-from skinbake.truth import kernel as lighting
-print(gradients.IS_COMPILED, lighting.IS_COMPILED)
+VECTOR_BITS = """
+from importlib import import_module
+for room, loops in (("gradients", "_kernel"), ("truth", "_loops")):
+    compiled = import_module(f"skinbake.{room}.kernel").IS_COMPILED
+    print(import_module(f"skinbake.{room}.{loops}").VECTOR_BITS if compiled else 0)
 """
 NUMPY = {"SKINBAKE_KERNEL": "numpy"}
 
@@ -101,34 +102,29 @@ def said(python: Sequence[str], arguments: list[str], folder: Path, variables: M
     return told
 
 
-def require_compiled(
-    python: Sequence[str], folder: Path, variables: Mapping[str, str], *, compiled: bool
-) -> None:
-    """End with a message if an interpreter's skinbake has compiled loops and should not, or the reverse."""
-    told = said(python, ["-c", IS_COMPILED], folder, variables)
-    if told.split() != [str(compiled)] * 2:
-        raise SystemExit(f"{python[-1]}: compiled loops: {told.strip()}; expected: {compiled}")
+def vector_bits(python: Sequence[str], folder: Path, variables: Mapping[str, str]) -> int:
+    """Return the bits of the vectors that an interpreter's skinbake uses, 0 without compiled loops."""
+    [bits] = set(said(python, ["-c", VECTOR_BITS], folder, variables).split())
+    return int(bits)
 
 
-def try_one(python: Path, archive: Path, folder: Path, *, compiled: bool) -> dict[str, bytes]:
-    """Install an archive in a new virtual environment, and return its bakes."""
+def try_one(python: Path, archive: Path, folder: Path) -> tuple[int, dict[str, bytes]]:
+    """Install an archive in a new virtual environment. Return the bits of its vectors, and its bakes."""
     subprocess.run([python, "-m", "venv", folder / "venv"], check=True)
     own = [str(folder / "venv" / ("Scripts" if sys.platform == "win32" else "bin") / "python")]
     pip = ["-m", "pip", "--disable-pip-version-check", "--quiet"]
     said(own, [*pip, "install", str(archive)], folder, {})
     said(own, [*pip, "check"], folder, {})
-    require_compiled(own, folder, {}, compiled=compiled)
-    return bakes(own, folder, {})
+    return vector_bits(own, folder, {}), bakes(own, folder, {})
 
 
-def try_elsewhere(system: OtherSystem, name: str, folder: Path) -> dict[str, bytes]:
-    """Install skinbake for another system, run it there, and return its bakes."""
+def try_elsewhere(system: OtherSystem, name: str, folder: Path) -> tuple[int, dict[str, bytes]]:
+    """Install skinbake for another system, and run it there. Return the bits of vectors, and the bakes."""
     folder_of_python = REPOSITORY / "build" / "systems" / name.replace(" ", "-").lower()
     python = made(system, folder_of_python)
     site_with(system, TARGET, folder / "site")
     variables = variables_of(system, folder_of_python, folder)
-    require_compiled(python, folder, variables, compiled=True)
-    return bakes(python, folder, variables, briefly=True)
+    return vector_bits(python, folder, variables), bakes(python, folder, variables, briefly=True)
 
 
 def main() -> None:
@@ -143,25 +139,28 @@ def main() -> None:
         for compiled in (True, False):
             folder = Path(temporary, f"tree-{compiled}")
             folder.mkdir()
-            expected[compiled] = bakes([sys.executable], folder, {} if compiled else NUMPY)
+            variables = {} if compiled else NUMPY
+            bits = vector_bits([sys.executable], folder, variables)
+            expected[compiled] = bits, bakes([sys.executable], folder, variables)
 
-        def tell(what: str, given: dict[str, bytes], *, compiled: bool = True) -> bool:
-            same = given == expected[compiled]
-            print(
-                f"{what}: bake, verify and strip pass, {'the bytes' if same else 'OTHER BYTES than those'} "
-                "of the tree",
-                flush=True,
-            )
-            return same
+        def tell(
+            what: str, found: tuple[int, dict[str, bytes]], wanted: tuple[int, dict[str, bytes]]
+        ) -> bool:
+            """Print what came of one try. Return whether it is as it should be."""
+            (bits, given), (wide, bytes_of_tree) = found, wanted
+            loops = f"vectors of {bits} bits" if bits else "no compiled loops"
+            loops += "" if bits == wide else f" INSTEAD OF {wide}"
+            same = "the bytes" if given == bytes_of_tree else "OTHER BYTES than those"
+            print(f"{what}: bake, verify and strip pass, {loops}, {same} of the tree", flush=True)
+            return found == wanted
 
         here = [path for path in archives if fits_here(path.name)]
         for version, python in found.items():
             for archive in here:
-                compiled = not archive.name.endswith("-any.whl")
                 with tempfile.TemporaryDirectory() as name:
-                    given = try_one(python, archive, Path(name), compiled=compiled)
+                    tried_here = try_one(python, archive, Path(name))
                 label = f"Python {version[0]}.{version[1]}, {archive.name}"
-                failed |= not tell(label, given, compiled=compiled)
+                failed |= not tell(label, tried_here, expected[not archive.name.endswith("-any.whl")])
         tried = {path.name for path in here}
         for name, system in OTHER_SYSTEMS.items():
             missing = missing_programs(system)
@@ -169,8 +168,11 @@ def main() -> None:
                 print(f"{name}: not tried, for want of {', '.join(missing)}", flush=True)
                 failed |= os.environ.get("SKINBAKE_STRICT") == "1"
                 continue
+            bits, wanted = expected[True]
             with tempfile.TemporaryDirectory() as work:
-                failed |= not tell(name, try_elsewhere(system, name, Path(work)))
+                # Nothing on ARM is wider than what all its processors have.
+                wide = 128 if "aarch64" in system.wheels[0] else bits
+                failed |= not tell(name, try_elsewhere(system, name, Path(work)), (wide, wanted))
             tried |= {path.name for path in archives if system.wheels[0] in path.name}
         print("built, not run: " + (", ".join(p.name for p in archives if p.name not in tried) or "none"))
     sys.exit(1 if failed else 0)

@@ -40,7 +40,7 @@ def build() -> Path:
 
 
 def _compiled(source: Path) -> Path:
-    headers = sorted(source.parent.glob("loops/*.h"))
+    headers = sorted([*source.parents[1].glob("*.h"), *source.parent.glob("loops/*.h")])
     text = b"".join(path.read_bytes() for path in [source, *headers])
     recipe = hashlib.sha256(" ".join([COMPILER, *FLAGS]).encode() + text)
     compiled = BUILD / f"{recipe.hexdigest()[:16]}.so"

@@ -6,12 +6,9 @@ import os
 import runpy
 import subprocess
 import sys
-import sysconfig
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from functools import partial
-from importlib.machinery import ExtensionFileLoader
-from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
@@ -47,10 +44,9 @@ from tests.support.baked_arrays import (
     path_of,
 )
 from tests.support.baking import bake_settings
-from tests.support.kernels import use_numpy
+from tests.support.kernels import OTHERWISE, compiled_otherwise, use_numpy
 from tests.support.strictness import missing_tool
 from tests.support.surfaces import analytic_surface
-from tests.support.tools import required_program
 
 if not kernel.IS_COMPILED:
     missing_tool("skinbake was installed without its compiled loops")
@@ -60,7 +56,6 @@ from skinbake.gradients import _kernel, by_loops
 FIXTURES = ["bent_tube.glb", "two_primitives.glb", "two_sets.glb", "foreign_joints.glb", "weights_u8.glb"]
 MODELS = [CESIUM_MAN, BARBARIAN, TREX, PBR_TEST, HAND_U8, ELF, MANTIS, AFRAME_HAND]
 Result = TypeVar("Result")
-SOURCE = Path(__file__).parents[2] / "src/skinbake/gradients/_kernel.c"
 
 
 def both(monkeypatch: pytest.MonkeyPatch, work: Callable[[], Result]) -> tuple[Result, Result]:
@@ -280,30 +275,21 @@ def test_the_kernels_frame_from_normals_is_the_contracts_bit_by_bit() -> None:
     assert one.alpha[:4].any()
 
 
-@pytest.fixture(scope="module")
-def unoptimised(tmp_path_factory: pytest.TempPathFactory) -> ModuleType:
-    """Return the loops, compiled without any optimisation."""
-    compiler = required_program("cc")
-    library = tmp_path_factory.mktemp("unoptimised") / "_kernel.so"
-    headers = f"-I{sysconfig.get_path('include')}"
-    plain = [compiler, "-std=c11", "-O0", "-ffp-contract=off", "-w", "-shared", "-fPIC", headers]
-    subprocess.run([*plain, str(SOURCE), "-o", str(library), "-lm"], check=True)
-    loader = ExtensionFileLoader("_kernel", str(library))
-    specification = spec_from_loader("_kernel", loader)
-    assert specification is not None
-    return module_from_spec(specification)
+@pytest.fixture(scope="module", params=OTHERWISE, ids=str)
+def otherwise(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> ModuleType:
+    return compiled_otherwise("gradients/_kernel", tmp_path_factory.mktemp("otherwise"), *request.param)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("weighting", WEIGHTINGS)
 @pytest.mark.parametrize("name", ["foreign_joints.glb", CESIUM_MAN, PBR_TEST])
-def test_without_any_optimisation_the_bits_are_the_same(
-    name: str, weighting: str, unoptimised: ModuleType, monkeypatch: pytest.MonkeyPatch
+def test_the_bits_of_a_bake_are_the_same_however_the_loops_are_compiled(
+    name: str, weighting: str, otherwise: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for primitives in meshes_of(path_of(name)).values():
         expected = bake(surface_of(primitives), weighting)
         with monkeypatch.context() as patch:
-            patch.setattr(by_loops, "loops", unoptimised)
+            patch.setattr(by_loops, "loops", otherwise)
             found = bake(surface_of(primitives), weighting)
         for member in ("alpha", "beta", "adopting", "adopted", "sums"):
             assert np.array_equal(getattr(found, member), getattr(expected, member)), member

@@ -5,11 +5,8 @@ from __future__ import annotations
 import runpy
 import subprocess
 import sys
-import sysconfig
 from collections.abc import Callable
 from dataclasses import replace
-from importlib.machinery import ExtensionFileLoader
-from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -30,18 +27,18 @@ from skinbake.truth.operator import GradientOperator, gradient_operator
 from skinbake.truth.truths import carried_normals, rest_frames
 from skinbake.truth.values import BINS, BINS_OF_OCTAVE, Forms, end_of_bin
 from tests.support.baked_files import verify
+from tests.support.kernels import OTHERWISE, bits_here, compiled_otherwise
 from tests.support.models import FOLDER, baked
 from tests.support.odd_surfaces import odd_surface
 from tests.support.strictness import missing_tool
 from tests.support.surfaces import analytic_surface
-from tests.support.tools import required_program
 
 if not kernel.IS_COMPILED:
     missing_tool("skinbake was installed without its compiled loops")
 
+from skinbake.gradients import _kernel
 from skinbake.truth import _loops, by_loops
 
-SOURCE = Path(__file__).parents[2] / "src/skinbake/truth/_loops.c"
 POSES = [1, 3, 4, 8, 13, 64, 65, 131]
 """The loops take eight, four and one pose at a time, and at most 64 of them before they start again."""
 
@@ -511,26 +508,12 @@ def test_the_environment_cannot_ask_for_anything_else(monkeypatch: pytest.Monkey
         runpy.run_path(kernel.__file__)
 
 
-# Only a processor that has AVX2 runs what is compiled for it.
-OPTIMISED = ["-O3", "-fno-math-errno", "-fno-trapping-math"]
-HAS_AVX2 = " avx2 " in (Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else "")
-PROCESSORS = [["-O0"], OPTIMISED, *([[*OPTIMISED, "-mavx2"]] if HAS_AVX2 else [])]
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("options", PROCESSORS, ids=" ".join)
-def test_for_other_processors_and_unoptimised_the_bits_are_the_same(
-    options: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("otherwise", OTHERWISE, ids=str)
+def test_the_bits_of_verify_are_the_same_however_the_loops_are_compiled(
+    otherwise: tuple[int, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    compiler = required_program("cc")
-    library = tmp_path / "_loops.so"
-    headers = f"-I{sysconfig.get_path('include')}"
-    plain = [compiler, "-std=c11", "-ffp-contract=off", "-w", "-shared", "-fPIC", "-DONE_PROCESSOR", headers]
-    subprocess.run([*plain, *options, str(SOURCE), "-o", str(library), "-lm"], check=True)
-    loader = ExtensionFileLoader("_loops", str(library))
-    specification = spec_from_loader("_loops", loader)
-    assert specification is not None
-    other = module_from_spec(specification)
+    other = compiled_otherwise("truth/_loops", tmp_path, *otherwise)
     mesh = Mesh(67)
 
     def results() -> list[Any]:
@@ -555,6 +538,11 @@ def test_for_other_processors_and_unoptimised_the_bits_are_the_same(
     monkeypatch.setattr(by_loops, "loops", other)
     for found, wanted in zip(results(), expected, strict=True):
         assert np.array_equal(found, wanted, equal_nan=np.asarray(wanted).dtype != np.bool_)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="asks Linux what the processor has")
+def test_the_loops_use_the_widest_vectors_that_the_processor_has() -> None:
+    assert _loops.VECTOR_BITS == _kernel.VECTOR_BITS == bits_here()
 
 
 def int32(*values: int) -> Int32Array:

@@ -41,8 +41,10 @@ PyMODINIT_FUNC PyInit__kernel(void)
     PyObject *module = PyModule_Create(&definition);
     if (module == NULL)
         return NULL;
+    vector_bits = find_vector_bits();
     collision_error = PyErr_NewException("skinbake.gradients._kernel.CollisionError", PyExc_RuntimeError, NULL);
     if (collision_error == NULL || PyModule_AddObjectRef(module, "CollisionError", collision_error) < 0 ||
+        PyModule_AddIntConstant(module, "VECTOR_BITS", vector_bits) < 0 ||
         PyModule_AddIntConstant(module, "BY_MAX", BY_MAX) < 0 ||
         PyModule_AddIntConstant(module, "BY_ANGLE", BY_ANGLE) < 0 ||
         PyModule_AddIntConstant(module, "BY_AREA", BY_AREA) < 0 ||

@@ -11,6 +11,8 @@ import numpy.typing as npt
 
 from skinbake.geometry.skinned import FloatArray
 
+VECTOR_BITS: Final[int]
+"""128, 256 with AVX2, 512 with AVX-512: what the processor and the system have. Results are the same bits."""
 BY_MAX: Final[int]
 BY_ANGLE: Final[int]
 BY_AREA: Final[int]

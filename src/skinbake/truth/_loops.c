@@ -43,4 +43,11 @@ static struct PyModuleDef definition = {
     PyModuleDef_HEAD_INIT, "_loops", "Compiled loops; see _loops.pyi.", -1, functions, NULL, NULL, NULL, NULL,
 };
 
-PyMODINIT_FUNC PyInit__loops(void) { return PyModule_Create(&definition); }
+PyMODINIT_FUNC PyInit__loops(void)
+{
+    PyObject *module = PyModule_Create(&definition);
+    vector_bits = find_vector_bits();
+    if (module != NULL && PyModule_AddIntConstant(module, "VECTOR_BITS", vector_bits) < 0)
+        Py_CLEAR(module);
+    return module;
+}

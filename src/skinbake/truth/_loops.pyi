@@ -4,10 +4,15 @@ B vertices of a block, V all vertices, P poses, C weld classes, T triangles, U t
 TypeError for another element type, ValueError for another shape, IndexError for an index out of range.
 """
 
+from typing import Final
+
 import numpy as np
 import numpy.typing as npt
 
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray
+
+VECTOR_BITS: Final[int]
+"""As in ``gradients/_kernel.pyi``."""
 
 def blend(
     joints: npt.NDArray[np.int32],

@@ -11,22 +11,12 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "../../processors.h"
+
 #if defined(_MSC_VER)
-#define ALWAYS_INLINE __forceinline
 #define PREFETCH(address) ((void)0)
 #else
-#define ALWAYS_INLINE inline __attribute__((always_inline))
 #define PREFETCH(address) __builtin_prefetch(address)
-#endif
-
-/* Compiled twice, for processors with 256-bit vectors and for the others. The results are the same bits. */
-#if defined(__x86_64__) && defined(__GLIBC__) && defined(__has_attribute)
-#if __has_attribute(target_clones)
-#define FOR_PROCESSORS __attribute__((target_clones("avx2", "default")))
-#endif
-#endif
-#ifndef FOR_PROCESSORS
-#define FOR_PROCESSORS
 #endif
 
 /* ---- Status -------------------------------------------------------------------------------------------- */

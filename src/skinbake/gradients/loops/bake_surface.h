@@ -108,8 +108,7 @@ static ALWAYS_INLINE Status bake_classes(Work *work, Shape shape)
 }
 
 /* Copies of the loop for the usual cases. They need not check types and counts for each vertex. */
-FOR_PROCESSORS
-static Status bake_all_classes(Work *work)
+FOR_PROCESSORS(Status, bake_all_classes, (Work *work), (work))
 {
     const size_t slots = (size_t)work->surface->slots;
     const int wide = work->surface->wide_positions, fits = work->surface->parents != NULL;

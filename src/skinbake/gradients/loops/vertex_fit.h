@@ -387,8 +387,9 @@ static ALWAYS_INLINE void fit_unknowns(const Surface *s, size_t unknowns, Vector
 }
 
 /* Fit the gradients by slot of one vertex to the rig. */
-FOR_PROCESSORS
-static void fit_vertex(const Surface *s, size_t vertex, size_t turnings, const Vector *position, Scratch *w)
+FOR_PROCESSORS(void, fit_vertex,
+               (const Surface *s, size_t vertex, size_t turnings, const Vector *position, Scratch *w),
+               (s, vertex, turnings, position, w))
 {
     Fitted fitted;
     int chosen = s->slots == 4 ? choose_slots(s, 4, vertex, w, &fitted)

@@ -15,8 +15,9 @@ static const Requirement angle_arrays[ANGLE_ARRAYS] = {
     [ANGLES] = {"angles", "f", "UBP", WRITTEN},
 };
 
-FOR_WIDE_PROCESSORS
-static void find_angles(Components measured, const double *expected, float *angles, Py_ssize_t truths, Py_ssize_t size)
+FOR_WIDE_PROCESSORS(void, find_angles,
+                    (Components measured, const double *expected, float *angles, Py_ssize_t truths, Py_ssize_t size),
+                    (measured, expected, angles, truths, size))
 {
     Strip x, y, z;
     float ratios[STRIP];

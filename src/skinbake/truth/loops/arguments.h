@@ -12,30 +12,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#if defined(_MSC_VER)
-#define ALWAYS_INLINE __forceinline
-#else
-#define ALWAYS_INLINE inline __attribute__((always_inline))
-#endif
-
-/* Compiled twice, for processors with 256-bit vectors and for the others. The results are the same bits. Tests compile
-   for ONE_PROCESSOR alone. */
-#if defined(__x86_64__) && defined(__GLIBC__) && defined(__has_attribute) && !defined(ONE_PROCESSOR)
-#if __has_attribute(target_clones)
-#define FOR_PROCESSORS __attribute__((target_clones("avx2", "default")))
-#endif
-#endif
-#ifndef FOR_PROCESSORS
-#define FOR_PROCESSORS
-#endif
-
-/* Compiled three times: for processors with AVX-512, too, which have twice the registers. The loops with this mark
-   then take 0.7 to 0.85 of the time. Others gain nothing, or GCC 12 makes them several times slower. */
-#if defined(__x86_64__) && defined(__GLIBC__) && !defined(__clang__) && __GNUC__ >= 12 && !defined(ONE_PROCESSOR)
-#define FOR_WIDE_PROCESSORS __attribute__((target_clones("arch=x86-64-v4", "avx2", "default")))
-#else
-#define FOR_WIDE_PROCESSORS FOR_PROCESSORS
-#endif
+#include "../../processors.h"
 
 /* What an argument must be. kinds: f d floats, i int32, q int64, ? bytes. shape: a digit is a size, a letter
    is an axis, which has one size in all arrays of a call. */

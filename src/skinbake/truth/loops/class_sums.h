@@ -178,8 +178,7 @@ static ALWAYS_INLINE void store_totals(const Sums *s, Py_ssize_t row, Py_ssize_t
 
 /* Sum up the triangles that the classes in work meet, which are given in ascending order. So each class has its
    terms in the same order, no matter which other classes are in work. */
-FOR_WIDE_PROCESSORS
-static int sum_classes(const Sums *s)
+FOR_WIDE_PROCESSORS(int, sum_classes, (const Sums *s), (s))
 {
     const Py_ssize_t rows = 3 * s->class_count;
     for (Py_ssize_t first = 0; first < s->poses; first += s->width) {

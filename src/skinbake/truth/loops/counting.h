@@ -94,8 +94,7 @@ static ALWAYS_INLINE double sum_row(const float *errors, Py_ssize_t poses, float
     return total;
 }
 
-FOR_PROCESSORS
-static Counted count_rows(const Counting *c)
+FOR_PROCESSORS(Counted, count_rows, (const Counting *c), (c))
 {
     Counted n = {.largest = -1.0f};
     for (Py_ssize_t row = 0; row < c->block; row++) {

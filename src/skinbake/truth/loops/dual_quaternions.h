@@ -294,8 +294,7 @@ static ALWAYS_INLINE void put_normals(const Dqs *s, const Posing *at, Mix mixes,
     }
 }
 
-FOR_WIDE_PROCESSORS
-static int move_by_dqs(const Dqs *s)
+FOR_WIDE_PROCESSORS(int, move_by_dqs, (const Dqs *s), (s))
 {
     Mix mix;
     for (Py_ssize_t row = 0; row < s->rows; row++) {
@@ -318,8 +317,7 @@ static int move_by_dqs(const Dqs *s)
     return 0;
 }
 
-FOR_WIDE_PROCESSORS
-static int turn_by_dqs(const Dqs *s)
+FOR_WIDE_PROCESSORS(int, turn_by_dqs, (const Dqs *s), (s))
 {
     Mix mix;
     Along t, b;

@@ -95,8 +95,7 @@ typedef struct {
     Py_ssize_t poses, all_rows, first_row;
 } Blend;
 
-FOR_PROCESSORS
-static int blend_rows(const Blend *b)
+FOR_PROCESSORS(int, blend_rows, (const Blend *b), (b))
 {
     Strips found;
     for (Py_ssize_t form = 0; form < b->forms.count; form++)
@@ -191,8 +190,7 @@ static ALWAYS_INLINE int normals_of_forms(const BlendNormals *b, Py_ssize_t row,
     return 0;
 }
 
-FOR_PROCESSORS
-static int blend_normals_of_rows(const BlendNormals *b)
+FOR_PROCESSORS(int, blend_normals_of_rows, (const BlendNormals *b), (b))
 {
     Strips forms[3];
     const Py_ssize_t rows = b->forms.rows;

@@ -166,8 +166,7 @@ static ALWAYS_INLINE void put_scaled_normals(const Dqs *s, const Posing *at, Sca
     }
 }
 
-FOR_WIDE_PROCESSORS
-static int move_scaled(const Dqs *s)
+FOR_WIDE_PROCESSORS(int, move_scaled, (const Dqs *s), (s))
 {
     ScaledMix mix;
     for (Py_ssize_t row = 0; row < s->rows; row++) {
@@ -188,8 +187,7 @@ static int move_scaled(const Dqs *s)
     return 0;
 }
 
-FOR_WIDE_PROCESSORS
-static int turn_scaled(const Dqs *s)
+FOR_WIDE_PROCESSORS(int, turn_scaled, (const Dqs *s), (s))
 {
     ScaledMix mix;
     ScaledAlong along[2];

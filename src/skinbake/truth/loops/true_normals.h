@@ -146,8 +146,7 @@ static ALWAYS_INLINE int normals_of_strip(const TrueNormals *w, Py_ssize_t row, 
     return 0;
 }
 
-FOR_PROCESSORS
-static int normals_of_block(const TrueNormals *w)
+FOR_PROCESSORS(int, normals_of_block, (const TrueNormals *w), (w))
 {
     for (Py_ssize_t row = 0; row < w->block; row++)
         for (Py_ssize_t first = 0; first < w->poses; first += STRIP)
