@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import html
 import os
+import re
 import shutil
 from collections.abc import Iterator
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
 from typing import Any, ClassVar
+from urllib.error import HTTPError
+from urllib.request import urlopen
 from zipfile import ZipFile
 
 import pytest
+from fsspec import AbstractFileSystem
 from fsspec.implementations.memory import MemoryFileSystem
 
 from skinbake.cli import exit_codes
@@ -18,7 +26,7 @@ from skinbake.jobs.remote import dask_runner
 from skinbake.jobs.remote.storages import expand_url
 from tests.support.command_line import document, invoke
 from tests.support.libraries import filesystem, stored, tree, upload, write_library
-from tests.support.models import FOLDER, copied, edited
+from tests.support.models import FOLDER, SHARED, copied, edited
 
 
 @pytest.fixture(autouse=True)
@@ -279,6 +287,72 @@ def test_names_of_a_web_server_are_decoded(monkeypatch: pytest.MonkeyPatch) -> N
     }
     assert expand_url("https://host/my%20hero.glb") == [("https://host/my%20hero.glb", "my hero.glb")]
     assert expand_url("s3://host/my%20hero.glb") == [("s3://host/my%20hero.glb", "my%20hero.glb")]
+
+
+class PlainWeb(AbstractFileSystem):  # type: ignore[misc]  # fsspec is untyped
+    """Files behind a real web server. As with the driver of fsspec, paths are URLs, sent as they are."""
+
+    protocol = ("http", "https")
+
+    @classmethod
+    def _strip_protocol(cls, path: str) -> str:
+        return path
+
+    def find(self, path: str, **_: Any) -> list[str]:
+        listed = re.findall('href="([^"?]+)"', self.cat_file(f"{path.rstrip('/')}/").decode("utf-8"))
+        names = [f"{path.rstrip('/')}/{html.unescape(name)}" for name in listed]
+        return [one for name in names for one in (self.find(name) if name.endswith("/") else [name])]
+
+    def cat_file(self, path: str, *_: Any, **__: Any) -> bytes:
+        try:
+            with urlopen(path, timeout=60) as answer:
+                content: bytes = answer.read()
+        except HTTPError as error:
+            raise FileNotFoundError(path) from error
+        return content
+
+    def get_file(self, path: str, to: str, **_: Any) -> None:
+        Path(to).write_bytes(self.cat_file(path))
+
+    def info(self, path: str, **_: Any) -> dict[str, Any]:
+        return {"name": path, "type": "file", "size": len(self.cat_file(path))}
+
+
+def test_a_folder_of_a_web_server_is_baked_as_one_of_this_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Names of documents, and names in documents, hold what a URL holds only percent-encoded."""
+    models = tmp_path / "www" / "my art" / "ü"
+    models.parent.mkdir(parents=True)
+    uris = ["skins/skin%20%231.png", "skins/%C3%BC%20%25.png", "skins/per%41.png", "skins/plain.png"]
+    source = edited(SHARED, models, lambda content: content.update(images=[{"uri": uri} for uri in uris]))
+    source.rename(models / "sh ared #1.gltf")
+    (models / "skins").mkdir()
+    for name in ("skin #1.png", "ü %.png", "per%41.png", "plain.png"):
+        (models / "skins" / name).write_bytes(b"\x89PNG\r\n\x1a\n" + name.encode())
+    for name in ("a b.glb", "100%.glb", "%41.glb", "it's (1).glb", "a&b=c;d.glb", "e+f.glb"):
+        shutil.copyfile(FOLDER / "seam.glb", models.parent / name)
+
+    class Quiet(SimpleHTTPRequestHandler):
+        def log_message(self, *_: object) -> None:
+            pass
+
+    here = partial(Quiet, directory=str(tmp_path / "www"))
+    with ThreadingHTTPServer(("127.0.0.1", 0), here) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        monkeypatch.setattr("fsspec.core.url_to_fs", lambda url: (PlainWeb(), url))
+        url = f"http://127.0.0.1:{server.server_port}/my%20art"
+        for given, folder in ((url, "web"), (tmp_path / "www" / "my art", "disk")):
+            result = invoke("bake", given, "--out-dir", tmp_path / folder)
+            assert result.exit_code == 0, result.stderr
+        packed = invoke(
+            "bake", f"{url}/%C3%BC/sh%20ared%20%231.gltf", "--pack", "-o", tmp_path / "packed.glb"
+        )
+        server.shutdown()
+    assert tree(tmp_path / "web") == tree(tmp_path / "disk")
+    assert len(tree(tmp_path / "web")) == 13
+    assert packed.exit_code == 0, packed.stderr
+    assert b"skin #1.png" in (tmp_path / "packed.glb").read_bytes()
 
 
 @pytest.mark.parametrize("chain", ["simplecache", "filecache", "blockcache", "cached", "simplecache::cached"])

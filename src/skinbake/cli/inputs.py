@@ -39,8 +39,10 @@ class Input(NamedTuple):
 
     @property
     def root(self) -> str:
-        """The folder at which ``kept`` starts."""
-        return self.source[: len(self.source) - len(self.kept)] if self.source.endswith(self.kept) else ""
+        """The folder at which ``kept`` starts. A URL may have ``kept`` percent-encoded."""
+        if self.source.endswith(self.kept):
+            return self.source.removesuffix(self.kept)
+        return f"{self.source.rsplit('/', self.kept.count('/') + 1)[0]}/" if is_url(self.source) else ""
 
 
 def expanded(arguments: Sequence[str], *, but: str | None = None) -> list[Input]:
@@ -134,9 +136,9 @@ class _Search:
         path = on_disk(url)
         if path is None or url.lower().endswith(SUFFIXES):
             try:
+                found = [self._input(file, kept) for file, kept in behind(url, self._but)]
                 return [
-                    self._input(file, kept, None, None if file == url else file.removesuffix(kept))
-                    for file, kept in behind(url, self._but)
+                    entry if entry.source == url else entry._replace(searched=entry.root) for entry in found
                 ]
             except InputError as error:
                 return [self._input(url, url, error.message)]

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Protocol
-from urllib.parse import unquote, urlsplit
+from urllib.parse import quote, unquote, urlsplit
 
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
 from skinbake.files.bounds import is_relative
@@ -47,11 +47,17 @@ class Storage(Protocol):
 
 
 class UrlStorage:
-    """The files that one fsspec filesystem reaches. Their paths begin with ``root``."""
+    """The files that one fsspec filesystem reaches. Their paths begin with ``root``.
 
-    def __init__(self, filesystem: AbstractFileSystem, root: str) -> None:
+    Names of a web server are decoded. ``spelled`` are the URLs of names that a user has given.
+    """
+
+    def __init__(
+        self, filesystem: AbstractFileSystem, root: str, spelled: Mapping[str, str] | None = None
+    ) -> None:
         self._filesystem = filesystem
         self._root = root
+        self._spelled = spelled or {}
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, UrlStorage):
@@ -61,29 +67,36 @@ class UrlStorage:
     def __hash__(self) -> int:
         return hash(self._root)
 
+    def _path(self, name: str) -> str:
+        """Return the driver's path of a file."""
+        if name in self._spelled or not _is_web(self._root):
+            return self._spelled.get(name, self._root + name)
+        host, slash, path = name.partition("/")
+        return self._root + host + slash + quote(path)
+
     def fetch_file(self, name: str, to: Path) -> None:
         """Copy a file here. Raises FileNotFoundError if there is none."""
-        self._filesystem.get_file(self._root + name, str(to))
+        self._filesystem.get_file(self._path(name), str(to))
         if not to.is_file():  # drivers copy a folder as a folder
             raise FileNotFoundError(name)
 
     def has_file(self, name: str) -> bool:
         """Tell whether there is such a file."""
         try:
-            return bool(self._filesystem.info(self._root + name)["type"] == "file")
+            return bool(self._filesystem.info(self._path(name))["type"] == "file")
         except FileNotFoundError:
             return False
 
     def has_content(self, name: str, content: Path) -> bool:
         """Tell whether an existing file has the content of the file at ``content``."""
-        path = self._root + name
+        path = self._path(name)
         if self._filesystem.size(path) != content.stat().st_size:
             return False
         return bool(self._filesystem.cat_file(path) == content.read_bytes())
 
     def store_file(self, name: str, content: Path) -> None:
         """Store a file whole or not at all, in place of one of that name; folders are made."""
-        path = self._root + name
+        path = self._path(name)
         if _is_object_store(self._filesystem):
             self._filesystem.put_file(str(content), path)
             return
@@ -112,7 +125,7 @@ class UrlStorage:
 
     def public_name(self, name: str) -> str:
         """Return the file's URL."""
-        return str(self._filesystem.unstrip_protocol(self._root + name))
+        return str(self._filesystem.unstrip_protocol(self._path(name)))
 
 
 def storage_of(url: str) -> tuple[UrlStorage | None, str]:
@@ -127,7 +140,8 @@ def storage_of(url: str) -> tuple[UrlStorage | None, str]:
     root = scheme.group() if scheme else path[: len(path) - len(path.lstrip("/"))]
     if _is_object_store(filesystem):  # no relative URI leads into another bucket
         root = path[: path.find("/") + 1]
-    return UrlStorage(filesystem, root), path[len(root) :]
+    name = _decoded(url, path[len(root) :])
+    return UrlStorage(filesystem, root, {name: path}), name
 
 
 def _filesystem(url: str) -> tuple[AbstractFileSystem, str]:
@@ -243,10 +257,14 @@ def expand_url(url: str) -> list[tuple[str, str]]:
 
 def _decoded(url: str, name: str) -> str:
     """Return the relative path of an HTTP URL, each part decoded where that leaves a name."""
-    if urlsplit(file_part(url)).scheme.lower() not in {"http", "https"}:
+    if not _is_web(file_part(url)):
         return name
     parts = [(part, unquote(part)) for part in name.split("/")]
     return "/".join(clear if is_relative(part) and "/" not in clear else part for part, clear in parts)
+
+
+def _is_web(url: str) -> bool:
+    return urlsplit(url).scheme.lower() in {"http", "https"}
 
 
 def _is_wanted(parts: Sequence[str], *, dots: bool) -> bool:
