@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from skinbake.errors import OutputError
+from skinbake.gltf.copies import NAME as NOTES
 from tests.support.command_line import invoke
 from tests.support.models import FOLDER, bake
 
@@ -38,7 +39,7 @@ def test_missing_folders_are_made(
     monkeypatch.chdir(tmp_path / "here")
     result = invoke(*(argument.format(baked=tmp_path / "baked.glb") for argument in arguments))
     assert result.exit_code == 0, result.output
-    made = {name for name in names(tmp_path) if not name.endswith(".bin")}
+    made = {name for name in names(tmp_path) if not name.endswith((".bin", NOTES))}
     out = Path(arguments[-1]).name
     assert made == {"baked.glb", "here", "here/new", "here/new/deep", f"here/new/deep/{out}"}
 

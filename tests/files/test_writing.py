@@ -6,6 +6,7 @@ import ctypes
 import errno
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -435,10 +436,11 @@ class TestTaken:
         assert contents(tmp_path) == {"t": b"2"}
 
     def test_an_output_is_planned_anew_where_a_name_was_taken(self, tmp_path: Path) -> None:
-        """hero.bin is free when both plan, and the other run is faster."""
+        """hero.bin is free when both plan, and the other run is faster. Its target is replaced at last."""
         target = tmp_path / "hero.gltf"
         mine = self.planned(SEAM, target)
         self.planned(TUBE, target).write()
+        shutil.copyfile(target, tmp_path / "copy.gltf")
         others_bin = (tmp_path / "hero.bin").read_bytes()
         written = mine.write()
         assert (tmp_path / "hero.bin").read_bytes() == others_bin

@@ -15,7 +15,7 @@ from urllib.parse import unquote
 import pytest
 
 from tests.support.command_line import document, invoke
-from tests.support.models import SHARED, SHARED_BIN, edited
+from tests.support.models import FOLDER, SHARED, SHARED_BIN, edited
 from tests.support.tools import required_program
 
 PICTURE, PLAIN = "skins/skin #1.png", "prop.gltf"
@@ -141,6 +141,27 @@ class TestOneSource:
                 assert result.exit_code == 0, result.stderr
             assert files(here / "build") == files(here / "clean")
 
+    def test_the_binary_part_of_a_glb_is_replaced(self, here: Path) -> None:
+        """The buffer beside the target is that of a file too, which holds it."""
+        shutil.copyfile(FOLDER / "seam.glb", "art/hero.glb")
+        for number in range(3):
+            if number:
+                data = bytearray(Path("art/hero.glb").read_bytes())
+                data[-40] ^= number  # the lowest bits of a number
+                Path("art/hero.glb").write_bytes(data)
+            shutil.rmtree("clean", ignore_errors=True)
+            for folder in ("build", "clean"):
+                bake(f"{folder}/hero.gltf", source="art/hero.glb")
+            assert files(here / "build") == files(here / "clean")
+
+    def test_gradients_of_a_removed_target_are_replaced(self, here: Path) -> None:
+        bake("build/hero.gltf")
+        Path("build/hero.gltf").unlink()
+        shutil.rmtree("clean", ignore_errors=True)
+        for folder in ("build", "clean"):
+            bake(f"{folder}/hero.gltf", "--encoding", "snorm16")
+        assert files(here / "build") == files(here / "clean")
+
     def test_a_removed_copy_is_made_again(self, here: Path) -> None:
         call = ["bake", "art", "--out-dir", "build", "--skip-unchanged", "--json"]
         assert invoke(*call).exit_code == 0
@@ -173,6 +194,30 @@ class TestTwoSources:
         for name in ("hero.gltf", PLAIN):
             bake(f"clean/{name}", source=f"art/{name}")
         assert files(here / "build") == files(here / "clean")
+
+    def test_files_of_one_name_in_two_folders_are_replaced(self, here: Path) -> None:
+        """Each target names a file of that name, and another target notes it."""
+        content = json.loads(Path("art/hero.gltf").read_text("utf-8"))
+        for number, name in enumerate(("hero", "villain")):
+            (here / "art" / name).mkdir()
+            shutil.copyfile(Path("art", SHARED_BIN), f"art/{name}/mesh.bin")
+            change(Path(f"art/{name}/mesh.bin"), number)
+            Path(f"art/{name}/skin.png").write_bytes(name.encode())
+            content["buffers"] = [
+                one if one["uri"].startswith("data:") else {**one, "uri": f"{name}/mesh.bin"}
+                for one in content["buffers"]
+            ]
+            content["images"] = [{"uri": f"{name}/skin.png"}]
+            Path(f"art/{name}.gltf").write_text(json.dumps(content), encoding="utf-8")
+        for number in range(3):
+            if number:
+                change(Path("art/hero/mesh.bin"), number)
+                Path("art/hero/skin.png").write_bytes(bytes([number]))
+            shutil.rmtree("clean", ignore_errors=True)
+            for folder in ("build", "clean"):
+                for name in ("hero", "villain"):
+                    bake(f"{folder}/{name}.gltf", source=f"art/{name}.gltf")
+            assert files(here / "build") == files(here / "clean")
 
     def test_a_shared_picture_stays_when_one_of_two_sources_loses_it(self, here: Path) -> None:
         for name in ("hero.gltf", PLAIN):
@@ -244,6 +289,43 @@ class TestForeignFiles:
         kept = {name for name in before if name not in {"hero.gltf", NOTES, f"skins/{NOTES}"}}
         assert {name: before[name] for name in kept} == {name: after[name] for name in kept}
 
+    @pytest.mark.parametrize(
+        "uri",
+        [
+            '"skins/é%20(1).png"',
+            '"skins/%C3%A9%20%281%29.png"',
+            '"skins/%c3%a9%20(1).png"',
+            '"skins/\\u00E9 (1).png"',
+            '"./../build/skins/é (1).png"',
+        ],
+    )
+    def test_a_copy_that_another_document_spells_otherwise(self, uri: str, here: Path) -> None:
+        Path("art", PICTURE).rename("art/skins/é (1).png")
+        text = Path("art/hero.gltf").read_text("utf-8").replace("skin%20%231", "%C3%A9%20(1)")
+        Path("art/hero.gltf").write_text(text, encoding="utf-8")
+        bake("build/hero.gltf")
+        before = Path("build/skins/é (1).png").read_bytes()
+        head = '{"asset": {"version": "2.0"}, "images": [{"uri":'
+        Path("build/other.gltf").write_text(f"{head} {uri}}}]}}", encoding="utf-8")
+        Path("art/skins/é (1).png").write_bytes(b"new")
+        bake("build/hero.gltf")
+        assert Path("build/skins/é (1).png").read_bytes() == before
+
+    def test_a_document_that_names_no_file_of_ours_is_no_hindrance(self, here: Path) -> None:
+        """It has an image of that name in itself, and a file of that name in another folder."""
+        other = {
+            "asset": {"version": "2.0"},
+            "images": [{"name": "skin #1.png", "bufferView": 0}, {"uri": "other/skin%20%231.png"}],
+        }
+        for folder in ("build", "clean"):
+            Path(folder).mkdir()
+            Path(folder, "other.gltf").write_text(json.dumps(other), encoding="utf-8")
+        bake("build/hero.gltf")
+        EDITS["both"](1)
+        for folder in ("build", "clean"):
+            bake(f"{folder}/hero.gltf")
+        assert files(here / "build") == files(here / "clean")
+
     @pytest.mark.parametrize("link", ["symbolic", "hard"])
     def test_a_link_in_place_of_a_copy(self, link: str, here: Path) -> None:
         bake("build/hero.gltf")
@@ -293,7 +375,7 @@ class TestForeignFiles:
     def test_notes_of_a_file_with_other_content(self, here: Path) -> None:
         bake("build/hero.gltf")
         notes = json.loads(Path("build", NOTES).read_text("utf-8"))
-        (one,) = notes["files"].values()
+        one = notes["files"][SHARED_BIN]
         for name in ("precious.bin", "../precious.bin"):
             notes["files"][name] = one
             (here / "build" / name).write_bytes(b"mine")

@@ -24,7 +24,7 @@ from skinbake.files.bounds import (
 )
 from skinbake.files.versions import Signature, signature_of
 from skinbake.gltf.additions import content_digest
-from skinbake.gltf.copies import Copies
+from skinbake.gltf.copies import GRADIENTS, Copies
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.resources import FileContent, find, is_data_uri, listed, outside, shortened
@@ -191,8 +191,14 @@ class Beside:
             self._files[path] = pieces
         else:
             self._serving[path] = before if free == name else signature_of(path)
-        if self._copies is not None and isinstance(pieces, FileContent):
-            source, plain = pieces.file.path, Path(self._path(name))
+        # A buffer of α and β beside its source is known by its name, and by the former target.
+        is_noted = (
+            isinstance(pieces, FileContent) or self._home != self._folder or not GRADIENTS.fullmatch(name)
+        )
+        if self._copies is not None and is_noted:
+            made_of = self._home / Path(self._document.name).name
+            source = pieces.file.path if isinstance(pieces, FileContent) else str(made_of)
+            plain = Path(self._path(name))
             self._copies.used[path] = source
             taken = free == name or plain in self._files or plain in self._copies.replacing
             if not taken and self._copies.is_replaceable(plain, source, is_buffer=is_buffer):

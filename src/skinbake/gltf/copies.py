@@ -23,7 +23,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from urllib.parse import quote
+from typing import Any
+from urllib.parse import unquote_to_bytes
 
 from skinbake.errors import SkinbakeError
 from skinbake.files import Bytes
@@ -32,6 +33,7 @@ from skinbake.files.folders import Folder, beneath, check_regular, open_beneath
 from skinbake.files.temporary import temporary_name
 from skinbake.files.versions import DIGITS, signature_of
 from skinbake.files.writing import locked, write_files
+from skinbake.gltf import json_text
 from skinbake.gltf.document import GLTF_SUFFIX, Document, read_document
 from skinbake.gltf.resources import FileContent
 from skinbake.signals import interrupts_put_off
@@ -326,15 +328,47 @@ def _digest(path: Path) -> str | None:
 
 
 def _is_named(path: Path, folders: set[Path], known: set[Path]) -> bool:
-    """Tell whether a document in some folders, but none of the known ones, may name a file."""
-    spellings = {os.fsencode(path.name), quote(os.fsencode(path.name)).encode("ascii")}
-    spellings.add(json.dumps(path.name)[1:-1].encode("ascii"))
+    """Tell whether a document in some folders, but none of the known ones, names a file that is there.
+
+    A document that holds the name, and cannot be read, counts as one that does.
+    """
+    spellings = {os.fsencode(path.name).lower(), json.dumps(path.name)[1:-1].encode("ascii").lower()}
     for folder in folders:
         with os.scandir(folder) as entries:
             documents = [Path(entry.path) for entry in entries if Path(entry.name).suffix.lower() in SUFFIXES]
         for document in documents:
             text = b"" if document in known else _json_of(document)
-            if text is None or any(spelling in text for spelling in spellings):
+            if text is None:
+                return True
+            # Few documents hold the name in any spelling. Only these are parsed.
+            texts = text.lower(), unquote_to_bytes(text).lower()
+            if any(spelling in one for spelling in spellings for one in texts):
+                try:
+                    values = [json_text.parsed(str(text, "utf-8-sig"))]
+                except ValueError:
+                    return True
+                if any(_leads_to(uri, folder, path) for uri in _uris(values)):
+                    return True
+    return False
+
+
+def _uris(values: list[Any]) -> Iterator[str]:
+    """Yield the members ``uri`` of JSON values, at any depth. The list is empty afterwards."""
+    while values:
+        value = values.pop()
+        if isinstance(value, dict):
+            if isinstance(uri := value.get("uri"), str):
+                yield uri
+            value = list(value.values())
+        if isinstance(value, list):
+            values += value
+
+
+def _leads_to(uri: str, folder: Path, path: Path) -> bool:
+    """Tell whether a URI of a document in a folder leads to a file."""
+    for name in relative_names(uri) if is_relative(uri) else ():
+        with suppress(OSError):
+            if path.samefile(folder / name):
                 return True
     return False
 
