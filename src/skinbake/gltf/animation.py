@@ -120,9 +120,10 @@ class Skeleton:
         local = poses.composed(*parts)
         for position, matrix in self.matrices.items():
             local[position] = matrix
-        for position, node in enumerate(self.nodes):
-            if (node, TURN) in animated:
-                local[position, :, :3, :3] @= poses.rotation_matrices(animated[node, TURN])
+        turning = [position for position, node in enumerate(self.nodes) if (node, TURN) in animated]
+        if turning:
+            turns = np.stack([animated[self.nodes[position], TURN] for position in turning])
+            local[turning, :, :3, :3] = local[turning, :, :3, :3] @ poses.rotation_matrices(turns)
         if turned is not None:
             extra = np.zeros((*turned.shape[:2], 4, 4))
             extra[..., :3, :3] = poses.rotation_matrices(turned)
