@@ -241,12 +241,16 @@ vec3 skinbake_over(vec4 a, vec4 divisor)
 #ifndef SKINBAKE_SCALED_MOTION
 #define SKINBAKE_SCALED_MOTION
 // The unit quaternion of the rotation R in the polar decomposition M = R S, or in that of -M where M mirrors, by Newton's
-// iteration (Higham 1986). No rotation where M flattens.
+// iteration (Higham 1986). A joint that flattens does not mirror. One that leaves a line or a point does not turn.
 vec4 skinbake_turn(mat3 M)
 {
-    float volume = dot(cross(M[0], M[1]), M[2]);
-    if (volume == 0.0) return vec4(0.0, 0.0, 0.0, 1.0);
-    mat3 R = M * (sign(volume) / pow(abs(volume), 1.0 / 3.0));
+    mat3 R = M * (1.0 / max(sqrt(dot(M[0], M[0]) + dot(M[1], M[1]) + dot(M[2], M[2])), 1e-30));
+    mat3 C = mat3(cross(R[1], R[2]), cross(R[2], R[0]), cross(R[0], R[1]));
+    float area = sqrt(dot(C[0], C[0]) + dot(C[1], C[1]) + dot(C[2], C[2]));
+    if (area <= 1e-6) return vec4(0.0, 0.0, 0.0, 1.0);
+    // The cofactors have the same rotation, and an extent where M has none.
+    R = R * (dot(R[0], C[0]) < -1e-6 * area ? -1.0 : 1.0) + C * (1.0 / area);
+    R = R * (1.0 / pow(dot(cross(R[0], R[1]), R[2]), 1.0 / 3.0));
     for (int i = 0; i < 12; i++) {
         // The volume is at least 1, so the squares sum to 3 where R is a rotation.
         bool is_near = dot(R[0], R[0]) + dot(R[1], R[1]) + dot(R[2], R[2]) < 3.00001;
@@ -801,11 +805,16 @@ fn skinbake_over(a: vec4<f32>, divisor: vec4<f32>) -> vec3<f32> {
 }
 
 // The unit quaternion of the rotation R in the polar decomposition M = R S, or in that of -M where M mirrors, by Newton's
-// iteration (Higham 1986). No rotation where M flattens.
+// iteration (Higham 1986). A joint that flattens does not mirror. One that leaves a line or a point does not turn.
 fn skinbake_turn(M: mat4x4<f32>) -> vec4<f32> {
-    let volume = dot(cross(M[0].xyz, M[1].xyz), M[2].xyz);
-    if (volume == 0.0) { return vec4<f32>(0.0, 0.0, 0.0, 1.0); }
-    var R = mat3x3<f32>(M[0].xyz, M[1].xyz, M[2].xyz) * (sign(volume) / pow(abs(volume), 1.0 / 3.0));
+    var R = mat3x3<f32>(M[0].xyz, M[1].xyz, M[2].xyz);
+    R = R * (1.0 / max(sqrt(dot(R[0], R[0]) + dot(R[1], R[1]) + dot(R[2], R[2])), 1e-30));
+    let C = mat3x3<f32>(cross(R[1], R[2]), cross(R[2], R[0]), cross(R[0], R[1]));
+    let area = sqrt(dot(C[0], C[0]) + dot(C[1], C[1]) + dot(C[2], C[2]));
+    if (area <= 1e-6) { return vec4<f32>(0.0, 0.0, 0.0, 1.0); }
+    // The cofactors have the same rotation, and an extent where M has none.
+    R = R * select(1.0, -1.0, dot(R[0], C[0]) < -1e-6 * area) + C * (1.0 / area);
+    R = R * (1.0 / pow(dot(cross(R[0], R[1]), R[2]), 1.0 / 3.0));
     for (var i = 0; i < 12; i++) {
         // The volume is at least 1, so the squares sum to 3 where R is a rotation.
         let is_near = dot(R[0], R[0]) + dot(R[1], R[1]) + dot(R[2], R[2]) < 3.00001;

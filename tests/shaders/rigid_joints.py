@@ -54,11 +54,17 @@ def assert_like_the_library(found: Single, given: Single) -> None:
 
 
 def stretched_matrices() -> Single:
-    """Matrices of any stretch, column by column, (R, 16): turned by any angle, every other mirrored."""
+    """Matrices of any stretch, column by column, (R, 16): turned by any angle, every other mirrored.
+
+    Some flatten, by a scale of 0 or nearly 0 along one axis or more, as clips do to hide a part.
+    """
     given = joint_matrices().reshape(-1, 4, 4)
     rng = np.random.default_rng(1)
     turns = np.linalg.qr(rng.normal(size=(len(given), 3, 3))).Q
-    stretches = np.einsum("nij,nj,nkj->nik", turns, rng.uniform(0.2, 3.0, (len(given), 3)), turns)
+    scales = rng.uniform(0.2, 3.0, (len(given), 3))
+    scales[100:200, 0], scales[200:300, 1], scales[300:400, 2] = 0.0, 1e-9, 1e-4
+    scales[400:440, :2] = scales[440:460] = 0.0
+    stretches = np.einsum("nij,nj,nkj->nik", turns, scales, turns)
     stretches[::2] *= -0.01
     # Columns are rows here: S acts first, so it stands on the left.
     given[:, :3, :3] = stretches @ given[:, :3, :3]

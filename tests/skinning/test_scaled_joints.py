@@ -110,9 +110,19 @@ def test_a_joint_that_flattens_does_not_turn_over(noise: float) -> None:
     np.testing.assert_allclose(polar_quaternions(np.diag([1.0, 2.0, noise])), [1, 0, 0, 0], atol=1e-12)
 
 
-def test_a_joint_without_extent_or_numbers_has_a_unit_rotation() -> None:
-    for matrix in (np.zeros((3, 3)), np.full((3, 3), np.nan)):
-        assert np.linalg.norm(polar_quaternions(matrix)) == pytest.approx(1.0)
+@pytest.mark.parametrize("scales", [(0, 0, 0), (0, 2, 0), (1e-9, 2, 1e-9)])
+@pytest.mark.parametrize("turn", [(1, 0, 0, 0), (0.5, 0.5, -0.5, 0.5)])
+def test_a_joint_that_leaves_a_line_or_a_point_does_not_turn(
+    scales: tuple[float, ...], turn: tuple[float, ...]
+) -> None:
+    """No rotation follows from it, and that of an arbitrary basis would jump from pose to pose."""
+    matrix = rotation_of(np.array(turn)) @ np.diag(scales)
+    np.testing.assert_array_equal(polar_quaternions(matrix), [1, 0, 0, 0])
+    np.testing.assert_array_equal(polar_quaternions(-matrix), [1, 0, 0, 0])
+
+
+def test_a_joint_without_numbers_does_not_turn() -> None:
+    np.testing.assert_array_equal(polar_quaternions(np.full((3, 3), np.nan)), [1, 0, 0, 0])
 
 
 def test_scaled_motions_hold_the_columns_times_the_rotation() -> None:

@@ -158,7 +158,8 @@ def polar_quaternions(linear: FloatArray) -> Float64Array:
 
     M = R S is the polar decomposition, with a rotation R and a symmetric S. If M mirrors, R is that of −M:
     then a mirror that all joints share turns all of them alike, and leaves their relative rotations. A matrix
-    that flattens has an R too, though not the only one. One that is not finite gets the identity.
+    that flattens has an R too: it does not mirror. One that leaves a line or a point has many, and one that
+    is not finite none: they get the identity.
     """
     matrices = np.asarray(linear, dtype=np.float64)
     finite = np.all(np.isfinite(matrices), axis=(-2, -1))[..., None, None]
@@ -168,7 +169,8 @@ def polar_quaternions(linear: FloatArray) -> Float64Array:
     # A joint that flattens does not mirror: its last axis may take either sign.
     signs = np.where((mirrors & ~flat)[..., None], -np.ones(3), np.ones(3))
     signs[..., 2] = np.where(mirrors, -1.0, 1.0)
-    return quaternions_from_rotations((left * signs[..., None, :]) @ right)
+    has_plane = finite & (stretches[..., 1] > FLATTENED * stretches[..., 0])[..., None, None]
+    return quaternions_from_rotations(np.where(has_plane, (left * signs[..., None, :]) @ right, np.eye(3)))
 
 
 def scaled_motions(joint_matrices: FloatArray) -> Float64Array:

@@ -414,14 +414,19 @@ class Pose:
 		return found
 
 	## A joint matrix as skinbake_ScaledMotion in the shader: four of moved, then turn, the rotation R in the polar
-	## decomposition M = R S, or in that of -M where M mirrors, by Newton's iteration (Higham 1986).
+	## decomposition M = R S, or in that of -M where M mirrors, by Newton's iteration (Higham 1986). A joint that flattens
+	## does not mirror. One that leaves a line or a point does not turn.
 	static func _motion(pose: Transform3D) -> Array[Vector4]:
 		var columns: Array[Vector3] = [pose.basis.x, pose.basis.y, pose.basis.z, pose.origin]
-		var volume := pose.basis.determinant()
+		var basis := _over(pose.basis, maxf(_length(pose.basis), 1e-30))
+		var cofactors := Basis(basis.y.cross(basis.z), basis.z.cross(basis.x), basis.x.cross(basis.y))
+		var area := _length(cofactors)
 		var turn := Quaternion.IDENTITY
-		if volume != 0.0:
-			var size := signf(volume) / pow(absf(volume), 1.0 / 3.0)
-			var basis := Basis(size * columns[0], size * columns[1], size * columns[2])
+		if area > 1e-6:
+			# The cofactors have the same rotation, and an extent where the matrix has none.
+			var side := -1.0 if basis.x.dot(cofactors.x) < -1e-6 * area else 1.0
+			basis = Basis(side * basis.x + cofactors.x / area, side * basis.y + cofactors.y / area, side * basis.z + cofactors.z / area)
+			basis = _over(basis, pow(basis.determinant(), 1.0 / 3.0))
 			for step in 12:
 				# The volume is at least 1, so the squares sum to 3 where it is a rotation.
 				var squares := basis.x.length_squared() + basis.y.length_squared() + basis.z.length_squared()
@@ -437,6 +442,12 @@ class Pose:
 			found.append(Vector4(moved.x, moved.y, moved.z, -column.dot(axis)))
 		found.append(Vector4(turn.x, turn.y, turn.z, turn.w))
 		return found
+
+	static func _length(basis: Basis) -> float:
+		return sqrt(basis.x.length_squared() + basis.y.length_squared() + basis.z.length_squared())
+
+	static func _over(basis: Basis, divisor: float) -> Basis:
+		return Basis(basis.x / divisor, basis.y / divisor, basis.z / divisor)
 
 	func _image() -> Image:
 		return Image.create_from_data(_width(), _bones.size(), false, Image.FORMAT_RGBAF, _values.to_byte_array())
