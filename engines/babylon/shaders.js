@@ -155,7 +155,8 @@ skinbake_Frame skinbake_moved_frame_by_normal(skinbake_Frame rest, vec3 n, vec4 
     vec3 t = rest.tangent + rest.tangent * m.x + rest.bitangent * m.y;
     vec3 b = rest.bitangent + rest.tangent * m.z + rest.bitangent * m.w;
     float cosine = dot(rest.normal, frame.normal);
-    bool steep = abs(cosine) < 0.2; // then m tells too little
+    // Then m tells too little, or of the other side of the surface.
+    bool steep = abs(cosine) < 0.2 || cosine * ((1.0 + m.x) * (1.0 + m.w) - m.y * m.z) <= 0.0;
     float k = steep ? 0.0 : 1.0 / cosine;
     frame.tangent = steep ? frame.tangent : t - rest.normal * (dot(t, frame.normal) * k);
     frame.bitangent = steep ? frame.bitangent : b - rest.normal * (dot(b, frame.normal) * k);
@@ -731,7 +732,8 @@ fn skinbake_moved_frame_by_normal(rest: skinbake_Frame, n: vec3<f32>, m: vec4<f3
     let t = rest.tangent + rest.tangent * m.x + rest.bitangent * m.y;
     let b = rest.bitangent + rest.tangent * m.z + rest.bitangent * m.w;
     let cosine = dot(rest.normal, frame.normal);
-    let steep = abs(cosine) < 0.2; // then m tells too little
+    // Then m tells too little, or of the other side of the surface.
+    let steep = abs(cosine) < 0.2 || cosine * ((1.0 + m.x) * (1.0 + m.w) - m.y * m.z) <= 0.0;
     let k = select(1.0 / cosine, 0.0, steep);
     frame.tangent = select(t - rest.normal * (dot(t, frame.normal) * k), frame.tangent, steep);
     frame.bitangent = select(b - rest.normal * (dot(b, frame.normal) * k), frame.bitangent, steep);

@@ -377,7 +377,9 @@ function movedFrame(mesh, rest, byNormal, place) {
     const isMoved = dot(m, m).add(dot(up, up)).greaterThan(0).and(dot(outward, outward).greaterThan(0));
     const moved = { normal: select(isMoved, normalize(outward), n0).toVar(), tangent: t, bitangent: b };
     const cosine = dot(n0, byNormal.normal).toVar();
-    const isSteep = abs(cosine).lessThan(0.2).toVar(); // then m tells too little
+    const side = m.x.add(1).mul(m.w.add(1)).sub(m.y.mul(m.z)).mul(cosine);
+    // Then m tells too little, or of the other side of the surface.
+    const isSteep = abs(cosine).lessThan(0.2).or(side.lessThanEqual(0)).toVar();
     const lain = (vector, steep) => {
         const flat = vector.sub(n0.mul(dot(vector, byNormal.normal).div(select(isSteep, float(1), cosine))));
         return select(isSteep, steep, flat);

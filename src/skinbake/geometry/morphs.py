@@ -157,10 +157,13 @@ def carried_in_plane(
     """Return t and b of the numbers in the plane alone: the part along n0 follows from the morphed normal n.
 
     t and b are at right angles to n (length 1). Arguments are as for ``carried_in_space``. Where n stands
-    nearly at right angles to n0 (STEEP), the frame is ``carried_by_normal``.
+    nearly at right angles to n0 (STEEP), or the numbers turn the surface to the other side, the frame is
+    ``carried_by_normal``.
     """
     cosine = dot(normals, morphed)
-    steep = np.abs(cosine) < cosine.dtype.type(STEEP)
+    tt, tb, bt, bb = in_plane.T
+    turned_over = cosine * ((1 + tt) * (1 + bb) - tb * bt) <= 0
+    steep = (np.abs(cosine) < cosine.dtype.type(STEEP)) | turned_over
     safe = np.where(steep, cosine.dtype.type(1), cosine)
     t, b = (
         vector - normals * (dot(vector, morphed) / safe)[:, None] for vector in _in_plane(vectors, in_plane)
