@@ -409,9 +409,19 @@ if (skinbake_isBaked()) {
     // By morph targets, or by a hook of the page.
     bool turned = skinbakeMorphedNormal != normal;
     if (turned) frame = skinbake_morphed_frame(rest, skinbakeMorphedNormal);
+    bool six = false;
 #if defined(SKINBAKE_SHEET) && defined(SKINBAKE_HAS_MORPHS) && defined(USE_MORPHTARGETS)
     bool four = morphSkinbakeStorage.w < 0.0;
-    if (four || (morphSkinbakeStorage.w > 0.0 && !turned)) {
+    vec3 unhooked = normal;
+#ifdef USE_MORPHNORMALS
+    {
+        #include <beginnormal_vertex>
+        #include <morphnormal_vertex>
+        unhooked = objectNormal;
+    }
+#endif
+    six = morphSkinbakeStorage.w > 0.0 && distance(skinbakeMorphedNormal, unhooked) <= 1e-5 * length(unhooked);
+    if (four || six) {
         int first = (int(abs(morphSkinbakeStorage.w)) - 1) * textureSize(skinbakeSheet, 0).x;
         int texels = four ? 1 : 2;
         vec4 m = vec4(0.0);
@@ -435,7 +445,7 @@ if (skinbake_isBaked()) {
     moved.normal = bind * frame.normal;
     // What is displaced along the normal moves as three.js moves normals.
     vec3 carried = objectNormal / max(length(skinbakeMorphedNormal), 1e-20);
-    if (frame.normal != rest.normal && !turned) carried = (skinMatrix * vec4(frame.normal, 0.0)).xyz;
+    if (six) carried = (skinMatrix * vec4(frame.normal, 0.0)).xyz;
 #endif
     mat4 M[4] = mat4[4](boneMatX, boneMatY, boneMatZ, boneMatW);
     vec3 q = (bindMatrix * vec4(p, 1.0)).xyz;

@@ -222,16 +222,19 @@ def by_numbers(
     frame: str,
     weights: tuple[float, float] = (0.7, -0.4),
     pose: Pose | None = None,
+    normals: int = 0,
 ) -> tuple[Character, Character, npt.NDArray[np.bool_]]:
     """Bake a file of two targets with so many numbers of the differential, and morph it, in any pose.
+
+    Of targets with six numbers, so many keep NORMAL.
 
     Return the character with the frame that docs/reference/frame.md says, the same by NORMAL, and (V,) where
     the frame turns little enough for four numbers.
     """
     file, pose = Editable(source), pose or Pose(clip=None)
-    for one in file.primitive()["targets"] if numbers == 6 else ():
+    for one in file.primitive()["targets"][normals:] if numbers == 6 else ():
         del one["NORMAL"]
-    path = folder / f"numbers-{numbers}-{frame}.glb"
+    path = folder / f"numbers-{numbers}-{normals}-{frame}.glb"
     made = bake_file(file.write(path), path, frame=frame, morph_frames=True)
     assert made.morphs[0][1].frames == numbers
     plain, character = (Character(path, pose, morphs) for morphs in ((), weights))

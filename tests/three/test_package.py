@@ -168,12 +168,13 @@ def test_tangents_of_a_frame_may_be_others_but_must_be_there(stage: ThreeStage, 
 
 @pytest.mark.parametrize("method", ["lbs", "dqs"])
 @pytest.mark.parametrize("frame", ["normal", "tangent"])
-@pytest.mark.parametrize("numbers", [4, 6])
+@pytest.mark.parametrize(("numbers", "normals"), [(4, 2), (6, 0), (6, 1)])
 def test_numbers_of_the_differential_move_the_frame(
-    stage: ThreeStage, numbers: int, frame: str, method: str
+    stage: ThreeStage, numbers: int, normals: int, frame: str, method: str
 ) -> None:
-    """docs/reference/frame.md, *Morph targets*, by four and by six numbers."""
-    character, by_rule, clear = by_numbers(with_morphs(stage.models, MIRRORED), stage.models, numbers, frame)
+    """docs/reference/frame.md, *Morph targets*, by four and by six numbers; of six, one target has NORMAL."""
+    source = with_morphs(stage.models, MIRRORED)
+    character, by_rule, clear = by_numbers(source, stage.models, numbers, frame, normals=normals)
     algorithm = Algorithm.LBS_ACCURATE if method == "lbs" else Algorithm.DQS_EXACT
     found = stage.normals(character, method=method)
     wanted = expected(character, found["world"], algorithm)
