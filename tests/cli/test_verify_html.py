@@ -105,6 +105,19 @@ def test_a_page_is_small_beside_its_model(tmp_path: Path) -> None:
     assert rest < 360_000
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_large_page_of_a_report_says_how_to_shrink_it(
+    count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for number in range(count):
+        bake(SEAM, tmp_path / "baked" / f"{number}.glb")
+    command = ["verify", str(tmp_path / "baked"), "--poses", "rest", "--html"]
+    assert "the page has" not in invoke(*command, tmp_path / "small.html").stderr
+    monkeypatch.setattr(view, "LARGE_PAGE", 100_000)
+    told = invoke(*command, tmp_path / "large.html").stderr
+    assert told.count("show a copy with smaller images or fewer clips") == count
+
+
 def test_several_files_give_an_index_with_the_worst_first(tmp_path: Path) -> None:
     folder = tmp_path / "models"
     folder.mkdir()
@@ -138,7 +151,7 @@ def test_a_page_that_fails_leaves_the_pages_of_the_others(tmp_path: Path) -> Non
     verdicts = [verify_file(path, options) for path in paths]
     Path(paths[0]).unlink()
     target = str(tmp_path / "all.html")
-    folder, failed = write_report(verdicts, dict.fromkeys(paths, options), target, lambda _: BESIDE)
+    folder, failed, _ = write_report(verdicts, dict.fromkeys(paths, options), target, lambda _: BESIDE)
     assert folder == tmp_path / "all"
     assert [str(error.place) for error in failed] == paths[:1]
     assert {name: link is None for name, _, link in rows(tmp_path / "all.html")} == {

@@ -178,10 +178,13 @@ def _reporting(
             return Bounds(searched.get(source), given["allow_outside"])
 
         try:
-            folder, failed = write_report(verdicts, options, target, bounds, sync=not given["no_sync"])
+            folder, failed, notices = write_report(
+                verdicts, options, target, bounds, sync=not given["no_sync"]
+            )
         except SkinbakeError as error:
             say.error(error)
             return exit_codes.of_error(error)
+        say.notices(notices)
         for one in failed:
             say.error(one)
         tell_of_report(target, given, say, pages=folder)

@@ -332,13 +332,13 @@ def _findings(verdict: FileVerdict) -> dict[str, Any]:
     }
 
 
-def _page(document: Document, verdict: FileVerdict, options: VerifyOptions) -> bytes:
-    """Return the page of a file that was verified, with its verdict and the limits that it was held to."""
+def _page(document: Document, verdict: FileVerdict, options: VerifyOptions) -> tuple[bytes, list[Notice]]:
+    """Return the page of a file that was verified, with its verdict and limits, and what is missing in it."""
     notes, corrected = [], document if sound_correctives(document) else None
     if any(corrective_note(mesh) for mesh in document.objects("meshes")):
         notes = [] if corrected else [LEFT_OUT]
         document, _ = baked_in_memory(document)
-    return page_of(document, verdict, notes, limits_in_words(options), corrected)[0]
+    return page_of(document, verdict, notes, limits_in_words(options), corrected)
 
 
 def write_report(
@@ -348,37 +348,40 @@ def write_report(
     bounds: Callable[[str], Bounds],
     *,
     sync: bool = True,
-) -> tuple[Path | None, list[SkinbakeError]]:
+) -> tuple[Path | None, list[SkinbakeError], list[Notice]]:
     """Write the page of one verdict, or an index and the pages of several in a folder of its name.
 
     ``options`` are those of each input. ``bounds`` gives the folders in which the document of an input may
     name files. A file that cannot be read, or was not verified again, has no page. The index tells the limits
     that are the same for all, and that there are others. Return the folder of the pages, None if there is
-    none, and the errors of single pages, which the index goes without. Raises SkinbakeError if the page of a
-    single verdict, or the index, cannot be written.
+    none, the errors of single pages, which the index goes without, and notices on what pages lack, or on
+    their size. Raises SkinbakeError if the page of a single verdict, or the index, cannot be written.
     """
     if len(verdicts) == 1 and verdicts[0].error is None and not verdicts[0].up_to_date:
         source = verdicts[0].input
         document = read_document(source, bounds(source))
-        write_file([_page(document, verdicts[0], options[source])], target, sync=sync)
-        return None, []
-    listed, folder, failed = [], None, []
+        page, notices = _page(document, verdicts[0], options[source])
+        write_file([page], target, sync=sync)
+        return None, [], notices
+    listed, folder, failed, told = list[Listed](), None, list[SkinbakeError](), list[Notice]()
     for verdict, path in zip(verdicts, pages(target, [one.input for one in verdicts]), strict=True):
         link = picture = None
         if verdict.error is None and not verdict.up_to_date:
             try:
                 document = read_document(verdict.input, bounds(verdict.input))
-                page, picture = _page(document, verdict, options[verdict.input]), small_picture(document)
+                page, notices = _page(document, verdict, options[verdict.input])
+                picture = small_picture(document)
                 write_files(path.parent, {path: [page]}, str(path), sync=sync)
             except SkinbakeError as error:
                 failed.append(error)
             else:
                 folder = path.parent
+                told += notices
                 link = f"{quote(folder.name)}/{path.name}"
         listed.append(_listed(verdict, link, picture))
     limits = [limits_in_words(options[verdict.input]) for verdict in verdicts]
     write_file([index(listed, _limits_of_all(limits))], target, sync=sync)
-    return folder, failed
+    return folder, failed, told
 
 
 def _listed(verdict: FileVerdict, link: str | None, picture: bytes | None) -> Listed:
