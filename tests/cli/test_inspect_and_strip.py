@@ -34,6 +34,28 @@ def library(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.parametrize(
+    ("command", "code", "advice"),
+    [
+        ("inspect", 0, "run skinbake bake on its source"),
+        ("bake", 3, "run skinbake bake on its source"),
+        ("view", 3, "run skinbake bake on its source"),
+        ("strip", 0, "its α/β have no metadata to undo them by: take its source"),
+    ],
+)
+def test_a_bake_whose_metadata_another_tool_dropped_is_made_from_its_source(
+    command: str, code: int, advice: str, tmp_path: Path
+) -> None:
+    bake(FOLDER / "seam.glb", tmp_path / "baked.glb")
+    model = read(tmp_path / "baked.glb")
+    del model.content["meshes"][0]["primitives"][0]["extras"]
+    path = rewritten(model, tmp_path / "without.glb")
+    name = "page.html" if command == "view" else "out.glb"
+    target: list[str | Path] = [] if command == "inspect" else ["-o", tmp_path / name]
+    result = invoke(command, path, *target)
+    assert (result.exit_code, result.stderr.count(advice)) == (code, 1)
+
+
 @pytest.mark.parametrize("command", ["bake", "strip"])
 def test_the_bake_of_a_later_version_stays(command: str, tmp_path: Path) -> None:
     """What its metadata means is unknown, so nothing is undone by it."""

@@ -294,7 +294,7 @@ def beside_a_gradient(file: Editable) -> None:
         (as_vec3, "it has 3 components, 1 are needed"),
         (as_integers, "8,640 elements, POSITION has 1,518"),
         (as_another_count, "it has 7 elements, POSITION has 1,518"),
-        (nowhere, f"nothing that is baked has an attribute {NAME}"),
+        (nowhere, f"--blend {NAME}: nothing that is baked has this attribute"),
         (beside_a_gradient, f"it already has an attribute {GRADIENT}"),
     ],
 )

@@ -151,7 +151,7 @@ class Baker(CheckedOptions):
             return made, made.document, [*undone, *moved, *made.notices]
         reason = "none of its skinned primitives can be baked" if made.skipped else why_nothing(document)
         if self.correctives is not None and made.notices:
-            reason = made.notices[-1].message
+            reason = made.notices[-1].message.removeprefix("skipped: ")
         if self.require_baked:
             raise InputError(f"{reason} (--require-baked)", document.place)
         result, moved = (document, []) if target is None else for_target(document, target, pack=pack)
@@ -286,7 +286,9 @@ class Baker(CheckedOptions):
             made = [one.with_blend(own, self.blend) for one, own in zip(read, made, strict=True)]
             without = [bake for bakes in made for bake in bakes if bake.blend is None]
             if len(without) == len(sources):
-                raise InputError(f"nothing that is baked has an attribute {self.blend}", document.place)
+                raise InputError(
+                    f"--blend {self.blend}: nothing that is baked has this attribute", document.place
+                )
             message = f"it has no attribute {self.blend}, and is left to linear blend skinning"
             notices += [Notice("no-blend", message, bake.source.place) for bake in without]
         return made, notices

@@ -13,7 +13,8 @@ from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.format.attribute_store import meshopt_of
 from skinbake.format.blend_weights import blend_names
 from skinbake.format.metadata import changed_arrays, corrective_note, read_left, read_metadata, slot_names
-from skinbake.freshness.baked_views import other_version
+from skinbake.format.stored_slots import NO_METADATA
+from skinbake.freshness.baked_views import is_baked, other_version
 from skinbake.freshness.made_targets import made_states
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.accessors import described
@@ -71,6 +72,8 @@ def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
                 bake = primitives[-1].bake
                 if bake is not None and bake.other is not None:
                     notices.append(Notice("version", bake.other, entry.place))
+                elif bake is None and is_baked(document, entry):
+                    notices.append(Notice("metadata-missing", NO_METADATA, entry.place))
                 if reason is not None and reason.code == "unlit":
                     continue  # no light reaches its normals
                 notices += weight_sum_notices(primitive, entry.place)

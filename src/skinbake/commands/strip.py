@@ -12,6 +12,7 @@ from skinbake.format.strip import stripped
 from skinbake.gltf.beside import files_read
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import read_document
+from skinbake.gltf.json_access import entries_of
 from skinbake.gltf.output import other_names, plan_output, refuse_own_input
 from skinbake.report.depfile import prerequisites
 from skinbake.report.strip import StripResult
@@ -44,7 +45,11 @@ def strip_file(
     with stage("strip"):
         document, count, notices = stripped(given)
     if count == 0:
-        notices.append(Notice("nothing-baked", "passed through unchanged: it holds no bake", Place(source)))
+        primitives = (one for mesh in given.objects("meshes") for one in entries_of(mesh.get("primitives")))
+        attributes = (one.get("attributes") for one in primitives)
+        lost = any(isinstance(one, dict) and "_SKINBAKE_ALPHA_0" in one for one in attributes)
+        reason = "its α/β have no metadata to undo them by: take its source" if lost else "it holds no bake"
+        notices.append(Notice("nothing-baked", f"passed through unchanged: {reason}", Place(source)))
     document, found = for_target(document, target)
     read = prerequisites(source, files_read(given, target, pack=False)) if lists_read else ()
     with stage("write"):

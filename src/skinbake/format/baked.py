@@ -19,6 +19,7 @@ from skinbake.format.influences import with_adopted
 from skinbake.format.layouts import CUSTOM_NAMES, GradientFormat, free_texcoords, of_alpha_and_beta, paired
 from skinbake.format.metadata import KEY
 from skinbake.format.morph_targets import MadeTargets, add_made
+from skinbake.format.stored_slots import NO_METADATA
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.geometry.triangles import TRIANGLES
 from skinbake.gltf.accessors import element_count, read_accessor
@@ -167,12 +168,12 @@ def _written(
     beside = not isinstance(extras, dict) or KEY in extras
     holder: JsonObject | None = {KEY: note} if beside else None  # of the first accessor of α and β
     for name, values in gradients:
+        if storage.layout is not Layout.CUSTOM and all(one in attributes for one, _ in gradients):
+            raise InputError(NO_METADATA, item.source.place)
         if name in attributes:
             choice = "--layout" if storage.layout is Layout.CUSTOM else "--alpha-name and --beta-name"
             raise InputError(
-                f"it already has an attribute {name}, but no metadata of skinbake (another tool may "
-                "have dropped the extras): remove the attribute, bake from the source file, or "
-                f"choose other names with {choice}",
+                f"it already has an attribute {name}: choose other names with {choice}, or remove it",
                 item.source.place,
             )
         attributes[name] = store.add(name, values, normalized=storage.encoding.is_scaled, extras=holder)

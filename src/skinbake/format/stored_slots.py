@@ -23,6 +23,11 @@ from skinbake.gltf.primitives import PrimitiveSource
 from skinbake.wording import counted
 
 BAKE = "run skinbake bake"
+
+NO_METADATA = (
+    "it has α/β but no metadata that can be read (another tool may have dropped the extras), so a bake would "
+    f"take adopted joints for its own: {BAKE} on its source"
+)
 COMPONENT_TYPES = {Encoding.FLOAT32: "FLOAT", Encoding.SNORM16: "SHORT", Encoding.PACKED8: "BYTE"}
 
 

@@ -13,7 +13,7 @@ from skinbake.choices import Frame, FrameChoice, Gradients, Weighting, Weld
 from skinbake.errors import Chosen, Message, Notice
 from skinbake.format.blend_weights import read_blend, wrong_blend
 from skinbake.format.metadata import KEPT, POSES, STORED_POSE, VERSION, changed_arrays, read_metadata
-from skinbake.format.stored_slots import BAKE, read_slots, shown, wrong_storage
+from skinbake.format.stored_slots import BAKE, NO_METADATA, read_slots, shown, wrong_storage
 from skinbake.geometry import frames
 from skinbake.geometry.frames import unit_normals
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
@@ -125,12 +125,7 @@ def _view(  # noqa: PLR0911  # one for each problem
 ) -> BakedView | Notice:
     metadata = read_metadata(document, source.json)
     if metadata is None:
-        message = f"it is not baked: {BAKE}"
-        if is_baked(document, source):
-            message = (
-                "it has α/β but no metadata that can be read, so a bake would take adopted joints for its "
-                f"own: {BAKE} on its source"
-            )
+        message = NO_METADATA if is_baked(document, source) else f"it is not baked: {BAKE}"
         return Notice("metadata-missing", message, source.place)
     other = other_version(metadata)
     if other is not None:
