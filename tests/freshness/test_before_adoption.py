@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from skinbake.format.influences import with_adopted
@@ -103,6 +105,27 @@ def test_a_stored_weight_of_one_unit_is_none_that_a_slot_was_given(neighbours: s
     written = baked(original, tmp_path / "baked", gradients="rig", neighbours=neighbours)
     model = Editable(written)
     assert "adopted" in model.metadata()
+    answer = verify(written, "--poses", "rest")
+    assert answer.exit_code == 0, answer.messages
+
+
+@pytest.mark.parametrize("neighbours", ["adopt", "drop"])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_stored_weight_of_one_unit_is_none_that_a_slot_was_given_after_a_limit(
+    seed: int, neighbours: str, tmp_path: Path
+) -> None:
+    """The file still has the weights from before the limit. Σw is small, so that a unit shows."""
+    random = np.random.default_rng(seed)
+    units = random.choice([0, 0, 1, 1, 5, 30], (20, 8))
+    units[:, 0] += 66  # enough to adopt
+    joints = random.permuted(np.tile(np.arange(8), (20, 1)), axis=1)
+    arrays: dict[str, npt.NDArray[Any]] = {}
+    for number, slots in enumerate((slice(0, 4), slice(4, 8))):
+        arrays[f"WEIGHTS_{number}"] = units[:, slots].astype(np.uint16)
+        arrays[f"JOINTS_{number}"] = np.where(units == 0, 0, joints)[:, slots].astype(np.uint8)
+    original = write_model(tmp_path / "unit.glb", [sheet(**arrays)], joints=8)
+    written = baked(original, tmp_path / "baked", limit_influences=4, neighbours=neighbours)
+    assert (Editable(written).array("WEIGHTS_0") == 1).any()
     answer = verify(written, "--poses", "rest")
     assert answer.exit_code == 0, answer.messages
 

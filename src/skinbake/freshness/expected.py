@@ -9,15 +9,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skinbake.choices import SLOTS_PER_SET, Gradients, Weighting
+from skinbake.errors import Place
 from skinbake.format.former import former_attributes, former_sets
+from skinbake.format.influences import with_limit
 from skinbake.format.metadata import FORMER_ATTRIBUTES, KEPT, POSES, STORED_POSE
 from skinbake.freshness.baked_views import BakedView, rest_primitive
 from skinbake.geometry.skinned import TINY_WEIGHT, UNIT, Float64Array, FloatArray, IntArray, SkinnedPrimitive
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import integer
+from skinbake.gltf.json_access import JsonObject, integer
+from skinbake.gltf.primitives import StoredInfluences, joints_of_skin, side_by_side
 from skinbake.gltf.rigs import fitting_rig
 from skinbake.gradients.baker import slots_of_surface
+from skinbake.gradients.influences import limited_slots
 from skinbake.skinning.rest import RestPrimitive
 from skinbake.truth.mesh import free_slots
 from skinbake.truth.operator import GradientOperator, expected_alpha_beta, true_operator
@@ -74,9 +78,9 @@ def given_weights(document: Document, view: BakedView) -> Float64Array:
 
 
 def former_weights(document: Document, view: BakedView) -> FloatArray | None:
-    """Return the weights (V, K) before the bake, 0 in the slots of a set that it added.
+    """Return the weights (V, K) before adoption, 0 in the slots of a set that the bake added.
 
-    None if they are gone, or if a limit changed their slots.
+    They are the noted ones, or what a limit makes of these. None if they are gone.
     """
     attributes, place = view.source.attributes, view.source.place
     former = former_attributes(document, attributes, view.metadata, place)
@@ -85,12 +89,33 @@ def former_weights(document: Document, view: BakedView) -> FloatArray | None:
     before = former_sets({**attributes, **former}, view.metadata)
     count = view.now.weights.shape[1] // SLOTS_PER_SET
     names = [name for name in (f"WEIGHTS_{number}" for number in range(count)) if name in before]
-    # A limit takes sets away. So if none was added, the noted ones are from before a limit.
-    if not names or (FORMER_ATTRIBUTES in view.metadata and len(names) == count):
+    if not names:
         return None
+    # A limit takes sets away. So if none was added, the noted ones are from before a limit.
+    if FORMER_ATTRIBUTES in view.metadata and len(names) == count:
+        limited: dict[Place, FloatArray] = document.derived.setdefault("limited weights", {})
+        if place not in limited:
+            limited[place] = _limited_weights(document, view, before)
+        return limited[place]
     numbers = [integer(before, name, place) for name in names]
     weights = np.concatenate([read_accessor(document, number, place).decoded() for number in numbers], axis=1)
     return np.pad(weights, ((0, 0), (0, view.now.weights.shape[1] - weights.shape[1])))
+
+
+def _limited_weights(document: Document, view: BakedView, before: JsonObject) -> FloatArray:
+    """Return the weights (V, K) that a limit to K influences leaves of the sets before it."""
+    sets: list[StoredInfluences] = []
+    while f"JOINTS_{len(sets)}" in before:
+        names = (f"JOINTS_{len(sets)}", f"WEIGHTS_{len(sets)}")
+        numbers = [integer(before, name, view.source.place) for name in names]
+        sets.append(
+            StoredInfluences(*(read_accessor(document, number, view.source.place) for number in numbers))
+        )
+    joints, weights = side_by_side(sets)
+    whole = view.now.with_influences(joints_of_skin(joints, weights, view.source), weights)
+    kept = limited_slots(whole, view.now.weights.shape[1])
+    after = with_limit(sets, kept.slots, kept.shares, kept.rewritten)
+    return np.concatenate([entry.weights.decoded() for entry in after], axis=1)
 
 
 def _without_given_weights(document: Document, view: BakedView) -> SkinnedPrimitive:
