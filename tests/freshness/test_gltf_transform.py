@@ -11,7 +11,7 @@ simplify                                              stale: simplified or edite
 optimize, without compression                         stale, or no TANGENT any more
 quantize                                              α/β no longer FLOAT; where they are left alone, stale:
                                                       quantised, rescaled, re-sorted
-meshopt, draco                                        stale: quantised, re-ordered
+meshopt, draco; any of the first on a file in Draco   stale: quantised, re-ordered
 ====================================================  ====================================================
 """
 
@@ -142,6 +142,22 @@ def test_compressing_after_a_bake_is_recognised(transform: Transform, command: s
     message = stale(transform("bent_tube.glb", command))
     assert doing in message
     assert BAKE_LAST in message
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("compression", ["draco", "meshopt"])
+def test_a_copy_of_a_compressed_bake_is_stale_in_draco_alone(compression: str, tmp_path: Path) -> None:
+    """The tool compresses both anew: Draco with its own number of bits, meshopt without loss."""
+    compressed, copy = tmp_path / "compressed.glb", tmp_path / "copy.glb"
+    (failure,) = gltf_transform.transform([(source("bent_tube.glb"), compressed, compression)])
+    assert not failure
+    (failure,) = gltf_transform.transform([(baked(compressed, tmp_path / "baked"), copy, "copy")])
+    assert not failure
+    answer = verify(copy, *FEW)
+    if compression == "draco":
+        assert BAKE_LAST in stale(answer)
+    else:
+        assert answer.exit_code == 0, answer.messages
 
 
 @pytest.mark.slow
