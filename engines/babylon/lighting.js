@@ -5,7 +5,8 @@ import { AbstractEngine } from '@babylonjs/core/Engines/abstractEngine.js';
 import { Material } from '@babylonjs/core/Materials/material.js';
 import { MaterialPluginBase } from '@babylonjs/core/Materials/materialPluginBase.js';
 import { PushMaterial } from '@babylonjs/core/Materials/pushMaterial.js';
-import { ATTRIBUTES, isLike, kindsOf, printOf, state, tell, watchBuffer } from './loading.js';
+import { isLike } from './bake.js';
+import { ATTRIBUTES, kindsOf, printIn, state, tell, watchBuffer } from './loading.js';
 import { GLSL, GLSL_FRAGMENT, WGSL, WGSL_FRAGMENT } from './shaders.js';
 
 const PLUGIN = 'Skinbake';
@@ -176,7 +177,7 @@ function isAsLoaded(geometry, kind, known) {
     watchBuffer(buffer);
     known.buffer = buffer;
     known.writes = writes;
-    known.isSame = Boolean(buffer) && isLike(printOf(geometry, kind), known.print);
+    known.isSame = Boolean(buffer) && isLike(printIn(geometry, kind), known.print);
     return known.isSame;
 }
 

@@ -3,12 +3,9 @@
 import { Buffer, VertexBuffer } from '@babylonjs/core/Buffers/buffer.js';
 import { RawTexture2DArray } from '@babylonjs/core/Materials/Textures/rawTexture2DArray.js';
 import { DracoDecoder } from '@babylonjs/core/Meshes/Compression/dracoDecoder.js';
+import { accessorsIn, FLOAT, FRAMES, metadataOf, namesOf, NOT_BAKED, printOf, problemOf, staleOf } from './bake.js';
 
 export const NAME = 'SKINBAKE';
-const SETS = 2; // Babylon.js reads eight influences for each vertex.
-const FRAMES = { normal: 2, tangent: 3 };
-const ENCODINGS = { packed8: 5120, snorm16: 5122 }; // BYTE, SHORT
-const FLOAT = 5126;
 export const kindsOf = (set) => [`skinbakeAlpha${set}`, `skinbakeBeta${set}`];
 
 // Copies of this module on one page share what they know.
@@ -40,44 +37,54 @@ export class Loading {
     onLoading() {
         const { gltf } = this.loader;
         const primitives = (gltf.meshes ?? []).flatMap((mesh) => mesh.primitives);
-        if (!gltf.skins?.length || primitives.some((one) => problemOf(gltf, one, metadataOf(gltf, one)) !== NOT_BAKED)) return;
+        if (!gltf.skins?.length || primitives.some((one) => problemIn(gltf, one) !== NOT_BAKED)) return;
         const name = this.loader.rootUrl + (this.loader._fileName ?? '');
         console.info(`skinbake: "${name}" has no bake, and Babylon.js's standard lighting: run skinbake bake on it`);
     }
 
     _loadVertexDataAsync(context, primitive, mesh) {
-        const { gltf } = this.loader;
-        const metadata = metadataOf(gltf, primitive);
-        const problem = problemOf(gltf, primitive, metadata) || staleOf(gltf).get(primitive);
-        if (problem === NOT_BAKED) return null;
-        const scene = mesh.getScene();
-        if (problem) {
-            tell(mesh, problem);
-            const loading = this.loader._loadVertexDataAsync(context, primitive, mesh);
-            return this.#with(scene, { problem, changed: '' }, loading);
-        }
-        const baked = bakedOf(metadata, this.method);
-        const rest = this.loader._loadVertexDataAsync(context, withoutPairs(primitive, metadata), mesh);
-        return this.#with(scene, baked, rest).then(async (geometry) => {
-            const names = namesOf(metadata);
-            const accessors = names.map((name) => gltf.accessors[primitive.attributes[name]]);
-            const columns = await this.#columns(primitive, names, accessors);
-            const { count } = accessors[0];
-            const ordered = metadata.layout === 'texcoord' ? assembled(columns, baked.sets, count) : columns;
-            for (const buffer of interleaved(scene.getEngine(), ordered, count)) {
-                geometry.setVerticesBuffer(buffer, count);
-            }
-            baked.loaded = loadedOf(geometry, baked);
-            baked.morphs = await this.#morphs(primitive, count, mesh);
-            return geometry;
-        });
+        return problemIn(this.loader.gltf, primitive) === NOT_BAKED ? null : this.#load(context, primitive, mesh);
     }
 
-    async #with(scene, baked, loading) {
-        const geometry = await loading;
+    async #load(context, primitive, mesh) {
+        const { gltf } = this.loader;
+        const metadata = metadataOf(gltf, primitive);
+        const misfit = problemIn(gltf, primitive);
+        // At once: while this method runs, Babylon.js does not call it anew.
+        const rest = misfit ? primitive : withoutPairs(primitive, metadata);
+        const loading = this.loader._loadVertexDataAsync(context, rest, mesh);
+        this.stale ??= this.#stale(gltf);
+        const [geometry, stale] = await Promise.all([loading, this.stale]);
+        const problem = misfit || stale.get(primitive);
+        const baked = problem ? { problem, changed: '' } : bakedOf(metadata, this.method);
+        const scene = mesh.getScene();
+        if (problem) tell(mesh, problem);
         state.geometries.set(geometry, baked);
         this.watch(scene).geometries.add(geometry);
+        if (problem) return geometry;
+        const names = namesOf(metadata);
+        const accessors = names.map((name) => gltf.accessors[primitive.attributes[name]]);
+        const columns = await this.#columns(primitive, names, accessors);
+        const { count } = accessors[0];
+        const ordered = metadata.layout === 'texcoord' ? assembled(columns, baked.sets, count) : columns;
+        for (const buffer of interleaved(scene.getEngine(), ordered, count)) {
+            geometry.setVerticesBuffer(buffer, count);
+        }
+        baked.loaded = loadedOf(geometry, baked);
+        baked.morphs = await this.#morphs(primitive, count, mesh);
         return geometry;
+    }
+
+    async #stale(gltf) {
+        const context = (number) => `/accessors/${number}`;
+        const read = (number, accessor) =>
+            accessor.type === 'SCALAR' ? this.loader._loadIndicesAccessorAsync(context(number), accessor) : this.#floats(accessor);
+        const arrays = accessorsIn(gltf).map(async (number) => [number, await read(number, gltf.accessors[number])]);
+        return staleOf(gltf, new Map(await Promise.all(arrays)));
+    }
+
+    #floats(accessor) {
+        return this.loader._loadFloatAccessorAsync(`/accessors/${accessor.index}`, accessor);
     }
 
     // Return the numbers by which morph targets move the frame, as a texture with a layer for each target; null
@@ -91,7 +98,7 @@ export class Loading {
         for (const [layer, target] of targets.entries()) {
             for (let part = 0; part < texels; part++) {
                 const accessor = this.loader.gltf.accessors[target[NUMBERS[part]]];
-                const read = await this.loader._loadFloatAccessorAsync(`/accessors/${accessor.index}`, accessor);
+                const read = await this.#floats(accessor);
                 const size = part ? 2 : 4;
                 for (let vertex = 0; vertex < count; vertex++) {
                     const to = 4 * (WIDTH * height * layer + texels * vertex + part);
@@ -131,9 +138,7 @@ export class Loading {
         const size = Number(accessor.type.slice(3));
         const Integers = { 5120: Int8Array, 5122: Int16Array }[accessor.componentType];
         if (!Integers || accessor.sparse || accessor.bufferView === undefined) {
-            const context = `/accessors/${accessor.index}`;
-            const values = await this.loader._loadFloatAccessorAsync(context, accessor);
-            return { size, values, type: FLOAT };
+            return { size, values: await this.#floats(accessor), type: FLOAT };
         }
         const view = this.loader.gltf.bufferViews[accessor.bufferView];
         const context = `/bufferViews/${view.index}`;
@@ -203,13 +208,6 @@ function morphsOf({ meshes, accessors }, primitive) {
     return { numbers: isThere ? noted.frames : 0, targets };
 }
 
-const isObject = (value) => typeof value === 'object' && value !== null;
-
-// All of alpha, then all of beta.
-function namesOf({ alpha, beta }) {
-    return [...new Set([...alpha, ...beta])];
-}
-
 function bakedOf({ frame, encoding, scale, influences }, method) {
     const sets = Math.ceil(influences / 4);
     return { problem: '', changed: '', frame: FRAMES[frame], scale: encoding ? scale : 1, sets, method };
@@ -231,8 +229,13 @@ function loadedOf(geometry, { frame, sets }) {
     return present.map((kind) => {
         const buffer = geometry.getVertexBuffer(kind);
         watchBuffer(buffer);
-        return [kind, { buffer, writes: 0, print: printOf(geometry, kind), isSame: true }];
+        return [kind, { buffer, writes: 0, print: printIn(geometry, kind), isSame: true }];
     });
+}
+
+export function printIn(geometry, kind) {
+    const values = geometry.getVerticesData(kind) ?? [];
+    return printOf(values.length, (index) => values[index]);
 }
 
 // Count how often a page writes into a buffer.
@@ -248,23 +251,6 @@ export function watchBuffer(buffer) {
     }
 }
 
-// A sum of all components, by random factors from -1 to 1.
-export function printOf(geometry, kind) {
-    let sum = 0;
-    let square = 0;
-    const values = geometry.getVerticesData(kind) ?? [];
-    for (let index = 0; index < values.length; index++) {
-        let bits = Math.imul((index + 1) ^ (index >>> 15), 0x85ebca6b);
-        bits = Math.imul(bits ^ (bits >>> 13), 0xc2b2ae35);
-        sum += values[index] * (bits / 2 ** 31);
-        square += values[index] ** 2;
-    }
-    return { sum, length: Math.sqrt(square) };
-}
-
-// Rounding, as when a page normalises again, changes less.
-export const isLike = (one, other) => !(Math.abs(one.sum - other.sum) > 1e-5 * other.length);
-
 // Babylon.js need not hand on the texture coordinates that hold alpha and beta.
 function withoutPairs(primitive, metadata) {
     if (metadata.layout !== 'texcoord') return primitive;
@@ -273,99 +259,9 @@ function withoutPairs(primitive, metadata) {
     return { ...primitive, attributes };
 }
 
-// Where extras of the primitive were not an object, bake has put the metadata into those of alpha's accessor.
-function metadataOf({ accessors }, { extras, attributes }) {
-    const found = [extras, ...Object.values(attributes ?? {}).map((index) => accessors[index]?.extras)];
-    return found.map((one) => one?.skinbake).find((one) => isObject(one) && Number.isInteger(one.version));
-}
-
-const NOT_BAKED = 'it is not baked';
-
-function problemOf({ accessors }, { attributes }, metadata) {
-    if (!metadata) {
-        if (attributes._SKINBAKE_ALPHA_0 === undefined) return NOT_BAKED;
-        return 'it has lost the metadata of its bake: keep the extras of primitives, or bake last';
-    }
-    const { version, frame, encoding, influences, scale, alpha, beta } = metadata;
-    if (version !== 1) return `its bake has version ${version}, and this module reads version 1: update it`;
-    if (influences > 4 * SETS || attributes.JOINTS_2 !== undefined) {
-        const count = Math.max(influences, attributes.JOINTS_2 === undefined ? 0 : 12);
-        return `it has ${count} influences for each vertex, and Babylon.js reads eight: ` +
-            'bake it again with --limit-influences 8';
-    }
-    if (![alpha, beta].every(isNames)) return 'the metadata of its bake is damaged: bake it again';
-    if (!FRAMES[frame]) return `its frame is ${frame}, and this module knows normal and tangent: update it`;
-    if (encoding !== undefined && !ENCODINGS[encoding]) {
-        return `its encoding is ${encoding}, and this module knows packed8 and snorm16: update it`;
-    }
-    if (encoding && !Number.isFinite(scale)) return 'the metadata of its bake lacks the scale: bake it again';
-    for (const name of frame === 'tangent' ? ['NORMAL', 'TANGENT'] : ['NORMAL']) {
-        if (attributes[name] === undefined) return `it has lost ${name}, which its bake needs: bake last`;
-    }
-    for (const [index, name] of namesOf(metadata).entries()) {
-        const problem = misfit(accessors[attributes[name]], index, metadata);
-        if (problem) return `its attribute ${name} ${problem}: bake last, or keep attributes as they are`;
-    }
-    return '';
-}
-
-const isNames = (list) => Array.isArray(list) && list.length > 0 && list.every((name) => typeof name === 'string');
-
-const SAME_BOUNDS = 1e-3; // of the diagonal, as in skinbake: Draco rounds positions
-const stale = new WeakMap(); // glTF -> Map of primitive -> why it is lit standard
-
-// Return the primitives that a tool has changed since their bake, as far as the bake has noted what they were, and the
-// other parts of their skins: between two lightings, a seam would show.
-function staleOf(gltf) {
-    if (stale.has(gltf)) return stale.get(gltf);
-    const found = new Map();
-    stale.set(gltf, found);
-    for (const { primitives } of gltf.meshes ?? []) {
-        for (const primitive of primitives) {
-            const change = changeSince(metadataOf(gltf, primitive)?.positions, gltf.accessors, primitive);
-            if (change) found.set(primitive, `a tool has changed ${change} since its bake: bake last`);
-        }
-    }
-    const parts = new Map(); // skin -> { name, primitive }
-    for (const { mesh, skin } of gltf.nodes ?? []) {
-        if (mesh === undefined || skin === undefined) continue;
-        const { name, primitives } = gltf.meshes[mesh];
-        parts.set(skin, [...(parts.get(skin) ?? []), ...primitives.map((primitive) => ({ name, primitive }))]);
-    }
-    for (const own of parts.values()) {
-        const changed = own.find(({ primitive }) => found.has(primitive));
-        for (const { primitive } of changed ? own : []) {
-            if (found.has(primitive)) continue;
-            found.set(primitive, `a part of "${changed.name}", of the same skin, does not fit its bake: bake last`);
-        }
-    }
-    return found;
-}
-
-function changeSince(noted, accessors, { attributes, indices }) {
-    const positions = accessors?.[attributes.POSITION];
-    if (!isObject(noted) || !positions) return '';
-    if (positions.componentType !== noted.componentType) return 'the type of its positions';
-    for (const [name, type] of Object.entries(noted.types ?? {})) {
-        const accessor = accessors[attributes[name]];
-        if (accessor && accessor.componentType !== type) return `the type of its ${name}`;
-    }
-    const { count } = accessors[indices] ?? positions;
-    if (noted.corners !== undefined && noted.corners !== count) return 'its triangles';
-    if (![noted, positions].every(({ min, max }) => [min, max].every(Array.isArray))) return '';
-    const allowed = SAME_BOUNDS * Math.hypot(...noted.max.map((most, axis) => most - noted.min[axis]));
-    const isSame = (key) => noted[key].every((value, axis) => Math.abs(value - positions[key][axis]) <= allowed);
-    return isSame('min') && isSame('max') ? '' : 'the bounds of its positions';
-}
-
-function misfit(accessor, index, { encoding, layout, alpha }) {
-    if (!accessor) return 'is missing';
-    const isFirst = index % alpha.length === 0;
-    const type = layout === 'texcoord' ? 'VEC2' : encoding || !isFirst ? 'VEC4' : 'VEC3';
-    if (accessor.type !== type) return `is ${accessor.type}, not ${type}`;
-    if (!encoding) return accessor.componentType === FLOAT ? '' : 'is not of floats';
-    const fits = accessor.componentType === ENCODINGS[encoding] && accessor.normalized;
-    return fits ? '' : `is not encoded as ${encoding}`;
+function problemIn({ accessors }, primitive) {
+    const find = (name) => accessors?.[primitive.attributes?.[name]];
+    return problemOf(metadataOf({ accessors }, primitive), find, 'Babylon.js', 8);
 }
 
 export function tell(mesh, reason, what = "Babylon.js's standard lighting") {

@@ -61,7 +61,7 @@ function light(renderer) {
     drawn.add(renderer);
     const { mesh, shaderData } = renderer;
     const bake = bakes.get(mesh);
-    const problem = bake ? obstacle(renderer, bake) : NOT_BAKED;
+    const problem = bake ? obstacle(renderer, bake) : UNKNOWN;
     if (bake && problem && problem !== SWITCHED) tell(renderer, problem);
     const wanted = problem ? null : bake;
     if (wanted?.method === 'dqs') setRoot(renderer);
@@ -83,7 +83,7 @@ function setRoot({ entity, shaderData, skin }) {
     shaderData.setMatrix('renderer_SkinbakeInverse', inverse);
 }
 
-const NOT_BAKED = 'it is not baked, or its file was loaded before registerSkinbake()';
+const UNKNOWN = 'it is not baked, or its file was loaded before registerSkinbake()';
 const SWITCHED = 'lighting() has switched it';
 
 const OLDEST = [1, 3];
@@ -149,7 +149,7 @@ export function report(root) {
 
 function drawnWith(renderer) {
     const bake = bakes.get(renderer.mesh);
-    const problem = bake ? obstacle(renderer, bake) : NOT_BAKED;
+    const problem = bake ? obstacle(renderer, bake) : UNKNOWN;
     if (problem) return ['standard', problem];
     if (!drawn.has(renderer)) return ['not drawn', 'it has not been drawn yet'];
     const isLit = renderer.getMaterials().some((material) => passesOf(material).some((text) => /normal/i.test(text)));

@@ -1,22 +1,21 @@
 // Galacean gives shaders each attribute by its name in the file. So alpha and beta need no more than the names that
 // the shader text has for them.
 
-import { GLTFMeshParser } from '@galacean/engine';
+import { GLTFMeshParser, GLTFUtils } from '@galacean/engine';
+import { accessorsIn, FRAMES, metadataOf, namesOf, NOT_BAKED, problemOf, staleOf } from './bake.js';
 
 export const bakes = new WeakMap(); // ModelMesh -> { problem, frame, scale, isPaired, names, method, places }
 export const loading = { method: 'lbs' };
 
-const FRAMES = { normal: 2, tangent: 3 };
-const ENCODINGS = { packed8: 5120, snorm16: 5122 };
-const FLOAT = 5126;
-const LOST = 'it has lost the metadata of its bake: keep the extras of primitives, or bake last';
-
-const informed = new WeakSet(); // glTF
+const files = new WeakMap(); // glTF -> promise of why a tool has spoiled primitives
 
 export class SkinbakeMeshParser extends GLTFMeshParser {
     parse(context, index) {
         const { glTF, glTFResource } = context;
-        tellOfFile(glTF, glTFResource.url);
+        if (!files.has(glTF)) {
+            tellOfFile(glTF, glTFResource.url);
+            files.set(glTF, staleIn(context));
+        }
         watchDevice(glTFResource.engine);
         const { method } = loading;
         const mesh = glTF.meshes[index];
@@ -25,9 +24,12 @@ export class SkinbakeMeshParser extends GLTFMeshParser {
         // Galacean reads the names at once. The JSON is the page's, too.
         glTF.meshes[index] = { ...mesh, primitives: mesh.primitives.map(attributes) };
         try {
-            return super.parse(context, index).then((meshes) => {
+            return super.parse(context, index).then(async (meshes) => {
+                const stale = await files.get(glTF);
                 for (const [number, made] of meshes.entries()) {
-                    if (found[number]) bakes.set(made, { ...found[number], places: placesOf(made) });
+                    const bake = found[number];
+                    const problem = bake?.problem || stale.get(mesh.primitives[number]) || '';
+                    if (bake) bakes.set(made, { ...bake, problem, places: placesOf(made) });
                 }
                 return meshes;
             });
@@ -38,22 +40,37 @@ export class SkinbakeMeshParser extends GLTFMeshParser {
 }
 
 function tellOfFile(glTF, url) {
-    if (informed.has(glTF)) return;
-    informed.add(glTF);
     const primitives = glTF.meshes.flatMap((mesh) => mesh.primitives);
     if (!glTF.skins?.length || primitives.some((primitive) => bakeOf(glTF, primitive))) return;
     console.info(`skinbake: "${url}" has no bake, and Galacean's standard lighting: run skinbake bake on it`);
 }
 
+// Galacean may have several arrays in one.
+async function staleIn(context) {
+    const { accessors, bufferViews } = context.glTF;
+    const read = async (number) => {
+        const accessor = accessors[number];
+        const { data, interleaved, stride } = await GLTFUtils.getAccessorBuffer(context, bufferViews, accessor);
+        if (!interleaved) return data;
+        const width = stride / data.BYTES_PER_ELEMENT;
+        const first = ((accessor.byteOffset ?? 0) % stride) / data.BYTES_PER_ELEMENT;
+        return Array.from({ length: 4 * accessor.count }, (_, at) => data[first + width * (at >> 2) + (at & 3)]);
+    };
+    const arrays = accessorsIn(context.glTF).map(async (number) => [number, await read(number)]);
+    return staleOf(context.glTF, new Map(await Promise.all(arrays)));
+}
+
 function bakeOf(glTF, primitive, method) {
     const metadata = metadataOf(glTF, primitive);
-    if (!metadata) return primitive.attributes._SKINBAKE_ALPHA_0 === undefined ? null : { problem: LOST };
-    const problem = problemOf(glTF, primitive, metadata) || staleOf(glTF).get(primitive);
-    if (problem) return { problem };
-    const { frame, encoding, scale, layout, alpha, beta } = metadata;
+    const find = (name) => glTF.accessors[primitive.attributes[name]];
+    const problem = problemOf(metadata, find, 'Galacean', 4);
+    if (problem) return problem === NOT_BAKED ? null : { problem };
+    if (primitive.extensions?.KHR_draco_mesh_compression) {
+        return { problem: 'Galacean reads nothing of a mesh in Draco: bake it again with --compress none' };
+    }
+    const { frame, encoding, scale, layout } = metadata;
     const isPaired = layout === 'texcoord';
-    const names = [...new Set([...alpha, ...beta])];
-    return { problem: '', frame: FRAMES[frame], scale: encoding ? scale : 1, isPaired, names, method };
+    return { problem, frame: FRAMES[frame], scale: encoding ? scale : 1, isPaired, names: namesOf(metadata), method };
 }
 
 const NAMES = ['skinbakeAlpha', 'skinbakeBeta'];
@@ -107,99 +124,4 @@ function watchDevice(engine) {
     engines.add(engine);
     engine.on('devicelost', () => lost.add(engine));
     engine.on('devicerestored', () => lost.delete(engine));
-}
-
-const isObject = (value) => typeof value === 'object' && value !== null;
-
-// Where extras of the primitive were not an object, bake has put the metadata into those of alpha's accessor.
-function metadataOf({ accessors = [] }, { extras, attributes }) {
-    const places = [extras, ...Object.values(attributes).map((number) => accessors[number]?.extras)];
-    const notes = places.map((place) => place?.skinbake);
-    return notes.find((note) => isObject(note) && Number.isInteger(note.version));
-}
-
-function problemOf({ accessors }, { attributes, extensions }, metadata) {
-    const { version, frame, encoding, layout, influences, scale, alpha, beta } = metadata;
-    if (version !== 1) return `its bake has version ${version}, and this module reads version 1: update it`;
-    if (extensions?.KHR_draco_mesh_compression) {
-        return 'Galacean reads nothing of a mesh in Draco: bake it again with --compress none';
-    }
-    if (influences > 4 || attributes.JOINTS_1 !== undefined) {
-        const count = influences > 4 ? influences : 8;
-        const remedy = 'bake it again with --limit-influences 4';
-        return `it has ${count} influences for each vertex, and Galacean reads four: ${remedy}`;
-    }
-    if (![alpha, beta].every(isNames)) return 'the metadata of its bake is damaged: bake it again';
-    if (!FRAMES[frame]) return `its frame is ${frame}, and this module knows normal and tangent: update it`;
-    if (encoding !== undefined && !ENCODINGS[encoding]) {
-        return `its encoding is ${encoding}, and this module knows packed8 and snorm16: update it`;
-    }
-    if (encoding && !Number.isFinite(scale)) return 'the metadata of its bake lacks the scale: bake it again';
-    for (const name of frame === 'tangent' ? ['NORMAL', 'TANGENT'] : ['NORMAL']) {
-        if (attributes[name] !== undefined) continue;
-        return `it has lost the attribute ${name}, which its bake needs: bake last`;
-    }
-    for (const name of [...alpha, ...beta]) {
-        const problem = misfit(accessors[attributes[name]], encoding, layout);
-        if (problem) return `its attribute ${name} ${problem}: bake last, or keep attributes as they are`;
-    }
-    return '';
-}
-
-const isNames = (list) => Array.isArray(list) && list.length > 0 && list.every((name) => typeof name === 'string');
-
-const SAME_BOUNDS = 1e-3; // of the diagonal, as in skinbake: Draco rounds positions
-const stale = new WeakMap(); // glTF -> Map of primitive -> why it is lit standard
-
-// Return the primitives that a tool has changed since their bake, as far as the bake has noted what they were, and the
-// other parts of their skins: between two lightings, a seam would show.
-function staleOf(gltf) {
-    if (stale.has(gltf)) return stale.get(gltf);
-    const found = new Map();
-    stale.set(gltf, found);
-    for (const { primitives } of gltf.meshes ?? []) {
-        for (const primitive of primitives) {
-            const change = changeSince(metadataOf(gltf, primitive)?.positions, gltf.accessors, primitive);
-            if (change) found.set(primitive, `a tool has changed ${change} since its bake: bake last`);
-        }
-    }
-    const parts = new Map(); // skin -> { name, primitive }
-    for (const { mesh, skin } of gltf.nodes ?? []) {
-        if (mesh === undefined || skin === undefined) continue;
-        const { name, primitives } = gltf.meshes[mesh];
-        parts.set(skin, [...(parts.get(skin) ?? []), ...primitives.map((primitive) => ({ name, primitive }))]);
-    }
-    for (const own of parts.values()) {
-        const changed = own.find(({ primitive }) => found.has(primitive));
-        for (const { primitive } of changed ? own : []) {
-            if (found.has(primitive)) continue;
-            found.set(primitive, `a part of "${changed.name}", of the same skin, does not fit its bake: bake last`);
-        }
-    }
-    return found;
-}
-
-function changeSince(noted, accessors, { attributes, indices }) {
-    const positions = accessors?.[attributes.POSITION];
-    if (!isObject(noted) || !positions) return '';
-    if (positions.componentType !== noted.componentType) return 'the type of its positions';
-    for (const [name, type] of Object.entries(noted.types ?? {})) {
-        const accessor = accessors[attributes[name]];
-        if (accessor && accessor.componentType !== type) return `the type of its ${name}`;
-    }
-    const { count } = accessors[indices] ?? positions;
-    if (noted.corners !== undefined && noted.corners !== count) return 'its triangles';
-    if (![noted, positions].every(({ min, max }) => [min, max].every(Array.isArray))) return '';
-    const allowed = SAME_BOUNDS * Math.hypot(...noted.max.map((most, axis) => most - noted.min[axis]));
-    const isSame = (key) => noted[key].every((value, axis) => Math.abs(value - positions[key][axis]) <= allowed);
-    return isSame('min') && isSame('max') ? '' : 'the bounds of its positions';
-}
-
-function misfit(accessor, encoding, layout) {
-    if (!accessor) return 'is missing';
-    const type = layout === 'texcoord' ? 'VEC2' : encoding ? 'VEC4' : 'VEC3';
-    if (accessor.type !== type) return `is ${accessor.type}, not ${type}`;
-    if (!encoding) return accessor.componentType === FLOAT ? '' : 'is not of floats';
-    const isEncoded = accessor.componentType === ENCODINGS[encoding] && accessor.normalized;
-    return isEncoded ? '' : `is not encoded as ${encoding}`;
 }

@@ -21,8 +21,9 @@ import {
     Texture,
     version,
 } from 'playcanvas';
+import { metadataOf, NOT_BAKED } from './bake.js';
 import { jointsOf, NO_STRETCH } from './joints.js';
-import { bakes, changeOf, metadataOf, takeBakes } from './loading.js';
+import { bakes, changeOf, problemIn, takeBakes } from './loading.js';
 import { GLSL, METHOD, WGSL } from './shaders.js';
 
 const watched = new Map(); // Application -> { stop }
@@ -119,13 +120,13 @@ class MeshReport {
     }
 }
 
-const NOT_BAKED = 'it is not baked, or its asset was loaded without skinbakeOptions()';
+const UNKNOWN = `${NOT_BAKED}, or its asset was loaded without skinbakeOptions()`;
 
 // Read from the programs that drew it.
 function found(instance) {
     if (!instance.mesh) return ['not drawn', 'it has been destroyed'];
     const bake = bakes.get(instance.mesh);
-    if (!bake) return ['standard', NOT_BAKED];
+    if (!bake) return ['standard', UNKNOWN];
     if (bake.problem || bake.arrays.change) return ['standard', bake.problem || bake.arrays.change];
     if (standard.has(instance)) return ['standard', 'lighting() has switched it'];
     const problem = problemOfMaterial(instance.material) || problems.get(instance.material);
@@ -470,9 +471,9 @@ function tell(instance, reason) {
 // its cache of URLs, loaded before by the other method.
 function warnOf({ name, type, resource, options }) {
     const { gltf, renders = [] } = (type === 'container' && resource?.data) || {};
-    const isBaked = (primitive) => metadataOf(gltf, primitive) || primitive.attributes._SKINBAKE_ALPHA_0 !== undefined;
     const primitives = (gltf?.meshes ?? []).flatMap((mesh) => mesh.primitives);
-    if (methods.has(options?.global) && gltf?.skins?.length && !primitives.some(isBaked)) {
+    const isUnbaked = (primitive) => problemIn(gltf, primitive) === NOT_BAKED;
+    if (methods.has(options?.global) && gltf?.skins?.length && primitives.every(isUnbaked)) {
         console.info(`skinbake: "${name}" has no bake, and PlayCanvas's standard lighting: run skinbake bake on its file`);
     }
     for (const [number, { primitives, name: mesh = number }] of (gltf?.meshes ?? []).entries()) {

@@ -2,11 +2,10 @@
 // when the file is loaded, decoded, and put into a texture.
 
 import { SEMANTIC_BLENDWEIGHT, SEMANTIC_NORMAL, SEMANTIC_POSITION } from 'playcanvas';
+import { accessorsIn, FRAMES, isLike, metadataOf, namesOf, NOT_BAKED, printOf, problemOf, staleOf } from './bake.js';
 
 export const bakes = new WeakMap(); // Mesh -> { problem, values, stride, method, arrays, texture, kept }
 
-const FRAMES = { normal: 2, tangent: 3 }; // texels of each vertex
-const ENCODINGS = { packed8: 5120, snorm16: 5122 };
 const COMPONENTS = {
     5120: [Int8Array, 127],
     5121: [Uint8Array, 255],
@@ -15,23 +14,20 @@ const COMPONENTS = {
     5125: [Uint32Array, 1],
     5126: [Float32Array, 1],
 };
-const SIZES = { VEC2: 2, VEC3: 3, VEC4: 4 };
-
-const LOST = 'it has lost the metadata of its bake: keep the extras of primitives, or bake last';
-
-const isObject = (value) => typeof value === 'object' && value !== null;
+const SIZES = { SCALAR: 1, VEC2: 2, VEC3: 3, VEC4: 4 };
 
 export function takeBakes(gltf, { renders }, views, method) {
+    const read = (number) => elements(gltf, number, views);
+    const stale = staleOf(gltf, new Map(accessorsIn(gltf).map((number) => [number, read(number)])));
     for (const [number, { primitives }] of (gltf.meshes ?? []).entries()) {
         const meshes = renders[number]?.meshes; // none with the option skipMeshes
         if (meshes?.length !== primitives.length) continue;
         for (const [index, primitive] of primitives.entries()) {
-            const metadata = metadataOf(gltf, primitive);
             const mesh = meshes[index];
-            if (metadata) {
-                const bake = bakeOf(gltf, primitive, metadata, views, method);
-                bakes.set(mesh, { ...bake, arrays: arraysOf(mesh) });
-            } else if (primitive.attributes._SKINBAKE_ALPHA_0 !== undefined) bakes.set(mesh, { problem: LOST });
+            const problem = problemIn(gltf, primitive) || stale.get(primitive);
+            if (problem === NOT_BAKED) continue;
+            const bake = problem ? { problem } : bakeOf(gltf, primitive, read, method);
+            bakes.set(mesh, { ...bake, arrays: arraysOf(mesh) });
         }
     }
     for (const description of gltf.bufferViews ?? []) views.delete(description);
@@ -44,7 +40,7 @@ const writes = new WeakMap(); // VertexBuffer -> how often it has been written
 function arraysOf(mesh) {
     const { vertexBuffer } = mesh;
     watchBuffer(vertexBuffer);
-    const prints = Object.keys(NAMES).map((semantic) => [semantic, printOf(mesh, semantic)]);
+    const prints = Object.keys(NAMES).map((semantic) => [semantic, printIn(mesh, semantic)]);
     return { vertexBuffer, written: writes.get(vertexBuffer), prints, change: '' };
 }
 
@@ -54,7 +50,7 @@ export function changeOf(mesh, arrays) {
     const written = writes.get(vertexBuffer);
     if (arrays.vertexBuffer === vertexBuffer && arrays.written === written) return arrays.change;
     watchBuffer(vertexBuffer);
-    const [semantic] = arrays.prints.find(([name, print]) => !isLike(printOf(mesh, name), print)) ?? [];
+    const [semantic] = arrays.prints.find(([name, print]) => !isLike(printIn(mesh, name), print)) ?? [];
     const change = semantic ? `a page has changed its ${NAMES[semantic]}: its bake is for the old values` : '';
     Object.assign(arrays, { vertexBuffer, written: writes.get(vertexBuffer), change });
     return change;
@@ -70,44 +66,32 @@ function watchBuffer(vertexBuffer) {
     };
 }
 
-// A sum of all components, by random factors from -1 to 1.
-function printOf(mesh, semantic) {
+function printIn(mesh, semantic) {
     const values = [];
     if (mesh.vertexBuffer) mesh.getVertexStream(semantic, values);
-    let sum = 0;
-    let square = 0;
-    for (let index = 0; index < values.length; index++) {
-        let bits = Math.imul((index + 1) ^ (index >>> 15), 0x85ebca6b);
-        bits = Math.imul(bits ^ (bits >>> 13), 0xc2b2ae35);
-        sum += values[index] * (bits / 2 ** 31);
-        square += values[index] ** 2;
-    }
-    return { sum, length: Math.sqrt(square) };
+    return printOf(values.length, (index) => values[index]);
 }
 
-// Rounding, as when a page normalises again, changes less.
-const isLike = (one, other) => !(Math.abs(one.sum - other.sum) > 1e-5 * other.length);
-
-// Where extras of the primitive were not an object, bake has put the metadata into those of alpha's accessor.
-export function metadataOf({ accessors = [] }, { extras, attributes }) {
-    const places = [extras, ...Object.values(attributes).map((number) => accessors[number]?.extras)];
-    const notes = places.map((place) => place?.skinbake);
-    return notes.find((note) => isObject(note) && Number.isInteger(note.version));
+// Return why the bake of a primitive does not serve. PlayCanvas hands on nothing else of a mesh in Draco.
+export function problemIn(gltf, primitive) {
+    const { attributes, extensions } = primitive;
+    const find = (name) => gltf.accessors[attributes[name]];
+    const problem = problemOf(metadataOf(gltf, primitive), find, 'PlayCanvas', 4);
+    if (problem || !extensions?.KHR_draco_mesh_compression) return problem;
+    return 'PlayCanvas reads no alpha and beta of a mesh in Draco: bake it again with --compress none';
 }
 
-function bakeOf(gltf, primitive, metadata, views, method) {
-    const problem = problemOf(gltf, primitive, metadata) || staleOf(gltf).get(primitive);
-    if (problem) return { problem };
-    const read = (name) => elements(gltf, primitive.attributes[name], views);
-    const names = [...new Set([...metadata.alpha, ...metadata.beta])];
-    const stored = names.map(read);
+function bakeOf(gltf, primitive, readAt, method) {
+    const metadata = metadataOf(gltf, primitive);
+    const read = (name) => readAt(primitive.attributes[name]);
+    const stored = namesOf(metadata).map(read);
     const tangents = metadata.frame === 'tangent' ? read('TANGENT') : null;
     if ([...stored, ...(tangents ? [tangents] : [])].some((array) => !array)) {
         return { problem: 'its buffer views could not be read: bake it again without compression' };
     }
     const isPaired = metadata.layout === 'texcoord';
     const [alpha, beta] = isPaired ? assembled(stored) : stored.map((array) => decoded(array, metadata));
-    const stride = FRAMES[metadata.frame];
+    const stride = FRAMES[metadata.frame]; // texels of each vertex
     const count = alpha.length / 3;
     const values = new Float32Array(4 * stride * count);
     for (let vertex = 0; vertex < count; vertex++) {
@@ -124,92 +108,6 @@ function bakeOf(gltf, primitive, metadata, views, method) {
 function jointsInUse(joints, weights) {
     if (!joints || !weights) return null;
     return [...new Set(joints.filter((_, index) => index % 4 === 0 || weights[index] > 0))];
-}
-
-function problemOf({ accessors }, { attributes, extensions }, metadata) {
-    const { version, frame, encoding, layout, influences, scale, alpha, beta } = metadata;
-    if (version !== 1) return `its bake has version ${version}, and this module reads version 1: update it`;
-    if (extensions?.KHR_draco_mesh_compression) {
-        return 'PlayCanvas reads no alpha and beta of a mesh in Draco: bake it again with --compress none';
-    }
-    if (influences > 4 || attributes.JOINTS_1 !== undefined) {
-        const count = influences > 4 ? influences : 8;
-        const remedy = 'bake it again with --limit-influences 4';
-        return `it has ${count} influences for each vertex, and PlayCanvas reads four: ${remedy}`;
-    }
-    if (![alpha, beta].every(isNames)) return 'the metadata of its bake is damaged: bake it again';
-    if (!FRAMES[frame]) return `its frame is ${frame}, and this module knows normal and tangent: update it`;
-    if (encoding !== undefined && !ENCODINGS[encoding]) {
-        return `its encoding is ${encoding}, and this module knows packed8 and snorm16: update it`;
-    }
-    if (encoding && !Number.isFinite(scale)) return 'the metadata of its bake lacks the scale: bake it again';
-    for (const name of frame === 'tangent' ? ['NORMAL', 'TANGENT'] : ['NORMAL']) {
-        if (attributes[name] !== undefined) continue;
-        return `it has lost the attribute ${name}, which its bake needs: bake last`;
-    }
-    for (const name of [...alpha, ...beta]) {
-        const problem = misfit(accessors[attributes[name]], encoding, layout);
-        if (problem) return `its attribute ${name} ${problem}: bake last, or keep attributes as they are`;
-    }
-    return '';
-}
-
-const isNames = (list) => Array.isArray(list) && list.length > 0 && list.every((name) => typeof name === 'string');
-
-const SAME_BOUNDS = 1e-3; // of the diagonal, as in skinbake: Draco rounds positions
-const stale = new WeakMap(); // glTF -> Map of primitive -> why it is lit standard
-
-// Return the primitives that a tool has changed since their bake, as far as the bake has noted what they were, and the
-// other parts of their skins: between two lightings, a seam would show.
-function staleOf(gltf) {
-    if (stale.has(gltf)) return stale.get(gltf);
-    const found = new Map();
-    stale.set(gltf, found);
-    for (const { primitives } of gltf.meshes ?? []) {
-        for (const primitive of primitives) {
-            const change = changeSince(metadataOf(gltf, primitive)?.positions, gltf.accessors, primitive);
-            if (change) found.set(primitive, `a tool has changed ${change} since its bake: bake last`);
-        }
-    }
-    const parts = new Map(); // skin -> { name, primitive }
-    for (const { mesh, skin } of gltf.nodes ?? []) {
-        if (mesh === undefined || skin === undefined) continue;
-        const { name, primitives } = gltf.meshes[mesh];
-        parts.set(skin, [...(parts.get(skin) ?? []), ...primitives.map((primitive) => ({ name, primitive }))]);
-    }
-    for (const own of parts.values()) {
-        const changed = own.find(({ primitive }) => found.has(primitive));
-        for (const { primitive } of changed ? own : []) {
-            if (found.has(primitive)) continue;
-            found.set(primitive, `a part of "${changed.name}", of the same skin, does not fit its bake: bake last`);
-        }
-    }
-    return found;
-}
-
-function changeSince(noted, accessors, { attributes, indices }) {
-    const positions = accessors?.[attributes.POSITION];
-    if (!isObject(noted) || !positions) return '';
-    if (positions.componentType !== noted.componentType) return 'the type of its positions';
-    for (const [name, type] of Object.entries(noted.types ?? {})) {
-        const accessor = accessors[attributes[name]];
-        if (accessor && accessor.componentType !== type) return `the type of its ${name}`;
-    }
-    const { count } = accessors[indices] ?? positions;
-    if (noted.corners !== undefined && noted.corners !== count) return 'its triangles';
-    if (![noted, positions].every(({ min, max }) => [min, max].every(Array.isArray))) return '';
-    const allowed = SAME_BOUNDS * Math.hypot(...noted.max.map((most, axis) => most - noted.min[axis]));
-    const isSame = (key) => noted[key].every((value, axis) => Math.abs(value - positions[key][axis]) <= allowed);
-    return isSame('min') && isSame('max') ? '' : 'the bounds of its positions';
-}
-
-function misfit(accessor, encoding, layout) {
-    if (!accessor) return 'is missing';
-    const type = layout === 'texcoord' ? 'VEC2' : encoding ? 'VEC4' : 'VEC3';
-    if (accessor.type !== type) return `is ${accessor.type}, not ${type}`;
-    if (!encoding) return accessor.componentType === 5126 ? '' : 'is not of floats';
-    const isEncoded = accessor.componentType === ENCODINGS[encoding] && accessor.normalized;
-    return isEncoded ? '' : `is not encoded as ${encoding}`;
 }
 
 // The elements of an accessor as floats, or null where its buffer views are not at hand.

@@ -3,12 +3,12 @@
 // Everything that a shader needs lies on the geometry, because a geometry survives what materials do not:
 // clone(), copy(), another material, a hook that is set later, a mesh that is written anew around it.
 
+import { changeSince, FLOAT, FRAMES, isLike, isObject, namesOf, NOT_BAKED, printOf, problemOf } from './bake.js';
+
 // GLTFExporter leaves out attributes whose names begin with "morph".
 export const ATTRIBUTES = ['Alpha', 'Beta', 'Tangent', 'Storage', 'Dual', 'Moved'].map((name) => `morphSkinbake${name}`);
 export const [ALPHA, BETA, TANGENT, STORAGE, DUAL, MOVED] = ATTRIBUTES;
-const FRAMES = { normal: 2, tangent: 3 }; // An attribute that is missing reads as 0 or 1.
 const METHODS = { lbs: 0, dqs: 1 };
-const ENCODINGS = { packed8: Int8Array, snorm16: Int16Array };
 
 // Copies of this module on one page share what they know.
 export const state = (globalThis[Symbol.for('skinbake.three')] ??= {
@@ -177,7 +177,7 @@ class MeshReport {
     #found() {
         const { geometry } = this.mesh;
         const adopted = state.geometries.get(geometry);
-        const problem = strangeness(this.mesh) || (adopted ?? { problem: problemOf(geometry) }).problem;
+        const problem = strangeness(this.mesh) || (adopted ?? { problem: problemOfGeometry(geometry) }).problem;
         if (problem) return ['standard', problem];
         if (!adopted) return methodOf(geometry) ? UNDRAWN : ['standard', NOT_ASKED];
         if (state.standard.has(this.mesh)) return ['standard', 'lighting() has switched it'];
@@ -193,7 +193,6 @@ class MeshReport {
     }
 }
 
-const NOT_BAKED = 'it is not baked';
 const NOT_ASKED = 'applySkinbake has not been called for it';
 const UNDRAWN = ['not drawn', 'it has not been drawn yet'];
 
@@ -225,8 +224,6 @@ function materialsOf({ material, geometry }) {
 function kindOf({ isBatchedMesh, isInstancedMesh, type }) {
     return isBatchedMesh ? 'a BatchedMesh' : isInstancedMesh ? 'an InstancedMesh' : `a ${type}`;
 }
-
-const isObject = (value) => typeof value === 'object' && value !== null;
 
 // Where extras of the primitive were not an object, bake has put the metadata into those of alpha's accessor.
 function takeMetadata(mesh, { json, associations }) {
@@ -267,7 +264,7 @@ function keepMoves({ geometry: { attributes, morphAttributes, userData } }, colu
         if (used.first - rows.first >= rows.count) break;
         rows.first = used.first + used.count;
     }
-    const prints = [position, ...morphAttributes.position].map(printOf);
+    const prints = [position, ...morphAttributes.position].map(printIn);
     if (rows.first + rows.count > MOST_ROWS) {
         state.moves.set(userData.skinbake, { place: 0, prints, problem: 'no room is left for the numbers of its targets' });
         return;
@@ -290,7 +287,7 @@ function keepMoves({ geometry: { attributes, morphAttributes, userData } }, colu
 function placeOf({ attributes, morphAttributes, userData }) {
     const moves = state.moves.get(userData.skinbake);
     const present = [attributes.position, ...(morphAttributes.position ?? [])];
-    const isSame = (one, index) => isLike(printOf(one), moves.prints[index]);
+    const isSame = (one, index) => isLike(printIn(one), moves.prints[index]);
     return moves && present.length === moves.prints.length && present.every(isSame) ? moves.place : 0;
 }
 
@@ -338,7 +335,7 @@ function namesOfArrays(metadata) {
 function takeArrays(geometry) {
     const { attributes, userData } = geometry;
     const names = namesOfArrays(userData.skinbake).filter((name) => attributes[name]);
-    const found = new Map(names.map((name) => [name, printOf(attributes[name])]));
+    const found = new Map(names.map((name) => [name, printIn(attributes[name])]));
     const prints = firstPrints(geometry, found);
     const arrays = names.map((name) => {
         const attribute = attributes[name];
@@ -366,7 +363,7 @@ function isAsBefore(attribute, one) {
     if (!attribute) return false;
     const version = versionOf(attribute);
     if (attribute === one.attribute && version === one.version) return true;
-    if (!isLike(printOf(attribute), one.print)) return false;
+    if (!isLike(printIn(attribute), one.print)) return false;
     Object.assign(one, { attribute, version });
     return true;
 }
@@ -374,31 +371,14 @@ function isAsBefore(attribute, one) {
 const holderOf = (attribute) => (attribute.isInterleavedBufferAttribute ? attribute.data : attribute);
 const versionOf = (attribute) => holderOf(attribute).version;
 
-// A sum of all components, by random factors from -1 to 1. Nothing is known of a buffer that only the GPU has. A page
-// may have given the array away after its upload (onUpload): then it cannot have changed it.
-function printOf(attribute) {
-    const { count, itemSize } = attribute;
+// Nothing is known of a buffer that only the GPU has. A page may have given the array away after its upload (onUpload):
+// then it cannot have changed it.
+function printIn(attribute) {
+    const { itemSize } = attribute;
+    const count = attribute.count * itemSize;
     if (attribute.isGLBufferAttribute) return { count, sum: Infinity, length: 0 };
     if (!holderOf(attribute).array) return undefined;
-    let index = 0;
-    let sum = 0;
-    let square = 0;
-    for (let vertex = 0; vertex < count; vertex++) {
-        for (let component = 0; component < itemSize; component++) {
-            const value = attribute.getComponent(vertex, component);
-            let bits = Math.imul(++index ^ (index >>> 15), 0x85ebca6b);
-            bits = Math.imul(bits ^ (bits >>> 13), 0xc2b2ae35);
-            sum += value * (bits / 2 ** 31);
-            square += value * value;
-        }
-    }
-    return { count, sum, length: Math.sqrt(square) };
-}
-
-// Rounding, as when a page normalises again, changes less. Arrays of zeros, as alpha of a rigid part, differ by count.
-function isLike(one, other) {
-    if (!one || !other) return true;
-    return one.count === other.count && !(Math.abs(one.sum - other.sum) > 1e-5 * other.length);
+    return printOf(count, (index) => attribute.getComponent(Math.floor(index / itemSize), index % itemSize));
 }
 
 // Give a geometry the attributes that the shader reads.
@@ -439,7 +419,7 @@ function uncount(adopted) {
 function madeOf(geometry, method) {
     const metadata = geometry.userData.skinbake;
     const { attributes } = geometry;
-    const problem = problemOf(geometry, metadata) || misfitOf(geometry, metadata);
+    const problem = problemOfGeometry(geometry) || misfitOf(geometry, metadata);
     if (problem) return { problem };
     const { arrays, changed } = takeArrays(geometry);
     if (changed) return { problem: `a page has changed its attribute ${changed}: its bake is for the old values` };
@@ -467,53 +447,52 @@ function madeOf(geometry, method) {
 
 const TYPES = [Int8Array, Uint8Array, Int16Array, Uint16Array]; // as glTF numbers them, from 5120 on
 // What GLTFLoader calls attributes, but for those that it only puts in lower case.
-const NAMES = {
-    TEXCOORD_0: 'uv',
-    TEXCOORD_1: 'uv1',
-    TEXCOORD_2: 'uv2',
-    TEXCOORD_3: 'uv3',
-    COLOR_0: 'color',
-    WEIGHTS_0: 'skinWeight',
-};
-const FLOAT = 5126;
-const SAME_BOUNDS = 1e-3; // of the diagonal, as in skinbake: Draco rounds positions
+const NAMES = { TEXCOORD_0: 'uv', TEXCOORD_1: 'uv1', TEXCOORD_2: 'uv2', TEXCOORD_3: 'uv3' };
+const nameOf = (name) => NAMES[name] ?? name.toLowerCase();
+
+// Return an attribute in the words of a file, by its name there.
+function accessorOf({ attributes }, name) {
+    const attribute = attributes[nameOf(name)];
+    if (!attribute) return undefined;
+    const { array } = holderOf(attribute);
+    const found = TYPES.findIndex((one) => array instanceof one);
+    const type = array ? `VEC${attribute.itemSize}` : 'without an array';
+    const { count, normalized } = attribute;
+    return { type, componentType: found < 0 ? FLOAT : 5120 + found, normalized, count };
+}
+
+function problemOfGeometry(geometry) {
+    const { skinbake } = geometry.userData;
+    const metadata = isObject(skinbake) && Number.isInteger(skinbake.version) ? skinbake : undefined;
+    return problemOf(metadata, (name) => accessorOf(geometry, name), 'three.js', 4);
+}
 
 // Return why a mesh does not fit its bake; empty if it does, as far as the bake has noted it. A page may trim a mesh
 // later: only what it first was is looked at.
 function misfitOf(geometry, metadata) {
     if (!state.fits.has(metadata)) {
-        const change = changeSince(metadata, geometry);
+        const change = changeIn(geometry, metadata);
         state.fits.set(metadata, change && `a tool has changed ${change} since its bake: bake last`);
     }
     return state.fits.get(metadata);
 }
 
-function changeSince({ positions: noted }, { attributes, index }) {
-    const { position } = attributes;
-    if (!isObject(noted) || !position || !holderOf(position).array) return '';
-    const hasType = (attribute, type) => {
-        const found = TYPES.findIndex((one) => holderOf(attribute).array instanceof one);
-        return type === (found < 0 ? FLOAT : 5120 + found);
-    };
-    if (!hasType(position, noted.componentType)) return 'the type of its positions';
-    for (const [name, type] of Object.entries(noted.types ?? {})) {
-        const attribute = attributes[NAMES[name] ?? name.toLowerCase()];
-        if (attribute && !hasType(attribute, type)) return `the type of its ${name}`;
-    }
-    if (noted.corners !== undefined && noted.corners !== (index ?? position).count) return 'its triangles';
-    if (!noted.min || !noted.max) return '';
-    const axes = [0, 1, 2];
-    const allowed = SAME_BOUNDS * Math.hypot(...axes.map((axis) => noted.max[axis] - noted.min[axis]));
-    const isSame = axes.every((axis) => {
-        let [least, most] = [Infinity, -Infinity];
-        for (let vertex = 0; vertex < position.count; vertex++) {
+function changeIn(geometry, metadata) {
+    const { attributes: { position, skinIndex }, index } = geometry;
+    const isAtHand = (attribute) => Boolean(attribute && holderOf(attribute).array);
+    if (!isAtHand(position)) return '';
+    const [min, max] = [new Array(3).fill(Infinity), new Array(3).fill(-Infinity)];
+    for (let vertex = 0; vertex < position.count; vertex++) {
+        for (let axis = 0; axis < 3; axis++) {
             const value = position.getComponent(vertex, axis);
-            least = Math.min(least, value);
-            most = Math.max(most, value);
+            min[axis] = Math.min(min[axis], value);
+            max[axis] = Math.max(max[axis], value);
         }
-        return Math.abs(least - noted.min[axis]) <= allowed && Math.abs(most - noted.max[axis]) <= allowed;
-    });
-    return isSame ? '' : 'the bounds of its positions';
+    }
+    const jointOf = isAtHand(skinIndex) && ((vertex, slot) => skinIndex.getComponent(vertex, slot));
+    const vertexOf = (corner) => index?.getX(corner) ?? corner;
+    const accessor = { ...accessorOf(geometry, 'POSITION'), min, max };
+    return changeSince(metadata, () => accessor, { corners: (index ?? position).count, jointOf, vertexOf });
 }
 
 // Return the indices of the joints that move a vertex, and of those in slot 0: the shader starts from them.
@@ -620,51 +599,7 @@ function withoutOurs({ attributes }) {
 }
 
 // Return the names of the attributes that hold alpha and beta, as GLTFLoader has them.
-export function coordinatesOf({ alpha, beta }) {
-    const renamed = { texcoord_0: 'uv', texcoord_1: 'uv1', texcoord_2: 'uv2', texcoord_3: 'uv3' };
-    return [...new Set([...alpha, ...beta])].map((name) => renamed[name.toLowerCase()] ?? name.toLowerCase());
-}
-
-function problemOf(geometry, metadata = geometry.userData.skinbake) {
-    const { attributes } = geometry;
-    if (!isObject(metadata) || !Number.isInteger(metadata.version)) {
-        if (!attributes._skinbake_alpha_0) return NOT_BAKED;
-        return 'it has lost the metadata of its bake: keep the extras of primitives, or bake last';
-    }
-    const { version, frame, encoding, layout, influences, scale, alpha, beta } = metadata;
-    if (version !== 1) return `its bake has version ${version}, and this module reads version 1: update it`;
-    if (influences > 4 || attributes.joints_1) {
-        const count = influences > 4 ? influences : 8;
-        const remedy = 'bake it again with --limit-influences 4';
-        return `it has ${count} influences for each vertex, and three.js reads four: ${remedy}`;
-    }
-    if (![alpha, beta].every(isNames)) return 'the metadata of its bake is damaged: bake it again';
-    if (!FRAMES[frame]) return `its frame is ${frame}, and this module knows normal and tangent: update it`;
-    if (encoding !== undefined && !ENCODINGS[encoding]) {
-        return `its encoding is ${encoding}, and this module knows packed8 and snorm16: update it`;
-    }
-    if (encoding && !Number.isFinite(scale)) return 'the metadata of its bake lacks the scale: bake it again';
-    for (const name of frame === 'tangent' ? ['normal', 'tangent'] : ['normal']) {
-        if (!attributes[name]) return `it has lost the attribute ${name}, which its bake needs: bake last`;
-    }
-    for (const name of coordinatesOf(metadata)) {
-        const problem = misfit(attributes[name], encoding, layout);
-        if (problem) return `its attribute ${name} ${problem}: bake last, or keep attributes as they are`;
-    }
-    return '';
-}
-
-const isNames = (list) => Array.isArray(list) && list.length > 0 && list.every((name) => typeof name === 'string');
-
-function misfit(attribute, encoding, layout) {
-    if (!attribute) return 'is missing';
-    const size = layout === 'texcoord' ? 2 : encoding ? 4 : 3;
-    if (attribute.itemSize !== size) return `is VEC${attribute.itemSize}, not VEC${size}`;
-    const { array } = holderOf(attribute);
-    if (!array) return 'has no array any more';
-    if (!encoding) return array instanceof Float32Array ? '' : 'is not of floats';
-    return array instanceof ENCODINGS[encoding] && attribute.normalized ? '' : `is not encoded as ${encoding}`;
-}
+export const coordinatesOf = (metadata) => namesOf(metadata).map(nameOf);
 
 // Alpha and beta of the layout texcoord. A clone has them already.
 function ownOf(attributes, sources) {
@@ -796,7 +731,7 @@ function meet(renderer, mesh, geometry) {
     if (method) adoptDrawn(renderer, mesh, geometry, method);
     else if (state.count > 0 && !state.passed.has(geometry)) {
         state.passed.add(geometry);
-        const problem = problemOf(geometry);
+        const problem = problemOfGeometry(geometry);
         if (problem !== NOT_BAKED) tell(mesh, problem || NOT_ASKED);
     }
     // Without alpha and beta, the shader must not take it for a baked one.

@@ -380,11 +380,11 @@ class TestMessages:
         assert report == [["standard", alike], ["standard", changed]]
         assert sorted(said) == sorted([alike, changed])
 
-    @pytest.mark.parametrize("kind", ["frame", "alpha"])
+    @after_bake.each_damage
     def test_damaged_metadata(self, stage: DrawingStage, kind: str) -> None:
         (((lighting, reason),), said) = stage.told(after_bake.damaged(TUBE, stage.models, kind))
         assert lighting == "standard"
-        assert after_bake.DAMAGES[kind] in reason
+        assert after_bake.DAMAGES[kind][1] in reason
         assert said == [reason]
 
     def test_a_file_without_a_bake_once(self, stage: DrawingStage) -> None:

@@ -127,6 +127,8 @@ class TestEveryFixture:
             corners = after.triangles(mesh, number)
             assert found["positions"]["componentType"] == 5126
             assert found["positions"]["corners"] == corners.size
+            hashes = [fnv_1a([int(joint) for joint in row]) for row in joints]
+            assert found["positions"]["joints"] == sum(hashes[vertex] for vertex in corners.ravel()) % 2**32
             used = positions[np.unique(corners)]
             bounds = {"min": used.min(axis=0).tolist(), "max": used.max(axis=0).tolist()}
             is_shared = len(used) < len(positions)
@@ -162,6 +164,14 @@ class TestEveryFixture:
             text = text.replace(f'"_SKINBAKE_BETA_{n}"', f'"_GRADIENT{n}_ALONG_B"')
         assert json.dumps(other.content) == text
         assert other.binary_chunk == plain.binary_chunk
+
+
+def fnv_1a(words: list[int]) -> int:
+    """Return the hash of 32 bits (Fowler, Noll, Vo) of numbers, each taken as one octet is."""
+    result = 0x811C9DC5
+    for word in words:
+        result = (result ^ word) * 0x01000193 % 2**32
+    return result
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -626,7 +626,7 @@ def test_a_file_that_does_not_fit_is_named_with_the_reason(
     assert [line for line in found["said"] if reason in line]
 
 
-@pytest.mark.parametrize("kind", ["welded", "dequantised", "simplified"])
+@pytest.mark.parametrize("kind", ["welded", "dequantised", "sorted and dequantised", "simplified"])
 def test_a_file_that_a_tool_has_changed_since_its_bake_is_lit_standard(stage: Stage, kind: str) -> None:
     """But for a tool that only merges equal vertices. Godot refuses what is quantised."""
     character = Character(after_bake.changed(TUBE, stage.models, kind), BENT)
@@ -650,14 +650,14 @@ def test_all_parts_of_a_skin_are_lit_as_the_one_that_does_not_fit_its_bake(stage
     ]
 
 
-@pytest.mark.parametrize("kind", ["frame", "alpha"])
+@after_bake.each_damage
 def test_damaged_metadata_are_told_of(stage: Stage, kind: str) -> None:
     path = after_bake.damaged(TUBE, stage.models, kind)
     found = stage.shown({"url": f"/models/{path.name}", "pose": {}, "isDrawn": False})
     (entry,) = found["report"]
     assert entry["lighting"] == "standard"
-    assert after_bake.DAMAGES[kind] in entry["reason"]
-    assert [line for line in found["said"] if after_bake.DAMAGES[kind] in line]
+    assert after_bake.DAMAGES[kind][1] in entry["reason"]
+    assert [line for line in found["said"] if after_bake.DAMAGES[kind][1] in line]
 
 
 def test_tangents_that_godot_makes_are_not_those_of_the_bake(stage: Stage) -> None:

@@ -22,7 +22,10 @@ IN_ENGINES = {
     "galacean": "galacean/shaders.js",
     "godot": "godot/addons/skinbake/skinbake.gdshaderinc",
 }
-"""The generated file of each target that has a package in engines/. All else there is written by hand."""
+"""The generated shader text of each target that has a package in engines/.
+
+A package for npm also has a copy of bake.js. All else there is written by hand.
+"""
 FRAMES = [Frame.NORMAL, Frame.TANGENT] * 3
 
 
@@ -53,6 +56,9 @@ def golden_files() -> dict[Path, str]:
     for target, name in IN_ENGINES.items():
         choices = ShaderChoices(Language.GLSL, target=target)
         files[engines_folder() / name] = shader_made(choices, package=True)[0]
+        if name.endswith(".js"):
+            shared = engines_folder() / "bake.js"
+            files[(engines_folder() / name).with_name(shared.name)] = shared.read_text(encoding="ascii")
     return files
 
 

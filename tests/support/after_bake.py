@@ -17,24 +17,38 @@ COMMANDS = {
     "quantised with all attributes": [["quantize"]],
     "sorted": [["quantize", "--pattern", "NORMAL"]],
     "dequantised": [["quantize", *SPARED], ["dequantize"]],
+    "sorted and dequantised": [["quantize", "--pattern", "NORMAL"], ["dequantize"]],
     "simplified": [["simplify", "--ratio", "0.5", "--error", "0.01"]],
     "optimised": [["optimize", "--compress", "quantize", "--texture-compress", "false"]],
 }
+SORTED = "a tool has changed the order of its joints since its bake: bake last"
 REASONS = {
     "welded": "",
     "quantised": "a tool has changed the type of its positions since its bake: bake last",
     "quantised with all attributes": "bake last",
-    "sorted": "a tool has changed the type of its NORMAL since its bake: bake last",
+    "sorted": SORTED,
+    "sorted and dequantised": SORTED,
     "dequantised": "a tool has changed the bounds of its positions since its bake: bake last",
     "simplified": "a tool has changed its triangles since its bake: bake last",
     "optimised": "bake last",
 }
 """What the reason says for which a mesh is lit standard; empty if it is lit accurately."""
 
-DAMAGES = {"frame": "its frame is other, and", "alpha": "the metadata of its bake is damaged: bake it again"}
-"""What the reason says for ``damaged`` metadata."""
+AGAIN = "the metadata of its bake is damaged: bake it again"
+DAMAGES: dict[str, tuple[dict[str, object], str]] = {
+    "frame": ({"frame": "other"}, "its frame is other, and"),
+    "frame of a name that objects have": ({"frame": "constructor"}, "its frame is constructor, and"),
+    "layout": ({"layout": "other"}, "its layout is other, and"),
+    "scale": ({"encoding": "packed8", "scale": -1}, "the metadata of its bake lacks the scale"),
+    "no alpha": ({"alpha": None}, AGAIN),
+    "no influences": ({"influences": None}, AGAIN),
+    "too many names": ({"alpha": ["_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0"]}, AGAIN),
+    "one name twice": ({"beta": ["_SKINBAKE_ALPHA_0"]}, AGAIN),
+}
+"""Members of metadata, None if there is none, and what the reason says."""
 
 each = pytest.mark.parametrize("kind", COMMANDS)
+each_damage = pytest.mark.parametrize("kind", DAMAGES)
 
 
 def changed(source: Path, folder: Path, kind: str, frame: str = "auto") -> Path:
@@ -56,10 +70,10 @@ def simplified_in_part(source: Path, folder: Path) -> Path:
 
 
 def damaged(source: Path, folder: Path, kind: str) -> Path:
-    """Bake a file and damage its metadata: an unknown ``frame``, or no ``alpha``."""
+    """Bake a file and damage its metadata in one of these ways. Return the path in the folder."""
     file = Editable(baked(source, folder))
-    if kind == "frame":
-        file.metadata()["frame"] = "other"
-    else:
-        del file.metadata()["alpha"]
-    return file.write(folder / f"damaged-{kind}-{source.name}")
+    noted = file.metadata()
+    noted.update(DAMAGES[kind][0])
+    for member in [name for name, value in noted.items() if value is None]:
+        del noted[member]
+    return file.write(folder / f"damaged-{kind.replace(' ', '-')}-{source.name}")

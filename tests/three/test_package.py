@@ -160,7 +160,7 @@ def test_tangents_of_a_frame_may_be_others_but_must_be_there(stage: ThreeStage, 
     without = stage.page.call("normals", told)
     wanted = expected(character, without["world"], Algorithm.LBS_STANDARD)
     assert largest(without["draws"][0], wanted) < DEGREES
-    reason = "it has lost the attribute tangent, which its bake needs: bake last"
+    reason = "it has lost the attribute TANGENT, which its bake needs: bake last"
     assert without["report"] == [["standard", reason]]
     (message,) = stage.page.messages()
     assert message.endswith(f"has three.js's standard lighting: {reason}")
@@ -465,6 +465,15 @@ def test_all_parts_of_a_skin_are_lit_as_the_one_that_does_not_fit_its_bake(stage
     alike = '"cut_2", of the same skin, does not fit its bake: bake last'
     assert report == [["standard", alike], ["standard", changed]]
     assert [line.partition("lighting: ")[2] for line in stage.messages()] == [alike, changed]
+
+
+@after_bake.each_damage
+def test_damaged_metadata_are_told_of(stage: ThreeStage, kind: str) -> None:
+    path = after_bake.damaged(TUBE, stage.models, kind)
+    ((lighting, reason),) = stage.page.call("reports", {"url": f"/models/{path.name}"})
+    assert lighting == "standard"
+    assert after_bake.DAMAGES[kind][1] in reason
+    assert [line.partition("lighting: ")[2] for line in stage.messages()] == [reason]
 
 
 def test_a_file_without_a_bake_is_told_of_once(stage: ThreeStage) -> None:

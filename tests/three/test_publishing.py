@@ -19,7 +19,7 @@ import * as THREE from 'three';
 import { applySkinbake, dispose } from 'skinbake-three';
 const before = THREE.ShaderChunk.skinnormal_vertex;
 const geometry = new THREE.BufferGeometry();
-for (const name of ['normal', '_skinbake_alpha_0', '_skinbake_beta_0']) {
+for (const name of ['position', 'normal', '_skinbake_alpha_0', '_skinbake_beta_0']) {
     geometry.setAttribute(name, new THREE.BufferAttribute(new Float32Array(9), 3));
 }
 geometry.userData.skinbake = {

@@ -410,7 +410,7 @@ class TestStorage:
         remedy = "bake last, or keep attributes as they are"
         assert told == [
             standard("size", f"its attribute _skinbake_alpha_0 is VEC3, not VEC4: {remedy}"),
-            standard("lacking", f"its attribute _skinbake_beta_0 is missing: {remedy}"),
+            standard("lacking", f"its attribute _SKINBAKE_BETA_0 is missing: {remedy}"),
             standard("integers", f"its attribute _skinbake_alpha_0 is not encoded as packed8: {remedy}"),
             standard("floats", f"its attribute _skinbake_alpha_0 is VEC3, not VEC4: {remedy}"),
             standard("scale", "the metadata of its bake lacks the scale: bake it again"),
@@ -488,10 +488,10 @@ class TestMisfits:
         changes = ["size", "lacking", "frame", "normal", "influences", "version", "damaged", "metadata"]
         remedy = "bake last, or keep attributes as they are"
         assert stage.misfits(character, changes) == [
-            standard("size", f"its attribute _skinbake_alpha_0 is VEC4, not VEC3: {remedy}"),
-            standard("lacking", f"its attribute _skinbake_beta_0 is missing: {remedy}"),
+            standard("size", f"its attribute _SKINBAKE_ALPHA_0 is VEC4, not VEC3: {remedy}"),
+            standard("lacking", f"its attribute _SKINBAKE_BETA_0 is missing: {remedy}"),
             standard("frame", "its frame is other, and this module knows normal and tangent: update it"),
-            standard("normal", "it has lost the attribute normal, which its bake needs: bake last"),
+            standard("normal", "it has lost the attribute NORMAL, which its bake needs: bake last"),
             standard("influences", EIGHT),
             standard("version", "its bake has version 2, and this module reads version 1: update it"),
             standard("damaged", "the metadata of its bake is damaged: bake it again"),

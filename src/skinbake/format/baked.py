@@ -38,9 +38,6 @@ from skinbake.version import __version__
 
 FLOAT = 5126
 
-TYPED = ("NORMAL", "TANGENT", "TEXCOORD_", "COLOR_", "WEIGHTS_")
-"""Attributes whose type is noted. For its own use WebGPURenderer of three.js changes that of joints."""
-
 SAME_BOUNDS = 1e-3
 """The most that bounds of one mesh may differ, as a part of its diagonal: Draco rounds positions."""
 
@@ -147,15 +144,7 @@ def _written(
     with stage("digests"):
         note["digest"] = metadata.digests(stored, item.result.frame)
     note["alpha"], note["beta"], gradients = _stored(item, names, storage)
-    note[metadata.POSITIONS] = _noted_positions(document, item)
-    if (stored.weights[:, 1:] > stored.weights[:, :-1]).any():
-        # Tools that quantise any attribute also sort the influences of a vertex, but not its α and β.
-        accessors = document.objects("accessors")
-        note[metadata.POSITIONS]["types"] = {
-            name: accessors[int(number)]["componentType"]
-            for name, number in item.source.attributes.items()
-            if name.startswith(TYPED) and attributes.get(name) == number
-        }
+    note[metadata.POSITIONS] = _noted_positions(document, item, stored)
     note |= storage.noted
     for member in (metadata.STORED_POSE, metadata.POSES):
         if member in note:
@@ -213,12 +202,13 @@ def _add_influences(
     return _replace_influences(document, store, item, attributes, note)
 
 
-def _noted_positions(document: Document, item: Baked) -> JsonObject:
-    """Return what a tool changes that spoils α and β, and what an engine can read without reading vertices.
+def _noted_positions(document: Document, item: Baked, stored: SkinnedPrimitive) -> JsonObject:
+    """Return what a tool changes that spoils α and β, and what an engine can read at next to no cost.
 
-    That is the type of POSITION, its bounds, and how many corners are drawn: merging equal vertices changes
-    none of them. Bounds are left out where those of the accessor are not those of the triangles, because
-    primitives share it or a tool has written it wrongly.
+    That is the type of POSITION, its bounds, how many corners are drawn, and a sum over them of hashes of the
+    joints: merging equal vertices changes none of them. Tools that quantise any attribute also sort the
+    influences of a vertex or drop tiny weights, but not their α and β. Bounds are left out where those of the
+    accessor are not those of the triangles, because primitives share it or a tool has written it wrongly.
     """
     source = item.source
     number = int(source.attributes["POSITION"])
@@ -227,6 +217,12 @@ def _noted_positions(document: Document, item: Baked) -> JsonObject:
     if source.json.get("mode", TRIANGLES) == TRIANGLES:
         corners = int(source.json.get("indices", number))
         noted["corners"] = element_count(document, corners, source.place.at("indices"))
+        # FNV-1a of each vertex's joints, slot by slot, in uint32: sums and products wrap.
+        hashes = np.full(len(stored.joints), 0x811C9DC5, np.uint32)
+        for column in stored.joints.T:
+            hashes = (hashes ^ column.astype(np.uint32)) * np.uint32(0x01000193)
+        sums = [int(hashes[column].sum(dtype=np.uint32)) for column in item.primitive.triangles.T]
+        noted["joints"] = sum(sums) % 2**32
     used = np.zeros(len(item.primitive.positions), dtype=np.bool_)
     used[item.primitive.triangles] = True
     if accessor["componentType"] != FLOAT or not used.any():

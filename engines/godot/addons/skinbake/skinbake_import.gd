@@ -14,6 +14,7 @@ const SHORT := 5122
 const FLOAT := 5126
 const SIZES := {BYTE: 1, SHORT: 2, FLOAT: 4}
 const TYPES := {"float32": FLOAT, "snorm16": SHORT, "packed8": BYTE}
+const LAYOUTS := ["attributes", "custom", "texcoord"]
 const REPAIR := ": a tool changed the file after its bake; bake last"
 ## Of the diagonal, as in skinbake: Draco rounds positions.
 const SAME_BOUNDS := 1e-3
@@ -67,7 +68,10 @@ static func _stale(state: GLTFState) -> Dictionary:
 		found[mesh] = {}
 		var primitives: Array = meshes[mesh]["primitives"]
 		for number in primitives.size():
-			var change := _change_since(_note_of(primitives[number], state), primitives[number], state)
+			var built: ImporterMesh = state.meshes[mesh].mesh if mesh < state.meshes.size() else null
+			var is_built := built != null and number < built.get_surface_count()
+			var arrays: Array = built.get_surface_arrays(number) if is_built else []
+			var change := _change_since(_note_of(primitives[number], state), primitives[number], state, arrays)
 			if change != "":
 				found[mesh][number] = "a tool has changed %s since its bake: bake last" % change
 	var changed := {}
@@ -86,7 +90,8 @@ static func _stale(state: GLTFState) -> Dictionary:
 	return found
 
 
-static func _change_since(note: Dictionary, primitive: Dictionary, state: GLTFState) -> String:
+## arrays: those of the surface, which Godot has built of it.
+static func _change_since(note: Dictionary, primitive: Dictionary, state: GLTFState, arrays: Array) -> String:
 	var noted: Variant = note.get("positions")
 	if not noted is Dictionary or not primitive["attributes"].has("POSITION"):
 		return ""
@@ -97,15 +102,37 @@ static func _change_since(note: Dictionary, primitive: Dictionary, state: GLTFSt
 	var corners: Dictionary = accessors[int(primitive["indices"])] if primitive.has("indices") else positions
 	if noted.has("corners") and noted["corners"] != corners["count"]:
 		return "its triangles"
-	for holder: Dictionary in [noted, positions]:
-		if not holder.get("min") is Array or not holder.get("max") is Array:
-			return ""
-	var diagonal := _vector(noted["max"]).distance_to(_vector(noted["min"]))
-	for key: String in ["min", "max"]:
-		var difference := (_vector(noted[key]) - _vector(positions[key])).abs()
-		if difference[difference.max_axis_index()] > SAME_BOUNDS * diagonal:
-			return "the bounds of its positions"
+	var has_bounds := func(holder: Dictionary) -> bool: return holder.get("min") is Array and holder.get("max") is Array
+	if [noted, positions].all(has_bounds):
+		var diagonal := _vector(noted["max"]).distance_to(_vector(noted["min"]))
+		for key: String in ["min", "max"]:
+			var difference := (_vector(noted[key]) - _vector(positions[key])).abs()
+			if difference[difference.max_axis_index()] > SAME_BOUNDS * diagonal:
+				return "the bounds of its positions"
+	if noted.has("joints") and not arrays.is_empty() and noted["joints"] != _sum_of_joints(arrays):
+		return "the order of its joints"
 	return ""
+
+
+## The sum over all corners of FNV-1a of a vertex's joints, slot by slot, in 32 bits.
+static func _sum_of_joints(arrays: Array) -> int:
+	var joints: PackedInt32Array = arrays[Mesh.ARRAY_BONES]
+	var count: int = arrays[Mesh.ARRAY_VERTEX].size()
+	var hashes := PackedInt64Array()
+	hashes.resize(count)
+	for vertex in count:
+		var hash := 0x811c9dc5
+		for at in range(joints.size() / count * vertex, joints.size() / count * (vertex + 1)):
+			hash = ((hash ^ joints[at]) * 0x01000193) & 0xffffffff
+		hashes[vertex] = hash
+	var sum := 0
+	if arrays[Mesh.ARRAY_INDEX] == null or arrays[Mesh.ARRAY_INDEX].is_empty():
+		for vertex in count:
+			sum += hashes[vertex]
+	else:
+		for vertex: int in arrays[Mesh.ARRAY_INDEX]:
+			sum += hashes[vertex]
+	return sum & 0xffffffff
 
 
 static func _vector(numbers: Array) -> Vector3:
@@ -141,12 +168,17 @@ func _record(
 		return {"why": "it is not baked"}
 	if int(note.get("version", 0)) != 1:
 		return {"why": "its bake is of version %s, and this add-on reads version 1" % note.get("version")}
-	if not ["alpha", "beta"].all(func(key: String) -> bool: return _is_names(note.get(key))):
-		return {"why": "the metadata of its bake is damaged: bake it again"}
 	if not note.get("frame") in ["normal", "tangent"]:
 		return {"why": "its frame is %s, and this add-on knows normal and tangent: update it" % note.get("frame")}
+	var layout: Variant = note.get("layout", "attributes")
+	if not layout in LAYOUTS:
+		return {"why": "its layout is %s, and this add-on knows %s: update it" % [layout, ", ".join(LAYOUTS)]}
 	if not note.get("encoding", "float32") in TYPES:
 		return {"why": "its encoding is %s, and this add-on knows packed8 and snorm16: update it" % note["encoding"]}
+	if note.has("encoding") and not (note.get("scale") is float and note["scale"] >= 0.0):
+		return {"why": "the metadata of its bake lacks the scale: bake it again"}
+	if not _is_sound(note):
+		return {"why": "the metadata of its bake is damaged: bake it again"}
 	if stale != "":
 		return {"why": stale}
 	if int(note.get("influences", 4)) > 4:
@@ -182,8 +214,19 @@ func _record(
 	}
 
 
-static func _is_names(list: Variant) -> bool:
-	return list is Array and not list.is_empty() and list.all(func(name: Variant) -> bool: return name is String)
+## Whether α and β have as many names as their influences need.
+static func _is_sound(note: Dictionary) -> bool:
+	var names := {}
+	for key: String in ["alpha", "beta"]:
+		if not note.get(key) is Array:
+			return false
+		for name: Variant in note[key]:
+			names[name] = name is String
+	if false in names.values() or not note.get("influences") is float:
+		return false
+	if note.get("layout") == "texcoord":
+		return names.size() == note["influences"] - 1
+	return names.size() == note["influences"] / 2 and note["alpha"].size() == note["beta"].size()
 
 
 ## One surface of an ImporterMesh, taken out so that it can be added again with more arrays.
