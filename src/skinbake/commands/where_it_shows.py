@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -48,7 +48,7 @@ PROMISING, LOOKS, GUESSES = 4, 40, 12
 """The clips that are sampled ``EACH`` times, the poses that are looked at, and the patches in each."""
 
 REFINED = 8
-"""The moments around the best sampled one, and the middles around the best patch's, that are tried."""
+"""The moments around the best sampled one that are tried, and half of the patches around the best."""
 
 STILL = 0.005
 """A clip stands still if no vertex moves by more than this share of the model's diagonal."""
@@ -66,10 +66,10 @@ INSIDE_OUT = 90.0
 """Degrees from which on an error is that of a fold, which no lighting shows."""
 
 CELLS = 1 << 22
-"""The entries of a table of distances or of hits: 32 MiB at a time."""
+"""The entries of a table of distances: 32 MiB at a time."""
 
-TESTS = 1 << 19
-"""The most vertices × triangles of a look. If there are more, a vertex is seen like one shortly before it."""
+TESTS, BLOCK = 1 << 17, 1 << 14
+"""The most vertices × triangles of a look, and at a time. If there are more, some vertices are tested."""
 
 LISTED = 5
 
@@ -107,8 +107,7 @@ class _Surface:
         parts = [view.now.triangles + start for view, start in zip(draw.views, starts, strict=False)]
         self.triangles = np.concatenate(parts).astype(np.int64)
         self.starts = starts
-        found = posed_positions(draw, PosedDraw(rest_pose(draw.skeleton)))
-        rest = np.concatenate([part[0] for part in found])
+        rest = next(_posed(draw, PosedDraw(rest_pose(draw.skeleton))))
         self.areas = vertex_areas(rest, self.triangles)
         extent = np.abs(rest).max(initial=0.0)
         if not 1e-12 * extent**2 < self.areas.sum() < np.inf:  # joints that are scaled to 0 hide it at rest
@@ -148,21 +147,24 @@ class _Surface:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Moment:
-    """All draws in one pose: positions and normals (V, 3), triangles (T, 3).
+    """All draws in one of some poses: positions and normals (V, 3).
 
-    errors holds, for the draws that were looked at, errors (2, V) and where they count (V,).
+    errors holds, for the draws that were looked at, errors (2, P, V) and where they count (P, V), in all of
+    those poses.
     """
 
+    time: float
+    pose: int
     posed: list[PosedDraw]
     positions: Float64Array
-    triangles: IntArray
-    starts: IntArray
     normals: Float64Array
     errors: dict[int, tuple[Float64Array, BoolArray]]
 
 
 class _Search:
     def __init__(self, document: Document, draws: Sequence[Draw]) -> None:
+        from scipy.sparse import coo_array
+
         self.document = document
         self.rigid, _ = attachments(document)
         self.surfaces = [_Surface(draw) for draw in draws]
@@ -171,6 +173,18 @@ class _Search:
         self.radius = RADIUS * self.size
         self.truths: dict[tuple[int, int], Any] = {}
         self.patches: list[Any] = []
+        # What hangs on the character may hide some of it.
+        parts = [(one.triangles, one.places) for one in self.surfaces]
+        parts += [(one.triangles.astype(np.int64), np.arange(len(one.rest.positions))) for one in self.rigid]
+        self.starts = np.cumsum([0, *(len(places) for _, places in parts)])
+        self.triangles, self.places = (
+            np.concatenate([part + start for part, start in zip(one, self.starts, strict=False)])
+            for one in zip(*parts, strict=True)
+        )
+        # The triangles around each place: copies of a vertex have one normal.
+        ends, faces = self.places[self.triangles].ravel(), np.repeat(np.arange(len(self.triangles)), 3)
+        shape = len(self.places), len(self.triangles)
+        self.around = coo_array((np.ones(len(ends)), (ends, faces)), shape=shape).tocsr()
 
     def stands_still(self, clip: Clip) -> bool:
         """Tell whether no vertex moves over a clip, by some vertices and the joint that moves each most."""
@@ -232,38 +246,20 @@ class _Search:
             self.truths[key] = truths_of_draw(self.surfaces[number].draw, posed, Truth.TANGENTS)
         return self.truths[key]
 
-    def moment(self, clip: Clip, time: float) -> _Moment:
-        """Pose all draws. Errors are measured when a draw is looked at."""
-        positions, triangles, starts, posed = [], [], [0], []
-        for surface in self.surfaces:
-            posed.append(posed_draw(self.document, surface.draw, clip, np.array([time])))
-            positions.append(np.concatenate([part[0] for part in posed_positions(surface.draw, posed[-1])]))
-            triangles.append(surface.triangles + starts[-1])
-            starts.append(starts[-1] + len(positions[-1]))
-        # What hangs on the character may hide some of it.
-        places, at = (
-            [one.places + start for one, start in zip(self.surfaces, starts, strict=False)],
-            starts[-1],
-        )
-        for one in self.rigid:
-            held = posed_attachment(self.document, one, clip, np.array([time]))
-            positions.append(one.positions(held[0, 0]))
-            triangles.append(one.triangles.astype(np.int64) + at)
-            places.append(np.arange(at, at + len(positions[-1])))
-            at += len(positions[-1])
-        every, corners, place = map(np.concatenate, (positions, triangles, places))
-        edges = every[corners]
-        crossed = np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0])
-        # Copies of a vertex have one normal.
-        normals = np.stack(
-            [
-                np.bincount(place[corners].ravel(), np.repeat(axis, 3), len(every))[place]
-                for axis in crossed.T
-            ],
-            axis=1,
-        )
-        normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
-        return _Moment(posed, every, corners, np.array(starts), normals, {})
+    def moments(self, clip: Clip, times: Float64Array) -> Iterator[_Moment]:
+        """Yield all draws, posed at each time. Errors are measured when a draw is looked at."""
+        errors = dict[int, tuple[Float64Array, BoolArray]]()
+        posed = [posed_draw(self.document, surface.draw, clip, times) for surface in self.surfaces]
+        held = [posed_attachment(self.document, one, clip, times) for one in self.rigid]
+        moving = [_posed(surface.draw, one) for surface, one in zip(self.surfaces, posed, strict=True)]
+        for pose, time in enumerate(times):
+            parts = [next(positions) for positions in moving]
+            parts += [one.positions(node[pose, 0]) for one, node in zip(self.rigid, held, strict=True)]
+            every = np.concatenate(parts)
+            first, second, third = (every[self.triangles[:, corner]] for corner in range(3))
+            normals = (self.around @ np.cross(second - first, third - first))[self.places]
+            normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
+            yield _Moment(float(time), pose, posed, every, normals, errors)
 
     def errors(self, moment: _Moment, draw: int) -> tuple[Float64Array, BoolArray]:
         """Return the errors (2, V) of a draw, standard and with the bake, and where they count (V,)."""
@@ -271,24 +267,27 @@ class _Search:
             own, posed = self.surfaces[draw].draw, moment.posed[draw]
             improved = "corrected" if posed.corrections else "accurate"
             known = lighting_errors_of([own], [posed], Truth.TANGENTS, [self._truths(draw, posed)])
-            errors = np.array(
-                [np.concatenate([one[name][0, 0] for one in known]) for name in ("standard", improved)],
+            found = np.array(
+                [np.concatenate([one[name][0] for one in known], axis=1) for name in ("standard", improved)],
                 np.float64,
             )
-            sound = np.concatenate([one["standard"][1, 0] > 0 for one in known])
-            moment.errors[draw] = errors, sound & (errors < INSIDE_OUT).all(axis=0)
-        return moment.errors[draw]
+            sound = np.concatenate([one["standard"][1] > 0 for one in known], axis=1)
+            moment.errors[draw] = found, sound & (found < INSIDE_OUT).all(axis=0)
+        errors, counts = moment.errors[draw]
+        return errors[:, moment.pose], counts[moment.pose]
 
-    def seen(self, clip: Clip, time: float, moment: _Moment, draw: int, members: IntArray) -> Spot | None:
-        """Look at a patch. None if nothing of it is visible, or if nothing visible improves."""
+    def seen(
+        self, clip: Clip, moment: _Moment, draw: int, members: IntArray, least: float = 0.0
+    ) -> Spot | None:
+        """Look at a patch. None if nothing visible improves, or if it cannot improve by more than least."""
         surface = self.surfaces[draw]
         errors, counts = self.errors(moment, draw)
         counted = members[counts[members]]
         standard, baked = errors[:, counted]
-        areas, at = surface.areas[counted], counted + moment.starts[draw]
+        areas, at = surface.areas[counted], counted + self.starts[draw]
         gains = areas * (standard - baked)
         pulls = np.maximum(gains, 0.0)
-        if not pulls.sum() > 0:
+        if not pulls.sum() > least:
             return None
         points, normals = moment.positions[at], moment.normals[at]
         middle = pulls @ points / pulls.sum()
@@ -308,7 +307,7 @@ class _Search:
         low, high = points[visible].min(axis=0), points[visible].max(axis=0)
         return Spot(
             clip,
-            float(time),
+            moment.time,
             improvement,
             float(areas[visible] @ standard[visible] / total),
             float(areas[visible] @ baked[visible] / total),
@@ -321,39 +320,36 @@ class _Search:
 
     def _hidden(self, moment: _Moment, eye: Float64Array, towards: Float64Array, at: IntArray) -> BoolArray:
         """Return, for some vertices, whether a triangle lies between them and the eye."""
+        if not len(at):
+            return np.zeros(0, np.bool_)
         x = np.array([towards[2], 0.0, -towards[0]])
         x /= np.linalg.norm(x)
         axes = np.stack([x, np.cross(towards, x), -towards])
-        local = (moment.positions - eye) @ axes.T
-        depth = local[:, 2]
-        flat = local[:, :2] / np.where(depth > 0, depth, np.nan)[:, None]
-        seen, deep = flat[at], depth[at]
-        if not len(at):
-            return np.zeros(0, np.bool_)
+        flat_x, flat_y, depth = axes @ (moment.positions - eye).T
+        behind = ~(depth > 0)
+        inverse = 1.0 / np.where(behind, np.nan, depth)
+        flat_x, flat_y = flat_x * inverse, flat_y * inverse
         # Only triangles in the part of the picture that the vertices cover, and before the farthest of them.
-        corners = flat[moment.triangles]
-        # A corner at a time: over rows of three, numpy takes many times as long.
-        low, high = (reduce(extreme, corners.swapaxes(0, 1)) for extreme in (np.minimum, np.maximum))
-        near = (low <= seen.max(axis=0)).all(axis=1) & (high >= seen.min(axis=0)).all(axis=1)
-        near &= reduce(np.minimum, depth[moment.triangles].T) < deep.max()  # false for NaN
-        triangles = moment.triangles[near]
-        a, b, c = (flat[triangles[:, corner]].T for corner in range(3))
-        inverse = 1.0 / depth[triangles]
-        doubled = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        least = 1.0 / (deep - BEFORE * self.radius)
+        sides = [side for flat in (flat_x, flat_y) for side in (flat < flat[at].min(), flat > flat[at].max())]
+        outside = np.packbits([behind, *sides, depth >= depth[at].max()], axis=0)[0]
+        first, second, third = (outside[self.triangles[:, corner]] for corner in range(3))
+        triangles = self.triangles[((first & second & third) == 0) & (first | second | third < 1 << 7)]
         every = len(at) * len(triangles) // TESTS + 1
-        seen, least = seen[::every], least[::every]
-        hidden = np.zeros(len(seen), np.bool_)
-        step = max(1, CELLS // 8 // max(len(triangles), 1))
-        for start in range(0, len(seen), step):
-            rows = slice(start, start + step)
-            px, py = seen[rows, 0, None], seen[rows, 1, None]
-            second = ((px - a[0]) * (c[1] - a[1]) - (py - a[1]) * (c[0] - a[0])) / doubled
-            third = ((b[0] - a[0]) * (py - a[1]) - (b[1] - a[1]) * (px - a[0])) / doubled
+        tested = at[::every]
+        px, py = flat_x[tested, None], flat_y[tested, None]
+        least = 1.0 / (depth[tested, None] - BEFORE * self.radius)
+        hidden = np.zeros(len(tested), np.bool_)
+        step = max(1, BLOCK // max(len(tested), 1))
+        for start in range(0, len(triangles), step):
+            some = triangles[start : start + step].T
+            (ax, bx, cx), (ay, by, cy), near = flat_x[some], flat_y[some], inverse[some]
+            doubled = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+            second = ((px - ax) * (cy - ay) - (py - ay) * (cx - ax)) / doubled
+            third = ((bx - ax) * (py - ay) - (by - ay) * (px - ax)) / doubled
             first = 1.0 - second - third
             inside = (first > 0) & (second > 0) & (third > 0)
-            before = first * inverse[:, 0] + second * inverse[:, 1] + third * inverse[:, 2]
-            hidden[rows] = (inside & (before > least[rows, None])).any(axis=1)
+            before = first * near[0] + second * near[1] + third * near[2]  # 1/depth is linear in a picture
+            hidden |= (inside & (before > least)).any(axis=1)
         return np.repeat(hidden, every)[: len(at)]
 
 
@@ -445,6 +441,7 @@ def _looked_at(search: _Search, clips: Sequence[Clip], sampled: dict[int, Any]) 
     patch_of = np.concatenate([np.arange(one.shape[1]) for one in bounds])
     hoped = np.concatenate(bounds, axis=1)
     clip_of = np.array([clip for clip, _ in moments])
+    columns = [patches.tocsc() for patches in search.patches]
     found: dict[int, Spot] = {}
     for _ in range(min(LOOKS, len(moments))):
         pose, patch = np.unravel_index(int(np.argmax(hoped)), hoped.shape)
@@ -452,13 +449,14 @@ def _looked_at(search: _Search, clips: Sequence[Clip], sampled: dict[int, Any]) 
         if not hoped[pose, patch] > (least[-1] if len(least) == LISTED else 0.0):
             break
         clip, time = clips[moments[pose][0]], float(moments[pose][1])
-        moment = search.moment(clip, time)
+        moment = next(search.moments(clip, np.array([time])))
         for number in np.argsort(-hoped[pose])[:GUESSES]:
             if not hoped[pose, number] > 0.5 * hoped[pose, patch]:
                 break
-            draw = int(draw_of[number])
-            members = search.patches[draw][:, [int(patch_of[number])]].nonzero()[0]
-            spot = search.seen(clip, time, moment, draw, members)
+            draw, column = int(draw_of[number]), int(patch_of[number])
+            starts = columns[draw].indptr
+            members = columns[draw].indices[starts[column] : starts[column + 1]]
+            spot = search.seen(clip, moment, draw, members)
             share = 0.0 if spot is None else spot.improvement / hoped[pose, number]
             # Much the same of it will be seen in other poses of the clip.
             hoped[clip_of == moments[pose][0], number] *= min(1.0, 1.1 * share + 0.02)
@@ -484,23 +482,23 @@ def _apart(search: _Search, spots: Any) -> list[Spot]:
 def _refined(search: _Search, spot: Spot, times: Float64Array) -> Spot:
     """Return the best spot at moments between the sampled ones, then of patches around its own."""
     step = times[1] - times[0] if len(times) > 1 else 0.0
-    moments = np.clip(spot.time + step * np.linspace(-1, 1, REFINED), spot.clip.start, spot.clip.duration)
+    times = np.clip(spot.time + step * np.linspace(-0.6, 0.6, REFINED), spot.clip.start, spot.clip.duration)
     best = spot
-    for time in moments if step else ():
-        found = search.seen(spot.clip, time, search.moment(spot.clip, time), spot.draw, spot.members)
+    for moment in search.moments(spot.clip, times) if step else ():
+        found = search.seen(spot.clip, moment, spot.draw, spot.members, best.improvement)
         best = found if found is not None and found.improvement > best.improvement else best
     surface = search.surfaces[spot.draw]
     near = np.unique(surface.places[spot.members])
     middle = surface.rest[spot.members].mean(axis=0)
     far = np.linalg.norm(surface.rest[surface.first[near]] - middle, axis=1)
     near = near[far < search.radius / 2]
-    near = near[:: max(1, len(near) // (4 * REFINED))]
+    near = near[:: max(1, len(near) // (2 * REFINED))]
     if len(near):
-        moment = search.moment(best.clip, best.time)
+        moment = next(search.moments(best.clip, np.array([best.time])))
         patches = surface.patches(near, search.radius).tocsc()
         for number in range(patches.shape[1]):
             members = patches.indices[patches.indptr[number] : patches.indptr[number + 1]]
-            found = search.seen(best.clip, best.time, moment, spot.draw, members)
+            found = search.seen(best.clip, moment, spot.draw, members, best.improvement)
             best = found if found is not None and found.improvement > best.improvement else best
     return best
 
@@ -517,13 +515,14 @@ def in_words(spot: Spot) -> str:
 
 def followed(spot: Spot, draw: Draw, posed: PosedDraw) -> Iterator[Float64Array]:
     """Yield the mean (3,) of a spot's patch in each pose of its draw."""
-    positions = [np.asarray(part) for part in posed_positions(draw, posed)]
-    count = len(draw.rest)
-    for pose in range(len(posed.matrices)):
-        # With morph targets, each pose gives its own arrays.
-        parts = (
-            [part[pose] for part in positions]
-            if posed.morphing is None
-            else [part[0] for part in positions[pose * count : (pose + 1) * count]]
-        )
-        yield np.concatenate(parts)[spot.members].mean(axis=0)
+    return (positions[spot.members].mean(axis=0) for positions in _posed(draw, posed))
+
+
+def _posed(draw: Draw, posed: PosedDraw) -> Iterator[Float64Array]:
+    """Yield the positions (V, 3) of all primitives of a draw, in each pose."""
+    primitives = posed_positions(draw, posed)
+    if posed.morphing is None:
+        yield from map(np.concatenate, zip(*primitives, strict=True))
+        return
+    for _ in posed.matrices:  # with morph targets, each pose gives its own arrays
+        yield np.concatenate([part[0] for part in islice(primitives, len(draw.rest))])
