@@ -55,8 +55,9 @@ def path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
     return target
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def page(path: Path) -> Iterator[browser.Page]:
+    """Open the page of a file, for each test anew: a test may drop another file on it."""
     with shown(path) as found:
         yield found
 

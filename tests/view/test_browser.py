@@ -152,7 +152,8 @@ def test_the_divider_follows_the_mouse_and_the_keys(browsing: Browsing) -> None:
     page.call("(() => application.stopMeasuring())")
     before = picture(page)
     box = page.call(
-        "(() => { const { left, top, width, height } = divider.getBoundingClientRect(); "
+        "(() => { canvas.scrollIntoView(); "
+        "const { left, top, width, height } = divider.getBoundingClientRect(); "
         "return { x: left + width / 2, y: top + height / 3, width: canvas.clientWidth }; })"
     )
     page.drag((box["x"], box["y"]), (0.25 * box["width"], box["y"]))

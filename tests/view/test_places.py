@@ -30,9 +30,9 @@ SHOWN = """(() => ({
 }))"""
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def browsing() -> Iterator[browser.Page]:
-    """Open the page of a fixture."""
+    """Open the page of a fixture, for each test anew: it changes what is shown."""
     with shown(TUBE) as page:
         yield page
 
