@@ -146,6 +146,16 @@ def test_any_change_is_written(entry: Any, indent: str | None, seed: int) -> Non
         ('{"a": 1, "a": 2}\n', {"b": 3}, '{\n  "a": 2,\n  "b": 3\n}\n'),
         ('{"a":{}, "a":{"n":1}}', {"a": {"n": 2}}, '{"a":{"n":2}}'),
         ('{"a":[], "a":[1]}', {"a": [1, 2]}, '{"a":[1,2]}'),
+        ('{"a":["],","]}"], "a":[[],7]}', {"a": [[5], 7]}, '{"a":[[5],7]}'),
+        ('{"a": { "b": 1 } , "c": [ 2 ]}', {"a": {}, "c": []}, '{"a": {} , "c": []}'),
+        ('{"a":0.0 , "b":1 , "c":1}', {"a": -0.0, "b": 1.0, "c": True}, '{"a":-0.0 , "b":1.0 , "c":true}'),
+        ('{"a":{}}', {"a": {"n": 1}}, '{"a":{"n":1}}'),
+        ('{"a":1}', {"ä": 2}, '{"a":1,"ä":2}'),
+        (
+            f'{{"a":"{"x" * 256}",\r\n "b": 1}}',
+            {"c": {"d": 2}},
+            f'{{"a":"{"x" * 256}",\r\n "b": 1,\r\n "c": {{\n    "d": 2\n  }}}}',
+        ),
     ],
     ids=[
         "colon",
@@ -157,6 +167,12 @@ def test_any_change_is_written(entry: Any, indent: str | None, seed: int) -> Non
         "twice",
         "empty first",
         "no entry first",
+        "text within",
+        "emptied",
+        "equal numbers",
+        "one line",
+        "other letters",
+        "late line ends",
     ],
 )
 def test_new_text_looks_like_the_text_around_it(text: str, change: dict[str, Any], expected: str) -> None:
@@ -164,6 +180,21 @@ def test_new_text_looks_like_the_text_around_it(text: str, change: dict[str, Any
     indent = "  " if "\n" in expected else None
     found = rewritten(FormerText(text, value), {**value, **change}, indent=indent, ascii_only=False)
     assert found == expected
+
+
+def test_new_text_may_be_ascii_alone() -> None:
+    value = {"a": "é"}
+    found = rewritten(FormerText('{"a":"é"}', value), {**value, "ä": "ü"}, indent=None, ascii_only=True)
+    assert found == '{"a":"é","\\u00e4":"\\u00fc"}'
+
+
+def test_what_takes_the_place_of_a_number_may_be_deep() -> None:
+    text = '{"a" : 1 ,"b": 2e0}'
+    value = json.loads(text)
+    deep = f"{'[' * 5000}{']' * 5000}"
+    changed = {**value, "a": json_text.parsed(deep)}
+    found = rewritten(FormerText(text, value), changed, indent=None, ascii_only=False)
+    assert found == text.replace("1", deep)
 
 
 def test_members_in_another_order_keep_their_text() -> None:

@@ -42,7 +42,7 @@ def rewritten(former: FormerText, value: Any, *, indent: str | None, ascii_only:
         with collector_off():
             text, end = writer.entry(start, former.value, value, 0)
     except (RecursionError, _OtherTextError, json.JSONDecodeError):
-        text, end = written(value, indent=indent, ascii_only=ascii_only), len(former.text.rstrip(" \t\n\r"))
+        text, end = written(value, indent=indent, ascii_only=ascii_only), len(former.text.rstrip())
     return former.text[:start] + text + former.text[end:]
 
 
@@ -98,9 +98,7 @@ class _Rewriting:
                 return self._holder(at, entries, more, depth, None)
         end = self._scan(self._text, at)[1]
         # One and the same scalar: 1 is not 1.0, and 0.0 is not −0.0.
-        is_same = after is before or (
-            not isinstance(after, dict | list) and type(before) is type(after) and repr(before) == repr(after)
-        )
+        is_same = after is before or (not isinstance(after, dict | list) and repr(before) == repr(after))
         return self._text[at:end] if is_same else self._fresh(after, depth), end
 
     def _holder(
@@ -124,7 +122,6 @@ class _Rewriting:
         for number, entry in enumerate(entries):
             start = _end_of(_SPACE, text, at)
             if number:
-                self._expect(",", start)
                 start = _end_of(_SPACE, text, start + 1)
                 separator = text[at:start]
             value_start = start
