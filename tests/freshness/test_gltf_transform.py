@@ -24,6 +24,7 @@ import pytest
 
 from tests.support import corpus, gltf_transform
 from tests.support.baked_files import CESIUM_MAN, Answer, Editable, baked, source, verify
+from tests.support.command_line import invoke
 
 FEW = ("--poses", "random:2", "--method", "lbs")
 BAKE_LAST = "Bake last"
@@ -111,8 +112,21 @@ def test_quantised_attributes_are_recognised(transform: Transform) -> None:
     answer = transform("bent_tube.glb", "quantize")
     (problem,) = answer.problems("structure")
     assert (answer.exit_code, problem["code"]) == (1, "attribute-format")
-    assert "quantised it after the bake" in problem["message"]
+    assert "probably quantised it after the bake" in problem["message"]
     assert BAKE_LAST in problem["message"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("encoding", ["snorm16", "packed8"])
+def test_dequantised_gradients_are_recognised(tmp_path: Path, encoding: str) -> None:
+    gltf_transform.require_node()
+    path, target = tmp_path / "baked.glb", tmp_path / "out.glb"
+    assert invoke("bake", source("bent_tube.glb"), "-o", path, "--encoding", encoding).exit_code == 0
+    assert gltf_transform.transform([(path, target, "dequantize")]) == [""]
+    answer = verify(target, *FEW)
+    (problem,) = answer.problems("structure")
+    assert (answer.exit_code, problem["code"]) == (1, "attribute-format")
+    assert "probably dequantised it after the bake" in problem["message"]
 
 
 @pytest.mark.slow

@@ -131,8 +131,9 @@ def _format_problem(
     if values.dtype != DTYPES[encoding] or stored.normalized != encoding.is_scaled:
         found = f"{'normalised ' if stored.normalized else ''}{values.dtype.name}"
         wanted = f"{'normalised ' if encoding.is_scaled else ''}{COMPONENT_TYPES[encoding]}"
+        done = "dequantised" if values.dtype.kind == "f" else "quantised"
         message = (
-            f"it is stored as {found}, expected {wanted}: another tool has probably quantised it "
+            f"it is stored as {found}, expected {wanted}: another tool has probably {done} it "
             f"after the bake. Bake last: {BAKE} on the output of the last tool, or keep the tool "
             "off this attribute"
         )
