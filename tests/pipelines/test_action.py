@@ -128,7 +128,9 @@ def test_bake_then_verify_passes_and_fails(runner: Runner) -> None:
     assert baked.outputs["exit-code"] == "0"
     assert {path.name for path in (runner.workspace / "out").iterdir()} == {"my hero.glb", "two.glb"}
 
-    verified = runner.step("Run skinbake", files="out", options="--poses random:2\n --min-gain 1")
+    verified = runner.step(
+        "Run skinbake", files="\r\nout\r\n", options="--poses random:2\r\n --min-gain 1\r\n"
+    )
     reports = Path(verified.outputs["reports"])
     assert (verified.process.returncode, verified.outputs["exit-code"]) == (0, "0")
     assert {path.name for path in reports.iterdir()} >= {
