@@ -14,9 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from skinbake.commands.posed_scene import posed_draw, shown_draws
 from skinbake.errors import InputError, Place
 from skinbake.format.morph_targets import NOTE
 from skinbake.format.strip import stripped
+from skinbake.freshness.baked_views import sound_views
 from skinbake.freshness.made_targets import made_states
 from skinbake.gltf import budget as budgets
 from skinbake.gltf.animation import read_clips, read_skeleton
@@ -339,6 +341,27 @@ def test_each_mesh_is_measured_in_its_first_skin_before_any_in_its_second(tmp_pa
     (found,) = json.loads(invoke("verify", tmp_path / "baked.glb", "--json").stdout)["files"]
     assert "poses-left-out" in {one["code"] for one in found["warnings"]}
     assert [one["mesh"] for one in found["primitives"]] == [0, 1]
+
+
+def test_targets_of_a_draw_are_read_once_for_all_moments_of_a_search(tmp_path: Path) -> None:
+    """A file of 1,000 targets in 65 KB took 4 s of its 6 to be read again for each of 300 moments."""
+    source = write_model(tmp_path / "in.glb", [sheet()], change=all_of(with_targets(3), with_clips(1)))
+    bake(source, tmp_path / "baked.glb")
+    document = read_document(str(tmp_path / "baked.glb"))
+    (draw,), (clip,) = list(shown_draws(document, sound_views(document))), read_clips(document)
+    first = posed_draw(document, draw, clip, np.array([0.0]))
+    spent = document.budget.spent
+    second = posed_draw(document, draw, clip, np.array([0.0, 0.5]))
+    assert document.budget.spent == spent
+    assert first.morphing is not None
+    assert second.morphing is not None
+    assert second.morphing.targets is first.morphing.targets
+    assert np.array_equal(second.morphing.weights, np.full((2, 3), 0.001))
+    assert draw.node is not None
+    document.objects("nodes")[draw.node]["weights"] = [0, 0, 1]  # other targets move
+    third = posed_draw(document, draw, clip, np.array([0.0]))
+    assert third.morphing is not None
+    assert third.morphing.weights.tolist() == [[1.0]]
 
 
 def fan(count: int) -> Part:

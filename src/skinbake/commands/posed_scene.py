@@ -257,7 +257,13 @@ def posed_draw(
         return PosedDraw(matrices, None, corrections)
     weights = clip_weights(draw.node, clip, times, resting_weights(document, draw.node))
     poses = PoseSet((), matrices, (), (), weights)
-    return PosedDraw(matrices, morphing_of(document, draw.views, poses), corrections, weights)
+    # A search poses a draw some hundred times, mostly by the same targets. They are read once.
+    known: dict[int, Any] = document.derived.setdefault("targets of draws", {})
+    moving, key = poses.moving_targets, id(draw.views)
+    if key not in known or known[key][1] != moving:
+        known[key] = draw.views, moving, morphing_of(document, draw.views, poses)
+    morphing = known[key][2] and replace(known[key][2], weights=weights[:, moving])
+    return PosedDraw(matrices, morphing, corrections, weights)
 
 
 def posed_attachment(

@@ -39,7 +39,10 @@ CANCELLED = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class Differences:
-    """The differences of one target in one attribute: values (R, C) at vertices rows (R,), otherwise 0."""
+    """The differences of one target in one attribute: values (R, C) at vertices rows (R,), otherwise 0.
+
+    The rows ascend.
+    """
 
     rows: IntArray
     values: FloatArray
@@ -87,7 +90,9 @@ class MorphTargets:
         for weight, target in zip(weights.tolist(), self.targets, strict=True):
             differences: Differences = getattr(target, kind)
             if weight != 0.0 and len(differences.rows):
-                total[differences.rows] += weight * differences.values.astype(np.float64)
+                # Without a look-up the rows of a target that moves all take half the time.
+                rows = slice(None) if len(differences.rows) == count else differences.rows
+                total[rows] += weight * differences.values.astype(np.float64)
         return total
 
 
