@@ -66,7 +66,7 @@ def posed_normals(document: Document, request: NormalsRequest) -> Iterator[Posed
         views = sound_views(document)
     if not views:
         message = "no α and β in it are sound, so it has no accurate normals: run skinbake bake"
-        raise InputError(message, document.place)
+        raise InputError(f"{message}, which says what it skips and why", document.place)
     if Method.BLEND in request.methods and all(view.blend is None for view in views):
         message = "no primitive of it has blend weights that a bake has read: run skinbake bake --blend"
         raise InputError(message, document.place)
