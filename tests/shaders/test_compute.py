@@ -201,7 +201,10 @@ def pass_of(choices: ShaderChoices, number: int) -> Pass:
         for n in range(choices.influence_sets)
     }
     geometry, places = Geometry(), dict[str, tuple[int, int]]()
-    rest = {"position": scene.positions, "normal": scene.normals}
+    # NORMAL has any length in files, and one of 0 stands for (0, 0, 1).
+    lengths = rng.uniform(0.03, 30.0, (count, 1)).astype(np.float32)
+    lengths[0], scene.normals[0] = 0.0, (0.0, 0.0, 1.0)
+    rest = {"position": scene.positions, "normal": scene.normals * lengths}
     rest |= {"tangent": scene.tangents} if choices.frame == Frame.TANGENT else {}
     places |= dict(zip(rest, geometry.add(*rest.values(), gap=8), strict=True))
     for name, column in {**sets, **slopes}.items():

@@ -60,7 +60,7 @@ def compute_context(
     assembled are the parts of α and β in texture coordinates; arguments are those of the call in a vertex
     stage.
     """
-    reads = [_read("position", "vec3"), _read("normal", "vec3")]
+    reads = [_read("position", "vec3"), _read("normal", "vec3", "normal")]
     reads += [_read("tangent", "vec4")] if choices.frame == Frame.TANGENT else []
     sets = range(choices.influence_sets)
     for number in sets:

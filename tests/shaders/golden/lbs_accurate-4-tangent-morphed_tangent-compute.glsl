@@ -11,7 +11,7 @@
 //
 // Inputs of each vertex, in mesh space: the attributes as they are stored, before any joint matrix:
 //     POSITION             vec3   p, in the file's unit of length
-//     NORMAL               vec3   n0, of length 1: normalize() it if it is stored as integers
+//     NORMAL               vec3   n0, of any length
 //     TANGENT              vec4   t0, and in w the handedness of the frame, 1 or -1
 //     JOINTS_0             uvec4  joints of slots 0 to 3
 //     WEIGHTS_0            vec4   w of slots 0 to 3; over all slots they sum to 1
@@ -196,6 +196,13 @@ vec4 skinbake_vec4(uvec2 place, uint vertex)
     return vec4(skinbake_vec3(place, vertex), skinbake_float(place, vertex, 3u));
 }
 
+// NORMAL at length 1. If it has no direction, bake takes (0, 0, 1).
+vec3 skinbake_normal(uvec2 place, uint vertex)
+{
+    vec3 stored = skinbake_vec3(place, vertex);
+    return dot(stored, stored) > 0.0 ? normalize(stored) : vec3(0.0, 0.0, 1.0);
+}
+
 // Four whole numbers of 1, 2 or 4 bytes, by the size of one.
 uvec4 skinbake_integers(uvec2 place, uint vertex, uint size)
 {
@@ -237,7 +244,7 @@ void main()
         return;
     }
     vec3 position = skinbake_vec3(skinbake_draw.position, vertex);
-    vec3 normal = skinbake_vec3(skinbake_draw.normal, vertex);
+    vec3 normal = skinbake_normal(skinbake_draw.normal, vertex);
     vec4 tangent = skinbake_vec4(skinbake_draw.tangent, vertex);
     uvec4 joints_0 = skinbake_integers(skinbake_draw.joints_0, vertex, skinbake_draw.joint_size);
     vec4 weights_0 = skinbake_weights(skinbake_draw.weights_0, vertex);

@@ -11,7 +11,7 @@
 //
 // Inputs of each vertex, in mesh space: the attributes as they are stored, before any joint matrix:
 //     POSITION             float3  p, in the file's unit of length
-//     NORMAL               float3  n0, of length 1: normalize() it if it is stored as integers
+//     NORMAL               float3  n0, of any length
 //     TANGENT              float4  t0, and in w the handedness of the frame, 1 or -1
 //     JOINTS_0             uint4   joints of slots 0 to 3
 //     WEIGHTS_0            float4  w of slots 0 to 3; over all slots they sum to 1
@@ -202,6 +202,13 @@ float4 skinbake_vec4(uint2 place, uint vertex)
     return float4(skinbake_vec3(place, vertex), skinbake_float(place, vertex, 3u));
 }
 
+// NORMAL at length 1. If it has no direction, bake takes (0, 0, 1).
+float3 skinbake_normal(uint2 place, uint vertex)
+{
+    float3 stored = skinbake_vec3(place, vertex);
+    return dot(stored, stored) > 0.0 ? normalize(stored) : float3(0.0, 0.0, 1.0);
+}
+
 // Four whole numbers of 1, 2 or 4 bytes, by the size of one.
 uint4 skinbake_integers(uint2 place, uint vertex, uint size)
 {
@@ -244,7 +251,7 @@ void main(uint3 id : SV_DispatchThreadID)
         return;
     }
     float3 position = skinbake_vec3(skinbake_draw_position, vertex);
-    float3 normal = skinbake_vec3(skinbake_draw_normal, vertex);
+    float3 normal = skinbake_normal(skinbake_draw_normal, vertex);
     float4 tangent = skinbake_vec4(skinbake_draw_tangent, vertex);
     uint4 joints_0 = skinbake_integers(skinbake_draw_joints_0, vertex, skinbake_draw_joint_size);
     float4 weights_0 = skinbake_weights(skinbake_draw_weights_0, vertex);

@@ -11,7 +11,7 @@
 //
 // Inputs of each vertex, in mesh space: the attributes as they are stored, before any joint matrix:
 //     POSITION             vec3<f32>  p, in the file's unit of length
-//     NORMAL               vec3<f32>  n0, of length 1: normalize() it if it is stored as integers
+//     NORMAL               vec3<f32>  n0, of any length
 //     TANGENT              vec4<f32>  t0, and in w the handedness of the frame, 1 or -1
 //     JOINTS_0             vec4<u32>  joints of slots 0 to 3
 //     WEIGHTS_0            vec4<f32>  w of slots 0 to 3; over all slots they sum to 1
@@ -169,6 +169,12 @@ fn skinbake_vec4(place: vec2<u32>, vertex: u32) -> vec4<f32> {
     return vec4<f32>(skinbake_vec3(place, vertex), skinbake_float(place, vertex, 3u));
 }
 
+// NORMAL at length 1. If it has no direction, bake takes (0, 0, 1).
+fn skinbake_normal(place: vec2<u32>, vertex: u32) -> vec3<f32> {
+    let stored = skinbake_vec3(place, vertex);
+    return select(vec3<f32>(0.0, 0.0, 1.0), normalize(stored), dot(stored, stored) > 0.0);
+}
+
 // Four whole numbers of 1, 2 or 4 bytes, by the size of one.
 fn skinbake_integers(place: vec2<u32>, vertex: u32, size: u32) -> vec4<u32> {
     let first = skinbake_word(place, vertex, 0u);
@@ -207,7 +213,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     let position = skinbake_vec3(skinbake_draw.position, vertex);
-    let normal = skinbake_vec3(skinbake_draw.normal, vertex);
+    let normal = skinbake_normal(skinbake_draw.normal, vertex);
     let tangent = skinbake_vec4(skinbake_draw.tangent, vertex);
     let joints_0 = skinbake_integers(skinbake_draw.joints_0, vertex, skinbake_draw.joint_size);
     let weights_0 = skinbake_weights(skinbake_draw.weights_0, vertex);

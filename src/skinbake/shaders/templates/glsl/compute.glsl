@@ -47,6 +47,13 @@ vec4 skinbake_vec4(uvec2 place, uint vertex)
     return vec4(skinbake_vec3(place, vertex), skinbake_float(place, vertex, 3u));
 }
 
+// NORMAL at length 1. If it has no direction, bake takes (0, 0, 1).
+vec3 skinbake_normal(uvec2 place, uint vertex)
+{
+    vec3 stored = skinbake_vec3(place, vertex);
+    return dot(stored, stored) > 0.0 ? normalize(stored) : vec3(0.0, 0.0, 1.0);
+}
+
 // Four whole numbers of 1, 2 or 4 bytes, by the size of one.
 uvec4 skinbake_integers(uvec2 place, uint vertex, uint size)
 {

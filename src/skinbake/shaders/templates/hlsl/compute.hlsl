@@ -45,6 +45,13 @@ float4 skinbake_vec4(uint2 place, uint vertex)
     return float4(skinbake_vec3(place, vertex), skinbake_float(place, vertex, 3u));
 }
 
+// NORMAL at length 1. If it has no direction, bake takes (0, 0, 1).
+float3 skinbake_normal(uint2 place, uint vertex)
+{
+    float3 stored = skinbake_vec3(place, vertex);
+    return dot(stored, stored) > 0.0 ? normalize(stored) : float3(0.0, 0.0, 1.0);
+}
+
 // Four whole numbers of 1, 2 or 4 bytes, by the size of one.
 uint4 skinbake_integers(uint2 place, uint vertex, uint size)
 {

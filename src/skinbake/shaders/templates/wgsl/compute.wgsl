@@ -41,6 +41,12 @@ fn skinbake_vec4(place: vec2<u32>, vertex: u32) -> vec4<f32> {
     return vec4<f32>(skinbake_vec3(place, vertex), skinbake_float(place, vertex, 3u));
 }
 
+// NORMAL at length 1. If it has no direction, bake takes (0, 0, 1).
+fn skinbake_normal(place: vec2<u32>, vertex: u32) -> vec3<f32> {
+    let stored = skinbake_vec3(place, vertex);
+    return select(vec3<f32>(0.0, 0.0, 1.0), normalize(stored), dot(stored, stored) > 0.0);
+}
+
 // Four whole numbers of 1, 2 or 4 bytes, by the size of one.
 fn skinbake_integers(place: vec2<u32>, vertex: u32, size: u32) -> vec4<u32> {
     let first = skinbake_word(place, vertex, 0u);
