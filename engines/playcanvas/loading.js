@@ -116,8 +116,7 @@ function elements(gltf, number, views) {
     const { bufferView, componentType, count, normalized, sparse, type } = accessor;
     const size = SIZES[type];
     const [Numbers, limit] = COMPONENTS[componentType];
-    const isZero = sparse && bufferView === undefined;
-    const values = isZero ? new Numbers(size * count) : rowsOf(gltf, accessor, count, size, views);
+    const values = bufferView === undefined ? new Numbers(size * count) : rowsOf(gltf, accessor, count, size, views);
     if (!values || (sparse && !replaced(gltf, accessor, values, size, views))) return null;
     return Float32Array.from(values, (value) => (normalized ? Math.max(value / limit, -1) : value));
 }

@@ -208,6 +208,20 @@ def test_sparse_accessors_are_read(stage: DrawingStage) -> None:
     assert found["report"] == [["accurate", ""]]
 
 
+def test_arrays_of_zeros_need_no_buffer_view(stage: DrawingStage) -> None:
+    """As glTF-Transform leaves α and β of a rigid part: the accessor alone."""
+    file = Editable(stage.character(MIRRORED, RANDOM, "tangent").path)
+    for name in ("_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0"):
+        file.array(name)[:] = 0
+    character = Character(file.write(stage.models / "zeros-in-bytes.glb"), RANDOM)
+    for name in ("_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0"):
+        del file.content["accessors"][file.primitive()["attributes"][name]]["bufferView"]
+    path = file.write(stage.models / "zeros.glb")
+    found = stage.call("draw", {**character.told(Placement()), "url": f"/models/{path.name}"})
+    assert largest(found["values"][0], expected(character, found).normals) < DEGREES
+    assert found["report"] == [["accurate", ""]]
+
+
 def test_a_container_may_be_loaded_without_its_meshes(stage: DrawingStage) -> None:
     """PlayCanvas itself fails if one of them has a skin."""
     file = Editable(TUBE)
