@@ -272,3 +272,7 @@ def test_no_vertex_adopts_a_joint_past_the_skin_from_one_without_weight(
     assert verdict.exit_code == 0, verdict.output
     assert "changed since" not in verdict.output
     assert not khronos.new_findings(khronos.validate(source), khronos.validate(target))
+    assert invoke("strip", target, "-o", tmp_path / "bare.glb").exit_code == 0
+    assert (tmp_path / "bare.glb").read_bytes() == source.read_bytes()
+    assert invoke("bake", target, "-o", tmp_path / "again.glb", *options, "-q").exit_code == 0
+    assert (tmp_path / "again.glb").read_bytes() == target.read_bytes()

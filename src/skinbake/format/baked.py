@@ -26,13 +26,7 @@ from skinbake.gltf.accessors import element_count, read_accessor
 from skinbake.gltf.additions import Additions
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, is_number
-from skinbake.gltf.primitives import (
-    PrimitiveSource,
-    StoredInfluences,
-    joints_of_skin,
-    read_influences,
-    side_by_side,
-)
+from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, read_influences, side_by_side
 from skinbake.timing import stage
 from skinbake.version import __version__
 
@@ -296,5 +290,4 @@ def _replace_influences(
         )
     note["formerDigest"] = metadata.influence_digests(*side_by_side(before))
     note["adopted"] = former
-    joints, weights = side_by_side(after)
-    return item.primitive.with_influences(joints_of_skin(joints, weights, item.source), weights)
+    return item.primitive.with_influences(*side_by_side(after))

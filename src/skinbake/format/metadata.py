@@ -79,7 +79,8 @@ def digests(primitive: SkinnedPrimitive, frame: str) -> dict[str, str]:
     }
     if frame == Frame.TANGENT and primitive.tangents is not None:
         arrays["TANGENT"] = (primitive.tangents, "<f4")
-    return array_digests({**arrays, **_of_influences(primitive.joints, primitive.weights)})
+    joints = primitive.joints if primitive.stored_joints is None else primitive.stored_joints
+    return array_digests({**arrays, **_of_influences(joints, primitive.weights)})
 
 
 def tangent_digest(tangents: npt.NDArray[Any]) -> str:

@@ -53,7 +53,7 @@ class SkinnedPrimitive:
     w is the handedness, or None. joints (V, K) integer. weights (V, K) as stored: normalised integers are
     decoded, and the sum is not corrected yet. triangles (T, 3) integer, every index < V, with strips and fans
     unrolled in winding order. K is 4 × the number of influence sets. straightened tells of tangents that are
-    not those of the file.
+    not those of the file. stored_joints are the file's joints, if a vertex without weight counts for another.
     """
 
     positions: FloatArray
@@ -63,10 +63,11 @@ class SkinnedPrimitive:
     weights: FloatArray
     triangles: IntArray
     straightened: Straightened | None = None
+    stored_joints: IntArray | None = None
 
     def with_influences(self, joints: IntArray, weights: FloatArray) -> SkinnedPrimitive:
         """Return the primitive with other joints and weights, each (V, K)."""
-        return replace(self, joints=joints, weights=weights)
+        return replace(self, joints=joints, weights=weights, stored_joints=None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -351,8 +351,9 @@ def read_primitive(document: Document, source: PrimitiveSource) -> SkinnedPrimit
     for number in range(len(influences)):
         own = weights[:, 4 * number : 4 * number + 4]
         refuse_not_finite(own, "weights", source.place.at(f"WEIGHTS_{number}"))
-    joints = joints_of_skin(joints, weights, source)
-    return SkinnedPrimitive(positions, normals, tangents, joints, weights, read_triangles(document, source))
+    counting = joints_of_skin(joints, weights, source)
+    triangles, stored = read_triangles(document, source), None if counting is joints else joints
+    return SkinnedPrimitive(positions, normals, tangents, counting, weights, triangles, stored_joints=stored)
 
 
 def refuse_not_finite(values: FloatArray, name: str, place: Place) -> None:
