@@ -212,11 +212,11 @@ class TestValues:
             ("jobs = 1.5", "bake.jobs: 1.5: expected an integer, or a text in quotes"),
             (
                 "encodng = 1",
-                "bake.encodng: there is nothing of this name: expected an option of skinbake bake",
+                "bake.encodng: unknown key: expected an option of skinbake bake",
             ),
             ("encodng = 1", "did you mean 'encoding'?"),
             ("generate_normals = true", "did you mean 'generate-normals'?"),
-            ("config = 1", "bake.config: there is nothing of this name"),
+            ("config = 1", "bake.config: unknown key"),
         ],
     )
     def test_mistakes_name_the_line_and_the_key(self, line: str, message: str, project: Path) -> None:
@@ -228,11 +228,11 @@ class TestValues:
         ("text", "message"),
         [
             ("bake = 3\n", "skinbake.toml:1: bake: expected a table"),
-            ("[bkae]\n", "skinbake.toml:1: bkae: there is nothing of this name"),
+            ("[bkae]\n", "skinbake.toml:1: bkae: unknown key"),
             ("[bkae]\n", "did you mean 'bake'?"),
             (
                 "encoding = 1\n",
-                "skinbake.toml:1: encoding: there is nothing of this name: expected the table",
+                "skinbake.toml:1: encoding: unknown key: expected the table",
             ),
             ("encoding = 1\n", "of a command, like [bake], or [[overrides]]"),
             (
@@ -255,7 +255,7 @@ class TestValues:
             ("[[overrides]]\nfiles = ['a\\b']\n", "expected a path from the folder"),
             (
                 "[[overrides]]\nfiles = ['a']\nbakes = {}\n",
-                "skinbake.toml:3: overrides[0].bakes: there is nothing",
+                "skinbake.toml:3: overrides[0].bakes: unknown key",
             ),
             (
                 "[[overrides]]\nfiles = ['a']\n[[overrides]]\nfiles = ['a']\nbake = { jobs = 2 }\n",

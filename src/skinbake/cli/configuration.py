@@ -108,7 +108,7 @@ class Configuration(NamedTuple):
 
         meant = did_you_mean(str(keys[-1]), known)
         question = f"; {meant}" if meant else ""
-        self.refuse(keys, f"there is nothing of this name: expected {expected}{question}")
+        self.refuse(keys, f"unknown key: expected {expected}{question}")
 
     def table(self, keys: Keys, value: object) -> Mapping[str, Any]:
         """Return the value of a key, which is a table. Raises ConfigurationError if it is none."""
