@@ -113,6 +113,18 @@ def test_make_takes_names_with_spaces(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("tool", ["make", "cmake", "npm"])
+def test_models_in_folders_of_art_are_built_too(tool: str, tmp_path: Path) -> None:
+    build = Build(tool, tmp_path)
+    shutil.copytree(build.folder / "art", build.folder / "art" / "old" / "heroes")
+    assert build()[0]
+    assert len(list((build.folder / "build").rglob("hero.glb"))) == 2
+    before = {path: path.stat().st_mtime_ns for path in (build.folder / "build").rglob("hero.glb")}
+    assert build()[0]
+    assert before == {path: path.stat().st_mtime_ns for path in before}
+
+
+@pytest.mark.slow
 def test_the_npm_script_passes_over_what_has_not_changed(tmp_path: Path) -> None:
     build = Build("npm", tmp_path)
     assert build() == (True, ["bake", "verify"])
