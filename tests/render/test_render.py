@@ -467,6 +467,34 @@ def test_more_vertices_than_a_device_draws_are_refused(
     assert not (tmp_path / "picture.png").exists()
 
 
+@pytest.mark.parametrize("call", ["create_texture", "create_buffer_with_data"])
+def test_a_device_without_enough_memory_is_told(
+    call: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: None
+) -> None:
+    """It was a defect of skinbake."""
+    import wgpu
+
+    def fail(**options: Any) -> None:
+        error = "Validation Error\n\nCaused by:\n  In wgpuDeviceCreateTexture\n    Not enough memory left.\n"
+        raise wgpu.GPUValidationError(error)
+
+    class Full(Studio):
+        def __init__(self, subjects: Sequence[Subject], camera: Camera) -> None:
+            super().__init__([], camera)
+            self._subjects = subjects
+            self._indices = [None] * len(subjects)
+            self._device = Mock(**{call: fail}, wraps=self._device)
+
+    monkeypatch.setattr(render, "Studio", Full)
+    result = invoke("render", TUBE, "-o", tmp_path / "picture.png")
+    assert result.exit_code == exit_codes.INPUT
+    said = " ".join(result.stderr.split())
+    assert (
+        "the device cannot hold what is drawn (Not enough memory left.): draw it smaller, by --size" in said
+    )
+    assert "report it" not in said
+
+
 class Undrawn:
     """A studio without a device: errors are measured, and nothing is drawn."""
 

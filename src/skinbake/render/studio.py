@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
 from itertools import pairwise
@@ -95,13 +96,14 @@ class Studio:
 
         size = (SUPERSAMPLING * look.width, SUPERSAMPLING * look.height, 1)
         attached = wgpu.TextureUsage.RENDER_ATTACHMENT
-        many, depth = (
-            self._device.create_texture(size=size, format=kind, usage=attached, sample_count=4)
-            for kind in ("rgba8unorm", "depth32float")
-        )
-        target = self._device.create_texture(
-            size=size, format="rgba8unorm", usage=attached | wgpu.TextureUsage.COPY_SRC
-        )
+        with _held():
+            many, depth = (
+                self._device.create_texture(size=size, format=kind, usage=attached, sample_count=4)
+                for kind in ("rgba8unorm", "depth32float")
+            )
+            target = self._device.create_texture(
+                size=size, format="rgba8unorm", usage=attached | wgpu.TextureUsage.COPY_SRC
+            )
         encoder = self._device.create_command_encoder()
         step = encoder.begin_render_pass(
             color_attachments=[
@@ -220,12 +222,13 @@ class Studio:
             levels = ONE_PIXEL[use]
         if id(levels) not in self._images:
             height, width = levels[0].shape[:2]
-            texture = self._device.create_texture(
-                size=(width, height, 1),
-                format="rgba8unorm",
-                mip_level_count=len(levels),
-                usage=wgpu.TextureUsage.TEXTURE_BINDING | wgpu.TextureUsage.COPY_DST,
-            )
+            with _held():
+                texture = self._device.create_texture(
+                    size=(width, height, 1),
+                    format="rgba8unorm",
+                    mip_level_count=len(levels),
+                    usage=wgpu.TextureUsage.TEXTURE_BINDING | wgpu.TextureUsage.COPY_DST,
+                )
             for number, level in enumerate(levels):
                 self._device.queue.write_texture(
                     {"texture": texture, "mip_level": number},
@@ -270,9 +273,23 @@ class Studio:
         return self._pipelines[key]
 
     def _buffer(self, data: bytes, usage: int | None = None) -> Any:
-        return self._device.create_buffer_with_data(
-            data=data, usage=_usage("STORAGE") if usage is None else usage
-        )
+        with _held():
+            return self._device.create_buffer_with_data(
+                data=data, usage=_usage("STORAGE") if usage is None else usage
+            )
+
+
+@contextmanager
+def _held() -> Iterator[None]:
+    """Raise UnsupportedFeatureError if the device has no memory for what is made in the block."""
+    import wgpu
+
+    try:
+        yield
+    except wgpu.GPUError as error:
+        reason = str(error).strip().split("\n")[-1].strip()
+        message = f"the device cannot hold what is drawn ({reason}): draw it smaller, by --size"
+        raise UnsupportedFeatureError(message, Place("render")) from error
 
 
 def _usage(name: str) -> int:
