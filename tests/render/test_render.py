@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -465,6 +466,40 @@ def test_more_vertices_than_a_device_draws_are_refused(
         " ".join(result.stderr.split())
     )
     assert not (tmp_path / "picture.png").exists()
+
+
+@pytest.mark.parametrize("times", [1, 5, 300])
+@pytest.mark.parametrize("skinned", [True, False])
+def test_triangles_that_cover_the_picture_hundreds_of_times_are_refused(
+    times: int, skinned: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """40,000 long triangles over each other, 2 MB, took a software driver 16 s."""
+    triangles = sheet().indices
+    assert triangles is not None
+    many = replace(sheet(), indices=np.tile(triangles, (times, 1)))
+    parts = [many, sheet()] if skinned else [sheet(), many]
+
+    def stage(content: JsonObject) -> None:
+        primitive = content["meshes"][0]["primitives"].pop()
+        content["meshes"].append({"primitives": [primitive]})
+        for name in ("JOINTS_0", "WEIGHTS_0"):
+            del primitive["attributes"][name]
+        content["nodes"].append({"mesh": 1})
+        content["scenes"][0]["nodes"].append(len(content["nodes"]) - 1)
+
+    path = write_model(tmp_path / "in.glb", parts, change=stage)
+    monkeypatch.setattr(render, "Studio", Undrawn)
+    result = invoke("render", path, "-o", tmp_path / "out.png", "--clay")
+    said = " ".join(result.stderr.split())
+    assert result.exit_code == exit_codes.INPUT
+    found = re.search(
+        "would cover the picture ([0-9]+) times, one over the other, .* at most (24|25) times", said
+    )
+    if times < 300:
+        assert "enough" in said
+    else:
+        assert found is not None, said
+        assert 0.1 * times < int(found[1]) <= times + 1
 
 
 @pytest.mark.parametrize("call", ["create_texture", "create_buffer_with_data"])
