@@ -126,6 +126,7 @@ def test_characters_of_vrm_0_are_turned_to_the_camera(
         ([(0, 1), (1, 0), (1, 1)], [], {(0, 0)}),
         ([(0, 1)], [(1, 0)], {(0, 0), (1, 0)}),
         ([(1, 0)], [(1, 1)], {(0, 0), (1, 2)}),
+        ([(0, 1), (1, 0)], [(1, 1)], {(0, 0), (1, 2)}),
     ],
 )
 def test_only_pairs_of_mesh_and_skin_that_the_shown_scene_has_are_drawn(
@@ -134,7 +135,10 @@ def test_only_pairs_of_mesh_and_skin_that_the_shown_scene_has_are_drawn(
     more: list[tuple[int, int]],
     shown: set[tuple[int, int]],
 ) -> None:
-    """The first joints of both skins are 0 and 2. Another scene has the hidden pairs."""
+    """The first joints of both skins are 0 and 2. Another scene has the hidden pairs.
+
+    If both skins draw both meshes, these are one surface.
+    """
 
     def change(content: JsonObject) -> None:
         content["meshes"] *= 2

@@ -199,16 +199,24 @@ def shown_draws(
         (reference(nodes[number].get("mesh")), reference(nodes[number].get("skin")))
         for number in shown_nodes(document)
     }
-    meshes = {mesh for mesh, skin in shown if skin is not None}
+    meshes = {mesh for mesh, _ in shown}
     for group in whole_surfaces(document, [view for view in views if view.source.mesh in meshes]):
-        operator = cache(partial(true_operator_of, document, group))
-        rest = [rest_primitive(view) for view in group]
-        targets = correctives.of_views(group) if correctives else ()
+        surfaces: dict[tuple[int, ...], tuple[Draw, Sequence[Float64Array]]] = {}
         for skin, node in draws_of(document, group[0].source.mesh, clips):
-            if not any((view.source.mesh, skin) in shown for view in group):
+            # Skins may draw meshes crosswise: each mesh by one of them here, by the other in another scene.
+            parts = tuple(part for part, view in enumerate(group) if (view.source.mesh, skin) in shown)
+            if not parts:
                 continue
-            played = partial(_played, correctives, group, targets, skin) if correctives else None
-            yield Draw(group, rest, skin, read_skeleton(document, skin), node, operator, played)
+            skeleton = read_skeleton(document, skin)
+            if parts not in surfaces:
+                some = [group[part] for part in parts]
+                rest = [rest_primitive(view) for view in some]
+                operator = cache(partial(true_operator_of, document, some))
+                draw = Draw(some, rest, skin, skeleton, node, operator)
+                surfaces[parts] = draw, correctives.of_views(some) if correctives else ()
+            draw, targets = surfaces[parts]
+            played = partial(_played, correctives, draw.views, targets, skin) if correctives else None
+            yield replace(draw, skin=skin, skeleton=skeleton, node=node, correctives=played)
 
 
 def _played(
