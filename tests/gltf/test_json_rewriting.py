@@ -151,6 +151,7 @@ def test_any_change_is_written(entry: Any, indent: str | None, seed: int) -> Non
         ('{"a":0.0 , "b":1 , "c":1}', {"a": -0.0, "b": 1.0, "c": True}, '{"a":-0.0 , "b":1.0 , "c":true}'),
         ('{"a":{}}', {"a": {"n": 1}}, '{"a":{"n":1}}'),
         ('{"a":1}', {"ä": 2}, '{"a":1,"ä":2}'),
+        ('{"a":1, "a":2}', {"ä": 3}, '{"a":2,"ä":3}'),
         (
             f'{{"a":"{"x" * 256}",\r\n "b": 1}}',
             {"c": {"d": 2}},
@@ -172,6 +173,7 @@ def test_any_change_is_written(entry: Any, indent: str | None, seed: int) -> Non
         "equal numbers",
         "one line",
         "other letters",
+        "other letters, twice",
         "late line ends",
     ],
 )
