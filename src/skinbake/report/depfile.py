@@ -14,9 +14,9 @@ ESCAPED = re.compile("[ #:]")
 
 IN_NO_RULE = re.compile(
     r"""
-      ^(?:\./+)*(?:\.[A-Z]|\.[^/]*$|[-~])  # .IGNORE, .c.o and their like, -lm, ~root. Make drops ./
+      ^(?:\./+)*(?:\.[A-Z]|\.[^/]*$|[-~\ufeff])  # .IGNORE, .c.o, -lm, ~root, a mark of UTF-8. Make drops ./
     | [^\w+,./@!{}()~\ #:\x80-\U0010ffff-]
-    | [\ :)]$                              # lib(member), also with the member in the next name
+    | [\ :)]$                                    # lib(member), also with the member in the next name
     """,
     re.VERBOSE | re.ASCII,
 )
