@@ -83,6 +83,53 @@ def test_every_frame_and_storage_is_shown(
     assert browsing.messages() == []
 
 
+SCALES = {
+    "sheared": ([1.4, 0.8, 1.0], [0.9, 1.0, 1.3]),
+    "mirrored": ([-1.4, 0.8, 1.0], [0.9, 1.0, 1.3]),
+    "flattened": ([1.0, 1.0, 1.0], [0.9, 0.0, 1.3]),
+    "a line": ([1.0, 1.0, 1.0], [0.9, 0.0, 0.0]),
+}
+"""Of two joints, of which the first one carries the second one."""
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        *(("bent_tube.glb", kind) for kind in SCALES),
+        ("two_sets.glb", "sheared"),
+        ("two_sets.glb", "flattened"),
+    ],
+)
+def test_dual_quaternions_take_joints_that_scale(
+    browsing: browser.Page, tmp_path: Path, name: str, kind: str
+) -> None:
+    """Normals of the shader, and positions of the true surface, which the page finds by itself."""
+    file = Editable(FOLDER / name)
+    for joint, scale in zip(file.content["skins"][0]["joints"], SCALES[kind], strict=False):
+        file.content["nodes"][joint]["scale"] = scale
+    path = baked(file.write(tmp_path / "source.glb"), tmp_path / "baked")
+    take(browsing, path)
+    (view,), _ = baked_views(document := read_document(str(path)), skinned_sources(document)[0])
+    found = normals(browsing, "dqs", clip=0, time=0.6)
+    wanted = replay(Algorithm.DQS_EXACT, rest_primitive(view), matrices(browsing))
+    # Seen along a plane that is left of the surface, a normal is rounding.
+    size = np.linalg.norm(wanted.normals[0], axis=1)
+    clear = size > 0.05 * size.max()
+    assert clear.mean() > 0.4
+    side = -1 if kind == "mirrored" else 1
+    assert angles(found[clear], side * unit(wanted.normals[0][clear])).max() < DEGREES
+    moved, reason = browsing.call(
+        """(() => {
+            const { scene } = application;
+            scene.truths('dqs');
+            return [Array.from(scene.allSurfaces()[0].surface.moved), scene.reasonWithout('dqs')];
+        })"""
+    )
+    assert reason == ""
+    assert np.abs(np.reshape(moved, (-1, 3)) - wanted.positions[0]).max() < 1e-5
+    assert browsing.messages() == []
+
+
 def test_clips_of_pointers_move_the_model(browsing: browser.Page, tmp_path: Path) -> None:
     source = edited("bent_tube.glb", tmp_path / "in", with_pointers)
     path = baked(source, tmp_path)

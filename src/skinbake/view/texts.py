@@ -51,10 +51,18 @@ def _algorithms(usual: ShaderChoices) -> Iterator[tuple[str, ShaderChoices]]:
         yield _named(usual, Method.LBS, Lighting.ACCURATE, encoding)
         yield _named(usual, Method.LBS, Lighting.ACCURATE, encoding, mirrored=True)
         yield _named(usual, Method.DQS, Lighting.EXACT, encoding)
+        # It turns normals only where joints do mirror, so that one text serves all.
+        yield _named(usual, Method.DQS, Lighting.EXACT, encoding, mirrored=True, scaled=True)
 
 
 def _named(
-    usual: ShaderChoices, method: Method, lighting: Lighting, encoding: Encoding, *, mirrored: bool = False
+    usual: ShaderChoices,
+    method: Method,
+    lighting: Lighting,
+    encoding: Encoding,
+    *,
+    mirrored: bool = False,
+    scaled: bool = False,
 ) -> tuple[str, ShaderChoices]:
     choices = ShaderChoices(
         Language.GLSL,
@@ -63,6 +71,7 @@ def _named(
         usual.influences,
         usual.frame,
         mirrored_joints=mirrored,
+        scaled_joints=scaled,
         encoding=encoding,
         morphs=usual.morphs,
         normal_map=lighting is not Lighting.STANDARD,

@@ -78,6 +78,8 @@ export function slerp(a, b, share) {
     return normalised(a.map((value, i) => first * value + sign * second * b[i]));
 }
 
+const FLATTENED = 1e-6; // as in skinbake's dual_quaternions.py
+
 // The unit dual quaternion of a rigid matrix whose scale has been divided out: its real part, its dual part.
 export function dualQuaternion(m, scale) {
     const at = (row, column) => m[4 * column + row] / scale;
@@ -97,4 +99,27 @@ export function dualQuaternion(m, scale) {
     const turned = cross(t, real);
     const dual = turned.map((value, i) => 0.5 * (value + real[3] * t[i]));
     return [...real, ...dual, -0.5 * dot(t, real)];
+}
+
+// The unit quaternion of the rotation R in the polar decomposition M = R S, or in that of -M where M mirrors, by Newton's
+// iteration (Higham 1986). A joint that flattens does not mirror. One that leaves a line or a point does not turn.
+export function polarQuaternion(m) {
+    const mixed = (a, x, b, y) => a.map((column, i) => column.map((value, row) => x * value + y * b[i][row]));
+    const over = (columns, divisor) => mixed(columns, 1 / divisor, columns, 0);
+    const cofactorsOf = ([a, b, c]) => [cross(b, c), cross(c, a), cross(a, b)];
+    const lengthOf = (columns) => Math.hypot(...columns.flat());
+    let turn = [0, 4, 8].map((start) => [m[start], m[start + 1], m[start + 2]]);
+    turn = over(turn, lengthOf(turn) || 1);
+    let cofactors = cofactorsOf(turn);
+    const area = lengthOf(cofactors);
+    if (!(area > FLATTENED)) return [0, 0, 0, 1];
+    // The cofactors have the same rotation, and an extent where M has none.
+    turn = mixed(turn, dot(turn[0], cofactors[0]) < -FLATTENED * area ? -1 : 1, cofactors, 1 / area);
+    turn = over(turn, Math.cbrt(dot(turn[0], cofactorsOf(turn)[0])));
+    for (let step = 0; step < 12; step++) {
+        cofactors = cofactorsOf(turn);
+        turn = mixed(turn, 0.5, cofactors, 0.5 / dot(turn[0], cofactors[0]));
+    }
+    const [x, y, z] = turn;
+    return dualQuaternion([...x, 0, ...y, 0, ...z, 0, 0, 0, 0, 1], 1).slice(0, 4);
 }

@@ -1,6 +1,6 @@
 // Poses of a model: joint matrices and morph weights, from a clip at a time, or turned at random.
 
-import { composed, determinant, dualQuaternion, product, slerp } from './matrices.js';
+import { composed, determinant, dualQuaternion, polarQuaternion, product, slerp } from './matrices.js';
 
 const RIGID = 1e-3; // As skinbake has it: a larger deviation of a joint matrix is not a rotation.
 const RANDOM = -1; // A number that no animation of the file has.
@@ -96,15 +96,17 @@ function numbers(seed) {
     };
 }
 
-// Joint matrices as one scale for all and a dual quaternion for each; not rigid: null.
-export function rigidMotions(matrices, used) {
+// Joint matrices as one scale for all and a dual quaternion for each. Where they are not rigid, the rotation of each.
+export function motionsOf(matrices, used) {
     const scales = used
         .map((joint) => Math.cbrt(determinant(matrices[joint])))
         .filter((scale) => scale > 0)
         .sort((a, b) => a - b);
     const scale = scales[(scales.length - 1) >> 1] ?? 1;
-    if (!used.every((joint) => isRigid(matrices[joint], scale))) return null;
     const isUsed = new Set(used);
+    if (!used.every((joint) => isRigid(matrices[joint], scale))) {
+        return { scale: 1, turns: matrices.map((matrix, i) => (isUsed.has(i) ? polarQuaternion(matrix) : [0, 0, 0, 1])) };
+    }
     const unmoved = [0, 0, 0, 1, 0, 0, 0, 0];
     return { scale, quaternions: matrices.map((matrix, i) => (isUsed.has(i) ? dualQuaternion(matrix, scale) : unmoved)) };
 }

@@ -165,7 +165,8 @@ export class Renderer {
         return buffer;
     }
 
-    // A texture of joint motions: a row for each joint, four texels of its matrix, two of its dual quaternion.
+    // A texture of joint motions: a row for each joint, four texels of its matrix, two of its dual quaternion. Where
+    // joints scale, the first of these is the joint's rotation.
     palette(joints) {
         const { gl } = this;
         const texture = gl.createTexture();
@@ -284,8 +285,9 @@ export class Renderer {
         const isLit = kind !== undefined && stem !== 'lbs_standard';
         const gradients = isLit ? primitive.gradients[kind] : null;
         const frame = primitive.metadata?.frame ?? 'normal';
+        const isDual = isLit && stem === 'dqs_exact';
         const choices = {
-            stem: isLit ? stem : 'lbs_standard',
+            stem: isDual && this.motions[part.skin].turns ? 'dqs_scaled' : isLit ? stem : 'lbs_standard',
             sets: primitive.joints.length,
             frame,
             storage: gradients?.storage ?? 'float32',
@@ -298,7 +300,7 @@ export class Renderer {
             texts: () => [vertexText(this.texts[text], choices), fragment()],
             array: part.arrays[plays ? 'corrected' : isLit ? kind : ''],
             gradients,
-            isDual: choices.stem === 'dqs_exact',
+            isDual,
         };
     }
 
@@ -310,8 +312,8 @@ export class Renderer {
         this.palettes.forEach(({ texture, values, joints }, skin) => {
             for (let joint = 0; joint < joints; joint++) {
                 values.set(pose.skins[skin][joint], 24 * joint);
-                const motion = motions[skin];
-                if (motion) values.set(motion.quaternions[joint], 24 * joint + 16);
+                const { quaternions, turns } = motions[skin];
+                values.set((quaternions ?? turns)[joint], 24 * joint + 16);
             }
             gl.activeTexture(gl.TEXTURE0);
             gl.bindTexture(gl.TEXTURE_2D, texture);

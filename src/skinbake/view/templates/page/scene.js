@@ -1,7 +1,7 @@
 // A model in a pose: its matrices, its morphed vertices, its true normals, and the errors of each lighting.
 
 import { determinant, plus } from './matrices.js';
-import { poseAt, randomClip, rigidMotions } from './poses.js';
+import { motionsOf, poseAt, randomClip } from './poses.js';
 import { LIGHTINGS } from './renderer.js';
 import { joined, skinned, Surface } from './truth.js';
 
@@ -35,7 +35,7 @@ export class Scene {
         const { model, renderer } = this;
         Object.assign(this, { clip, time, known: new Map() });
         this.posed = poseAt(model, clip, time);
-        this.motions = this.posed.skins.map((matrices, skin) => rigidMotions(matrices, this.usedJoints[skin]));
+        this.motions = this.posed.skins.map((matrices, skin) => motionsOf(matrices, this.usedJoints[skin]));
         renderer.setPose(this.posed, this.motions);
         for (const part of this.parts) this.morph(part);
     }
@@ -61,7 +61,6 @@ export class Scene {
         if (isCorrected && !lit.some((part) => part.primitive.correctives.length)) return 'the file has none';
         if (gradients && !lit.some((part) => part.primitive.gradients[gradients])) return 'the page holds no such α and β of this file';
         if (stem !== 'lbs_standard' && !lit.some((part) => part.primitive.metadata)) return 'it is not baked';
-        if (stem === 'dqs_exact' && this.motions.some((motion, skin) => !motion && this.usedJoints[skin].length)) return 'its joints are not rigid';
         return '';
     }
 
@@ -79,7 +78,7 @@ export class Scene {
         return this.surfaces;
     }
 
-    // The true normals (x, y, z, 1) of each surface in this pose, under one method; null where it does not apply.
+    // The true normals (x, y, z, 1) of each surface in this pose, under one method.
     truths(method) {
         if (!this.known.has(method)) this.known.set(method, this.allSurfaces().map((one) => this.truthOf(one, method)));
         return this.known.get(method);
@@ -88,7 +87,6 @@ export class Scene {
     truthOf({ parts, surface }, method) {
         const { skin } = parts[0];
         const motions = method === 'dqs' ? this.motions[skin] : null;
-        if (method === 'dqs' && !motions) return null;
         if (parts.some((part) => this.morphed.has(part))) {
             // Coordinates at rest serve where only the surface tells the normals.
             const arrays = parts.map((part) => (part.primitive.isAuthored && this.morphed.get(part)) || part.primitive);
@@ -108,8 +106,7 @@ export class Scene {
         this.allSurfaces().forEach(({ parts, surface }, number) => {
             parts.forEach((part, i) => {
                 const start = 4 * surface.starts[i];
-                const values = truths[number] ?? new Float32Array(4 * surface.count);
-                this.renderer.setTruth(part, method, values.subarray(start, start + 4 * part.primitive.count));
+                this.renderer.setTruth(part, method, truths[number].subarray(start, start + 4 * part.primitive.count));
             });
         });
     }
@@ -121,8 +118,6 @@ export class Scene {
         let isPartial = false;
         this.allSurfaces().forEach(({ parts, surface }, number) => {
             const truth = truths[number];
-            isPartial ||= !truth;
-            if (!truth) return;
             parts.forEach((part, i) => {
                 const { normals } = this.renderer.captured(part, lighting);
                 for (let vertex = 0; vertex < part.primitive.count; vertex++) {

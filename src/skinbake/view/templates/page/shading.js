@@ -13,7 +13,7 @@ export const TEXCOORDS = ['v_texcoord.xy', 'v_texcoord.zw', 'v_further_texcoord'
 // The name under which the page holds a text of skinbake shader.
 export function textName({ stem, sets, frame, storage, morphs, mirrored }) {
     const how = stem === 'lbs_standard' ? 'float32' : storage;
-    return [stem, 4 * sets, frame, how, morphs, mirrored && stem === 'lbs_accurate' ? 'mirrored' : 'plain'].join('/');
+    return [stem, 4 * sets, frame, how, morphs, stem === 'dqs_scaled' || (mirrored && stem === 'lbs_accurate') ? 'mirrored' : 'plain'].join('/');
 }
 
 // What vertices hand to fragments.
@@ -23,14 +23,23 @@ const VARYINGS = [
 ];
 const varyings = (direction) => VARYINGS.map((one) => `${direction} ${one};`).join('\n');
 
+// What each algorithm makes of the texels of a joint: its type, its name, and how.
+const MOTIONS = {
+    linear: ['mat4', 'M', 'return mat4(texel(joint, 0), texel(joint, 1), texel(joint, 2), texel(joint, 3));'],
+    dqs_exact: ['mat2x4', 'Q', 'return mat2x4(texel(joint, 4), texel(joint, 5));'],
+    dqs_scaled: ['skinbake_ScaledMotion', 'Q', `skinbake_ScaledMotion made;
+    made.turn = texel(joint, 4);
+    for (int i = 0; i < 4; i++) made.moved[i] = skinbake_product(vec4(texel(joint, i).xyz, 0.0), made.turn);
+    return made;`],
+};
+
 export function vertexText(text, choices) {
     const { stem, sets, frame, storage, morphs } = choices;
     const numbers = Array.from({ length: sets }, (_, set) => set);
-    const isDual = stem === 'dqs_exact';
     const reads = stem !== 'lbs_standard';
-    const [type, make, name] = isDual ? ['mat2x4', 'motion', 'Q'] : ['mat4', 'motion', 'M'];
+    const [type, name, made] = MOTIONS[stem] ?? MOTIONS.linear;
     // An attribute holds the joints of both sets: the second one's in the upper halves of its integers.
-    const slots = numbers.flatMap((set) => ['x', 'y', 'z', 'w'].map((c) => `${make}(int(joints.${c} >> ${16 * set}u & 65535u))`));
+    const slots = numbers.flatMap((set) => ['x', 'y', 'z', 'w'].map((c) => `motion(int(joints.${c} >> ${16 * set}u & 65535u))`));
     const lists = (kind) => numbers.map((set) => `${kind}_${set}`);
     const inputs = lists('in vec4 weights').concat(reads ? lists('in vec4 stored_alpha').concat(lists('in vec4 stored_beta')) : []);
     const decoded = (kind, set) => {
@@ -83,11 +92,11 @@ uniform float storage_scale;
 uniform float is_true;
 ${varyings('out')}
 
+vec4 texel(int joint, int place) { return texelFetch(motions, ivec2(place, joint), 0); }
+
 ${type} motion(int joint)
 {
-    ${isDual
-        ? 'return mat2x4(texelFetch(motions, ivec2(4, joint), 0), texelFetch(motions, ivec2(5, joint), 0));'
-        : 'return mat4(texelFetch(motions, ivec2(0, joint), 0), texelFetch(motions, ivec2(1, joint), 0), texelFetch(motions, ivec2(2, joint), 0), texelFetch(motions, ivec2(3, joint), 0));'}
+    ${made}
 }
 
 void main()

@@ -188,7 +188,8 @@ export function skinned(primitive, positions, matrices, motions, found, start) {
     for (let vertex = 0; vertex < count; vertex++) {
         const x = positions[3 * vertex], y = positions[3 * vertex + 1], z = positions[3 * vertex + 2];
         const at = 3 * (start + vertex);
-        if (motions) byQuaternions(joints, weights, vertex, x, y, z, motions, found, at);
+        if (motions?.turns) byTurns(joints, weights, vertex, x, y, z, matrices, motions.turns, found, at);
+        else if (motions) byQuaternions(joints, weights, vertex, x, y, z, motions, found, at);
         else {
             let px = 0, py = 0, pz = 0, sum = 0;
             for (let set = 0; set < joints.length; set++) {
@@ -206,6 +207,33 @@ export function skinned(primitive, positions, matrices, motions, found, start) {
             found[at] = px / sum; found[at + 1] = py / sum; found[at + 2] = pz / sum;
         }
     }
+}
+
+// Where joints scale: the quotient of Σ w (M p) r and Σ w r, both of one hemisphere.
+function byTurns(joints, weights, vertex, x, y, z, matrices, turns, found, at) {
+    const pivot = turns[joints[0][4 * vertex]];
+    let gx = 0, gy = 0, gz = 0, g = 0, bx = 0, by = 0, bz = 0, b = 0;
+    for (let set = 0; set < joints.length; set++) {
+        for (let i = 4 * vertex; i < 4 * vertex + 4; i++) {
+            const w = weights[set][i];
+            if (w === 0) continue;
+            const m = matrices[joints[set][i]];
+            const [rx, ry, rz, r] = turns[joints[set][i]];
+            const side = rx * pivot[0] + ry * pivot[1] + rz * pivot[2] + r * pivot[3] < 0 ? -w : w;
+            const px = m[0] * x + m[4] * y + m[8] * z + m[12];
+            const py = m[1] * x + m[5] * y + m[9] * z + m[13];
+            const pz = m[2] * x + m[6] * y + m[10] * z + m[14];
+            gx += side * (r * px + py * rz - pz * ry);
+            gy += side * (r * py + pz * rx - px * rz);
+            gz += side * (r * pz + px * ry - py * rx);
+            g -= side * (px * rx + py * ry + pz * rz);
+            bx += side * rx; by += side * ry; bz += side * rz; b += side * r;
+        }
+    }
+    const square = bx * bx + by * by + bz * bz + b * b;
+    found[at] = (b * gx - g * bx + by * gz - bz * gy) / square;
+    found[at + 1] = (b * gy - g * by + bz * gx - bx * gz) / square;
+    found[at + 2] = (b * gz - g * bz + bx * gy - by * gx) / square;
 }
 
 function byQuaternions(joints, weights, vertex, x, y, z, { scale, quaternions }, found, at) {
