@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -617,6 +619,18 @@ def test_without_its_extra_it_says_what_to_install(
     assert f"pictures need {package}, which is missing" in result.stderr
     assert "pip install 'pillow>=10.1' 'wgpu>=0.32'" in " ".join(result.stderr.split())
     assert list(tmp_path.iterdir()) == []
+
+
+def test_without_a_device_one_line_says_why_and_what_to_install(tmp_path: Path) -> None:
+    """wgpu's reason has several lines."""
+    nowhere = {"VK_DRIVER_FILES": "/nowhere", "VK_ICD_FILENAMES": "/nowhere", "WGPU_BACKEND_TYPE": "Vulkan"}
+    command = [sys.executable, "-m", "skinbake", "render", str(TUBE), "-o", str(tmp_path / "picture.png")]
+    result = subprocess.run(
+        command, env={**os.environ, **nowhere}, capture_output=True, text=True, check=False
+    )
+    assert result.returncode == exit_codes.INPUT
+    assert "\\n" not in result.stderr
+    assert "): install a driver of Vulkan, like mesa-vulkan-drivers\n" in result.stderr
 
 
 @pytest.mark.slow

@@ -319,8 +319,9 @@ def _device() -> Any:
     try:
         return wgpu.gpu.request_adapter_sync().request_device_sync()
     except RuntimeError as error:
+        reason = " ".join(str(error).split())
         message = (
-            f"no device draws pictures here ({error}): install a driver of Vulkan, like mesa-vulkan-drivers"
+            f"no device draws pictures here ({reason}): install a driver of Vulkan, like mesa-vulkan-drivers"
         )
         raise UnsupportedFeatureError(message, place) from error
 
