@@ -107,7 +107,7 @@ def _typed(chosen: Chosen) -> str:
     return flag if chosen.value is ... else f"{flag} {chosen.value}"
 
 
-ADVICE = frozenset({"morph-normals"})
+ADVICE = frozenset({"morph-normals", "no-targets"})
 """Codes of notices that are advice: see ``Notice.is_advice``."""
 
 

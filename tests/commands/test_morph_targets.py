@@ -238,6 +238,19 @@ def test_a_flat_mesh_without_a_skin_gets_none_and_a_notice(tmp_path: Path) -> No
     assert (tmp_path / "out.glb").read_bytes() == source.read_bytes()
 
 
+@pytest.mark.parametrize("option", ["--morph-normals", "--morph-frames"])
+def test_a_note_says_that_an_option_finds_no_targets(tmp_path: Path, option: str) -> None:
+    """Advice, because a folder may hold models with and without targets."""
+    with_targets = without_normals(TUBE, tmp_path / "in.glb")
+    for source, is_told in ((TUBE, True), (with_targets, False)):
+        result = invoke("bake", "--json", "--warnings-as-errors", source, "-o", tmp_path / "out.glb", option)
+        assert result.exit_code == 0
+        found = [one["message"] for one in json.loads(result.stdout)["files"][0]["warnings"]]
+        assert any(one.startswith(f"{option} adds nothing: nothing here has") for one in found) == is_told
+    said = bake(morphed(TUBE, tmp_path / "whole.glb"), tmp_path / "out.glb", option)
+    assert ("adds nothing: nothing here has a morph target without NORMAL" in said) == ("normals" in option)
+
+
 def test_correctives_contradict_it(tmp_path: Path) -> None:
     said = bake(TUBE, tmp_path / "out.glb", "--morph-normals", "--correctives", "2", code=2)
     assert "contradicts" in said

@@ -191,6 +191,11 @@ class Baker(CheckedOptions):
         morphs = self._morphs(document, bakes)
         made_targets = morphs.made if morphs else ()
         remarks += morphs.notices if morphs else ()
+        if not made_targets and (self.morph_normals or self.morph_frames):
+            option = Chosen("morph_frames" if self.morph_frames else "morph_normals")
+            lacking = "morph targets" if self.morph_frames else "a morph target without NORMAL"
+            message = Message(option, f" adds nothing: nothing here has {lacking} that it can add to")
+            remarks.append(Notice("no-targets", message, document.place))
         if not bakes and not made_targets:
             return BakedDocument(given, (), skipped, (*reasons, *remarks))
         storage = with_scale(GradientFormat(self.encoding, self.layout), [bake.result for bake in bakes])
