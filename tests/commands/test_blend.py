@@ -373,7 +373,10 @@ def test_a_shader_of_a_blend_needs_a_file_with_one(tmp_path: Path) -> None:
         (("--target", "three"), "--method blend needs --target plain"),
         (("--lang", "glsl", "--lighting", "exact"), "blend has no exact lighting; take standard or accurate"),
         (("--lang", "glsl", "--stage", "compute"), "--method blend contradicts --stage compute"),
-        (("--lang", "glsl", "--normal-map"), "--method blend contradicts --normal-map"),
+        (
+            ("--lang", "glsl", "--normal-map"),
+            "--method blend contradicts --normal-map: leave it out, or light the mesh by --method lbs or dqs",
+        ),
         (("--lang", "glsl", "--lighting", "standard", "--scaled-joints"), "needs --method blend --lighting"),
     ],
 )

@@ -126,7 +126,8 @@ class ShaderChoices:
             if self.target != "plain":
                 raise self._refusal("method", " needs ", Chosen("target", "plain"), f", not {self.target}")
             if self.normal_map:
-                raise self._refusal("method", " contradicts ", Chosen("normal_map"))
+                other = ": leave it out, or light the mesh by ", Chosen("method", "lbs"), " or dqs"
+                raise self._refusal("method", " contradicts ", Chosen("normal_map"), *other)
             if self.stage is Stage.COMPUTE:
                 raise self._refusal("method", " contradicts ", Chosen("stage", Stage.COMPUTE))
         if self.stage is not Stage.COMPUTE:
