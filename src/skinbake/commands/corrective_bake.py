@@ -67,8 +67,11 @@ UNIT_LENGTH = 1e-2
 FINGERPRINT_POSES = 16
 """The poses of each clip whose fingerprint tells whether the clips are still those of the bake."""
 
-STEPS_A_MOTION = 5_000
-"""The steps of a clip that moves a skin, but for its poses: see ``budget.STEPS_FREE``."""
+STEPS_A_MOTION, SAMPLES_A_STEP = 5_000, 2
+"""The steps of a clip that moves a skin, but for its poses, and the vertices × keys of a step.
+
+See ``budget.STEPS_FREE``.
+"""
 
 
 def corrected_document(
@@ -167,7 +170,12 @@ def _fitted(
     place = sources[0].place
     poses = LEAST_KEYS + LEAST_HELD_BACK
     steps = sum(STEPS_A_MOTION + pose_steps(one.skeleton, [one.clip], poses) for one in motions)
-    document.budget.claim_steps(steps, f"fitting to {counted(len(motions), 'clip')} of its skins", place)
+    vertices = sum(len(one.positions) for one in rest)
+    steps += vertices * LEAST_KEYS * len(motions) // SAMPLES_A_STEP
+    fitting = (
+        f"fitting {counted(vertices, 'vertex', 'vertices')} to {counted(len(motions), 'clip')} of its skins"
+    )
+    document.budget.claim_steps(steps, f"{fitting} (--clips chooses some)", place)
     operator = true_operator(primitives, claim=lambda size: document.budget.claim_welding(size, place))
     areas = np.concatenate([RestAreas(document, motions[0].skin).of(one) for one in primitives])
     with stage("fit"):
