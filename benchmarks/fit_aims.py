@@ -118,10 +118,10 @@ def lit_by_aims(path: Path, name: str, seen: set[tuple[int, float]]) -> Model | 
     slots = {aim: fitted(document, views, constants) for aim, constants in AIMS.items()}
     ratios: dict[str, dict[str, Float64Array]] = {}
     for poses, usual in POSES.items():
-        request = replace(usual, samples=SAMPLES[poses])
+        request = usual._replace(samples=SAMPLES[poses])
         if poses == CLIPS:  # between the samples of the fit and those of verify
             count = max(3, SAMPLES[poses] // max(len(clips), 1))
-            request = replace(usual, samples=count, offset=0.37, most=HELD_BACK)
+            request = usual._replace(samples=count, offset=0.37, most=HELD_BACK)
         surfaces = list(surfaces_in(document, views, clips, request))
         if poses == CLIPS and not all(one.from_clips for one in surfaces):
             continue
@@ -148,7 +148,7 @@ Slots = dict[int, tuple[FloatArray, FloatArray]]
 def fitted(document: Document, views: Sequence[BakedView], constants: Mapping[str, float]) -> Slots:
     """Return the fit itself, which no bake has held to standard lighting yet, in the slots of the views."""
     found: Slots = {}
-    settings = replace(Baker().settings, neighbours=Neighbours.DROP)
+    settings = Baker().settings._replace(neighbours=Neighbours.DROP)
     for surface in gathered_together(document, views):
         rig, _ = fitting_rig(document, surface[0].source)
         with rules(constants):

@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -113,7 +113,7 @@ def lit_by_kinds(path: Path) -> Model | None:
     lit: dict[str, dict[str, Lit]] = {}
     clips = len(read_clips(baked["surface"]))
     for poses, usual in POSES.items():
-        held_back = replace(usual, samples=max(4, HELD_BACK // max(clips, 1)))
+        held_back = usual._replace(samples=max(4, HELD_BACK // max(clips, 1)))
         request = held_back if poses == CLIPS else usual
         surface = measured(baked["surface"], request, fine=True)
         bends = surface.mean(Truth.TANGENTS, "standard") > BENDS

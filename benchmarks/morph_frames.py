@@ -124,7 +124,7 @@ def with_numbers(points: analytic.Sample, displacement: morphing.Displacement, n
     )
     in_plane = Differences.of(np.concatenate([t[:, :2], b[:, :2]], axis=1))
     upward = Differences.of(np.stack([t[:, 2], b[:, 2]], axis=1))
-    return MorphTargets((replace(found.targets[0], in_plane=in_plane, upward=upward),), numbers=numbers)
+    return MorphTargets((found.targets[0]._replace(in_plane=in_plane, upward=upward),), numbers=numbers)
 
 
 def surface(points: analytic.Sample, *, tangents: bool = False) -> RestPrimitive:

@@ -17,7 +17,7 @@ from __future__ import annotations
 import copyreg
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
 
@@ -33,8 +33,7 @@ def printable_lines(text: str) -> str:
     return "\n".join(map(printable, text.split("\n")))
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
+class Place(NamedTuple):
     """Where in which file: every message about data carries one."""
 
     file: str
@@ -45,7 +44,7 @@ class Place:
 
     def at(self, attribute: str) -> Place:
         """Return this place, narrowed to one attribute (or ``indices``) of the primitive."""
-        return replace(self, attribute=attribute)
+        return self._replace(attribute=attribute)
 
     @property
     def within_file(self) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 T = TypeVar("T")
 
@@ -43,8 +43,7 @@ class Timings:
 _recording: ContextVar[Timings | None] = ContextVar("_recording", default=None)
 
 
-@dataclass(frozen=True, slots=True)
-class Told:
+class Told(NamedTuple):
     """Word of work on a file: its stage, and how many steps of how many are done (0 of 0: it has none)."""
 
     source: str

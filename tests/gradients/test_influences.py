@@ -164,7 +164,7 @@ def test_a_vertexs_influences_are_mended(
     # Quarters and eighths: exact, except where a decimal was divided by its sum.
     assert field.weights == pytest.approx(np.tile(mended_weights, (3, 1)), rel=1e-15, abs=0)
     assert field.free.tolist() == [free] * 3
-    assert found == WeightDefects(**{name: defects.get(name, 0) for name in FINE.__slots__})
+    assert found == WeightDefects(**{name: defects.get(name, 0) for name in FINE._fields})
 
 
 @pytest.mark.parametrize(("total", "counted"), [(1.0, 0), (0.9991, 0), (1.0009, 0), (0.998, 3), (1.002, 3)])

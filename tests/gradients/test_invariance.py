@@ -132,7 +132,7 @@ def test_scaling_by_a_power_of_two_scales_every_bit_of_alpha_inversely(name: str
             assert np.array_equal(found.alpha * np.float32(scale), expected.alpha)
             assert np.array_equal(found.beta * np.float32(scale), expected.beta)
             assert np.array_equal(found.adopted_joints, expected.adopted_joints)
-            assert replace(found_numbers, magnitude=0.0) == replace(numbers, magnitude=0.0)
+            assert found_numbers._replace(magnitude=0.0) == numbers._replace(magnitude=0.0)
 
 
 @pytest.mark.parametrize("name", MESHES)
@@ -185,7 +185,7 @@ def test_the_order_of_vertices_and_triangles_changes_nothing(name: str, seed: in
     expected = [table[order] for table, order in zip(tables(primitives, baked(name)), orders, strict=True)]
     assert deviation(tables(moved, outcomes), expected) < TOLERANCE
     for (_, found), (_, numbers) in zip(outcomes, baked(name), strict=True):
-        assert replace(found, lost=0.0, magnitude=0.0) == replace(numbers, lost=0.0, magnitude=0.0)
+        assert found._replace(lost=0.0, magnitude=0.0) == numbers._replace(lost=0.0, magnitude=0.0)
         assert found.lost == pytest.approx(numbers.lost, abs=1e-12)
 
 

@@ -7,7 +7,7 @@ import runpy
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -151,7 +151,7 @@ def rigged_meshes_of(path: Path) -> list[tuple[list[SkinnedPrimitive], Rig]]:
 
 
 def with_rig(surface: Surface, rig: Rig) -> Surface:
-    return replace(surface, rig=rig.with_joints(int(surface.field.joints.max()) + 1))
+    return surface._replace(rig=rig.with_joints(int(surface.field.joints.max()) + 1))
 
 
 def assert_fits_agree(
@@ -209,7 +209,7 @@ def test_positions_in_float64_give_the_same(name: str, monkeypatch: pytest.Monke
 def test_any_number_of_threads_bakes_the_same_bytes(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     ((primitives, rig),) = rigged_meshes_of(path_of(name))
     surface = surface_of(primitives)
-    surface = replace(surface, rig=rig.with_joints(int(surface.field.joints.max()) + 1))
+    surface = surface._replace(rig=rig.with_joints(int(surface.field.joints.max()) + 1))
     whole = bake(surface)
     monkeypatch.setattr(by_loops, "PART", 7)
     found = []
@@ -268,7 +268,7 @@ def test_the_kernels_frame_from_normals_is_the_contracts_bit_by_bit() -> None:
     part = replace(primitives[0], normals=normals, tangents=None)
     own = surface_of([part])
     vectors = frame_vectors(part, "normal")
-    given = replace(own, frame=vectors)
+    given = own._replace(frame=vectors)
     one, other = (bake(surface) for surface in (own, given))
     assert np.array_equal(one.alpha, other.alpha)
     assert np.array_equal(one.beta, other.beta)
@@ -300,7 +300,7 @@ def test_weightings_and_defects_have_the_names_of_the_definition() -> None:
     assert len(set(by_loops.WEIGHTINGS.values())) == len(WEIGHTINGS)
     field, _ = weight_field(empty(3))
     found = _kernel.normalise_influences(field.joints, field.weights, field.free, 0.99, 0.0, 1e-3, 2.0**-30)
-    assert set(found) == {field.name for field in fields(WeightDefects)}
+    assert set(found) == {*WeightDefects._fields}
 
 
 def test_the_environment_can_ask_for_numpy(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -360,5 +360,5 @@ def test_the_size_of_a_block_changes_nothing(block: int, monkeypatch: pytest.Mon
     assert np.array_equal(found.alpha, expected.alpha)
     assert np.array_equal(found.beta, expected.beta)
     assert np.array_equal(found.adopted_joints, expected.adopted_joints)
-    assert replace(own, lost=0.0, magnitude=0.0) == replace(numbers, lost=0.0, magnitude=0.0)
+    assert own._replace(lost=0.0, magnitude=0.0) == numbers._replace(lost=0.0, magnitude=0.0)
     assert own.lost == pytest.approx(numbers.lost, rel=1e-12)

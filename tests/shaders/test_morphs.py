@@ -321,7 +321,7 @@ def target_of(points: analytic.Sample, rest: RestPrimitive, morphs: Morphs) -> M
     if not morphs.moves_frame:
         return target
     in_plane, upward = numbers_of(points, rest, morphing.morphed_surface(morphing.mixture, 1.0))
-    one = replace(target.targets[0], in_plane=in_plane, upward=upward)
+    one = target.targets[0]._replace(in_plane=in_plane, upward=upward)
     return MorphTargets((one,), numbers=6 if morphs is Morphs.FRAMES else 4)
 
 

@@ -150,7 +150,7 @@ def test_normals_by_four_numbers_stay_on_the_side_of_normal_with_the_handedness_
     """A shader has no other handedness. Between weights NORMAL and the numbers may contradict each other."""
     sample = points()
     target = morphing.target(sample, morphing.bulge).targets[0]
-    turned_over = replace(target, in_plane=Differences.of(np.tile([-1.6, 0.0, 0.0, 0.0], (len(sample.u), 1))))
+    turned_over = target._replace(in_plane=Differences.of(np.tile([-1.6, 0.0, 0.0, 0.0], (len(sample.u), 1))))
     moved = morphed(rest_of(sample), MorphTargets((turned_over,), numbers=4), np.ones(1))
     np.testing.assert_array_equal(moved.handedness(), rest_of(sample).handedness())
     rule = morphed(rest_of(sample), MorphTargets((target,)), np.ones(1))

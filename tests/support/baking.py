@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +16,12 @@ from skinbake.gradients.baker import BakeSettings
 from skinbake.jobs.bake import Bake
 from skinbake.report.bake import FileResult
 
-WRITING = {entry.name for entry in fields(Writing)}
+WRITING = {*Writing._fields}
 
 
 def bake_settings(**changes: Any) -> BakeSettings:
     """Return the settings of a bake without options, with some changed; crease_angle is in radians."""
-    return replace(Baker().settings, **changes)
+    return Baker().settings._replace(**changes)
 
 
 def baker_of(

@@ -212,11 +212,9 @@ class OptionSets(NamedTuple):
 
     def numbered(self, jobs: Sequence[Job]) -> Sequence[Job]:
         """Return the jobs of the inputs with the numbers of their sets."""
-        from dataclasses import replace
-
         if len(self.given) == 1:
             return jobs
-        return [replace(job, variant=number) for job, number in zip(jobs, self.numbers, strict=True)]
+        return [job._replace(variant=number) for job, number in zip(jobs, self.numbers, strict=True)]
 
 
 def option_sets(ctx: click.Context, given: Mapping[str, Any], sources: Sequence[str]) -> OptionSets:

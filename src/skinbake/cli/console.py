@@ -8,8 +8,7 @@ import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 
@@ -34,8 +33,7 @@ NUMBER = re.compile(r"\d[\d.,]*(?:e[+-]?\d+)?")
 NOT_ASCII = re.compile("[^\\x00-\\x7e]")
 
 
-@dataclass(frozen=True, slots=True)
-class Console:
+class Console(NamedTuple):
     """The amount of output. Verbosity −1 prints only errors, 0 warnings and results too, 1 also details."""
 
     verbosity: int

@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -174,7 +174,7 @@ class Baker(CheckedOptions):
             written, made, further = corrected_document(document, sources, self)
             left, unmeasured = self._left(document, written)
             if left is not None:
-                return replace(left, skipped=skipped, notices=tuple(reasons))
+                return left._replace(skipped=skipped, notices=tuple(reasons))
             told = (*reasons, *further, *unmeasured)
             return BakedDocument(written, (), skipped, told, correctives=tuple(made))
         given = document
@@ -227,7 +227,7 @@ class Baker(CheckedOptions):
             left, unmeasured = self._left(given, written)
             notices += unmeasured
             if left is not None:
-                return replace(left, skipped=skipped, notices=tuple(reasons))
+                return left._replace(skipped=skipped, notices=tuple(reasons))
         morphed = morphs.reported(made_lengths) if morphs else ()
         return BakedDocument(written, primitives, skipped, tuple(notices), cost, morphs=morphed)
 
@@ -347,8 +347,7 @@ class Baker(CheckedOptions):
         }
 
 
-@dataclass(frozen=True, slots=True)
-class BakedDocument:
+class BakedDocument(NamedTuple):
     """A document with α and β, the bake of each primitive, and the assumptions made.
 
     Or one with correctives, and the numbers of each mesh.

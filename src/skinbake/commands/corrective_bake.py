@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -138,7 +137,7 @@ def _fitted(
 ) -> list[tuple[Place, Correctives, MeshCorrectives | None]]:
     """Return the correctives of the meshes of one surface, and what is to be written of each."""
     meshes = list(dict.fromkeys(source.mesh for source in sources))
-    places = [replace(next(s for s in sources if s.mesh == mesh).place, primitive=None) for mesh in meshes]
+    places = [next(s for s in sources if s.mesh == mesh).place._replace(primitive=None) for mesh in meshes]
     for mesh, place in zip(meshes, places, strict=True):
         check_targets(document, mesh, place)
     with stage("arrays"):
@@ -216,7 +215,7 @@ def _with_gradients(
     document: Document, sources: Sequence[PrimitiveSource], baker: Baker
 ) -> list[RestPrimitive]:
     """Return the primitives of a surface with the α and β that a bake would give them."""
-    settings = replace(baker.settings, frame=FrameChoice.NORMAL)
+    settings = baker.settings._replace(frame=FrameChoice.NORMAL)
     target = FitTarget.of(document, sources, baker.gradients, baker.fit_poses)
     bakes = SurfaceBake.of(document, sources, settings, target).plain()
     return [bake.rest_primitive() for bake in unwritten(bakes)]

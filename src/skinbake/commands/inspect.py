@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 
 import numpy as np
 
@@ -140,7 +139,7 @@ def _summary(document: Document, source: PrimitiveSource, primitive: SkinnedPrim
         influence_sets=source.influence_sets,
         influences=int(np.count_nonzero(primitive.weights > 0, axis=1).max(initial=0)),
         weight_sums=(float(sums.min()), float(sums.max())),
-        defects=asdict(defects),
+        defects=defects._asdict(),
         frame=_frame(document, source, primitive),
         attributes=tuple(attributes),
         compression=(

@@ -9,7 +9,7 @@ weights: its numbers are stored beside each target.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -60,7 +60,7 @@ class MorphBake:
     def reported(self, lengths: Sequence[int]) -> tuple[tuple[Place, MorphCounts], ...]:
         """Return the numbers of each primitive with its place. lengths are the added bytes."""
         return tuple(
-            (item.source.place, replace(count, added_bytes=length))
+            (item.source.place, count._replace(added_bytes=length))
             for item, count, length in zip(self.made, self.counts, lengths, strict=True)
         )
 

@@ -256,7 +256,7 @@ def posed_draw(
     """Return a draw at times of a clip. If turned, it faces along +Z."""
     # A scene of a hundred characters has a hundred times the channels of each.
     nodes = set(draw.skeleton.nodes)
-    own = replace(clip, channels=tuple(channel for channel in clip.channels if channel.node in nodes))
+    own = clip._replace(channels=tuple(channel for channel in clip.channels if channel.node in nodes))
     matrices = clip_poses(draw.skeleton, own, times)
     if turned and faces_backward(document):
         matrices = HALF_TURN @ matrices

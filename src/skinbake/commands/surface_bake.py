@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -43,8 +43,7 @@ BYTES_A_CORNER = 256
 """The approximate memory for the gradient of blend weights, at most."""
 
 
-@dataclass(frozen=True, slots=True)
-class FitTarget:
+class FitTarget(NamedTuple):
     """The rig and the poses to which a surface is fitted, None for none, and notices about them.
 
     asked is the kind of gradients that the user asked for. pose_names are the sources of the poses, as the
@@ -96,8 +95,7 @@ class FitTarget:
         return noted
 
 
-@dataclass(frozen=True, slots=True)
-class SurfaceBake:
+class SurfaceBake(NamedTuple):
     """The primitives of one surface, with their arrays as they are baked, and the options of the gradients.
 
     Each method returns the bakes of all primitives. It raises InputError if α or β are not finite.

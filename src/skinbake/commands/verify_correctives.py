@@ -199,7 +199,7 @@ class _Measured:
             playing = [clip for clip in moving if clip.name in names][:2]
             if not playing or draw.corrections is None:
                 continue
-            place = replace(draw.views[0].source.place, primitive=None)
+            place = draw.views[0].source.place._replace(primitive=None)
             skeleton = read_skeleton(self._document, draw.skin)
             times = [clip.start + (clip.duration - clip.start) * MOMENTS for clip in playing]
             weights = [

@@ -10,7 +10,7 @@ seen. Then the most promising ones are looked at, and the best are refined in pl
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
@@ -382,7 +382,7 @@ def telling_pose(
         reason = f': clip "{printable(clip.name)}" goes from {clip.start:g} to {clip.duration:g} s'
         raise ChoiceError("time", time, reason=(reason,))
     elif is_close:
-        spots = where_it_shows(document, draws, [replace(clip, start=time, duration=time)])
+        spots = where_it_shows(document, draws, [clip._replace(start=time, duration=time)])
     if is_close and not spots:
         raise InputError("no clip has a place where the bake shows: leave out --closeup", document.place)
     return clip, time, spots[0] if is_close else None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -51,8 +50,7 @@ class AttributeNames(NamedTuple):
         return self.alpha.replace("{set}", number), self.beta.replace("{set}", number)
 
 
-@dataclass(frozen=True, slots=True)
-class Baked:
+class Baked(NamedTuple):
     """One primitive to write: its place, its input arrays, the result, and the settings.
 
     The metadata holds the settings as they are. replaced_sets are the influence sets that replace those

@@ -7,8 +7,7 @@ Adopted joints get weights too small to see, so that no tool takes their slots f
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -36,8 +35,7 @@ def with_adopted(
     ]
     dues = _dues(sets, rows, slots)
     return [
-        replace(
-            stored,
+        stored._replace(
             joints=_new_joints(stored.joints, rows, slot, left),
             weights=_new_weights(stored.weights, rows, slot, left, due),
         )
@@ -52,7 +50,7 @@ def _dues(sets: Sequence[StoredInfluences], rows: IntArray, slots: Sequence[IntA
     still agree.
     """
     weights = np.concatenate(
-        [replace(stored.weights, values=stored.weights.values[rows]).decoded() for stored in sets], axis=1
+        [stored.weights._replace(values=stored.weights.values[rows]).decoded() for stored in sets], axis=1
     )
     joints = np.concatenate([stored.joints.values[rows].astype(np.int64) for stored in sets], axis=1)
     largest = weights == weights.max(axis=1, keepdims=True)
@@ -73,7 +71,7 @@ def _new_joints(stored: StoredArray, rows: IntArray, slot: IntArray, vacated: Bo
     wide = slot.max() > np.iinfo(stored.values.dtype).max  # type: ignore[type-var]  # joints are integers
     values: npt.NDArray[Any] = stored.values.astype(np.uint16 if wide else stored.values.dtype)
     values[rows] = np.where(slot >= 0, slot, kept)
-    return replace(stored, values=values)
+    return stored._replace(values=values)
 
 
 def _new_weights(
@@ -86,10 +84,10 @@ def _new_weights(
         floats = before.astype(np.float32)
         paid = floats[rows] - (due / UNIT).astype(np.float32) if due.any() else floats[rows]
         floats[rows] = np.where(slot >= 0, TINY_WEIGHT, np.where(vacated, 0, paid))
-        return replace(stored, values=floats)
+        return stored._replace(values=floats)
     shorts = before.astype(np.uint16) * np.uint16(257 if before.dtype.itemsize == 1 else 1)
     shorts[rows] = np.where(slot >= 0, 1, shorts[rows]) - due
-    return replace(stored, values=shorts)
+    return stored._replace(values=shorts)
 
 
 def with_limit(
@@ -146,8 +144,7 @@ def _shared_out(shares: Float64Array, unit: int) -> Float64Array:
     return np.asarray(floors + (rank < missing))
 
 
-@dataclass(frozen=True, slots=True)
-class Extended:
+class Extended(NamedTuple):
     """A primitive with one influence set more, the sets to store, and the number of vertices that need it."""
 
     primitive: SkinnedPrimitive

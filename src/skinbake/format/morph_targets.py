@@ -9,8 +9,7 @@ buffer view: zeros, without a byte. The metadata ``extras.skinbake`` of the mesh
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -39,8 +38,7 @@ glTF wants an attribute of that name in the primitive too. There it is zeros, wi
 FRAMES = (IN_PLANE, UPWARD)
 
 
-@dataclass(frozen=True, slots=True)
-class MadeTargets:
+class MadeTargets(NamedTuple):
     """What bake adds to targets of one primitive, by number.
 
     normals are the changes of NORMAL, for normals as stored. frames are the numbers of the differential: in
@@ -200,8 +198,7 @@ def morph_note(mesh: JsonObject) -> JsonObject | None:
     return None if version is None else {**note, "version": version}
 
 
-@dataclass(frozen=True, slots=True)
-class NotedTargets:
+class NotedTargets(NamedTuple):
     """What the note of a mesh says of a primitive: the targets with NORMAL by bake, and their digest.
 
     frames is how many numbers of the differential each target has: 6, 4 or 0.

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -31,8 +30,7 @@ NO_METADATA = (
 COMPONENT_TYPES = {Encoding.FLOAT32: "FLOAT", Encoding.SNORM16: "SHORT", Encoding.PACKED8: "BYTE"}
 
 
-@dataclass(frozen=True, slots=True)
-class StoredSlots:
+class StoredSlots(NamedTuple):
     """α and β of slots 1 … K − 1 as a shader reads them, each (V, K − 1), in 1 / length unit of POSITION.
 
     rounding (V, 2) is the largest change of a value of α, and of β, by the encoding.

@@ -9,8 +9,7 @@ along t0 and b0. It is linear in the weights: t = t0 + Σ w ∇Δp t0, and b lik
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -37,8 +36,7 @@ CANCELLED = 1e-4
 """|t|² / |t0|² below which targets have cancelled a tangent: the 1 % that is left is only its lean."""
 
 
-@dataclass(frozen=True, slots=True)
-class Differences:
+class Differences(NamedTuple):
     """The differences of one target in one attribute: values (R, C) at vertices rows (R,), otherwise 0.
 
     The rows ascend.
@@ -57,8 +55,7 @@ class Differences:
 NO_DIFFERENCES = Differences(np.zeros(0, np.int64), np.zeros((0, 3), np.float32))
 
 
-@dataclass(frozen=True, slots=True)
-class MorphTarget:
+class MorphTarget(NamedTuple):
     """One morph target of a primitive: differences to POSITION, NORMAL and the xyz of TANGENT.
 
     in_plane (R, 4) are the derivatives of what it adds to POSITION: those along t0 by their parts along t0
@@ -72,8 +69,7 @@ class MorphTarget:
     upward: Differences = NO_DIFFERENCES
 
 
-@dataclass(frozen=True, slots=True)
-class MorphTargets:
+class MorphTargets(NamedTuple):
     """The targets of a primitive, in mesh space.
 
     with_tangents says that the frame is from TANGENT and that targets morph it. Only then are their tangents

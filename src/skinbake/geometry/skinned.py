@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -31,8 +31,7 @@ def not_finite(vector: FloatArray) -> str:
     return f"{'xyzw'[number]} is {'NaN' if np.isnan(vector[number]) else 'infinite'}"
 
 
-@dataclass(frozen=True, slots=True)
-class Straightened:
+class Straightened(NamedTuple):
     """The vertices whose tangents were straightened, and the largest lean of any before that, in degrees.
 
     not_finite are those of them whose tangent was not finite, each with words that tell of its component.
@@ -70,8 +69,7 @@ class SkinnedPrimitive:
         return replace(self, joints=joints, weights=weights, stored_joints=None)
 
 
-@dataclass(frozen=True, slots=True)
-class BakedPrimitive:
+class BakedPrimitive(NamedTuple):
     """The bake of one primitive.
 
     alpha, beta (V, K − 1) float32, 1 / length unit of POSITION: ∇w · t0 and ∇w · b0 of slots 1 … K − 1. The
@@ -97,7 +95,7 @@ class BakedPrimitive:
     def with_slots(self, alpha: FloatArray, beta: FloatArray) -> BakedPrimitive:
         """Return the bake with other α and β (V, K − 1), stored as float32."""
         with np.errstate(over="ignore"):  # the bake checks that all are finite
-            return replace(self, alpha=alpha.astype(np.float32), beta=beta.astype(np.float32))
+            return self._replace(alpha=alpha.astype(np.float32), beta=beta.astype(np.float32))
 
     @property
     def adopts(self) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -16,8 +16,7 @@ from skinbake.gltf.views import COMPONENT_NAMES, COMPONENTS, MATRIX_ROWS, compon
 from skinbake.wording import counted, one_or_many
 
 
-@dataclass(frozen=True, slots=True)
-class StoredArray:
+class StoredArray(NamedTuple):
     """The elements of an accessor as stored: values (count, components) of its component type."""
 
     values: npt.NDArray[np.generic]

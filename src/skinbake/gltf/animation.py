@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Container, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -45,8 +46,7 @@ BYTES_A_NODE = 1024
 """About the most bytes that reading one node of a skeleton takes."""
 
 
-@dataclass(frozen=True, slots=True)
-class Channel:
+class Channel(NamedTuple):
     """One animated property of one node.
 
     times (N,) are in seconds. values are (N, C), or (N, 3, C) for CUBICSPLINE. Rotations have w first. For
@@ -66,8 +66,7 @@ class Channel:
         return self.path == MORPH_WEIGHTS and (node == self.node or node in self.nodes)
 
 
-@dataclass(frozen=True, slots=True)
-class Clip:
+class Clip(NamedTuple):
     """One animation: its name, and the channels that move nodes or morph skinned meshes.
 
     start and duration are in seconds, from the first key to the last. glTF clips usually begin at 0, but
@@ -186,7 +185,7 @@ def clip_values(clip: Clip, at: Float64Array) -> dict[tuple[int, str], Float64Ar
     found: dict[tuple[int, int, str, str], Float64Array] = {}
     for (times, path, method), channels in alike.items():
         values = np.stack([channel.values for channel in channels.values()])
-        sampled = _at(replace(next(iter(channels.values())), values=values), at)
+        sampled = _at(next(iter(channels.values()))._replace(values=values), at)
         found.update(
             ((times, one, path, method), result) for one, result in zip(channels, sampled, strict=True)
         )

@@ -21,9 +21,9 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import unquote_to_bytes
 
 from skinbake.errors import SkinbakeError
@@ -53,8 +53,7 @@ GRADIENTS = re.compile(r"skinbake-([0-9a-f]{16})\.bin")
 """The name of a buffer of α and β in a ``.gltf``, made from its content."""
 
 
-@dataclass(frozen=True, slots=True)
-class Copy:
+class Copy(NamedTuple):
     """A copy as noted: digests of its content (two while it is replaced), the files it is of, its targets.
 
     Paths are relative to the folder of the copy.
@@ -207,7 +206,7 @@ class Copies:
                 )
                 if not os.path.lexists(path):  # it was removed, or is of an interrupted run
                     others = {name for name in former.targets if os.path.lexists(folder / name)}
-                    former = replace(former, contents=frozenset()) if others - ours.targets else Copy()
+                    former = former._replace(contents=frozenset()) if others - ours.targets else Copy()
                 self._before[path] = notes.copies.get(path.name)
                 notes.copies[path.name] = former.joined(ours)
             notes.save()
@@ -251,8 +250,8 @@ class Copies:
                 write_files(self.root, {path: content}, os.fspath(self.target), sync=sync)
                 notes = self._notes(path.parent)
                 digest = _digest(path)
-                notes.copies[path.name] = replace(
-                    notes.copies[path.name], contents=frozenset({digest} if digest else ())
+                notes.copies[path.name] = notes.copies[path.name]._replace(
+                    contents=frozenset({digest} if digest else ())
                 )
             for notes in self._cache.values():
                 notes.save()
@@ -276,12 +275,12 @@ class Copies:
         for name, copy in list(notes.copies.items()):
             path = notes.folder / name
             if ours in copy.targets and path in needed and (digest := _digest(path)) in copy.contents:
-                notes.copies[name] = replace(copy, contents=frozenset({digest}))
+                notes.copies[name] = copy._replace(contents=frozenset({digest}))
             if ours not in copy.targets or path in needed or Path(name).name != name:
                 continue
             others = {other for other in copy.targets - {ours} if os.path.lexists(notes.folder / other)}
             if others:
-                notes.copies[name] = replace(copy, targets=frozenset(others))
+                notes.copies[name] = copy._replace(targets=frozenset(others))
                 continue
             del notes.copies[name]
             if _digest(path) in copy.contents and not self._is_named(path, notes.targets):

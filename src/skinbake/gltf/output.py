@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 from skinbake.errors import InputError, Notice, OutputError, Place
 from skinbake.files import Bytes
@@ -36,8 +37,7 @@ The text of the JSON before it is not known yet. Spaces after the text leave it 
 """
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Writing:
+class Writing(NamedTuple):
     """The options of writing an output.
 
     A ``dry_run`` does everything except writing. ``traced`` requests digests of the written files. ``sync``

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TypeAlias, cast
+from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -66,8 +65,7 @@ MOST_SETS = 64
 """The most influence sets of a primitive: each slot of a vertex is compared with all others of it."""
 
 
-@dataclass(frozen=True, slots=True)
-class PrimitiveSource:
+class PrimitiveSource(NamedTuple):
     """One primitive of a skinned mesh in the document: its JSON and its place."""
 
     mesh: int
@@ -78,7 +76,7 @@ class PrimitiveSource:
 
     def in_document(self, document: Document) -> PrimitiveSource:
         """Return the same primitive of a document in which other accessors replace its own."""
-        return replace(self, json=document.objects("meshes")[self.mesh]["primitives"][self.primitive])
+        return self._replace(json=document.objects("meshes")[self.mesh]["primitives"][self.primitive])
 
     @property
     def attributes(self) -> JsonObject:
@@ -104,8 +102,7 @@ class PrimitiveSource:
         ]
 
 
-@dataclass(frozen=True, slots=True)
-class StoredInfluences:
+class StoredInfluences(NamedTuple):
     """One influence set as stored: joints (V, 4), weights (V, 4) of their component types."""
 
     joints: StoredArray

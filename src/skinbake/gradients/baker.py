@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,8 +31,7 @@ from skinbake.gradients.weld import weld
 from skinbake.timing import stage
 
 
-@dataclass(frozen=True, slots=True)
-class BakeSettings:
+class BakeSettings(NamedTuple):
     """The settings of a bake. crease_angle is in radians; others are as on the command line."""
 
     weighting: Weighting
@@ -41,8 +40,7 @@ class BakeSettings:
     frame: FrameChoice
 
 
-@dataclass(frozen=True, slots=True)
-class BakeFindings:
+class BakeFindings(NamedTuple):
     """The findings of baking one primitive, in numbers.
 
     tangent_deviation is the largest angle in degrees between t0 × b0 and n0, 0 without TANGENT. bad_tangents
@@ -198,8 +196,7 @@ def slots_of_surface(
     return scaled(found, classes, kept_eighths(found, stored, classes, [fit is not None for fit in kept]))
 
 
-@dataclass(frozen=True, slots=True)
-class _Gathered:
+class _Gathered(NamedTuple):
     """The arrays of all primitives of one surface, one after the other; see ``Surface``.
 
     defects and degenerate have an entry for each primitive: what its weights needed, and how many of its

@@ -5,7 +5,7 @@ Here, too, are the influences that stay if a vertex may have only so many, and w
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -79,8 +79,7 @@ def weight_field(primitive: SkinnedPrimitive) -> tuple[WeightField, WeightDefect
     return field, defects
 
 
-@dataclass(frozen=True, slots=True)
-class LimitedSlots:
+class LimitedSlots(NamedTuple):
     """The influences that V vertices keep, N slots each, the largest first.
 
     slots (V, N) int64 is the stored slot of the joint in each slot, −1 for none. shares (V, N) float64 is its

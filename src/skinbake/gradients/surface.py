@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,8 +19,7 @@ that is less than 0.01°.
 """
 
 
-@dataclass(frozen=True, slots=True)
-class Surface:
+class Surface(NamedTuple):
     """One surface of P primitives, with their V vertices one after the other.
 
     positions (V, 3) are in mesh space. triangles (T, 3) index them, and all have an area. field has the
@@ -41,8 +39,7 @@ class Surface:
     rig: Rig | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class SurfaceSlots:
+class SurfaceSlots(NamedTuple):
     """α and β of every slot but the first, and the gradients that the slots could not hold.
 
     alpha, beta (V, K − 1) are float32, 1 / length unit. adopting (A,) lists the vertices that adopt,
@@ -83,8 +80,7 @@ class WeightField(NamedTuple):
         return WeightField(self.joints[vertices], self.weights[vertices], self.free[vertices])
 
 
-@dataclass(frozen=True, slots=True)
-class WeightDefects:
+class WeightDefects(NamedTuple):
     """The number of vertices of a primitive that needed each assumption."""
 
     negative: int

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -72,8 +73,7 @@ def unhanded(tangents: FloatArray, vertices: Sequence[int]) -> list[int]:
     return found
 
 
-@dataclass(frozen=True, slots=True)
-class ChosenFrame:
+class ChosenFrame(NamedTuple):
     """The frame of one primitive's bake, and the quality of its TANGENT.
 
     kind is ``tangent`` or ``normal``. deviation is the largest angle in degrees by which t0 × b0 leans from

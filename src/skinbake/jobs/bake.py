@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from skinbake.commands.bake import Baker
@@ -38,7 +38,7 @@ class Bake:
 
     def result_of(self, job: Job, *, traced: bool) -> FileResult:
         """Bake the file. Raises SkinbakeError; then nothing has been written."""
-        writing = replace(self.writing, traced=traced)
+        writing = self.writing._replace(traced=traced)
         there = elsewhere_of(job)
         if there is not None:
             return there.write(job.source, job.target, self.baker.bake_file, writing, job.within)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Generator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeVar
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias, TypeVar
 
 from skinbake.errors import InputError, Notice, Place, SkinbakeError, defect, printable_lines
 from skinbake.files.bounds import OWN_FOLDERS, Bounds, Within
@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from skinbake.gltf.output import Writing
 
 
-@dataclass(frozen=True, slots=True)
-class Job:
+class Job(NamedTuple):
     """One file to work on, and the file that is made from it (None: no file is made).
 
     known is the record of a state file. missing is the reason if the file does not exist after all.

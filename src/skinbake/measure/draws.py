@@ -169,7 +169,7 @@ def _planned(
     # One draw of each surface is measured in any case, or the file is refused.
     for number in sorted(range(len(every)), key=lambda number: every[number][0]):
         rank, views, _, draw = every[number]
-        place = replace(views[0].source.place, primitive=None)
+        place = views[0].source.place._replace(primitive=None)
         needed = STEPS_A_DRAW * len(views)
         if rank and steps + needed + looking > budget.steps_left:
             break
@@ -194,12 +194,12 @@ def _planned(
 
 
 def _limited(plan: PosePlan, most: int) -> PosePlan:
-    return replace(plan, request=replace(plan.request, most=most))
+    return replace(plan, request=plan.request._replace(most=most))
 
 
 def _fine_mesh(document: Document, views: Sequence[BakedView], operator: GradientOperator) -> FineMesh:
     """Return the mesh of the truth *fine*. Raises InputError if it takes too much memory for the file."""
-    corners, place = operator.triangles.size, replace(views[0].source.place, primitive=None)
+    corners, place = operator.triangles.size, views[0].source.place._replace(primitive=None)
     what = f"the truth fine at {counted(corners, 'corner')} of triangles"
     document.budget.claim(BYTES_A_CORNER * corners, what, place)
     return FineMesh.of(operator)
@@ -270,7 +270,7 @@ class _Work:
     def claim(self, views: Sequence[BakedView], plan: PosePlan, fine: FineMesh | None) -> None:
         """Count the work of a draw. Raises InputError if all of it is far out of proportion to the file."""
         vertices, count = sum(len(view.now.positions) for view in views), plan.count
-        place = replace(views[0].source.place, primitive=None)
+        place = views[0].source.place._replace(primitive=None)
         samples = f"{counted(vertices, 'vertex', 'vertices')} in {counted(count, 'pose')}"
         self._document.budget.claim_steps(
             _morphed_steps(plan, len(views)), f"{samples} of morph targets", place

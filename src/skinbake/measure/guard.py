@@ -9,7 +9,6 @@ its vertices as many eighths of α and β as light it best.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from itertools import groupby
 from typing import Any, NamedTuple
 
@@ -152,7 +151,7 @@ def judged_shares(
                 found = _Whole(document, [surfaces[number] for number in group], settings).shares()
         except InputError as error:
             message = f"its lighting was not compared with standard lighting: {error.message}"
-            place = replace(surfaces[group[0]].bakes[0].source.place, primitive=None)
+            place = surfaces[group[0]].bakes[0].source.place._replace(primitive=None)
             notices.append(Notice("not-judged", message, place))
             continue
         for number in group:

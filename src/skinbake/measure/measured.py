@@ -322,7 +322,7 @@ def mirrored(drawn: Sequence[Draw]) -> Iterator[Notice]:
                 f"{joints} the surface (negative determinant): write the shader with --for this file, or "
                 "with --mirrored-joints, so that normals stay outside"
             )
-            yield Notice("joints-mirror", message, replace(draw.views[0].source.place, primitive=None), count)
+            yield Notice("joints-mirror", message, draw.views[0].source.place._replace(primitive=None), count)
 
 
 def scaled_joints(rest: Sequence[RestPrimitive], poses: PoseSet) -> list[str]:

@@ -60,7 +60,7 @@ class Morphing:
 
     def standard(self, primitives: Sequence[RestPrimitive], pose: int) -> list[RestPrimitive]:
         """Return the primitives in one pose as engines have them, which know no numbers of bake."""
-        without = [None if targets is None else replace(targets, numbers=0) for targets in self.targets]
+        without = [None if targets is None else targets._replace(numbers=0) for targets in self.targets]
         return replace(self, targets=tuple(without)).accurate(primitives, pose)
 
     def posed(

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -226,8 +226,8 @@ class _PosedRelief:
     @classmethod
     def of(cls, method: str, rests: _Rests, joint_matrices: Float64Array, options: Options) -> _PosedRelief:
         """Skin the primitives (V vertices in all) by joint matrices (P, J, 4, 4)."""
-        mapped = replace(options, baseline=Baseline.BLENDED, normal_map=True)
-        of_baseline = replace(mapped, baseline=options.baseline)
+        mapped = options._replace(baseline=Baseline.BLENDED, normal_map=True)
+        of_baseline = mapped._replace(baseline=options.baseline)
         is_dual = method == "dqs"
 
         def skinned(primitives: Sequence[RestPrimitive], by: Options) -> list[Skinning]:

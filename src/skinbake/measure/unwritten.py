@@ -93,8 +93,7 @@ def cut_out(
             weights=primitive.weights[kept],
             triangles=np.searchsorted(kept, triangles),
         )
-        result = replace(
-            baked,
+        result = baked._replace(
             alpha=baked.alpha[kept],
             beta=baked.beta[kept],
             adopting=np.searchsorted(kept, baked.adopting[adopting]),

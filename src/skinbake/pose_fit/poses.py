@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
@@ -71,7 +71,7 @@ class ClipFile:
         """Read the clips of a file. Raises InputError if it cannot be read, or has no clip."""
         document = read_document(path)
         clips = [
-            replace(clip, channels=moving)
+            clip._replace(channels=moving)
             for clip in read_clips(document)
             if (moving := tuple(channel for channel in clip.channels if channel.path != MORPH_WEIGHTS))
         ]
@@ -98,10 +98,9 @@ class ClipFile:
         moved = {channel.node for clip in self.clips for channel in clip.channels}
         found = {node: ours[name] for node in moved if (name := self.node_names.get(node)) in ours}
         clips = [
-            replace(
-                clip,
+            clip._replace(
                 channels=tuple(
-                    replace(channel, node=found[channel.node])
+                    channel._replace(node=found[channel.node])
                     for channel in clip.channels
                     if channel.node in found
                 ),

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
 
 from skinbake.choices import READERS_OF_FOUR
 from skinbake.errors import Notice, Place, SkinbakeError, printable
@@ -43,8 +43,7 @@ Status = Literal["baked", "left", "unchanged", "up-to-date", "failed"]
 """
 
 
-@dataclass(frozen=True, slots=True)
-class Spread:
+class Spread(NamedTuple):
     """Differences over vertices and poses, weighted by rest area."""
 
     mean: float
@@ -52,8 +51,7 @@ class Spread:
     max: float
 
 
-@dataclass(frozen=True, slots=True)
-class LimitCost:
+class LimitCost(NamedTuple):
     """The cost of fewer influences for a primitive.
 
     influences is the new number for each vertex. vertices is the number of vertices that lost some. left_out
@@ -71,8 +69,7 @@ class LimitCost:
     poses: str
 
 
-@dataclass(frozen=True, slots=True)
-class ExtensionCost:
+class ExtensionCost(NamedTuple):
     """The influence set that --neighbours extend adds to a primitive, and its price.
 
     vertices needed it. bytes are those of joints, weights, α and β more at each vertex, multiply_adds those
@@ -85,16 +82,14 @@ class ExtensionCost:
     multiply_adds: int
 
 
-@dataclass(frozen=True, slots=True)
-class KeptCounts:
+class KeptCounts(NamedTuple):
     """How much of its fit, and of its α and β on average, a primitive keeps, each from 0 to 1."""
 
     fit: float
     gradients: float
 
 
-@dataclass(frozen=True, slots=True)
-class BakedCounts:
+class BakedCounts(NamedTuple):
     """The bake of one primitive, in numbers.
 
     gradients is the kind of α and β. adopting_vertices took joints of their neighbours into free slots.
@@ -122,8 +117,7 @@ class BakedCounts:
     kept: KeptCounts | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class CorrectiveCounts:
+class CorrectiveCounts(NamedTuple):
     """The correctives of one mesh, in numbers.
 
     corrected are the vertices that have targets, given_up those whose targets did not help. keys are those of
@@ -145,8 +139,7 @@ class CorrectiveCounts:
     added_bytes: int
 
 
-@dataclass(frozen=True, slots=True)
-class MorphCounts:
+class MorphCounts(NamedTuple):
     """What bake has made for the targets of one primitive, in numbers.
 
     normals is the number of targets that got NORMAL. frames is how many numbers of the differential each
@@ -162,8 +155,7 @@ class MorphCounts:
     added_bytes: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class EncodingCost:
+class EncodingCost(NamedTuple):
     """The encoding of α and β, and the angle by which it turns accurate normals, weighted by area.
 
     The degrees are None for float32, which is the reference of the others, and if no normal is known.
@@ -174,8 +166,7 @@ class EncodingCost:
     p99: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Left:
+class Left(NamedTuple):
     """Why --leave-under has left a file unbaked.
 
     gain is the lower one, None where accurate lighting is exact. standard_error is the mean of standard
@@ -470,14 +461,22 @@ def file_json(result: FileResult) -> dict[str, Any]:
         "output": result.output,
         "status": result.status,
         "skipped": result.skipped,
-        "primitives": [{**place_fields(place), **asdict(counts)} for place, counts in result.primitives],
-        "correctives": [{**place_fields(place), **asdict(one)} for place, one in result.correctives],
-        "morphs": [{**place_fields(place), **asdict(one)} for place, one in result.morphs],
+        "primitives": [{**place_fields(place), **_as_object(counts)} for place, counts in result.primitives],
+        "correctives": [{**place_fields(place), **_as_object(one)} for place, one in result.correctives],
+        "morphs": [{**place_fields(place), **_as_object(one)} for place, one in result.morphs],
         "warnings": notice_list(result.notices),
         "encoding": None if result.encoding is None else _encoding_json(result.encoding),
-        "left": None if result.left is None else asdict(result.left),
+        "left": None if result.left is None else _as_object(result.left),
         "error": error_fields(result.error),
         **timing_fields(result.timings),
+    }
+
+
+def _as_object(record: Any) -> dict[str, Any]:
+    """Return a record as a JSON object, and the records that it holds too."""
+    return {
+        name: _as_object(value) if hasattr(value, "_asdict") else value
+        for name, value in record._asdict().items()
     }
 
 

@@ -7,7 +7,7 @@ first. A uniform scale that all joints share is not part of it: position, tangen
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from skinbake.skinning.components import (
     Component,
@@ -150,8 +150,7 @@ def exact(vertex: RestVertex, quaternions: Sequence[Vector], options: Options, l
     return with_normal_map(posed, carried, vertex.handedness, line, first=11)
 
 
-@dataclass(frozen=True, slots=True)
-class _Blend:
+class _Blend(NamedTuple):
     """The terms of algorithm 6 that both tangents share, in the letters of ``exact``: b, k, p, i and δ."""
 
     mixed: Vector

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -23,8 +23,7 @@ def all_slots(others: npt.NDArray[FloatT]) -> npt.NDArray[FloatT]:
     return np.concatenate([-others.sum(axis=1, keepdims=True), others], axis=1)
 
 
-@dataclass(frozen=True, slots=True)
-class Options:
+class Options(NamedTuple):
     """The options of an algorithm: a cap for 3, 5 and 6 (None is off), a baseline for 1.
 
     With ``normal_map``, algorithms 3, 5 and 6 give what a normal map needs beside the normal, too.

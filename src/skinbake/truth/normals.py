@@ -16,7 +16,6 @@ of the change of area.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -149,8 +148,7 @@ CLASS_CORNERS = 1 << 13
 """The corners of a block of weld classes. A triangle at the edge of a block is measured in two of them."""
 
 
-@dataclass(frozen=True, slots=True)
-class ClassBlock:
+class ClassBlock(NamedTuple):
     """Some weld classes, and the triangles with a corner in them: (N,) int32, ascending, each once."""
 
     part: slice

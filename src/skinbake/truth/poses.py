@@ -6,7 +6,7 @@ A pose consists of joint matrices, and of morph weights if the mesh has targets.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -52,8 +52,7 @@ MORPHS_AT_ONCE = 2
 """The number of morph targets that a random pose moves. All targets at once would destroy a face."""
 
 
-@dataclass(frozen=True, slots=True)
-class PoseRequest:
+class PoseRequest(NamedTuple):
     """The requested poses.
 
     samples is the number of samples of each clip (None: SHARED_SAMPLES for all), or the number of random
@@ -285,7 +284,7 @@ def _only(nodes: set[int], morphed: int | None, clip: Clip) -> Clip:
         for channel in clip.channels
         if (channel.morphs(morphed) if channel.path == MORPH_WEIGHTS else channel.node in nodes)
     )
-    return replace(clip, channels=channels)
+    return clip._replace(channels=channels)
 
 
 def _sampled(plan: PosePlan, joint_names: tuple[str, ...]) -> PoseSet:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -45,8 +44,7 @@ SUMS = np.float32
 """The type of the sums of posed triangles. Doubles would take twice the memory, and tell nothing more."""
 
 
-@dataclass(frozen=True, slots=True)
-class Truths:
+class Truths(NamedTuple):
     """The data of one mesh that the truths need: blocks of vertices and of weld classes, the rest pose.
 
     of_mesh are one or both of ``USUAL_TRUTHS``, in their order. frames are for the truth by tangents. carried
@@ -78,7 +76,7 @@ class Truths:
             return found
         with_points = fine.with_points(positions, normals)
         inner = cls._measured(fine.operator(with_points), with_points, normals, poses, (Truth.TRIANGLES,))
-        return replace(found, fine=FineTruth(fine, inner, fine.points(primitives, with_points)))
+        return found._replace(fine=FineTruth(fine, inner, fine.points(primitives, with_points)))
 
     @classmethod
     def _measured(
@@ -136,14 +134,14 @@ class Truths:
         mesh = self.fine.mesh
         with_points = mesh.with_points(positions, normals)
         inner = self.fine.truths._moved(with_points, normals)
-        return replace(found, fine=FineTruth(mesh, inner, mesh.points(primitives, with_points)))
+        return found._replace(fine=FineTruth(mesh, inner, mesh.points(primitives, with_points)))
 
     def _moved(self, positions: FloatArray, normals: FloatArray) -> Truths:
         frames = morphed_frames(self.frames, positions, normals)
         carried = self.carried and carried_normals(
             self.operator, frames, positions, normals, self.class_blocks, SUMS
         )
-        return replace(self, frames=frames, carried=carried)
+        return self._replace(frames=frames, carried=carried)
 
     def sums(
         self, deformed: Float64Array, threads: Threads, memory: ChunkMemory | None = None

@@ -137,7 +137,7 @@ class WorkWithFiles(Generic[ResultT]):
         Private folders are made in the workspace.
         """
         files = sent.files
-        result = self.work(replace(sent.job, elsewhere=Staging(files, workspace)))
+        result = self.work(sent.job._replace(elsewhere=Staging(files, workspace)))
         if files is None:
             return ResultWithFiles(result, "", {})
         return ResultWithFiles(result, files.base, files.made, sent.replaces)

@@ -172,7 +172,7 @@ def _attempt(
     as_read = folder.kept(path) if target is not None and _one_file(source, target) else None
     is_stored = target is not None and target.storage is not None
     output = within.output if target is None else folder.output_of(target, within.output)
-    how = replace(how, sync=how.sync and not is_stored, keeps_notes=False)
+    how = how._replace(sync=how.sync and not is_stored, keeps_notes=False)
     naming = folder.naming((source, path), (target, goal))
     result = with_names(lambda: makes(path, goal, how, Within(bounds, output)), naming)
     written = [name for name, state in folder.files_of(target).items() if before.get(name) != state]
@@ -233,6 +233,8 @@ def _renamed(value: T, naming: Callable[[str], str]) -> T:
     elif is_dataclass(value) and not isinstance(value, type):
         texts = {f.name: _renamed(getattr(value, f.name), naming) for f in fields(value) if f.init}
         renamed = replace(value, **texts)
+    elif isinstance(value, tuple) and hasattr(value, "_make"):
+        renamed = value._make(_renamed(item, naming) for item in value)
     elif isinstance(value, tuple | list):
         renamed = type(value)(_renamed(item, naming) for item in value)
     elif isinstance(value, dict):
