@@ -11,6 +11,10 @@
 #include <stdlib.h>
 #include <string.h>
 
+#if defined(__linux__)
+#include <sys/mman.h>
+#endif
+
 #include "../../processors.h"
 
 #if defined(_MSC_VER)
@@ -41,6 +45,21 @@ static void raise_status(Status status)
         PyErr_SetString(collision_error, "the hashes of the rows collide beyond all chance");
         return;
     }
+}
+
+/* ---- Memory -------------------------------------------------------------------------------------------- */
+
+/* Zeros, on large pages where the system has them: first touched page by page, they take as long as all work on
+   them. NULL without memory. */
+static void *allocate_zeros(size_t count, size_t size)
+{
+    char *memory = calloc(count, size);
+#if defined(MADV_HUGEPAGE)
+    const size_t page = 1 << 21, skipped = (page - (uintptr_t)memory % page) % page;
+    if (memory && count * size >= skipped + page)
+        madvise(memory + skipped, (count * size - skipped) / page * page, MADV_HUGEPAGE);
+#endif
+    return memory;
 }
 
 /* ---- Arrays -------------------------------------------------------------------------------------------- */

@@ -63,8 +63,8 @@ static Status label_rows(const Array *rows, int32_t *labels, Py_ssize_t *labelle
     while (size < 2 * (size_t)rows->rows)
         size *= 2;
     size_t width = (size_t)rows->buffer.itemsize * (size_t)rows->columns;
-    Slot *table = malloc(size * sizeof *table);
-    int32_t *first = malloc(((size_t)rows->rows + 1) * sizeof *first);
+    Slot *table = allocate_zeros(size, sizeof *table);
+    int32_t *first = allocate_zeros((size_t)rows->rows + 1, sizeof *first);
     Status status = table && first ? DONE : NO_MEMORY;
     Py_ssize_t count = 0;
     uint64_t probes_left = (uint64_t)rows->rows * PROBES_A_ROW + 1024;

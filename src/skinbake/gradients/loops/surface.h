@@ -71,8 +71,8 @@ static ALWAYS_INLINE size_t class_of(const Surface *s, size_t vertex)
 static ALWAYS_INLINE Status group(const Surface *s, size_t count, const uint32_t *vertices, Groups *groups)
 {
     const size_t classes = (size_t)s->class_count;
-    groups->start = calloc(classes + 2, sizeof *groups->start);
-    groups->members = calloc(count + 1, sizeof *groups->members);
+    groups->start = allocate_zeros(classes + 2, sizeof *groups->start);
+    groups->members = allocate_zeros(count + 1, sizeof *groups->members);
     if (!groups->start || !groups->members)
         return NO_MEMORY;
     uint32_t *next = groups->start + 1; /* one ahead: filling moves every start to its place */
