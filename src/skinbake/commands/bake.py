@@ -420,8 +420,9 @@ def _refuse_unverifiable(
             steps += STEPS_TO_VERIFY + STEPS_A_TARGET * len(bake.source.json.get("targets", ()))
         # Each copy of a vertex has the corners of all its copies: at most as often as the class with most.
         every = np.concatenate([bake.result.classes for bake in surface])
-        corners = sum(bake.primitive.triangles.size for bake in surface)
-        most += (int(np.bincount(every).max(initial=1)) - 1) * corners
+        if int(every.max(initial=-1)) + 1 < len(every):  # else no vertex has a copy
+            corners = sum(bake.primitive.triangles.size for bake in surface)
+            most += (int(np.bincount(every).max()) - 1) * corners
     bound = WELDING_RATIO * fresh.backed
     if steps <= fresh.steps_left and (
         BYTES_A_COPY * most <= bound or BYTES_A_COPY * sum(map(_copied_corners, surfaces)) <= bound

@@ -19,7 +19,7 @@ from skinbake.format.layouts import CUSTOM_NAMES, GradientFormat, free_texcoords
 from skinbake.format.metadata import KEY
 from skinbake.format.morph_targets import MadeTargets, add_made
 from skinbake.format.stored_slots import NO_METADATA
-from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
+from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive, blocks
 from skinbake.geometry.triangles import TRIANGLES
 from skinbake.gltf.accessors import element_count, read_accessor
 from skinbake.gltf.additions import Additions
@@ -209,14 +209,18 @@ def _noted_positions(document: Document, item: Baked, stored: SkinnedPrimitive) 
     if source.json.get("mode", TRIANGLES) == TRIANGLES:
         corners = int(source.json.get("indices", number))
         noted["corners"] = element_count(document, corners, source.place.at("indices"))
-        # FNV-1a of each vertex's joints, slot by slot, in uint32: sums and products wrap.
-        hashes = np.full(len(stored.joints), 0x811C9DC5, np.uint32)
-        for column in stored.joints.T:
-            hashes = (hashes ^ column.astype(np.uint32)) * np.uint32(0x01000193)
-        sums = [int(hashes[column].sum(dtype=np.uint32)) for column in item.primitive.triangles.T]
-        noted["joints"] = sum(sums) % 2**32
-    used = np.zeros(len(item.primitive.positions), dtype=np.bool_)
-    used[item.primitive.triangles] = True
+    # FNV-1a of each vertex's joints, slot by slot, in uint32: sums and products wrap.
+    hashes = np.full(len(stored.joints), 0x811C9DC5, np.uint32)
+    for column in stored.joints.T:
+        hashes = (hashes ^ column.astype(np.uint32)) * np.uint32(0x01000193)
+    used, joints = np.zeros(len(item.primitive.positions), dtype=np.bool_), 0
+    indices = item.primitive.triangles.ravel()
+    for rows in blocks(len(indices)):
+        vertices = indices[rows].astype(np.intp)
+        used[vertices] = True
+        joints += int(hashes[vertices].sum(dtype=np.uint32))
+    if "corners" in noted:
+        noted["joints"] = joints % 2**32
     if accessor["componentType"] != FLOAT or not used.any():
         return noted
     positions = item.primitive.positions if used.all() else item.primitive.positions[used]

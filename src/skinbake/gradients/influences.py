@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.errors import Notice, Place
-from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray, SkinnedPrimitive
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray, SkinnedPrimitive, blocks
 from skinbake.gradients import kernel
 from skinbake.gradients.surface import NO_JOINT, WeightDefects, WeightField
 from skinbake.wording import one_or_many
@@ -43,20 +43,24 @@ def needs_tiny_weights(weights: FloatArray) -> BoolArray:
     Such a vertex may not adopt: a joint of tiny weight that it adopts into another slot would leave its own.
     """
     needs = np.zeros(len(weights), dtype=np.bool_)
-    # Hardly any weight is tiny even against the largest one of all vertices. These are looked at.
-    maybe = (weights > 0.0) & (weights <= LEAST_WEIGHT * float(weights.max(initial=0.0)))
-    places = np.flatnonzero(maybe) // weights.shape[1]
-    rows: IntArray = places[np.diff(places, prepend=-1) > 0]
-    if not len(rows):
-        return needs
-    weights = weights[rows]
-    positive, largest = weights > 0.0, weights.max(axis=1, keepdims=True)
-    tiny = positive & (weights < LEAST_WEIGHT * largest.astype(np.float64))
-    counts, tiny_counts = (np.count_nonzero(of_slots, axis=1) for of_slots in (positive, tiny))
-    off = np.abs(weights.sum(axis=1, dtype=np.float64) - 1.0)
-    moved = 2.0 * LEAST_WEIGHT * tiny_counts  # by which clearing or adopting may change the sum
-    valid = off <= VALID_SUM * counts + moved
-    needs[rows] = tiny.any(axis=1) & valid & (off > VALID_SUM * (counts - tiny_counts) - moved)
+    for block in blocks(len(weights)):
+        part = weights[block]
+        # Hardly any weight is tiny even against the largest one of all these vertices. Such are looked at.
+        maybe = (part > 0.0) & (part <= LEAST_WEIGHT * float(part.max(initial=0.0)))
+        places = np.flatnonzero(maybe) // part.shape[1]
+        rows: IntArray = places[np.diff(places, prepend=-1) > 0]
+        if not len(rows):
+            continue
+        part = part[rows]
+        positive, largest = part > 0.0, part.max(axis=1, keepdims=True)
+        tiny = positive & (part < LEAST_WEIGHT * largest.astype(np.float64))
+        counts, tiny_counts = (np.count_nonzero(of_slots, axis=1) for of_slots in (positive, tiny))
+        off = np.abs(part.sum(axis=1, dtype=np.float64) - 1.0)
+        moved = 2.0 * LEAST_WEIGHT * tiny_counts  # by which clearing or adopting may change the sum
+        valid = off <= VALID_SUM * counts + moved
+        needs[block.start + rows] = (
+            tiny.any(axis=1) & valid & (off > VALID_SUM * (counts - tiny_counts) - moved)
+        )
     return needs
 
 

@@ -112,7 +112,12 @@ def _with_copies(positions: Sequence[FloatArray], rows: Sequence[IntArray]) -> l
     # A table of digests tells that most vertices are at no such place. Only the rest is compared.
     table = np.zeros(1 << DIGEST_BITS, dtype=np.bool_)
     table[_digests(places)] = True
-    maybe = [np.flatnonzero(table[_digests(each)]) for each in positions]
+    maybe = [
+        np.concatenate(
+            [part.start + np.flatnonzero(table[_digests(each[part])]) for part in blocks(len(each))]
+        )
+        for each in positions
+    ]
     candidates = (each[own] for each, own in zip(positions, maybe, strict=True))
     labels = kernel.label_equal_rows(np.concatenate([places, *candidates]))
     wanted = np.zeros(len(labels), dtype=np.bool_)
