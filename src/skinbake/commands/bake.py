@@ -47,8 +47,12 @@ from skinbake.report.bake import (
     Left,
     MorphCounts,
 )
+from skinbake.threads import Threads, thread_count
 from skinbake.timing import stage
 from skinbake.wording import counted
+
+LARGE = 1 << 17
+"""The vertices of a surface from which on the digests of its arrays are made beside the bake."""
 
 STEPS_A_BAKE = 700
 """The steps of baking a primitive of few vertices: see ``budget.STEPS_FREE``."""
@@ -320,11 +324,15 @@ class Baker(CheckedOptions):
 
     def _baked(self, surface: SurfaceBake) -> list[PrimitiveBake]:
         """Bake one surface. Raises InputError if α or β are not finite."""
-        if self.limit_influences is not None:
-            return surface.limited(self.limit_influences)
-        if self.neighbours is Neighbours.EXTEND:
-            return surface.extended()
-        return surface.plain()
+        # Welding and grouping leave a core idle.
+        is_large = sum(len(one.positions) for one in surface.primitives) >= LARGE
+        with Threads(thread_count() if is_large else 1) as threads:
+            surface = surface._replace(digests=[threads.begun(digests) for digests in surface.digests])
+            if self.limit_influences is not None:
+                return surface.limited(self.limit_influences)
+            if self.neighbours is Neighbours.EXTEND:
+                return surface.extended()
+            return surface.plain()
 
     @property
     def settings(self) -> BakeSettings:

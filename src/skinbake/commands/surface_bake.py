@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from skinbake.choices import SLOTS_PER_SET, Encoding, FrameChoice, Gradients
+from skinbake.choices import SLOTS_PER_SET, Encoding, Frame, FrameChoice, Gradients
 from skinbake.errors import InputError, Notice
 from skinbake.format.baked import Baked
 from skinbake.format.blend_weights import BlendGradient, read_blend_weights
 from skinbake.format.encodings import vertex_bytes
-from skinbake.format.metadata import KEPT, STORED_POSE
+from skinbake.format.metadata import KEPT, STORED_POSE, Digests, digests
 from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gltf.document import Document
@@ -98,7 +99,8 @@ class FitTarget(NamedTuple):
 class SurfaceBake(NamedTuple):
     """The primitives of one surface, with their arrays as they are baked, and the options of the gradients.
 
-    Each method returns the bakes of all primitives. It raises InputError if α or β are not finite.
+    digests return those of the arrays of each primitive. Each method returns the bakes of all primitives. It
+    raises InputError if α or β are not finite.
     """
 
     document: Document
@@ -106,6 +108,7 @@ class SurfaceBake(NamedTuple):
     primitives: Sequence[SkinnedPrimitive]
     settings: BakeSettings
     target: FitTarget
+    digests: Sequence[Digests]
 
     @classmethod
     def of(
@@ -124,7 +127,9 @@ class SurfaceBake(NamedTuple):
                     with_straight_tangents(primitive) if has_float_tangents(document, source) else primitive
                     for source, primitive in zip(sources, primitives, strict=True)
                 ]
-        return cls(document, sources, primitives, settings, target)
+        frame = Frame.NORMAL if settings.frame is FrameChoice.NORMAL else Frame.TANGENT
+        found = [partial(digests, primitive, frame) for primitive in primitives]
+        return cls(document, sources, primitives, settings, target, found)
 
     def plain(self) -> list[PrimitiveBake]:
         """Bake with the influences of the file."""
@@ -172,8 +177,10 @@ class SurfaceBake(NamedTuple):
         outcomes = bake_primitives(primitives, self.settings, self.target.rig)
         noted = self.target.noted
         bakes = [
-            PrimitiveBake(source, primitive, *outcome, asked=self.target.asked, fitted=noted)
-            for source, primitive, outcome in zip(self.sources, primitives, outcomes, strict=True)
+            PrimitiveBake(source, primitive, *outcome, found, asked=self.target.asked, fitted=noted)
+            for source, primitive, outcome, found in zip(
+                self.sources, primitives, outcomes, self.digests, strict=True
+            )
         ]
         return (
             bakes if self.target.poses is None else _fitted_to_poses(self.document, bakes, self.target.poses)
@@ -248,6 +255,7 @@ class SurfaceBake(NamedTuple):
 class PrimitiveBake:
     """One primitive: the arrays that were baked, the result, the findings, and the loss by a limit.
 
+    digests returns those of the arrays before any limit or extension.
     asked is the kind of gradients that the user asked for. fitted is what the metadata says of the fit,
     nothing for the gradients of the surface. share is how much of it is kept, None for all. blend is the
     gradient of its blend weights, if it has any.
@@ -257,6 +265,7 @@ class PrimitiveBake:
     primitive: SkinnedPrimitive
     result: BakedPrimitive
     findings: BakeFindings
+    digests: Digests
     limited: Limited | None = None
     limit_cost: LimitCost | None = None
     asked: Gradients = Gradients.SURFACE
@@ -285,7 +294,7 @@ class PrimitiveBake:
         influences = changed.stored if changed else None
         kept = {} if self.share is None else {KEPT: {"fit": self.share.fit}}
         noted = {**settings, **self.fitted, **kept}
-        return Baked(self.source, self.primitive, self.result, noted, influences, self.blend)
+        return Baked(self.source, self.primitive, self.result, self.digests, noted, influences, self.blend)
 
     def counts(self, encoding: Encoding, added_bytes: int) -> BakedCounts:
         """Return the numbers of the report."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.choices import Layout
+from skinbake.choices import Frame, Layout
 from skinbake.errors import Chosen, InputError, Message
 from skinbake.format import blend_weights, metadata
 from skinbake.format.attribute_store import AttributeStore, store_for
@@ -16,7 +16,7 @@ from skinbake.format.blend_weights import BlendGradient
 from skinbake.format.encodings import common_scale, encoded
 from skinbake.format.influences import with_adopted
 from skinbake.format.layouts import CUSTOM_NAMES, GradientFormat, free_texcoords, of_alpha_and_beta, paired
-from skinbake.format.metadata import KEY
+from skinbake.format.metadata import KEY, Digests
 from skinbake.format.morph_targets import MadeTargets, add_made
 from skinbake.format.stored_slots import NO_METADATA
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive, blocks
@@ -53,14 +53,16 @@ class AttributeNames(NamedTuple):
 class Baked(NamedTuple):
     """One primitive to write: its place, its input arrays, the result, and the settings.
 
-    The metadata holds the settings as they are. replaced_sets are the influence sets that replace those
-    of the file, if the bake has fewer or more of them. The arrays of the primitive then belong to them. blend
-    is the gradient of its blend weights, if it has any.
+    digests returns those of the arrays in the file, with that of any TANGENT. The metadata holds the settings
+    as they are. replaced_sets are the influence sets that replace those of the file, if the bake has fewer or
+    more of them. The arrays of the primitive then belong to them. blend is the gradient of its blend weights,
+    if it has any.
     """
 
     source: PrimitiveSource
     primitive: SkinnedPrimitive
     result: BakedPrimitive
+    digests: Digests
     settings: JsonObject
     replaced_sets: Sequence[StoredInfluences] | None = None
     blend: BlendGradient | None = None
@@ -132,9 +134,15 @@ def _written(
         attributes["NORMAL"] = store.add("NORMAL", item.primitive.normals.astype(np.float32))
         note["generated"] = ["NORMAL"]
     _add_tangent(document, store, item, attributes, note)
-    stored = _add_influences(document, store, item, attributes, note)
     with stage("digests"):
-        note["digest"] = metadata.digests(stored, item.result.frame)
+        digests = dict(item.digests())
+    stored = _add_influences(document, store, item, attributes, note, digests)
+    if stored is not item.primitive:
+        with stage("digests"):
+            digests |= metadata.influence_digests(stored.joints, stored.weights)
+    if item.result.frame != Frame.TANGENT:
+        digests.pop("TANGENT", None)
+    note["digest"] = digests
     note["alpha"], note["beta"], gradients = _stored(item, names, storage)
     note[metadata.POSITIONS] = _noted_positions(document, item, stored)
     note |= storage.noted
@@ -184,14 +192,22 @@ def _add_tangent(
 
 
 def _add_influences(
-    document: Document, store: AttributeStore, item: Baked, attributes: dict[str, Any], note: JsonObject
+    document: Document,
+    store: AttributeStore,
+    item: Baked,
+    attributes: dict[str, Any],
+    note: JsonObject,
+    former: Mapping[str, str],
 ) -> SkinnedPrimitive:
-    """Store the influences of the bake if they are not those of the file. Return the arrays as stored."""
+    """Store the influences of the bake if they are not those of the file, of which former are the digests.
+
+    Return the arrays as stored.
+    """
     if item.replaced_sets is not None:
         note[metadata.FORMER_ATTRIBUTES] = list(item.source.attributes)
     elif not item.result.adopts:
         return item.primitive
-    return _replace_influences(document, store, item, attributes, note)
+    return _replace_influences(document, store, item, attributes, note, former)
 
 
 def _noted_positions(document: Document, item: Baked, stored: SkinnedPrimitive) -> JsonObject:
@@ -267,7 +283,12 @@ def _stored(
 
 
 def _replace_influences(
-    document: Document, store: AttributeStore, item: Baked, attributes: dict[str, Any], note: JsonObject
+    document: Document,
+    store: AttributeStore,
+    item: Baked,
+    attributes: dict[str, Any],
+    note: JsonObject,
+    former_digests: Mapping[str, str],
 ) -> SkinnedPrimitive:
     """Let the attributes name the influences of the bake, note the former ones, and return stored arrays.
 
@@ -290,6 +311,6 @@ def _replace_influences(
         attributes[f"WEIGHTS_{number}"] = store.add(
             f"WEIGHTS_{number}", new.weights.values, normalized=new.weights.normalized
         )
-    note["formerDigest"] = metadata.influence_digests(*side_by_side(before))
+    note["formerDigest"] = {name: former_digests[name] for name in metadata.INFLUENCE_TYPES}
     note["adopted"] = former
     return item.primitive.with_influences(*side_by_side(after))

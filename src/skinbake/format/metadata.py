@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -63,6 +63,10 @@ LEFT = "left"
 
 FORMER_ATTRIBUTES = "formerAttributes"
 """The member that lists a primitive's attributes before a bake that changed the number of its influences."""
+
+
+Digests = Callable[[], dict[str, str]]
+"""What returns the digests of a primitive's arrays, by name."""
 
 
 def digests(primitive: SkinnedPrimitive, frame: str) -> dict[str, str]:
