@@ -319,8 +319,8 @@ def stages(rows: Json) -> Iterator[str]:
     yield ""
     yield (
         "bake writes the unchanged bytes of a large GLB while its kernel runs, unless `--no-sync` is given. "
-        "Of two cores one is idle in start-up, which imports modules and makes their dataclasses, in the "
-        "weld, in the guard, and in *write*, where α and β wait for the disk."
+        "Of two cores one is idle in start-up, which imports modules, in the guard, and in *write*, where α "
+        "and β wait for the disk."
     )
 
 

@@ -364,14 +364,14 @@ def animations_of(document: Document, nodes: Container[int]) -> list[int]:
 
 def read_clips(document: Document, some: Sequence[int] | None = None) -> Sequence[Clip]:
     """Return the animations that move, turn, scale or morph, or some of them; InputError if one is broken."""
-    known: dict[None, list[Clip]] = document.derived.setdefault("clips", {})
-    if some is None and None in known:
-        return known[None]
-    clips = []
+    known: dict[int, Clip | None] = document.derived.setdefault("clips", {})
     times: dict[int | bytes, Float64Array] = {}
     outputs: dict[tuple[object, ...], Float64Array] = {}
     animations = document.objects("animations")
-    for number in range(len(animations)) if some is None else some:
+    numbers = range(len(animations)) if some is None else some
+    for number in numbers:
+        if number in known:
+            continue
         animation = animations[number]
         place = document.place
         samplers = objects(animation, "samplers", place)
@@ -381,13 +381,12 @@ def read_clips(document: Document, some: Sequence[int] | None = None) -> Sequenc
             found = _channel(document, name, samplers, channel, times, outputs)
             if found is not None:
                 channels.append(found)
+        known[number] = None
         if channels:
             start = min(float(channel.times[0]) for channel in channels)
             duration = max(float(channel.times[-1]) for channel in channels)
-            clips.append(Clip(name, duration, tuple(channels), start, number))
-    if some is None:
-        known[None] = clips
-    return clips
+            known[number] = Clip(name, duration, tuple(channels), start, number)
+    return [clip for number in numbers if (clip := known[number])]
 
 
 def _channel(

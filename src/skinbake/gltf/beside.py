@@ -266,13 +266,14 @@ def files_of_extensions(root: JsonObject) -> list[str]:
     while left:
         node, inside = left.pop()
         if isinstance(node, dict):
-            uri = node.get("uri")
-            if inside and isinstance(uri, str) and not is_data_uri(uri) and is_relative(uri):
+            uri = node.get("uri") if inside else None
+            if isinstance(uri, str) and not is_data_uri(uri) and is_relative(uri):
                 found[uri] = None  # pragma: no cover: tests/gltf/test_container.py
-            inner = [(child, inside or key == "extensions") for key, child in node.items() if key != "extras"]
+            for key, child in reversed(node.items()):
+                if isinstance(child, (dict, list)) and key != "extras":
+                    left.append((child, inside or key == "extensions"))
         else:
-            inner = [(child, inside) for child in node]
-        left += [entry for entry in reversed(inner) if isinstance(entry[0], dict | list)]
+            left += [(child, inside) for child in reversed(node) if isinstance(child, (dict, list))]
     return list(found)
 
 
