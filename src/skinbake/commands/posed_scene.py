@@ -131,6 +131,8 @@ def attachments(document: Document) -> tuple[list[Attachment], list[Notice]]:
                 key = source.mesh, source.primitive
                 if key not in read:
                     read[key] = _rigid(document, source)
+                vertices = 0 if read[key] is None else len(read[key][0].positions)
+                budget.claim_steps(vertices, f"drawing {vertices:,} vertices once more", source.place)
             except InputError as error:
                 if error is budget.refusal:
                     raise
