@@ -393,7 +393,7 @@ def test_a_change_of_method_needs_the_arrays_that_a_page_has_given_away(stage: T
     accurate, other = stage.page.call("freed", told)
     assert accurate == ["accurate", ""]
     kept = "bake last, or keep attributes as they are"
-    reason = f"its attribute _skinbake_alpha_0 has no array any more: {kept}"
+    reason = f"its attribute _SKINBAKE_ALPHA_0 is without an array, not VEC3: {kept}"
     assert other == ["standard", reason]
     assert stage.messages() == [f'skinbake: "freed" has three.js\'s standard lighting: {reason}']
 

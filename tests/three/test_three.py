@@ -409,10 +409,10 @@ class TestStorage:
         told = stage.misfits(character, ["size", "lacking", "integers", "floats", "scale", "encoding"])
         remedy = "bake last, or keep attributes as they are"
         assert told == [
-            standard("size", f"its attribute _skinbake_alpha_0 is VEC3, not VEC4: {remedy}"),
+            standard("size", f"its attribute _SKINBAKE_ALPHA_0 is VEC3, not VEC4: {remedy}"),
             standard("lacking", f"its attribute _SKINBAKE_BETA_0 is missing: {remedy}"),
-            standard("integers", f"its attribute _skinbake_alpha_0 is not encoded as packed8: {remedy}"),
-            standard("floats", f"its attribute _skinbake_alpha_0 is VEC3, not VEC4: {remedy}"),
+            standard("integers", f"its attribute _SKINBAKE_ALPHA_0 is not encoded as packed8: {remedy}"),
+            standard("floats", f"its attribute _SKINBAKE_ALPHA_0 is VEC3, not VEC4: {remedy}"),
             standard("scale", "the metadata of its bake lacks the scale: bake it again"),
             standard(
                 "encoding", "its encoding is other, and this module knows packed8 and snorm16: update it"
@@ -423,7 +423,7 @@ class TestStorage:
         """A mesh that has as many of them and is not baked is nothing to tell of."""
         character = stage.character(TUBE, BENT, storage=TEXCOORD)
         assert stage.misfits(character, ["pair", "metadata"]) == [
-            standard("pair", "its attribute uv2 is missing: bake last, or keep attributes as they are")
+            standard("pair", "its attribute TEXCOORD_2 is missing: bake last, or keep attributes as they are")
         ]
 
 
