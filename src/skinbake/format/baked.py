@@ -156,9 +156,9 @@ def _written(
     extras = primitive.get("extras", {})
     beside = not isinstance(extras, dict) or KEY in extras
     holder: JsonObject | None = {KEY: note} if beside else None  # of the first accessor of α and β
+    if storage.layout is not Layout.CUSTOM and all(name in attributes for name, _ in gradients):
+        raise InputError(NO_METADATA, item.source.place)
     for name, values in gradients:
-        if storage.layout is not Layout.CUSTOM and all(one in attributes for one, _ in gradients):
-            raise InputError(NO_METADATA, item.source.place)
         if name in attributes:
             choice = "--layout" if storage.layout is Layout.CUSTOM else "--alpha-name and --beta-name"
             raise InputError(
