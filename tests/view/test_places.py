@@ -169,3 +169,25 @@ def test_where_triangles_are_too_many_some_vertices_find_much_the_same_place(
     angles = [[float(one) for one in re.findall(r"[\d.]+", found["words"])] for found in (every, some)]
     assert angles[1][0] == pytest.approx(angles[0][0], rel=0.2)
     assert angles[1][0] > 10 * angles[1][1]
+
+
+def test_a_place_is_found_in_the_moments_that_the_bytes_of_a_file_afford(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A mesh that many skins draw has many vertices in each moment, and few bytes."""
+    every, moments = places(TUBE), []
+    posed = where_it_shows._Search.moments
+
+    def counted(search: Any, clip: Any, times: Any) -> Any:
+        moments.extend(times)
+        return posed(search, clip, times)
+
+    monkeypatch.setattr(where_it_shows._Search, "moments", counted)
+    places(TUBE)
+    assert len(moments) > 20
+    moments.clear()
+    monkeypatch.setattr(where_it_shows, "LOOKS_FREE", 0)
+    monkeypatch.setattr(where_it_shows, "LOOKS_A_BYTE", 0)
+    [first, *_] = places(TUBE)
+    assert len(moments) == 1
+    assert first["middle"] == pytest.approx(every[0]["middle"], abs=0.5)

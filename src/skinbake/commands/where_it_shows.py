@@ -44,6 +44,15 @@ RADIUS = 0.07
 EACH, MOST_POSES, MOST_SAMPLES, MOST_STEPS = 25, 250, 24_000_000, 150_000
 """The most poses of a clip that are sampled, and of all clips; the most poses × vertices, and × nodes."""
 
+SAMPLES_FREE, SAMPLES_A_BYTE = 2_000_000, 6
+"""The most sampled poses × vertices of a small file, and how many more for each of its bytes."""
+
+LOOKS_FREE, LOOKS_A_BYTE, LOOKS_A_DRAW = 500_000, 2, 1_000
+"""The most moments × vertices that are looked at, and how many more for each byte. A draw is so many more.
+
+A moment takes 1 to 3 µs for each.
+"""
+
 PROMISING, LOOKS, GUESSES = 4, 40, 12
 """The clips that are sampled ``EACH`` times, the poses that are looked at, and the patches in each."""
 
@@ -399,7 +408,9 @@ def where_it_shows(
     vertices = sum(len(rest.positions) for draw in draws for rest in draw.rest)
     nodes = sum(len(draw.skeleton.nodes) + len(draw.skeleton.joints) for draw in draws)
     clips = read_clips(document) if asked is None else asked
-    affordable = min(MOST_POSES, MOST_SAMPLES // max(vertices, 1), MOST_STEPS // nodes)
+    backed = document.budget.backed
+    samples = min(MOST_SAMPLES, SAMPLES_FREE + SAMPLES_A_BYTE * backed)
+    affordable = min(MOST_POSES, samples // max(vertices, 1), MOST_STEPS // nodes)
     # The rest of the work that the file may ask for is not all for this.
     affordable = min(affordable, document.budget.steps_left // (4 * nodes) - EACH)
     poses = int(max(PROMISING * 2, affordable))
@@ -420,9 +431,13 @@ def where_it_shows(
         best = sorted(sampled, key=lambda number: -max(total.max(initial=0) for total in sampled[number][1]))
         more = int(np.clip(poses // PROMISING, 2, EACH))
         sampled |= {number: _sampled(search, moving[number], more) for number in best[:PROMISING]}
-    spots = _looked_at(search, moving, sampled)
-    refined = [_refined(search, spot, sampled[moving.index(spot.clip)][0]) for spot in spots]
-    told = (spot for spot in refined if spot.standard >= NEGLIGIBLE)
+    # Half of the moments that can be afforded are looked at, and the best spots refined with the rest.
+    moments = (LOOKS_FREE + LOOKS_A_BYTE * backed) // (vertices + LOOKS_A_DRAW * len(draws))
+    looks = min(LOOKS, max(1, moments // 2))
+    spots = _looked_at(search, moving, sampled, looks)
+    for number, spot in enumerate(spots[: max(0, moments - looks) // (REFINED + 1)]):
+        spots[number] = _refined(search, spot, sampled[moving.index(spot.clip)][0])
+    told = (spot for spot in spots if spot.standard >= NEGLIGIBLE)
     return sorted(told, key=lambda spot: -spot.improvement)
 
 
@@ -431,8 +446,8 @@ def _sampled(search: _Search, clip: Clip, count: int) -> tuple[Float64Array, lis
     return times, search.totals(clip, times)
 
 
-def _looked_at(search: _Search, clips: Sequence[Clip], sampled: dict[int, Any]) -> list[Spot]:
-    """Look at the patches that may show most, and return the best that do not overlap."""
+def _looked_at(search: _Search, clips: Sequence[Clip], sampled: dict[int, Any], looks: int) -> list[Spot]:
+    """Look at the patches that may show most, in so many poses, and return the best that do not overlap."""
     moments = [(clip, time) for clip in sampled for time in sampled[clip][0]]
     bounds = [
         np.concatenate([sampled[clip][1][draw] for clip in sampled]) for draw in range(len(search.surfaces))
@@ -443,7 +458,7 @@ def _looked_at(search: _Search, clips: Sequence[Clip], sampled: dict[int, Any]) 
     clip_of = np.array([clip for clip, _ in moments])
     columns = [patches.tocsc() for patches in search.patches]
     found: dict[int, Spot] = {}
-    for _ in range(min(LOOKS, len(moments))):
+    for _ in range(min(looks, len(moments))):
         pose, patch = np.unravel_index(int(np.argmax(hoped)), hoped.shape)
         least = sorted((spot.improvement for spot in _apart(search, found.values())), reverse=True)
         if not hoped[pose, patch] > (least[-1] if len(least) == LISTED else 0.0):
