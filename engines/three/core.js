@@ -58,7 +58,7 @@ function light(roots, method) {
     if (meshes.length && [...problems.values()].every((problem) => problem === NOT_BAKED)) tellOfNone(roots[0]);
     for (const root of roots) {
         root.traverse((object) => {
-            if (!object.isMesh || object.isSkinnedMesh || problemOf(object.geometry) === NOT_BAKED) return;
+            if (!object.isMesh || object.isSkinnedMesh || problemOfGeometry(object.geometry) === NOT_BAKED) return;
             tell(object, `three.js does not skin ${kindOf(object)}`);
         });
     }
