@@ -166,12 +166,15 @@ class Copies:
 
     def read_target(self) -> None:
         """Find out which files the former target names, if it is a ``.gltf``. It may be anything."""
-        if self.target.suffix.lower() != GLTF_SUFFIX:
-            return
-        with suppress(SkinbakeError, OSError, ValueError):
-            # What it names may lie in any folder of the root.
-            bounds = Bounds(root=os.fspath(self.root))
-            self._earlier = named_paths(read_document(os.fspath(self.target), bounds), self.target.parent)
+        self._earlier = self._named_by_target()
+
+    def _named_by_target(self) -> frozenset[Path]:
+        if self.target.suffix.lower() == GLTF_SUFFIX:
+            with suppress(SkinbakeError, OSError, ValueError):
+                # What it names may lie in any folder of the root.
+                bounds = Bounds(root=os.fspath(self.root))
+                return named_paths(read_document(os.fspath(self.target), bounds), self.target.parent)
+        return frozenset()
 
     def is_replaceable(self, path: Path, source: str, *, is_buffer: bool) -> bool:
         """Tell whether a file is an earlier copy of the file ``source``, and only our targets name it.
@@ -271,6 +274,7 @@ class Copies:
                         self._tidy(Notes(self.root, folder), opened, needed)
 
     def _tidy(self, notes: Notes, opened: Folder, needed: frozenset[Path]) -> None:
+        needed |= self._named_by_target()  # another run may have written it since
         ours = notes.relative(self.target)
         for name, copy in list(notes.copies.items()):
             path = notes.folder / name
