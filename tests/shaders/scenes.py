@@ -5,7 +5,7 @@ A scene is float32 throughout, so that the shader and every replay begin with th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
 
@@ -229,7 +229,7 @@ def irregular(influences: int, *, stretches: bool) -> Scene:
         affine = np.tile(np.eye(4), (JOINTS, 1, 1))
         affine[:, :3, :3] += rng.uniform(-0.25, 0.25, (JOINTS, 3, 3))
         poses += [_bent(rng) @ affine, np.diag([-1.0, 1.0, 1.0, 1.0]) @ _bent(rng)]
-    return Scene(
+    scene = Scene(
         rng.uniform(-1, 1, (VERTICES, 3)).astype(np.float32),
         normals,
         np.hstack([axes[:, 1] * length, hand]).astype(np.float32),
@@ -240,6 +240,9 @@ def irregular(influences: int, *, stretches: bool) -> Scene:
         rng.normal(scale=1.5, size=(VERTICES, influences - 1)).astype(np.float32),
         np.array(poses).astype(np.float32),
     )
+    for field in fields(scene):
+        getattr(scene, field.name).flags.writeable = False  # all tests have the same one
+    return scene
 
 
 def _bent(rng: np.random.Generator, degrees: float = 80.0) -> Wide:

@@ -203,7 +203,9 @@ def pass_of(choices: ShaderChoices, number: int) -> Pass:
     geometry, places = Geometry(), dict[str, tuple[int, int]]()
     # NORMAL has any length in files, and one of 0 stands for (0, 0, 1).
     lengths = rng.uniform(0.03, 30.0, (count, 1)).astype(np.float32)
-    lengths[0], scene.normals[0] = 0.0, (0.0, 0.0, 1.0)
+    lengths[0] = 0.0
+    scene = replace(scene, normals=scene.normals.copy())
+    scene.normals[0] = 0.0, 0.0, 1.0
     rest = {"position": scene.positions, "normal": scene.normals * lengths}
     rest |= {"tangent": scene.tangents} if choices.frame == Frame.TANGENT else {}
     places |= dict(zip(rest, geometry.add(*rest.values(), gap=8), strict=True))
