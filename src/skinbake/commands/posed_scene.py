@@ -45,9 +45,8 @@ from skinbake.gltf.primitives import (
 from skinbake.gltf.scenes import faces_backward, shown_nodes
 from skinbake.measure.angles import Corrections, MeasuredBlock, lighting_errors, truths_at_rest
 from skinbake.measure.morphing import Morphing, morphing_of
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.rest import Options, RestPrimitive
-from skinbake.skinning.run import Skinning
+from skinbake.truth.blending import BlendedPrimitive
 from skinbake.truth.operator import GradientOperator
 from skinbake.truth.poses import (
     BYTES_A_JOINT_AND_POSE,
@@ -361,16 +360,15 @@ def measure_draw(
         morphing=posed.morphing,
         at_rest=at_rest or truths_of_draw(draw, posed, truth),
         corrections=posed.corrections,
+        direct=False,
     )
 
 
 def posed_positions(draw: Draw, posed: PosedDraw) -> Iterator[Float64Array]:
     """Yield positions (P, V, 3) of each primitive: all poses, or one at a time if targets move it."""
     for rest, matrices in posed_primitives(draw, posed):
-        skinning = Skinning.of(rest, matrices, dual_quaternions=False, options=Options())
         every = slice(0, len(matrices)), slice(0, len(rest.positions))
-        (found,) = skinning.run((Algorithm.LBS_STANDARD,), *every)
-        yield np.stack([np.asarray(component, np.float64) for component in found.position], axis=-1)
+        yield BlendedPrimitive(rest, matrices, Options()).positions(*every).transpose(2, 1, 0)
 
 
 SKIPPED = "skipped: "

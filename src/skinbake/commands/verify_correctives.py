@@ -272,7 +272,7 @@ def _mixture(name: str, draw: Draw, matrices: Float64Array, weights: Sequence[Fl
             total[1] += float((block.valid * areas).sum())
 
     corrections = replace(draw.corrections, weights=weights)
-    lighting_errors(draw.operator, draw.rest, matrices, "lbs", add, corrections=corrections)
+    lighting_errors(draw.operator, draw.rest, matrices, "lbs", add, corrections=corrections, direct=False)
     means = {key: total / max(weight, 1e-300) for key, (total, weight) in sums.items()}
     by_truth = [
         {truth: mean for (of, truth), mean in means.items() if of == lighting}

@@ -47,7 +47,7 @@ EACH, MOST_POSES, MOST_SAMPLES, MOST_STEPS = 25, 250, 24_000_000, 150_000
 SAMPLES_FREE, SAMPLES_A_BYTE = 2_000_000, 6
 """The most sampled poses × vertices of a small file, and how many more for each of its bytes."""
 
-LOOKS_FREE, LOOKS_A_BYTE, LOOKS_A_DRAW = 500_000, 2, 1_000
+LOOKS_FREE, LOOKS_A_BYTE, LOOKS_A_DRAW = 300_000, 1, 1_000
 """The most moments × vertices that are looked at, and how many more for each byte. A draw is so many more.
 
 A moment takes 1 to 3 µs for each.
@@ -77,7 +77,7 @@ INSIDE_OUT = 90.0
 CELLS = 1 << 22
 """The entries of a table of distances: 32 MiB at a time."""
 
-TESTS, BLOCK = 1 << 17, 1 << 14
+TESTS, BLOCK = 1 << 16, 1 << 14
 """The most vertices × triangles of a look, and at a time. If there are more, some vertices are tested."""
 
 LISTED = 5

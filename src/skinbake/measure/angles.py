@@ -114,6 +114,7 @@ def lighting_errors(  # noqa: PLR0913  # five arguments are optional, and by key
     at_rest: Truths | None = None,
     corrections: Corrections | None = None,
     advance: Callable[[float], None] = lambda poses: None,
+    direct: bool = True,
 ) -> float:
     """Run every algorithm of a method over all poses, and measure its normals block by block.
 
@@ -122,13 +123,14 @@ def lighting_errors(  # noqa: PLR0913  # five arguments are optional, and by key
     order that does not depend on the number of threads. With count, the thread that measured a block calls
     it, and record is called with its result instead. advance is called with poses done. With morphing, every
     pose starts from its own primitives, so poses are measured one at a time. at_rest is the result of
-    ``truths_at_rest`` for the same mesh. With corrections, LBS has the lighting ``corrected`` too. Returns
-    the largest angle in degrees between the normals of algorithms 2 and 3, or 0 if they are not compared.
+    ``truths_at_rest`` for the same mesh. With corrections, LBS has the lighting ``corrected`` too. Unless
+    direct, algorithm 2 is left out. Returns the largest angle in degrees between the normals of algorithms 2
+    and 3, or 0 if they are not compared.
     """
     vertices, poses = len(operator.positions), len(joint_matrices)
     truths = truths_at_rest(operator, primitives, poses, morphing) if at_rest is None else at_rest
     played = corrections if method == "lbs" else None
-    mesh = _PosedMesh(primitives, joint_matrices, method, options or Options(), truths, played)
+    mesh = _PosedMesh(primitives, joint_matrices, method, options or Options(), truths, played, direct)
     identity, memory, of_fine = Identity(), ChunkMemory(), ChunkMemory()
     with Threads(thread_count()) as threads:
         for chunk in mesh.in_chunks() if morphing is None else mesh.pose_by_pose(morphing):
@@ -179,7 +181,12 @@ class _PosedMesh:
     method: str
     options: Options
     truths: Truths
-    corrections: Corrections | None = None
+    corrections: Corrections | None
+    direct: bool
+
+    def _algorithms(self, *, direct: bool) -> dict[str, Algorithm]:
+        every = METHODS[self.method]
+        return {lighting: every[lighting] for lighting in every if lighting != "direct" or direct}
 
     def in_chunks(self) -> Iterator[_Chunk]:
         """Yield many poses at a time. All poses start from the same primitives.
@@ -190,8 +197,6 @@ class _PosedMesh:
         vertices, poses = len(self.truths.operator.positions), len(self.joint_matrices)
         # Every stride-th chunk compares algorithms 2 and 3.
         stride = max(1, -(-vertices * poses // IDENTITY_SAMPLES))
-        every = METHODS[self.method]
-        without_direct = {lighting: every[lighting] for lighting in every if lighting != "direct"}
         sides = sides_of(self.primitives, self.joint_matrices)
         skinned = self._skinned(self.primitives, self.truths, self.joint_matrices)
         measured = vertices if self.truths.fine is None else self.truths.fine.mesh.size
@@ -201,7 +206,7 @@ class _PosedMesh:
                 skinned=skinned,
                 at=pose,
                 first_pose=pose.start,
-                algorithms=without_direct if number % stride else every,
+                algorithms=self._algorithms(direct=self.direct and number % stride == 0),
                 sides=None if sides is None else sides[pose],
                 compares=self.options.cap is None,
                 corrections=self.corrections,
@@ -217,7 +222,7 @@ class _PosedMesh:
                 skinned=self._skinned(primitives, truths, self.joint_matrices[pose : pose + 1]),
                 at=slice(0, 1),
                 first_pose=pose,
-                algorithms=METHODS[self.method],
+                algorithms=self._algorithms(direct=self.direct),
                 sides=None if sides is None else sides[pose : pose + 1],
                 compares=self.options.cap is None,
                 corrections=self.corrections,
