@@ -59,10 +59,11 @@ MOST_INFLUENCES = 64
 BYTES_A_SAMPLED_PIXEL, BYTES_A_PIXEL = 224, 10
 """The memory of drawing a pixel, with all its samples, and of keeping it in each picture until the end."""
 
-LAYERS_FREE, LAYERS_A_BYTE = 24.0, 1.5e-5
+LAYERS_FREE, LAYERS_A_BYTE = 24.0, 4e-6
 """How often triangles may cover the picture, and how often more for each byte of the file.
 
-A software driver takes up to 0.07 s for each time. Of 60 characters none covers it more than 3 times.
+A software driver takes up to 0.07 s for each time. Of 60 characters none covers it more than 3 times, or 5
+close up.
 """
 
 BYTES_A_TRIANGLE = 256
