@@ -191,3 +191,14 @@ def test_a_place_is_found_in_the_moments_that_the_bytes_of_a_file_afford(
     [first, *_] = places(TUBE)
     assert len(moments) == 1
     assert first["middle"] == pytest.approx(every[0]["middle"], abs=0.5)
+
+
+def test_clips_may_have_one_name(tmp_path: Path) -> None:
+    """The second shows most. The first moves one joint of two, by other keys."""
+
+    def change(content: dict[str, Any]) -> None:
+        [clip] = content["animations"]
+        samplers = [{**clip["samplers"][0], "output": clip["samplers"][1]["output"]}]
+        content["animations"] = [{**clip, "samplers": samplers, "channels": clip["channels"][:1]}, clip]
+
+    assert places(edited("bent_tube.glb", tmp_path, change))[0]["clip"] == 1

@@ -436,7 +436,8 @@ def where_it_shows(
     looks = min(LOOKS, max(1, moments // 2))
     spots = _looked_at(search, moving, sampled, looks)
     for number, spot in enumerate(spots[: max(0, moments - looks) // (REFINED + 1)]):
-        spots[number] = _refined(search, spot, sampled[moving.index(spot.clip)][0])
+        [of_clip] = (one for one, clip in enumerate(moving) if clip is spot.clip)
+        spots[number] = _refined(search, spot, sampled[of_clip][0])
     told = (spot for spot in spots if spot.standard >= NEGLIGIBLE)
     return sorted(told, key=lambda spot: -spot.improvement)
 
