@@ -60,7 +60,7 @@ def test_bake_and_verify_say_the_same_of_lacking_memory(where: str, monkeypatch:
     lacking = raising(MemoryError())
     monkeypatch.setattr(Baker, "bake_file", lacking)
     monkeypatch.setattr("skinbake.jobs.verify.verify_file", lacking)
-    monkeypatch.setattr("skinbake.jobs.remote.storages.UrlStorage.fetch_file", lacking)
+    monkeypatch.setattr("skinbake.jobs.remote.storages.Storage.fetch_file", lacking)
     baked, verified = (
         FileWork(Bake(Baker()))(Job(source)),
         FileWork(Verify(VerifyOptions()))(Job(source)),

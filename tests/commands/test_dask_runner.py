@@ -23,7 +23,6 @@ from skinbake.jobs.remote import dask_runner
 from skinbake.jobs.remote.dask_runner import DaskRunner
 from skinbake.jobs.work import Job
 from skinbake.report.bake import FileResult
-from skinbake.timing import Told, heard
 from tests.commands.clusters import PATIENCE, cluster, observer, require_dask, wait_for_workers
 from tests.commands.file_works import BakeOrDie, Raise, baking, verifying
 from tests.support.command_line import document, invoke
@@ -83,7 +82,7 @@ def _killed(client: Any, worker: Any) -> tuple[str, ...]:
 
 
 @pytest.mark.slow
-def test_plain_paths_travel_and_a_killer_harms_nobody_else(tmp_path: Path) -> None:
+def test_a_file_that_kills_its_workers_harms_no_other_file(tmp_path: Path) -> None:
     sources = write_sheets(tmp_path / "in", 24)
     killer = write_sheets(tmp_path / "in", 1, prefix="killer")
     sources[7:7] = killer
@@ -123,8 +122,9 @@ def test_a_cluster_in_which_nobody_dies(
     ):
         wait_for_workers(client, 1)
         _verdicts_are_those_of_this_process(found.address, baked)
-        _a_single_file_tells_of_its_stages(found.address, baked)
-        _the_command_line_sends_its_files(found.address, tmp_path)
+        if sys.platform == "linux":
+            _a_worker_with_another_disk_says_so(found.address, tmp_path, monkeypatch)
+        _the_command_line_bakes_on_workers(found.address, tmp_path, monkeypatch)
         _jobs_are_sent_in_a_bounded_number(found.address, client, monkeypatch, tmp_path, sources)
         _closing_forgets_what_has_not_begun(found.address, client, tmp_path, sources)
         _work_that_raises_loses_its_job(found.address, jobs_of(tmp_path, sources[:2]))
@@ -141,19 +141,46 @@ def _verdicts_are_those_of_this_process(address: str, baked: list[Job]) -> None:
     assert all(verdict.passed for verdict in verdicts.values())
 
 
-def _a_single_file_tells_of_its_stages(address: str, baked: list[Job]) -> None:
-    jobs = [Job(job.target or "") for job in baked[:2]]
-    told: list[Told] = []
-    with DaskRunner(address) as runner, heard(told.append):
-        assert len(list(runner.run(verifying(), jobs))) == 2
-        assert told == []
-        assert len(list(runner.run(verifying(), jobs[:1]))) == 1
-    assert {one.source for one in told} == {jobs[0].source}
-    assert told[0].stage == "waiting for a worker"
-    assert {"read", "freshness"} <= {one.stage for one in told}
+def _a_worker_with_another_disk_says_so(address: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The folder in which a process runs has one name in all processes, and is another one in each.
+    here, there = folder / "here", folder / "cluster"
+    write_sheets(here, 1, prefix="both")
+    write_sheets(here, 1, prefix="only-here")
+    sheet = write_sheets(folder / "large", 1, prefix="both")[0].read_bytes()
+    (both,) = (path.name for path in here.glob("both*"))
+    (only_here,) = (path.name for path in here.glob("only-here*"))
+    shared = write_sheets(folder / "shared", 1)[0]
+    (there / both).write_bytes(sheet + b" ")
+    own = Path("/proc/self/cwd")
+    jobs = [
+        Job(str(own / only_here), str(folder / "away" / only_here)),
+        Job(str(own / both), str(folder / "away" / both)),
+        Job(str(shared), str(own / "baked.glb")),
+        Job(str(shared), str(folder / "away" / "shared.glb")),
+    ]
+    with monkeypatch.context() as patch, DaskRunner(address) as runner:
+        patch.chdir(here)
+        results = dict(runner.run(baking(), jobs))
+    assert [results[number].status for number in range(4)] == ["failed", "failed", "failed", "baked"]
+    worker = r"the worker tcp://127.0.0.1:\d+"
+    assert re.match(f"{worker} cannot open it", message_of(results[0]))
+    size = len(sheet)
+    assert re.match(
+        rf"{worker} sees another file under this path \({size + 1} bytes, {size} expected\)",
+        message_of(results[1]),
+    )
+    assert re.match(
+        f"{worker} has written it on a disk that this machine does not see", message_of(results[2])
+    )
+    assert [str(results[number].error).partition(": ")[0] for number in range(3)] == [
+        jobs[0].source,
+        jobs[1].source,
+        jobs[2].target,
+    ]
+    assert list((folder / "away").iterdir()) == [folder / "away" / "shared.glb"]
 
 
-def _the_command_line_sends_its_files(address: str, folder: Path) -> None:
+def _the_command_line_bakes_on_workers(address: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("one", "two"):  # of two trees, whose files may meet
         write_library(folder / "trees" / name / name)
     roots = [folder / "trees/one", folder / "trees/two"]
@@ -168,6 +195,10 @@ def _the_command_line_sends_its_files(address: str, folder: Path) -> None:
     checked = invoke(*sent)
     assert document(checked) == document(invoke(*here))
     assert checked.exit_code == exit_codes.INPUT
+    with monkeypatch.context() as patch:  # relative names are those of the folder where the work starts
+        patch.chdir(folder / "trees")
+        sent, here = ["verify", "away", "--dask", address, "--json"], ["verify", "away", "--json"]
+        assert document(invoke(*sent)) == document(invoke(*here))
 
 
 def _jobs_are_sent_in_a_bounded_number(
@@ -178,7 +209,6 @@ def _jobs_are_sent_in_a_bounded_number(
     with monkeypatch.context() as patch, DaskRunner(address) as runner:
         patch.setattr(dask_runner, "LEAST_WINDOW", 2)
         patch.setattr(dask_runner, "WINDOW_PER_THREAD", 3)
-        patch.setattr(dask_runner, "TASK_JOBS", 1)
         for _ in runner.run(baking(), jobs):
             most = max(most, _count_of_tasks(client))
     # Three are sent. Of those that are done, some count until the scheduler hears that nobody wants them.
@@ -213,7 +243,7 @@ def _work_that_raises_loses_its_job(address: str, jobs: list[Job]) -> None:
 
 def _another_version_is_refused(address: str, monkeypatch: pytest.MonkeyPatch, jobs: list[Job]) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr("skinbake.jobs.remote.dask_task.__version__", "9.9.9")
+        patch.setattr("skinbake.jobs.remote.dask_runner.__version__", "9.9.9")
         runner = DaskRunner(address)
         with pytest.raises(InputError, match=f"has skinbake {skinbake.__version__}, this is 9.9.9") as raised:
             runner.connect()
@@ -222,7 +252,7 @@ def _another_version_is_refused(address: str, monkeypatch: pytest.MonkeyPatch, j
     # All is well at first; then a worker of another version comes.
     with DaskRunner(address) as runner, monkeypatch.context() as patch:
         assert runner.connect() == []
-        patch.setattr("skinbake.jobs.remote.dask_task.__version__", "9.9.9")
+        patch.setattr("skinbake.jobs.remote.dask_runner.__version__", "9.9.9")
         results = dict(runner.run(baking(), jobs))
     assert sorted(results) == [0, 1, 2]
     assert all("has skinbake 0" in message_of(result) for result in results.values())
@@ -271,7 +301,7 @@ def test_the_scheduler_goes_away(tmp_path: Path) -> None:
     lost = {file["input"] for file in files if file["status"] == "failed"}
     assert len(files) == 120
     assert lost
-    assert {Path(file["output"]).name for file in files if file["status"] == "baked"} == tree(out).keys()
+    assert {Path(file["output"]).name for file in files if file["status"] == "baked"} <= whole(out).keys()
     lines = stderr.decode().splitlines()
     # Nothing but ours: a line for each, and at the end the list of failures and the sum.
     errors = [line for line in lines if line.startswith("error: ")]

@@ -10,7 +10,6 @@ import click
 
 from skinbake.cli.console import Console
 from skinbake.cli.limits import OR_CLUSTER
-from skinbake.cli.writing import writing_of
 from skinbake.errors import ChoiceError, Chosen, InputError, Place
 from skinbake.files.urls import STDIO, is_url, join_url
 
@@ -64,7 +63,7 @@ def cluster_runner(
     from skinbake.jobs.elsewhere import dask_runner
     from skinbake.jobs.runners import FirstThese
 
-    runner = dask_runner(address, writing_of(given))
+    runner = dask_runner(address)
     click.get_current_context().call_on_close(runner.close)
     notices = runner.connect()
     say.notices(notices)

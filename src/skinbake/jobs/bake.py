@@ -11,7 +11,7 @@ from skinbake.files.bounds import Bounds
 from skinbake.gltf.beside import files_read
 from skinbake.gltf.document import read_document
 from skinbake.gltf.output import AS_USUAL, Writing
-from skinbake.jobs.elsewhere import elsewhere_of
+from skinbake.jobs import elsewhere
 from skinbake.jobs.work import Job
 from skinbake.report.bake import FileResult
 
@@ -38,11 +38,7 @@ class Bake:
 
     def result_of(self, job: Job, *, traced: bool) -> FileResult:
         """Bake the file. Raises SkinbakeError; then nothing has been written."""
-        writing = self.writing._replace(traced=traced)
-        there = elsewhere_of(job)
-        if there is not None:
-            return there.write(job.source, job.target, self.baker.bake_file, writing, job.within)
-        return self.baker.bake_file(job.source, job.target, writing, job.within)
+        return elsewhere.write(job, self.baker.bake_file, self.writing._replace(traced=traced))
 
     def failed(self, job: Job, error: SkinbakeError) -> FileResult:
         """Return that the file failed."""

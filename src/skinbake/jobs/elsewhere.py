@@ -5,36 +5,41 @@ Only URLs and ``--dask`` use this module. No other module imports that package.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from skinbake.errors import InputError, OutputError, Place
+from skinbake.files.bounds import Bounds
 from skinbake.files.urls import is_url
 
 if TYPE_CHECKING:
     from skinbake.gltf.output import Writing
     from skinbake.jobs.remote.dask_runner import DaskRunner
-    from skinbake.jobs.work import Elsewhere, Job
+    from skinbake.jobs.work import Job, Makes, ResultT, T
 
 
-def elsewhere_of(job: Job) -> Elsewhere | None:
-    """Return the object that fetches and stores a job's files, or None if all files are on the local disk.
+def read(job: Job, reads: Callable[[str, Bounds], T]) -> T:
+    """Return ``reads(path, bounds)`` for a job's source, fetched if it has a URL. Raises SkinbakeError."""
+    if not is_url(job.source):
+        return reads(job.source, job.within.bounds)
+    with _installed("URLs need", job.source):
+        from skinbake.jobs.remote import staging
+    return staging.read(job.source, job.within.bounds, reads)
 
-    Raises InputError or OutputError for a URL if ``jobs.remote`` is not installed.
-    """
-    if job.elsewhere is not None:
-        return job.elsewhere
-    error: type[InputError | OutputError]
+
+def write(job: Job, makes: Makes[ResultT], how: Writing) -> ResultT:
+    """Return what ``makes`` returns for a job, whose files may have URLs. Raises SkinbakeError."""
+    error: type[InputError | OutputError] = InputError
     if is_url(job.source):
-        url, error = job.source, InputError
+        url = job.source
     elif job.target is not None and is_url(job.target):
         url, error = job.target, OutputError
     else:
-        return None
+        return makes(job.source, job.target, how, job.within)
     with _installed("URLs need", url, error):
-        from skinbake.jobs.remote.staging import Staging
-    return Staging()
+        from skinbake.jobs.remote import staging
+    return staging.write(job.source, job.target, makes, how, job.within)
 
 
 def files_behind(url: str) -> list[tuple[str, str]]:
@@ -44,11 +49,11 @@ def files_behind(url: str) -> list[tuple[str, str]]:
     return expand_url(url)
 
 
-def dask_runner(address: str, writing: Writing) -> DaskRunner:
+def dask_runner(address: str) -> DaskRunner:
     """Return the runner for a scheduler's address. Raises InputError."""
     with _installed("--dask needs", address):
         from skinbake.jobs.remote.dask_runner import DaskRunner
-    return DaskRunner(address, writing)
+    return DaskRunner(address)
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from skinbake.commands.inspect import inspect_file
 from skinbake.errors import SkinbakeError
-from skinbake.jobs.elsewhere import elsewhere_of
+from skinbake.jobs import elsewhere
 from skinbake.jobs.work import Job
 from skinbake.report.inspect import FileSummary
 
@@ -21,10 +21,7 @@ class Inspect:
 
     def result_of(self, job: Job, *, traced: bool) -> FileSummary:
         """Sum up the file. Raises SkinbakeError if it cannot be read. Nothing is written or traced."""
-        there = elsewhere_of(job)
-        if there is not None:
-            return FileSummary(job.source, there.read(job.source, job.within.bounds, inspect_file))
-        return FileSummary(job.source, inspect_file(job.source, job.within.bounds))
+        return FileSummary(job.source, elsewhere.read(job, inspect_file))
 
     def failed(self, job: Job, error: SkinbakeError) -> FileSummary:
         """Return that the file could not be read."""

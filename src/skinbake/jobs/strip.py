@@ -9,7 +9,7 @@ from skinbake.commands.strip import strip_file
 from skinbake.errors import SkinbakeError
 from skinbake.files.bounds import Within
 from skinbake.gltf.output import AS_USUAL, Writing
-from skinbake.jobs.elsewhere import elsewhere_of
+from skinbake.jobs import elsewhere
 from skinbake.jobs.work import Job
 from skinbake.report.strip import StripResult
 
@@ -25,10 +25,7 @@ class Strip:
 
     def result_of(self, job: Job, *, traced: bool) -> StripResult:
         """Strip the file. Raises SkinbakeError; then nothing has been written. Nothing is traced."""
-        there = elsewhere_of(job)
-        if there is not None:
-            return there.write(job.source, job.target, self._stripped, self.writing, job.within)
-        return self._stripped(job.source, job.target, self.writing, job.within)
+        return elsewhere.write(job, self._stripped, self.writing)
 
     def failed(self, job: Job, error: SkinbakeError) -> StripResult:
         """Return that the file failed."""

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from skinbake.commands.verify import verify_file
 from skinbake.errors import SkinbakeError
-from skinbake.files.bounds import Bounds
-from skinbake.jobs.elsewhere import elsewhere_of
+from skinbake.jobs import elsewhere
 from skinbake.jobs.work import Job
 from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import FileVerdict
@@ -27,10 +26,7 @@ class Verify:
 
     def result_of(self, job: Job, *, traced: bool) -> FileVerdict:
         """Verify the file. Raises SkinbakeError if it cannot be read. Nothing is written or traced."""
-        there = elsewhere_of(job)
-        if there is not None:
-            return there.read(job.source, job.within.bounds, self._verdict)
-        return self._verdict(job.source, job.within.bounds)
+        return elsewhere.read(job, lambda source, bounds: verify_file(source, self.options, bounds))
 
     def failed(self, job: Job, error: SkinbakeError) -> FileVerdict:
         """Return that the file could not be verified."""
@@ -43,9 +39,6 @@ class Verify:
     def is_noted(self, job: Job) -> bool:
         """Tell that a state file can hold every verdict."""
         return True
-
-    def _verdict(self, source: str, bounds: Bounds) -> FileVerdict:
-        return verify_file(source, self.options, bounds)
 
     def evidence(
         self, job: Job, result: FileVerdict, before: state.Seen

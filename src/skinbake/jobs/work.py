@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias, TypeVar
 
 from skinbake.errors import InputError, Notice, Place, SkinbakeError, defect, printable_lines
-from skinbake.files.bounds import OWN_FOLDERS, Bounds, Within
+from skinbake.files.bounds import OWN_FOLDERS, Within
 
 if TYPE_CHECKING:
     from skinbake.gltf.output import Writing
@@ -19,7 +19,7 @@ class Job(NamedTuple):
 
     known is the record of a state file. missing is the reason if the file does not exist after all.
     ``within`` are the folders in which files are read and written. ``variant`` is the number of the options
-    for the file. elsewhere is given if even plain paths belong to another machine.
+    for the file.
     """
 
     source: str
@@ -28,7 +28,6 @@ class Job(NamedTuple):
     missing: str | None = None
     within: Within = OWN_FOLDERS
     variant: int = 0
-    elsewhere: Elsewhere | None = None
 
 
 class Result(Protocol):
@@ -60,21 +59,6 @@ ReturnT_co = TypeVar("ReturnT_co", covariant=True)
 
 Makes: TypeAlias = "Callable[[str, str | None, Writing, Within], ResultT]"
 """The function of a command that makes a file: of the path, the path of the target, how, and within."""
-
-
-class Elsewhere(Protocol):
-    """Fetch files that are not on the local disk for a command's function, and store the written files.
-
-    The functions take paths of the local disk. Their results and errors name files as the user does.
-    """
-
-    def read(self, source: str, bounds: Bounds, reads: Callable[[str, Bounds], T]) -> T:
-        """Return ``reads(path, bounds)`` for a file."""
-
-    def write(
-        self, source: str, target: str | None, makes: Makes[ResultT], how: Writing, within: Within
-    ) -> ResultT:
-        """Return what ``makes`` returns, and store the files that it writes."""
 
 
 def changed(result: ResultT, **fields: object) -> ResultT:

@@ -1,4 +1,4 @@
-"""Commands for files that are not on this machine's disk.
+"""Commands for files behind URLs.
 
 The files are fetched into a private folder. The functions for local files work on them there. Then the
 written files are stored again. The private folder mirrors the names of the storage, as far as one file's work
@@ -8,116 +8,90 @@ files beside a document holds as it does on a disk.
 
 from __future__ import annotations
 
+import errno
 import os
 import posixpath
-from collections.abc import Callable
-from dataclasses import dataclass, fields, is_dataclass, replace
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Protocol, TypeVar, cast
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, NamedTuple, TypeVar, cast
 
 from skinbake.errors import InputError, Message, OutputError, Place, SkinbakeError, noticed
-from skinbake.files.bounds import BESIDE, Bounds, Within
+from skinbake.files.bounds import BESIDE, Bounds, RefusedError, Within, is_relative, leads_up, relative_names
 from skinbake.files.urls import STDIO, is_url, on_disk
 from skinbake.files.writing import SAVED_ANEW
-from skinbake.gltf.document import GLB_SUFFIXES
-from skinbake.jobs.remote.ends import End, is_copied, leads_out, names_of, needed, resources_of
-from skinbake.jobs.remote.private_folder import PrivateFolder
-from skinbake.jobs.remote.storages import Storage, storage_of, writing
+from skinbake.gltf.beside import NamedFile, named_files
+from skinbake.gltf.document import GLB_SUFFIXES, read_document
+from skinbake.gltf.resources import is_there
+from skinbake.jobs.remote.storages import Storage, reading, reason, storage_of, writing
 from skinbake.jobs.work import Makes, ResultT
 from skinbake.timing import stage
 
 if TYPE_CHECKING:
     from skinbake.gltf.output import Writing
 
-
 T = TypeVar("T")
 
-ATTEMPTS = 8
-"""The number of times that a file is made if the files beside its target have changed."""
+PREFIX = "skinbake-"
+"""How the names of private folders begin."""
 
 
-class RemoteDisk(Storage, Protocol):
-    """A storage that stands for the disk of another machine."""
+class End(NamedTuple):
+    """One end of a job: the user's name for the file, and the place of the file.
 
-    def name_of(self, path: str) -> str:
-        """Return the storage's name of the file that a path means on that machine."""
-
-
-@dataclass(frozen=True, slots=True)
-class Staging:
-    """Work on files that are not on this machine's disk, in private folders in ``workspace``.
-
-    ``disk`` is the disk that plain paths lead to. None means this machine's disk. If the workspace is None,
-    it is the system's folder of temporary files.
+    ``name`` is the name in the storage. Without a storage it is a path of this machine. ``tops`` are the
+    folders in the storage that a document's names may lead to. The document's own folder is the first.
     """
 
-    disk: RemoteDisk | None = None
-    workspace: str | None = None
+    given: str
+    storage: Storage | None
+    name: str
+    tops: tuple[str, ...]
 
-    def write(
-        self, source: str, target: str | None, makes: Makes[ResultT], how: Writing, within: Within
-    ) -> ResultT:
-        """Return ``makes(path, path of the target, how, within)``, where source and target may be URLs.
+    @property
+    def folder(self) -> str:
+        """The folder in the storage, empty at its root; on this machine's disk the real path."""
+        folder = posixpath.dirname(self.name)
+        return folder if self.storage is not None else Path(os.path.realpath(folder)).as_posix()
 
-        The function writes the same bytes on a disk. The result names files as the user does. Raises
-        SkinbakeError, and then the target has not been touched.
-        """
-        goal = None if target is None else self._target_end(target, within.output)
-        start = self.end_of(source, within.bounds)
-        if goal is not None and start.given != goal.given and _one_file(start, goal):
-            raise OutputError("it is the input; use --in-place to replace it", Place(goal.given))
-        taken: frozenset[str] = frozenset()
-        for _ in range(ATTEMPTS):
-            with PrivateFolder(self.workspace) as folder:
-                result, clashing = _attempt(folder, start, goal, makes, how, within, taken)
-            if not clashing:
-                return result
-            taken |= clashing
-        assert goal is not None
-        raise OutputError("cannot be written: the files beside it keep changing", Place(goal.given))
-
-    def read(self, source: str, bounds: Bounds, reads: Callable[[str, Bounds], T]) -> T:
-        """Return ``reads(path, bounds)`` for a file, which may be a URL.
-
-        Raises SkinbakeError if the file cannot be read.
-        """
-        end = self.end_of(source, bounds)
-        with PrivateFolder(self.workspace) as folder:
-            path = folder.fetch_input(end)
-            here = folder.bounds_of(end, bounds)
-            for resource in resources_of(path, here):
-                if resource.array == "buffers":
-                    folder.fetch_named(end, resource, here, with_content=True)
-            return with_names(lambda: reads(path, here), folder.naming((end, path)))
-
-    def end_of(self, given: str, bounds: Bounds = BESIDE) -> End:
-        """Return the end that a path or URL names. Raises InputError if a URL's driver is missing.
-
-        Only the folders of ``bounds`` in the same storage count.
-        """
-        storage, name = self._storage_of(given)
-        if storage is None:
-            roots = [posixpath.dirname(name) if bounds.root is None else bounds.root, *bounds.allowed]
-            here = (on_disk(root) for root in roots)
-            tops = tuple(Path(os.path.realpath(root)).as_posix() for root in here if root is not None)
-            return End(given, None, name, tops)
-        own = posixpath.dirname(name) if bounds.root is None else _top(self._storage_of(bounds.root)[1])
-        allowed = [self._storage_of(folder) for folder in bounds.allowed if given != STDIO]
-        return End(given, storage, name, (own, *(_top(top) for other, top in allowed if other == storage)))
-
-    def _target_end(self, target: str, root: str | None) -> End:
+    def names_of(self, uri: str) -> list[str]:
+        """Return the names that a URI of this document may mean, but those outside. The likelier is first."""
         try:
-            return self.end_of(target, Bounds(root))
-        except InputError as error:
-            raise OutputError(error.message, error.place) from error
+            found = (posixpath.normpath(posixpath.join(self.folder, name)) for name in relative_names(uri))
+            return [name for name in found if any(_is_below(name, top) for top in self.tops)]
+        except RefusedError:
+            return []
 
-    def _storage_of(self, given: str) -> tuple[Storage | None, str]:
-        """Return the storage of a path or URL, None for this machine's disk, and the name in it."""
-        if is_url(given):
-            return storage_of(given)
-        if self.disk is None or given == STDIO:
-            return None, given
-        return self.disk, self.disk.name_of(given)
+    def name_of_copy(self, uri: str, source: End) -> str | None:
+        """Return the name that a file of the source has beside this target, or None if it is not copied."""
+        own = source._replace(tops=source.tops[:1])
+        if (self.storage == source.storage and self.folder == source.folder) or not own.names_of(uri):
+            return None
+        name = posixpath.normpath(posixpath.join(self.folder, relative_names(uri)[0]))
+        return name if _is_below(name, self.tops[0]) else None
+
+
+def end_of(given: str, bounds: Bounds = BESIDE) -> End:
+    """Return the end that a path or URL names. Raises InputError if a URL's driver is missing.
+
+    Only the folders of ``bounds`` in the same storage count.
+    """
+    storage, name = _storage_of(given)
+    if storage is None:
+        roots = [posixpath.dirname(name) if bounds.root is None else bounds.root, *bounds.allowed]
+        here = (on_disk(root) for root in roots)
+        tops = tuple(Path(os.path.realpath(root)).as_posix() for root in here if root is not None)
+        return End(given, None, name, tops)
+    own = posixpath.dirname(name) if bounds.root is None else _top(_storage_of(bounds.root)[1])
+    allowed = [_storage_of(folder) for folder in bounds.allowed]
+    return End(given, storage, name, (own, *(_top(top) for other, top in allowed if other == storage)))
+
+
+def _storage_of(given: str) -> tuple[Storage | None, str]:
+    """Return the storage of a path or URL, None for this machine's disk, and the name in it."""
+    return storage_of(given) if is_url(given) else (None, given)
 
 
 def _top(name: str) -> str:
@@ -126,117 +100,243 @@ def _top(name: str) -> str:
     return "" if normal == "." else normal
 
 
-def _one_file(first: End, second: End) -> bool:
-    return first.storage is not None and first.storage == second.storage and first.name == second.name
+def _is_below(name: str, folder: str) -> bool:
+    return name.startswith(f"{folder}/") if folder else not leads_up(name)
 
 
-def _attempt(
-    folder: PrivateFolder,
-    source: End,
-    target: End | None,
-    makes: Makes[ResultT],
-    how: Writing,
-    within: Within,
-    taken: frozenset[str],
-) -> tuple[ResultT, frozenset[str]]:
-    """Return the result, and the names that other files in the target's storage have.
+class _Mirror:
+    """A private folder, in which each storage has a folder with the storage's names."""
 
-    If there are such names, nothing is stored. ``taken`` are the names known from earlier attempts. The
-    function sees their files, and gives its own files other names.
+    def __init__(self, root: str) -> None:
+        self.root = Path(os.path.realpath(root))
+        self.storages: list[Storage] = []
+
+    def folder(self, storage: Storage) -> Path:
+        """Return the folder of a storage."""
+        if storage not in self.storages:
+            self.storages.append(storage)
+        return self.root / str(self.storages.index(storage))
+
+    def path(self, end: End, name: str | None = None) -> str:
+        """Return the local path of an end, or of a name in its storage, and make its folder.
+
+        Raises InputError if the path would be elsewhere.
+        """
+        if end.storage is None:
+            return end.name if name is None else name
+        mirror = self.folder(end.storage)
+        path = Path(os.path.normpath(mirror / (name or end.name)))
+        if path == mirror or not path.is_relative_to(mirror):
+            raise InputError("not the name of a file", Place(end.storage.public_name(name or end.name)))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return str(path)
+
+    def top(self, end: End, given: str | None) -> str | None:
+        """Return the local path of a folder that the user named, None for the end's own."""
+        if end.storage is None:
+            return None if given is None else on_disk(given)
+        return os.path.normpath(self.folder(end.storage) / end.tops[0])
+
+    def bounds(self, end: End, given: Bounds) -> Bounds:
+        """Return the folders to which the names of a document at this end may lead."""
+        if end.storage is None:
+            allowed = tuple(filter(None, map(on_disk, given.allowed)))
+        else:
+            allowed = tuple(os.path.normpath(self.folder(end.storage) / top) for top in end.tops[1:])
+        return Bounds(self.top(end, given.root), allowed)
+
+    def fetch(self, end: End, name: str | None = None) -> str:
+        """Return the path at which an input can be read. Raises InputError if there is none."""
+        with reading(end.given), stage("fetch"):
+            path = self.path(end, name)
+            if end.storage is not None:
+                end.storage.fetch_file(name or end.name, Path(path))
+        return path
+
+    def fetch_named(self, source: End, resource: NamedFile, bounds: Bounds) -> bool:
+        """Fetch a file that the source names, if it is there, and tell whether it is."""
+        if source.storage is None:
+            return is_there(resource.uri, Path(source.name).parent, bounds)
+        for name in source.names_of(resource.uri):
+            try:
+                path = Path(self.path(source, name))
+                if not path.is_file():
+                    with stage("fetch"):
+                        source.storage.fetch_file(name, path)
+            except (FileNotFoundError, FileExistsError, NotADirectoryError, InputError, ValueError):
+                continue  # it is not there, or no file of this machine can have this name, as on a disk
+            except PermissionError as error:
+                message = f'cannot read "{resource.uri}" beside it: Permission denied'
+                raise InputError(message, Place(source.given)) from error
+            except Exception as error:
+                if getattr(error, "errno", None) == errno.ENAMETOOLONG:
+                    continue
+                raise InputError(f"cannot be read: {reason(error)}", Place(source.given)) from error
+            return True
+        return False
+
+    def states(self, end: End) -> dict[str, tuple[int, int, int]]:
+        """Return the names in an end's storage, each with values that change when the file is written."""
+        found = {}
+        if end.storage is not None:
+            for path in self.folder(end.storage).rglob("*"):
+                if path.is_file():
+                    status = path.stat()
+                    name = path.relative_to(self.folder(end.storage)).as_posix()
+                    found[name] = (status.st_ino, status.st_mtime_ns, status.st_size)
+        return found
+
+    def naming(self, *ends: End) -> Callable[[str], str]:
+        """Return a function that replaces the paths in a text by the user's names."""
+        names: dict[str, str] = {}
+        for number, storage in enumerate(self.storages):
+            mirror = str(self.root / str(number))
+            names[mirror + os.sep] = names[mirror] = storage.public_name("")
+        return naming({**names, **{self.path(end): end.given for end in ends}})
+
+
+def read(source: str, bounds: Bounds, reads: Callable[[str, Bounds], T]) -> T:
+    """Return ``reads(path, bounds)`` for the file of a URL. Its result names files as the user does.
+
+    Raises SkinbakeError if the file cannot be read.
     """
-    path = folder.fetch_input(source)
-    bounds = folder.bounds_of(source, within.bounds)
-    # Fetch the files that the document names. Some a relative URI of the target cannot reach.
-    for resource, with_content in needed(resources_of(path, bounds), source, target, pack=how.pack):
-        there = folder.fetch_named(source, resource, bounds, with_content=with_content)
-        if target is None or target.storage == source.storage or is_copied(resource, source, target):
-            continue
-        if how.pack and there:
-            continue
-        outside = not names_of(resource, source)
-        if not leads_out(resource) or not (there or outside):
-            continue
-        first = (resource.array, resource.number) == ("buffers", 0)
-        if not (first and PurePosixPath(target.name).suffix.lower() in GLB_SUFFIXES):
-            raise OutputError(
-                f'"{resource.uri}" is outside the folder of {source.given}, and no relative URI leads there '
-                "from another storage",
-                Place(target.given),
-            )
-    goal = None if target is None else folder.path_of_target(target)
+    end = end_of(source, bounds)
+    with TemporaryDirectory(prefix=PREFIX, ignore_cleanup_errors=True) as folder:
+        mirror = _Mirror(folder)
+        path, here = mirror.fetch(end), mirror.bounds(end, bounds)
+        for resource in _named(path, here):
+            if resource.array == "buffers":
+                mirror.fetch_named(end, resource, here)
+        return with_names(lambda: reads(path, here), mirror.naming(end))
+
+
+def write(source: str, target: str | None, makes: Makes[ResultT], how: Writing, within: Within) -> ResultT:
+    """Return ``makes(path, path of the target, how, within)``, where source and target may be URLs.
+
+    The function writes the same bytes on a disk. The result names files as the user does. Raises
+    SkinbakeError, and then the target has not been touched.
+    """
+    start, goal = end_of(source, within.bounds), None
     if target is not None:
-        with writing(target.given):
-            for name in taken:
-                folder.fetch_file(target.storage, name)
-    before = folder.files_of(target)
-    as_read = folder.kept(path) if target is not None and _one_file(source, target) else None
-    is_stored = target is not None and target.storage is not None
-    output = within.output if target is None else folder.output_of(target, within.output)
-    how = how._replace(sync=how.sync and not is_stored, keeps_notes=False)
-    naming = folder.naming((source, path), (target, goal))
-    result = with_names(lambda: makes(path, goal, how, Within(bounds, output)), naming)
-    written = [name for name, state in folder.files_of(target).items() if before.get(name) != state]
-    if target is None or target.storage is None or not written:
-        return result, frozenset()
-    with noticed(result.notices):
-        return result, _stored(folder, target.storage, target, written, as_read)
+        try:
+            goal = end_of(target, Bounds(within.output))
+        except InputError as error:
+            raise OutputError(error.message, error.place) from error
+    is_one = goal is not None and None is not start.storage == goal.storage and start.name == goal.name
+    if goal is not None and is_one and start.given != goal.given:
+        raise OutputError("it is the input; use --in-place to replace it", Place(goal.given))
+    with TemporaryDirectory(prefix=PREFIX, ignore_cleanup_errors=True) as folder:
+        mirror = _Mirror(folder)
+        path, bounds = mirror.fetch(start), mirror.bounds(start, within.bounds)
+        as_read = Path(path).read_bytes() if is_one else None
+        for resource in _named(path, bounds):
+            there = mirror.fetch_named(start, resource, bounds)
+            if goal is not None:
+                _place(mirror, start, goal, resource, there=there, pack=how.pack)
+        if goal is None:
+            return with_names(
+                lambda: makes(path, None, how, Within(bounds, within.output)), mirror.naming(start)
+            )
+        with writing(goal.given):
+            made_at = mirror.path(goal)
+        before, output = mirror.states(goal), mirror.top(goal, within.output)
+        how = how._replace(sync=how.sync and goal.storage is None, keeps_notes=False)
+        naming_both = mirror.naming(start, goal)
+        result = with_names(lambda: makes(path, made_at, how, Within(bounds, output)), naming_both)
+        written = [name for name, state in mirror.states(goal).items() if before.get(name) != state]
+        if goal.storage is not None and written:
+            with noticed(result.notices), writing(goal.given), stage("store"):
+                _store(mirror, goal.storage, goal, written, as_read)
+        return result
 
 
-def _stored(
-    folder: PrivateFolder, storage: Storage, target: End, written: list[str], as_read: Path | None
-) -> frozenset[str]:
-    """Store the written files, the target last. If other files have their names, store none; return these.
+def _named(path: str, bounds: Bounds) -> list[NamedFile]:
+    """Return the files that a document names, none if it cannot be read. Its own work reports that."""
+    try:
+        return [] if path == STDIO else list(named_files(read_document(path, bounds)))
+    except InputError:
+        return []
 
-    ``as_read`` has the content of the source, if the target replaces it. Raises OutputError if the source has
-    other content by now.
+
+def _place(mirror: _Mirror, start: End, goal: End, resource: NamedFile, *, there: bool, pack: bool) -> None:
+    """Fetch what another file at a target's end has where a copy of a named file goes.
+
+    Raises OutputError if the named file is out of reach of the target.
     """
-    beside = [name for name in written if name != target.name]
-    with writing(target.given), stage("store"):
-        there = {name for name in beside if storage.has_file(name)}
-        clashing = {name for name in there if not storage.has_content(name, folder.path_of(storage, name))}
-        if clashing:
-            return frozenset(clashing)
-        if as_read is not None and not storage.has_content(target.name, as_read):
-            raise OutputError(SAVED_ANEW, Place(target.given))
-        # If the target fails, these stay: the bake of another file may have found them already.
-        for name in beside:
-            if name not in there:
-                storage.store_file(name, folder.path_of(storage, name))
-        if target.name in written:
-            storage.store_file(target.name, folder.path_of(storage, target.name))
-    return frozenset()
+    uri, is_glb = resource.uri, PurePosixPath(goal.name).suffix.lower() in GLB_SUFFIXES
+    copy = goal.name_of_copy(uri, start)
+    if copy is not None and goal.storage is not None:
+        with writing(goal.given):
+            if goal.storage.has_file(copy):
+                mirror.fetch(goal, copy)
+    if goal.storage == start.storage or copy is not None or (pack and there):
+        return
+    names = relative_names(uri) if is_relative(uri) else ()
+    becomes_chunk = (resource.array, resource.number) == ("buffers", 0) and is_glb
+    if names and leads_up(names[0]) and (there or not start.names_of(uri)) and not becomes_chunk:
+        raise OutputError(
+            f'"{uri}" is outside the folder of {start.given}, and no relative URI leads there from another '
+            "storage",
+            Place(goal.given),
+        )
 
 
-def with_names(call: Callable[[], T], naming: Callable[[str], str]) -> T:
+def _store(mirror: _Mirror, storage: Storage, goal: End, written: list[str], as_read: bytes | None) -> None:
+    """Store the written files, the target last. ``as_read`` is the source, if the target replaces it.
+
+    Raises OutputError if other files have their names, or if the source has other content by now.
+    """
+    beside = []
+    for name in written:
+        if name != goal.name:
+            if not storage.has_file(name):
+                beside.append(name)
+            elif not storage.has_content(name, Path(mirror.path(goal, name)).read_bytes()):
+                raise OutputError(f"{storage.public_name(name)} is in the way", Place(goal.given))
+    if as_read is not None and not storage.has_content(goal.name, as_read):
+        raise OutputError(SAVED_ANEW, Place(goal.given))
+    # If the target fails, the others stay: the bake of another file may have found them already.
+    for name in [*beside, *({goal.name} & set(written))]:
+        storage.store_file(name, Path(mirror.path(goal, name)))
+
+
+def naming(names: Mapping[str, str]) -> Callable[[str], str]:
+    """Return a function that replaces paths in a text by other names, the longest first."""
+    changed = sorted((path for path in names if names[path] != path), key=len, reverse=True)
+
+    def named(text: str) -> str:
+        if not any(path in text for path in changed):
+            return text
+        return re.sub("|".join(map(re.escape, changed)), lambda match: names[match.group()], text)
+
+    return named
+
+
+def with_names(call: Callable[[], T], named: Callable[[str], str]) -> T:
     """Return the result of the call, or raise its error, with the naming applied to every text in it."""
     try:
-        return _renamed(call(), naming)
+        return _renamed(call(), named)
     except SkinbakeError as error:
-        raise _renamed_error(error, naming) from error
+        raise _renamed(error, named) from error
 
 
-def _renamed_error(error: SkinbakeError, naming: Callable[[str], str]) -> SkinbakeError:
-    renamed = type(error)(_renamed(error.message, naming), _renamed(error.place, naming))
-    renamed.notices = _renamed(error.notices, naming)
-    return renamed
-
-
-def _renamed(value: T, naming: Callable[[str], str]) -> T:
+def _renamed(value: T, named: Callable[[str], str]) -> T:
     """Return a value with the naming applied to every text in it."""
     renamed: object = value
     if isinstance(value, Message):
-        renamed = Message(*(naming(part) if isinstance(part, str) else part for part in value.parts))
+        renamed = Message(*(named(part) if isinstance(part, str) else part for part in value.parts))
     elif isinstance(value, str):
-        renamed = naming(value) if type(value) is str else value
+        renamed = named(value) if type(value) is str else value
     elif isinstance(value, SkinbakeError):
-        renamed = _renamed_error(value, naming)
+        renamed = type(value)(_renamed(value.message, named), _renamed(value.place, named))
+        renamed.notices = _renamed(value.notices, named)
     elif is_dataclass(value) and not isinstance(value, type):
-        texts = {f.name: _renamed(getattr(value, f.name), naming) for f in fields(value) if f.init}
+        texts = {f.name: _renamed(getattr(value, f.name), named) for f in fields(value) if f.init}
         renamed = replace(value, **texts)
     elif isinstance(value, tuple) and hasattr(value, "_make"):
-        renamed = value._make(_renamed(item, naming) for item in value)
+        renamed = value._make(_renamed(item, named) for item in value)
     elif isinstance(value, tuple | list):
-        renamed = type(value)(_renamed(item, naming) for item in value)
+        renamed = type(value)(_renamed(item, named) for item in value)
     elif isinstance(value, dict):
-        renamed = {_renamed(key, naming): _renamed(item, naming) for key, item in value.items()}
+        renamed = {_renamed(key, named): _renamed(item, named) for key, item in value.items()}
     return cast("T", renamed)

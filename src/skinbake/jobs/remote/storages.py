@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 from urllib.parse import quote, unquote, urlsplit
 
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
@@ -23,33 +23,12 @@ OBJECT_STORES = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az"})
 WILDCARDS = re.compile(r"[*?\[]")
 
 
-class Storage(Protocol):
-    """Files that are not on this machine's disk, by names relative to the storage's root.
+class Storage:
+    """The files that one fsspec filesystem reaches, by names relative to its root. Paths begin with ``root``.
 
-    Names have forward slashes and no dots to resolve. Methods raise the exceptions of the driver. ``reading``
-    and ``writing`` turn these into messages.
-    """
-
-    def fetch_file(self, name: str, to: Path) -> None:
-        """Copy a file here. Raises FileNotFoundError if there is none."""
-
-    def has_file(self, name: str) -> bool:
-        """Tell whether there is such a file."""
-
-    def has_content(self, name: str, content: Path) -> bool:
-        """Tell whether an existing file has the content of the file at ``content``."""
-
-    def store_file(self, name: str, content: Path) -> None:
-        """Store a file whole or not at all, in place of one of that name; folders are made."""
-
-    def public_name(self, name: str) -> str:
-        """Return the name that a user knows."""
-
-
-class UrlStorage:
-    """The files that one fsspec filesystem reaches. Their paths begin with ``root``.
-
-    Names of a web server are decoded. ``spelled`` are the URLs of names that a user has given.
+    Names have forward slashes and no dots to resolve. Those of a web server are decoded. ``spelled`` are the
+    URLs of names that a user has given. Methods raise the exceptions of the driver. ``reading`` and
+    ``writing`` turn these into messages.
     """
 
     def __init__(
@@ -60,7 +39,7 @@ class UrlStorage:
         self._spelled = spelled or {}
 
     def __eq__(self, other: object) -> bool:
-        if not isinstance(other, UrlStorage):
+        if not isinstance(other, Storage):
             return NotImplemented
         return bool(self._filesystem == other._filesystem) and self._root == other._root
 
@@ -87,12 +66,12 @@ class UrlStorage:
         except FileNotFoundError:
             return False
 
-    def has_content(self, name: str, content: Path) -> bool:
-        """Tell whether an existing file has the content of the file at ``content``."""
+    def has_content(self, name: str, content: bytes) -> bool:
+        """Tell whether an existing file has this content."""
         path = self._path(name)
-        if self._filesystem.size(path) != content.stat().st_size:
+        if self._filesystem.size(path) != len(content):
             return False
-        return bool(self._filesystem.cat_file(path) == content.read_bytes())
+        return bool(self._filesystem.cat_file(path) == content)
 
     def store_file(self, name: str, content: Path) -> None:
         """Store a file whole or not at all, in place of one of that name; folders are made."""
@@ -128,7 +107,7 @@ class UrlStorage:
         return str(self._filesystem.unstrip_protocol(self._path(name)))
 
 
-def storage_of(url: str) -> tuple[UrlStorage | None, str]:
+def storage_of(url: str) -> tuple[Storage | None, str]:
     """Return the storage of a URL and the name in it, or None and a path of this machine.
 
     Raises InputError if fsspec or the driver of the URL's protocol is missing.
@@ -141,7 +120,7 @@ def storage_of(url: str) -> tuple[UrlStorage | None, str]:
     if _is_object_store(filesystem):  # no relative URI leads into another bucket
         root = path[: path.find("/") + 1]
     name = _decoded(url, path[len(root) :])
-    return UrlStorage(filesystem, root, {name: path}), name
+    return Storage(filesystem, root, {name: path}), name
 
 
 def _filesystem(url: str) -> tuple[AbstractFileSystem, str]:
