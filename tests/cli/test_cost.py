@@ -57,6 +57,7 @@ COSTS = {
     **SUMS,
     "normal_map": strict(dict.fromkeys("356", COUNT)),
     "scaled_joints": strict(dict.fromkeys("456", COUNT)),
+    "scaled_joints_normal_map": strict(dict.fromkeys("56", COUNT)),
     "lines": strict(dict.fromkeys("123456", LINES)),
 }
 SCHEMA = {"const": "skinbake.cost/1"}
@@ -109,6 +110,9 @@ class TestNumberOfInfluences:
         assert found["normal_map"] == {"3": 21, "5": 30, "6": 30}
         # Of 60 N + 83 by hand for algorithm 6, N = 4.
         assert found["scaled_joints"] == {"4": 201, "5": 306, "6": 323}
+        # T n0 by a matrix of four rows, 12; its quotient by the mix, of which only the vector is needed: two
+        # vectors scaled, 6, and a cross product of 6; and the two cross products as above.
+        assert found["scaled_joints_normal_map"] == {"5": 36, "6": 36}
 
     @pytest.mark.parametrize("influences", range(1, 9))
     def test_every_line_costs_what_the_paper_says(self, influences: int) -> None:

@@ -156,6 +156,37 @@ def test_the_counter_counts() -> None:
     assert found == EXPRESSIONS
 
 
+@pytest.mark.parametrize(
+    ("method", "lighting", "scaled_joints", "cost"),
+    [
+        (Method.LBS, Lighting.ACCURATE, False, 21),
+        (Method.DQS, Lighting.ACCURATE, False, 30),
+        (Method.DQS, Lighting.EXACT, False, 30),
+        (Method.DQS, Lighting.EXACT, True, 36),
+    ],
+)
+def test_a_normal_map_adds_to_the_text_what_the_page_says(
+    method: Method, lighting: Lighting, scaled_joints: bool, cost: int
+) -> None:
+    """The difference of two texts, each compiled and counted by itself.
+
+    Where joints scale, n0 goes into the matrix with a 0 behind it: four products that a compiler drops.
+    """
+    counts = []
+    for normal_map in (False, True):
+        choices = ShaderChoices(
+            Language.GLSL,
+            method,
+            lighting,
+            frame=Frame.TANGENT,
+            scaled_joints=scaled_joints,
+            normal_map=normal_map,
+        )
+        module = Module(glslang.disassembly(glslang.spirv(glsl([choices], "450"))))
+        counts.append(module.multiply_adds(f"skinbake_{choices.stem}"))
+    assert counts[1] - counts[0] - (4 if scaled_joints else 0) == cost
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("influences", [2, 4, 8])
 def test_joints_that_scale_cost_what_the_replay_counts(influences: int) -> None:

@@ -209,6 +209,7 @@ def _reported(costs: dict[Algorithm, Cost], influences: int) -> VertexCosts:
             sum(multiply_adds(algorithm, influences, scaled_joints=True).values())
             if algorithm.uses_dual_quaternions
             else None,
+            normal_map_cost(algorithm, scaled_joints=True) if algorithm.uses_dual_quaternions else None,
         )
         for algorithm, cost in costs.items()
     }

@@ -30,7 +30,7 @@ RULES = (
     "needs: with 4 influences it runs 144 for algorithm 3, and for algorithm 1 69 with a normal "
     "alone, 78 with a tangent, and 96 with a bitangent. A normal map that follows the surface adds "
     "21 to algorithm 3, and 30 to 5 and 6. Where joints scale, shear or mirror, 4 influences cost "
-    "201 multiply-adds by algorithm 4, 306 by 5 and 323 by 6."
+    "201 multiply-adds by algorithm 4, 306 by 5 and 323 by 6, and a normal map adds 36 to 5 and 6."
 )
 ADDED = "added bytes are α and β of all influences except one, or ∇w of all influences for algorithm 2"
 COMMON_TYPES = (
@@ -54,7 +54,8 @@ class VertexCost:
     """One algorithm at one vertex: multiply-adds in all and by line number, bytes read, and added bytes.
 
     normal_map are the multiply-adds that a normal map adds, None if the algorithm has none for it.
-    scaled_joints are those in all where joints scale, None for linear blending.
+    scaled_joints are those in all where joints scale, None for linear blending; scaled_joints_normal_map are
+    those that a normal map adds there.
     """
 
     multiply_adds: int
@@ -63,6 +64,7 @@ class VertexCost:
     lines: Mapping[int, int]
     normal_map: int | None = None
     scaled_joints: int | None = None
+    scaled_joints_normal_map: int | None = None
 
 
 VertexCosts: TypeAlias = Mapping[int, VertexCost]
@@ -248,11 +250,15 @@ def _vertex_json(costs: VertexCosts) -> dict[str, Any]:
         str(number): {str(line): count for line, count in cost.lines.items()}
         for number, cost in costs.items()
     }
-    mapped = {str(number): cost.normal_map for number, cost in costs.items() if cost.normal_map is not None}
-    scaled = {
-        str(number): cost.scaled_joints for number, cost in costs.items() if cost.scaled_joints is not None
+    further = {
+        figure: {
+            str(number): getattr(cost, figure)
+            for number, cost in costs.items()
+            if getattr(cost, figure) is not None
+        }
+        for figure in ("normal_map", "scaled_joints", "scaled_joints_normal_map")
     }
-    return {**_figures_json(costs), "normal_map": mapped, "scaled_joints": scaled, "lines": lines}
+    return {**_figures_json(costs), **further, "lines": lines}
 
 
 def _figures_json(costs: VertexCosts | FrameCosts) -> dict[str, Any]:

@@ -165,12 +165,15 @@ def multiply_adds(
     return tally.lines
 
 
-def normal_map_cost(algorithm: Algorithm) -> int | None:
+def normal_map_cost(algorithm: Algorithm, *, scaled_joints: bool = False) -> int | None:
     """Return the multiply-adds that a normal map adds to a vertex; None if an algorithm has none for it.
 
     They are T n0 and two cross products, for any number of influences.
     """
-    plain, mapped = (sum(multiply_adds(algorithm, 1, normal_map=asked).values()) for asked in (False, True))
+    plain, mapped = (
+        sum(multiply_adds(algorithm, 1, normal_map=asked, scaled_joints=scaled_joints).values())
+        for asked in (False, True)
+    )
     return mapped - plain or None
 
 
