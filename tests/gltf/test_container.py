@@ -21,6 +21,7 @@ from skinbake.errors import OutputError
 from skinbake.gltf.beside import files_of_extensions
 from skinbake.gltf.copies import NAME as NOTES
 from tests.support.baking import bake_file
+from tests.support.command_line import invoke
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.khronos import validate
 from tests.support.models import (
@@ -102,6 +103,38 @@ class TestEmbedded:
         assert (after.binary_chunk or b"")[start : start + view["byteLength"]] == ONE_PIXEL
         assert_same_accessors(before, after)
         assert after.has_attribute(ALPHA)
+
+    @pytest.mark.parametrize(
+        "options",
+        [
+            "",
+            "--encoding packed8 --layout custom",
+            "--correctives auto",
+            "--compress meshopt",
+            "--compress draco",
+        ],
+    )
+    def test_an_embedded_gltf_stays_one_file(self, options: str, tmp_path: Path) -> None:
+        model = read(FOLDER / "bent_tube.glb")
+        data = base64.b64encode(model.buffer(0)).decode()
+        model.content["buffers"][0]["uri"] = f"data:application/octet-stream;base64,{data}"
+        folder = tmp_path / "tube"
+        folder.mkdir()
+        source = rewritten(model, folder / "tube.gltf")
+        given = source.read_bytes()
+        target = tmp_path / "out" / "tube.gltf"
+        target.parent.mkdir()
+        for path, given_as in ((target, ("-o", target)), (source, ("--in-place",))):
+            result = invoke("bake", source, *given_as, *options.split())
+            assert result.exit_code == 0, result.stderr
+            assert names(path.parent) == ["tube.gltf"]
+            assert all(uri is None or uri.startswith("data:") for uri in uris(read(path).content))
+            assert invoke("verify", path).exit_code == 0
+        assert source.read_bytes() == target.read_bytes()
+        assert invoke("strip", "--in-place", source).exit_code == 0
+        assert names(folder) == ["tube.gltf"]
+        if "compress" not in options:
+            assert source.read_bytes() == given
 
     def test_strip_keeps_them_there(self, source: Path, tmp_path: Path) -> None:
         bake(source, tmp_path / "a.glb")

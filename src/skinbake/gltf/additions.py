@@ -70,10 +70,10 @@ class Additions:
 
     Every attribute has its own accessor and buffer view, 4-byte aligned. Equal arrays share the bytes, and
     those of different primitives the accessor too. The bytes go to the end of the BIN chunk of a GLB, or into
-    a new buffer. The new buffer is a file beside a ``.gltf``, named after its content. In a GLB whose buffers
-    are elsewhere, it is a data: URI. Fallback buffers of compressed views come after it. If ``note_key`` is
-    given, the first view gets a note of the former buffer in its ``extras``, under that key. With it the
-    additions can be removed again.
+    a new buffer. The new buffer is a file beside a ``.gltf``, named after its content. It is a data: URI in a
+    GLB whose buffers are elsewhere, and in a ``.gltf`` whose buffers are all data: URIs, which so stays one
+    file. Fallback buffers of compressed views come after it. If ``note_key`` is given, the first view gets a
+    note of the former buffer in its ``extras``, under that key. With it the additions can be removed again.
     """
 
     def __init__(self, document: Document, *, note_key: str | None = None) -> None:
@@ -277,7 +277,9 @@ class Additions:
         return [{"byteLength": self._fallback_length, "extensions": extensions}]
 
     def _stored_pieces(self) -> tuple[str, dict[str, tuple[Bytes, ...]]]:
-        if self._document.is_glb:
+        uris = [buffer["uri"] for buffer in self._document.objects("buffers") if "uri" in buffer]
+        is_embedded = bool(uris) and all(isinstance(uri, str) and resources.is_data_uri(uri) for uri in uris)
+        if self._document.is_glb or is_embedded:
             return resources.encode_data_uri(b"".join(self._pieces)), {}
         name = f"skinbake-{content_digest(self._pieces)}.bin"
         return name, {name: tuple(self._pieces)}
