@@ -41,6 +41,30 @@ def without_normals(path: Path, target: Path, *, keep: int = 0, **changes: Any) 
     return file.write(target)
 
 
+def with_zero_normals(path: Path, target: Path, *, kind: str = "float", keep: int = 0) -> Path:
+    """A model with two morph targets whose NORMAL is zeros, but for the first ``keep``, in its first clip.
+
+    The zeros are of one accessor: floats, bytes, or an accessor without a buffer view. A third target moves
+    all points alike, and its zeros are right.
+    """
+    file = Editable(morphed(path, target, weights=[0.8, 0.5, 0.0]))
+    count = file.content["accessors"][file.primitive()["attributes"]["POSITION"]]["count"]
+    zeros = file.add(np.zeros((count, 3), np.float32))
+    accessor = file.content["accessors"][zeros]
+    if kind == "bytes":
+        accessor |= {"componentType": 5120, "normalized": True}
+        file.content["bufferViews"][-1]["byteStride"] = 4
+        file.content["extensionsUsed"] = file.content["extensionsRequired"] = ["KHR_mesh_quantization"]
+    elif kind == "no view":
+        del accessor["bufferView"]
+        file.content["bufferViews"].pop()
+    targets = file.primitive()["targets"]
+    targets.append({"NORMAL": zeros, "POSITION": file.add(np.ones((count, 3), np.float32))})
+    for one in targets[keep:]:
+        one["NORMAL"] = zeros
+    return file.write(target)
+
+
 def unskinned(path: Path) -> Path:
     """Take the skin of a model's first mesh away, with its joints, weights and clips."""
     file = Editable(path)
@@ -134,6 +158,55 @@ def test_each_target_gets_one_once_another_has_it_and_authored_ones_stay(tmp_pat
     assert note["morphTargets"][0]["normals"] == [1]
     bake(tmp_path / "out.glb", tmp_path / "plain.glb")
     assert gltf_reading.read(tmp_path / "plain.glb").primitive(0)["targets"] == before
+
+
+@pytest.mark.parametrize("kind", ["float", "bytes", "no view"])
+@pytest.mark.parametrize("skinned", [True, False])
+def test_zeros_in_normal_where_points_move_count_as_no_normal(
+    tmp_path: Path, kind: str, skinned: bool
+) -> None:
+    source = with_zero_normals(TUBE, tmp_path / "in.glb", kind=kind)
+    twin = without_normals(TUBE, tmp_path / "twin.glb")
+    if not skinned:
+        unskinned(source)
+    assert "NORMAL made for 2 morph targets" in bake(source, tmp_path / "out.glb", "--morph-normals") + (
+        "" if skinned else "NORMAL made for 2 morph targets"
+    )
+    bake(twin, tmp_path / "other.glb", "--morph-normals")
+    for number in (0, 1):
+        found, expected = (made_normals(tmp_path / name, number) for name in ("out.glb", "other.glb"))
+        np.testing.assert_array_equal(found, expected)
+    before, after = (
+        gltf_reading.read(tmp_path / name).primitive(0)["targets"] for name in ("in.glb", "out.glb")
+    )
+    assert after[2] == before[2]
+    invoke("strip", tmp_path / "out.glb", "-o", tmp_path / "back.glb")
+    assert (tmp_path / "back.glb").read_bytes() == source.read_bytes()
+    bake(tmp_path / "out.glb", tmp_path / "again.glb", "--morph-normals")
+    assert (tmp_path / "again.glb").read_bytes() == (tmp_path / "out.glb").read_bytes()
+
+
+def test_bake_and_verify_tell_of_zeros_in_normal_as_of_no_normal(tmp_path: Path) -> None:
+    source = with_zero_normals(TUBE, tmp_path / "in.glb", keep=1)
+    twin = without_normals(TUBE, tmp_path / "twin.glb", keep=1, weights=[0.8, 0.5])
+    found = []
+    for name in (source, twin):
+        result = json.loads(invoke("bake", "--json", name, "-o", tmp_path / "out.glb").stdout)
+        (told,) = [one["message"] for one in result["files"][0]["warnings"] if one["code"] == "morph-normals"]
+        figures = verify(tmp_path / "out.glb", "--poses", "rest").file["normals"]["lbs"]
+        found.append((told.split(" is ")[1], figures["standard"]["mean"], figures["accurate"]["mean"]))
+    assert found[0] == found[1]
+
+
+@pytest.mark.slow
+def test_strip_takes_made_normals_out_where_a_tool_has_removed_the_zeros(tmp_path: Path) -> None:
+    source = with_zero_normals(TUBE, tmp_path / "in.glb")
+    bake(source, tmp_path / "out.glb", "--morph-normals")
+    assert gltf_transform.transform([(tmp_path / "out.glb", tmp_path / "other.glb", "prune")]) == [""]
+    invoke("strip", tmp_path / "other.glb", "-o", tmp_path / "back.glb")
+    file = gltf_reading.read(tmp_path / "back.glb")
+    for target in file.primitive(0)["targets"]:
+        assert "NORMAL" not in target or not file.values(target["NORMAL"]).any()
 
 
 def test_a_target_that_turns_nothing_costs_no_bytes_and_few_vertices_are_sparse(tmp_path: Path) -> None:

@@ -57,6 +57,14 @@ def with_empty_extras(file: Editable) -> None:
 
 
 Change = Callable[[Editable], None]
+
+
+def with_zeros_as_normals_of_targets(file: Editable) -> None:
+    """Let targets turn no normal, as exporters of VRM do."""
+    for target in file.primitive()["targets"]:
+        file.stored(target["NORMAL"])[:] = 0
+
+
 ASSET = f"{skinned_normals_test.FOLDER}/{skinned_normals_test.NAME}.gltf"
 
 
@@ -89,6 +97,7 @@ BAKES: list[tuple[str, Change | None, str]] = [
     ("morphed_sheet.glb", without_normals_of_targets, "--morph-frames"),
     ("morphed_sheet.glb", with_empty_extras, "--morph-frames"),
     ("morphed_sheet.glb", without_normals_of_targets, "--morph-normals"),
+    ("morphed_sheet.glb", with_zeros_as_normals_of_targets, "--morph-normals"),
 ]
 
 

@@ -22,7 +22,7 @@ from skinbake.geometry.morphs import NO_DIFFERENCES, Differences
 from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray, SkinnedPrimitive
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, objects
-from skinbake.gltf.morphs import read_targets, target_count
+from skinbake.gltf.morphs import read_targets, target_count, targets_without_normal
 from skinbake.gltf.primitives import PrimitiveSource, plain_sources, read_primitive, reason_to_skip
 from skinbake.gradients import kernel
 from skinbake.gradients.baker import BakeSettings
@@ -69,7 +69,7 @@ class MorphBake:
 class _Part:
     """One primitive of a mesh with targets, with its weld classes (V,) and the kind of its frame.
 
-    wanted is what is made for it.
+    wanted is what is made for it. without are the numbers of the targets without NORMAL.
     """
 
     source: PrimitiveSource
@@ -77,6 +77,7 @@ class _Part:
     classes: IntArray
     frame: str
     wanted: Wanted
+    without: Sequence[int]
 
     @property
     def targets(self) -> list[int]:
@@ -86,14 +87,14 @@ class _Part:
     @property
     def lacking(self) -> list[int]:
         """The numbers of the targets that get NORMAL."""
-        return _lacking(self.source) if self.wanted.normals else []
+        return list(self.without) if self.wanted.normals else []
 
     @property
     def numbers(self) -> int:
         """How many numbers of the differential each target gets: four if all have NORMAL then, else six."""
         if not self.wanted.frames:
             return 0
-        return 4 if self.wanted.normals or not _lacking(self.source) else 6
+        return 4 if self.wanted.normals or not self.without else 6
 
 
 def morph_bake(
@@ -111,25 +112,35 @@ def morph_bake(
             plain, notices = _plain(document, settings)
             for parts in plain:
                 made += _checked(document, parts, settings)
-        for parts in _skinned(bakes, wanted):
-            made += _checked(document, parts, settings)
-        if not wanted.normals:
-            for parts in _skinned(bakes, Wanted(normals=True, frames=False)):
-                try:
-                    told = list(_made(document, parts, settings, TRIED))
-                except InputError:
-                    continue  # a bake does not need its targets
-                notices += [_missing(*pair) for pair in told if pair[1].mean >= NEGLIGIBLE]
+        meshes: dict[int, list[PrimitiveBake]] = {}
+        for bake in bakes:
+            meshes.setdefault(bake.source.mesh, []).append(bake)
+        for own in meshes.values() if wanted.normals or wanted.frames else ():
+            parts = _skinned(document, own, wanted)
+            made += _checked(document, parts, settings) if any(one.targets for one in parts) else []
+        for own in () if wanted.normals else meshes.values():
+            try:
+                parts = _skinned(document, own, Wanted(normals=True, frames=False))
+                told = list(_made(document, parts, settings, TRIED)) if any(p.targets for p in parts) else []
+            except InputError:
+                continue  # a bake does not need its targets
+            notices += [_missing(*pair) for pair in told if pair[1].mean >= NEGLIGIBLE]
     return MorphBake([item for item, _ in made], [count for _, count in made], notices)
 
 
-def _skinned(bakes: Sequence[PrimitiveBake], wanted: Wanted) -> list[list[_Part]]:
-    """Return the meshes of skinned primitives for whose targets anything is made."""
-    meshes: dict[int, list[_Part]] = {}
-    for bake in bakes:
-        own = _Part(bake.source, bake.primitive, bake.result.classes, bake.result.frame, wanted)
-        meshes.setdefault(bake.source.mesh, []).append(own)
-    return [parts for parts in meshes.values() if any(one.targets for one in parts)]
+def _skinned(document: Document, bakes: Sequence[PrimitiveBake], wanted: Wanted) -> list[_Part]:
+    """Return the skinned primitives of a mesh. Raises InputError for targets that are broken."""
+    return [
+        _Part(
+            bake.source,
+            bake.primitive,
+            bake.result.classes,
+            bake.result.frame,
+            wanted,
+            targets_without_normal(document, bake.source),
+        )
+        for bake in bakes
+    ]
 
 
 def _checked(
@@ -144,17 +155,13 @@ def _targets(source: PrimitiveSource) -> list[JsonObject]:
     return objects(source.json, "targets", source.place)
 
 
-def _lacking(source: PrimitiveSource) -> list[int]:
-    """Return the numbers of the targets of a primitive without NORMAL."""
-    return [number for number, target in enumerate(_targets(source)) if "NORMAL" not in target]
-
-
 def _missing(made: MadeTargets, count: MorphCounts) -> Notice:
-    lacking = len(_lacking(made.source))
+    lacking = count.normals
     have, them = ("has", "it") if lacking == 1 else ("have", "them")
+    zeros = ", or only zeros in it" if any("NORMAL" in one for one in _targets(made.source)) else ""
     message = (
-        f"{counted(lacking, 'morph target')} of {count.targets:,} {have} no NORMAL, so engines light {them} "
-        f"as at rest. At weight 1 that is {count.mean:.1f}° off in the mean where normals turn: "
+        f"{counted(lacking, 'morph target')} of {count.targets:,} {have} no NORMAL{zeros}, so engines light "
+        f"{them} as at rest. At weight 1 that is {count.mean:.1f}° off in the mean where normals turn: "
         "--morph-normals adds NORMAL"
     )
     return Notice("morph-normals", message, made.source.place, lacking)
@@ -168,12 +175,13 @@ def _plain(document: Document, settings: BakeSettings) -> tuple[list[list[_Part]
         reason = reason_to_skip(document, source, generate_normals=False)
         if reason is None:
             meshes.setdefault(source.mesh, []).append(source)
-        elif reason.code == "no-normals" and _lacking(source):
+        elif reason.code == "no-normals" and targets_without_normal(document, source):
             message = "its morph targets get no NORMAL, because it has none itself, and is flat by glTF"
             notices.append(Notice("no-normals", message, source.place))
     found = []
     for sources in meshes.values():
-        if not any(map(_lacking, sources)):
+        without = [targets_without_normal(document, source) for source in sources]
+        if not any(without):
             continue
         primitives = [read_primitive(document, source) for source in sources]
         positions, normals = (
@@ -187,8 +195,8 @@ def _plain(document: Document, settings: BakeSettings) -> tuple[list[list[_Part]
         own = np.split(classes, np.cumsum([len(one.positions) for one in primitives])[:-1])
         found.append(
             [
-                _Part(source, primitive, part, str(Frame.NORMAL), Wanted(normals=True, frames=False))
-                for source, primitive, part in zip(sources, primitives, own, strict=True)
+                _Part(source, primitive, part, str(Frame.NORMAL), Wanted(normals=True, frames=False), lacking)
+                for source, primitive, part, lacking in zip(sources, primitives, own, without, strict=True)
             ]
         )
     return found, notices
@@ -231,19 +239,22 @@ def _made(
         changes[target] = known[key]
     for number, part in enumerate(parts):
         normals = {t: changes[t][number].normals for t in part.lacking if t in changes}
+        # Zeros that are right stay.
+        here = _targets(part.source)
+        normals = {t: made for t, made in normals.items() if len(made.rows) or "NORMAL" not in here[t]}
         of_frames = [t for t in part.targets if t in changes] if part.numbers else []
         frames = [{t: changes[t][number].in_plane for t in of_frames}] if part.numbers else []
         frames += [{t: changes[t][number].upward for t in of_frames}] if part.numbers > 4 else []
         if not normals and not of_frames:
             continue
-        moving = {t: moves[t][number] for t in part.targets if t in moves}
+        moving = {t: moves[t][number] for t in of_frames or normals}
         angles = [_degrees(part, one).tolist() for one in normals.values()]
         every = [angle for target in angles for angle in target]
         yield (
             MadeTargets(part.source, normals, frames, morph_digest(part.primitive, moving)),
             MorphCounts(
                 targets=len(_targets(part.source)),
-                normals=len(part.lacking),
+                normals=len(part.lacking) if most else len(normals),
                 frames=part.numbers,
                 mean=sum(every) / max(len(every), 1),
                 max=max(every, default=0.0),

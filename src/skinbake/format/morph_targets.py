@@ -19,6 +19,7 @@ from skinbake.format.attribute_store import meshopt_packing
 from skinbake.format.metadata import DEEPEST_NOTE, KEY, VERSION, array_digest
 from skinbake.geometry.morphs import COMPONENTS, Differences
 from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive
+from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.additions import Additions, Packed
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, entries_of, is_deeper, object_of, reference, with_integers
@@ -144,6 +145,7 @@ def add_made(
         count = int(accessors[int(item.source.attributes["POSITION"])]["count"])
         packed = meshopt_packing(document, item.source, level)
         targets = list(item.source.json["targets"])
+        zeros = [[one, targets[one]["NORMAL"]] for one in item.normals if "NORMAL" in targets[one]]
         attributes = dict(primitives[number]["attributes"])
         parts = {"NORMAL": (item.normals, 3)}
         parts |= {
@@ -165,13 +167,16 @@ def add_made(
                     accessor = add_zeros(additions, count, TYPES[components], bounded=False)
                 targets[target] = {**targets[target], name: accessor}
         primitives[number] = {**primitives[number], "attributes": attributes, "targets": targets}
-        meshes[item.source.mesh] = _noted({**mesh, "primitives": primitives}, item)
+        meshes[item.source.mesh] = _noted({**mesh, "primitives": primitives}, item, zeros)
         lengths.append(additions.byte_length - before)
     return lengths
 
 
-def _noted(mesh: JsonObject, item: MadeTargets) -> JsonObject:
-    """Return the JSON of a mesh with the note that tells what was added to a primitive."""
+def _noted(mesh: JsonObject, item: MadeTargets, zeros: list[list[int]]) -> JsonObject:
+    """Return the JSON of a mesh with the note that tells what was added to a primitive.
+
+    ``zeros`` are targets, and their former accessors of NORMAL, which held zeros.
+    """
     extras = object_of(mesh.get("extras"))
     note = dict(object_of(extras.get(KEY)))
     if not note:
@@ -182,6 +187,7 @@ def _noted(mesh: JsonObject, item: MadeTargets) -> JsonObject:
     entries[item.source.primitive] = {
         "targets": len(item.source.json["targets"]),
         **({"normals": sorted(item.normals)} if item.normals else {}),
+        **({"zeros": zeros} if zeros else {}),
         **({"frames": numbers} if numbers else {}),
         "digest": item.digest,
     }
@@ -201,12 +207,14 @@ def morph_note(mesh: JsonObject) -> JsonObject | None:
 class NotedTargets(NamedTuple):
     """What the note of a mesh says of a primitive: the targets with NORMAL by bake, and their digest.
 
-    frames is how many numbers of the differential each target has: 6, 4 or 0.
+    frames is how many numbers of the differential each target has: 6, 4 or 0. zeros are the accessors of
+    zeros that targets had as NORMAL.
     """
 
     normals: tuple[int, ...] = ()
     frames: int = 0
     digest: object = None
+    zeros: Mapping[int, int] = {}
 
     def __bool__(self) -> bool:
         """Tell whether bake has added anything to its targets."""
@@ -235,18 +243,25 @@ def noted_targets(mesh: JsonObject) -> list[NotedTargets]:
             continue
         numbers, frames = entry.get("normals"), entry.get("frames")
         normals = numbers if isinstance(numbers, list) else []
+        zeros = entry.get("zeros")
+        pairs = [one for one in (zeros if isinstance(zeros, list) else []) if isinstance(one, list)]
+        whole = [one for one in pairs if len(one) == 2 and None not in map(reference, one)]
         found.append(
             NotedTargets(
                 tuple(number for number in normals if reference(number) is not None),
                 frames if frames in (4, 6) else 0,
                 entry.get("digest"),
+                {target: accessor for target, accessor in whole if target in normals},
             )
         )
     return found
 
 
-def former_targets(mesh: JsonObject) -> JsonObject:
-    """Return the JSON of a mesh as it was before bake changed its targets."""
+def former_targets(document: Document, mesh: JsonObject) -> JsonObject:
+    """Return the JSON of a mesh as it was before bake changed its targets.
+
+    A NORMAL of zeros that another tool has taken away or renumbered stays away: it counts as absent.
+    """
     note = morph_note(mesh)
     if note is None:
         return mesh
@@ -259,11 +274,13 @@ def former_targets(mesh: JsonObject) -> JsonObject:
                 name: one for name, one in primitive["attributes"].items() if name not in noted.names
             }
         if noted and isinstance(targets, list):
+            zeros = {one: at for one, at in noted.zeros.items() if _is_zeros(document, at, primitive)}
             changed["targets"] = [
                 {
-                    name: one
+                    name: zeros.get(position, one) if name == "NORMAL" else one
                     for name, one in object_of(target).items()
-                    if name not in noted.names and (name != "NORMAL" or position not in noted.normals)
+                    if name not in noted.names
+                    and (name != "NORMAL" or position not in noted.normals or position in zeros)
                 }
                 for position, target in enumerate(targets)
             ]
@@ -273,3 +290,20 @@ def former_targets(mesh: JsonObject) -> JsonObject:
     if not extras and not note.get("keepExtras"):
         del found["extras"]
     return found
+
+
+def _is_zeros(document: Document, accessor: int, primitive: JsonObject) -> bool:
+    """Tell whether an accessor holds zeros, as many and as wide as NORMAL of a primitive."""
+    accessors, normals = document.objects("accessors"), object_of(primitive.get("attributes")).get("NORMAL")
+    alike = reference(normals)
+    if alike is None or not (0 <= alike < len(accessors) and 0 <= accessor < len(accessors)):
+        return False
+    if any(accessors[accessor].get(name) != accessors[alike].get(name) for name in ("count", "type")):
+        return False
+    try:
+        with document.budget.passing():
+            return not read_accessor(document, accessor, Place(document.name)).values.any()
+    except InputError as error:
+        if error is document.budget.refusal:
+            raise
+        return False

@@ -56,7 +56,7 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
         of_targets = morph_note(mesh)
         if of_targets is not None:
             _refuse_later_version(of_targets, place)
-        morphing = former_targets(mesh)
+        morphing = former_targets(document, mesh)
         restored = []
         pairs = zip(objects(mesh, "primitives", place), objects(morphing, "primitives", place), strict=True)
         for position, ((given, primitive), noted) in enumerate(zip(pairs, noted_targets(mesh), strict=False)):

@@ -101,6 +101,33 @@ def _numbers(owner: JsonObject, count: int, called: str, place: Place) -> Float6
     return np.array(value, dtype=np.float64)
 
 
+def targets_without_normal(document: Document, source: PrimitiveSource) -> list[int]:
+    """Return the numbers of the targets of a primitive without NORMAL, or with zeros where POSITION moves.
+
+    Exporters of VRM write such zeros. Raises InputError for targets that are broken.
+    """
+    targets = objects(source.json, "targets", source.place)
+    with_zeros = [number for number, target in enumerate(targets) if {"NORMAL", "POSITION"} <= target.keys()]
+    for name, moves in (("NORMAL", False), ("POSITION", True)):
+        with_zeros = [one for one in with_zeros if _moves(document, source, one, name) is moves]
+    return [number for number, target in enumerate(targets) if "NORMAL" not in target or number in with_zeros]
+
+
+def _moves(document: Document, source: PrimitiveSource, number: int, name: str) -> bool:
+    """Tell whether a target changes an attribute at any vertex. Each accessor is read once for it."""
+    targets, accessors = objects(source.json, "targets", source.place), document.objects("accessors")
+    place = source.place.at(f"{name} of morph target {number}")
+    accessor = index(targets[number], name, len(accessors), place)
+    known: dict[tuple[str, int | None], bool] = document.derived.setdefault("targets that move", {})
+    if (name, accessor) not in known:
+        vertices = index(source.attributes, "POSITION", len(accessors), place)
+        count = 0 if vertices is None else element_count(document, vertices, place)
+        with document.budget.passing():
+            found = _differences(document, source, (number, name, 3), targets, count, {})
+        known[name, accessor] = len(found.rows) > 0
+    return known[name, accessor]
+
+
 def read_targets(
     document: Document,
     source: PrimitiveSource,

@@ -110,7 +110,7 @@ def morphing_of(document: Document, views: Sequence[BakedView], poses: PoseSet) 
         )
         for view, noted in zip(views, made, strict=True)
     )
-    authored = tuple(_is_authored(*pair, moving) for pair in zip(views, made, strict=True))
+    authored = tuple(_is_authored(*pair, moving) for pair in zip(targets, made, strict=True))
     return Morphing(targets, poses.morph_weights[:, moving], authored)
 
 
@@ -121,14 +121,12 @@ def noted_of(document: Document, views: Sequence[BakedView]) -> list[NotedTarget
     return [noted[view.source.mesh][view.source.primitive] for view in views]
 
 
-def _is_authored(view: BakedView, noted: NotedTargets, moving: Sequence[int]) -> bool:
-    """Tell whether all of these targets that move a primitive have NORMAL, and none by bake."""
-    source, made = view.source, noted.normals
-    targets = objects(source.json, "targets", source.place)
-    return all(
-        "NORMAL" in targets[number] and number not in made
-        for number in moving
-        if targets and "POSITION" in targets[number]
+def _is_authored(targets: MorphTargets | None, noted: NotedTargets, moving: Sequence[int]) -> bool:
+    """Tell whether all of these targets that move a primitive turn its normals too, and none by bake."""
+    return targets is None or all(
+        len(target.normals.rows) and number not in noted.normals
+        for number, target in zip(moving, targets.targets, strict=True)
+        if len(target.positions.rows)
     )
 
 
