@@ -6,12 +6,11 @@ command                                               baked file afterwards
 copy, dedup, flatten, join, center, resample, sparse,
 unlit, metalrough, partition, palette, instance       fresh
 prune                                                 fresh; a bake for TANGENT fails where it drops TANGENT
-reorder, weld, unweld, tangents                       fresh: vertices re-ordered, merged or split
-simplify                                              stale: simplified or edited
+reorder, weld, unweld, tangents                       fresh
+simplify                                              stale
 optimize, without compression                         stale, or no TANGENT any more
-quantize                                              α/β no longer FLOAT; where they are left alone, stale:
-                                                      quantised, rescaled, re-sorted
-meshopt, draco; any of the first on a file in Draco   stale: quantised, re-ordered
+quantize                                              α/β no longer FLOAT; where they are left alone, stale
+meshopt, draco; any of the first on a file in Draco   stale
 ====================================================  ====================================================
 """
 
@@ -82,18 +81,15 @@ def test_vertices_in_another_order_are_told_from_damage(transform: Transform, co
 
 
 @pytest.mark.slow
-def test_simplified_is_recognised(transform: Transform) -> None:
+def test_a_simplified_file_is_stale(transform: Transform) -> None:
     message = stale(transform("bent_tube.glb", "simplify", "--ratio", "0.5", "--error", "0.01"))
     assert "α/β are wrong at" in message
-    assert "the mesh simplified, quantised or edited" in message
+    assert "POSITION" in message
 
 
 @pytest.mark.slow
-def test_optimized_is_recognised(transform: Transform) -> None:
-    message = stale(
-        transform("bent_tube.glb", "optimize", "--compress", "false", "--texture-compress", "false")
-    )
-    assert "its vertices re-ordered, merged or split" in message
+def test_an_optimized_file_is_stale(transform: Transform) -> None:
+    stale(transform("bent_tube.glb", "optimize", "--compress", "false", "--texture-compress", "false"))
 
 
 @pytest.mark.slow
@@ -131,31 +127,16 @@ def test_dequantised_gradients_are_recognised(tmp_path: Path, encoding: str) -> 
 
 @pytest.mark.slow
 @corpus.needed
-def test_quantised_rescaled_and_re_sorted_positions_are_recognised(transform: Transform) -> None:
+def test_quantised_positions_are_stale(transform: Transform) -> None:
     """glTF-Transform leaves attributes with values beyond ±1 alone, so α and β stay FLOAT here."""
     message = stale(transform(CESIUM_MAN, "quantize"))
     assert "POSITION, NORMAL, JOINTS and WEIGHTS changed" in message
-    # Half of 2 by its largest half-extent, 0.75 m.
-    assert "its vertices quantised, its vertices rescaled (by 1.33) and its influences re-sorted" in message
 
 
 @pytest.mark.slow
-def test_quantised_positions_alone_are_recognised(transform: Transform) -> None:
-    message = stale(transform("foreign_joints.glb", "quantize"))
-    assert "its vertices quantised and its vertices rescaled (by 0.667)" in message
-
-
-@pytest.mark.parametrize(
-    ("command", "doing"),
-    [
-        pytest.param("meshopt", "its vertices quantised, its vertices rescaled", marks=pytest.mark.slow),
-        pytest.param("draco", "the mesh simplified, quantised or edited", marks=pytest.mark.slow),
-    ],
-)
-def test_compressing_after_a_bake_is_recognised(transform: Transform, command: str, doing: str) -> None:
-    message = stale(transform("bent_tube.glb", command))
-    assert doing in message
-    assert BAKE_LAST in message
+@pytest.mark.parametrize("command", ["meshopt", "draco"])
+def test_a_file_compressed_after_its_bake_is_stale(transform: Transform, command: str) -> None:
+    assert "POSITION" in stale(transform("bent_tube.glb", command))
 
 
 @pytest.mark.slow

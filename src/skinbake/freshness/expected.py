@@ -43,17 +43,16 @@ def expected_slots(
     document: Document,
     views: Sequence[BakedView],
     operator: GradientOperator,
-    kind: Gradients | None = None,
     fit: Fit | None = None,
 ) -> Expected:
-    """Return α and β (V, K − 1) of each view of one surface, of the kind that is noted if none is given.
+    """Return α and β (V, K − 1) of each view of one surface, of the noted kind.
 
     fit is the result of ``prepared_rig_fit``, if it is there already.
 
     The gradients of a surface come from the operator, which shares no code with bake. Fitted gradients come
     from bake's own loops: how good they are is measured against the true normals, not here.
     """
-    kind = kind or noted_kind(views[0])
+    kind = noted_kind(views[0])
     if kind is Gradients.SURFACE:
         return surface_slots(views, operator)
     fit = fit or prepared_rig_fit(document, views, operator.weighting)

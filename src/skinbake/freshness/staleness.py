@@ -1,15 +1,14 @@
-"""Whether baked primitives are fresh. If they are not, the likely change since the bake."""
+"""Whether baked primitives are fresh. If they are not, which arrays changed since the bake, and where."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from skinbake.choices import Gradients, Weighting
+from skinbake.choices import Gradients
 from skinbake.errors import InputError, Notice
 from skinbake.format import blend_weights
 from skinbake.freshness import comparison
@@ -38,9 +37,7 @@ from skinbake.freshness.without_poses import (
     rig_changed,
 )
 from skinbake.geometry.skinned import Float64Array
-from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import integer
 from skinbake.report.verify import Check
 from skinbake.threads import Threads
 from skinbake.truth.mesh import free_slots
@@ -52,29 +49,16 @@ STEPS_A_PRIMITIVE = 3_000
 
 BAKE_LAST = "Bake last: run skinbake bake on the file that the last tool wrote"
 
-EDITED_ALONE = {
-    "POSITION": "its vertices moved",
-    "NORMAL": "its normals flipped, recomputed or edited",
-    "TANGENT": "its tangents recomputed or edited",
-    "WEIGHTS": "its weights edited",
-    "JOINTS": "its joints edited",
-    "indices": "its triangles edited",
-}
-"""The likely cause if one array changed, or one array and the arrays that depend on it."""
-
 NAMED = 16
 """The number of primitives that a message names. Each of a thousand stale ones would name all others."""
 
 
-def surface_operator(
-    document: Document, views: Sequence[BakedView], weighting: str | None = None
-) -> GradientOperator:
-    """Return the gradient operator of one surface, weighted as its metadata says or by ``weighting``."""
-    noted = views[0].metadata
-    chosen: Any = weighting or noted["weighting"]
+def surface_operator(document: Document, views: Sequence[BakedView]) -> GradientOperator:
+    """Return the gradient operator of one surface, weighted as its metadata says."""
+    noted: dict[str, Any] = views[0].metadata
     return gradient_operator(
         [view.now for view in views],
-        weighting=chosen,
+        weighting=noted["weighting"],
         crease_angle_degrees=float(noted["creaseAngle"]),
         claim=lambda size: document.budget.claim_welding(size, views[0].source.place),
     )
@@ -119,10 +103,9 @@ def freshness_check(
             problems += problems_without_poses(document, views, operator)
             unchecked.add(gone[0])
             continue
-        surface = _Surface(document, views, compared)
-        for number, view in enumerate(views):
-            if not surface.compared[number].agrees:
-                problems.append(_staleness_notice(surface, number))
+        for number, (view, found) in enumerate(zip(views, compared, strict=True)):
+            if not found.agrees:
+                problems.append(_staleness_notice(document, views, number, found))
             elif view.changed:
                 changed.append(view)
         if any(view.blend is not None for view in views):
@@ -191,49 +174,9 @@ def refuse_stale(document: Document, views: Sequence[BakedView]) -> None:
 
 def _remark_on(views: Sequence[BakedView], count: int) -> str:
     """Return the remark on views, of ``count``, that changed and whose α/β still fit."""
-    names = [name for name in EDITED_ALONE if any(name in view.changed for view in views)]
+    names = list(dict.fromkeys(name for view in views for name in view.changed))
     where = views[0].source.place.within_file if len(views) == 1 else f"{len(views)} primitives"
     return f"{_listed(names)} changed since the bake{f' in {where}' if count > 1 else ''}, and α/β still fit"
-
-
-@dataclass(frozen=True)
-class _Surface:
-    """The views of one surface, the comparison of each one's α/β, and the same under other weightings.
-
-    The comparisons under other weightings are for all views at once, because each primitive of a mesh may be
-    stale.
-    """
-
-    document: Document
-    views: Sequence[BakedView]
-    compared: Sequence[comparison.Comparison]
-    _otherwise: dict[str, list[comparison.Comparison]] = field(default_factory=dict)
-    _by_kind: dict[Gradients, list[comparison.Comparison]] = field(default_factory=dict)
-
-    def fits_as(self, kind: Gradients) -> list[comparison.Comparison]:
-        """Return the comparison with gradients of another kind than the noted one."""
-        if kind not in self._by_kind:
-            with self.document.budget.passing():
-                operator = surface_operator(self.document, self.views)
-                expected = expected_slots(self.document, self.views, operator, kind)
-                self._by_kind[kind] = _compared(self.document, self.views, operator, expected)
-        return self._by_kind[kind]
-
-    def rig_changed(self, view: BakedView) -> bool:
-        """Tell whether the rig is another one than the noted one, or is gone."""
-        return rig_changed(self.document, view)
-
-    def weighted(self, weighting: str) -> list[comparison.Comparison]:
-        if weighting not in self._otherwise:
-            with self.document.budget.passing():
-                operator = surface_operator(self.document, self.views, weighting)
-                expected = expected_slots(self.document, self.views, operator)
-                self._otherwise[weighting] = _compared(self.document, self.views, operator, expected)
-        return self._otherwise[weighting]
-
-    @cached_property
-    def changed(self) -> list[str]:
-        return [view.source.place.within_file for view in self.views if view.changed]
 
 
 def _comparisons(
@@ -334,114 +277,28 @@ def _roundings(
     return [view.rounding + forgiven[rows] for view, rows in zip(views, operator.slices, strict=True)]
 
 
-def _staleness_notice(surface: _Surface, number: int) -> Notice:
-    view, comparison = surface.views[number], surface.compared[number]
-    changed = f"{_listed(view.changed)} changed since its bake, and " if view.changed else ""
-    vertices = counted(comparison.count, "vertex", "vertices")
-    differ = f"α/β are wrong at {comparison.differing:,} of {vertices}, most at vertex {comparison.worst}"
-    what = _likely_cause(surface, number)
-    return Notice("stale", f"{changed}{differ}. {what}", view.source.place, comparison.differing)
-
-
-def _likely_cause(surface: _Surface, number: int) -> str:
-    """Return the likely cause of the difference, and the remedy."""
-    view, comparison = surface.views[number], surface.compared[number]
+def _staleness_notice(
+    document: Document, views: Sequence[BakedView], number: int, found: comparison.Comparison
+) -> Notice:
+    """Return which arrays of a view changed, where α and β are wrong, and what to do."""
+    view = views[number]
+    vertices = counted(found.count, "vertex", "vertices")
+    message = f"α/β are wrong at {found.differing:,} of {vertices}, most at vertex {found.worst}"
+    neighbours = [other.source.place.within_file for other in views if other.changed]
     if view.changed:
-        doings = _doings(surface.document, view, comparison)
-        return f"It looks like this was done after the bake: {doings}. {BAKE_LAST}"
-    if comparison.reordered:
-        return f"They stand in the wrong slots: {BAKE_AGAIN}"
-    if comparison.factors is not None:
-        return f"{_factors(comparison.factors)} what they should be: {BAKE_AGAIN}"
-    return _other_settings(surface, number) or _cause_beyond(surface, view)
-
-
-def _other_settings(surface: _Surface, number: int) -> str | None:
-    """Return the settings or the skeleton for which α/β were made, if these are not the noted ones."""
-    view = surface.views[number]
-    kind = noted_kind(view)
-    other = Gradients.SURFACE if kind is Gradients.RIG else Gradients.RIG
-    if surface.fits_as(other)[number].agrees:
-        return f'They were made with the gradients "{other}", not "{kind}" as noted: {BAKE_AGAIN}'
-    if surface.rig_changed(view):
-        return f"The skeleton changed since the bake (its hierarchy or its bind pose): {BAKE_AGAIN}"
-    weighting = _weighting_that_fits(surface, number)
-    if weighting is None:
-        return None
-    noted = view.metadata["weighting"]
-    return f'They were made with the weighting "{weighting}", not "{noted}" as noted: {BAKE_AGAIN}'
-
-
-def _cause_beyond(surface: _Surface, view: BakedView) -> str:
-    """Return the likely cause of the difference if the primitive's own arrays do not show it."""
-    neighbours, more = surface.changed[:NAMED], len(surface.changed) - NAMED
-    if neighbours:
-        named = [*neighbours, f"{more} more"] if more > 0 else neighbours
-        return f"It is welded with {_listed(named)}, which changed: {BAKE_AGAIN}"
-    if view.metadata.get("weld") == "skin":
-        return (
-            "They were edited or damaged, or a mesh that the same skin draws was added, removed or bound to "
-            f"another skin: {BAKE_AGAIN}"
-        )
-    return f"They were edited or damaged, nothing else was: {BAKE_AGAIN}"
-
-
-def _factors(factors: tuple[float, float]) -> str:
-    off = [
-        f"{name} are {factor:.4g} times"
-        for name, factor in zip("αβ", factors, strict=True)
-        if abs(factor - 1.0) > comparison.RELATIVE_TOLERANCE
-    ]
-    return " and ".join(off)
-
-
-def _common(factors: tuple[float, float] | None) -> float | None:
-    if factors is None or abs(factors[0] - factors[1]) > comparison.RELATIVE_TOLERANCE:
-        return None
-    return factors[0]
-
-
-def _doings(document: Document, view: BakedView, comparison: comparison.Comparison) -> str:
-    """Return the action of the usual tools that explains the changed arrays."""
-    doings = []
-    attributes, place = view.source.attributes, view.source.place
-    position = read_accessor(document, integer(attributes, "POSITION", place), place).values
-    if "POSITION" in view.changed and position.dtype.kind != "f":
-        doings.append("its vertices quantised")
-    scale = comparison.rescaled or _common(comparison.factors)
-    if "POSITION" in view.changed and scale is not None:
-        doings.append(f"its vertices rescaled (by {scale:.3g})")
-    if {"JOINTS", "WEIGHTS"} & set(view.changed) and comparison.resorted:
-        doings.append("its influences re-sorted")
-    if not doings and comparison.mostly_agrees:
-        # α and β moved along with their vertices.
-        if view.changed == ("indices",):
-            doings.append("its triangles re-ordered")
-        elif {"POSITION", "NORMAL"} <= set(view.changed):
-            doings.append("its vertices re-ordered, merged or split")
-    return _listed(doings or [_edit(view.changed)])
-
-
-def _edit(changed: Sequence[str]) -> str:
-    """Return the meaning of the changed digests if no other evidence tells more."""
-    if len(changed) == 1:
-        return EDITED_ALONE[changed[0]]
-    if set(changed) <= {"NORMAL", "TANGENT"}:
-        return EDITED_ALONE["NORMAL"]
-    if set(changed) <= {"POSITION", "NORMAL", "TANGENT"}:
-        return EDITED_ALONE["POSITION"]
-    if set(changed) <= {"JOINTS", "WEIGHTS"}:
-        return EDITED_ALONE["WEIGHTS"]
-    return "the mesh simplified, quantised or edited" if "indices" in changed else "the mesh edited"
+        message = f"{_listed(view.changed)} changed since its bake, and {message}. {BAKE_LAST}"
+    elif rig_changed(document, view):
+        message += f". The skeleton changed since the bake (its hierarchy or its bind pose): {BAKE_AGAIN}"
+    elif neighbours:
+        more = [f"{len(neighbours) - NAMED} more"] if len(neighbours) > NAMED else []
+        welded = _listed([*neighbours[:NAMED], *more])
+        message += f". It is welded with {welded}, which changed: {BAKE_AGAIN}"
+    else:
+        is_skin = view.metadata.get("weld") == "skin"
+        other = ", but perhaps the meshes that its skin draws" if is_skin else ""
+        message += f". No array of it changed since its bake{other}: {BAKE_AGAIN}"
+    return Notice("stale", message, view.source.place, found.differing)
 
 
 def _listed(words: Sequence[str]) -> str:
     return ", ".join(words[:-1]) + (" and " if len(words) > 1 else "") + words[-1]
-
-
-def _weighting_that_fits(surface: _Surface, number: int) -> str | None:
-    for weighting in Weighting:
-        noted = surface.views[number].metadata.get("weighting")
-        if weighting != noted and surface.weighted(weighting)[number].agrees:
-            return weighting
-    return None
