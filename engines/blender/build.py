@@ -61,7 +61,7 @@ def download(folder: Path, python: str) -> None:
         dependencies = tomllib.load(file)["project"]["dependencies"]
     wanted = [line for line in dependencies if line.startswith(LIBRARIES)]
     options = ["--no-deps", "--only-binary", ":all:", "--python-version", python, "--dest", str(folder)]
-    pip = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check"]
+    pip = [sys.executable, "-I", "-m", "pip", "download", "--quiet", "--disable-pip-version-check"]
     subprocess.run([*pip, *options, *wanted], check=True)
 
 

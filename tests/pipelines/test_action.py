@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import shutil
 import subprocess
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from typing import Any
 import pytest
 
 from tests.pipelines.programs import environment_with_skinbake
-from tests.support.models import FOLDER
+from tests.support.models import FOLDER, SHARED, copied
 from tests.support.strictness import missing_tool
 from tests.support.tools import required_program
 
@@ -24,6 +25,7 @@ except ImportError:
 REPOSITORY = Path(__file__).parents[2]
 ACTION: dict[str, Any] = yaml.safe_load((REPOSITORY / "action.yml").read_text("utf-8"))
 STEPS: list[dict[str, Any]] = ACTION["runs"]["steps"]
+HOOKS: list[dict[str, Any]] = yaml.safe_load((REPOSITORY / ".pre-commit-hooks.yaml").read_text("utf-8"))
 INPUT = re.compile(r"\$\{\{ inputs\.([a-z-]+) \}\}")
 
 
@@ -115,7 +117,7 @@ def test_the_action_installs_its_own_code_or_a_version(version: str, package: st
     ran = runner.step("Install skinbake", version=version)
     assert ran.process.returncode == 0
     arguments = ran.process.stdout.splitlines()
-    assert arguments[:3] == ["-m", "pip", "install"]
+    assert arguments[:4] == ["-I", "-m", "pip", "install"]
     assert arguments[-1] == package
 
 
@@ -148,6 +150,67 @@ def test_bake_then_verify_passes_and_fails(runner: Runner) -> None:
     assert (failed.process.returncode, failed.outputs["exit-code"]) == (1, "1")
     assert "exit code 1" in failed.summary
     assert "<failure" in (reports / "skinbake.xml").read_text("utf-8")
+
+
+HOSTILE = ("secrets", "json", "signal", "sitecustomize", "pip", "skinbake", "multiprocessing", "numpy")
+
+
+def hostile(folder: Path) -> Path:
+    """Put modules with the names of Python's and ours into a folder. Return the file that each appends to."""
+    ran = folder.parent / "ran"
+    for name in HOSTILE:
+        (folder / name).mkdir()
+        for part in ("__init__", "__main__"):
+            (folder / name / f"{part}.py").write_text(f"open({str(ran)!r}, 'a').write({name + ' '!r})")
+    return ran
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", [None, "", "."])
+def test_no_code_of_the_workspace_runs(
+    path: str | None, runner: Runner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A pull request brings it, and it would see the secrets of the job, or choose what the runner obeys."""
+    ran = hostile(runner.workspace)
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    if path is not None:
+        monkeypatch.setenv("PYTHONPATH", path)
+    runner.step("Install skinbake", version="1.2.3")  # fails, because no index has it
+    baked = runner.step("Run skinbake", command="bake", files="art", options="--timeout 100", out_dir="out")
+    verified = runner.step("Run skinbake", files="out", options="--timeout 100 --poses random:1", html="no")
+    assert not ran.exists(), ran.read_text()
+    assert (baked.process.returncode, verified.process.returncode) == (0, 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hook", HOOKS, ids=lambda hook: str(hook["id"]))
+def test_no_hook_runs_code_of_the_repository(hook: dict[str, Any], runner: Runner) -> None:
+    """Workers are new processes of Python, and they searched the current folder too."""
+    ran = hostile(runner.workspace)
+    environment = environment_with_skinbake(runner.own / "bin")
+    subprocess.run(["git", "init", "-q"], cwd=runner.workspace, env=environment, check=True)
+    call = shlex.split(str(hook["entry"]))
+    if hook.get("pass_filenames", True):
+        call += ["--timeout", "100", "art/my hero.glb", "art/two.glb"]
+    done = subprocess.run(call, cwd=runner.workspace, env=environment, capture_output=True, check=False)
+    assert not ran.exists(), ran.read_text()
+    assert done.returncode in {0, 1}, done.stderr  # 1: they are not baked
+
+
+def test_a_folder_that_looks_like_a_repository_runs_nothing(runner: Runner) -> None:
+    """Git would take its settings, which name a program that tells of changed files."""
+    art, ran = runner.workspace / "art", runner.own / "ran"
+    environment = environment_with_skinbake(runner.own / "bin")
+    for folder in (runner.workspace, art):
+        subprocess.run(
+            ["git", "init", "-q", *(["--bare"] if folder == art else []), "."], cwd=folder, check=True
+        )
+    (art / "config").write_text(f"[core]\nbare = false\nworktree = .\nfsmonitor = \"touch '{ran}';:\"\n")
+    copied(SHARED, art)
+    call = ["skinbake", "bake", f"art/{SHARED}", "--in-place", "--require-tracked"]
+    done = subprocess.run(call, cwd=runner.workspace, env=environment, capture_output=True, check=False)
+    assert not ran.exists()
+    assert done.returncode == 4
 
 
 @pytest.mark.slow

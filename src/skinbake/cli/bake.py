@@ -164,7 +164,9 @@ def _untracked_code(results: Sequence[FileResult], say: Console) -> int:
             folder = Path(os.path.realpath(str(output))).parent
             named = named_paths(read_document(str(output)), folder)
             names = [os.path.relpath(path, folder) for path in sorted(named) if path.exists()]
-            call = ["git", "--literal-pathspecs", "ls-files", "-z", "--", *names]
+            # A folder that was checked out may look like a repository, whose settings name programs to run.
+            safe = ["-c", "safe.bareRepository=explicit", "-c", "core.fsmonitor=false"]
+            call = ["git", *safe, "--literal-pathspecs", "ls-files", "-z", "--", *names]
             tracked = subprocess.run(call, cwd=folder, capture_output=True, check=True).stdout
         except (OSError, subprocess.CalledProcessError) as error:
             say.error(OutputError(f"git cannot tell which files it tracks: {error}", Place(str(output))))

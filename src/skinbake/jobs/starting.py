@@ -36,12 +36,14 @@ ENVIRONMENT = {
     **dict.fromkeys(
         ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
     ),
+    "PYTHONSAFEPATH": "1",
     "MALLOC_MMAP_THRESHOLD_": str(16 << 20),
     "MALLOC_TRIM_THRESHOLD_": str(64 << 20),
 }
 """The environment of a worker, for each variable that the user has not set.
 
-Linear algebra uses one thread, because the processes are the parallelism. glibc keeps memory from one file to
+Linear algebra uses one thread, because the processes are the parallelism. A worker begins with ``python -c``,
+which would search the current folder for the modules that it imports. glibc keeps memory from one file to
 the next: fresh pages for the arrays of each file take a quarter of the work on small files.
 """
 
@@ -105,11 +107,11 @@ def started(
 @contextmanager
 def _quiet_start() -> Iterator[None]:
     """Give the processes that start here their environment, and block Ctrl-C until they are ready."""
-    if sys.platform != "win32":
-        resource_tracker.ensure_running()  # the tracker lifts the block when it starts
     missing = {name: value for name, value in ENVIRONMENT.items() if name not in os.environ}
     os.environ.update(missing)
     try:
+        if sys.platform != "win32":
+            resource_tracker.ensure_running()  # the tracker lifts the block when it starts
         with no_interrupts():
             yield
     finally:
