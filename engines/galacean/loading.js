@@ -54,7 +54,8 @@ async function staleIn(context) {
         if (!interleaved) return data;
         const width = stride / data.BYTES_PER_ELEMENT;
         const first = ((accessor.byteOffset ?? 0) % stride) / data.BYTES_PER_ELEMENT;
-        return Array.from({ length: 4 * accessor.count }, (_, at) => data[first + width * (at >> 2) + (at & 3)]);
+        const rows = Math.min(accessor.count, Math.ceil(data.length / width)); // a file may claim any number
+        return Array.from({ length: 4 * rows }, (_, at) => data[first + width * (at >> 2) + (at & 3)]);
     };
     const arrays = accessorsIn(context.glTF).map(async (number) => [number, await read(number)]);
     return staleOf(context.glTF, new Map(await Promise.all(arrays)));

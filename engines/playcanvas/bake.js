@@ -41,7 +41,8 @@ export function problemOf(metadata, find, engine, most) {
     }
     if (encoding && !(scale >= 0 && Number.isFinite(scale))) return 'the metadata of its bake lacks the scale: bake it again';
     const isPaired = layout === 'texcoord';
-    const isNamed = [alpha, beta].every((list) => Array.isArray(list) && list.every((name) => typeof name === 'string'));
+    const isShort = (list) => Array.isArray(list) && list.length <= influences;
+    const isNamed = [alpha, beta].every((list) => isShort(list) && list.every((name) => typeof name === 'string'));
     const count = isPaired ? influences - 1 : influences / 2;
     if (!isNamed || namesOf(metadata).length !== count || (!isPaired && alpha.length !== beta.length)) {
         return 'the metadata of its bake is damaged: bake it again';
@@ -75,7 +76,7 @@ export function changeSince({ positions: noted, influences }, find, { corners, j
     const { componentType, count, min, max } = accessor;
     if (componentType !== noted.componentType) return 'the type of its positions';
     if (noted.corners !== undefined && noted.corners !== corners) return 'its triangles';
-    if ([noted.min, noted.max, min, max].every(Array.isArray)) {
+    if ([noted.min, noted.max, min, max].every((bound) => Array.isArray(bound) && bound.length === 3)) {
         const allowed = SAME_BOUNDS * Math.hypot(...noted.max.map((most, axis) => most - noted.min[axis]));
         const isSame = (one, other) => one.every((value, axis) => Math.abs(value - other[axis]) <= allowed);
         if (!isSame(noted.min, min) || !isSame(noted.max, max)) return 'the bounds of its positions';
@@ -109,8 +110,11 @@ function setsOf(attributes) {
     return names.sort().map((name) => attributes[name]);
 }
 
+const MOST_INFLUENCES = 8; // that an engine reads
+
 // Return why each primitive of a file is lit standard that a tool has changed since its bake, and the other parts of its
 // skin: between two lightings, a seam would show. arrays: the values of accessorsIn() by number, as far as they are at hand.
+// What is shorter than the file says counts as not at hand: a file may claim any number of vertices.
 export function staleOf(gltf, arrays) {
     const found = new Map();
     const { accessors, meshes = [], nodes = [] } = gltf;
@@ -119,26 +123,35 @@ export function staleOf(gltf, arrays) {
         if (!metadata) continue;
         const { attributes, indices } = primitive;
         const find = (name) => accessors[attributes[name]];
-        const corners = (accessors[indices] ?? find('POSITION'))?.count;
+        const count = find('POSITION')?.count;
+        const corners = accessors[indices]?.count ?? count;
         const joints = setsOf(attributes).map((number) => arrays.get(number));
-        const isAtHand = joints.every(Boolean) && (indices === undefined || arrays.get(indices));
-        const isWhole = isAtHand && 4 * joints.length === metadata.influences;
+        const drawn = indices === undefined ? count : (arrays.get(indices)?.length ?? 0);
+        const isAtHand = joints.every((array) => array?.length >= 4 * count) && drawn >= corners;
+        const isWhole = isAtHand && 4 * joints.length === metadata.influences && metadata.influences <= MOST_INFLUENCES;
         const jointOf = isWhole && ((vertex, slot) => joints[slot >> 2][4 * vertex + (slot & 3)]);
         const vertexOf = (corner) => arrays.get(indices)?.[corner] ?? corner;
         const change = changeSince(metadata, find, { corners, jointOf, vertexOf });
         if (change) found.set(primitive, `a tool has changed ${change} since its bake: bake last`);
     }
-    const parts = new Map(); // skin -> { name, primitive }
+    const parts = new Map(); // skin -> its meshes
     for (const { mesh, skin } of nodes) {
-        if (mesh === undefined || skin === undefined) continue;
-        const { name, primitives } = meshes[mesh];
-        parts.set(skin, [...(parts.get(skin) ?? []), ...primitives.map((primitive) => ({ name, primitive }))]);
+        if (!meshes[mesh] || skin === undefined) continue;
+        if (!parts.has(skin)) parts.set(skin, new Set());
+        parts.get(skin).add(meshes[mesh]);
     }
+    const stale = new Set(meshes.filter(({ primitives }) => primitives.some((one) => found.has(one))));
+    const spread = new Set();
     for (const own of parts.values()) {
-        const changed = own.find(({ primitive }) => found.has(primitive));
-        for (const { primitive } of changed ? own : []) {
-            if (found.has(primitive)) continue;
-            found.set(primitive, `a part of "${changed.name}", of the same skin, does not fit its bake: bake last`);
+        const changed = [...own].find((mesh) => stale.has(mesh));
+        for (const mesh of changed ? own : []) {
+            if (spread.has(mesh)) continue; // many skins may draw it
+            spread.add(mesh);
+            stale.add(mesh);
+            for (const primitive of mesh.primitives) {
+                if (found.has(primitive)) continue;
+                found.set(primitive, `a part of "${changed.name}", of the same skin, does not fit its bake: bake last`);
+            }
         }
     }
     return found;

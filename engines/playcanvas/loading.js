@@ -129,7 +129,7 @@ function replaced(gltf, { componentType, sparse }, target, size, views) {
     return Boolean(places && values);
 }
 
-// Rows of numbers as they are stored, or null where the buffer view is not at hand.
+// Rows of numbers as they are stored, or null where the buffer view is not at hand, or too short for so many.
 function rowsOf({ bufferViews }, { bufferView, byteOffset = 0, componentType }, count, size, views) {
     const description = bufferViews?.[bufferView];
     const bytes = views.get(description);
@@ -137,6 +137,7 @@ function rowsOf({ bufferViews }, { bufferView, byteOffset = 0, componentType }, 
     const [Numbers] = COMPONENTS[componentType];
     const width = size * Numbers.BYTES_PER_ELEMENT;
     const stride = description.byteStride ?? width;
+    if (count > 0 && byteOffset + stride * (count - 1) + width > bytes.length) return null;
     const packed = new Uint8Array(width * count);
     for (let row = 0; row < count; row++) {
         const start = byteOffset + row * stride;
