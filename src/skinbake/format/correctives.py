@@ -85,11 +85,13 @@ class MeshCorrectives:
 
 def nodes_with(document: Document, mesh: int, skin: int | None = None) -> list[int]:
     """Return the nodes that draw a mesh: all, or those with a skin."""
-    return [
-        number
-        for number, node in enumerate(document.objects("nodes"))
-        if reference(node.get("mesh")) == mesh and (skin is None or reference(node.get("skin")) == skin)
-    ]
+    nodes = document.objects("nodes")
+    by_mesh: dict[int | None, list[int]] = document.derived.setdefault("nodes by mesh", {})
+    if not by_mesh:
+        for number, node in enumerate(nodes):
+            by_mesh.setdefault(reference(node.get("mesh")), []).append(number)
+    found = by_mesh.get(mesh, [])
+    return [number for number in found if skin is None or reference(nodes[number].get("skin")) == skin]
 
 
 def check_targets(document: Document, mesh: int, place: Place) -> None:
