@@ -93,9 +93,6 @@ def preload() -> None:
     for name in ("DracoPy", "meshopt", "igl", "scipy.sparse", "scipy.sparse.linalg", "jinja2", "fsspec"):
         importlib.import_module(name)
     remember_what_never_changes()
-    # Looking for a quantiser's grid of up to 24 bits takes half a second a run, in Draco's tables alone.
-    draco_stream = importlib.import_module("skinbake.gltf.codecs.draco_stream")
-    draco_stream.GRID_BITS = range(4, 12)  # type: ignore[attr-defined]  # import_module is untyped
 
 
 def run_all(plan: Plan) -> Totals:

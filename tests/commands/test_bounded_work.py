@@ -211,14 +211,15 @@ def test_a_character_of_many_small_parts_is_baked_verified_and_shown(tmp_path: P
         ["verify", tmp_path / "out.glb"],
         ["view", tmp_path / "in.glb", "-o", tmp_path / "out.html"],
         ["bake", tmp_path / "in.glb", "-o", tmp_path / "poses.glb", "--gradients", "poses"],
+        ["bake", tmp_path / "in.glb", "-o", tmp_path / "draco.glb", "--compress", "draco"],
     ]
     positions = sheet().attributes["POSITION"]
     parts = [sheet(POSITION=positions + np.array([0, number, 0], np.float32)) for number in range(350)]
     write_model(tmp_path / "in.glb", parts)
-    assert [invoke(*command).exit_code for command in commands] == [0, 0, 0, 0]
+    assert [invoke(*command).exit_code for command in commands] == [0, 0, 0, 0, 0]
     write_model(tmp_path / "in.glb", [sheet()], change=with_targets(1, 350))
     (tmp_path / "out.glb").unlink()
-    assert [invoke(*command).exit_code for command in commands] == [3, 3, 3, 3]
+    assert [invoke(*command).exit_code for command in commands] == [3, 3, 3, 3, 3]
 
 
 def test_parts_allow_steps_by_vertices_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -292,6 +293,35 @@ def test_primitives_of_a_mesh_are_not_read_once_for_each_of_them(noted: bool, tm
     assert stripped(document)[1] == (50 if noted else 0)
     assert len(list(made_states(document))) == (50 if noted else 0)
     assert max(one.reads for one in lists) < 50
+
+
+def test_nodes_are_not_read_once_for_each_mesh_with_correctives(tmp_path: Path) -> None:
+    """2,000 meshes and 60,000 nodes, in 0.3 MB, took 29 s to strip."""
+    path = write_model(tmp_path / "in.glb", [sheet()], change=with_meshes(50))
+    document = read_document(str(path))
+    for mesh in document.json["meshes"]:
+        mesh["extras"] = {"skinbake": {"version": 1, "targets": 1}}
+    nodes = Counted(document.json["nodes"])
+    document.json["nodes"] = nodes
+    assert stripped(document)[1] == 50
+    assert nodes.reads < 10
+
+
+def test_streams_of_draco_are_steps_of_work(tmp_path: Path) -> None:
+    """500 primitives that share their arrays, in 41 KB, took 25 s to be refused."""
+    source = write_model(tmp_path / "in.glb", [sheet(NORMAL=None)], change=with_meshes(250))
+    arguments: list[str | Path] = ["bake", source, "-o", tmp_path / "out.glb", "--generate-normals"]
+    arguments += ["--compress", "draco"]
+    done = invoke(*arguments)
+    assert done.exit_code == 3
+    assert "into Draco would take 6,000 steps of work" in done.stderr
+    positions = sheet().attributes["POSITION"]
+    parts = [sheet(POSITION=positions + np.array([0, number, 0], np.float32)) for number in range(25)]
+    write_model(tmp_path / "in.glb", parts)
+    assert invoke(*arguments).exit_code == 0
+    done = invoke(*arguments, "--position-bits", "24", "--normal-bits", "24")
+    assert done.exit_code == 3
+    assert "into Draco would take 140,217 steps of work" in done.stderr
 
 
 def test_clips_that_say_the_same_are_sampled_once(tmp_path: Path) -> None:

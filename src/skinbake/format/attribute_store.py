@@ -206,6 +206,8 @@ class _DracoStore:
         arrays = {name: self._values(name) for name in names}
         from skinbake.gltf.codecs import draco_stream
 
+        steps, what = draco_stream.steps_of_encoding({}), "putting its new attributes into Draco"
+        self._document.budget.claim_steps(steps, what, self._source.place)
         stream = draco_stream.encode(arrays, faces, self._source.place, level=self._level)
         numbers = {name: stream.unique_ids[name] for name in names}
         return self._additions.add_stream(stream.data), numbers

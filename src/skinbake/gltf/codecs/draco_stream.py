@@ -247,11 +247,17 @@ def _skip_metadata(reader: _Reader, depth: int, place: Place) -> None:
 QUANTISABLE = {"POSITION": 3, "NORMAL": 3, "TEXCOORD_0": 2}
 """Components of the attributes that DracoPy can quantise."""
 
-GRID_BITS, GRID_SAMPLES = range(4, 25), 64
-"""The numbers of bits to try, and the number of vertices that exclude most of them before all are tried."""
+GRID_BITS, GRID_SAMPLES = range(4, 21), 64
+"""The numbers of bits to try, and the number of vertices that exclude most of them before all are tried.
 
-NORMAL_BITS_SOUGHT = 20
-"""The most bits of NORMAL that are looked for: Draco is asked for each number, and takes 0.1 s past it."""
+Past them a few floats lie on a grid by chance, and Draco's tables of 2^bits take 10 to 100 ms.
+"""
+
+STEPS_A_STREAM = 6_000
+"""About the steps of encoding a small stream, the search for grids included (``Budget.claim_steps``)."""
+
+STEPS_OF_TABLES = 250
+"""Quantising to ``bits`` takes 2^bits divided by this in steps: Draco fills tables of that size."""
 
 WIDEST = float(np.finfo(np.float32).max) / 16
 """The largest range of values that Draco quantises."""
@@ -310,6 +316,11 @@ def encode(
             del grids[name]
 
 
+def steps_of_encoding(bits: Mapping[str, int]) -> int:
+    """Return about the steps of encoding a small stream, some attributes quantised to numbers of bits."""
+    return STEPS_A_STREAM + sum(1 << number for number in bits.values()) // STEPS_OF_TABLES
+
+
 def _check_arrays(arrays: Mapping[str, npt.NDArray[Any]], faces: npt.NDArray[Any], place: Place) -> None:
     count, components = arrays["POSITION"].shape
     if components != 3:  # pragma: no cover: refused before: tests/gltf/test_draco.py
@@ -361,8 +372,7 @@ def _grid(name: str, values: npt.NDArray[Any]) -> _Grid | None:
     values = np.ascontiguousarray(values, dtype=np.float32)
     sample = values[:: max(len(values) // GRID_SAMPLES, 1)]
     if name == "NORMAL":
-        numbers = (number for number in GRID_BITS if number <= NORMAL_BITS_SOUGHT)
-        found = (number for number in numbers if np.array_equal(_octahedral(sample, number), sample))
+        found = (number for number in GRID_BITS if np.array_equal(_octahedral(sample, number), sample))
         number = next(found, None)
         return None if number is None else _Grid(number)
     origin = values.min(axis=0)

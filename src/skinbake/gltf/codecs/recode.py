@@ -371,6 +371,8 @@ def _streamed(recoder: _Recoder, source: PrimitiveSource, users: int, compressio
     level = draco.USUAL_LEVEL if compression.level is None else compression.level
     from skinbake.gltf.codecs import draco_stream
 
+    steps = draco_stream.steps_of_encoding(compression.bits)
+    document.budget.claim_steps(steps, "putting it into Draco", place)
     stream = draco_stream.encode(arrays, faces, place, level=level, bits=compression.bits)
     attributes = {name: recoder.own(number, users) for name, number in numbers.items()}
     for name, number in attributes.items():
