@@ -155,8 +155,6 @@ def command_line(random: Random, name: str, suffix: str) -> tuple[list[str], dic
         return ["strip", source, "-o", goal, *(["--json"] if random.random() < 0.1 else [])], files, piped
     if kind < 0.88:
         return ["inspect", source, *(["--json"] if random.random() < 0.4 else [])], files, piped
-    if kind < 0.91:
-        return ["cost", source, *(["--json"] if random.random() < 0.4 else [])], files, piped
     if kind < 0.92:
         arguments = ["config", source, *(["--json"] if random.random() < 0.4 else [])]
         return [*arguments, *_configured(random, files)], files, piped

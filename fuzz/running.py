@@ -233,9 +233,7 @@ class Runner:
         )  # found after the bake for a buffer or an image
         failed = outcome.code != 0 and case.arguments[1:2] != ("in",) and not no_depfile
         if (
-            failed
-            or case.arguments[0] in {"verify", "inspect", "cost", "config"}
-            or "--dry-run" in case.arguments
+            failed or case.arguments[0] in {"verify", "inspect", "config"} or "--dry-run" in case.arguments
         ) and made:
             finds.append(
                 Find(

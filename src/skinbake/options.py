@@ -574,7 +574,6 @@ COST = (
         JSON._replace(help="Print the costs as JSON."),
         INFLUENCES._replace(help=
             "Print line by line for N influences per vertex, 1 to 64, instead of a table for 1 to 8.")),
-    *_under(SAFETY, MAX_MEMORY, ALLOW_OUTSIDE),
     *END,
 )
 

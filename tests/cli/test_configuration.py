@@ -396,7 +396,6 @@ DANGEROUS = {
     "view": ("output port no-browser max-memory allow-outside no-sync", {"port": "80"}),
     "render": ("output max-memory allow-outside no-sync", {}),
     "inspect": ("summary max-memory allow-outside no-sync", {"no-sync": "true"}),
-    "cost": ("max-memory allow-outside", {}),
     "example": ("output no-sync", {"no-sync": "true"}),
 }
 

@@ -72,7 +72,7 @@ def test_a_file_that_is_not_there_is_asked_about(command: list[str], tmp_path: P
 
 @pytest.mark.parametrize(
     "arguments",
-    [["inspect", ""], ["verify", SEAM, ""], ["bake", "", "--dry-run"], ["cost", ""], ["view", ""]],
+    [["inspect", ""], ["verify", SEAM, ""], ["bake", "", "--dry-run"], ["view", ""]],
 )
 def test_an_empty_name_asks_about_the_script(arguments: list[str | Path]) -> None:
     code, text = said(*arguments)
@@ -128,7 +128,7 @@ def test_a_broken_link_is_not_meant_itself(tmp_path: Path) -> None:
         ("hero.txt", "expected a name that ends in .glb, .gltf, .vrm"),
     ],
 )
-@pytest.mark.parametrize("command", [["bake", "--dry-run"], ["verify"], ["view"], ["inspect"], ["cost"]])
+@pytest.mark.parametrize("command", [["bake", "--dry-run"], ["verify"], ["view"], ["inspect"]])
 def test_a_file_of_another_format_says_the_way_to_gltf(name: str, way: str, command: list[str]) -> None:
     code, text = said(*command, name)
     assert code == 2
@@ -177,7 +177,7 @@ def test_a_mistyped_folder_is_asked_about(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", [["view"], ["render", "-o", "a.png"], ["cost"], ["shader", "--lang", "glsl", "--for"]]
+    "command", [["view"], ["render", "-o", "a.png"], ["shader", "--lang", "glsl", "--for"]]
 )
 @pytest.mark.parametrize("name", ["build", "pack.glb"])
 def test_a_folder_for_one_file_says_so(command: list[str], name: str, tmp_path: Path) -> None:
@@ -210,8 +210,6 @@ def test_an_output_without_its_option_is_seen(command: str, tmp_path: Path) -> N
         ["bake", "--", "-x.glb", "--out-dir=build"],
         ["bake", "--", "-x.glb", "-q"],
         ["verify", "--", "-x.glb", "--json"],
-        ["cost", "--", "-x.glb", "--json"],
-        ["cost", "--", "--json"],
         ["shader", "--", "--lang"],
     ],
 )
@@ -236,7 +234,7 @@ def test_a_file_may_have_the_name_of_an_option(tmp_path: Path, monkeypatch: pyte
         (["shader", "--lang", "glsl", "hero"], "unexpected argument hero"),
         (["view", "hero.glb", "hero.html"], "unexpected argument hero.html; write -o hero.html"),
         (["view", "hero.glb", "other.glb"], "unexpected argument other.glb"),
-        (["cost", "hero.glb", "a.glb", "b.glb"], "unexpected arguments a.glb b.glb"),
+        (["cost", "a.glb", "b.glb"], "unexpected arguments a.glb b.glb"),
     ],
 )
 def test_a_name_too_many_says_its_option(arguments: list[str], message: str) -> None:

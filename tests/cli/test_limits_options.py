@@ -38,7 +38,6 @@ def test_what_is_no_size_is_a_usage_error(text: str) -> None:
     [
         ["bake", SEAM, "--dry-run"],
         ["inspect", SEAM],
-        ["cost", SEAM],
         ["verify", SEAM],
         ["strip", SEAM, "-o", "out.glb"],
     ],

@@ -36,7 +36,6 @@ COMMANDS: dict[str, Callable[[str, Path], list[str]]] = {
     "verify": lambda source, folder: ["verify", source],
     "strip": lambda source, folder: ["strip", source, "-o", str(folder / "out.glb")],
     "inspect": lambda source, folder: ["inspect", source],
-    "cost": lambda source, folder: ["cost", source],
     "shader": lambda source, folder: ["shader", "--lang", "glsl", "--for", source],
     "view": lambda source, folder: ["view", source, "-o", str(folder / "out.html")],
     "render": lambda source, folder: ["render", source, "-o", str(folder / "out.png")],

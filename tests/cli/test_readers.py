@@ -28,8 +28,6 @@ COMMANDS = [
     pytest.param(["shader", "--lang", "glsl", "--frame", "normal"], marks=pytest.mark.slow),
     ["inspect", SEAM],
     ["strip", SEAM, "-o", "-"],
-    pytest.param(["cost"], marks=pytest.mark.slow),
-    ["cost", SEAM, "--json"],
 ]
 
 

@@ -205,7 +205,6 @@ def test_closed_streams_are_not_defects_of_skinbake(command: str) -> None:
         ("verify {} --poses rest -q", 0),
         ("inspect {}", 4),
         ("inspect {} --json", 4),
-        ("cost {}", 4),
         ("cost --json", 4),
         ("config", 4),
         ("shader --lang glsl", 4),

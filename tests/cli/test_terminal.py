@@ -73,8 +73,6 @@ COMMANDS = [
     ["view", "{}", "-o", "{}.html"],
     ["verify", "{}.out.glb", "--poses", "rest", "--html", "{}.report.html"],
     ["strip", "{}.out.glb", "-o", "{}.stripped.glb"],
-    ["cost", "{}"],
-    ["cost", "{}", "--json"],
     ["inspect", "{}.missing.glb"],
     ["inspect", "{}", "--no-such" + EVIL],
     ["inspect", "{}", EVIL],
@@ -119,7 +117,7 @@ def test_metadata_of_a_bake_forges_no_line(tmp_path: Path) -> None:
     assert b"\n  structure  failed\n" in said("verify", model.path)
 
 
-@pytest.mark.parametrize("command", [["bake", "--dry-run"], ["verify"], ["inspect"], ["cost"]])
+@pytest.mark.parametrize("command", [["bake", "--dry-run"], ["verify"], ["inspect"]])
 def test_errors_are_no_exception(command: list[str], evil: Path, tmp_path: Path) -> None:
     path = edited("bent_tube.glb", tmp_path, broken)
     text = said(command[0], path, *command[1:])

@@ -378,9 +378,7 @@ def test_a_chained_url_that_leads_to_this_disk_is_refused(chain: str, tmp_path: 
     assert "name its path instead of a chained URL" in " ".join(result.stderr.split())
 
 
-@pytest.mark.parametrize(
-    "command", [["view"], ["render", "-o", "a.png"], ["cost"], ["shader", "-o", "a", "--for"]]
-)
+@pytest.mark.parametrize("command", [["view"], ["render", "-o", "a.png"], ["shader", "-o", "a", "--for"]])
 def test_commands_that_read_no_urls_say_so(command: list[str], tmp_path: Path) -> None:
     result = invoke(*command, "s3://bucket/hero.glb")
     assert result.exit_code == 2

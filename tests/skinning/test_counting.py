@@ -10,7 +10,6 @@ import pytest
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.counting import (
     Count,
-    StoredTypes,
     Tally,
     VertexBytes,
     cost_table,
@@ -140,12 +139,6 @@ def test_bytes_at_four_influences() -> None:
     assert found[3].total == 84
 
 
-def test_bytes_of_other_stored_types() -> None:
-    packed = StoredTypes(position=8, normal=4, tangent=4, joint=2, weight=1, gradient=1, gradient_scale=1)
-    assert vertex_bytes(Algorithm.LBS_ACCURATE, 4, packed) == VertexBytes(16 + 4 * 3, 8)
-    assert vertex_bytes(Algorithm.LBS_DIRECT, 4, packed) == VertexBytes(16 + 4 * 3, 16)
-
-
 @pytest.mark.parametrize("algorithm", [Algorithm.LBS_ACCURATE, Algorithm.DQS_ACCURATE, Algorithm.DQS_EXACT])
 def test_a_vertex_of_one_influence_has_no_derivatives_to_store(algorithm: Algorithm) -> None:
-    assert vertex_bytes(algorithm, 1, StoredTypes(gradient_scale=1)).added == 0
+    assert vertex_bytes(algorithm, 1).added == 0

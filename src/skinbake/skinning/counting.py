@@ -186,24 +186,6 @@ def _rows(components: Vector, columns: int) -> Rows:
 
 
 @dataclass(frozen=True, slots=True)
-class StoredTypes:
-    """Bytes of stored vertex data: whole attributes, then single numbers of attributes that grow with N.
-
-    The defaults are the most common types of glTF: float positions, normals and tangents (with handedness),
-    8-bit joints, float weights, float gradients. ``gradient_scale`` is the size of the scale at each vertex,
-    which an encoding adds to α and to β.
-    """
-
-    position: int = 12
-    normal: int = 12
-    tangent: int = 16
-    joint: int = 1
-    weight: int = 4
-    gradient: int = 4
-    gradient_scale: int = 0
-
-
-@dataclass(frozen=True, slots=True)
 class VertexBytes:
     """Bytes of a vertex: for plain skinning with a tangent frame, and the bytes that an algorithm adds."""
 
@@ -216,26 +198,17 @@ class VertexBytes:
         return self.plain + self.added
 
 
-def vertex_bytes(algorithm: Algorithm, influences: int, stored: StoredTypes | None = None) -> VertexBytes:
-    """Return the bytes of a vertex with N ≥ 1 influences.
+def vertex_bytes(algorithm: Algorithm, influences: int) -> VertexBytes:
+    """Return the bytes of a vertex with N ≥ 1 influences, in the most common types of glTF.
 
-    The added bytes are a[s], 3 numbers for each slot, or α and β, 2 (N − 1) numbers (the paper's §2 and §3).
-    The normal is counted for all: algorithms 3, 5 and 6 need none, but glTF computes b0 from it. In plain
-    skinning, each joint has one index and one weight. A single influence has no derivatives to store.
+    These are floats: position (12), normal (12), tangent with handedness (16), weights (4); and joints of a
+    byte. The added floats are a[s], 3 numbers for each slot, or α and β, 2 (N − 1) numbers (the paper's §2
+    and §3). The normal is counted for all: algorithms 3, 5 and 6 need none, but glTF computes b0 from it. In
+    plain skinning, each joint has one index and one weight. A single influence has no derivatives to store.
     """
-    types = stored or StoredTypes()
-    plain = types.position + types.normal + types.tangent + influences * (types.joint + types.weight)
-    numbers, scales = _derivatives(algorithm, influences)
-    return VertexBytes(plain, numbers * types.gradient + scales * types.gradient_scale)
-
-
-def _derivatives(algorithm: Algorithm, influences: int) -> tuple[int, int]:
-    """Return the numbers that an algorithm adds to a vertex, and the groups of them that may have a scale."""
-    if algorithm in (Algorithm.LBS_STANDARD, Algorithm.DQS_STANDARD):
-        return 0, 0
-    if algorithm is Algorithm.LBS_DIRECT:
-        return 3 * influences, influences
-    return 2 * (influences - 1), 2 if influences > 1 else 0
+    is_standard = algorithm in (Algorithm.LBS_STANDARD, Algorithm.DQS_STANDARD)
+    numbers = 3 * influences if algorithm is Algorithm.LBS_DIRECT else 2 * (influences - 1)
+    return VertexBytes(12 + 12 + 16 + influences * (1 + 4), 0 if is_standard else 4 * numbers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,9 +224,9 @@ class Cost:
         return sum(self.lines.values())
 
 
-def cost_table(influences: int, stored: StoredTypes | None = None) -> dict[Algorithm, Cost]:
+def cost_table(influences: int) -> dict[Algorithm, Cost]:
     """Return the cost of all six algorithms for vertices with N ≥ 1 influences."""
     return {
-        algorithm: Cost(multiply_adds(algorithm, influences), vertex_bytes(algorithm, influences, stored))
+        algorithm: Cost(multiply_adds(algorithm, influences), vertex_bytes(algorithm, influences))
         for algorithm in Algorithm
     }
