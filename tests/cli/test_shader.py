@@ -17,7 +17,17 @@ from skinbake.version import __version__
 from tests.support.baked_files import Editable
 from tests.support.command_line import invoke, run
 from tests.support.gltf_reading import read
-from tests.support.models import FOLDER, KEY, Part, edited, rewritten, sheet, write_model
+from tests.support.models import (
+    FOLDER,
+    KEY,
+    Part,
+    edited,
+    in_two_sets,
+    rewritten,
+    sheet,
+    tangents_along,
+    write_model,
+)
 from tests.support.whole_fields import shader_text
 
 TUBE, SEAM, TWO_SETS, MIRRORED = (
@@ -313,7 +323,7 @@ class TestForFile:
         assert "more than 4 of its 8 influences" in result.stderr
 
     def test_a_module_names_the_primitives_that_need_more_influences(self, tmp_path: Path) -> None:
-        file = baked(write_model(tmp_path / "mixed.glb", [sheet(), _in_two_sets(sheet())]), tmp_path)
+        file = baked(write_model(tmp_path / "mixed.glb", [sheet(), in_two_sets(sheet())]), tmp_path)
         result = invoke("shader", "--target", "three", "--for", file, "--influences", "4")
         assert result.exit_code == 0
         assert (
@@ -323,7 +333,7 @@ class TestForFile:
         assert invoke("shader", "--target", "babylon", "--for", file).stderr == ""
 
     def test_a_module_serves_texture_coordinates_of_several_counts(self, tmp_path: Path) -> None:
-        model = write_model(tmp_path / "mixed.glb", [sheet(), _in_two_sets(sheet())])
+        model = write_model(tmp_path / "mixed.glb", [sheet(), in_two_sets(sheet())])
         file = baked(model, tmp_path, "--layout", "texcoord")
         result = invoke("shader", "--target", "babylon", "--for", file, "--influences", "8")
         assert (result.exit_code, result.stderr) == (0, "")
@@ -352,27 +362,25 @@ class TestForFile:
         assert re.search(r"20 vertices use more than 1 of its 4", result.stderr)
 
     def test_primitives_that_differ_need_a_word(self, tmp_path: Path) -> None:
-        tangents = np.tile(np.array([0, 0, 0, 1], dtype=np.float32), (20, 1))
-        part = sheet()
-        tangents[:, :3] = _along(part)
-        file = baked(write_model(tmp_path / "both.glb", [part, sheet(TANGENT=tangents)]), tmp_path)
+        parts = [sheet(), sheet(TANGENT=tangents_along(sheet()))]
+        file = baked(write_model(tmp_path / "both.glb", parts), tmp_path)
         result = invoke("shader", "--lang", "glsl", "--for", file)
         assert result.exit_code == 3
         assert "differ in frame" in result.stderr
+        assert result.stderr.endswith("Or write one for each kind with --frame\n")
         # The module for three.js reads the frame of each mesh when it runs.
         assert invoke("shader", "--target", "three", "--for", file).exit_code == 0
         assert invoke("shader", "--target", "babylon", "--for", file).exit_code == 0
-        assert "choose one with --frame" in result.stderr
         result = invoke("shader", "--lang", "glsl", "--for", file, "--frame", "tangent")
         assert result.exit_code == 0
         assert "primitive 0: this shader does not fit it: it is baked in the normal frame" in result.stderr
 
     def test_primitives_of_several_counts_get_a_text_each(self, tmp_path: Path) -> None:
         """The joints of one sheet are in two sets. The options in each notice write the other text."""
-        file = baked(write_model(tmp_path / "mixed.glb", [sheet(), _in_two_sets(sheet())]), tmp_path)
+        file = baked(write_model(tmp_path / "mixed.glb", [sheet(), in_two_sets(sheet())]), tmp_path)
         result = invoke("shader", "--lang", "glsl", "--for", file)
         assert result.exit_code == 3
-        assert "choose one with --influences" in result.stderr
+        assert result.stderr.endswith("Or write one for each kind with --influences\n")
         for count, other, primitive in (("4", "8", 1), ("8", "4", 0)):
             result = invoke("shader", "--lang", "glsl", "--for", file, "--influences", count)
             assert result.exit_code == 0
@@ -445,25 +453,6 @@ class TestForFile:
             assert result.exit_code == 3
             assert "this file does not fit --method dqs" in result.stderr
         assert invoke("shader", "--lang", "glsl", "--for", file).exit_code == 0
-
-
-def _in_two_sets(part: Part) -> Part:
-    """Return a sheet with the second of its joints in a second set."""
-    joints, weights = (np.asarray(part.attributes[name]) for name in ("JOINTS_0", "WEIGHTS_0"))
-    second = np.arange(4) == 1
-    moved = {"JOINTS_0": joints * ~second, "WEIGHTS_0": weights * ~second}
-    moved |= {
-        "JOINTS_1": np.roll(joints * second, -1, axis=1),
-        "WEIGHTS_1": np.roll(weights * second, -1, axis=1),
-    }
-    return Part({**part.attributes, **moved}, part.indices)
-
-
-def _along(part: Part) -> Any:
-    """Return unit tangents of a sheet: some direction across its normals."""
-    normals = np.asarray(part.attributes["NORMAL"], dtype=np.float64)
-    across = np.cross([0.0, 1.0, 0.0], normals)
-    return across / np.linalg.norm(across, axis=1, keepdims=True)
 
 
 def scaled(name: str, by: float) -> Callable[[Editable], None]:

@@ -16,9 +16,10 @@ import numpy.typing as npt
 import pytest
 
 import skinbake
+from fixtures.builder import AnyArray, JsonObject
 from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs, Stage
-from skinbake.commands.shader import ShaderRequest, shader
+from skinbake.commands.shader import ShaderRequest, ShaderResult, shader
 from skinbake.errors import ChoiceError
 from skinbake.geometry.morphs import Differences, MorphTarget, MorphTargets
 from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
@@ -29,9 +30,11 @@ from tests.shaders.combinations import label, motion_kind
 from tests.shaders.judged import TOLERANCE, term_lengths
 from tests.shaders.running import done
 from tests.shaders.scenes import Scene, Wide, irregular
-from tests.support import analytic, dxc, glslang, gltf_transform, opengl, webgpu
+from tests.support import analytic, corpus, dxc, glslang, gltf_transform, opengl, webgpu
 from tests.support.baked_files import Editable
-from tests.support.gltf_reading import read
+from tests.support.command_line import invoke
+from tests.support.gltf_reading import GltfFile, read
+from tests.support.models import Change, Part, in_two_sets, sheet, tangents_along, write_model
 from tests.support.replay import replay
 from tests.support.whole_fields import shader_text
 
@@ -314,25 +317,21 @@ def test_a_pass_in_opengl_gives_what_the_replay_gives() -> None:
             assert_like_the_replay(label(choices), found, one, leaves_out_tangents=number == 0)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "options"),
-    [
-        ("bent_tube.glb", {}),
-        ("weights_u8.glb", {"encoding": "packed8"}),
-        ("two_sets.glb", {"encoding": "snorm16"}),
-        ("morphed_sheet.glb", {"morph_frames": True}),
-    ],
-)
-def test_a_pass_over_the_buffer_of_a_file_gives_its_normals(
-    name: str, options: dict[str, Any], tmp_path: Path
-) -> None:
-    """The text of --for reads the file's own bytes, and its results are those of ``skinbake.normals``."""
-    path = tmp_path / name
-    skinbake.bake(FOLDER / name, path, **options)
+def assert_the_normals_of(path: Path) -> None:
+    """Check that one text of --for reads the file's own bytes, and gives ``skinbake.normals`` everywhere."""
     made = shader(ShaderRequest(Language.WGSL, stage=Stage.COMPUTE), str(path))
-    [posed] = skinbake.normals(path)
-    file = read(path)
+    assert made.notices == ()
+    everything = {str(number): posed for number, posed in enumerate(skinbake.normals(path))}
+    jobs = {name: over_file(read(path), posed, made) for name, posed in everything.items()}
+    for name, answer in webgpu.answers(webgpu.NAGA, jobs).items():
+        posed = everything[name]
+        found = np.frombuffer(done(name, answer), np.float32).reshape(-1, 6)
+        assert np.abs(found[:, :3] - posed.positions).max() < 1e-5
+        assert analytic.degrees_between(found[:, 3:], posed.normals["accurate"]).max() < 0.02
+
+
+def over_file(file: GltfFile, posed: skinbake.PosedNormals, made: ShaderResult) -> webgpu.Job:
+    """Return the dispatch for one primitive in a pose, over the buffer of its file."""
     primitive = file.content["meshes"][posed.mesh]["primitives"][posed.primitive]
 
     def place(accessor: int) -> tuple[int, int]:
@@ -363,12 +362,83 @@ def test_a_pass_over_the_buffer_of_a_file_gives_its_normals(
     joints = posed.joint_matrices.transpose(0, 2, 1).astype(np.float32).tobytes()
     further = (targets,) if made.choices.morphs is not Morphs.NONE else ()
     given = draw + bytes(-len(draw) % 16), file.buffer(0), joints
-    job = webgpu.Job(made.text, given, 24 * count, -(-count // WORKGROUP), further)
-    found = np.frombuffer(done(name, webgpu.answers(webgpu.NAGA, {name: job})[name]), np.float32).reshape(
-        -1, 6
-    )
-    assert np.abs(found[:, :3] - posed.positions).max() < 1e-5
-    assert analytic.degrees_between(found[:, 3:], posed.normals["accurate"]).max() < 0.02
+    return webgpu.Job(made.text, given, 24 * count, -(-count // WORKGROUP), further)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("bent_tube.glb", {}),
+        ("weights_u8.glb", {"encoding": "packed8"}),
+        ("two_sets.glb", {"encoding": "snorm16"}),
+        ("morphed_sheet.glb", {"morph_frames": True}),
+    ],
+)
+def test_a_pass_over_the_buffer_of_a_file_gives_its_normals(
+    name: str, options: dict[str, Any], tmp_path: Path
+) -> None:
+    path = tmp_path / name
+    skinbake.bake(FOLDER / name, path, **options)
+    assert_the_normals_of(path)
+
+
+def in_a_mesh_of_its_own(content: JsonObject) -> None:
+    """Move the second primitive of a model into a second mesh, with a node and the same skin."""
+    body = content["nodes"][content["scenes"][0]["nodes"][0]]
+    content["meshes"].append({"name": "eye", "primitives": [content["meshes"][0]["primitives"].pop()]})
+    content["nodes"].append({"name": "eye", "mesh": 1, "skin": body["skin"]})
+    content["scenes"][0]["nodes"].append(len(content["nodes"]) - 1)
+
+
+def leaning(part: Part) -> dict[str, AnyArray]:
+    tangents = tangents_along(part)
+    tangents[:, :3] += part.attributes["NORMAL"]
+    return {"TANGENT": tangents}
+
+
+ALONG = {"TANGENT": tangents_along(sheet())}
+KINDS: dict[str, tuple[list[Part], str]] = {
+    "TANGENT on one primitive": ([sheet(), sheet(**ALONG)], "--frame normal"),
+    "TANGENT that leans on one primitive": ([sheet(**leaning(sheet())), sheet(**ALONG)], "--frame normal"),
+    "one and two sets of influences": ([sheet(), in_two_sets(sheet())], "--limit-influences 4"),
+    "both": ([in_two_sets(sheet()), sheet(**ALONG)], "--frame normal --limit-influences 4"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("options", "change"),
+    [("", None), ("--encoding packed8", in_a_mesh_of_its_own), ("--layout texcoord", in_a_mesh_of_its_own)],
+)
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_bake_that_the_error_names_gives_one_shader_for_all_primitives(
+    kind: str, options: str, change: Change | None, tmp_path: Path
+) -> None:
+    parts, expected = KINDS[kind]
+    source, target = write_model(tmp_path / "several.glb", parts, change=change), tmp_path / "baked.glb"
+    assert invoke("bake", source, "-o", target, *options.split()).exit_code == 0
+    refused = invoke("shader", "--lang", "glsl", "--for", target)
+    assert refused.exit_code == 3
+    [command] = re.findall(r"run skinbake (.*?), with the other options as before", refused.stderr)
+    assert command == f"bake {expected}"
+    assert invoke(*command.split(), *options.split(), source, "-o", target).exit_code == 0
+    for language in ("glsl", "wgsl", "hlsl"):
+        result = invoke("shader", "--lang", language, "--for", target)
+        assert (result.exit_code, "shader-not-for" in result.stderr) == (0, False), result.stderr
+    assert_the_normals_of(target)
+
+
+@corpus.needed
+@pytest.mark.slow
+def test_an_avatar_with_tangent_on_one_mesh_gets_one_shader_in_place(tmp_path: Path) -> None:
+    path = tmp_path / "avatar.glb"
+    source = corpus.require_corpus() / "cases" / "turn4" / "tangent_on_one_mesh.glb"
+    assert invoke("bake", source, "-o", path).exit_code == 0
+    refused = invoke("shader", "--lang", "glsl", "--for", path)
+    [command] = re.findall(r"run skinbake (.*?), with", refused.stderr)
+    assert invoke(*command.split(), "--in-place", path).exit_code == 0
+    assert_the_normals_of(path)
 
 
 @pytest.mark.parametrize(

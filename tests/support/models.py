@@ -93,6 +93,26 @@ def sheet(**changes: AnyArray | None) -> Part:
     return Part({name: array for name, array in attributes.items() if array is not None}, triangles)
 
 
+def in_two_sets(part: Part) -> Part:
+    """Return a sheet with the second of its joints in a second set."""
+    joints, weights = (np.asarray(part.attributes[name]) for name in ("JOINTS_0", "WEIGHTS_0"))
+    second = np.arange(4) == 1
+    moved = {"JOINTS_0": joints * ~second, "WEIGHTS_0": weights * ~second}
+    moved |= {
+        "JOINTS_1": np.roll(joints * second, -1, axis=1),
+        "WEIGHTS_1": np.roll(weights * second, -1, axis=1),
+    }
+    return Part({**part.attributes, **moved}, part.indices)
+
+
+def tangents_along(part: Part) -> AnyArray:
+    """Return TANGENT of a sheet: some direction across its normals."""
+    normals = np.asarray(part.attributes["NORMAL"], dtype=np.float64)
+    across = np.cross([0.0, 1.0, 0.0], normals)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    return np.column_stack([across, np.ones(len(across))]).astype(np.float32)
+
+
 def write_model(path: Path, parts: Sequence[Part], *, joints: int = 2, change: Change | None = None) -> Path:
     """Write one skinned mesh of these parts as .glb, or as .gltf with a data URI."""
     model = Model()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any
@@ -39,6 +39,8 @@ from skinbake.wording import counted
 DEFAULT_INFLUENCES = 4
 DEFAULTS = {"encoding": Encoding.FLOAT32, "layout": Layout.ATTRIBUTES}
 """The meaning of metadata that do not say how α and β are stored."""
+ALIKE = {"frame": "frame", "influences": "limit-influences", "encoding": "encoding", "layout": "layout"}
+"""What the primitives of one text have in common, by metadata, and the options of bake that make it so."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,12 +164,12 @@ def _choices_of_file(
         return _choices_at_run_time(document, serving, request)
     if request.influences is not None:
         serving = _in_one_place(_with_enough(serving, request.influences))
-    frame = request.frame or Frame(str(_agreed(document, serving, "frame")))
-    influences = request.influences or int(_agreed(document, serving, "influences"))
+    _refuse_several_kinds(document, serving, request)
+    kind = {member: _noted(serving[0], member) for member in ALIKE}
     choices = replace(
-        _made(request, frame, influences),
-        encoding=Encoding(str(_agreed(document, serving, "encoding"))),
-        layout=Layout(str(_agreed(document, serving, "layout"))),
+        _made(request, Frame(str(kind["frame"])), request.influences or int(kind["influences"])),
+        encoding=Encoding(str(kind["encoding"])),
+        layout=Layout(str(kind["layout"])),
     )
     choices, others = _with_names(document, serving, choices)
     if request.morphs is None:
@@ -366,17 +368,33 @@ def _why_none(views: Sequence[BakedView], request: ShaderRequest) -> str:
     )
 
 
-def _agreed(document: Document, views: Sequence[BakedView], member: str) -> Any:
-    """Return the common value of all metadata. Raises InputError, with a remedy, if they differ."""
-    found = {_noted(view, member): view.source.place.within_file for view in reversed(views)}
-    if len(found) > 1:
-        listed = ", ".join(f"{value} in {place}" for value, place in found.items())
-        raise InputError(
-            f"its primitives differ in {member} ({listed}), and each kind needs its "
-            f"own shader: choose one with --{member}",
-            document.place,
-        )
-    return next(iter(found))
+def _refuse_several_kinds(document: Document, views: Sequence[BakedView], request: ShaderRequest) -> None:
+    """Raise InputError, with a bake that makes them alike, if one text cannot serve all primitives."""
+    asked = {"influences"} if request.influences else set()
+    kinds = {
+        member: {_noted(view, member): view.source.place.within_file for view in reversed(views)}
+        for member in ALIKE
+        if member not in asked
+    }
+    several = {member: found for member, found in kinds.items() if len(found) > 1}
+    if not several:
+        return
+    listed = " and in ".join(
+        f"{member} ({', '.join(f'{value} in {place}' for value, place in found.items())})"
+        for member, found in several.items()
+    )
+    options = " ".join(f"--{ALIKE[member]} {_common(found)}" for member, found in several.items())
+    raise InputError(
+        f"its primitives differ in {listed}, and each kind needs its own shader. To have one for all, run "
+        f"skinbake bake {options}, with the other options as before. Or write one for each kind with "
+        f"{' and '.join(f'--{member}' for member in several)}",
+        document.place,
+    )
+
+
+def _common(values: Collection[Any]) -> Any:
+    """Return the value of a member of metadata that a bake can give to all primitives."""
+    return Frame.NORMAL if Frame.NORMAL in values else min(values)
 
 
 def _with_enough(views: Sequence[BakedView], influences: int) -> list[BakedView]:
