@@ -5,11 +5,19 @@ from __future__ import annotations
 import copy
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fixtures.make_fixtures import FOLDER
+from skinbake.gltf.document import read_document
+from skinbake.gltf.primitives import read_primitive, skinned_sources
 from tests.support import gltf_reading
+from tests.support.characters import Array, angles, unit
+from tests.support.played import drawn
+from tests.support.triangle_truth import true_normals
 
 TUBE, SHEET = FOLDER / "bent_tube.glb", FOLDER / "morphed_sheet.glb"
 
@@ -48,3 +56,34 @@ def parted(target: Path) -> Path:
         content["scenes"][0]["nodes"].append(len(content["nodes"]) - 1)
 
     return rewritten(TUBE, target, change)
+
+
+def mean_errors(path: Path, clip: int, times: list[float], **how: Any) -> Array:
+    """Return the mean angles (2,) to the normals of posed triangles: standard, and corrected.
+
+    All nodes and primitives count, vertex by vertex. The normals that the file's own targets give are true at
+    rest, if all of these have NORMAL.
+    """
+    document = read_document(str(path))
+    primitives = {
+        (one.mesh, one.primitive): read_primitive(document, one) for one in skinned_sources(document)[0]
+    }
+    authored = {
+        (mesh, number)
+        for mesh, content in enumerate(document.json["meshes"])
+        for number, one in enumerate(content["primitives"])
+        if "filled" not in content["extras"]["skinbake"]["primitives"][number] and one.get("targets")
+    }
+    found: list[Array] = []
+    for time in times:
+        for pair in zip(
+            *(drawn(path, clip, time, corrected=one, **how) for one in (False, True)), strict=True
+        ):
+            standard, primitive = pair[0], primitives[pair[0].mesh, pair[0].primitive]
+            if (pair[0].mesh, pair[0].primitive) in authored:
+                primitive = replace(primitive, positions=standard.at_rest, normals=unit(standard.changed))
+            truth = true_normals(primitive, standard.positions[None])[0]
+            known = np.isfinite(truth[:, 0])
+            found.append(np.array([angles(one.normals[known], truth[known]) for one in pair]))
+    mean: Array = np.concatenate(found, axis=1).mean(axis=1)
+    return mean

@@ -10,39 +10,17 @@ import numpy as np
 import pytest
 
 from fixtures.make_fixtures import FOLDER
-from skinbake.gltf.document import read_document
-from skinbake.gltf.primitives import read_primitive, skinned_sources
-from tests.correctives.models import SHEET, TUBE, parted, rewritten
+from tests.correctives.models import SHEET, TUBE, mean_errors, parted, rewritten
 from tests.support import corpus, gltf_reading, gltf_transform, khronos
 from tests.support.baked_files import verify
-from tests.support.characters import Array, angles
 from tests.support.command_line import invoke, run
-from tests.support.played import drawn, weights_at
-from tests.support.triangle_truth import true_normals
+from tests.support.played import weights_at
 
 
 def bake(source: Path, target: Path, *options: str, code: int = 0) -> str:
     result = invoke("bake", source, "-o", target, "--correctives", *(options or ("auto",)))
     assert result.exit_code == code, result.output
     return result.output
-
-
-def mean_errors(path: Path, clip: int, times: list[float], **how: Any) -> Array:
-    """Return the mean angles (2,) to the normals of posed triangles: standard, and corrected."""
-    primitive = read_primitive(*_first(path))
-    found = []
-    for time in times:
-        standard, corrected = (next(drawn(path, clip, time, corrected=one, **how)) for one in (False, True))
-        truth = true_normals(primitive, standard.positions[None])[0]
-        known = np.isfinite(truth[:, 0])
-        found.append([angles(one.normals[known], truth[known]).mean() for one in (standard, corrected)])
-    mean: Array = np.mean(found, axis=0)
-    return mean
-
-
-def _first(path: Path) -> tuple[Any, Any]:
-    document = read_document(str(path))
-    return document, skinned_sources(document)[0][0]
 
 
 @pytest.mark.parametrize("encoding", ["float32", "snorm16", "packed8"])

@@ -42,5 +42,5 @@ def test_a_missing_change_is_no_change_of_zero() -> None:
     missing = changes.copy()
     missing[3:9, :10] = np.nan
     start = leading(gram(missing, np.ones(50)), 1)[1]
-    found = refined(missing, np.ones(50), np.full(20, 1 / 20), start)
+    found = refined(missing, None, np.ones(50), np.full(20, 1 / 20), start)
     assert np.einsum("kvc,rk->rvc", *found) == pytest.approx(changes, abs=1e-4)

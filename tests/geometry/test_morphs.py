@@ -140,10 +140,12 @@ def test_normals_that_nothing_moves_stay_and_those_that_vanish_too() -> None:
     normals = directions(1000, 17).astype(np.float32)
     differences = np.zeros_like(normals)
     differences[1:4] = [[0.5, 0, 0], -normals[2], [np.inf, 0, 0]]
-    found = morphed_normals(normals.astype(np.float64), differences.astype(np.float64))
+    found, lengths = morphed_normals(normals.astype(np.float64), differences.astype(np.float64))
     kept = np.arange(1000) != 1
     assert np.array_equal(found[kept], normals[kept])
     assert found[1] == pytest.approx(unit((normals + differences)[1:2])[0], abs=1e-7)
+    assert (lengths[kept] == 1.0).all()
+    assert lengths[1] == pytest.approx(np.linalg.norm((normals + differences)[1]), abs=1e-7)
 
 
 def test_random_weights_share_no_random_numbers_with_rotations() -> None:

@@ -177,7 +177,7 @@ def test_the_frame_that_follows_the_normal_is_the_replay_s(language: Language, t
     near = n0[20:220] * np.float32(-1) + np.linspace(0, 0.03, 200, dtype=np.float32)[:, None] * turned[20:220]
     differences[20:220] = near - n0[20:220]
     t0, b0 = frame_from_normal(n0)
-    n = morphed_normals(n0, differences)
+    n, _ = morphed_normals(n0, differences)
     t, b = carried_by_normal(n0, (t0, b0), n)
     text = shader_text(choices(language, Frame.NORMAL, Morphs.NORMAL))
     code = FRAME[language].format(call="skinbake_morphed_frame(skinbake_frame(row[0].xyz), row[1].xyz)")

@@ -16,7 +16,10 @@ from tests.support.characters import Array, unit
 
 @dataclass(frozen=True)
 class Drawn:
-    """A primitive as a node draws it: its numbers, the changed normals (V, 3), T (V, 3, 3), the positions."""
+    """A primitive as a node draws it: its numbers, the changed normals (V, 3), T (V, 3, 3), the positions.
+
+    at_rest (V, 3) are the positions as morph targets leave them, before skinning.
+    """
 
     mesh: int
     primitive: int
@@ -24,6 +27,7 @@ class Drawn:
     changed: Array
     blended: Array
     positions: Array
+    at_rest: Array
 
     @property
     def normals(self) -> Array:
@@ -67,7 +71,7 @@ def drawn(
     """Yield what each skinned node draws of each primitive at a time of a clip, in the scene.
 
     store is how an engine keeps a target's normal: as the ``difference`` of the file, or as the ``direction``
-    of the whole normal. Without ``corrected``, only the positions move.
+    of the whole normal. Without ``corrected``, the targets that skinbake has added do nothing.
     """
     file = gltf_reading.read(path)
     document = read_document(str(path))
@@ -81,6 +85,9 @@ def drawn(
         at_rest = content.get("weights", mesh.get("weights", []))
         weights = weights_at(file, clip, node, time)
         weights = np.array(at_rest) if weights is None else weights
+        if not corrected:
+            added = mesh["extras"]["skinbake"]["targets"]
+            weights = np.append(weights[:-added], np.zeros(added))
         for number, primitive in enumerate(mesh["primitives"]):
             joints, shares = file.influences(content["mesh"], number)
             shares = shares / shares.sum(axis=1, keepdims=True)
@@ -91,10 +98,10 @@ def drawn(
             for weight, target in zip(weights, primitive.get("targets", []), strict=True):
                 if "POSITION" in target:
                     positions += weight * file.values(target["POSITION"])
-                if "NORMAL" in target and corrected:
+                if "NORMAL" in target:
                     difference = file.values(target["NORMAL"])
                     if store == "direction":
                         difference = unit(base + difference) - unit(base)
                     changed += weight * difference
             posed = np.einsum("vij,vj->vi", blended[:, :3, :3], positions) + blended[:, :3, 3]
-            yield Drawn(content["mesh"], number, node, changed, blended[:, :3, :3], posed)
+            yield Drawn(content["mesh"], number, node, changed, blended[:, :3, :3], posed, positions)

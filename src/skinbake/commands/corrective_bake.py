@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +17,7 @@ from skinbake.correctives.fit import (
     Form,
     Motion,
     fitted,
+    held_back_times,
 )
 from skinbake.correctives.surface import TRUTHS, Surface, rest_of
 from skinbake.errors import InputError, Notice, Place
@@ -29,19 +30,29 @@ from skinbake.format.correctives import (
 )
 from skinbake.geometry.poses import fingerprint
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
-from skinbake.gltf.animation import Clip, Skeleton, clip_poses, read_clips, read_skeleton, skins_of
+from skinbake.gltf.animation import (
+    MORPH_WEIGHTS,
+    Clip,
+    Skeleton,
+    clip_poses,
+    read_clips,
+    read_skeleton,
+    skins_of,
+)
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject
-from skinbake.gltf.morphs import read_targets, resting_weights, target_count
+from skinbake.gltf.json_access import JsonObject, reference
+from skinbake.gltf.morphs import resting_weights, target_count
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive
 from skinbake.gltf.scenes import meshes_of_one_skin
+from skinbake.measure.draws import STEPS_A_MORPHED_POSE, STEPS_A_TARGET
+from skinbake.measure.morphing import moving_targets
 from skinbake.report.bake import CorrectiveCounts
-from skinbake.skinning.morphs import morphed
 from skinbake.skinning.rest import RestPrimitive
 from skinbake.timing import stage
 from skinbake.truth.areas import RestAreas
+from skinbake.truth.morphing import Morphing
 from skinbake.truth.operator import true_operator
-from skinbake.truth.poses import joint_clips, pose_steps
+from skinbake.truth.poses import PosePlan, PoseRequest, joint_clips, pose_steps
 from skinbake.wording import counted
 
 if TYPE_CHECKING:
@@ -145,16 +156,18 @@ def _fitted(
         rest = [rest_of(one, source.joint_count) for source, one in zip(sources, primitives, strict=True)]
         if baker.corrective_aim is CorrectiveAim.GRADIENTS:
             rest = _with_gradients(document, sources, baker)
-        rest = _resting(document, sources, rest)
-    skins: dict[object, int] = {}
-    for mesh in meshes:
-        for skin in skins_of(document, mesh):
-            skins.setdefault(_binding(read_skeleton(document, skin)), skin)
-    moving = {skin: joint_clips(document, skin, clips) for skin in skins.values()}
+    nodes = _nodes(document, meshes, clips)
+    drawing = document.objects("nodes")
+    plans = {
+        node: PosePlan.of(document, int(drawing[node]["skin"]), clips, PoseRequest(), node)
+        for of_mesh in nodes.values()
+        for node in of_mesh.values()
+    }
+    moving = _moving_targets(plans.values())
     motions = [
-        Motion(skin, read_skeleton(document, skin), clip)
-        for skin, own in moving.items()
-        for clip in own
+        Motion(node, plan, clip, moving)
+        for node, plan in plans.items()
+        for clip in plan.sampled
         if clip.number in chosen
     ]
     parts, start = [], 0
@@ -168,7 +181,10 @@ def _fitted(
         return [(place, nothing, None) for place in places]
     place = sources[0].place
     poses = LEAST_KEYS + LEAST_HELD_BACK
-    steps = sum(STEPS_A_MOTION + pose_steps(one.skeleton, [one.clip], poses) for one in motions)
+    steps = sum(STEPS_A_MOTION + pose_steps(one.plan.skeleton, [one.clip], poses) for one in motions)
+    if moving:
+        of_pose = STEPS_A_MORPHED_POSE + STEPS_A_TARGET * len(moving)
+        steps += of_pose * len(sources) * poses * len(motions)
     vertices = sum(len(one.positions) for one in rest)
     steps += vertices * LEAST_KEYS * len(motions) // SAMPLES_A_STEP
     fitting = (
@@ -176,10 +192,10 @@ def _fitted(
     )
     document.budget.claim_steps(steps, f"{fitting} (--clips chooses some)", place)
     operator = true_operator(primitives, claim=lambda size: document.budget.claim_welding(size, place))
-    areas = np.concatenate([RestAreas(document, motions[0].skin).of(one) for one in primitives])
+    areas = np.concatenate([RestAreas(document, motions[0].plan.skin).of(one) for one in primitives])
     with stage("fit"):
         made = fitted(
-            Surface.of(operator, rest),
+            Surface.of(operator, rest, _morphing(document, sources, rest, motions)),
             parts,
             motions,
             areas,
@@ -193,22 +209,85 @@ def _fitted(
     for mesh, here, part, one in zip(meshes, places, parts, made, strict=True):
         item = None
         if one.count:
-            idle = {skin: [c for c in own if c.number not in chosen] for skin, own in moving.items()}
+            idle = {
+                node: [clip for clip in plan.sampled if clip.number not in chosen]
+                for node, plan in plans.items()
+            }
             item = MeshCorrectives(
                 mesh=mesh,
                 sources=sources[part],
                 primitives=primitives[part],
                 targets=[_by_length(*pair) for pair in zip(one.targets, primitives[part], strict=True)],
-                clips=_weights(document, mesh, skins, one, idle),
+                clips=_weights(nodes[mesh], one, idle),
                 settings=_settings(document, mesh, one, baker, moved),
             )
         found.append((here, one, item))
     return found
 
 
+def _nodes(document: Document, meshes: Sequence[int], clips: Sequence[Clip]) -> dict[int, dict[int, int]]:
+    """Return by mesh the nodes that draw it, each with the first node of a surface that draws alike.
+
+    These have the same joints, inverse bind matrices and, if the mesh has targets, the same morph weights.
+    """
+    every = document.objects("nodes")
+    morphing = [mesh for mesh in meshes if target_count(document, mesh)]
+    played: dict[int, list[object]] = {}
+    for clip in clips if morphing else ():
+        for channel in clip.channels:
+            if channel.path == MORPH_WEIGHTS:
+                key = clip.number, channel.method, id(channel.times), id(channel.values)
+                for node in {channel.node, *channel.nodes}:
+                    played.setdefault(node, []).append(key)
+    bindings: dict[int, object] = {}
+    first: dict[object, int] = {}
+    found: dict[int, dict[int, int]] = {mesh: {} for mesh in meshes}
+    for mesh in meshes:
+        for node in nodes_with(document, mesh):
+            skin = reference(every[node].get("skin"))
+            if skin is None:
+                continue
+            if skin not in bindings:
+                bindings[skin] = _binding(read_skeleton(document, skin))
+            weights: object = None
+            if mesh in morphing:
+                weights = tuple(resting_weights(document, node).tolist()), tuple(played.get(node, ()))
+            found[mesh][node] = first.setdefault((bindings[skin], weights), node)
+    return found
+
+
 def _binding(skeleton: Skeleton) -> object:
     """Return the identity of a skin: its joints, in order, and their inverse bind matrices."""
     return tuple(skeleton.nodes[joint] for joint in skeleton.joints), (skeleton.inverse_bind + 0.0).tobytes()
+
+
+def _moving_targets(plans: Iterable[PosePlan]) -> list[int]:
+    """Return the morph targets that have a weight other than 0, at rest or in a clip."""
+    found: set[int] = set()
+    for plan in plans:
+        if plan.resting is not None:
+            found.update(np.flatnonzero(plan.resting).tolist())
+            for channel in (channel for clip in plan.sampled for channel in clip.channels):
+                if channel.path == MORPH_WEIGHTS:
+                    keys = channel.values.reshape(-1, len(plan.resting))
+                    found.update(np.flatnonzero(keys.any(axis=0)).tolist())
+    return sorted(found)
+
+
+def _morphing(
+    document: Document,
+    sources: Sequence[PrimitiveSource],
+    rest: Sequence[RestPrimitive],
+    motions: Sequence[Motion],
+) -> Morphing | None:
+    """Return the morph targets of a surface, with the means of the weights that clips play."""
+    moving = list(motions[0].targets)
+    if not moving:
+        return None
+    means = [one.weights(held_back_times(one.clip, len(motions))).mean(axis=0) for one in motions]
+    counts = [len(one.positions) for one in rest]
+    targets, authored = moving_targets(document, sources, counts, moving)
+    return Morphing(targets, authored, np.mean(means, axis=0)[None])
 
 
 def _with_gradients(
@@ -221,23 +300,6 @@ def _with_gradients(
     return [bake.rest_primitive() for bake in unwritten(bakes)]
 
 
-def _resting(
-    document: Document, sources: Sequence[PrimitiveSource], rest: Sequence[RestPrimitive]
-) -> list[RestPrimitive]:
-    """Return the primitives of a mesh as its morph targets leave them at rest, in the first node."""
-    mesh = sources[0].mesh
-    if not target_count(document, mesh):
-        return list(rest)
-    node = next(one for one in nodes_with(document, mesh) if "skin" in document.objects("nodes")[one])
-    weights = resting_weights(document, node)
-    moving = [int(target) for target in np.flatnonzero(weights)]
-    found = []
-    for source, one in zip(sources, rest, strict=True):
-        targets = read_targets(document, source, moving, count=len(one.positions), tangents=False)
-        found.append(one if targets is None else morphed(one, targets, weights[moving]))
-    return found
-
-
 def _by_length(targets: Float64Array, primitive: SkinnedPrimitive) -> Float64Array:
     """Return targets for the normals as stored, whose lengths are not quite 1, or not at all."""
     lengths = np.sqrt(np.square(primitive.normals.astype(np.float64)).sum(axis=1))
@@ -245,26 +307,20 @@ def _by_length(targets: Float64Array, primitive: SkinnedPrimitive) -> Float64Arr
     return np.asarray(targets * np.where(is_unit | ~np.isfinite(lengths), 1.0, lengths)[:, None])
 
 
-def _weights(
-    document: Document,
-    mesh: int,
-    skins: dict[object, int],
-    made: Correctives,
-    idle: dict[int, list[Clip]],
-) -> list[ClipWeights]:
-    """Return the weights of a mesh by clip and by each of its skins; 0 in clips that were not chosen."""
+def _weights(nodes: Mapping[int, int], made: Correctives, idle: dict[int, list[Clip]]) -> list[ClipWeights]:
+    """Return the weights by clip and by the ``nodes`` that draw alike; 0 in clips that were not chosen."""
     found = []
-    for skin in skins_of(document, mesh):
-        of = skins[_binding(read_skeleton(document, skin))]
+    for of in dict.fromkeys(nodes.values()):
+        alike = [node for node, other in nodes.items() if other == of]
         found += [
-            ClipWeights(track.motion.clip.number, skin, track.times, track.weights)
+            ClipWeights(track.motion.clip.number, alike, track.times, track.weights)
             for track in made.tracks
-            if track.motion.skin == of
+            if track.motion.node == of
         ]
         for clip in idle[of]:
             ends = np.unique(np.array([clip.start, clip.duration], dtype=np.float32))
             zeros = np.zeros((len(ends), made.count), dtype=np.float32)
-            found.append(ClipWeights(clip.number, skin, ends, zeros))
+            found.append(ClipWeights(clip.number, alike, ends, zeros))
     return found
 
 

@@ -148,7 +148,8 @@ def _of_draw(
         for own, part, targets, weights in zip(
             rest, truths.operator.slices, played.targets, played.weights, strict=True
         ):
-            changed = replace(own, normals=own.normals + np.einsum("k,kvi->vi", weights[0], targets))
+            summed = own.summed_normals(slice(None)) + np.einsum("k,kvi->vi", weights[0], targets)
+            changed = replace(own, normals=summed)
             lit = Skinning.of(changed, posed.matrices, dual_quaternions=False, options=options)
             (vertex,) = lit.run((Algorithm.LBS_STANDARD,), slice(0, 1), slice(0, len(own.positions)))
             normals["corrected"][part] = _rows(vertex.normal)
@@ -168,7 +169,9 @@ def _of_draw(
             mesh=view.source.mesh,
             primitive=view.source.primitive,
             skin=draw.skin,
-            node=draw.node if correctives is None else correctives.node(view.source.mesh, draw.skin),
+            node=draw.node
+            if correctives is None or draw.node is not None
+            else correctives.node(view.source.mesh, draw.skin),
             clip=None if clip.number == RANDOM else clip.name,
             time=moment,
             method=method,

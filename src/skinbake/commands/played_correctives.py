@@ -90,9 +90,15 @@ class PlayedCorrectives:
                 found.append(np.nan_to_num(own / lengths[:, None]))
         return found
 
-    def weights(self, mesh: int, skin: int, clip: Clip, times: Float64Array) -> Float64Array:
-        """Return the weights (P, K) that a clip gives a mesh's correctives at times (P,)."""
-        added, node = self.targets.get(mesh, 0), self.node(mesh, skin)
+    def weights(
+        self, mesh: int, draw: tuple[int, int | None], clip: Clip, times: Float64Array
+    ) -> Float64Array:
+        """Return the weights (P, K) that a clip gives a mesh's correctives at times (P,).
+
+        draw are the skin that draws the mesh, and the node if the file has morph targets of its own there.
+        """
+        skin, node = draw
+        added, node = self.targets.get(mesh, 0), self.node(mesh, skin) if node is None else node
         if not added or node is None:
             return np.zeros((len(times), added))
         resting = resting_weights(self._document, node)

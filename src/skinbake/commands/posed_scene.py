@@ -44,9 +44,10 @@ from skinbake.gltf.primitives import (
 )
 from skinbake.gltf.scenes import faces_backward, shown_nodes
 from skinbake.measure.angles import Corrections, MeasuredBlock, lighting_errors, truths_at_rest
-from skinbake.measure.morphing import Morphing, morphing_of
+from skinbake.measure.morphing import morphing_of
 from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.truth.blending import BlendedPrimitive
+from skinbake.truth.morphing import Morphing
 from skinbake.truth.operator import GradientOperator
 from skinbake.truth.poses import (
     BYTES_A_JOINT_AND_POSE,
@@ -216,7 +217,8 @@ def shown_draws(
                 draw = Draw(some, rest, skin, skeleton, node, operator)
                 surfaces[parts] = draw, correctives.of_views(some) if correctives else ()
             draw, targets = surfaces[parts]
-            played = partial(_played, correctives, draw.views, targets, skin) if correctives else None
+            drawn = skin, node
+            played = partial(_played, correctives, draw.views, targets, drawn) if correctives else None
             yield replace(draw, skin=skin, skeleton=skeleton, node=node, correctives=played)
 
 
@@ -224,12 +226,12 @@ def _played(
     correctives: PlayedCorrectives,
     views: Sequence[BakedView],
     targets: Sequence[Float64Array],
-    skin: int,
+    drawn: tuple[int, int | None],
     clip: Clip,
     times: Float64Array,
 ) -> Corrections:
     """Return the correctives of a surface at times of a clip. Random poses play none."""
-    return Corrections(targets, [correctives.weights(one.source.mesh, skin, clip, times) for one in views])
+    return Corrections(targets, [correctives.weights(one.source.mesh, drawn, clip, times) for one in views])
 
 
 def claim_draws(document: Document, draws: Sequence[Draw], clips: Sequence[Clip], poses: int) -> None:

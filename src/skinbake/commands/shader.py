@@ -219,7 +219,7 @@ def _unread_numbers(
     """
     if choices.target in {"three", "babylon"}:
         return
-    for view, noted in zip(views, noted_of(document, views), strict=True):
+    for view, noted in zip(views, noted_of(document, [view.source for view in views]), strict=True):
         wanted = NUMBERS.get(noted.frames)
         if choices.target == "plain" and wanted not in (None, choices.morphs):
             message = (

@@ -36,11 +36,12 @@ from skinbake.gltf.animation import (
 )
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, entries_of, is_number, object_of, text
-from skinbake.gltf.morphs import target_count
+from skinbake.gltf.morphs import resting_weights, target_count
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive, reason_to_skip, skinned_sources
 from skinbake.measure.angles import Corrections, MeasuredBlock, lighting_errors
 from skinbake.measure.draws import Draw
 from skinbake.measure.measured import lighting_verdict
+from skinbake.measure.morphing import morphing_of
 from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import Check, FileVerdict, Mixture
 from skinbake.timing import stage
@@ -79,7 +80,7 @@ def corrected_verdict(document: Document, options: VerifyOptions) -> FileVerdict
         views, problems = baked_views(gradients, wanted)
     if problems:
         return FileVerdict(document.name, (Check("structure", "failed", tuple(problems)),))
-    measured = _Measured(document)
+    measured = _Measured(document, gradients)
     surfaces = gathered_together(gradients, views)
     operators = [surface_operator(gradients, surface) for surface in surfaces]
     by_lbs = replace(options, methods=("lbs",))
@@ -163,10 +164,10 @@ def _stale_clips(
 
 
 class _Measured:
-    """The draws of a document in which its correctives were measured."""
+    """The draws in which the correctives of a document were measured, on a document without them."""
 
-    def __init__(self, document: Document) -> None:
-        self._document, self.played = document, PlayedCorrectives(document)
+    def __init__(self, document: Document, plain: Document) -> None:
+        self._document, self._plain, self.played = document, plain, PlayedCorrectives(document)
         self.drawn: list[Draw] = []
 
     def corrected(self, draw: Draw) -> Draw:
@@ -183,7 +184,7 @@ class _Measured:
         for number in set(draw.poses.numbers) - {None}:
             rows = np.flatnonzero([one == number for one in draw.poses.numbers])
             clip = self.played.clips[int(number or 0)]
-            found[rows] = self.played.weights(mesh, draw.skin, clip, times[rows])
+            found[rows] = self.played.weights(mesh, (draw.skin, draw.node), clip, times[rows])
         return found
 
     def mixtures(self) -> Iterator[tuple[Place, Mixture]]:
@@ -202,10 +203,13 @@ class _Measured:
             place = draw.views[0].source.place._replace(primitive=None)
             skeleton = read_skeleton(self._document, draw.skin)
             times = [clip.start + (clip.duration - clip.start) * MOMENTS for clip in playing]
+            drawn = draw.skin, draw.node
+            # The weights of correctives by clip and primitive, and those of the file's own targets by clip.
             weights = [
-                [self.played.weights(view.source.mesh, draw.skin, clip, at) for view in draw.views]
+                [self.played.weights(view.source.mesh, drawn, clip, at) for view in draw.views]
                 for clip, at in zip(playing, times, strict=True)
             ]
+            own = [self._own_weights(draw, *pair) for pair in zip(playing, times, strict=True)]
             if len(playing) == 2:
                 first, second = (clip_values(*pair) for pair in zip(playing, times, strict=True))
                 # The mean of the values (P, C) of two clips.
@@ -226,7 +230,7 @@ class _Measured:
                 matrices = skeleton.joint_matrices(found, None, len(MOMENTS))
                 mean = [(one + other) / 2.0 for one, other in zip(*weights, strict=True)]
                 name = f'half-way between "{playing[0].name}" and "{playing[1].name}"'
-                yield place, _mixture(name, draw, matrices, mean)
+                yield place, self._mixture(name, draw, matrices, mean, (own[0] + own[1]) / 2.0)
             limb = _limb(skeleton)
             if limb is not None:
                 turned = np.zeros((len(skeleton.joints), len(MOMENTS), 4))
@@ -235,7 +239,59 @@ class _Measured:
                 matrices = skeleton.joint_matrices(clip_values(playing[0], times[0]), turned, len(MOMENTS))
                 joint = self._document.objects("nodes")[skeleton.nodes[skeleton.joints[limb]]].get("name")
                 name = f'in "{playing[0].name}" with {joint or f"joint {limb}"} turned by 60°'
-                yield place, _mixture(name, draw, matrices, weights[0])
+                yield place, self._mixture(name, draw, matrices, weights[0], own[0])
+
+    def _own_weights(self, draw: Draw, clip: Clip, times: Float64Array) -> Float64Array:
+        """Return the weights (P, N) of the file's own morph targets at times of a clip; N is 0 without."""
+        if draw.node is None:
+            return np.zeros((len(times), 0))
+        own = target_count(self._plain, draw.views[0].source.mesh)
+        resting = resting_weights(self._document, draw.node)
+        return clip_weights(draw.node, self.played.clips[clip.number], times, resting)[:, :own]
+
+    def _mixture(
+        self,
+        name: str,
+        draw: Draw,
+        matrices: Float64Array,
+        weights: Sequence[Float64Array],
+        own: Float64Array,
+    ) -> Mixture:
+        """Measure joint matrices (P, J, 4, 4) with weights (P, K) of correctives by primitive.
+
+        own (P, N) are the weights of the file's own morph targets.
+        """
+        assert draw.corrections is not None
+        poses = draw.poses._replace(joint_matrices=matrices, morph_weights=own if own.size else None)
+        morphing = morphing_of(self._plain, draw.views, poses)
+        sums: dict[tuple[str, str], list[float]] = {}
+
+        def add(block: MeasuredBlock) -> None:
+            if block.lighting in {"standard", "corrected"}:
+                areas = draw.areas[block.primitive][block.vertex : block.vertex + block.errors.shape[1]]
+                total = sums.setdefault((block.lighting, block.truth), [0.0, 0.0])
+                total[0] += float(
+                    (np.where(block.valid, np.nan_to_num(block.errors, nan=180.0), 0.0) * areas).sum()
+                )
+                total[1] += float((block.valid * areas).sum())
+
+        corrections = replace(draw.corrections, weights=weights)
+        lighting_errors(
+            draw.operator,
+            draw.rest,
+            matrices,
+            "lbs",
+            add,
+            morphing=morphing,
+            corrections=corrections,
+            direct=False,
+        )
+        means = {key: total / max(weight, 1e-300) for key, (total, weight) in sums.items()}
+        by_truth = [
+            {truth: mean for (of, truth), mean in means.items() if of == lighting}
+            for lighting in ("standard", "corrected")
+        ]
+        return Mixture(name, *by_truth)
 
 
 MOMENTS: Float64Array = np.linspace(0.0, 1.0, 12, endpoint=False) + 0.382 / 12.0
@@ -255,30 +311,6 @@ def _limb(skeleton: Skeleton) -> int | None:
     of_joints = carried[skeleton.joints]
     few = (of_joints > 1) & (of_joints <= max(2, len(of_joints) // 4))
     return int(np.argmax(np.where(few, of_joints, 0))) if few.any() else None
-
-
-def _mixture(name: str, draw: Draw, matrices: Float64Array, weights: Sequence[Float64Array]) -> Mixture:
-    """Measure poses, joint matrices (P, J, 4, 4), with weights (P, K) of the correctives by primitive."""
-    assert draw.corrections is not None
-    sums: dict[tuple[str, str], list[float]] = {}
-
-    def add(block: MeasuredBlock) -> None:
-        if block.lighting in {"standard", "corrected"}:
-            areas = draw.areas[block.primitive][block.vertex : block.vertex + block.errors.shape[1]]
-            total = sums.setdefault((block.lighting, block.truth), [0.0, 0.0])
-            total[0] += float(
-                (np.where(block.valid, np.nan_to_num(block.errors, nan=180.0), 0.0) * areas).sum()
-            )
-            total[1] += float((block.valid * areas).sum())
-
-    corrections = replace(draw.corrections, weights=weights)
-    lighting_errors(draw.operator, draw.rest, matrices, "lbs", add, corrections=corrections, direct=False)
-    means = {key: total / max(weight, 1e-300) for key, (total, weight) in sums.items()}
-    by_truth = [
-        {truth: mean for (of, truth), mean in means.items() if of == lighting}
-        for lighting in ("standard", "corrected")
-    ]
-    return Mixture(name, *by_truth)
 
 
 def _worse(verdict: FileVerdict) -> Iterator[Notice]:

@@ -19,8 +19,9 @@ import numpy as np
 from skinbake.correctives.principal import gram, leading, refined, scaled_to
 from skinbake.correctives.surface import TRUTHS, Surface
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
-from skinbake.gltf.animation import Clip, Skeleton, clip_poses
+from skinbake.gltf.animation import Clip, clip_poses, clip_weights
 from skinbake.skinning.rest import RestPrimitive
+from skinbake.truth.poses import PosePlan
 
 MOST_TARGETS = 4
 """The targets that ``auto`` adds at most. glTF guarantees eight morphed attributes, two of each target."""
@@ -46,7 +47,7 @@ SAMPLES = 1 << 23
 """Vertices × keys of a fit. A mesh of more vertices has fewer keys."""
 
 BYTES_A_SAMPLE = 48
-"""The memory of a vertex at a key, at most."""
+"""The memory of a vertex at a key, at most. With morph targets it takes twice as much."""
 
 HELD_BACK, LEAST_HELD_BACK = 60, 6
 """The poses between keys in which what does not help is found: of all clips, and of each one at least."""
@@ -66,11 +67,22 @@ WORSE = 1.005
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """A clip as it moves a skin: the number of the skin, its skeleton, and the clip with its channels."""
+    """A clip as it moves what a node draws. targets are the N morph targets that move in any clip."""
 
-    skin: int
-    skeleton: Skeleton
+    node: int
+    plan: PosePlan
     clip: Clip
+    targets: Sequence[int] = ()
+
+    def weights(self, times: Float64Array) -> Float64Array:
+        """Return the weights (P, N) of the morph targets at times (P,)."""
+        if self.plan.resting is None:
+            return np.zeros((len(times), 0))
+        return clip_weights(self.node, self.clip, times, self.plan.resting)[:, self.targets]
+
+    def at(self, times: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Return the joint matrices (P, J, 4, 4) at times (P,), and the weights of the morph targets."""
+        return clip_poses(self.plan.skeleton, self.clip, times), self.weights(times)
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +164,8 @@ def fitted(
     them.
     """
     most = max(LEAST_KEYS, min(MOST_KEYS, SAMPLES // max(surface.count, 1)))
-    claim(BYTES_A_SAMPLE * surface.count * max(most, LEAST_KEYS * len(motions)))
+    size = BYTES_A_SAMPLE * (1 if surface.morphing is None else 2)
+    claim(size * surface.count * max(most, LEAST_KEYS * len(motions)))
     times, parts = [], []
     for motion in motions:
         of_clip = min(max(most // len(motions), LEAST_KEYS), most)
@@ -160,12 +173,16 @@ def fitted(
         times.append(own)
         parts.append(changes)
     shares, changes = np.concatenate([_shares(own) for own in times]), np.concatenate(parts)
+    played = [motion.weights(own) for motion, own in zip(motions, times, strict=True)]
+    normals = None if surface.morphing is None else surface.normals(np.concatenate(played))
     starts = np.cumsum([0, *(len(one.positions) for one in surface.rest)])
     tried = []
     for mesh in meshes:
         rows = slice(int(starts[mesh.start]), int(starts[mesh.stop]))
         own_areas = np.asarray(areas[rows], dtype=np.float64)
-        targets, weights, left = _fit(changes[:, rows], own_areas, shares, wanted)
+        targets, weights, left = _fit(
+            changes[:, rows], None if normals is None else normals[:, rows], own_areas, shares, wanted
+        )
         used = np.asarray(own_areas > 0.0)
         scaled_to(targets, weights, used, form.longest)
         # No weight is a fraction that two processors could round in two ways.
@@ -178,9 +195,16 @@ def fitted(
 
 
 def _fit(
-    changes: Float32Array, areas: FloatArray, shares: Float64Array, wanted: int | None
+    changes: Float32Array,
+    normals: Float32Array | None,
+    areas: FloatArray,
+    shares: Float64Array,
+    wanted: int | None,
 ) -> tuple[Float64Array, Float64Array, float]:
-    """Return targets (K, V, 2), weights (R, K), and the share of the squared changes that they leave."""
+    """Return targets (K, V, 2), weights (R, K), and the share of the squared changes that they leave.
+
+    normals (R, V, 3) are those that the changes (R, V, 2) are added to, None where all are (0, 0, 1).
+    """
     root = np.sqrt(shares)
     matrix = gram(changes, areas) * (root[:, None] * root)
     whole = float(np.trace(matrix))
@@ -192,7 +216,7 @@ def _fit(
     count = most if wanted is not None else min(int(np.count_nonzero(left > LEFT)) + 1, most)
     count = max(1, min(count, int(np.count_nonzero(values > 1e-9 * values[0]))))
     start = vectors[:, :count] / np.maximum(root, 1e-9)[:, None]
-    targets, weights = refined(changes, np.asarray(areas, dtype=np.float64), shares, start)
+    targets, weights = refined(changes, normals, np.asarray(areas, dtype=np.float64), shares, start)
     return targets, weights, float(max(left[count - 1], 0.0))
 
 
@@ -202,8 +226,7 @@ def _keyed(
     """Return key times (N,) of a clip, and the changes (N, V, 2) there: no more than ``most``."""
 
     def changes_at(times: Float64Array) -> Float32Array:
-        matrices = clip_poses(motion.skeleton, motion.clip, times)
-        return surface.changes(matrices, accurate=accurate)
+        return surface.changes(*motion.at(times), accurate=accurate)
 
     start, end = motion.clip.start, motion.clip.duration
     first = min(max(FIRST_KEYS // clips, LEAST_KEYS), most) if end > start else 1
@@ -273,17 +296,18 @@ def held_back_times(clip: Clip, clips: int) -> Float64Array:
 def summed_errors(
     surface: Surface,
     targets: Sequence[Float64Array],
-    matrices: Float64Array,
+    posed: tuple[Float64Array, Float64Array],
     weights: Sequence[Float64Array],
 ) -> tuple[Float64Array, Float64Array]:
     """Return the summed errors of standard and of corrected lighting, (U, V) each, over poses, in degrees.
 
-    targets (K, V, 3) and weights (P, K) belong to the primitives. A pose without a truth adds 0.
+    posed are joint matrices and the weights of the file's own targets (``Motion.at``). targets (K, V, 3) and
+    weights (P, K) belong to the primitives. A pose without a truth adds 0.
     """
     standard, corrected = np.zeros((2, len(TRUTHS), surface.count))
-    for poses, block in surface.posed(matrices):
+    for poses, block in surface.posed(*posed):
         rows, part, number = block.at.rows, block.at.part, block.at.primitive
-        plain = surface.rest[number].normals[rows].T[:, :, None].astype(np.float64)
+        plain = block.at_rest[:, :, None]
         moved = np.zeros((3, plain.shape[1], poses.stop - poses.start))
         for target, weight in zip(targets[number], weights[number][poses].T, strict=True):
             moved += target[rows].T[:, :, None] * weight
@@ -314,7 +338,7 @@ def _helpful(
     targets: list[Float64Array] = []
     tracks: list[list[Track]] = []
     for mesh, (of_mesh, weights, _) in zip(meshes, tried, strict=True):
-        targets += _in_space(surface.rest[mesh], of_mesh, step)
+        targets += _in_space(surface.frames[mesh], of_mesh, step)
         parts = np.split(weights.astype(np.float32), ends)
         at = [own.astype(np.float32) for own in times]
         tracks.append([Track(*one) for one in zip(motions, at, parts, strict=True)])
@@ -328,8 +352,7 @@ def _helpful(
             for mesh, weights in zip(meshes, played, strict=True)
             for _ in range(mesh.start, mesh.stop)
         ]
-        matrices = clip_poses(motion.skeleton, motion.clip, held_back)
-        found = summed_errors(surface, targets, matrices, weights_of)
+        found = summed_errors(surface, targets, motion.at(held_back), weights_of)
         standard[number], corrected[number] = (one / len(held_back) for one in found)
     starts = np.cumsum([0, *(len(one.positions) for one in surface.rest)])
     result = []

@@ -114,17 +114,28 @@ def _jacobi(matrix: Float64Array) -> tuple[Float64Array, Float64Array]:
 
 
 def refined(
-    changes: Float32Array, areas: FloatArray, shares: FloatArray, weights: Float64Array
+    changes: Float32Array,
+    normals: Float32Array | None,
+    areas: FloatArray,
+    shares: FloatArray,
+    weights: Float64Array,
 ) -> tuple[Float64Array, Float64Array]:
     """Return targets (K, V, 2) and weights (R, K) that leave the least angles, from a start for the weights.
 
-    changes (R, V, 2) are δ, NaN where a vertex has none in a sample. areas (V,) weight the vertices, shares
-    (R,) the samples. An error e of δ turns the normal by about |e| / (1 + |δ|²). So folds, where a normal is
-    nearly at right angles to where it should be, count little, and a missing δ not at all.
+    changes (R, V, 2) are δ, NaN where a vertex has none in a sample. normals (R, V, 3) are what δ is added
+    to, along the same two axes and the third; None: (0, 0, 1). areas (V,) weight the vertices, shares (R,)
+    the samples. With a normal (0, 0, h), an error e of δ turns it by about h |e| / (h² + |δ|²). So folds,
+    where a normal is nearly at right angles to where it should be, count little, and a missing δ not at all.
     """
     known = ~np.isnan(changes[..., 0])
     values = np.nan_to_num(changes).astype(np.float64)
-    emphasis = areas * shares[:, None] * known / np.square(1.0 + np.square(values).sum(axis=2))
+    weighted = areas * shares[:, None] * known
+    if normals is None:
+        emphasis = weighted / np.square(1.0 + np.square(values).sum(axis=2))
+    else:
+        height = np.square(normals[..., 2].astype(np.float64))
+        length = height + np.square(values + normals[..., :2]).sum(axis=2)
+        emphasis = weighted * height / np.square(np.where(length > 0.0, length, 1.0))
     for _ in range(REFINEMENTS):
         targets = targets_of(values, emphasis, weights)
         weights = _weights_of(values, emphasis, targets)

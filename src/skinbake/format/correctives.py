@@ -55,10 +55,10 @@ TYPES_OF_TARGETS: dict[Encoding, type[np.generic]] = {
 
 @dataclass(frozen=True, slots=True)
 class ClipWeights:
-    """The weights (N, K) of a mesh's targets at times (N,), float32, in one animation for one skin."""
+    """The weights (N, K) of a mesh's targets at times (N,), float32, in one animation for some nodes."""
 
     animation: int
-    skin: int
+    nodes: Sequence[int]
     times: Float32Array
     weights: Float32Array
 
@@ -284,7 +284,7 @@ def _add_clips(
     place = item.sources[0].place
     changed: list[list[Any]] = []
     before: dict[int, int] = {}
-    of_clip = {(clip.animation, clip.skin): clip for clip in item.clips}
+    of_clip = {(clip.animation, node): clip for clip in item.clips for node in clip.nodes}
     # A node has no skin where it stands still: it has no clips.
     skins = {
         node: reference(document.objects("nodes")[node].get("skin"))
@@ -296,7 +296,7 @@ def _add_clips(
         count = len(samplers)
         shared: dict[int | None, int] = {}
         for node, skin in skins.items():
-            clip = of_clip.get((number, -1 if skin is None else skin))
+            clip = of_clip.get((number, node))
             position = _weights_channel(channels, node)
             if clip is None and position is None:
                 continue

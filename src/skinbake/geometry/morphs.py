@@ -197,14 +197,17 @@ def _in_plane(vectors: Sequence[FloatArray], in_plane: FloatArray) -> tuple[Floa
     return t, b0 + t0 * in_plane[:, 2:3] + b0 * in_plane[:, 3:]
 
 
-def morphed_normals(normals: FloatArray, differences: FloatArray) -> FloatArray:
-    """Return n0 + Σ w ΔN, each (V, 3), at length 1; n0 if nothing is added or the sum is 0."""
+def morphed_normals(normals: FloatArray, differences: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return n0 + Σ w ΔN, each (V, 3), at length 1, and the length (V,) of the sum.
+
+    If nothing is added or the sum is 0, they are n0 and 1.
+    """
     total = normals + differences
     square = dot(total, total)
     # A sum without a length, or a vertex that no target moves, keeps n0.
     sound = (square > 0) & np.isfinite(square) & differences.any(axis=1)
     root = np.sqrt(np.where(sound, square, square.dtype.type(1)))
-    return np.where(sound[:, None], total / root[:, None], normals)
+    return np.where(sound[:, None], total / root[:, None], normals), root
 
 
 def dot(a: FloatArray, b: FloatArray) -> FloatArray:

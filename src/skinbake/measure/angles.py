@@ -12,7 +12,6 @@ import numpy as np
 from skinbake.choices import USUAL_TRUTHS, Truth
 from skinbake.geometry import dual_quaternions
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, blocks
-from skinbake.measure.morphing import Morphing
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.blended import BlendedSkinning
 from skinbake.skinning.components import Vector, cross, dot, scaled
@@ -24,6 +23,7 @@ from skinbake.truth import kernel
 from skinbake.truth.areas import squared_cross
 from skinbake.truth.blending import BlendedPrimitive, chunks, sample_blocks, sides_of
 from skinbake.truth.fine import FineMesh
+from skinbake.truth.morphing import Morphing
 from skinbake.truth.operator import GradientOperator
 from skinbake.truth.truths import ChunkMemory, FineTruth, PosedSurface, Truths, VertexBlock
 

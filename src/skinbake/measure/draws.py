@@ -63,7 +63,8 @@ class Draw:
     operator is that of the truths, over all primitives. rest are these for the replay, areas the
     areas around their vertices, (V,) each, in the squared unit of the scene. They are the weights of errors.
     poses are those of the skin, and of the node if the mesh has morph targets. fine is the mesh of the truth
-    *fine*, None without it. skin is its number. corrections are the correctives that its clips play, if any.
+    *fine*, None without it. skin and node are their numbers. corrections are the correctives that its clips
+    play, if any.
     """
 
     views: Sequence[BakedView]
@@ -73,6 +74,7 @@ class Draw:
     poses: PoseSet
     fine: FineMesh | None = None
     skin: int = 0
+    node: int | None = None
     corrections: Corrections | None = None
 
 
@@ -145,7 +147,7 @@ def draws(
         space = RestAreas(document, draw[0])
         areas = [space.of(view.now) for view in views]
         of_fine = fine.get(id(views))
-        found.append(Draw(views, operator, rests[id(views)], areas, sets[draw], of_fine, draw[0]))
+        found.append(Draw(views, operator, rests[id(views)], areas, sets[draw], of_fine, *draw))
     return found, notices
 
 

@@ -25,7 +25,7 @@ from skinbake.measure.angles import (
     truths_at_rest,
 )
 from skinbake.measure.draws import Draw, draws, true_surfaces
-from skinbake.measure.morphing import Morphing, morph_count, morphing_of
+from skinbake.measure.morphing import morph_count, morphing_of
 from skinbake.measure.options import VerifyOptions, limits_check
 from skinbake.measure.reliefs import ReliefTallies
 from skinbake.measure.tally import ErrorTally
@@ -34,6 +34,7 @@ from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.skinning.run import joints_in_use
 from skinbake.timing import stage, tell_steps
 from skinbake.truth import kernel
+from skinbake.truth.morphing import Morphing
 from skinbake.truth.operator import GradientOperator
 from skinbake.truth.poses import PoseSet, described
 from skinbake.truth.truths import Truths

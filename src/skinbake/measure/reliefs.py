@@ -27,7 +27,6 @@ from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntAr
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import listed, object_of
 from skinbake.measure.draws import Draw
-from skinbake.measure.morphing import Morphing
 from skinbake.measure.tally import ErrorTally
 from skinbake.report.verify import ErrorFigures, Normals, Reliefs, Worst
 from skinbake.skinning.algorithms import Algorithm
@@ -38,6 +37,7 @@ from skinbake.skinning.run import Skinning
 from skinbake.truth import kernel
 from skinbake.truth.blending import BlendedPrimitive, sides_of
 from skinbake.truth.kernel import dqs_positions
+from skinbake.truth.morphing import Morphing
 from skinbake.truth.normals import FLAT_FRAME
 from skinbake.truth.truths import Truths, VertexBlock
 from skinbake.truth.values import SparseRows

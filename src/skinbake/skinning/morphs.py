@@ -27,7 +27,8 @@ def morphed(
 ) -> RestPrimitive:
     """Return the primitive with the targets at these weights (N,).
 
-    α, β, joints and weights of influences stay. The normal is n0 + Σ w ΔN at length 1. t and b are those of
+    α, β, joints and weights of influences stay. The normal is n0 + Σ w ΔN at length 1, and ``sums`` has the
+    length before. t and b are those of
     ``carried_by_tangent`` if ``targets.with_tangents``, otherwise of ``carried_by_normal``. If the targets
     have numbers of the differential, t and b are those of ``carried_in_plane``, or with six numbers of
     ``carried_in_space``; the normal is then that of t and b, where they move. Positions and
@@ -44,7 +45,7 @@ def morphed(
 
     # The morphed normal, and the frame carried along with it.
     n0, t0, b0 = (vectors.astype(dtype) for vectors in (rest.normals, rest.tangents, rest.bitangents))
-    n = morphed_normals(n0, targets.summed("normals", weights, count).astype(dtype))
+    n, sums = morphed_normals(n0, targets.summed("normals", weights, count).astype(dtype))
     handedness = rest.handedness().astype(dtype)
     if targets.numbers:
         in_plane = targets.summed("in_plane", weights, count).astype(dtype)
@@ -68,6 +69,7 @@ def morphed(
         tangents=t,
         bitangents=b,
         gradients=None,
+        sums=sums,
     )
     if targets.numbers:
         return _with_gradients_of_any_frame(replace(primitive, lengths=rest.tangent_lengths()))
@@ -85,7 +87,7 @@ def as_engines_light(
     if targets.numbers <= COMPONENTS["in_plane"] or moved is rest:
         return moved
     n0 = rest.normals.astype(np.float64)
-    normals = morphed_normals(n0, targets.summed("normals", weights, len(n0)))
+    normals, _ = morphed_normals(n0, targets.summed("normals", weights, len(n0)))
     return replace(moved, normals=normals, sides=moved.handedness())
 
 

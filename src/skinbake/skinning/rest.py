@@ -44,7 +44,8 @@ class RestPrimitive:
     is ∇w of every slot for algorithm 2, or None to compute them from alpha and beta. sides (V,) is the
     handedness of the frame where the normals are not those of the frame, else None. lengths (V,) are those of
     t0 at rest where t and b are its images under morph targets, else None. blend (V, 3) are the blend weight
-    b, ∂b/∂t0 and ∂b/∂b0 (``blended``), None for zeros.
+    b, ∂b/∂t0 and ∂b/∂b0 (``blended``), None for zeros. sums (V,) are the lengths of the normals that morph
+    targets add up to, to which engines add further targets; None for 1.
     """
 
     positions: FloatArray
@@ -59,6 +60,7 @@ class RestPrimitive:
     sides: FloatArray | None = None
     lengths: FloatArray | None = None
     blend: FloatArray | None = None
+    sums: FloatArray | None = None
 
     def rows(self, part: slice | IntArray) -> RestPrimitive:
         """Return some of the vertices."""
@@ -75,7 +77,13 @@ class RestPrimitive:
             sides=None if self.sides is None else self.sides[part],
             lengths=None if self.lengths is None else self.lengths[part],
             blend=None if self.blend is None else self.blend[part],
+            sums=None if self.sums is None else self.sums[part],
         )
+
+    def summed_normals(self, part: slice) -> FloatArray:
+        """Return the normals (B, 3) of some vertices as morph targets add them up, not of length 1."""
+        normals = self.normals[part]
+        return normals if self.sums is None else normals * self.sums[part, None]
 
     def weight_gradients(self) -> FloatArray:
         """Return ∇w (V, K, 3): as given, otherwise α t0 + β b0; slot 0 has minus the sum of the others.

@@ -100,8 +100,8 @@ class BlendedPrimitive:
         return [tuple(axis.T for axis in steps[algorithm](pose, part)) for algorithm in algorithms]
 
     def changed_normals(self, pose: slice, part: slice, changes: Float64Array) -> Float64Array:
-        """Return T (n + δ) of some vertices for changes δ (3, B, P) of their normals: (3, B, P)."""
-        changed = self._rest.normals[part].T[:, :, None] + changes
+        """Return T (n + δ) of some vertices for changes δ (3, B, P) of their summed normals: (3, B, P)."""
+        changed = self._rest.summed_normals(part).T[:, :, None] + changes
         return np.asarray((self.columns(pose, part) * changed[:, None]).sum(axis=0))
 
     def columns(self, pose: slice, part: slice) -> Float64Array:

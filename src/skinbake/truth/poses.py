@@ -116,7 +116,7 @@ def draws_of(document: Document, mesh: int, clips: Sequence[Clip]) -> list[tuple
 
 def joint_clips(document: Document, skin: int, clips: Sequence[Clip]) -> list[Clip]:
     """Return the clips that move the joints of a skin or their ancestors, with the channels that do."""
-    return _moving(document, skin, clips, None)
+    return moving_clips(document, skin, clips, None)
 
 
 def steps_of_looking(clips: Sequence[Clip]) -> int:
@@ -124,7 +124,7 @@ def steps_of_looking(clips: Sequence[Clip]) -> int:
     return sum(3 + 2 * len(clip.channels) for clip in clips)
 
 
-def _moving(document: Document, skin: int, clips: Sequence[Clip], node: int | None) -> list[Clip]:
+def moving_clips(document: Document, skin: int, clips: Sequence[Clip], node: int | None) -> list[Clip]:
     """Return the clips that move a skin, or the morph weights of a node, with the channels that do."""
     skeleton = read_skeleton(document, skin)
     what = f"looking for the clips of skin {skin}"
@@ -160,7 +160,7 @@ class PosePlan:
             resting = resting_weights(document, node)
             resting = resting if resting.size else None
         morphed = None if resting is None else node
-        moving = _moving(document, skin, clips, morphed)
+        moving = moving_clips(document, skin, clips, morphed)
         return cls(skin, read_skeleton(document, skin), tuple(moving), request, morphed, resting)
 
     @property

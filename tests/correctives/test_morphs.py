@@ -1,0 +1,202 @@
+"""Correctives of meshes whose own morph targets move: made and measured at the weights that play."""
+
+from __future__ import annotations
+
+import base64
+import copy
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.correctives.models import SHEET, mean_errors, rewritten
+from tests.support import corpus, gltf_reading
+from tests.support.baked_files import verify
+from tests.support.command_line import invoke
+
+TIMES = [0.11, 0.37, 0.52, 0.81]
+
+
+def added(content: Any, values: Any, kind: str, **described: Any) -> int:
+    """Add an accessor whose bytes are in a buffer of its own, and return its number."""
+    raw = np.ascontiguousarray(values).tobytes()
+    uri = "data:application/octet-stream;base64," + base64.b64encode(raw).decode()
+    content["buffers"].append({"uri": uri, "byteLength": len(raw)})
+    stride = {"byteStride": values.strides[0]} if values.ndim > 1 and values.itemsize < 4 else {}
+    content["bufferViews"].append({"buffer": len(content["buffers"]) - 1, "byteLength": len(raw), **stride})
+    code = {"f": 5126, "i": 5120}[values.dtype.kind]
+    view = {"bufferView": len(content["bufferViews"]) - 1, "componentType": code}
+    content["accessors"].append({**view, "count": len(values), "type": kind, **described})
+    return len(content["accessors"]) - 1
+
+
+def _sampler(content: Any) -> Any:
+    """Return the sampler of the weights of the first clip."""
+    animation = content["animations"][0]
+    (channel,) = (one for one in animation["channels"] if one["target"]["path"] == "weights")
+    return animation["samplers"][channel["sampler"]]
+
+
+def _weights(content: Any, keys: Any, method: str = "LINEAR") -> None:
+    """Let the first clip play other weights (N, 2), or (N, 3, 2) for CUBICSPLINE."""
+    sampler = _sampler(content)
+    keys = np.asarray(keys, np.float32)
+    end = content["accessors"][sampler["input"]]["max"][0]
+    times = np.linspace(0.0, end, len(keys)).astype(np.float32)
+    bounds = {"min": [0.0], "max": [float(times[-1])]}
+    sampler["input"] = added(content, times, "SCALAR", **bounds)
+    sampler["output"] = added(content, keys.ravel(), "SCALAR")
+    sampler["interpolation"] = method
+
+
+def _still(content: Any, weights: list[float]) -> None:
+    """Take the weights out of the clip, and let the mesh have others by default."""
+    animation = content["animations"][0]
+    animation["channels"] = [one for one in animation["channels"] if one["target"]["path"] != "weights"]
+    content["meshes"][0]["weights"] = weights
+
+
+def outside(content: Any) -> None:
+    _weights(content, [[-0.6, 0.4], [1.7, -0.8], [0.5, 1.3], [-0.6, 0.4]])
+
+
+def stepped(content: Any) -> None:
+    _weights(content, [[0.9, 0.2], [0.3, 1.0], [1.0, -0.3], [0.9, 0.2]], "STEP")
+
+
+def cubic(content: Any) -> None:
+    keys = np.zeros((4, 3, 2))
+    keys[:, 1] = [[0.2, 0.9], [1.2, 0.1], [0.4, 1.1], [0.2, 0.9]]
+    keys[:, 0] = keys[:, 2] = [[0.5, -0.5], [0.0, 0.3], [-0.6, 0.0], [0.5, -0.5]]
+    _weights(content, keys, "CUBICSPLINE")
+
+
+def by_mesh(content: Any) -> None:
+    _still(content, [1.0, 0.7])
+
+
+def by_node(content: Any) -> None:
+    _still(content, [0.0, 0.0])
+    next(node for node in content["nodes"] if "skin" in node)["weights"] = [1.1, -0.8]
+
+
+def in_one_of_two_clips(content: Any) -> None:
+    """Let a second clip move the joints alone, while the targets rest at weights of their own."""
+    content["meshes"][0]["weights"] = [0.8, 0.9]
+    other = copy.deepcopy(content["animations"][0])
+    other["name"] = "other"
+    other["channels"] = [one for one in other["channels"] if one["target"]["path"] != "weights"]
+    content["animations"].append(other)
+
+
+def by_two_nodes(content: Any) -> None:
+    """Draw the mesh once more, with a skin of its own and other weights that no clip moves."""
+    content["skins"].append(copy.deepcopy(content["skins"][0]))
+    drawer = next(node for node in content["nodes"] if "skin" in node)
+    again = {**drawer, "name": "again", "skin": len(content["skins"]) - 1, "weights": [-0.5, 1.2]}
+    content["nodes"].append(again)
+    content["scenes"][0]["nodes"].append(len(content["nodes"]) - 1)
+
+
+def one_without_normal(content: Any) -> None:
+    outside(content)
+    del content["meshes"][0]["primitives"][0]["targets"][1]["NORMAL"]
+
+
+def none_with_normal(content: Any) -> None:
+    for target in content["meshes"][0]["primitives"][0]["targets"]:
+        target.pop("NORMAL")
+        target.pop("TANGENT", None)
+
+
+def in_parts(content: Any) -> None:
+    outside(content)
+    primitive = content["meshes"][0]["primitives"][0]
+    whole = content["accessors"][primitive["indices"]]
+    half, parts = whole["count"] // 6 * 3, []
+    for start, count in ((0, half), (half, whole["count"] - half)):
+        content["accessors"].append({**whole, "byteOffset": 2 * start, "count": count})
+        parts.append({**copy.deepcopy(primitive), "indices": len(content["accessors"]) - 1})
+        for bound in ("min", "max"):
+            content["accessors"][-1].pop(bound, None)
+    content["meshes"][0]["primitives"] = parts
+
+
+def quantised(content: Any) -> None:
+    """Store the changes of NORMAL in bytes."""
+    outside(content)
+    source = gltf_reading.read(SHEET)
+    for target in content["meshes"][0]["primitives"][0]["targets"]:
+        values = source.values(target["NORMAL"])
+        padded = np.zeros((len(values), 4), np.int8)
+        padded[:, :3] = np.clip(np.rint(values * 127), -127, 127)
+        target["NORMAL"] = added(content, padded, "VEC3", normalized=True)
+    for name in ("extensionsUsed", "extensionsRequired"):
+        content[name] = [*content.get(name, []), "KHR_mesh_quantization"]
+
+
+VARIANTS: list[Callable[[Any], None]] = [
+    outside,
+    stepped,
+    cubic,
+    by_mesh,
+    by_node,
+    in_one_of_two_clips,
+    by_two_nodes,
+    one_without_normal,
+    none_with_normal,
+    in_parts,
+    quantised,
+]
+
+
+@pytest.mark.parametrize("change", VARIANTS, ids=lambda change: change.__name__)
+def test_correctives_fit_the_morph_weights_that_play(change: Callable[[Any], None], tmp_path: Path) -> None:
+    given, made = rewritten(SHEET, tmp_path / "in.glb", change), tmp_path / "out.glb"
+    result = invoke("bake", given, "-o", made, "--correctives", "auto")
+    assert result.exit_code == 0, result.output
+    for clip in range(len(gltf_reading.read(made).content["animations"])):
+        standard, corrected = mean_errors(made, clip, TIMES)
+        assert corrected < 0.3 * standard
+    figures = verify(made).file["normals_by_triangles"]["lbs"]
+    assert figures["corrected"]["mean"] < 0.3 * figures["standard"]["mean"]
+
+
+@corpus.needed
+@pytest.mark.parametrize(
+    "name", ["correctives_clip_plays_morphs", "morphs_without_normal_in_clip", "default_morph_weights"]
+)
+def test_files_of_strangers_gain_what_their_clips_show(name: str, tmp_path: Path) -> None:
+    made = tmp_path / "out.glb"
+    result = invoke("bake", corpus.case(f"turn4/{name}.glb"), "-o", made, "--correctives", "auto")
+    assert result.exit_code == 0, result.output
+    standard, corrected = mean_errors(made, 0, [0.3, 0.9, 1.6])
+    assert corrected < 0.3 * standard
+    answer = verify(made)
+    assert not answer.file["warnings"]
+    figures = answer.file["normals_by_triangles"]["lbs"]
+    assert figures["corrected"]["mean"] < 0.2 * figures["standard"]["mean"]
+
+
+@pytest.mark.parametrize("change", [outside, by_mesh, by_node], ids=lambda change: change.__name__)
+def test_mixtures_are_measured_at_the_morph_weights_that_play(
+    change: Callable[[Any], None], tmp_path: Path
+) -> None:
+    """Half-way between a clip and the same clip again is that clip."""
+
+    def twice(content: Any) -> None:
+        change(content)
+        content["animations"].append({**copy.deepcopy(content["animations"][0]), "name": "again"})
+
+    made = tmp_path / "out.glb"
+    invoke("bake", rewritten(SHEET, tmp_path / "in.glb", twice), "-o", made, "--correctives", "auto")
+    file = verify(made).file
+    between, turned = file["mixtures"]
+    assert between["name"].startswith("half-way between")
+    for truth, normals in (("tangents", "normals"), ("triangles", "normals_by_triangles")):
+        for lighting in ("standard", "corrected"):
+            figure = file[normals]["lbs"][lighting]["mean"]
+            assert between[lighting][truth] == pytest.approx(figure, rel=0.1, abs=0.05)
+        assert turned["corrected"][truth] < turned["standard"][truth]
