@@ -372,7 +372,7 @@ BAKE = (
             f"{READERS_OF_FOUR} read only one set."),
         FRAME,
         Option("limit_influences", Range(SLOTS_PER_SET, is_whole=True), None, By.ALL, "N", help=
-            "Keep the N largest influences of each vertex, N a multiple of 4, and print the cost."),
+            "Keep the N largest influences of each vertex, N a multiple of 4."),
         Option("generate_normals", bool, False, By.ALL, help=
             "Add smooth NORMALs to primitives without NORMAL."),
         Option("morph_normals", bool, False, By.ALL, help=

@@ -25,7 +25,6 @@ from skinbake.report.bake import (
     BakedCounts,
     FileResult,
     LimitCost,
-    Spread,
     closing_line,
     detail_lines,
     short_line,
@@ -237,25 +236,11 @@ def test_the_closing_line_tells_what_was_lost(tmp_path: Path) -> None:
     assert float(remedied[1]) < float(found[1])
 
 
-@pytest.mark.parametrize(
-    ("mean", "p99", "moved", "words"),
-    [
-        (0.391, 6.58, 0.0, "normals turn by 0.39° (p99 6.6°), positions stay"),
-        (0.0, 0.0, 0.0, "normals turn by 0° (p99 0°), positions stay"),
-        (
-            0.00002,
-            0.3,
-            0.00001,
-            "normals turn by under 0.0001° (p99 0.3°), positions move by under 0.01 % of",
-        ),
-        (12.3, 123.4, 0.0862, "normals turn by 12° (p99 123°), positions move by at most 4.31 % of the size"),
-    ],
-)
-def test_the_cost_of_a_limit_has_no_exponents(mean: float, p99: float, moved: float, words: str) -> None:
-    cost = LimitCost(4, 7, 0.5, Spread(mean, p99, 170.0), Spread(0.0, 0.0, moved), 2.0, "60 poses")
+def test_a_limit_says_how_much_weight_it_has_taken() -> None:
+    cost = LimitCost(4, 7, 0.5)
     counts = BakedCounts(9, 9, 0, 4, "rig", "normal", False, 0, 2, 1.0, 0.4, 99, 24, cost)
     line = closing_line(FileResult("a.glb", None, "baked", ((Place("a.glb"), counts),)), dry_run=True)
-    assert f"limited to 4 influences: 7 vertices lost 50.00 % of their weight, {words}" in line
+    assert "limited to 4 influences: 7 vertices lost 50.00 % of their weight" in line
     # bake refuses --neighbours extend beside the limit.
     assert line.endswith("(40.00 % of the gradient; try a larger --limit-influences)")
 

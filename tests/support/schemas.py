@@ -49,7 +49,6 @@ ERROR = {
         ),
     ]
 }
-SPREAD = strict({name: {"type": "number", "minimum": 0} for name in ("mean", "p99", "max")})
 LIMITED = {
     "oneOf": [
         {"type": "null"},
@@ -58,10 +57,6 @@ LIMITED = {
                 "influences": {"type": "integer", "multipleOf": 4, "minimum": 4},
                 "vertices": COUNT,
                 "left_out": {"type": "number", "minimum": 0, "maximum": 1},
-                "normals": SPREAD,
-                "positions": SPREAD,
-                "size": {"type": "number", "minimum": 0},
-                "poses": TEXT,
             }
         ),
     ]

@@ -450,7 +450,7 @@ def _encoding_cost(
     encoding = storage.encoding
     if not encoding.is_scaled:
         return EncodingCost(str(encoding)), []
-    from skinbake.measure.costs import added_by_encoding  # it replays, as limits do
+    from skinbake.measure.costs import added_by_encoding  # it replays
 
     try:
         added = added_by_encoding(document, unwritten(bakes), storage)

@@ -31,8 +31,7 @@ from skinbake.timing import stage
 from skinbake.version import FIT
 
 if TYPE_CHECKING:
-    from skinbake.format.influences import Extended
-    from skinbake.measure.costs import Limited
+    from skinbake.format.influences import Extended, Limited
     from skinbake.measure.guard import KeptShare
     from skinbake.measure.unwritten import UnwrittenBake
     from skinbake.pose_fit.poses import FoundPoses, PoseSource
@@ -136,22 +135,14 @@ class SurfaceBake(NamedTuple):
         return _finite(self._bakes(self.primitives))
 
     def limited(self, count: int) -> list[PrimitiveBake]:
-        """Bake with at most ``count`` influences a vertex, and measure the cost."""
-        from skinbake.measure.costs import limit_costs, limited  # it replays: half a second of imports
+        """Bake with at most ``count`` influences a vertex."""
+        from skinbake.format.influences import limited  # few bakes ask for it
 
         pairs = list(zip(self.sources, self.primitives, strict=True))
         with stage("limit"):
             parts = [limited(self.document, *pair, count) for pair in pairs]
         bakes = _finite(self._bakes(self._changed(parts)))
-        if not any(parts):
-            return bakes
-        with stage("limit"):
-            before = self._bakes(self.primitives)
-            costs = limit_costs(self.document, unwritten(before), unwritten(bakes), parts)
-        return [
-            replace(bake, limited=part, limit_cost=cost)
-            for bake, part, cost in zip(bakes, parts, costs, strict=True)
-        ]
+        return [replace(bake, limited=part) for bake, part in zip(bakes, parts, strict=True)]
 
     def extended(self) -> list[PrimitiveBake]:
         """Bake with a further influence set where free slots are too few."""
@@ -267,7 +258,6 @@ class PrimitiveBake:
     findings: BakeFindings
     digests: Digests
     limited: Limited | None = None
-    limit_cost: LimitCost | None = None
     asked: Gradients = Gradients.SURFACE
     fitted: JsonObject = field(default_factory=dict)
     extended: Extended | None = None
@@ -298,7 +288,7 @@ class PrimitiveBake:
 
     def counts(self, encoding: Encoding, added_bytes: int) -> BakedCounts:
         """Return the numbers of the report."""
-        influences = self.primitive.joints.shape[1]
+        influences, part = self.primitive.joints.shape[1], self.limited
         return BakedCounts(
             vertices=len(self.primitive.positions),
             triangles=len(self.primitive.triangles),
@@ -314,7 +304,7 @@ class PrimitiveBake:
             lost_gradient=self.findings.lost,
             added_bytes=added_bytes,
             bytes_per_vertex=vertex_bytes(encoding, influences) + (8 if self.blend else 0),
-            limited=self.limit_cost,
+            limited=None if part is None else LimitCost(influences, part.vertices, part.left_out),
             extended=None if self.extended is None else _extension_cost(self.extended, self.result, encoding),
         )
 

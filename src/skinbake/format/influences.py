@@ -7,6 +7,7 @@ Adopted joints get weights too small to see, so that no tool takes their slots f
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +16,9 @@ import numpy.typing as npt
 from skinbake.choices import SLOTS_PER_SET
 from skinbake.geometry.skinned import TINY_WEIGHT, UNIT, BoolArray, Float64Array, IntArray, SkinnedPrimitive
 from skinbake.gltf.accessors import StoredArray
-from skinbake.gltf.primitives import StoredInfluences
+from skinbake.gltf.document import Document
+from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, joints_of_skin, read_influences
+from skinbake.gradients.influences import limited_slots
 
 
 def with_adopted(
@@ -165,3 +168,37 @@ def extended(primitive: SkinnedPrimitive, sets: Sequence[StoredInfluences], vert
         np.pad(primitive.weights, ((0, 0), (0, SLOTS_PER_SET))),
     )
     return Extended(wide, (*sets, added), vertices)
+
+
+@dataclass(frozen=True, slots=True)
+class Limited:
+    """A primitive with only its largest influences.
+
+    stored are its new influence sets. vertices is the number of vertices that lost influences. left_out is
+    the average share of weight that these vertices lost.
+    """
+
+    primitive: SkinnedPrimitive
+    stored: tuple[StoredInfluences, ...]
+    vertices: int
+    left_out: float
+
+
+def limited(
+    document: Document, source: PrimitiveSource, primitive: SkinnedPrimitive, count: int | None
+) -> Limited | None:
+    """Return the primitive with ``count`` influences a vertex, or None if it stores no more than that."""
+    if count is None or primitive.joints.shape[1] <= count:
+        return None
+    kept = limited_slots(primitive, count)
+    before = read_influences(document, source, len(primitive.positions))
+    stored = with_limit(before, kept.slots, kept.shares, kept.rewritten)
+    joints = np.concatenate([entry.joints.values.astype(np.int64) for entry in stored], axis=1)
+    weights = np.concatenate([entry.weights.decoded() for entry in stored], axis=1)
+    losing = kept.dropped > 0
+    return Limited(
+        primitive.with_influences(joints_of_skin(joints, weights, source), weights),
+        tuple(stored),
+        int(np.count_nonzero(losing)),
+        float(kept.dropped[losing].mean()) if losing.any() else 0.0,
+    )

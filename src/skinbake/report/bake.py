@@ -31,9 +31,6 @@ BAD_LOSS = 0.05
 SEEN = 0.0001
 """Below this angle in degrees, the exact value does not matter."""
 
-SEEN_SHARE = 0.0001
-"""Below this share of the size, the exact movement of a position does not matter."""
-
 Status = Literal["baked", "left", "unchanged", "up-to-date", "failed"]
 """``left``: left unbaked, with a note, because there is little to win.
 
@@ -43,30 +40,16 @@ Status = Literal["baked", "left", "unchanged", "up-to-date", "failed"]
 """
 
 
-class Spread(NamedTuple):
-    """Differences over vertices and poses, weighted by rest area."""
-
-    mean: float
-    p99: float
-    max: float
-
-
 class LimitCost(NamedTuple):
     """The cost of fewer influences for a primitive.
 
     influences is the new number for each vertex. vertices is the number of vertices that lost some. left_out
-    is the lost share of their weight, on average. normals are degrees between the accurate normals before and
-    after. positions are distances of vertices in the length unit of the scene. size is the size of the posed
-    primitive in that unit. poses describes the poses of the measurement.
+    is the lost share of their weight, on average.
     """
 
     influences: int
     vertices: int
     left_out: float
-    normals: Spread
-    positions: Spread
-    size: float
-    poses: str
 
 
 class ExtensionCost(NamedTuple):
@@ -396,22 +379,11 @@ def _degrees(angle: float) -> str:
 
 
 def _limited(costs: Sequence[LimitCost]) -> str:
-    """Return the cost of a limit of influences. p99 and size belong to the worst primitive."""
+    """Return the weight that a limit of influences has taken."""
     vertices = sum(cost.vertices for cost in costs)
     left_out = sum(cost.left_out * cost.vertices for cost in costs) / max(vertices, 1)
-    lost = "no weight lost"
-    if vertices:
-        lost = f"{counted(vertices, 'vertex', 'vertices')} lost {percent(left_out, 2)} of their weight"
-    mean, p99 = max(cost.normals.mean for cost in costs), max(cost.normals.p99 for cost in costs)
-    moved = max((cost.positions.max / cost.size for cost in costs if cost.size > 0), default=0.0)
-    movement = "positions stay"
-    if moved:
-        share = f"at most {percent(moved, 2)}" if moved >= SEEN_SHARE else f"under {percent(SEEN_SHARE, 2)}"
-        movement = f"positions move by {share} of the size"
-    return (
-        f"limited to {costs[0].influences} influences: {lost}, normals turn by "
-        f"{_degrees(mean)} (p99 {_degrees(p99)}), {movement}"
-    )
+    lost = f"{counted(vertices, 'vertex', 'vertices')} lost {percent(left_out, 2)} of their weight"
+    return f"limited to {costs[0].influences} influences: {lost if vertices else 'no weight lost'}"
 
 
 def _extended(costs: Sequence[ExtensionCost]) -> str:
