@@ -102,6 +102,7 @@ def _calls(kernel: Any, random: np.random.Generator) -> list[Call]:
 USUAL = {
     "negligible": 1e-4, "stiffness": 0.12, "together": 10.0, "times_stored": 10.0, "drawn": 0.5,
     "stretched": 4.0, "even": 1e-4, "unfelt": 1e-4, "narrow": 0.2, "flat": 1e-6,
+    "bounded": 3.0,
 }  # fmt: skip
 """The numbers of bake_surface, as bake chooses them."""
 

@@ -357,6 +357,7 @@ class TestArguments:
             "unfelt": 1e-6,
             "narrow": 0.2,
             "flat": 1e-6,
+            "bounded": 3.0,
             "grouped": None,
             "first": 0,
             "last": 0,
@@ -549,7 +550,7 @@ for turn in range(16):
             parents=parents, ranks=ranks, pivots=pivots, chains=chains, stored=stored, class_count=V // 2,
             weighting=_kernel.BY_ANGLE, adopts=True, negligible=1e-4, stiffness=0.1,
             together=10.0, times_stored=10.0, drawn=0.5, stretched=4.0, even=1e-5, unfelt=1e-6,
-            narrow=0.2, flat=1e-6,
+            narrow=0.2, flat=1e-6, bounded=3.0,
             grouped=grouped if spoil is anything and turn % 2 else None, first=0, last=V // 2)
     except (IndexError, ValueError):
         pass

@@ -73,6 +73,21 @@ def bent(rig: Rig, angle: float, seed: int = 5) -> Rig:
     return replace(rig, stored=matrices[:, :3])
 
 
+def steepest_slopes(primitive: SkinnedPrimitive) -> Float64Array:
+    """Return the largest change of a joint's weight along an edge from each vertex, over its length (V,)."""
+    count = len(primitive.positions)
+    weights = np.zeros((count, int(primitive.joints.max()) + 1))
+    np.add.at(weights, (np.arange(count)[:, None], primitive.joints), primitive.weights)
+    weights /= weights.sum(axis=1, keepdims=True)
+    found = np.zeros(count)
+    for triangle in primitive.triangles.astype(int):
+        for here in triangle:
+            for there in triangle[triangle != here]:
+                length = np.linalg.norm(primitive.positions[there].astype(float) - primitive.positions[here])
+                found[here] = max(found[here], np.abs(weights[there] - weights[here]).max() / length)
+    return found
+
+
 def corner_angles(points: Float64Array, triangles: IntArray) -> Float64Array:
     angles = np.empty(triangles.shape)
     for corner in range(3):

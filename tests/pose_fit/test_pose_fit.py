@@ -22,7 +22,7 @@ from skinbake.skinning.rest import RestPrimitive
 from skinbake.truth.fine import FineMesh
 from skinbake.truth.operator import GradientOperator, true_operator
 from skinbake.truth.truths import Truths
-from tests.gradients.tubes import BRANCHES, SETTINGS, tube
+from tests.gradients.tubes import BRANCHES, SETTINGS, steepest_slopes, tube
 from tests.support.replay import replay
 
 
@@ -98,6 +98,19 @@ def true_normals(
             found += list(np.concatenate(blocks, axis=2).transpose(0, 3, 2, 1))
     normals = np.tensordot(parts, np.stack(found), axes=1)
     return np.asarray(normals / np.linalg.norm(normals, axis=2, keepdims=True))
+
+
+def test_no_gradient_changes_by_more_than_three_times_the_steepest_slope() -> None:
+    for seed in range(4):
+        primitive, rig = tube(parents=BRANCHES, seed=seed)
+        rig.pivots[:] = primitive.positions[10]
+        surface = surface_of(primitive, rig)
+        ((alpha, beta),) = fitted_to_poses(
+            true_operator([primitive]), [surface], even(turned(rig, 12, 25.0, seed))
+        )
+        change = np.stack([alpha - surface.alpha, beta - surface.beta], axis=2)
+        assert (np.linalg.norm(change, axis=2) <= 3.0 * 1.0001 * steepest_slopes(primitive)[:, None]).all()
+        assert np.abs(change).max() > 0.0
 
 
 @pytest.mark.parametrize("angles", [(25.0,), (2.0, 40.0)])

@@ -103,6 +103,7 @@ def bake_surface(
     unfelt: float,
     narrow: float,
     flat: float,
+    bounded: float,
     grouped: Grouped | None,
     first: int,
     last: int,

@@ -17,6 +17,7 @@ from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntAr
 from skinbake.geometry.triangles import DEGENERATE_AREA
 from skinbake.gradients import _kernel as loops
 from skinbake.gradients.fit_rules import (
+    BOUNDED,
     DRAWN,
     EVEN,
     FLAT,
@@ -146,6 +147,7 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
         unfelt=UNFELT,
         narrow=NARROW,
         flat=FLAT,
+        bounded=BOUNDED,
     )
     if count <= PART:
         sums = np.zeros((len(surface.ends), 4))

@@ -66,6 +66,15 @@ times the gradient, and those above at most 8 times. At 0.1 it would be 13 times
 triangles agree does not tell: there were 600 times the gradient where they differ by less than 30°.
 """
 
+BOUNDED = 3.0
+"""The largest change of a vertex's gradients by a fit, over what the surface has there.
+
+That is its largest gradient at the vertex, or the steepest slope of a weight along an edge from it. At the
+pivots of its joints a vertex hardly moves, so the least squares finds no number too large: there were 200,000
+times the gradient. On a GPU they are noise. Of 75,000 vertices of the corpus 44 reach 3, and nothing is lit
+worse by it; with 2 a model loses 0.2 %, with 1 it would lose 2 %.
+"""
+
 FLAT = 1e-6
 """A share that counts as 0.
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from skinbake.geometry.rig import NO_CHAIN, Lineage, Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
-from skinbake.gradients.fit_rules import DRAWN, EVEN, FLAT, STIFFNESS, STORED, TOGETHER, UNFELT
+from skinbake.gradients.fit_rules import BOUNDED, DRAWN, EVEN, FLAT, STIFFNESS, STORED, TOGETHER, UNFELT
 from skinbake.gradients.ring_turns import RingTurns
 from skinbake.gradients.stored_pose import StoredTilts
 from skinbake.gradients.surface import NO_JOINT, WeightField
@@ -85,9 +85,21 @@ def fitted(
         change[here[fits], slots[fits]] = (values - given[here, slots])[fits]
         last = rows[fits], pairs.last[rows[fits]]
         change[last] = -values[fits].sum(axis=1) - given[last]
-    moved = np.einsum("vkt,vti->vki", DRAWN * change, turns.tangents[vertices.classes])
+    steepest = np.maximum(turns.slopes[vertices.classes], np.linalg.norm(given, axis=2).max(axis=1))
+    change = bounded(DRAWN * change, steepest)
+    moved = np.einsum("vkt,vti->vki", change, turns.tangents[vertices.classes])
     along = [np.einsum("vki,vi->vk", moved, axis) for axis in vertices.frame]
     return vertices.alpha + along[0], vertices.beta + along[1]
+
+
+def bounded(change: Float64Array, steepest: Float64Array) -> Float64Array:
+    """Return changes of gradients (V, K, 2), of which none is longer than BOUNDED × steepest (V,).
+
+    All those of a vertex are shortened alike, so that they still sum to 0.
+    """
+    lengths, most = np.linalg.norm(change, axis=2).max(axis=1, initial=0.0), BOUNDED * steepest
+    shares = np.divide(most, lengths, out=np.ones_like(most), where=lengths > most)
+    return np.asarray(change * shares[:, None, None])
 
 
 def _solved(matrix: Float64Array, right: Float64Array) -> Float64Array:

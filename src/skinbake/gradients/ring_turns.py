@@ -21,6 +21,7 @@ from skinbake.gradients.weight_gradients import (
     ROOT,
     corner_differences,
     corners_of,
+    steepest_slopes,
     summed_by_key,
     summed_rows,
 )
@@ -37,8 +38,8 @@ class RingTurns:
     the turn of the class's two tangents. With Δw = w_ki − w_i for the neighbours k, arms (E, 2, 3) are Σ Δw
     a_k, in 1 / length unit, and act through the lever from the pivot. spins (E, 2, 3) are Σ Δw e_k × a_k, and
     act by themselves. normals (C, 3) and tangents (C, 2, 3) are the orthonormal frames in which this holds.
-    sound (C,) tells which classes can be fitted. stored are the tilts of the classes in the stored pose, if
-    the rig has one.
+    sound (C,) tells which classes can be fitted. slopes (C,) are the ``steepest_slopes``. stored are the
+    tilts of the classes in the stored pose, if the rig has one.
     """
 
     offsets: IntArray
@@ -48,6 +49,7 @@ class RingTurns:
     normals: Float64Array
     tangents: Float64Array
     sound: BoolArray
+    slopes: Float64Array
     stored: StoredTilts | None
 
 
@@ -100,7 +102,8 @@ def ring_turns(surface: Surface) -> RingTurns:
     spins = np.cross(by_edge[:, None], own).sum(axis=2)
     weight_changes = WeightChanges(owner, ring.joints, by_coefficient, by_edge)
     stored = stored_tilts(surface, weight_changes, derivatives, tangents)
-    return RingTurns(ring.offsets, ring.joints, arms, spins, normals, tangents, sound, stored)
+    slopes = steepest_slopes(surface.positions, surface.triangles, surface.field, classes)
+    return RingTurns(ring.offsets, ring.joints, arms, spins, normals, tangents, sound, slopes, stored)
 
 
 @dataclass(frozen=True, slots=True)

@@ -91,6 +91,24 @@ def field_derivatives(
     return np.stack([np.einsum("vi,vi->v", gradients, axis) for axis in frame], axis=1)
 
 
+def steepest_slopes(
+    positions: FloatArray, triangles: IntArray, field: WeightField, classes: IntArray
+) -> Float64Array:
+    """Return the steepest slope of any joint's weight along an edge from each weld class, (C,).
+
+    The arguments are those of ``weight_gradients``, and so is the unit, 1 / length unit.
+    """
+    slopes = np.zeros(int(classes.max(initial=-1)) + 1)
+    points = positions.astype(np.float64)
+    for turn in range(3):
+        start, end, _ = np.roll(triangles, -turn, axis=1).T
+        edge, _, difference = corner_differences(field, start, end)
+        found = np.abs(difference) / np.linalg.norm(points[end] - points[start], axis=1)[edge]
+        for ends in (start, end):
+            np.maximum.at(slopes, classes[ends[edge]], found)
+    return slopes
+
+
 @dataclass(frozen=True, slots=True)
 class Corners:
     """One corner of each of T triangles.

@@ -29,10 +29,14 @@ import numpy as np
 from skinbake.choices import Truth
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray, blocks
 from skinbake.gradients.fit_rules import EVEN, UNFELT
+from skinbake.gradients.rig_fit import bounded
+from skinbake.gradients.surface import WeightField
+from skinbake.gradients.weight_gradients import steepest_slopes
 from skinbake.skinning.rest import Options, RestPrimitive, all_slots
 from skinbake.threads import Threads, thread_count
 from skinbake.truth.blending import BLOCK_VERTICES, BlendedPrimitive, chunks, sides_of
 from skinbake.truth.fine import FineMesh
+from skinbake.truth.mesh import free_slots, joint_weights
 from skinbake.truth.operator import GradientOperator
 from skinbake.truth.truths import PosedSurface, Truths
 
@@ -97,7 +101,11 @@ def fitted_to_poses(
             # Groups count by their shares, however many poses they have.
             for system, of_group in zip(fitted, systems, strict=True):
                 system.take(of_group, group.share)
-        return [system.solved() for system in fitted]
+        joints, weights = joint_weights(primitives)
+        field = WeightField(joints.astype(np.int32), weights, free_slots(weights))
+        slopes = steepest_slopes(operator.positions, operator.triangles, field, operator.classes)
+        steepest = [slopes[operator.classes[rows]] for rows in operator.slices]
+        return [system.solved(own) for system, own in zip(fitted, steepest, strict=True)]
 
 
 def tilts(
@@ -299,8 +307,11 @@ class _LeastSquares:
         self.right[:] += scale[:, None, None] * group.right
         self.reach[:] += scale * group.reach
 
-    def solved(self) -> Slots:
-        """Return α and β (V, K − 1). The last fitted slot takes minus the sum, and is pulled too."""
+    def solved(self, steepest: Float64Array) -> Slots:
+        """Return α and β (V, K − 1). The last fitted slot takes minus the sum, and is pulled too.
+
+        steepest (V,) are the ``steepest_slopes``, which bound the change as in a fit to the rig.
+        """
         count, slots = self.presence.shape
         vertices, diagonal = np.arange(count), np.arange(slots)
         # The pull of each slot. That of the last slot is on all unknowns.
@@ -317,7 +328,7 @@ class _LeastSquares:
         change = np.linalg.solve(matrix, np.where(unknown[..., None], self.right, 0.0))
         change = np.where(np.isfinite(change).all(axis=(1, 2), keepdims=True), change, 0.0)
         change[vertices, self.last] -= change.sum(axis=1)
-        found = self.given + change
+        found = self.given + bounded(np.asarray(change, dtype=np.float64), steepest)
         return found[:, 1:, 0], found[:, 1:, 1]
 
 

@@ -24,6 +24,7 @@ from skinbake.geometry.skinned import (
     blocks,
 )
 from skinbake.skinning.components import Vector, cross, dot
+from skinbake.skinning.rest import RestPrimitive
 
 PAIRS = 1 << 22
 """The pairs of slots that are compared at a time."""
@@ -72,7 +73,7 @@ def free_slots(weights: FloatArray) -> BoolArray:
     return np.asarray(free | (weights == 0.0))
 
 
-def joint_weights(primitives: Sequence[SkinnedPrimitive]) -> tuple[Int64Array, Float64Array]:
+def joint_weights(primitives: Sequence[SkinnedPrimitive | RestPrimitive]) -> tuple[Int64Array, Float64Array]:
     """Return each vertex's joints (V, N) int64, ascending and each once, and their weights (V, N) float64.
 
     If a joint is in several slots of a vertex, it has the sum of their weights. Slots that are left over have

@@ -215,20 +215,20 @@ static int read_surface(PyObject *args, PyObject *keywords, Array *a, Surface *s
                             "bitangents", "alpha", "beta", "adopted", "ends", "sums", "parents", "ranks", "pivots",
                             "chains", "stored", "class_count", "weighting", "adopts", "negligible",
                             "stiffness", "together", "times_stored", "drawn", "stretched", "even", "unfelt", "narrow",
-                            "flat", "grouped", "first", "last", NULL};
+                            "flat", "bounded", "grouped", "first", "last", NULL};
     PyObject *o[ARRAYS];
     Py_ssize_t class_count;
     int weighting, adopts;
     double negligible;
     FitSettings fit;
-    if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOOOOOOnipddddddddddOnn", names,
+    if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOOOOOOnipdddddddddddOnn", names,
                                      &o[POSITIONS], &o[TRIANGLES], &o[JOINTS], &o[WEIGHTS], &o[FREE_SLOTS],
                                      &o[CLASSES], &o[NORMALS], &o[TANGENTS], &o[BITANGENTS], &o[ALPHA], &o[BETA],
                                      &o[ADOPTED], &o[ENDS], &o[SUMS],
                                      &o[PARENTS], &o[RANKS], &o[PIVOTS], &o[CHAINS], &o[STORED], &class_count,
                                      &weighting, &adopts,
                                      &negligible, &fit.stiffness, &fit.together, &fit.stored, &fit.drawn,
-                                     &fit.stretched, &fit.even, &fit.unfelt, &fit.narrow, &fit.flat,
+                                     &fit.stretched, &fit.even, &fit.unfelt, &fit.narrow, &fit.flat, &fit.bounded,
                                      &part->grouped, &part->first, &part->last))
         return -1;
     if (read_arrays(o, surface_arrays, ARRAYS, 2, a) < 0)

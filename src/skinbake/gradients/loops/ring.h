@@ -372,7 +372,7 @@ static ALWAYS_INLINE int32_t sum_gradients(const Surface *s, Shape shape, Member
 /* Find the corners of a class and its ring. Return whether the weights vary there. */
 static ALWAYS_INLINE int find_ring(const Surface *s, Shape shape, Members corners, size_t vertex, Scratch *w)
 {
-    w->neighbours = 0, w->varies = 0;
+    w->neighbours = 0, w->varies = 0, w->steepest = -1.0;
     for (size_t from = 0; from < corners.count; from += AT_ONCE) {
         size_t some = corners.count - from < AT_ONCE ? corners.count - from : AT_ONCE;
         Corners *c = w->corners + from / AT_ONCE;

@@ -169,6 +169,7 @@ typedef struct {
     Neighbour *ring;   /* the ends of these corners */
     size_t neighbours; /* in the ring */
     int varies;        /* whether the weights of the ring do */
+    double steepest;   /* steepest_slope: that of the ring, -1 until a fit asks for it */
     uint16_t places[PLACES]; /* by the last digits of a vertex: where it may stand in the ring. Never cleared, because
                                 place_of looks into the ring */
 

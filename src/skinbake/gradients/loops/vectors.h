@@ -81,6 +81,7 @@ static ALWAYS_INLINE double part(Pair a, int n) { return a.of[n]; }
 #endif
 static ALWAYS_INLINE Pair both(double a) { return pair(a, a); }
 static ALWAYS_INLINE Pair scaled(double by, Pair a) { return multiply_pairs(both(by), a); }
+static ALWAYS_INLINE double squared_length(Pair a) { return part(a, 0) * part(a, 0) + part(a, 1) * part(a, 1); }
 static ALWAYS_INLINE Pair load_pair(const double *from)
 {
     Pair values;

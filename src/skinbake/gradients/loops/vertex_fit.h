@@ -343,6 +343,31 @@ static ALWAYS_INLINE int solve(Equations e, double least)
     return part(finite, 0) + part(finite, 1) == 0.0;
 }
 
+/* The steepest slope of any weight along an edge of the ring (twin: weight_gradients.steepest_slopes). */
+static double steepest_slope(const Surface *s, Scratch *w)
+{
+    const size_t slots = (size_t)s->slots;
+    if (w->steepest >= 0.0)
+        return w->steepest;
+    w->steepest = 0.0;
+    for (size_t n = 0; n < w->neighbours; n++) {
+        const int32_t *joints = s->joints + w->ring[n].vertex * slots;
+        const double *weights = s->weights + w->ring[n].vertex * slots, *e = w->ring[n].edge;
+        double largest = 0.0;
+        for (size_t k = 0; k < slots; k++) {
+            /* The joint of a slot of the neighbour, and that of a slot of the class. */
+            double gained = joints[k] < 0 ? 0.0 : weights[k], lost = w->met[k] < 0 ? 0.0 : w->own[k];
+            for (size_t m = 0; m < slots; m++) {
+                gained -= w->met[m] == joints[k] ? w->own[m] : 0.0;
+                lost -= joints[m] == w->met[k] ? weights[m] : 0.0;
+            }
+            largest = fmax(largest, fmax(fabs(gained), fabs(lost)));
+        }
+        w->steepest = fmax(w->steepest, largest / sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2]));
+    }
+    return w->steepest;
+}
+
 /* Move the gradients of the fitted slots, in the plane of the class's tangents, towards the solution of the least
    squares. */
 static ALWAYS_INLINE void move_gradients(const Surface *s, const Fitted *fitted, Equations e, Scratch *w)
@@ -362,10 +387,22 @@ static ALWAYS_INLINE void move_gradients(const Surface *s, const Fitted *fitted,
     e.right[unknowns] = both(0.0);
     for (size_t i = 0; i < unknowns; i++)
         e.right[unknowns] = subtract_pairs(e.right[unknowns], e.right[i]);
+    /* The change along both tangents, and the largest one beside the largest gradient, squared. */
+    double change = 0.0, given = 0.0;
     for (size_t i = 0; i <= unknowns; i++) {
-        /* The change along both tangents. What is along the normal stays. */
+        e.right[i] = scaled(s->fit.drawn, subtract_pairs(e.right[i], fitted->given[i]));
+        const double moved = squared_length(e.right[i]), had = squared_length(fitted->given[i]);
+        change = moved > change ? moved : change, given = had > given ? had : given;
+    }
+    double share = 1.0;
+    if (change > s->fit.bounded * s->fit.bounded * given) {
+        const double most = s->fit.bounded * fmax(sqrt(given), steepest_slope(s, w));
+        share = fmin(1.0, most / sqrt(change));
+    }
+    for (size_t i = 0; i <= unknowns; i++) {
+        /* What is along the normal stays. */
         Vector *gradient = &w->gradients[fitted->slots[i]];
-        Pair by = scaled(s->fit.drawn, subtract_pairs(e.right[i], fitted->given[i]));
+        const Pair by = scaled(share, e.right[i]);
         *gradient = plus(*gradient, plus(times(tangents[0], part(by, 0)), times(tangents[1], part(by, 1))));
     }
 }
