@@ -75,8 +75,7 @@ scores: $(DEV) $(NODE_MODULES) ## Write docs/scores.md anew: the engines of the 
 bench: $(DEV) $(NODE_MODULES) ## Time bake and verify against peers: write benchmarks/RESULTS.md (12 minutes)
 	$(BIN)/python -m benchmarks.results
 
-speeds: $(DEV) $(NODE_MODULES) ## Time the replay, the shaders (writes docs/gpu.md) and frames of three.js (Chromium)
-	$(BIN)/python -m benchmarks.replay_speed
+speeds: $(DEV) $(NODE_MODULES) ## Time the shaders (writes docs/gpu.md) and frames of three.js (Chromium)
 	$(BIN)/python -m benchmarks.shader_speed
 	$(BIN)/python -m benchmarks.three_frame
 

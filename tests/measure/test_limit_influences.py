@@ -148,8 +148,6 @@ def test_the_command_line_says_what_it_cost(tmp_path: Path) -> None:
     assert "limited to 4 influences: 256 vertices lost 10.30 % of their weight" in line
     cost = document(invoke(*given, "--json"))["files"][0]["primitives"][0]["limited"]
     assert cost["influences"] == 4
-    assert f"normals turn by {cost['normals']['mean']:.2g}° (p99 {cost['normals']['p99']:.2g}°)" in line
-    assert f"at most {100 * cost['positions']['max'] / cost['size']:.2f} % of the size" in line
     assert invoke(*given, "--warnings-as-errors").exit_code == 0
 
 
