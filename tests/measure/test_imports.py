@@ -27,7 +27,7 @@ def test_verify_runs_without_what_takes_longer_to_import_than_a_file_to_verify(t
         "unneeded = {'xml.etree', 'skinbake.format.strip', 'skinbake.pose_fit.fit'}\n"
         "print(*(heavy | unneeded) & set(sys.modules))"
     )
-    path = baked(source("seam.glb"), tmp_path)
+    path = baked(source("bent_tube.glb"), tmp_path)
     done = subprocess.run(
         [sys.executable, "-c", program, str(path)], capture_output=True, text=True, check=False
     )

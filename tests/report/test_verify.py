@@ -15,6 +15,7 @@ from skinbake.report.verify import (
     FileVerdict,
     MorphCount,
     Normals,
+    OtherBake,
     Worst,
     as_brief,
     as_json,
@@ -231,7 +232,11 @@ def test_a_brief_verdict_has_the_figures_by_the_lower_gain() -> None:
         (UNREADABLE, []),
         (
             FileVerdict("a b.glb", (Check("structure", "skipped"),)),
-            ["  There is no bake to judge. Next: skinbake inspect 'a b.glb' shows what can be baked."],
+            ["  There is no bake to judge. Next: skinbake inspect 'a b.glb' shows why."],
+        ),
+        (
+            FileVerdict("a b.glb", (Check("structure", "skipped"),), command="skinbake bake"),
+            ["  There is no bake to judge. Next: skinbake bake 'a b.glb'."],
         ),
         (FileVerdict("a.glb", up_to_date=True), []),
         (
@@ -281,10 +286,30 @@ def test_little_to_win_is_not_said_of_an_unsound_bake_or_beside_other_advice() -
     assert as_brief(missed).endswith("Next: leave it unbaked by bake --leave-under, or change the limit.")
 
 
-def test_a_missed_limit_names_another_bake_where_there_is_something_to_win() -> None:
+OTHERS = (OtherBake("--gradients poses", 0.8), OtherBake("--correctives auto", 0.5))
+
+
+@pytest.mark.parametrize("accurate", [3.9, 2.5, 1.0])
+def test_bakes_that_are_better_are_named_in_words_and_in_json(accurate: float) -> None:
+    found = replace(PASSED, normals=lit(4.0, accurate), by_triangles=None, others=OTHERS)
+    told = f"--gradients poses leaves 0.80°, and --correctives auto 0.50°, this one {accurate:.2f}°."
+    step = "Next: bake with --gradients poses or --correctives auto"
+    for text_of in (as_text, as_brief):
+        assert text_of(found).endswith(f"  Another bake is better: {told} {step}.")
+    better = "better with --gradients poses or --correctives auto"
+    assert as_line(found).endswith(f", {better}")
+    document = as_json([found], exit_code=0)
+    jsonschema.validate(document, VERIFY)
+    (file,) = document["files"]
+    assert file["conclusion"] == better
+    assert file["others"][1] == {"options": "--correctives auto", "error": 0.5}
+    missed = replace(found, checks=(Check("limits", "failed"),))
+    assert as_brief(missed).endswith(f"{step}, or change the limit.")
+
+
+def test_a_missed_limit_that_no_other_bake_meets_is_to_be_changed() -> None:
     small = replace(PASSED, normals=lit(4.0, 2.5), by_triangles=None, checks=(Check("limits", "failed"),))
-    other = "try bake --gradients poses if this is not such a bake"
-    assert as_brief(small).endswith(f"Next: {other}, or change the limit.")
+    assert as_brief(small).endswith("Next: change the limit.")
 
 
 def test_remarks_on_checks_cannot_control_a_terminal() -> None:
@@ -335,6 +360,10 @@ def test_a_failed_file_says_so_first() -> None:
                 "a.glb", (Check("structure", "skipped"),), notices=(Notice("not-baked", "not so", PLACE),)
             ),
             "a.glb: not baked",
+        ),
+        (
+            FileVerdict("a.glb", (Check("structure", "skipped"),), command="skinbake bake"),
+            "a.glb: not baked, run skinbake bake",
         ),
         (FileVerdict("a.glb", up_to_date=True), "a.glb: passed before, up to date"),
         (

@@ -26,19 +26,22 @@ DQS_ACCURATE: _LightingOf = ("dqs", "accurate")
 DQS_EXACT: _LightingOf = ("dqs", "exact")
 
 
-def worse_lighting(views: Sequence[BakedView], verdict: FileVerdict) -> list[Notice]:
-    """Return a notice for each primitive whose lighting α/β make worse.
+def worse_lighting(
+    views: Sequence[BakedView], verdict: FileVerdict, methods: Sequence[str] = ("lbs", "dqs", "blend")
+) -> list[Notice]:
+    """Return a notice for each primitive whose lighting α/β make worse, by one of the methods.
 
     Accurate and exact lighting of dual quaternions read the same α and β: the better one counts. The default
     bake compares its lighting with standard lighting, and so it is the remedy for all other bakes. It is the
-    remedy of the whole file, and no file is lit worse by it.
+    remedy of the whole file, and no file is lit worse by it. So is a bake that was measured to be better.
     """
     by_place = {view.source.place: view for view in views}
     notices = []
-    for place, gains in _gains(verdict).items():
+    better = verdict.others[0].options if verdict.others else None
+    for place, gains in _gains(verdict, methods).items():
         if gains.least < WORSE:
             view = by_place.get(place)
-            notices.append(_notice(place, gains, is_guarded=view is None or _is_guarded(view)))
+            notices.append(_notice(place, gains, is_guarded=view is None or _is_guarded(view), better=better))
         elif gains.by_lighting.get(DQS_ACCURATE, WORSE) < WORSE:
             notices.append(_exact_is_better(place, gains))
     return notices
@@ -80,16 +83,20 @@ class _Gains(NamedTuple):
         return min(better.values(), key=self.by_lighting.__getitem__)
 
 
-def _gains(verdict: FileVerdict) -> dict[Place, _Gains]:
-    """Return the gains of the primitives that have any."""
+def _gains(verdict: FileVerdict, methods: Sequence[str]) -> dict[Place, _Gains]:
+    """Return the gains of the primitives that have any by the methods."""
     found: dict[Place, _Gains] = {}
     for place, normals in (*verdict.primitives, *verdict.primitives_by_triangles):
-        found.setdefault(place, _Gains({})).add(normals)
+        asked = {method: figures for method, figures in normals.items() if method in methods}
+        found.setdefault(place, _Gains({})).add(asked)
     return {place: gains for place, gains in found.items() if gains.by_lighting}
 
 
-def _notice(place: Place, own: _Gains, *, is_guarded: bool) -> Notice:
-    """Return the notice for a primitive. is_guarded: its bake was held to standard lighting already."""
+def _notice(place: Place, own: _Gains, *, is_guarded: bool, better: str | None) -> Notice:
+    """Return the notice for a primitive. is_guarded: its bake was held to standard lighting already.
+
+    ``better`` are the options of a bake that lights the file better.
+    """
     lbs = own.by_lighting.get(LBS_ACCURATE, 0.0)
     only_dqs = lbs >= WORSE
     called = "exact DQS" if own.least_of == DQS_EXACT else own.least_of[0].upper()
@@ -99,6 +106,8 @@ def _notice(place: Place, own: _Gains, *, is_guarded: bool) -> Notice:
         rig = Chosen("gradients", Gradients.RIG)
         advice = ", is no worse than standard lighting in the file's own clips: bake so"
         return Notice("lighting-worse", Message(f"{message}The default, ", rig, advice), place)
+    if better is not None and not only_dqs:
+        return Notice("lighting-worse", f"{message}A bake with {better} lights the file better", place)
     other = "Blended" if own.least_of[0] == "blend" else "With dual quaternions"
     message += f"{other}, light" if only_dqs else "Light"
     message += " it the standard way (in skinbake-three: lighting(mesh, 'standard'))"

@@ -21,7 +21,7 @@ from skinbake.gradients.normals import lean_notices
 from skinbake.measure.draws import draws, true_surfaces
 from skinbake.measure.measured import lighting_verdict
 from skinbake.measure.options import VerifyOptions
-from skinbake.report.verify import Check, FileVerdict
+from skinbake.report.verify import Check, FileVerdict, leaves_room
 from skinbake.threads import Threads, thread_count
 from skinbake.timing import stage
 from skinbake.truth.operator import GradientOperator
@@ -32,7 +32,7 @@ def verify_file(source: str, options: VerifyOptions, bounds: Bounds = BESIDE) ->
     """Verify one file. Raises SkinbakeError if it cannot be read."""
     with stage("read"):
         document = read_document(source, bounds)
-    verdict = replace(verify_document(document, options), input=source)
+    verdict = replace(verify_document(document, options, looks_further=True), input=source)
     if options.warnings_as_errors and verdict.notices:
         problem = Check("warnings", "failed", verdict.notices)
         return replace(verdict, checks=(*verdict.checks, problem))
@@ -64,12 +64,17 @@ def claim_verification(document: Document) -> None:
             raise
 
 
-def verify_document(document: Document, options: VerifyOptions) -> FileVerdict:
-    """Verify a document, as it is in memory. Raises InputError if a part of it cannot be read."""
+def verify_document(
+    document: Document, options: VerifyOptions, *, looks_further: bool = False
+) -> FileVerdict:
+    """Verify a document, as it is in memory. Raises InputError if a part of it cannot be read.
+
+    looks_further: where it gains little, other bakes are tried.
+    """
     if any(corrective_note(mesh) for mesh in document.objects("meshes")):
         from skinbake.commands.verify_correctives import corrected_verdict  # most files have α and β
 
-        return corrected_verdict(document, options)
+        return _beside_others(document, corrected_verdict(document, options), options, looks_further)
     with stage("read"):
         wanted, lost, notices = _sorted_out(document)
         stale = [state.notice for state in made_states(document) if state.changed]
@@ -94,9 +99,21 @@ def verify_document(document: Document, options: VerifyOptions) -> FileVerdict:
         fresh = replace(fresh, outcome="failed", problems=(*fresh.problems, *stale), remark="")
     verdict = lighting_verdict(document, options, surfaces, operators)
     if fresh.outcome == "passed":
-        notices += worse_lighting(views, verdict)
+        verdict = _beside_others(document, verdict, options, looks_further)
+        notices += worse_lighting(views, verdict, options.methods or ("lbs", "blend"))
     checks = (structure, fresh, *verdict.checks)
     return replace(verdict, checks=checks, notices=(*notices, *verdict.notices))
+
+
+def _beside_others(
+    document: Document, verdict: FileVerdict, options: VerifyOptions, looks_further: bool
+) -> FileVerdict:
+    """Return a verdict with the bakes that are better, if any are looked for."""
+    if not looks_further or not leaves_room(verdict):
+        return verdict
+    from skinbake.commands.other_bakes import other_bakes  # most files gain enough
+
+    return replace(verdict, others=other_bakes(document, verdict, options))
 
 
 def _operators_and_freshness(
@@ -169,7 +186,7 @@ def _unbaked(
         message = f"it is not baked, so it cannot meet {limits}: run {command} first"
         failed = Check("limits", "failed", (replace(missing, message=message),), message)
         return FileVerdict(document.name, (check, failed), notices=tuple(notices))
-    return FileVerdict(document.name, (check,), notices=(*notices, missing))
+    return FileVerdict(document.name, (check,), notices=(*notices, missing), command=command)
 
 
 def _left(document: Document, left: JsonObject, notices: list[Notice]) -> FileVerdict:

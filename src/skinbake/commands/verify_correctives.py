@@ -323,6 +323,6 @@ def _worse(verdict: FileVerdict) -> Iterator[Notice]:
         before, after = figures["standard"].mean, figures["corrected"].mean
         if after > WORSE * before + ROUNDING:
             told.add(place)
-            change = f"from {before:.2f}° to {after:.2f}°"
-            message = f"its correctives make its lighting worse in these poses, {change}: {BAKE}"
+            change = f"from {before:.2f}° to {after:.2f}°: skinbake strip takes them out"
+            message = f"its correctives make its lighting worse in these poses, {change}"
             yield Notice("correctives-worse", message, place)

@@ -26,7 +26,7 @@ class Totals:
 
     ``not_baked`` is the number of files that passed ``verify`` only because nothing in them is baked.
     ``left`` is that of those which a bake has left so on purpose. ``gains`` are those of files, with their
-    names.
+    names. ``command`` bakes what is not baked.
     """
 
     files: int
@@ -34,6 +34,7 @@ class Totals:
     counts: Counter[str] = field(default_factory=Counter)
     not_baked: int = 0
     left: int = 0
+    command: str = ""
     gains: list[tuple[float, str]] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
     timings: dict[str, float] = field(default_factory=dict)
@@ -82,14 +83,11 @@ def lowest_lines(totals: Totals) -> Iterator[str]:
 
 def closing_line(totals: Totals, seconds: float, *, interrupted: bool = False) -> str:
     """Return one line about all files."""
-    parts = [
-        f"{totals.counts[outcome]:,} {outcome.replace('-', ' ')}"
-        for outcome in totals.outcomes
-        if totals.counts[outcome]
-    ]
-    unbaked = {"not baked": totals.not_baked, "left unbaked": totals.left}
-    if told := [f"{count:,} {what}" for what, count in unbaked.items() if count]:
-        parts[0] += f" ({', '.join(told)})"
+    first, *others = totals.outcomes
+    counts = {first: totals.counts[first] - totals.not_baked - totals.left}
+    counts |= {"not baked": totals.not_baked, "left unbaked": totals.left}
+    counts |= {outcome: totals.counts[outcome] for outcome in others}
+    parts = [f"{count:,} {outcome.replace('-', ' ')}" for outcome, count in counts.items() if count]
     which = counted(totals.files, "file")
     if interrupted:
         which = f"interrupted after {totals.done:,} of {which}"
@@ -97,7 +95,8 @@ def closing_line(totals: Totals, seconds: float, *, interrupted: bool = False) -
         return f"{which}: none done, in {seconds:.1f} s"
     speed = totals.done / seconds if seconds > 0 else 0.0
     rate = f"{speed:,.{0 if speed >= 10 else 2}f} files/s" if speed else "at once"
-    return f"{which}: {', '.join(parts)}, in {seconds:.1f} s ({rate})"
+    then = f". Next: {totals.command}" if totals.command else ""
+    return f"{which}: {', '.join(parts)}, in {seconds:.1f} s ({rate}){then}"
 
 
 def totals_json(totals: Totals, seconds: float, *, schema: str, exit_code: int) -> dict[str, Any]:

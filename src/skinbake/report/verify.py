@@ -7,7 +7,7 @@ import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from skinbake.choices import Truth
 from skinbake.errors import Message, Notice, Place, SkinbakeError, printable
@@ -128,6 +128,16 @@ class Mixture:
         return f"{self.name}: {', '.join(told)}"
 
 
+class OtherBake(NamedTuple):
+    """Another bake of the same file: its options, and the mean error in degrees that it leaves.
+
+    The truth is the one with the smaller gain.
+    """
+
+    options: str
+    error: float
+
+
 @dataclass(frozen=True, slots=True)
 class FileVerdict:
     """The result of verify for one file.
@@ -140,7 +150,8 @@ class FileVerdict:
     the fine mesh if they were asked for. All are of the same places. reliefs are of mapped normals, None if
     no primitive has a normal map and TANGENT.
     left: a bake has left the file unbaked on purpose, and noted it. mixtures are further poses of a file with
-    correctives.
+    correctives. others are bakes that light the file better, the one to choose first. command is what bakes a
+    file without a bake, empty if nothing in it can be baked.
     """
 
     input: str
@@ -162,6 +173,8 @@ class FileVerdict:
     reliefs: Reliefs | None = None
     left: bool = False
     mixtures: tuple[Mixture, ...] = ()
+    others: tuple[OtherBake, ...] = ()
+    command: str = ""
 
     @property
     def by_truth(self) -> dict[str, Normals]:
@@ -216,6 +229,20 @@ def _worse(verdict: FileVerdict) -> tuple[str, str, dict[str, ErrorFigures]] | N
     return min(every, key=lambda found: gain(found[2]) or math.inf, default=None)
 
 
+def leaves_room(verdict: FileVerdict) -> bool:
+    """Tell whether another bake is worth a try: the gain is not clear, or misses a limit.
+
+    A file whose lighting could be measured in part only has no work left for more.
+    """
+    figures, failed = by_worse_truth(verdict), [one.name for one in verdict.checks if one.outcome == "failed"]
+    if not figures or figures["standard"].mean < NEGLIGIBLE or set(failed) - {"limits"}:
+        return False
+    if any(notice.code == "poses-left-out" for notice in verdict.notices):
+        return False
+    factor = gain(figures)
+    return factor is not None and (bool(failed) or round(factor, 2) < CLEAR)
+
+
 def count(totals: Totals, verdict: FileVerdict) -> None:
     """Count a file."""
     if verdict.error:
@@ -225,6 +252,7 @@ def count(totals: Totals, verdict: FileVerdict) -> None:
     else:
         totals.not_baked += verdict.found_no_bake
         totals.left += verdict.left
+        totals.command = verdict.command or totals.command
         factor = gain(by_worse_truth(verdict))
         totals.gains += [] if factor is None else [(factor, verdict.input)]
         totals.add("up-to-date" if verdict.up_to_date else "passed", "", verdict.timings)
@@ -274,6 +302,7 @@ def as_line(verdict: FileVerdict) -> str:
     head = _head(verdict)
     failed = [check.name for check in verdict.checks if check.outcome == "failed"]
     parts = [f"{head} ({', '.join(failed)})" if failed else head]
+    parts += [f"run {verdict.command}"] if verdict.command else []
     if found := _worse(verdict):
         truth, method, figures = found
         factor = gain(figures)
@@ -284,6 +313,8 @@ def as_line(verdict: FileVerdict) -> str:
         verdict_words = conclusion(verdict)
         if verdict_words is not None and verdict_words.leave:
             parts += [f"{verdict_words.short}: leave it unbaked"]
+        elif verdict_words is not None and verdict.others:
+            parts += [verdict_words.short]
     warnings = sum(notice.code != "not-baked" for notice in verdict.notices)  # the outcome says so
     parts += [counted(warnings, "warning")] if warnings else []
     return ", ".join(parts)
@@ -361,15 +392,16 @@ def conclusion(verdict: FileVerdict) -> Conclusion | None:
             notice.code == "lighting-worse" and isinstance(notice.message, Message)
             for notice in verdict.notices
         )
-        judged = _on_gain(found[2], f"skinbake view {name}", advised=advised)
-        meet = "try bake --gradients poses if this is not such a bake"
-        if judged.leave:
-            meet = "leave it unbaked by bake --leave-under"
-        elif baked_lighting(found[2]) == "corrected":
-            meet = "try a larger bake --correctives"
-        return replace(judged, step=f"{meet}, or change the limit") if failed else judged
+        if verdict.others:
+            judged = _on_others(verdict.others, found[2])
+            meet = f"{judged.step}, or "
+        else:
+            judged = _on_gain(found[2], f"skinbake view {name}", advised=advised)
+            meet = "leave it unbaked by bake --leave-under, or " if judged.leave else ""
+        return replace(judged, step=f"{meet}change the limit") if failed else judged
     if any(check.name == "structure" and check.outcome == "skipped" for check in verdict.checks):
-        return Conclusion("There is no bake to judge.", f"skinbake inspect {name} shows what can be baked")
+        step = f"{verdict.command} {name}" if verdict.command else f"skinbake inspect {name} shows why"
+        return Conclusion("There is no bake to judge.", step)
     again = (
         f"skinbake view {name} shows them"
         if "random" in verdict.poses
@@ -377,6 +409,16 @@ def conclusion(verdict: FileVerdict) -> Conclusion | None:
     )
     step = "do what the warning says" if verdict.notices else again
     return Conclusion("No light was measured in these poses.", step)
+
+
+def _on_others(others: Sequence[OtherBake], figures: Mapping[str, ErrorFigures]) -> Conclusion:
+    """Return what figures come to if other bakes are better."""
+    best, *further = others
+    sentence = f"Another bake is better: {best.options} leaves {best.error:.2f}°"
+    sentence += "".join(f", and {one.options} {one.error:.2f}°" for one in further)
+    now = figures[baked_lighting(figures)].mean
+    step = "bake with " + " or ".join(one.options for one in others)
+    return Conclusion(f"{sentence}, this one {now:.2f}°.", step, step.replace("bake", "better", 1))
 
 
 def _on_gain(figures: Mapping[str, ErrorFigures], look: str, *, advised: bool) -> Conclusion:
@@ -466,6 +508,7 @@ def file_json(verdict: FileVerdict) -> dict[str, Any]:
         ],
         "left": verdict.left,
         "conclusion": None if (found := conclusion(verdict)) is None else found.short or None,
+        "others": [one._asdict() for one in verdict.others],
         "poses": verdict.poses or None,
         "morphs": None
         if verdict.morphs is None
