@@ -388,8 +388,8 @@ BAKE = (
             "Instead of α and β, add K morph targets of normals that the clips play, for engines without the "
             "shader; auto adds up to 4."),
         Option("clips", str, (), By.ALL, "NAMES", is_many=True, help=
-            "The clips that play correctives, by name, with commas between; by default all. May be given "
-            "several times."),
+            "The clips that play correctives, by name or number, with commas between; by default all. May be "
+            "given several times."),
         Option("corrective_aim", CorrectiveAim, CorrectiveAim.TRUTHS, By.ALL, help=
             "Fit correctives to true normals, or to those that α and β would give.")),
     *_under("Storage", ENCODING, LAYOUT,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skinbake.choices import CorrectiveAim, Encoding, FrameChoice
+from skinbake.commands.played_correctives import played_clips
 from skinbake.commands.surface_bake import FitTarget, SurfaceBake, unwritten
 from skinbake.correctives.fit import (
     LEAST_HELD_BACK,
@@ -28,16 +29,14 @@ from skinbake.format.correctives import (
     nodes_with,
     with_mesh_correctives,
 )
-from skinbake.geometry.poses import fingerprint
+from skinbake.format.metadata import KEY
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.gltf.animation import (
     MORPH_WEIGHTS,
     Clip,
     Skeleton,
-    clip_poses,
     read_clips,
     read_skeleton,
-    skins_of,
 )
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, reference
@@ -52,7 +51,7 @@ from skinbake.timing import stage
 from skinbake.truth.areas import RestAreas
 from skinbake.truth.morphing import Morphing
 from skinbake.truth.operator import true_operator
-from skinbake.truth.poses import PosePlan, PoseRequest, joint_clips, pose_steps
+from skinbake.truth.poses import PosePlan, PoseRequest, pose_steps
 from skinbake.wording import counted
 
 if TYPE_CHECKING:
@@ -73,9 +72,6 @@ Unreal drops changes of 0.1 or less.
 
 UNIT_LENGTH = 1e-2
 """How far the length of a stored normal may be from 1 without a difference to its targets: bytes are."""
-
-FINGERPRINT_POSES = 16
-"""The poses of each clip whose fingerprint tells whether the clips are still those of the bake."""
 
 STEPS_A_MOTION, SAMPLES_A_STEP = 5_000, 2
 """The steps of a clip that moves a skin, but for its poses, and the vertices × keys of a step.
@@ -110,6 +106,7 @@ def corrected_document(
         return document, [], notices
     with stage("store"):
         written, lengths = with_mesh_correctives(document, items, baker.encoding)
+        written = _with_plays(written, items)
     sizes = iter(lengths)
     counts = [
         (place, _counts(correctives, next(sizes))) for place, correctives, item in found if item is not None
@@ -126,17 +123,26 @@ def _nothing(place: Place, correctives: Correctives) -> Notice:
     return Notice("correctives-idle", message, place)
 
 
-def _chosen(document: Document, clips: Sequence[Clip], names: Sequence[str]) -> set[int]:
-    """Return the numbers of the clips that play correctives: those of ``--clips``, else all."""
-    if not names:
+def _chosen(document: Document, clips: Sequence[Clip], asked: Sequence[str]) -> set[int]:
+    """Return the numbers of the clips that play correctives: those of ``--clips``, else all.
+
+    A name that several clips have stands for all of them.
+    """
+    if not asked:
         return {clip.number for clip in clips}
-    known = {clip.name for clip in clips}
-    wanted = [part for name in names for part in ([name] if name in known else name.split(","))]
+    known: dict[str, set[int]] = {str(clip.number): {clip.number} for clip in clips}
+    named: dict[str, set[int]] = {}
+    for clip in clips:
+        own = document.objects("animations")[clip.number].get("name")
+        for name in {clip.name, str(own or clip.name)}:
+            named.setdefault(name, set()).add(clip.number)
+    known |= named
+    wanted = [part for name in asked for part in ([name] if name in known else name.split(","))]
     for name in wanted:
         if name not in known:
-            there = ", ".join(sorted(known)) or "none"
+            there = ", ".join(sorted(clip.name for clip in clips)) or "none"
             raise InputError(f"--clips: it has no clip {name!r}; its clips are: {there}", document.place)
-    return {clip.number for clip in clips if clip.name in wanted}
+    return set().union(*(known[name] for name in wanted))
 
 
 def _fitted(
@@ -204,7 +210,6 @@ def _fitted(
             accurate=baker.corrective_aim is CorrectiveAim.GRADIENTS,
             claim=lambda size: document.budget.claim(size, "fitting its correctives", place),
         )
-    moved = [clip for clip in clips if clip.number in {motion.clip.number for motion in motions}]
     found = []
     for mesh, here, part, one in zip(meshes, places, parts, made, strict=True):
         item = None
@@ -219,7 +224,7 @@ def _fitted(
                 primitives=primitives[part],
                 targets=[_by_length(*pair) for pair in zip(one.targets, primitives[part], strict=True)],
                 clips=_weights(nodes[mesh], one, idle),
-                settings=_settings(document, mesh, one, baker, moved),
+                settings=_settings(one, baker),
             )
         found.append((here, one, item))
     return found
@@ -324,26 +329,23 @@ def _weights(nodes: Mapping[int, int], made: Correctives, idle: dict[int, list[C
     return found
 
 
-def poses_fingerprint(document: Document, mesh: int, clips: Sequence[Clip]) -> tuple[float, ...]:
-    """Return a fingerprint of clips as they move a mesh: that of the joint matrices in some poses of each."""
-    found = []
-    for skin in skins_of(document, mesh):
-        skeleton = read_skeleton(document, skin)
-        for clip in joint_clips(document, skin, clips):
-            times = np.linspace(clip.start, clip.duration, FINGERPRINT_POSES)
-            found.append(clip_poses(skeleton, clip, times))
-    return fingerprint(found) if found else ()
+def _with_plays(document: Document, items: Sequence[MeshCorrectives]) -> Document:
+    """Return the document with notes of what its clips play, by which ``verify`` knows them again."""
+    meshes = list(document.objects("meshes"))
+    for item in items:
+        mesh = meshes[item.mesh]
+        played = played_clips(document, item.mesh, item.count)
+        plays = [[*one.poses, *one.weights] for one in played if one.plays]
+        note = {**mesh["extras"][KEY], "plays": plays}
+        meshes[item.mesh] = {**mesh, "extras": {**mesh["extras"], KEY: note}}
+    return document.edited(json={**document.json, "meshes": meshes})
 
 
-def _settings(
-    document: Document, mesh: int, made: Correctives, baker: Baker, clips: Sequence[Clip]
-) -> JsonObject:
+def _settings(made: Correctives, baker: Baker) -> JsonObject:
     """Return what the metadata says of a fit to clips."""
-    names = list(dict.fromkeys(clip.name for clip in clips))
     return {
         "aim": str(baker.corrective_aim),
         "clips": list(dict.fromkeys(track.motion.clip.name for track in made.tracks if track.plays)),
-        "poses": {"clips": names, "fingerprint": list(poses_fingerprint(document, mesh, clips))},
     }
 
 

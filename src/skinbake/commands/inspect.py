@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from skinbake.choices import FrameChoice
+from skinbake.commands.played_correctives import changed_since
 from skinbake.errors import Notice
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.format.attribute_store import meshopt_of
@@ -20,7 +21,7 @@ from skinbake.gltf.accessors import described
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.codecs.meshopt import is_fallback
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.json_access import entries_of, index
+from skinbake.gltf.json_access import index
 from skinbake.gltf.primitives import (
     PrimitiveSource,
     has_float_tangents,
@@ -158,14 +159,15 @@ def _correctives(
     note = corrective_note(document.objects("meshes")[source.mesh])
     if note is None:
         return None
-    entries = entries_of(note.get("primitives"))
-    entry = entries[source.primitive] if source.primitive < len(entries) else {}
-    changed = changed_arrays({**entry, "frame": "normal"}, primitive) if "digest" in entry else ()
+    changed, fit = changed_since(document, source, primitive, note)
     clips = note.get("clips")
     named = [clip for clip in clips if isinstance(clip, str)] if isinstance(clips, list) else []
     generator = note.get("generator")
     return CorrectiveSummary(
-        generator if isinstance(generator, str) else "skinbake", int(note["targets"]), tuple(named), changed
+        generator if isinstance(generator, str) else "skinbake",
+        int(note["targets"]),
+        tuple(named),
+        () if fit else changed or ("targets",),
     )
 
 

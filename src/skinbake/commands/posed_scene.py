@@ -330,14 +330,19 @@ def asked_clips(document: Document, asked: str | None) -> Sequence[Clip]:
     if asked is None:
         return clips
     named = [clip for clip in clips if clip.name == asked]
-    if not named and asked.isdecimal() and int(asked) < len(clips):
-        named = [clips[int(asked)]]
+    if not named and asked.isdecimal():
+        named = [clip for clip in clips if clip.number == int(asked)]
     if not named:
-        listed = [printable(clip.name) for clip in clips[:LISTED]] or ["none"]
-        more = [f"{len(clips) - LISTED} more"] if len(clips) > LISTED else []
-        reason = f": the file has no such clip; it has {', '.join(listed + more)}"
-        raise ChoiceError("clip", printable(asked), reason=(reason,))
-    return named[:1]
+        animations = document.objects("animations")
+        alike = [clip for clip in clips if animations[clip.number].get("name") == asked]
+        there = alike or clips
+        listed = [printable(clip.name) for clip in there[:LISTED]] or ["none"]
+        more = [f"{len(there) - LISTED} more"] if len(there) > LISTED else []
+        what = "several clips of this name: choose by number among" if alike else "no such clip; it has"
+        raise ChoiceError(
+            "clip", printable(asked), reason=(f": the file has {what} {', '.join(listed + more)}",)
+        )
+    return named
 
 
 def truths_of_draw(draw: Draw, posed: PosedDraw, truth: Truth) -> Truths:

@@ -9,16 +9,17 @@ import numpy as np
 
 from skinbake.choices import PoseKind
 from skinbake.commands.bake import Baker
-from skinbake.commands.corrective_bake import poses_fingerprint
 from skinbake.commands.played_correctives import (
     BAKE,
+    NUMBERS,
+    SAME,
     PlayedCorrectives,
-    corrective_targets,
+    changed_since,
     damaged_correctives,
+    played_clips,
 )
 from skinbake.errors import Notice, Place
-from skinbake.format.correctives import decoded_digest, nodes_with
-from skinbake.format.metadata import changed_arrays, corrective_note
+from skinbake.format.metadata import corrective_note
 from skinbake.format.strip import stripped
 from skinbake.freshness.baked_views import baked_views, gathered_together
 from skinbake.freshness.staleness import surface_operator
@@ -30,12 +31,10 @@ from skinbake.gltf.animation import (
     Skeleton,
     clip_values,
     clip_weights,
-    read_clips,
     read_skeleton,
-    skins_of,
 )
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, entries_of, is_number, object_of, text
+from skinbake.gltf.json_access import JsonObject, is_number, text
 from skinbake.gltf.morphs import resting_weights, target_count
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive, reason_to_skip, skinned_sources
 from skinbake.measure.angles import Corrections, MeasuredBlock, lighting_errors
@@ -50,12 +49,6 @@ from skinbake.wording import counted
 
 WORSE, ROUNDING = 1.005, 1e-3
 """From where on an error is worse than another one: its share, and degrees."""
-
-SAME_POSES = 3e-5
-"""By how much numbers of a fingerprint may differ: tools that write matrices as rotations change 6e-6.
-
-A joint that turns by a degree in one pose of a clip changes them by about 1e-4.
-"""
 
 
 def corrected_verdict(document: Document, options: VerifyOptions) -> FileVerdict:
@@ -111,56 +104,62 @@ def corrected_verdict(document: Document, options: VerifyOptions) -> FileVerdict
 def _freshness(document: Document, sources: Sequence[PrimitiveSource]) -> Check:
     """Return whether meshes, targets, weights and clips are those of the bake."""
     problems: list[Notice] = []
+    moved: dict[str, None] = {}
     for source in sources:
         note = corrective_note(document.objects("meshes")[source.mesh])
-        entry = {} if note is None else entries_of(note.get("primitives"))[source.primitive]
-        if note is None or "digest" not in entry:
+        if note is None:
             continue
-        now = read_primitive(document, source)
-        changed = changed_arrays({**entry, "frame": "normal"}, now)
-        if changed:
+        changed, fit = changed_since(document, source, read_primitive(document, source), note)
+        if fit:
+            moved |= dict.fromkeys(changed)
+        elif changed:
             message = f"{' and '.join(changed)} changed since the bake of its correctives: {BAKE}"
             problems.append(Notice("stale", message, source.place))
-        count, added = len(now.positions), int(note["targets"])
-        if entry.get("targets") != decoded_digest(corrective_targets(document, source, added, count)):
+        else:
             message = f"its corrective normals are not those of the bake any more: {BAKE}"
             problems.append(Notice("stale-targets", message, source.place))
-    clips = {clip.number: clip for clip in read_clips(document)}
     for number, mesh in enumerate(document.objects("meshes")):
         note = corrective_note(mesh)
         if note is not None:
             place = Place(document.name, number, text(mesh, "name", document.place))
-            problems += _stale_clips(document, number, note, clips, place)
-    return Check("freshness", "failed" if problems else "passed", tuple(problems))
+            stale = dict.fromkeys(_stale_clips(document, number, note))
+            problems += [Notice("stale-clips", f"{message}: {BAKE}", place) for message in stale]
+    remark = f"{', '.join(moved)} changed since the bake, and the correctives still fit" if moved else ""
+    return Check("freshness", "failed" if problems else "passed", tuple(problems), remark)
 
 
-def _stale_clips(
-    document: Document, mesh: int, note: JsonObject, clips: dict[int, Clip], place: Place
-) -> Iterator[Notice]:
-    """Yield a problem if the clips of a mesh have changed, or do not play its correctives any more."""
-    noted = object_of(note.get("poses"))
-    names, prints = noted.get("clips"), noted.get("fingerprint")
-    names = names if isinstance(names, list) else []
-    own = [clip for clip in clips.values() if clip.name in names]
-    numbers = prints if isinstance(prints, list) and all(map(is_number, prints)) else []
-    if {clip.name for clip in own} != set(names) or not own:
-        yield Notice("stale-clips", f"clips of its correctives are gone: {BAKE}", place)
-        return
-    found = poses_fingerprint(document, mesh, own)
-    if len(found) != len(numbers) or not np.allclose(found, numbers, rtol=0.0, atol=SAME_POSES):
-        message = f"its clips or its rig changed since the bake of its correctives: {BAKE}"
-        yield Notice("stale-clips", message, place)
-    there, playing = target_count(document, mesh), note.get("clips")
-    for skin in skins_of(document, mesh):
-        moving = {clip.number for clip in joint_clips(document, skin, own)}
-        for clip in own:
-            if clip.number not in moving or clip.name not in (playing if isinstance(playing, list) else []):
-                continue
-            at = np.linspace(clip.start, clip.duration, 9)
-            for node in nodes_with(document, mesh, skin):
-                if not clip_weights(node, clip, at, np.zeros(there))[:, -int(note["targets"]) :].any():
-                    message = f'clip "{clip.name}" does not play its correctives any more: {BAKE}'
-                    yield Notice("stale-clips", message, place)
+def _stale_clips(document: Document, mesh: int, note: JsonObject) -> Iterator[str]:
+    """Yield what is wrong if clips play correctives of a mesh in other poses than those of the bake.
+
+    Names, numbers and the order of clips do not count, nor do clips that are gone.
+    """
+    rows = note.get("plays")
+    rows = [one for one in rows if isinstance(one, list)] if isinstance(rows, list) else []
+    width = 2 * NUMBERS
+    noted = np.array(
+        [one for one in rows if len(one) == width and all(map(is_number, one))], dtype=np.float64
+    ).reshape(-1, width)
+    found = played_clips(document, mesh, int(note["targets"]))
+    if not any(one.plays for one in found):
+        yield "no clip plays its correctives any more"
+    steps = 1 + noted.size // 1000
+    document.budget.claim_steps(steps * len(found), "comparing what its clips play", document.place)
+    is_played, silent = np.zeros(len(noted), dtype=np.bool_), dict[int, Clip]()
+    for one in found:
+        same = np.abs(noted - [*one.poses, *one.weights]) <= SAME
+        in_poses = same[:, :NUMBERS].all(axis=1)
+        is_noted = in_poses & same[:, NUMBERS:].all(axis=1)
+        is_played |= is_noted
+        if not one.plays:
+            silent |= dict.fromkeys(np.flatnonzero(in_poses).tolist(), one.clip)
+        elif not is_noted.any():
+            if in_poses.any():
+                yield f'clip "{one.clip.name}" plays its correctives by other weights than those of the bake'
+            else:
+                yield f'clip "{one.clip.name}" or its rig changed since the bake of its correctives'
+    for number, clip in silent.items():
+        if not is_played[number]:
+            yield f'clip "{clip.name}" does not play its correctives any more'
 
 
 class _Measured:
@@ -195,20 +194,25 @@ class _Measured:
         """
         for draw in self.drawn:
             mesh = next((v.source.mesh for v in draw.views if v.source.mesh in self.played.targets), None)
-            names = [] if mesh is None else self.played.clips_of[mesh]
+            if mesh is None or draw.corrections is None:
+                continue
             moving = joint_clips(self._document, draw.skin, list(self.played.clips.values()))
-            playing = [clip for clip in moving if clip.name in names][:2]
-            if not playing or draw.corrections is None:
+            # The weights of correctives by clip and primitive, and those of the file's own targets by clip.
+            playing, times, weights = list[Clip](), list[Float64Array](), list[list[Float64Array]]()
+            drawn = draw.skin, draw.node
+            for clip in moving:
+                at = clip.start + (clip.duration - clip.start) * MOMENTS
+                played = [self.played.weights(view.source.mesh, drawn, clip, at) for view in draw.views]
+                if any(one.any() for one in played):
+                    playing.append(clip)
+                    times.append(at)
+                    weights.append(played)
+                if len(playing) == 2:
+                    break
+            if not playing:
                 continue
             place = draw.views[0].source.place._replace(primitive=None)
             skeleton = read_skeleton(self._document, draw.skin)
-            times = [clip.start + (clip.duration - clip.start) * MOMENTS for clip in playing]
-            drawn = draw.skin, draw.node
-            # The weights of correctives by clip and primitive, and those of the file's own targets by clip.
-            weights = [
-                [self.played.weights(view.source.mesh, drawn, clip, at) for view in draw.views]
-                for clip, at in zip(playing, times, strict=True)
-            ]
             own = [self._own_weights(draw, *pair) for pair in zip(playing, times, strict=True)]
             if len(playing) == 2:
                 first, second = (clip_values(*pair) for pair in zip(playing, times, strict=True))

@@ -24,7 +24,7 @@ import numpy.typing as npt
 from skinbake.choices import Encoding
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.format.corrective_channels import Keys, with_correctives
-from skinbake.format.metadata import KEY, VERSION, array_digest, digests
+from skinbake.format.metadata import KEY, VERSION, digests, unordered_digest
 from skinbake.format.morph_targets import add_differences, add_zeros
 from skinbake.geometry import poses
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, SkinnedPrimitive
@@ -84,14 +84,15 @@ class MeshCorrectives:
 
 
 def nodes_with(document: Document, mesh: int, skin: int | None = None) -> list[int]:
-    """Return the nodes that draw a mesh: all, or those with a skin."""
-    nodes = document.objects("nodes")
-    by_mesh: dict[int | None, list[int]] = document.derived.setdefault("nodes by mesh", {})
-    if not by_mesh:
-        for number, node in enumerate(nodes):
-            by_mesh.setdefault(reference(node.get("mesh")), []).append(number)
-    found = by_mesh.get(mesh, [])
-    return [number for number in found if skin is None or reference(nodes[number].get("skin")) == skin]
+    """Return the nodes that draw a mesh: all, or those with a skin. All nodes are read once."""
+    known: dict[object, list[int]] = document.derived.setdefault("nodes by mesh", {})
+    if not known:
+        for number, node in enumerate(document.objects("nodes")):
+            drawn = reference(node.get("mesh"))
+            if drawn is not None:
+                known.setdefault(drawn, []).append(number)
+                known.setdefault((drawn, reference(node.get("skin"))), []).append(number)
+    return known.get(mesh if skin is None else (mesh, skin), [])
 
 
 def check_targets(document: Document, mesh: int, place: Place) -> None:
@@ -173,7 +174,8 @@ def _with_targets(
         entry: JsonObject = {"filled": filled} if filled else {}
         if number is not None and own is not None:
             stored = item.primitives[number]
-            entry |= {"digest": digests(stored, "normal"), "targets": targets_digest(own, encoding)}
+            decoded = decoded_targets(own, encoding)
+            entry |= {"digest": digests(stored, "normal"), "targets": corrective_digest(stored, decoded)}
         primitives.append(changed)
         noted.append(entry)
     note["primitives"] = noted
@@ -198,16 +200,21 @@ def _with_targets(
     return {**mesh, "primitives": primitives, "weights": weights, "extras": extras}
 
 
-def targets_digest(targets: Float64Array, encoding: Encoding) -> str:
-    """Return the digest of targets (K, V, 3) as an encoding stores them."""
+def decoded_targets(targets: Float64Array, encoding: Encoding) -> FloatArray:
+    """Return targets (K, V, 3) as renderers read them from an encoding."""
     stored = stored_targets(targets, encoding)
-    decoded = stored if stored.dtype.kind == "f" else np.maximum(stored / np.iinfo(stored.dtype).max, -1.0)
-    return decoded_digest(decoded)
+    return stored if stored.dtype.kind == "f" else np.maximum(stored / np.iinfo(stored.dtype).max, -1.0)
 
 
-def decoded_digest(targets: FloatArray) -> str:
-    """Return the digest of targets (K, V, 3) as renderers read them, in float32."""
-    return array_digest(targets.reshape(-1, 3), "<f4")
+def corrective_digest(primitive: SkinnedPrimitive, targets: FloatArray) -> str:
+    """Return the digest of targets (K, V, 3), as renderers read them, on the surface that they correct.
+
+    The order of vertices and triangles does not count, nor do copies of a vertex: tools change both.
+    """
+    every = np.arange(len(primitive.positions))
+    joints = primitive.joints if primitive.stored_joints is None else primitive.stored_joints
+    arrays = (primitive.positions, primitive.normals, joints, primitive.weights, *targets)
+    return unordered_digest(primitive, [(part, every, values) for part, values in enumerate(arrays)])
 
 
 def stored_targets(targets: Float64Array, encoding: Encoding) -> npt.NDArray[Any]:

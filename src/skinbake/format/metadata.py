@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from skinbake.choices import Frame
 from skinbake.errors import InputError, Place
-from skinbake.geometry.skinned import SkinnedPrimitive, blocks
+from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive, blocks
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import (
     JsonObject,
@@ -130,6 +130,31 @@ def array_digest(values: npt.NDArray[Any], dtype: str) -> str:
             with np.errstate(invalid="ignore", over="ignore"):  # NaN has a digest too
                 digest.update(np.ascontiguousarray(values[rows], dtype=dtype).data)
     return digest.hexdigest()[:32]
+
+
+def unordered_digest(
+    primitive: SkinnedPrimitive, parts: Sequence[tuple[int, IntArray, FloatArray | IntArray]]
+) -> str:
+    """Return the digest of the triangles of a primitive by what is known of their vertices.
+
+    parts are numbers of a kind, vertices (N,), and values (N, C) of these, read as float32. The order of
+    vertices and triangles does not count, nor do copies of a vertex: tools change both.
+    """
+    # A number of 64 bits for what is known of each vertex, mixed as by splitmix64 (Steele et al. 2014).
+    vertices = np.zeros(len(primitive.positions), np.uint64)
+    for part, rows, values in parts:
+        with np.errstate(over="ignore", invalid="ignore"):  # a NaN may be signalling
+            stored = values.astype(np.float32) + np.float32(0)  # −0 is 0
+        for column in stored.T:
+            mixed = (vertices[rows] ^ np.uint64(part)) * np.uint64(0x9E3779B97F4A7C15)
+            mixed = (mixed ^ column.view(np.uint32)) * np.uint64(0xBF58476D1CE4E5B9)
+            mixed = (mixed ^ mixed >> np.uint64(27)) * np.uint64(0x94D049BB133111EB)
+            vertices[rows] = mixed ^ mixed >> np.uint64(31)
+    # Each triangle begins with its smallest number, and so does their list.
+    corners = vertices[primitive.triangles]
+    turns = corners.argmin(axis=1)[:, None] + np.arange(3)
+    corners = np.take_along_axis(corners, turns % 3, axis=1)
+    return array_digest(corners[np.lexsort(corners.T[::-1])], "<u8")
 
 
 def changed_arrays(note: JsonObject, primitive: SkinnedPrimitive) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.format.attribute_store import meshopt_packing
-from skinbake.format.metadata import DEEPEST_NOTE, KEY, VERSION, array_digest
+from skinbake.format.metadata import DEEPEST_NOTE, KEY, VERSION, unordered_digest
 from skinbake.geometry.morphs import COMPONENTS, Differences
 from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive
 from skinbake.gltf.accessors import read_accessor
@@ -95,25 +95,11 @@ def morph_digest(primitive: SkinnedPrimitive, targets: Mapping[int, Differences]
 
     The order of vertices and triangles does not count, nor do copies of a vertex: tools change both.
     """
-    # A number of 64 bits for what is known of each vertex, mixed as by splitmix64 (Steele et al. 2014).
-    vertices = np.zeros(len(primitive.positions), np.uint64)
-    every = np.arange(len(vertices))
+    every = np.arange(len(primitive.positions))
     parts: list[tuple[int, IntArray, FloatArray]]
     parts = [(0, every, primitive.positions), (1, every[: len(primitive.normals)], primitive.normals)]
     parts += ((2 + number, one.rows, one.values) for number, one in sorted(targets.items()))
-    for part, rows, values in parts:
-        with np.errstate(over="ignore", invalid="ignore"):  # a NaN may be signalling
-            stored = values.astype(np.float32) + np.float32(0)  # −0 is 0
-        for column in stored.T:
-            mixed = (vertices[rows] ^ np.uint64(part)) * np.uint64(0x9E3779B97F4A7C15)
-            mixed = (mixed ^ column.view(np.uint32)) * np.uint64(0xBF58476D1CE4E5B9)
-            mixed = (mixed ^ mixed >> np.uint64(27)) * np.uint64(0x94D049BB133111EB)
-            vertices[rows] = mixed ^ mixed >> np.uint64(31)
-    # Each triangle begins with its smallest number, and so does their list.
-    corners = vertices[primitive.triangles]
-    turns = corners.argmin(axis=1)[:, None] + np.arange(3)
-    corners = np.take_along_axis(corners, turns % 3, axis=1)
-    return array_digest(corners[np.lexsort(corners.T[::-1])], "<u8")
+    return unordered_digest(primitive, parts)
 
 
 def check_extras(document: Document, mesh: int, place: Place) -> None:

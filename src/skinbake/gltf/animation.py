@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -67,7 +68,7 @@ class Channel(NamedTuple):
 
 
 class Clip(NamedTuple):
-    """One animation: its name, and the channels that move nodes or morph skinned meshes.
+    """One animation: its name by ``clip_names``, and the channels that move nodes or morph skinned meshes.
 
     start and duration are in seconds, from the first key to the last. glTF clips usually begin at 0, but
     exporters also cut clips from a longer take, and these begin later. number is that of the animation in the
@@ -375,8 +376,8 @@ def read_clips(document: Document, some: Sequence[int] | None = None) -> Sequenc
         animation = animations[number]
         place = document.place
         samplers = objects(animation, "samplers", place)
-        name = text(animation, "name", place) or f"animation {number}"
-        channels = []
+        text(animation, "name", place)  # it must be one
+        name, channels = clip_names(document)[number], []
         for channel in objects(animation, "channels", place):
             found = _channel(document, name, samplers, channel, times, outputs)
             if found is not None:
@@ -387,6 +388,21 @@ def read_clips(document: Document, some: Sequence[int] | None = None) -> Sequenc
             duration = max(float(channel.times[-1]) for channel in channels)
             known[number] = Clip(name, duration, tuple(channels), start, number)
     return [clip for number in numbers if (clip := known[number])]
+
+
+def clip_names(document: Document) -> list[str]:
+    """Return what people call each animation: its name, with its number where others share the name."""
+    known: dict[str, list[str]] = document.derived.setdefault("clip names", {})
+    if not known:
+        names = [
+            (isinstance(name := animation.get("name"), str) and name) or f"animation {number}"
+            for number, animation in enumerate(document.objects("animations"))
+        ]
+        counts = Counter(names)
+        known[""] = [
+            name if counts[name] == 1 else f"{name} (animation {number})" for number, name in enumerate(names)
+        ]
+    return known[""]
 
 
 def _channel(

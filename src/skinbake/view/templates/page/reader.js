@@ -42,7 +42,8 @@ export async function readModel(bytes, name, files = new Map()) {
         });
     });
     if (!model.draws.length) throw new ReadError('no mesh of it is made of triangles');
-    model.clips = list(json.animations).map((animation, number) => readClip(source, animation, number, nodes));
+    const names = clipNames(list(json.animations));
+    model.clips = names.map((name, number) => readClip(source, json.animations[number], number, name, nodes));
     model.clips = model.clips.filter((clip) => clip.channels.length);
     model.materials = list(json.materials);
     model.images = new Map();
@@ -454,7 +455,15 @@ export function gradientsOf(primitive, value) {
     return found;
 }
 
-function readClip(source, animation, number, nodes) {
+// Where several clips share a name, their numbers tell them apart, as clip_names in animation.py has it.
+function clipNames(animations) {
+    const names = animations.map(({ name }, number) => String(name || `animation ${number}`));
+    const counts = new Map();
+    for (const name of names) counts.set(name, (counts.get(name) ?? 0) + 1);
+    return names.map((name, number) => (counts.get(name) === 1 ? name : `${name} (animation ${number})`));
+}
+
+function readClip(source, animation, number, name, nodes) {
     const channels = [];
     for (const { sampler, target } of list(animation.channels)) {
         const { node, path } = targetOf(target ?? {});
@@ -469,7 +478,7 @@ function readClip(source, animation, number, nodes) {
     const ends = channels.map(({ times }) => times[times.length - 1]);
     return {
         number,
-        name: String(animation.name ?? `animation ${number}`),
+        name,
         channels,
         start: Math.min(...channels.map(({ times }) => times[0])),
         end: Math.max(...ends),
