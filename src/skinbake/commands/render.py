@@ -232,6 +232,7 @@ def _pictures(
         posed,
         rigid,
         held,
+        [1 + one.material.is_blended for one in subjects],
         camera.projected(yaws[0], options.look.width / options.look.height),
     )
     studio = Studio(subjects, camera)
@@ -257,11 +258,13 @@ def _refuse_layers(
     posed: Sequence[PosedDraw],
     rigid: Sequence[Attachment],
     held: Sequence[Float64Array],
+    times: Sequence[int],
     projected: Float64Array,
 ) -> None:
     """Raise InputError if triangles cover the first picture far more often than those of a character.
 
-    projected (4, 4) leads to the screen. What lies beside the picture counts as if it were at its edge.
+    times: how often each primitive is drawn; what blends, twice. projected (4, 4) leads to the screen. What
+    lies beside the picture counts as if it were at its edge.
     """
     found: list[tuple[Float64Array, IntArray]] = []
     for draw, one in zip(draws, posed, strict=True):
@@ -276,11 +279,11 @@ def _refuse_layers(
         document.budget.claim(
             BYTES_A_TRIANGLE * count, f"the area of {counted(count, 'triangle')}", document.place
         )
-    for positions, triangles in found:
+    for (positions, triangles), drawn in zip(found, times, strict=True):
         at = positions @ projected[:, :3].T + projected[:, 3]
         corners = np.clip(at[:, :2] / np.maximum(at[:, 3:], NEAREST), -1.0, 1.0)[triangles]
         (x, y), (u, v) = np.moveaxis(corners[:, 1:] - corners[:, :1], 0, -1)
-        layers += float(np.abs(x * v - y * u).sum()) / 2 / 4
+        layers += drawn * float(np.abs(x * v - y * u).sum()) / 2 / 4
     most = LAYERS_FREE + LAYERS_A_BYTE * document.budget.backed
     if layers > most:
         raise InputError(

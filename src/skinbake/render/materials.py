@@ -54,6 +54,9 @@ KEPT_BYTES_A_PIXEL = 11
 HOLE = 0.5
 """The alpha under which blending leaves a hole where there is none."""
 
+SOLID = 0.99
+"""The alpha from which on nothing behind shows through, to the eye."""
+
 COPIES = 3
 """The copies of an encoded image that Pillow holds while it decodes."""
 
@@ -96,8 +99,8 @@ NEAREST = 9728
 class Material:
     """Linear factors, and images by use: ``base``, ``normal``, ``emissive``; where and how they lie.
 
-    Alpha under cutoff is not drawn; 0 draws all. is_double: it is seen from behind too. is_plain: colours of
-    vertices are not drawn either.
+    Alpha under cutoff is not drawn, or, if is_blended, drawn with what lies behind. is_double: it is seen
+    from behind too. is_plain: colours of vertices are not drawn either.
     """
 
     base: tuple[float, ...] = CLAY
@@ -184,7 +187,7 @@ class Materials:
             emissive=BLACK if named["emissive"] and "emissive" not in images else emissive,
             roughness=float(np.clip(_number(pbr, "roughnessFactor", 1.0), *ROUGHNESS)),
             normal_scale=_number(named["normal"], "scale", 1.0),
-            cutoff=_number(content, "alphaCutoff", 0.5) if mode == "MASK" else 0.0,
+            cutoff={"MASK": _number(content, "alphaCutoff", 0.5), "BLEND": SOLID}.get(str(mode), 0.0),
             is_blended=mode == "BLEND",
             is_double=content.get("doubleSided") is True,
             images=images,

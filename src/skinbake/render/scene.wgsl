@@ -108,7 +108,9 @@ fn fragment(in: Varying, @builtin(front_facing) is_front: bool) -> @location(0) 
     let at = asin(clamp(r.y * 0.94 + r.x * 0.34, -1.0, 1.0)) * 4.5;
     let width = max(fwidth(at), 1e-4);
     let base = scene.base * in.color * vec4<f32>(linear(texel.rgb), texel.a);
-    if (base.a < scene.cutoff) {
+    // What blends was drawn from the cutoff on before, as a solid.
+    let is_blended = (scene.flags & IS_BLENDED) != 0u;
+    if ((base.a < scene.cutoff) != is_blended) {
         discard;
     }
     var color = 0.5 + 0.5 * n;
@@ -119,7 +121,7 @@ fn fragment(in: Varying, @builtin(front_facing) is_front: bool) -> @location(0) 
         }
         let lit = shaded(n, v, base.rgb) + scene.emissive.rgb * linear(glow);
         color = pow(lit / (1.0 + 0.18 * lit), vec3<f32>(1.0 / 2.2));
-        if ((scene.flags & IS_BLENDED) != 0u) {
+        if (is_blended) {
             alpha = base.a;
         }
     } else if (scene.mode == 1u) {

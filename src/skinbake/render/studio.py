@@ -22,7 +22,8 @@ from skinbake.render.materials import Levels, Sampling
 from skinbake.render.subject import YAW, Camera, Shot, Subject
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.shaders.text import shader_made
-from skinbake.skinning.rest import RestPrimitive
+from skinbake.skinning.rest import Options, RestPrimitive
+from skinbake.truth.blending import BlendedPrimitive
 from skinbake.wording import installing
 
 SCENE = Path(__file__).parent / "scene.wgsl"
@@ -122,10 +123,8 @@ class Studio:
                 "depth_store_op": "discard",
             },
         )
-        for number in sorted(
-            range(len(self._subjects)), key=lambda one: self._subjects[one].material.is_blended
-        ):
-            self._draw(step, number, shot, lighting, look)
+        for number, blends in self._passes(shot):
+            self._draw(step, number, shot, lighting, look, blends=blends)
         step.end()
         self._device.queue.submit([encoder.finish()])
         data = self._device.queue.read_texture(
@@ -137,9 +136,30 @@ class Studio:
         means: npt.NDArray[np.float32] = samples[..., :3].astype(np.float32).mean(axis=(1, 3))
         return means.round().astype(np.uint8)
 
-    def _draw(self, step: Any, number: int, shot: Shot, lighting: str, look: Look) -> None:
+    def _passes(self, shot: Shot) -> list[tuple[int, bool]]:
+        """Return the numbers of the subjects as they are drawn, and whether what is not solid of each is.
+
+        What blends is drawn after all others, the farthest first: what is solid of it, then the rest, which
+        hides nothing.
+        """
+        blended = [number for number, one in enumerate(self._subjects) if one.material.is_blended]
+        if len(blended) > 1:
+            towards = self._camera.axes(shot.yaw)[2]
+            blended.sort(key=lambda number: float(self._middle(number, shot) @ towards))
+        solid = [number for number in range(len(self._subjects)) if number not in blended]
+        return [(number, False) for number in (*solid, *blended)] + [(number, True) for number in blended]
+
+    def _middle(self, number: int, shot: Shot) -> Float64Array:
+        """Return the middle (3,) of a subject in a pose."""
         subject = self._subjects[number]
-        pipeline = self._pipeline(subject, lighting)
+        moved = shot.morphed.get("standard", {}).get(number, subject.rest)
+        posed = BlendedPrimitive(moved, shot.matrices[subject.pose_set][None], Options())
+        (positions,) = posed.positions(slice(0, 1), slice(0, len(moved.positions))).transpose(2, 1, 0)
+        return np.asarray((positions.min(axis=0) + positions.max(axis=0)) / 2)
+
+    def _draw(self, step: Any, number: int, shot: Shot, lighting: str, look: Look, *, blends: bool) -> None:
+        subject = self._subjects[number]
+        subject = replace(subject, material=replace(subject.material, is_blended=blends))
         matrices = shot.matrices[subject.pose_set].transpose(0, 2, 1).astype(np.float32).tobytes()
         buffers = (
             self._buffer(matrices),
@@ -150,14 +170,16 @@ class Studio:
         samplers = (self._sampler(material.samplings.get(use, Sampling())) for use in IMAGES)
         views = (self._image(material.images.get(use), use).create_view() for use in IMAGES)
         bound = [*({"buffer": buffer} for buffer in buffers), *samplers, *views]
-        step.set_pipeline(pipeline)
-        group = self._device.create_bind_group(
-            layout=pipeline.get_bind_group_layout(0),
-            entries=[{"binding": n, "resource": resource} for n, resource in enumerate(bound)],
-        )
-        step.set_bind_group(0, group)
         step.set_index_buffer(self._indices[number], "uint32")
-        step.draw_indexed(subject.triangles.size)
+        for culled in _culled(subject):
+            pipeline = self._pipeline(subject, lighting, culled)
+            step.set_pipeline(pipeline)
+            group = self._device.create_bind_group(
+                layout=pipeline.get_bind_group_layout(0),
+                entries=[{"binding": n, "resource": resource} for n, resource in enumerate(bound)],
+            )
+            step.set_bind_group(0, group)
+            step.draw_indexed(subject.triangles.size)
 
     def _rows(self, number: int, shot: Shot, lighting: str) -> Any:
         """Return the buffer of a subject's vertices. Those that no picture changes are uploaded once."""
@@ -239,9 +261,8 @@ class Studio:
             self._images[id(levels)] = texture
         return self._images[id(levels)]
 
-    def _pipeline(self, subject: Subject, lighting: str) -> Any:
+    def _pipeline(self, subject: Subject, lighting: str, culled: str) -> Any:
         material, slots = subject.material, subject.rest.joints.shape[1]
-        culled = "none" if material.is_double or subject.is_mirrored else "back"
         if lighting == "corrected":  # standard lighting, of other normals
             lighting = "standard"
         if subject.is_rigid:  # its normals are right under any scale
@@ -261,11 +282,15 @@ class Studio:
         self._pipelines[key] = self._device.create_render_pipeline(
             layout="auto",
             vertex={"module": module, "entry_point": "vertex"},
-            primitive={"topology": "triangle-list", "cull_mode": culled},
+            primitive={
+                "topology": "triangle-list",
+                "cull_mode": culled,
+                "front_face": "cw" if subject.is_mirrored else "ccw",
+            },
             depth_stencil={
                 "format": "depth32float",
                 "depth_write_enabled": not material.is_blended,
-                "depth_compare": "less",
+                "depth_compare": "less-equal",  # a layer on another one is seen, as three.js has it
             },
             multisample={"count": 4},
             fragment={"module": module, "entry_point": "fragment", "targets": [target]},
@@ -376,6 +401,14 @@ def _of_frame(vector: str) -> str:
     """Return what standard lighting makes of a vector at rest, from what it makes of the frame."""
     parts = (f"dot({vector}, rest.{name}) * v.{name}" for name in ("tangent", "bitangent", "normal"))
     return " + ".join(parts)
+
+
+def _culled(subject: Subject) -> list[str]:
+    """Return the faces that each time are not drawn. Backs that blend are drawn first, as by three.js."""
+    material = subject.material
+    if not material.is_double and not subject.is_mirrored:
+        return ["back"]
+    return ["front", "back"] if material.is_blended else ["none"]
 
 
 def _rows(subject: Subject, rest: RestPrimitive, errors: tuple[Any, Any] | None) -> npt.NDArray[np.float32]:

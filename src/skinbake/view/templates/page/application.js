@@ -445,6 +445,7 @@ class Application {
             ink: dark.matches ? [0, 0, 0] : [0.25, 0.23, 0.2],
             ground: this.ground,
             isTextured: byId.textures.checked,
+            depthOf: (part) => this.scene.depth(part, projected),
         });
         this.showReadings();
     }

@@ -8,6 +8,7 @@ import {
 const CAPTURED = ['v_position', 'v_normal'];
 const CLAY = [0.60, 0.585, 0.56, 1];
 const HOLE = 0.5;
+const SOLID = 0.99; // The alpha from which on nothing behind shows through, to the eye.
 
 // How each lighting is drawn: the algorithm, the kind of its α and β, and whether its normals are the true ones.
 export const LIGHTINGS = {
@@ -372,7 +373,8 @@ export class Renderer {
     }
 
     // Draw everything. sides are [lighting, from, to] in shares of the width.
-    draw({ sides, projected, eye, light, mode, legend, stops, unknown, ink, ground, isTextured }) {
+    // depthOf gives the depth of a part's middle.
+    draw({ sides, projected, eye, light, mode, legend, stops, unknown, ink, ground, isTextured, depthOf }) {
         const { gl, canvas } = this;
         const { width, height } = canvas;
         gl.viewport(0, 0, width, height);
@@ -380,26 +382,35 @@ export class Renderer {
         gl.clearColor(0, 0, 0, 0);
         gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
         gl.enable(gl.DEPTH_TEST);
+        gl.depthFunc(gl.LEQUAL); // A layer on another one is seen, as three.js has it.
         gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
         this.drawGround(projected, ground, ink);
         if (!this.model) return;
-        const opaque = this.parts.filter((part) => !this.materials[part.primitive.material]?.isBlended);
-        const blended = this.parts.filter((part) => !opaque.includes(part));
+        // What blends is drawn after all others, the farthest first: what is solid of it, then the rest, which hides nothing.
+        const shown = new Map(this.parts.map((part) => [part, this.shownMaterial(part, isTextured, mode)]));
+        const blended = this.parts.filter((part) => shown.get(part).isBlended);
+        const depths = new Map(blended.length > 1 ? blended.map((part) => [part, depthOf(part)]) : []);
+        blended.sort((a, b) => depths.get(b) - depths.get(a));
+        const solid = [...this.parts.filter((part) => !shown.get(part).isBlended), ...blended];
+        const passes = [...solid.map((part) => [part, { ...shown.get(part), isBlended: false }]), ...blended.map((part) => [part, shown.get(part)])];
         gl.enable(gl.SCISSOR_TEST);
         for (const [lighting, from, to] of sides) {
             const [left, right] = [Math.round(from * width), Math.round(to * width)];
             if (right <= left) continue;
             gl.scissor(left, 0, right - left, height);
-            for (const part of [...opaque, ...blended]) {
-                const shown = this.shownMaterial(part, isTextured, mode);
-                const places = this.bound(part, lighting, projected, mode, shown.has);
+            for (const [part, material] of passes) {
+                const places = this.bound(part, lighting, projected, mode, material.has);
                 gl.uniform3fv(places.eye, eye);
                 gl.uniform3fv(places.light, light);
                 gl.uniform1f(places.legend, legend);
                 gl.uniform3fv(places.stops, stops);
                 gl.uniform3fv(places.unknown, unknown);
-                this.setMaterial(part, places, shown);
-                gl.drawElements(gl.TRIANGLES, part.primitive.triangles.length, gl.UNSIGNED_INT, 0);
+                this.setMaterial(part, places, material);
+                for (const face of this.culledFaces(material)) {
+                    face ? gl.enable(gl.CULL_FACE) : gl.disable(gl.CULL_FACE);
+                    if (face) gl.cullFace(face);
+                    gl.drawElements(gl.TRIANGLES, part.primitive.triangles.length, gl.UNSIGNED_INT, 0);
+                }
             }
         }
         gl.depthMask(true);
@@ -434,7 +445,7 @@ export class Renderer {
         const isLit = mode === 'shaded';
         const isPlain = !isTextured || !isLit || !own;
         const isBlended = Boolean(own?.isBlended && isLit);
-        const cutoff = own?.isBlended && !isLit ? HOLE : own?.cutoff ?? 0;
+        const cutoff = own?.isBlended ? (isLit ? SOLID : HOLE) : own?.cutoff ?? 0;
         const { texcoordOf } = primitive;
         const isShown = (name) => name in texcoordOf && (!isPlain || (name === 'base' && (isBlended || cutoff > 0)));
         const maps = Object.fromEntries(Object.entries(own?.[kind] ?? {}).filter(([name]) => isShown(name)));
@@ -464,10 +475,15 @@ export class Renderer {
         gl.uniform1i(places.is_blended, Number(isBlended));
         isBlended ? gl.enable(gl.BLEND) : gl.disable(gl.BLEND);
         gl.depthMask(!isBlended);
-        own?.isDouble ? gl.disable(gl.CULL_FACE) : gl.enable(gl.CULL_FACE);
         const isTurned = part.skin === undefined && isMirroring(this.pose.nodes[part.node]);
         gl.frontFace(isTurned || (part.skin !== undefined && this.isMirrored) ? gl.CW : gl.CCW);
-        if (this.isMirrored) gl.disable(gl.CULL_FACE);
+    }
+
+    // The faces that each time are not drawn. Of what blends, those seen from behind come first, as in three.js.
+    culledFaces({ own, isBlended }) {
+        const { gl } = this;
+        if (!own?.isDouble && !this.isMirrored) return [gl.BACK];
+        return isBlended ? [gl.FRONT, gl.BACK] : [null];
     }
 
     // The positions and unit normals that the vertex shader gives a part under a lighting: (3, V) numbers each.

@@ -7,6 +7,7 @@ import { joined, skinned, Surface } from './truth.js';
 
 const STILL = { name: 'Rest pose', start: 0, end: 0, channels: [] }; // Of a file in which nothing moves.
 const BOUNDING = 20_000; // Vertices that place the camera.
+const OF_MIDDLE = 1000; // Vertices that tell where a part is.
 
 export class Scene {
     constructor(renderer) {
@@ -144,6 +145,16 @@ export class Scene {
         if (skin !== undefined && primitive.joints.length) skinned(primitive, primitive.positions, this.posed.skins[skin], null, found, 0);
         else moved(primitive.positions, this.posed.nodes[node], found);
         return found;
+    }
+
+    // The depth of the middle of a part in this pose.
+    depth(part, projected) {
+        const found = this.positions(part, Math.ceil(part.primitive.count / OF_MIDDLE));
+        const middle = [0, 1, 2].map((axis) => {
+            const row = found.filter((_, i) => i % 3 === axis);
+            return (Math.min(...row) + Math.max(...row)) / 2;
+        });
+        return projected[3] * middle[0] + projected[7] * middle[1] + projected[11] * middle[2] + projected[15];
     }
 
     // The box around some parts over some poses of their clip: its middle, half its diagonal, its lowest point.

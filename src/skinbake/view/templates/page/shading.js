@@ -234,7 +234,7 @@ void main()
     base *= vec4(linear(texel.rgb), texel.a);
 #endif
 #endif
-    if (base.a < cutoff) discard;
+    if ((base.a < cutoff) != is_blended) discard; // What blends was drawn from the cutoff on before, as a solid.
     vec3 n = normalize(v_normal);
     vec3 v = normalize(eye - v_position);
     if (is_turned && !gl_FrontFacing) n = -n;
