@@ -609,9 +609,7 @@ def _containers() -> Iterator[Case]:
     struct.pack_into("<I", data, 8, len(data))
     yield _case("half a chunk header", {"m.glb": bytes(data)})
     deep = b'{"asset":{"version":"2.0"},"extras":' + b"[" * 1100 + b"]" * 1100 + b"}"
-    yield _case("more after a deep text", {"m.gltf": deep + b" x"}, TO_GLTF)
-    yield _case("no name in a deep text", {"m.gltf": b'{"a":' * 1100 + b"{x}"}, TO_GLTF)
-    yield _case("no colon in a deep text", {"m.gltf": b'{"a":' * 1100 + b'{"b" 1}'}, TO_GLTF)
+    yield _case("a deep text", {"m.gltf": deep}, TO_GLTF)
     chunked = bytearray(_sheet().packed(GLB)[1]["m.glb"] + struct.pack("<II4s", 4, 0x12345678, b"more"))
     struct.pack_into("<I", chunked, 8, len(chunked))
     for target in ("out/m.glb", "out/m.gltf"):

@@ -413,18 +413,16 @@ class TestOrder:
         ('{"far": 1E400}', "/extras/far"),
         ('{"a/b": [0, {"c~d": -1E999}], "later": 1E400}', "/extras/a~1b/1/c~0d"),
         ("[[], {}, [1.5, 1E400]]", "/extras/2/1"),
-        (f"{'[' * 4000}1E400{']' * 4000}", "/extras" + "/0" * 4000),
     ],
 )
 def test_a_number_past_all_floats_stays_or_is_named(extras: str, pointer: str, tmp_path: Path) -> None:
-    """It stays where its text does. A GLB has a new text, which cannot say it, and so has a deep document."""
+    """It stays where its text does. A GLB has a new text, which cannot say it."""
     path = copied(SHARED, tmp_path)
     content = json.loads(path.read_text(encoding="utf-8"))
     content["extras"] = "@"
     path.write_text(json.dumps(content, indent=1).replace('"@"', extras), encoding="utf-8")
-    if "[" * 1000 not in extras:
-        bake_file(str(path), str(tmp_path / "out.gltf"))
-        assert f'"extras": {extras}' in (tmp_path / "out.gltf").read_text(encoding="utf-8")
+    bake_file(str(path), str(tmp_path / "out.gltf"))
+    assert f'"extras": {extras}' in (tmp_path / "out.gltf").read_text(encoding="utf-8")
     with pytest.raises(InputError) as raised:
         bake_file(str(path), str(tmp_path / "out.glb"))
     assert raised.value.message == (

@@ -33,7 +33,7 @@ def rewritten(former: FormerText, value: Any, *, indent: str | None, ascii_only:
 
     A part of the value has its former text if it is the same object as in the former value, or an equal
     scalar. All else is written as ``json_text.written`` writes it with these options; ValueError for numbers
-    that are not finite. A text that is nested too deep, or has a changed member twice, is all written anew
+    that are not finite, or values nested too deep. A text that has a changed member twice is all written anew
     between the white space at its ends.
     """
     start = _end_of(_START, former.text, 0)

@@ -271,9 +271,9 @@ def _json_bytes(document: Document) -> bytes:
         except UnicodeEncodeError:
             return _json_text(document, ascii_only=True).encode("utf-8")
     except ValueError as error:
-        where = next(json_text.not_finite(document.json))
-        message = f"its JSON cannot be written back: {where} is a number too large for any float"
-        raise InputError(message, document.place) from error
+        where = next(json_text.not_finite(document.json), None)
+        why = str(error) if where is None else f"{where} is a number too large for any float"
+        raise InputError(f"its JSON cannot be written back: {why}", document.place) from error
 
 
 def _json_text(document: Document, *, ascii_only: bool) -> str:
@@ -286,8 +286,5 @@ def _json_text(document: Document, *, ascii_only: bool) -> str:
 
 
 def _ended(text: str) -> str:
-    """Return a text of several lines with the end of its last line; a text on one line has none.
-
-    A text that is too deep to be indented is on one line, and must be the same when it is written again.
-    """
+    """Return a text of several lines with the end of its last line; a text on one line has none."""
     return f"{text}\n" if "\n" in text else text
