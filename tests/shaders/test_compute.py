@@ -31,7 +31,7 @@ from tests.shaders.judged import TOLERANCE, term_lengths
 from tests.shaders.running import done
 from tests.shaders.scenes import Scene, Wide, irregular
 from tests.support import analytic, corpus, dxc, glslang, gltf_transform, opengl, webgpu
-from tests.support.baked_files import Editable
+from tests.support.baked_files import REPOSITORY, Editable
 from tests.support.command_line import invoke
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import Change, Part, in_two_sets, sheet, tangents_along, write_model
@@ -315,6 +315,32 @@ def test_a_pass_in_opengl_gives_what_the_replay_gives() -> None:
             storage: list[bytes | int] = [*job.buffers[1:], job.result_bytes, *job.further]
             found = context.compute(text, job.buffers[0], storage, job.workgroups)
             assert_like_the_replay(label(choices), found, one, leaves_out_tangents=number == 0)
+
+
+BINDING = {
+    Language.GLSL: r"\bbinding = (\d)",
+    Language.WGSL: r"@binding\((\d)\)",
+    Language.HLSL: r"register\(\w(\d)\)",
+}
+
+
+@pytest.mark.parametrize("choices", CASES, ids=label)
+def test_the_page_explains_the_bindings_and_the_numbers_of_the_pass(choices: ShaderChoices) -> None:
+    page = (REPOSITORY / "docs" / "shaders.md").read_text("utf-8")
+    assert re.search(r"has four\s+bindings, five with morph targets", page)
+    for language, pattern in BINDING.items():
+        text = shader_text(replace(choices, language=language))
+        expected = "01234" if choices.morphs is not Morphs.NONE else "0123"
+        assert re.findall(pattern, text) == list(expected)
+    table = page.partition("| field of `skinbake_Draw`")[2].partition("\n\n")[0]
+    first = [name for row in table.splitlines()[2:] for name in re.findall(r"`(\w+)`", row.split("|")[1])]
+    numbers = members(choices)
+    assert first[:10] == numbers[:10]
+    assert {re.sub(r"\d+$", "0", name) for name in numbers[10:]} <= set(first[10:])
+    if choices.morphs is not Morphs.NONE:
+        told = page.partition("An entry of `skinbake_Target`")[2].partition("\n\n")[0]
+        target = shader_text(choices).partition("struct skinbake_Target {")[2].partition("}")[0]
+        assert re.findall(r"(\w+): vec2<u32>", target) == re.findall(r"`(\w+)`", told)[1:]
 
 
 def assert_the_normals_of(path: Path) -> None:
