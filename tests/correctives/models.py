@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import copy
 import json
 import struct
@@ -56,6 +57,61 @@ def parted(target: Path) -> Path:
         content["scenes"][0]["nodes"].append(len(content["nodes"]) - 1)
 
     return rewritten(TUBE, target, change)
+
+
+REFERENCES = {
+    "accessors": ("bufferView",),
+    "bufferViews": ("buffer",),
+    "nodes": ("mesh", "skin", "children"),
+    "skins": ("inverseBindMatrices", "joints", "skeleton"),
+    "scenes": ("nodes",),
+}
+"""The members of the top-level arrays that name entries of others."""
+
+
+def joined(sources: list[Path], target: Path) -> Path:
+    """Write several GLBs as one, with all their meshes, skins and clips."""
+    whole: dict[str, Any] = {"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": []}]}
+    for source in sources:
+        file = gltf_reading.read(source)
+        content = copy.deepcopy(file.content)
+        uri = "data:application/octet-stream;base64,"
+        content["buffers"][0]["uri"] = uri + base64.b64encode(file.binary_chunk or b"").decode()
+        starts = {key: len(whole.get(key, [])) for key in content if isinstance(content[key], list)}
+        of = {"bufferView": "bufferViews", "buffer": "buffers", "mesh": "meshes", "skin": "skins"}
+        of |= dict.fromkeys(("children", "joints", "skeleton", "nodes"), "nodes")
+        of |= dict.fromkeys(("inverseBindMatrices", "input", "output", "indices"), "accessors")
+
+        def moved(name: str, value: Any, starts: dict[str, int] = starts, of: dict[str, str] = of) -> Any:
+            start = starts[of.get(name, "accessors")]
+            if isinstance(value, dict):
+                return {key: one + starts["accessors"] for key, one in value.items()}
+            return [one + start for one in value] if isinstance(value, list) else value + start
+
+        for key, names in REFERENCES.items():
+            for entry in content.get(key, []):
+                entry |= {name: moved(name, entry[name]) for name in names if name in entry}
+                for part in entry.get("sparse", {}).values():
+                    if isinstance(part, dict):
+                        part["bufferView"] += starts["bufferViews"]
+        for primitive in (one for mesh in content["meshes"] for one in mesh["primitives"]):
+            primitive["attributes"] = moved("", primitive["attributes"])
+            primitive["indices"] += starts["accessors"]
+            primitive.pop("material", None)
+            for number, one in enumerate(primitive.get("targets", [])):
+                primitive["targets"][number] = moved("", one)
+        for animation in content.get("animations", []):
+            for sampler in animation["samplers"]:
+                sampler |= {name: moved(name, sampler[name]) for name in ("input", "output")}
+            for channel in animation["channels"]:
+                channel["target"]["node"] += starts["nodes"]
+        whole["scenes"][0]["nodes"] += content["scenes"][0]["nodes"]
+        for key in ("buffers", "bufferViews", "accessors", "meshes", "skins", "nodes", "animations"):
+            whole.setdefault(key, []).extend(content.get(key, []))
+    text = json.dumps(whole).encode()
+    text += b" " * (-len(text) % 4)
+    target.write_bytes(struct.pack("<4sIIII", b"glTF", 2, 20 + len(text), len(text), 0x4E4F534A) + text)
+    return target
 
 
 def mean_errors(path: Path, clip: int, times: list[float], **how: Any) -> Array:

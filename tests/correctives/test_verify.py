@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.correctives.models import SHEET, TUBE, parted, rewritten
+from tests.correctives.models import SHEET, TUBE, joined, parted, rewritten
 from tests.support import corpus, gltf_reading
 from tests.support.baked_files import Answer, verify
 from tests.support.command_line import invoke
@@ -144,3 +144,30 @@ def test_correctives_that_make_a_file_worse_are_told(tube: Path, tmp_path: Path)
     answer = verify(rewritten(tube, tmp_path / "worse.glb", turned))
     codes = {one["code"] for one in answer.file["warnings"]}
     assert {"correctives-worse", "correctives-mixed"} <= codes
+
+
+def _of_three(target: Path) -> Path:
+    """Write the tube, its parts and the sheet with morph targets as three meshes of one file, with clips."""
+    return joined([TUBE, parted(target.with_name("parts.glb")), SHEET], target)
+
+
+@pytest.mark.parametrize("options", [(), ("--encoding", "packed8"), ("--clips", "breathe")], ids=str)
+def test_the_figures_of_a_bake_are_those_of_verify(options: tuple[str, ...], tmp_path: Path) -> None:
+    given, target = _of_three(tmp_path / "in.glb"), tmp_path / "out.glb"
+    result = invoke("bake", given, "-o", target, "--correctives", "auto", "--json", *options)
+    assert result.exit_code == 0, result.output
+    (baked,) = json.loads(result.stdout)["files"]
+    said = invoke("bake", given, "-o", target, "--correctives", "auto", *options).output
+    file = verify(target).file
+    for truth, member in (("tangents", "normals"), ("triangles", "normals_by_triangles")):
+        before, after = (file[member]["lbs"][one]["mean"] for one in ("standard", "corrected"))
+        assert f"{before:.2f}° -> {after:.2f}° by {truth}" in said
+        own = {one["mesh"]: one for one in file["primitives"] if one["mesh"] != 1}
+        for mesh in (one for one in baked["correctives"] if one["mesh"] != 1):
+            figures = own[mesh["mesh"]][member]["lbs"]
+            assert mesh["standard"][truth] == pytest.approx(figures["standard"]["mean"], rel=1e-4)
+            assert mesh["remaining"][truth] == pytest.approx(figures["corrected"]["mean"], rel=1e-4)
+        # The mean of the parts lies between those of the parts, and nowhere does a mesh become worse.
+        parts = [one[member]["lbs"]["corrected"]["mean"] for one in file["primitives"] if one["mesh"] == 1]
+        for mesh in (one for one in baked["correctives"] if one["mesh"] == 1):
+            assert min(parts) <= mesh["remaining"][truth] <= max(parts)

@@ -63,6 +63,7 @@ def test_a_summary_by_hand() -> None:
         worst_vertex=2,
         samples=6,
         undefined=0,
+        weight=20.0,
     )
 
 

@@ -65,6 +65,7 @@ STEPS_TO_VERIFY, STEPS_A_TARGET, STEPS_A_JOINT, BYTES_A_COPY = 22_000, 60, 30, 1
 
 if TYPE_CHECKING:
     from skinbake.commands.morph_bake import MorphBake
+    from skinbake.report.verify import FileVerdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,6 +128,7 @@ class Baker(CheckedOptions):
             tuple(notices),
             encoding=made.encoding,
             correctives=made.correctives,
+            lighting=made.lighting,
             morphs=made.morphs,
             written=written,
             read=read,
@@ -173,14 +175,7 @@ class Baker(CheckedOptions):
         what = f"baking {counted(len(sources), 'primitive')}"
         document.budget.claim_steps(STEPS_A_BAKE * len(sources), what, document.place)
         if self.correctives is not None:
-            from skinbake.commands.corrective_bake import corrected_document  # most bakes add α and β
-
-            written, made, further = corrected_document(document, sources, self)
-            left, unmeasured = self._left(document, written)
-            if left is not None:
-                return left._replace(skipped=skipped, notices=tuple(reasons))
-            told = (*reasons, *further, *unmeasured)
-            return BakedDocument(written, (), skipped, told, correctives=tuple(made))
+            return self._corrected(document, sources, skipped, reasons)
         given = document
         with stage("compress"):
             kept: list[Notice] = []
@@ -228,12 +223,35 @@ class Baker(CheckedOptions):
             for bake, length in zip(bakes, lengths, strict=True)
         )
         if bakes:
-            left, unmeasured = self._left(given, written)
+            left, unmeasured = self._left(given, partial(self._lighting, written))
             notices += unmeasured
             if left is not None:
                 return left._replace(skipped=skipped, notices=tuple(reasons))
         morphed = morphs.reported(made_lengths) if morphs else ()
         return BakedDocument(written, primitives, skipped, tuple(notices), cost, morphs=morphed)
+
+    def _corrected(
+        self,
+        document: Document,
+        sources: Sequence[PrimitiveSource],
+        skipped: int,
+        reasons: Sequence[Notice],
+    ) -> BakedDocument:
+        """Return the document with correctives. skipped and reasons are those of other primitives."""
+        from skinbake.commands.corrective_bake import corrected_document  # most bakes add α and β
+
+        found = corrected_document(document, sources, self)
+        left, unmeasured = self._left(document, found.lighting)
+        if left is not None:
+            return left._replace(skipped=skipped, notices=tuple(reasons))
+        return BakedDocument(
+            found.document,
+            (),
+            skipped,
+            (*reasons, *found.notices, *unmeasured),
+            correctives=tuple(found.counts),
+            lighting=found.means,
+        )
 
     def _morphs(self, document: Document, bakes: Sequence[PrimitiveBake]) -> MorphBake | None:
         """Return what is made for morph targets, or told of them; None for a model that has none."""
@@ -244,23 +262,27 @@ class Baker(CheckedOptions):
         wanted = Wanted(self.morph_normals, self.morph_frames)
         return morph_bake(document, bakes, self.settings, wanted)
 
-    def _left(self, given: Document, baked: Document) -> tuple[BakedDocument | None, list[Notice]]:
+    def _lighting(self, baked: Document) -> FileVerdict:
+        """Return the lighting of a document with α and β, by linear blend skinning."""
+        from skinbake.commands.verify import lighting_of
+        from skinbake.measure.options import VerifyOptions
+
+        return lighting_of(baked, VerifyOptions(methods=("lbs",)))
+
+    def _left(
+        self, given: Document, measured: Callable[[], FileVerdict]
+    ) -> tuple[BakedDocument | None, list[Notice]]:
         """Return the given document with a note, if it is better left unbaked, else None; and notices.
 
-        The gain is measured as verify does, by linear blend skinning. The lower one of both truths counts.
+        The gain is measured as verify does. The lower one of both truths counts.
         """
         if self.leave_under is None:
             return None, []
-        from skinbake.measure.options import VerifyOptions
         from skinbake.report.verify import NEGLIGIBLE, by_worse_truth, gain
 
-        if self.correctives is None:
-            from skinbake.commands.verify import lighting_of as measured
-        else:
-            from skinbake.commands.verify_correctives import corrected_verdict as measured
         try:
             with stage("gain"):
-                figures = by_worse_truth(measured(baked, VerifyOptions(methods=("lbs",))))
+                figures = by_worse_truth(measured())
         except InputError as error:
             message = f"it is baked, because its gain could not be measured: {error.message}"
             return None, [Notice("gain-unmeasured", message, error.place or given.place)]
@@ -358,7 +380,7 @@ class Baker(CheckedOptions):
 class BakedDocument(NamedTuple):
     """A document with α and β, the bake of each primitive, and the assumptions made.
 
-    Or one with correctives, and the numbers of each mesh.
+    Or one with correctives, the numbers of each mesh, and mean errors by truth without and with them.
 
     skipped is the number of skinned primitives that were left out. If no primitive can be baked, the document
     is the given one, primitives is empty and encoding is None. left says why a bake has left the document as
@@ -372,6 +394,7 @@ class BakedDocument(NamedTuple):
     encoding: EncodingCost | None = None
     left: Left | None = None
     correctives: tuple[tuple[Place, CorrectiveCounts], ...] = ()
+    lighting: tuple[tuple[str, float, float], ...] = ()
     morphs: tuple[tuple[Place, MorphCounts], ...] = ()
 
     @property

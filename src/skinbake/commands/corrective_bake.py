@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Container, Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -38,6 +39,7 @@ from skinbake.gltf.animation import (
     read_clips,
     read_skeleton,
 )
+from skinbake.gltf.budget import Budget
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, reference
 from skinbake.gltf.morphs import resting_weights, target_count
@@ -56,6 +58,7 @@ from skinbake.wording import counted
 
 if TYPE_CHECKING:
     from skinbake.commands.bake import Baker
+    from skinbake.report.verify import FileVerdict
 
 FORMS = {
     Encoding.FLOAT32: Form(1.0, 2.0**-14),
@@ -80,38 +83,80 @@ See ``budget.STEPS_FREE``.
 """
 
 
+class CorrectedDocument(NamedTuple):
+    """A document with correctives, the numbers of each mesh, notices, and the lighting if it has any."""
+
+    document: Document
+    counts: Sequence[tuple[Place, CorrectiveCounts]]
+    notices: Sequence[Notice]
+    verdict: FileVerdict | None
+
+    def lighting(self) -> FileVerdict:
+        """Measure the lighting, if that has not been done."""
+        from skinbake.commands.verify_correctives import corrected_lighting  # it imports Baker
+
+        return self.verdict or corrected_lighting(self.document)
+
+    @property
+    def means(self) -> tuple[tuple[str, float, float], ...]:
+        """The mean errors in degrees by truth, without and with correctives; empty without any."""
+        by_truth = {} if self.verdict is None else self.verdict.by_truth
+        every = [(truth, figures["lbs"]) for truth, figures in by_truth.items() if figures]
+        return tuple((truth, one["standard"].mean, one["corrected"].mean) for truth, one in every)
+
+
 def corrected_document(
     document: Document, sources: Sequence[PrimitiveSource], baker: Baker
-) -> tuple[Document, list[tuple[Place, CorrectiveCounts]], list[Notice]]:
-    """Return the document with correctives, the numbers of each mesh, and notices.
+) -> CorrectedDocument:
+    """Make the correctives of a document. Those that verify would find worse than none are left out.
 
     Raises InputError if clips, skins or targets of the file are broken, or a clip of ``--clips`` is missing.
     """
+    from skinbake.commands.verify_correctives import corrected_lighting, worse_primitives  # it imports Baker
+
     clips = read_clips(document)
     chosen = _chosen(document, clips, baker.clips)
     plain = [mesh for mesh in dict.fromkeys(one.mesh for one in sources) if not target_count(document, mesh)]
     morphing = [mesh for mesh in dict.fromkeys(one.mesh for one in sources) if mesh not in plain]
-    items: list[MeshCorrectives] = []
     found: list[tuple[Place, Correctives, MeshCorrectives | None]] = []
-    notices: list[Notice] = []
     for group in [*meshes_of_one_skin(document, plain)[0], *([mesh] for mesh in morphing)]:
         of_group = [one for mesh in group for one in sources if one.mesh == mesh]
-        for place, correctives, item in _fitted(document, of_group, clips, chosen, baker):
-            found.append((place, correctives, item))
-            if item is not None:
-                items.append(item)
-            else:
-                notices.append(_nothing(place, correctives))
-    if not items:
-        return document, [], notices
-    with stage("store"):
-        written, lengths = with_mesh_correctives(document, items, baker.encoding)
-        written = _with_plays(written, items)
-    sizes = iter(lengths)
-    counts = [
-        (place, _counts(correctives, next(sizes))) for place, correctives, item in found if item is not None
+        found += _fitted(document, of_group, clips, chosen, baker)
+    while True:
+        items = [item for _, _, item in found if item is not None]
+        notices = [_nothing(place, one) for place, one, item in found if item is None]
+        if not items:
+            return CorrectedDocument(document, [], notices, None)
+        with stage("store"):
+            written, lengths = with_mesh_correctives(document, items, baker.encoding)
+            written = _with_plays(written, items)
+        with stage("gain"):
+            # As if the written file were read: a bake writes nothing that verify refuses.
+            budget = document.budget
+            backed = budget.backed + sum(lengths)
+            fresh = Budget(limit=budget.limit, backed=backed, parts=budget.parts)
+            verdict = corrected_lighting(written.edited(budget=fresh))
+        worse = {(place.mesh, place.primitive) for place in worse_primitives(verdict)}
+        if not worse:
+            sizes = iter(lengths)
+            counts = [
+                (place, _counts(one, item, verdict, next(sizes)))
+                for place, one, item in found
+                if item is not None
+            ]
+            return CorrectedDocument(written, counts, notices, verdict)
+        found = [(place, one, item and _without(item, worse)) for place, one, item in found]
+
+
+def _without(
+    item: MeshCorrectives, worse: Container[tuple[int | None, int | None]]
+) -> MeshCorrectives | None:
+    """Return the correctives of a mesh without those of some primitives, None if none are left."""
+    kept = [
+        np.zeros_like(one) if (source.mesh, source.primitive) in worse else one
+        for source, one in zip(item.sources, item.targets, strict=True)
     ]
-    return written, counts, notices
+    return replace(item, targets=kept) if any(one.any() for one in kept) else None
 
 
 def _nothing(place: Place, correctives: Correctives) -> Notice:
@@ -349,20 +394,33 @@ def _settings(made: Correctives, baker: Baker) -> JsonObject:
     }
 
 
-def _counts(made: Correctives, added_bytes: int) -> CorrectiveCounts:
-    """Return the numbers of the report for one mesh."""
+def _counts(
+    made: Correctives, item: MeshCorrectives, verdict: FileVerdict, added_bytes: int
+) -> CorrectiveCounts:
+    """Return the numbers of the report for one mesh, whose errors a verdict has by primitive."""
     playing = [track.motion.clip.name for track in made.tracks if track.plays]
     still = [track.motion.clip.name for track in made.tracks if not track.plays]
+    fitted, corrected = (
+        sum(int(np.count_nonzero(one.any(axis=(0, 2)))) for one in targets)
+        for targets in (made.targets, item.targets)
+    )
+    means: dict[str, dict[str, float]] = {"standard": {}, "corrected": {}}
+    for truth, primitives in zip(TRUTHS, (verdict.primitives, verdict.primitives_by_triangles), strict=True):
+        of_mesh = [figures["lbs"] for place, figures in primitives if place.mesh == item.mesh and figures]
+        for lighting, by_truth in means.items():
+            own = [figures[lighting] for figures in of_mesh]
+            weight = sum(one.weight for one in own)
+            by_truth[str(truth)] = sum(one.mean * one.weight for one in own) / max(weight, 1e-300)
     return CorrectiveCounts(
         targets=made.count,
         vertices=sum(one.shape[1] for one in made.targets),
-        corrected=sum(int(np.count_nonzero(one.any(axis=(0, 2)))) for one in made.targets),
-        given_up=made.given_up,
+        corrected=corrected,
+        given_up=made.given_up + fitted - corrected,
         keys=sum(len(track.times) for track in made.tracks if track.plays),
         clips=tuple(dict.fromkeys(playing)),
         idle_clips=tuple(dict.fromkeys(still)),
         left=made.left,
-        standard=dict(zip(map(str, TRUTHS), made.figures.standard, strict=True)),
-        remaining=dict(zip(map(str, TRUTHS), made.figures.corrected, strict=True)),
+        standard=means["standard"],
+        remaining=means["corrected"],
         added_bytes=added_bytes,
     )

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from skinbake.choices import PoseKind
+from skinbake.choices import Gradients, PoseKind
 from skinbake.commands.bake import Baker
 from skinbake.commands.played_correctives import (
     BAKE,
@@ -20,7 +20,7 @@ from skinbake.commands.played_correctives import (
 )
 from skinbake.errors import Notice, Place
 from skinbake.format.metadata import corrective_note
-from skinbake.format.strip import stripped
+from skinbake.format.strip import uncorrected
 from skinbake.freshness.baked_views import baked_views, gathered_together
 from skinbake.freshness.staleness import surface_operator
 from skinbake.geometry.poses import normalised
@@ -65,26 +65,16 @@ def corrected_verdict(document: Document, options: VerifyOptions) -> FileVerdict
         return FileVerdict(document.name, (structure, *skipped), notices=tuple(notices))
     with stage("freshness"):
         fresh = _freshness(document, sources)
-    with stage("α and β"):
-        plain, _, _ = stripped(document)
-        gradients = Baker().bake_document(plain).document
-        every, _ = skinned_sources(gradients)
-        wanted = [one for one in every if reason_to_skip(gradients, one, generate_normals=False) is None]
-        views, problems = baked_views(gradients, wanted)
-    if problems:
-        return FileVerdict(document.name, (Check("structure", "failed", tuple(problems)),))
-    measured = _Measured(document, gradients)
-    surfaces = gathered_together(gradients, views)
-    operators = [surface_operator(gradients, surface) for surface in surfaces]
-    by_lbs = replace(options, methods=("lbs",))
-    verdict = lighting_verdict(gradients, by_lbs, surfaces, operators, measured.corrected)
+    verdict, measured = _lighting_of(document, options, Baker())
+    if measured is None:
+        return verdict
     targets = measured.played.targets
     meshes = counted(len(targets), "mesh", "meshes")
     told = f"{counted(sum(targets.values()), 'corrective normal')} of {meshes}"
     structure = Check("structure", "passed", (), told)
     # That algorithms 2 and 3 agree says nothing of correctives.
     checks = [check for check in verdict.checks if check.name != "identity"]
-    worse = list(_worse(verdict))
+    worse = [_worse(place, *means) for place, means in worse_primitives(verdict).items()]
     mixtures: list[Mixture] = []
     with stage("mixtures"):
         for place, mixture in measured.mixtures() if options.poses.kind is PoseKind.ANIMATION else ():
@@ -99,6 +89,33 @@ def corrected_verdict(document: Document, options: VerifyOptions) -> FileVerdict
         notices=(*notices, *verdict.notices, *worse),
         mixtures=tuple(mixtures),
     )
+
+
+def corrected_lighting(document: Document) -> FileVerdict:
+    """Return the lighting of a document with correctives, as ``corrected_verdict`` measures it.
+
+    α and β are those of the surface, which are made sooner. Raises InputError.
+    """
+    return _lighting_of(document, VerifyOptions(), Baker(gradients=Gradients.SURFACE))[0]
+
+
+def _lighting_of(
+    document: Document, options: VerifyOptions, baker: Baker
+) -> tuple[FileVerdict, _Measured | None]:
+    """Measure standard lighting, correctives and the α and β of a baker; None if their bake is not sound."""
+    with stage("α and β"):
+        plain, _, _ = uncorrected(document)
+        gradients = baker.bake_document(plain).document
+        every, _ = skinned_sources(gradients)
+        wanted = [one for one in every if reason_to_skip(gradients, one, generate_normals=False) is None]
+        views, problems = baked_views(gradients, wanted)
+    if problems:
+        return FileVerdict(document.name, (Check("structure", "failed", tuple(problems)),)), None
+    measured = _Measured(document, gradients)
+    surfaces = gathered_together(gradients, views)
+    operators = [surface_operator(gradients, surface) for surface in surfaces]
+    by_lbs = replace(options, methods=("lbs",))
+    return lighting_verdict(gradients, by_lbs, surfaces, operators, measured.corrected), measured
 
 
 def _freshness(document: Document, sources: Sequence[PrimitiveSource]) -> Check:
@@ -317,16 +334,19 @@ def _limb(skeleton: Skeleton) -> int | None:
     return int(np.argmax(np.where(few, of_joints, 0))) if few.any() else None
 
 
-def _worse(verdict: FileVerdict) -> Iterator[Notice]:
-    """Yield a notice for each primitive that the correctives make worse by a truth."""
-    told = set()
+def worse_primitives(verdict: FileVerdict) -> dict[Place, tuple[float, float]]:
+    """Return the primitives that correctives make worse by a truth, with the means before and after."""
+    found: dict[Place, tuple[float, float]] = {}
     for place, normals in (*verdict.primitives, *verdict.primitives_by_triangles):
         figures = normals.get("lbs", {})
-        if "corrected" not in figures or place in told:
-            continue
-        before, after = figures["standard"].mean, figures["corrected"].mean
-        if after > WORSE * before + ROUNDING:
-            told.add(place)
-            change = f"from {before:.2f}° to {after:.2f}°: skinbake strip takes them out"
-            message = f"its correctives make its lighting worse in these poses, {change}"
-            yield Notice("correctives-worse", message, place)
+        if "corrected" in figures:
+            before, after = figures["standard"].mean, figures["corrected"].mean
+            if after > WORSE * before + ROUNDING:
+                found.setdefault(place, (before, after))
+    return found
+
+
+def _worse(place: Place, before: float, after: float) -> Notice:
+    change = f"from {before:.2f}° to {after:.2f}°: skinbake strip takes them out"
+    message = f"its correctives make its lighting worse in these poses, {change}"
+    return Notice("correctives-worse", message, place)

@@ -38,19 +38,9 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
     version of skinbake has baked it: what its metadata means is unknown. The note of a bake that has left the
     file unbaked is removed, too.
     """
-    document = without_left(document)
-    if any(map(corrective_note, document.objects("meshes"))):
-        from skinbake.format.corrective_strip import narrowed, without_correctives  # few files have any
-
-        root, to_narrow, corrected = without_correctives(document)
-        found: list[Notice] = []
-        unused = _accessors_in_use(document.json) - _accessors_in_use(root)
-        before, more = narrowed(_without(document, root, unused, set(), found), to_narrow)
-        rest, count, others = stripped(before)
-        return rest, corrected + count, [*found, *more, *others]
+    document, corrected, notices = uncorrected(without_left(document))
     meshes: list[JsonObject] = []
     changed: list[tuple[JsonObject, JsonObject]] = []
-    notices: list[Notice] = []
     for number, mesh in enumerate(document.objects("meshes")):
         place = Place(document.name, number, text(mesh, "name", document.place))
         of_targets = morph_note(mesh)
@@ -73,14 +63,30 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
             notices += found
         meshes.append({**morphing, "primitives": restored} if restored else morphing)
     if not changed and meshes == document.objects("meshes"):
-        return document, 0, []
+        return document, corrected, notices
     root = {**document.json, "meshes": meshes}
     removed = set[int]().union(
         *(_accessors_of_vertices(old) - _accessors_of_vertices(new) for old, new in changed)
     )
     streams = _stream_views(old for old, _ in changed) - _stream_views(_all_primitives(root))
     removed -= _accessors_in_use(root)
-    return _without(document, root, removed, streams, notices), len(changed), notices
+    return _without(document, root, removed, streams, notices), corrected + len(changed), notices
+
+
+def uncorrected(document: Document) -> tuple[Document, int, list[Notice]]:
+    """Return the document without correctives alone, how many meshes had any, and notices as ``stripped``.
+
+    What a bake has made for the file's own morph targets stays.
+    """
+    if not any(map(corrective_note, document.objects("meshes"))):
+        return document, 0, []
+    from skinbake.format.corrective_strip import narrowed, without_correctives  # few files have any
+
+    root, to_narrow, count = without_correctives(document)
+    notices: list[Notice] = []
+    unused = _accessors_in_use(document.json) - _accessors_in_use(root)
+    found, more = narrowed(_without(document, root, unused, set(), notices), to_narrow)
+    return found, count, [*notices, *more]
 
 
 def _refuse_later_version(note: JsonObject, place: Place) -> None:

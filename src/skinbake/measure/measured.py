@@ -304,7 +304,7 @@ class FileTallies:
                     clip, time = segment.poses.clips[pose], segment.poses.times[pose]
                     worst = Worst(segment.place, summary.worst_vertex, clip, time)
                     result.setdefault(method, {})[lighting] = ErrorFigures(
-                        summary.mean, summary.p95, summary.p99, summary.max, worst
+                        summary.mean, summary.p95, summary.p99, summary.max, worst, summary.weight
                     )
         return result
 

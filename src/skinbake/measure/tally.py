@@ -17,9 +17,10 @@ _SHARES = 0.95, 0.99
 class ErrorSummary:
     """Angular errors over poses and vertices, in degrees.
 
-    mean, p95 and p99 are weighted by rest area. worst_pose and worst_vertex index the first sample that has
-    the maximum. worst_part is the part of that sample, in a tally of several. samples is the number of
-    counted samples, undefined the number of them without a measured normal.
+    mean, p95 and p99 are weighted by rest area, and weight is the sum of these areas. worst_pose and
+    worst_vertex index the first sample that has the maximum. worst_part is the part of that sample, in a
+    tally of several. samples is the number of counted samples, undefined the number of them without a
+    measured normal.
     """
 
     mean: float
@@ -30,6 +31,7 @@ class ErrorSummary:
     worst_vertex: int
     samples: int
     undefined: int
+    weight: float
     worst_part: int = 0
 
 
@@ -91,5 +93,6 @@ class ErrorTally:
             worst_vertex=vertex,
             samples=self._samples,
             undefined=self._undefined,
+            weight=self._weight,
             worst_part=part,
         )

@@ -106,7 +106,7 @@ class CorrectiveCounts(NamedTuple):
     corrected are the vertices that have targets, given_up those whose targets did not help. keys are those of
     the weights in all clips. idle_clips are clips with the weights 0, because correctives do not help there.
     left is the share of the squared changes that the targets leave. standard and remaining are mean errors in
-    degrees by truth, at times of the clips that took no part in the fit.
+    degrees by truth, as verify measures them.
     """
 
     targets: int
@@ -175,7 +175,8 @@ class FileResult:
     error is the reason of a failure. encoding is the encoding of α and β (None if nothing was baked). written
     has digests of the written files, by path, if they were requested. record is the entry for a state file.
     timings are seconds by stage, None if they were not requested. read are the paths of the files beside the
-    input that were read, if they were requested. left is the reason of the status ``left``.
+    input that were read, if they were requested. left is the reason of the status ``left``. lighting are the
+    mean errors in degrees by truth, without and with correctives, as verify measures them; empty without.
     """
 
     input: str
@@ -187,6 +188,7 @@ class FileResult:
     error: SkinbakeError | None = None
     encoding: EncodingCost | None = None
     correctives: tuple[tuple[Place, CorrectiveCounts], ...] = ()
+    lighting: tuple[tuple[str, float, float], ...] = ()
     morphs: tuple[tuple[Place, MorphCounts], ...] = ()
     written: dict[str, str] | None = None
     record: bytes | None = None
@@ -302,18 +304,12 @@ def detail_lines(result: FileResult) -> Iterator[str]:
 
 
 def _corrected(result: FileResult) -> str:
-    """Return the numbers of the correctives of all meshes: the means by vertices."""
+    """Return the numbers of the correctives of all meshes, and the mean errors of the file."""
     counts = [count for _, count in result.correctives]
     vertices = sum(count.vertices for count in counts)
     targets = " or ".join(str(number) for number in sorted({count.targets for count in counts}))
     clips = len({clip for count in counts for clip in count.clips})
-    changes = []
-    for truth in counts[0].standard:
-        before, after = (
-            sum(getattr(count, name)[truth] * count.vertices for count in counts) / vertices
-            for name in ("standard", "remaining")
-        )
-        changes.append(f"{before:.2f}° -> {after:.2f}° by {truth}")
+    changes = [f"{before:.2f}° -> {after:.2f}° by {truth}" for truth, before, after in result.lighting]
     size = sum(count.added_bytes for count in counts)
     meshes = f" on each of {counted(len(counts), 'mesh', 'meshes')}" if len(counts) > 1 else ""
     plural = "" if targets == "1" else "s"

@@ -71,13 +71,17 @@ class Worst:
 
 @dataclass(frozen=True, slots=True)
 class ErrorFigures:
-    """Angular error of normals in degrees, weighted by rest area over all vertices and poses."""
+    """Angular error of normals in degrees, weighted by rest area over all vertices and poses.
+
+    weight is the sum of these areas.
+    """
 
     mean: float
     p95: float
     p99: float
     max: float
     worst: Worst
+    weight: float = 0.0
 
 
 Normals = dict[str, dict[str, ErrorFigures]]
