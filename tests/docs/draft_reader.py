@@ -46,6 +46,7 @@ def normals(
     w /= w.sum(axis=1, keepdims=True)
     alpha, beta = gradients(told, attributes)
     p, t0, b0, h = morphed(file, held, told, attributes, target_weights)
+    joints[joints >= len(joint_matrices)] = 0
     matrices = joint_matrices[joints][:, :, :3]  # (V, K, 3, 4)
     points = np.einsum("vkij,vj->vki", matrices[..., :3], p) + matrices[..., 3]
     q = points - points[:, :1]

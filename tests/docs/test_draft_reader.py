@@ -141,6 +141,12 @@ def with_short_weights(file: Editable) -> None:
     weights[9, 2] = -0.1
 
 
+def with_joints_that_the_skin_lacks(file: Editable) -> None:
+    """Let slots of weight 0 name joints that are not there, as some exporters do."""
+    joints, weights = file.array("JOINTS_0"), file.array("WEIGHTS_0")
+    joints[weights == 0] = 200
+
+
 def with_unlit_vertices(file: Editable) -> None:
     file.array("NORMAL")[3:6] = 0
 
@@ -180,6 +186,7 @@ CHANGES: dict[str, Change] = {
     "long normals": with_scaled("NORMAL", 0.2, 3.0),
     "long tangents": with_scaled("TANGENT", 0.5, 2.0),
     "weights of other sums": with_short_weights,
+    "joints that the skin lacks": with_joints_that_the_skin_lacks,
     "normals of no length": with_unlit_vertices,
     "quantised": quantised,
     "metadata in an accessor": with_extras_of_text,
