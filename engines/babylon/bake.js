@@ -20,6 +20,12 @@ export function metadataOf({ accessors = [] }, { extras, attributes = {} }) {
     return places.map((place) => place?.skinbake).find((one) => isObject(one) && Number.isInteger(one.version));
 }
 
+// Correctives light a mesh of the file, which engines play without a shader.
+const isCorrected = ({ extras }) => Number.isInteger(extras?.skinbake?.targets);
+
+// Whether a file without alpha and beta is as its author has wanted: it has correctives, or a bake has left it so.
+export const isLeft = ({ asset, meshes = [] }) => isObject(asset?.extras?.skinbake?.left) || meshes.some(isCorrected);
+
 // Return why an engine that reads so many influences cannot use the metadata; empty if it can. find returns an accessor by
 // the name of its attribute, undefined if there is none.
 export function problemOf(metadata, find, engine, most) {

@@ -3,7 +3,7 @@
 import { Buffer, VertexBuffer } from '@babylonjs/core/Buffers/buffer.js';
 import { RawTexture2DArray } from '@babylonjs/core/Materials/Textures/rawTexture2DArray.js';
 import { DracoDecoder } from '@babylonjs/core/Meshes/Compression/dracoDecoder.js';
-import { accessorsIn, FLOAT, FRAMES, metadataOf, namesOf, NOT_BAKED, printOf, problemOf, staleOf } from './bake.js';
+import { accessorsIn, FLOAT, FRAMES, isLeft, metadataOf, namesOf, NOT_BAKED, printOf, problemOf, staleOf } from './bake.js';
 
 export const NAME = 'SKINBAKE';
 export const kindsOf = (set) => [`skinbakeAlpha${set}`, `skinbakeBeta${set}`];
@@ -37,7 +37,7 @@ export class Loading {
     onLoading() {
         const { gltf } = this.loader;
         const primitives = (gltf.meshes ?? []).flatMap((mesh) => mesh.primitives);
-        if (!gltf.skins?.length || primitives.some((one) => problemIn(gltf, one) !== NOT_BAKED)) return;
+        if (!gltf.skins?.length || isLeft(gltf) || primitives.some((one) => problemIn(gltf, one) !== NOT_BAKED)) return;
         const name = this.loader.rootUrl + (this.loader._fileName ?? '');
         console.info(`skinbake: "${name}" has no bake, and Babylon.js's standard lighting: run skinbake bake on it`);
     }

@@ -2,7 +2,7 @@
 // the shader text has for them.
 
 import { GLTFMeshParser, GLTFUtils } from '@galacean/engine';
-import { accessorsIn, FRAMES, metadataOf, namesOf, NOT_BAKED, problemOf, staleOf } from './bake.js';
+import { accessorsIn, FRAMES, isLeft, metadataOf, namesOf, NOT_BAKED, problemOf, staleOf } from './bake.js';
 
 export const bakes = new WeakMap(); // ModelMesh -> { problem, frame, scale, isPaired, names, method, places }
 export const loading = { method: 'lbs' };
@@ -41,7 +41,7 @@ export class SkinbakeMeshParser extends GLTFMeshParser {
 
 function tellOfFile(glTF, url) {
     const primitives = glTF.meshes.flatMap((mesh) => mesh.primitives);
-    if (!glTF.skins?.length || primitives.some((primitive) => bakeOf(glTF, primitive))) return;
+    if (!glTF.skins?.length || isLeft(glTF) || primitives.some((primitive) => bakeOf(glTF, primitive))) return;
     console.info(`skinbake: "${url}" has no bake, and Galacean's standard lighting: run skinbake bake on it`);
 }
 

@@ -21,7 +21,7 @@ import {
     Texture,
     version,
 } from 'playcanvas';
-import { metadataOf, NOT_BAKED } from './bake.js';
+import { isLeft, metadataOf, NOT_BAKED } from './bake.js';
 import { jointsOf, NO_STRETCH } from './joints.js';
 import { bakes, changeOf, problemIn, takeBakes } from './loading.js';
 import { GLSL, METHOD, WGSL } from './shaders.js';
@@ -473,7 +473,7 @@ function warnOf({ name, type, resource, options }) {
     const { gltf, renders = [] } = (type === 'container' && resource?.data) || {};
     const primitives = (gltf?.meshes ?? []).flatMap((mesh) => mesh.primitives);
     const isUnbaked = (primitive) => problemIn(gltf, primitive) === NOT_BAKED;
-    if (methods.has(options?.global) && gltf?.skins?.length && primitives.every(isUnbaked)) {
+    if (methods.has(options?.global) && gltf?.skins?.length && !isLeft(gltf) && primitives.every(isUnbaked)) {
         console.info(`skinbake: "${name}" has no bake, and PlayCanvas's standard lighting: run skinbake bake on its file`);
     }
     for (const [number, { primitives, name: mesh = number }] of (gltf?.meshes ?? []).entries()) {

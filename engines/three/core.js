@@ -3,7 +3,7 @@
 // Everything that a shader needs lies on the geometry, because a geometry survives what materials do not:
 // clone(), copy(), another material, a hook that is set later, a mesh that is written anew around it.
 
-import { changeSince, FLOAT, FRAMES, isLike, isObject, namesOf, NOT_BAKED, printOf, problemOf } from './bake.js';
+import { changeSince, FLOAT, FRAMES, isLeft, isLike, isObject, namesOf, NOT_BAKED, printOf, problemOf } from './bake.js';
 
 // GLTFExporter leaves out attributes whose names begin with "morph".
 export const ATTRIBUTES = ['Alpha', 'Beta', 'Tangent', 'Storage', 'Dual', 'Moved'].map((name) => `morphSkinbake${name}`);
@@ -35,9 +35,12 @@ export function apply(root, method) {
     return light([root], method);
 }
 
+const left = new WeakSet(); // scenes of files that are meant to have no bake
+
 // What GLTFLoader has loaded: it waits for what a plugin returns. The report is in userData.skinbake.
 export function applyToAll(gltf, parser, method) {
     const meshes = gltf.scenes.flatMap(skinnedMeshes);
+    if (isLeft(parser.json)) gltf.scenes.forEach((scene) => left.add(scene));
     meshes.forEach((mesh) => takeMetadata(mesh, parser));
     const act = () => {
         gltf.userData ??= {};
@@ -48,6 +51,8 @@ export function applyToAll(gltf, parser, method) {
     return loading.length ? Promise.all(loading).then(act) : act();
 }
 
+const asInFile = ({ userData }) => ({ extras: userData });
+
 function light(roots, method) {
     if (METHODS[method] === undefined) throw new Error(`skinbake: method ${method} is neither lbs nor dqs`);
     install();
@@ -55,7 +60,9 @@ function light(roots, method) {
     const problems = new Map(meshes.map((mesh) => [mesh, strangeness(mesh) || takeUp(mesh, method)]));
     likeWorst(meshes, problems, method);
     for (const [mesh, problem] of problems) if (problem && problem !== NOT_BAKED) tell(mesh, problem);
-    if (meshes.length && [...problems.values()].every((problem) => problem === NOT_BAKED)) tellOfNone(roots[0]);
+    const isWanted = roots.some((root) => left.has(root)) || isLeft({ meshes: meshes.map(asInFile) });
+    const isBare = meshes.length && [...problems.values()].every((problem) => problem === NOT_BAKED);
+    if (isBare && !isWanted) tellOfNone(roots[0]);
     for (const root of roots) {
         root.traverse((object) => {
             if (!object.isMesh || object.isSkinnedMesh || problemOfGeometry(object.geometry) === NOT_BAKED) return;

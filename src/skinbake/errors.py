@@ -15,7 +15,7 @@ A file that was read and does not pass verification is not an error: it is a ver
 from __future__ import annotations
 
 import copyreg
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
@@ -106,7 +106,7 @@ def _typed(chosen: Chosen) -> str:
     return flag if chosen.value is ... else f"{flag} {chosen.value}"
 
 
-ADVICE = frozenset({"morph-normals", "no-targets"})
+ADVICE = frozenset({"morph-normals", "no-targets", "nothing-to-correct"})
 """Codes of notices that are advice: see ``Notice.is_advice``."""
 
 
@@ -129,8 +129,13 @@ class Notice:
 
     @property
     def is_advice(self) -> bool:
-        """Whether the bake is sound as it is, and the notice says what an option would add to the file."""
+        """Whether the bake is sound as it is, and the notice says what could be added, or why not."""
         return self.code in ADVICE
+
+
+def warnings_in(notices: Iterable[Notice]) -> list[Notice]:
+    """Return the notices that are no advice."""
+    return [notice for notice in notices if not notice.is_advice]
 
 
 class SkinbakeError(Exception):

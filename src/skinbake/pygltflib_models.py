@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from skinbake.errors import InputError, Place
+from skinbake.errors import InputError, Place, warnings_in
 from skinbake.format.metadata import refuse_other_kind
 from skinbake.format.strip import stripped
 from skinbake.gltf.container import for_target
@@ -44,7 +44,7 @@ def baked_model(model: GLTF2, baker: Baker) -> GLTF2:
     else:
         with _of_pygltflib("cannot be copied", prepared.place):
             return copy.deepcopy(model)
-    warnings = [str(notice) for notice in made.notices if not notice.is_advice]
+    warnings = list(map(str, warnings_in(made.notices)))
     if baker.warnings_as_errors and warnings:
         raise InputError("; ".join(warnings) + " (warnings_as_errors)", prepared.place)
     return model_of(document, model)

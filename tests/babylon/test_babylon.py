@@ -171,6 +171,15 @@ def test_a_file_without_a_bake_is_told_of_once(stage: Stage) -> None:
     assert stage.call("information", stage.character(TUBE, BENT).told(Placement())) == []
 
 
+@pytest.mark.parametrize("options", [{"correctives": 1}, {"leave_under": 999.0}])
+def test_a_file_with_correctives_or_left_unbaked_is_not_told_to_be_baked(
+    stage: Stage, options: dict[str, Any]
+) -> None:
+    path = stage.models / f"{next(iter(options))}.glb"
+    bake_file(TUBE, path, **options)
+    assert stage.call("information", {"url": f"/models/{path.name}"}) == []
+
+
 def test_a_geometry_buffer_has_standard_normals_and_that_is_said(stage: Stage) -> None:
     report = stage.page.call("buffered", stage.character(TUBE, BENT).told(Placement()))
     assert report == RIGHT

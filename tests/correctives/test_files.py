@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 from fixtures.make_fixtures import FOLDER
 from tests.correctives.models import SHEET, TUBE, mean_errors, parted, rewritten
 from tests.support import corpus, gltf_reading, gltf_transform, khronos
-from tests.support.baked_files import verify
+from tests.support.baked_files import Editable, verify
 from tests.support.command_line import invoke, run
 from tests.support.played import weights_at
 
@@ -245,8 +246,42 @@ def test_a_mesh_without_clips_gets_none_and_stays_as_it_is(tmp_path: Path) -> No
     assert (tmp_path / "out.glb").read_bytes() == source.read_bytes()
 
 
-def test_a_mesh_that_does_not_bend_gets_none(tmp_path: Path) -> None:
+def test_a_mesh_that_does_not_bend_gets_none_and_no_warning(tmp_path: Path) -> None:
     given = rewritten(TUBE, tmp_path / "still.glb", _still)
-    result = invoke("bake", given, "-o", tmp_path / "out.glb", "--correctives", "auto", "--json")
-    assert {one["code"] for one in json.loads(result.stdout)["files"][0]["warnings"]} >= {"correctives-idle"}
+    result = invoke(
+        "bake", given, "-o", tmp_path / "out.glb", "--correctives", "auto", "--json", "--warnings-as-errors"
+    )
+    assert result.exit_code == 0
+    (file,) = json.loads(result.stdout)["files"]
+    assert {one["code"] for one in file["warnings"]} == {"nothing-to-correct"}
+    assert "warning: " not in result.stderr
     assert (tmp_path / "out.glb").read_bytes() == given.read_bytes()
+
+
+def test_rigid_meshes_beside_one_that_bends_cause_no_warning(tmp_path: Path) -> None:
+    """Their normals are right already."""
+    file = Editable(TUBE)
+    rigid = copy.deepcopy(file.primitive())
+    weights = np.zeros_like(file.array("WEIGHTS_0"), dtype=np.float32)
+    weights[:, 0] = 1.0
+    rigid["attributes"]["WEIGHTS_0"] = file.add(weights)
+    file.content["meshes"].append({"name": "hat", "primitives": [rigid]})
+    drawer = next(one for one in file.content["nodes"] if "skin" in one)
+    for number in range(2):
+        file.content["nodes"].append({**drawer, "mesh": 1, "name": f"hat {number}"})
+        file.content["scenes"][0]["nodes"].append(len(file.content["nodes"]) - 1)
+    given = file.write(tmp_path / "given.glb")
+    arguments = ["--correctives", "auto", "--json", "--warnings-as-errors"]
+    result = invoke("bake", given, "-o", tmp_path / "out.glb", *arguments)
+    assert result.exit_code == 0
+    (told,) = json.loads(result.stdout)["files"]
+    assert [one["mesh"] for one in told["correctives"]] == [0]
+    assert told["warnings"] == []
+
+
+def test_a_file_without_clips_is_left_for_that_reason(tmp_path: Path) -> None:
+    arguments = ["--correctives", "auto", "--leave-under", "1.2"]
+    said = invoke("bake", FOLDER / "two_primitives.glb", "-o", tmp_path / "out.glb", *arguments).stdout
+    assert "left unbaked: no clip moves its joints, and only clips play correctives" in said
+    assert "gain" not in said
+    assert invoke("verify", tmp_path / "out.glb", "--require-baked").exit_code == 0

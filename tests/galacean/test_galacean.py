@@ -398,6 +398,14 @@ class TestMessages:
         url = {"url": stage.character(TUBE, RANDOM).told(Placement())["url"]}
         assert stage.call("information", url) == []
 
+    @pytest.mark.parametrize("options", [{"correctives": 1}, {"leave_under": 999.0}])
+    def test_no_file_with_correctives_or_left_unbaked_is_told_to_be_baked(
+        self, stage: DrawingStage, options: dict[str, Any]
+    ) -> None:
+        path = stage.models / f"{next(iter(options))}.glb"
+        bake_file(TUBE, path, **options)
+        assert stage.call("information", {"url": f"/models/{path.name}"}) == []
+
     def test_lost_metadata(self, stage: DrawingStage) -> None:
         file = Editable(baked(TUBE, stage.models))
         file.primitive().pop("extras")

@@ -172,6 +172,7 @@ BAKE = strict(
                                     "gain": {"type": ["number", "null"], "minimum": 0},
                                     "standard_error": {"type": "number", "minimum": 0},
                                     "under": {"type": "number", "minimum": 0},
+                                    "reason": {"type": "string"},
                                 }
                             ),
                         ]

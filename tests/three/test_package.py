@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -481,6 +482,15 @@ def test_a_file_without_a_bake_is_told_of_once(stage: ThreeStage) -> None:
     (said,) = stage.call("information", {"url": f"/models/{TUBE.name}"})
     assert said.endswith("has no bake, and three.js's standard lighting: run skinbake bake on its file")
     assert stage.call("information", stage.character(TUBE, BENT).told(Placement())) == []
+
+
+@pytest.mark.parametrize("options", [{"correctives": 1}, {"leave_under": 999.0}])
+def test_a_file_with_correctives_or_left_unbaked_is_not_told_to_be_baked(
+    stage: ThreeStage, options: dict[str, Any]
+) -> None:
+    path = stage.models / f"{next(iter(options))}.glb"
+    bake_file(TUBE, path, **options)
+    assert stage.call("information", {"url": f"/models/{path.name}"}) == []
 
 
 def test_geometries_that_a_page_gives_up_no_longer_count(stage: ThreeStage) -> None:

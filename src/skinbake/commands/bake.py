@@ -14,7 +14,7 @@ import numpy as np
 from skinbake.choices import FrameChoice, Gradients, Neighbours, Scheme, Weld
 from skinbake.commands.bake_options import CheckedOptions
 from skinbake.commands.surface_bake import FitTarget, PrimitiveBake, SurfaceBake, unwritten
-from skinbake.errors import Chosen, InputError, Message, Notice, Place, noticed
+from skinbake.errors import Chosen, InputError, Message, Notice, Place, noticed, warnings_in
 from skinbake.files.ahead import Ahead
 from skinbake.files.bounds import OWN_FOLDERS, Within
 from skinbake.files.urls import STDIO
@@ -109,7 +109,7 @@ class Baker(CheckedOptions):
                     )
                 notices = [*notices, *planned.notices, *(other_names(source) if target == source else ())]
             with noticed(notices):
-                if self.warnings_as_errors and not all(notice.is_advice for notice in notices):
+                if self.warnings_as_errors and warnings_in(notices):
                     raise InputError("not written: there are warnings (--warnings-as-errors)", document.place)
                 if planned is not None and not writing.dry_run:
                     with stage("write"):
@@ -161,7 +161,9 @@ class Baker(CheckedOptions):
         if self.require_baked:
             raise InputError(f"{reason} (--require-baked)", document.place)
         result, moved = (document, []) if target is None else for_target(document, target, pack=pack)
-        last = Notice("nothing-baked", f"passed through unchanged: {reason}", document.place)
+        idle = self.correctives is not None and made.notices and not warnings_in(made.notices)
+        code = "nothing-to-correct" if idle else "nothing-baked"
+        last = Notice(code, f"passed through unchanged: {reason}", document.place)
         return made, result, [*moved, *made.notices, last]
 
     def bake_document(self, document: Document) -> BakedDocument:
@@ -226,7 +228,9 @@ class Baker(CheckedOptions):
             left, unmeasured = self._left(given, partial(self._lighting, written))
             notices += unmeasured
             if left is not None:
-                return left._replace(skipped=skipped, notices=tuple(reasons))
+                return left._replace(
+                    skipped=skipped, notices=(*reasons, *(one for one in notices if one.is_advice))
+                )
         morphed = morphs.reported(made_lengths) if morphs else ()
         return BakedDocument(written, primitives, skipped, tuple(notices), cost, morphs=morphed)
 
@@ -241,7 +245,7 @@ class Baker(CheckedOptions):
         from skinbake.commands.corrective_bake import corrected_document  # most bakes add α and β
 
         found = corrected_document(document, sources, self)
-        left, unmeasured = self._left(document, found.lighting)
+        left, unmeasured = self._left(document, found.lighting, idle=() if found.counts else found.notices)
         if left is not None:
             return left._replace(skipped=skipped, notices=tuple(reasons))
         return BakedDocument(
@@ -270,11 +274,12 @@ class Baker(CheckedOptions):
         return lighting_of(baked, VerifyOptions(methods=("lbs",)))
 
     def _left(
-        self, given: Document, measured: Callable[[], FileVerdict]
+        self, given: Document, measured: Callable[[], FileVerdict], *, idle: Sequence[Notice] = ()
     ) -> tuple[BakedDocument | None, list[Notice]]:
         """Return the given document with a note, if it is better left unbaked, else None; and notices.
 
-        The gain is measured as verify does. The lower one of both truths counts.
+        The gain is measured as verify does. The lower one of both truths counts. ``idle`` are the reasons why
+        nothing was baked.
         """
         if self.leave_under is None:
             return None, []
@@ -282,7 +287,8 @@ class Baker(CheckedOptions):
 
         try:
             with stage("gain"):
-                figures = by_worse_truth(measured())
+                verdict = measured()
+                figures = by_worse_truth(verdict)
         except InputError as error:
             message = f"it is baked, because its gain could not be measured: {error.message}"
             return None, [Notice("gain-unmeasured", message, error.place or given.place)]
@@ -291,7 +297,11 @@ class Baker(CheckedOptions):
         factor, standard = gain(figures), figures["standard"].mean
         if standard >= NEGLIGIBLE and (factor is None or factor >= self.leave_under):
             return None, []
-        left = Left(factor, standard, self.leave_under)
+        still = "no clip moves its joints"
+        reason = f"in random poses, because {still}" if "random" in verdict.poses else ""
+        if any(notice.code == "no-clips" for notice in idle):
+            factor, reason = None, f"{still}, and only clips play correctives"
+        left = Left(factor, standard, self.leave_under, reason)
         noted = with_left(given, left.note)
         return None if noted is None else BakedDocument(noted, (), 0, (), left=left), []
 

@@ -22,7 +22,7 @@ from skinbake.correctives.fit import (
     held_back_times,
 )
 from skinbake.correctives.surface import TRUTHS, Surface, rest_of
-from skinbake.errors import InputError, Notice, Place
+from skinbake.errors import InputError, Notice, Place, warnings_in
 from skinbake.format.correctives import (
     ClipWeights,
     MeshCorrectives,
@@ -48,6 +48,7 @@ from skinbake.gltf.scenes import meshes_of_one_skin
 from skinbake.measure.draws import STEPS_A_MORPHED_POSE, STEPS_A_TARGET
 from skinbake.measure.morphing import moving_targets
 from skinbake.report.bake import CorrectiveCounts
+from skinbake.report.verify import NEGLIGIBLE
 from skinbake.skinning.rest import RestPrimitive
 from skinbake.timing import stage
 from skinbake.truth.areas import RestAreas
@@ -144,7 +145,8 @@ def corrected_document(
                 for place, one, item in found
                 if item is not None
             ]
-            return CorrectedDocument(written, counts, notices, verdict)
+            # What others have makes plain what the rest does not need.
+            return CorrectedDocument(written, counts, warnings_in(notices), verdict)
         found = [(place, one, item and _without(item, worse)) for place, one, item in found]
 
 
@@ -164,6 +166,9 @@ def _nothing(place: Place, correctives: Correctives) -> Notice:
         message = "no correctives: no chosen clip moves its joints, and only clips play correctives"
         return Notice("no-clips", message, place)
     mean = max(correctives.figures.standard, default=0.0)
+    if mean < NEGLIGIBLE:
+        message = f"no correctives: nothing to correct, its lighting is wrong by {mean:.2g}° in its clips"
+        return Notice("nothing-to-correct", message, place)
     message = f"no correctives: they do not improve its lighting, which is wrong by {mean:.2g}° in its clips"
     return Notice("correctives-idle", message, place)
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from skinbake.commands.remedies import worse_lighting
-from skinbake.errors import InputError, Notice
+from skinbake.errors import InputError, Notice, warnings_in
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.format.metadata import corrective_note, read_left, read_metadata
 from skinbake.freshness.baked_views import BakedView, baked_views, gathered_together, is_baked
@@ -33,8 +33,8 @@ def verify_file(source: str, options: VerifyOptions, bounds: Bounds = BESIDE) ->
     with stage("read"):
         document = read_document(source, bounds)
     verdict = replace(verify_document(document, options, looks_further=True), input=source)
-    if options.warnings_as_errors and verdict.notices:
-        problem = Check("warnings", "failed", verdict.notices)
+    if options.warnings_as_errors and (warned := warnings_in(verdict.notices)):
+        problem = Check("warnings", "failed", tuple(warned))
         return replace(verdict, checks=(*verdict.checks, problem))
     return verdict
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
 from skinbake.choices import READERS_OF_FOUR
-from skinbake.errors import Notice, Place, SkinbakeError, printable
+from skinbake.errors import Notice, Place, SkinbakeError, printable, warnings_in
 from skinbake.report.totals import (
     Totals,
     error_fields,
@@ -152,13 +152,15 @@ class EncodingCost(NamedTuple):
 class Left(NamedTuple):
     """Why --leave-under has left a file unbaked.
 
-    gain is the lower one, None where accurate lighting is exact. standard_error is the mean of standard
-    lighting in degrees. under is the gain that was asked for.
+    gain is the lower one, None where accurate lighting is exact, or where there is no bake. standard_error is
+    the mean of standard lighting in degrees. under is the gain that was asked for. reason is what the numbers
+    do not say, perhaps nothing.
     """
 
     gain: float | None
     standard_error: float
     under: float
+    reason: str = ""
 
     @property
     def note(self) -> dict[str, float]:
@@ -207,7 +209,7 @@ def short_line(result: FileResult, *, dry_run: bool) -> str:
     counts = [count for _, count in result.primitives]
     if result.correctives:
         parts = [f"baked: {_corrected(result)}"]
-        parts += [counted(len(result.notices), "warning")] if result.notices else []
+        parts += _warned(result)
         return f"{_names(result, dry_run=dry_run)}: {', '.join(parts)}"
     if not counts:
         return closing_line(result, dry_run=dry_run)
@@ -218,8 +220,14 @@ def short_line(result: FileResult, *, dry_run: bool) -> str:
     parts += [_limited(costs)] if (costs := [count.limited for count in counts if count.limited]) else []
     lost = _lost(counts)
     parts += [f"{percent(lost, 1)} of the gradient left out{_remedy(counts)}"] if lost >= SHOWN_LOSS else []
-    parts += [counted(len(result.notices), "warning")] if result.notices else []
+    parts += _warned(result)
     return f"{_names(result, dry_run=dry_run)}: {', '.join(parts)}"
+
+
+def _warned(result: FileResult) -> list[str]:
+    """Return the number of warnings, if there are any. Advice is none."""
+    found = warnings_in(result.notices)
+    return [counted(len(found), "warning")] if found else []
 
 
 def _names(result: FileResult, *, dry_run: bool) -> str:
@@ -237,8 +245,9 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
         return f"{names}: up to date"
     if result.left is not None:
         left = result.left
-        found = f"gain {gain_in_words(left.gain)}x, " if left.gain is not None else ""
-        return f"{names}: left unbaked: {found}standard lighting {left.standard_error:.2f}° off"
+        found = [f"gain {gain_in_words(left.gain)}x"] if left.gain is not None else []
+        found += [] if left.reason and not found else [f"standard lighting {left.standard_error:.2f}° off"]
+        return f"{names}: left unbaked: {', '.join([*found, *([left.reason] if left.reason else [])])}"
     counts = [count for _, count in result.primitives]
     parts = [f"{result.status}: {_baked(counts)}" if counts else result.status]
     if result.correctives:
@@ -269,8 +278,7 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
     degenerate = sum(count.degenerate_triangles for count in counts)
     if degenerate:
         parts.append(f"{counted(degenerate, 'triangle')} without area ignored")
-    if result.notices:
-        parts.append(counted(len(result.notices), "warning"))
+    parts += _warned(result)
     return f"{names}: {', '.join(parts)}"
 
 

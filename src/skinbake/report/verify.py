@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 from skinbake.choices import Truth
-from skinbake.errors import Message, Notice, Place, SkinbakeError, printable
+from skinbake.errors import Message, Notice, Place, SkinbakeError, printable, warnings_in
 from skinbake.report.totals import (
     Totals,
     error_fields,
@@ -319,7 +319,8 @@ def as_line(verdict: FileVerdict) -> str:
             parts += [f"{verdict_words.short}: leave it unbaked"]
         elif verdict_words is not None and verdict.others:
             parts += [verdict_words.short]
-    warnings = sum(notice.code != "not-baked" for notice in verdict.notices)  # the outcome says so
+    # The outcome says that it is not baked.
+    warnings = sum(notice.code != "not-baked" for notice in warnings_in(verdict.notices))
     parts += [counted(warnings, "warning")] if warnings else []
     return ", ".join(parts)
 
