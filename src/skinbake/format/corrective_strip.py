@@ -8,15 +8,25 @@ from typing import Any
 
 import numpy as np
 
-from skinbake.errors import Notice, Place, UnsupportedFeatureError
+from skinbake.errors import InputError, Notice, Place, UnsupportedFeatureError
 from skinbake.format.correctives import QUANTIZATION, TARGET_NAMES, nodes_with
 from skinbake.format.metadata import KEY, VERSION, corrective_note
 from skinbake.geometry import poses
+from skinbake.geometry.skinned import FloatArray
 from skinbake.gltf.accessors import element_count, read_accessor
 from skinbake.gltf.additions import Additions
 from skinbake.gltf.animation import MORPH_WEIGHTS
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, entries_of, object_of, reference, text
+from skinbake.gltf.json_access import JsonObject, entries_of, listed, object_of, reference, text
+
+FLOAT, UNSIGNED = 5126, (5121, 5123)
+
+QUANTISED = ("POSITION", "NORMAL", "TANGENT", "TEXCOORD_")
+"""The attributes to which KHR_mesh_quantization gives further types."""
+
+
+NUMBERS_A_STEP = 200
+"""The numbers that are read and compared in about a step (``Budget.claim_steps``)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,20 +59,21 @@ def without_correctives(document: Document) -> tuple[JsonObject, list[Narrowed],
         added = int(note["targets"])
         counts = [len(entries_of(one.get("targets"))) for one in entries_of(mesh.get("primitives"))]
         kept[number] = max(0, max(counts, default=0) - added)
-        meshes[number] = _former_mesh(mesh, note, kept[number])
+        meshes[number] = _former_mesh(document, mesh, note, kept[number])
         for node in nodes_with(document, number):
             weights = nodes[node].get("weights")
             if isinstance(weights, list) and len(weights) > kept[number]:
                 nodes[node] = {**nodes[node], "weights": weights[: kept[number]]}
                 if not kept[number]:  # written by another tool: no bake adds them
                     del nodes[node]["weights"]
-        for key in note.get("required", []):
-            if key in ("extensionsUsed", "extensionsRequired"):
-                left = [name for name in root.get(key, []) if name != QUANTIZATION]
-                root.pop(key, None)
-                if left:
-                    root[key] = left
     root["meshes"] = meshes
+    added_to = {key for note in notes.values() for key in note.get("required", [])}
+    for key in () if _needs_quantisation(document, meshes) else ("extensionsUsed", "extensionsRequired"):
+        named = root.get(key)
+        if key in added_to and isinstance(named, list) and QUANTIZATION in named:
+            root[key] = [name for name in named if name != QUANTIZATION]
+            if not root[key]:
+                del root[key]
     if "nodes" in root:
         root["nodes"] = nodes
     animations, narrowed = _former_animations(document, notes, kept)
@@ -73,18 +84,42 @@ def without_correctives(document: Document) -> tuple[JsonObject, list[Narrowed],
     return root, narrowed, len(notes)
 
 
-def _former_mesh(mesh: JsonObject, note: JsonObject, kept: int) -> JsonObject:
+def _needs_quantisation(document: Document, meshes: Sequence[JsonObject]) -> bool:
+    """Tell whether attributes or targets have types that only KHR_mesh_quantization allows."""
+    accessors = document.objects("accessors")
+    for primitive in (one for mesh in meshes for one in entries_of(mesh.get("primitives"))):
+        for attributes in (object_of(primitive.get("attributes")), *entries_of(primitive.get("targets"))):
+            for name, value in attributes.items():
+                number = reference(value)
+                if number is None or not 0 <= number < len(accessors):
+                    continue
+                kind, is_normalized = (accessors[number].get(key) for key in ("componentType", "normalized"))
+                is_plain = name.startswith("TEXCOORD_") and is_normalized is True and kind in UNSIGNED
+                if kind != FLOAT and not is_plain and name.startswith(QUANTISED):
+                    return True
+    return False
+
+
+def _former_mesh(document: Document, mesh: JsonObject, note: JsonObject, kept: int) -> JsonObject:
     """Return the JSON of a mesh with the first ``kept`` targets alone, and without our metadata."""
     primitives = []
     noted = note.get("primitives")
     entries = noted if isinstance(noted, list) else []
     for number, primitive in enumerate(entries_of(mesh.get("primitives"))):
-        targets = entries_of(primitive.get("targets"))[:kept]
         entry = object_of(entries[number]) if number < len(entries) else {}
-        for name, filled in object_of(entry.get("filled")).items():
-            for position in filled if isinstance(filled, list) else []:
-                if isinstance(position, int) and position < len(targets) and name in targets[position]:
-                    targets[position] = {key: one for key, one in targets[position].items() if key != name}
+        filled = {
+            name: {position for position in noted if isinstance(position, int)}
+            for name, noted in object_of(entry.get("filled")).items()
+            if isinstance(noted, list)
+        }
+        targets = [
+            {
+                name: one
+                for name, one in target.items()
+                if position not in filled.get(name, ()) or not _is_zeros(document, one)
+            }
+            for position, target in enumerate(entries_of(primitive.get("targets"))[:kept])
+        ]
         changed = dict(primitive)
         if any(targets):
             changed["targets"] = targets
@@ -95,7 +130,7 @@ def _former_mesh(mesh: JsonObject, note: JsonObject, kept: int) -> JsonObject:
     former = former if isinstance(former, list) else []
     found = {**mesh, "primitives": primitives}
     weights = mesh.get("weights")
-    if "weights" in former and isinstance(weights, list):
+    if isinstance(weights, list) and ("weights" in former or any(weights[:kept])):
         found["weights"] = weights[:kept]
     else:
         found.pop("weights", None)
@@ -103,7 +138,7 @@ def _former_mesh(mesh: JsonObject, note: JsonObject, kept: int) -> JsonObject:
     names = extras.get(TARGET_NAMES)
     if "formerNames" in note:
         extras[TARGET_NAMES] = note["formerNames"]
-    elif not note.get("names"):
+    elif not kept and not note.get("names"):
         extras.pop(TARGET_NAMES, None)
     elif isinstance(names, list) and len(names) == kept + int(note["targets"]):
         extras[TARGET_NAMES] = names[:kept]
@@ -140,7 +175,8 @@ def _former_animations(
                 left.append(channel)
             elif (before := former[number, position]) is not None:
                 before_it = samplers[int(before)] if int(before) < len(samplers) else {}
-                if _fits(document, before_it, kept[mesh]):
+                now = listed(animation, "samplers", channel.get("sampler")) or {}
+                if _still_plays(document, now, before_it, kept[mesh]):
                     left.append({**channel, "sampler": before})
                 else:
                     narrowed.append(Narrowed(number, len(left), kept[mesh]))
@@ -177,15 +213,62 @@ def _lists(value: object, length: int) -> list[list[Any]]:
     return [one for one in entries if isinstance(one, list) and len(one) == length]
 
 
-def _fits(document: Document, sampler: JsonObject, targets: int) -> bool:
-    """Tell whether the output of a sampler has the weights of so many targets."""
-    accessors = document.objects("accessors")
-    source, output = reference(sampler.get("input")), reference(sampler.get("output"))
-    if source is None or output is None or max(source, output) >= len(accessors):
+def _is_zeros(document: Document, value: object) -> bool:
+    """Tell whether an accessor holds nothing but zeros: another tool may have put data there."""
+    number, accessors = reference(value), document.objects("accessors")
+    if number is None or not 0 <= number < len(accessors):
         return False
-    each = 3 if sampler.get("interpolation") == poses.CUBICSPLINE else 1
-    keys = reference(accessors[source].get("count")) or 0
-    return bool(accessors[output].get("count") == keys * each * targets)
+    if accessors[number].keys().isdisjoint({"bufferView", "sparse"}):
+        return True
+    values = _read(document, number)
+    return values is not None and not values.any()
+
+
+def _read(document: Document, number: int) -> FloatArray | None:
+    """Return the values of an accessor, None if they cannot be read, and count the work."""
+    try:
+        count = element_count(document, number, document.place)
+        document.budget.claim_steps(count // NUMBERS_A_STEP, "undoing its bake", document.place)
+        with document.budget.passing():
+            return read_accessor(document, number, document.place).decoded()
+    except InputError as error:
+        if error is document.budget.refusal:
+            raise
+        return None
+
+
+def _still_plays(document: Document, now: JsonObject, before: JsonObject, targets: int) -> bool:
+    """Tell whether a sampler has the values of a former one for its first targets, at all former keys.
+
+    Tools renumber samplers. Then the former one by number may be any other.
+    """
+    methods = [sampler.get("interpolation") == poses.CUBICSPLINE for sampler in (now, before)]
+    numbers = [reference(sampler.get(key)) for sampler in (now, before) for key in ("input", "output")]
+    accessors, known = document.objects("accessors"), document.derived.setdefault("still plays", {})
+    if methods[0] != methods[1] or any(one is None or not 0 <= one < len(accessors) for one in numbers):
+        return False
+    key = (*numbers, methods[0], targets)
+    if key not in known:
+        known[key] = _agree(
+            [_read(document, int(one or 0)) for one in numbers], 3 if methods[0] else 1, targets
+        )
+    return bool(known[key])
+
+
+def _agree(arrays: Sequence[FloatArray | None], each: int, targets: int) -> bool:
+    """Tell whether keys and values of a sampler hold those of a former one, ``each`` values a key."""
+    if any(array is None or array.shape[1] != 1 for array in arrays):
+        return False
+    times, values, former_times, former = (array[:, 0] for array in arrays if array is not None)
+    if former.size != len(former_times) * each * targets or values.size % (len(times) * each):
+        return False
+    # Of two keys at one time, the last counts.
+    last = np.append(np.diff(former_times) > 0, True)
+    rows = np.minimum(np.searchsorted(times, former_times[last]), len(times) - 1)
+    middle = each // 2
+    played = values.reshape(len(times), each, -1)[rows, middle, :targets]
+    wanted = former.reshape(len(former_times), each, -1)[last, middle]
+    return np.array_equal(times[rows], former_times[last]) and np.array_equal(played, wanted)
 
 
 def narrowed(document: Document, channels: Sequence[Narrowed]) -> tuple[Document, list[Notice]]:

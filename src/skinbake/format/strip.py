@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Set
 from typing import NamedTuple
 
@@ -21,10 +22,12 @@ from skinbake.format.metadata import (
 )
 from skinbake.format.morph_targets import former_targets, morph_note, noted_targets
 from skinbake.gltf import json_access
+from skinbake.gltf.accessors import described
 from skinbake.gltf.additions import BUFFER_ADDED, BUFFER_LENGTH, FALLBACK_ADDED
 from skinbake.gltf.codecs import draco, meshopt
 from skinbake.gltf.document import Document, joined
 from skinbake.gltf.json_access import JsonObject, integer, objects, reference, text
+from skinbake.gltf.references import buffers_in_use, uses_of_accessors, views_in_use
 
 
 def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
@@ -69,8 +72,12 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
         *(_accessors_of_vertices(old) - _accessors_of_vertices(new) for old, new in changed)
     )
     streams = _stream_views(old for old, _ in changed) - _stream_views(_all_primitives(root))
-    removed -= _accessors_in_use(root)
-    return _without(document, root, removed, streams, notices), corrected + len(changed), notices
+    removed -= uses_of_accessors(root).keys()
+    back = set[int]().union(
+        *(_accessors_of_vertices(new) - _accessors_of_vertices(old) for old, new in changed)
+    )
+    before = _without(document, root, removed, streams, notices, back)
+    return before, corrected + len(changed), notices
 
 
 def uncorrected(document: Document) -> tuple[Document, int, list[Notice]]:
@@ -84,8 +91,8 @@ def uncorrected(document: Document) -> tuple[Document, int, list[Notice]]:
 
     root, to_narrow, count = without_correctives(document)
     notices: list[Notice] = []
-    unused = _accessors_in_use(document.json) - _accessors_in_use(root)
-    found, more = narrowed(_without(document, root, unused, set(), notices), to_narrow)
+    unused = uses_of_accessors(document.json).keys() - uses_of_accessors(root).keys()
+    found, more = narrowed(_without(document, root, unused, set(), notices, set()), to_narrow)
     return found, count, [*notices, *more]
 
 
@@ -111,19 +118,6 @@ def _accessors_of_vertices(primitive: JsonObject) -> set[int]:
     values = [*json_access.values_of(primitive.get("attributes"))]
     for target in json_access.entries_of(primitive.get("targets")):
         values += target.values()
-    return _numbers(values)
-
-
-def _accessors_in_use(root: JsonObject) -> set[int]:
-    """Return every accessor that glTF 2.0 itself refers to; references of extensions are unknown."""
-    values: list[object] = []
-    for primitive in _all_primitives(root):
-        values += [*_accessors_of_vertices(primitive), primitive.get("indices")]
-    for skin in json_access.entries_of(root.get("skins")):
-        values.append(skin.get("inverseBindMatrices"))
-    for animation in json_access.entries_of(root.get("animations")):
-        for sampler in json_access.entries_of(animation.get("samplers")):
-            values += [sampler.get("input"), sampler.get("output")]
     return _numbers(values)
 
 
@@ -191,15 +185,29 @@ def _who_changed(attributes: JsonObject, note: JsonObject) -> str:
     )
 
 
+def _set_number(name: str) -> int:
+    """Return the number of a set of texture coordinates, −1 for another attribute."""
+    number = name.removeprefix("TEXCOORD_")
+    return int(number) if number != name and number.isdecimal() and len(number) < 9 else -1
+
+
 def _removed(attributes: JsonObject, note: JsonObject, place: Place) -> list[Notice]:
     """Remove bake's additions from the attributes; return a notice if some can no longer be recognised.
 
-    A damaged note may name any attribute. One that no bake adds stays.
+    A damaged note may name any attribute. One that no bake adds stays. So does what later attributes need: a
+    NORMAL before a TANGENT, and texture coordinates before others, which would leave a gap.
     """
     names = added_slot_names(note)
     missing = [name for name in names if name not in attributes]
     doubtful = note.get("layout") == Layout.TEXCOORD and missing and len(missing) < len(names)
     generated = [name for name in noted_names(note, "generated") if name == "NORMAL"]
+    order = list(attributes)
+    if "TANGENT" in order and "NORMAL" in order and order.index("TANGENT") > order.index("NORMAL"):
+        generated = []  # a tool has added TANGENT since the bake
+    last = max((_set_number(name) for name in names), default=-1)
+    if note.get("layout") == Layout.TEXCOORD and any(_set_number(name) > last for name in attributes):
+        message = f"another tool has added texture coordinates behind {names[-1]}: α and β stay before them"
+        return [Notice("texcoords-kept", message, place, len(names) - len(missing))]
     for name in [*(() if doubtful else names), *blend_names(note), *generated]:
         attributes.pop(name, None)
     if not doubtful:
@@ -233,13 +241,19 @@ def _extensions_before(
 
 
 def _without(
-    document: Document, root: JsonObject, removed: set[int], streams: set[int], notices: list[Notice]
+    document: Document,
+    root: JsonObject,
+    removed: Set[int],
+    streams: Set[int],
+    notices: list[Notice],
+    back: Set[int],
 ) -> Document:
     """Return the document without the accessors, and without buffer views and bytes that only they used.
 
-    streams are the buffer views of Draco streams that no primitive uses now.
+    streams are the buffer views of Draco streams that no primitive uses now, back are accessors from before
+    the bake that are attributes again.
     """
-    tail = _tail_of_bake(document, removed, streams)
+    tail = _tail_of_bake(document, root, removed, streams)
     if tail is None:
         notices.append(
             Notice(
@@ -249,7 +263,7 @@ def _without(
                 document.place,
             )
         )
-        return document.edited(json=root)
+        return document.edited(json=_with_own_views(document, root, back))
     accessors, views = document.objects("accessors"), document.objects("bufferViews")
     _put_back(root, "accessors", accessors[: len(accessors) - len(removed)])
     _put_back(root, "bufferViews", views[: tail.first_view])
@@ -266,6 +280,28 @@ def _without(
     return document.edited(json=root, binary=(binary[: tail.start],))
 
 
+def _with_own_views(document: Document, root: JsonObject, numbers: Set[int]) -> JsonObject:
+    """Return the JSON with a buffer view for each attribute that shares one without byteStride.
+
+    glTF wants a stride where attributes share a view. Tools put accessors that no primitive used, as those
+    from before a bake, into views without one.
+    """
+    accessors, views = list(document.objects("accessors")), list(document.objects("bufferViews"))
+    users = Counter(json_access.reference(accessor.get("bufferView")) for accessor in accessors)
+    for number in sorted(numbers):
+        accessor = accessors[number]
+        place, at = document.place.at(f"accessor {number}"), json_access.reference(accessor.get("bufferView"))
+        if at is None or users[at] < 2 or not {"byteStride", "extensions"}.isdisjoint(views[at]):
+            continue
+        start = integer(views[at], "byteOffset", place, default=0)
+        start += integer(accessor, "byteOffset", place, default=0)
+        size = described(document, number, place)[1]
+        views.append({"buffer": views[at]["buffer"], "byteOffset": start, "byteLength": size})
+        kept = {key: value for key, value in accessor.items() if key != "byteOffset"}
+        accessors[number] = {**kept, "bufferView": len(views) - 1}
+    return {**root, "accessors": accessors, "bufferViews": views} if views else root
+
+
 class _Tail(NamedTuple):
     """The start of a bake's buffer views, and its note on the former buffer.
 
@@ -279,9 +315,10 @@ class _Tail(NamedTuple):
     fallbacks: int
 
 
-def _tail_of_bake(document: Document, removed: set[int], streams: set[int]) -> _Tail | None:
+def _tail_of_bake(document: Document, root: JsonObject, removed: Set[int], streams: Set[int]) -> _Tail | None:
     """Return the end of the document that belongs to the bake alone, None if it has changed since.
 
+    root is the JSON without the bake, but for its accessors, views and buffers. What it still needs stays.
     Other tools renumber accessors, put several into one buffer view, and append. Then the end cannot be cut
     off.
     """
@@ -289,27 +326,30 @@ def _tail_of_bake(document: Document, removed: set[int], streams: set[int]) -> _
     kept = len(accessors) - len(removed)
     if not removed or removed != set(range(kept, len(accessors))):
         return None
-    ours = set(_views_of([accessors[number] for number in removed])) | streams
+    ours = views_in_use([accessors[number] for number in removed]) | streams
     first = len(views) - len(ours)
     if not ours or ours != set(range(first, len(views))):
         return None
     extras = views[first].get("extras")
     undo = extras.get(KEY) if isinstance(extras, dict) else None
-    others = (*_views_of(accessors[:kept]), *_views_of(document.objects("images")))
-    if not isinstance(undo, dict) or any(first <= view < len(views) for view in others):
+    rest = {**root, "accessors": accessors[:kept], "bufferViews": views[:first]}
+    if not isinstance(undo, dict) or not ours.isdisjoint(views_in_use(rest)):
         return None
-    return _at_the_end(document, first, undo)
+    return _at_the_end(document, rest, undo)
 
 
-def _at_the_end(document: Document, first: int, undo: JsonObject) -> _Tail | None:
-    """Return the tail if the buffers, or the part of one, to be cut off hold no other data."""
+def _at_the_end(document: Document, rest: JsonObject, undo: JsonObject) -> _Tail | None:
+    """Return the tail if the buffers, or the part of one, to be cut off hold no other data.
+
+    rest is the JSON without the bake.
+    """
     views, buffers = document.objects("bufferViews"), document.objects("buffers")
-    kept = [data for view in views[:first] for data in _stored_ranges(view, document.place)]
+    first = len(rest["bufferViews"])
     added = [data for view in views[first:] for data in _stored_ranges(view, document.place)]
     fallbacks = 1 if undo.get(FALLBACK_ADDED) else 0
     last = len(buffers) - fallbacks
     whole = last - 1 if undo.get(BUFFER_ADDED) else last  # buffers from here on are removed
-    if any(whole <= buffer < len(buffers) for buffer, _, _ in kept):
+    if any(whole <= buffer < len(buffers) for buffer in buffers_in_use(rest)):
         return None
     if undo.get(BUFFER_ADDED):
         return _Tail(first, undo, 0, fallbacks) if all(buffer >= whole for buffer, _, _ in added) else None
@@ -321,6 +361,7 @@ def _at_the_end(document: Document, first: int, undo: JsonObject) -> _Tail | Non
     if length is None or not 0 < length <= start <= len(joined(document.binary or ())):
         return None
     # Views may have moved. The buffer gets its former length, and must hold all views that stay.
+    kept = [data for view in views[:first] for data in _stored_ranges(view, document.place)]
     is_free = all(end <= length for buffer, _, end in kept if buffer == 0)
     return _Tail(first, undo, start, fallbacks) if is_free else None
 
@@ -330,17 +371,6 @@ def _stored_ranges(view: JsonObject, place: Place) -> Iterator[tuple[int, int, i
     for holder in meshopt.ranges_of(view, place):
         start = integer(holder, "byteOffset", place, default=0)
         yield integer(holder, "buffer", place), start, start + integer(holder, "byteLength", place)
-
-
-def _views_of(holders: list[JsonObject]) -> Iterator[int]:
-    """Yield the buffer views that accessors, sparse ones included, or images refer to."""
-    for holder in holders:
-        sparse = holder.get("sparse")
-        parts = [sparse.get("indices"), sparse.get("values")] if isinstance(sparse, dict) else []
-        for part in (holder, *parts):
-            view = json_access.reference(part.get("bufferView")) if isinstance(part, dict) else None
-            if view is not None:
-                yield view
 
 
 def _put_back(root: JsonObject, key: str, entries: list[JsonObject]) -> None:

@@ -18,19 +18,33 @@ from skinbake.wording import counted
 
 VIEW = "bufferView"
 
+VIEW_KEYS = (VIEW, "values", "arrayOffsets", "stringOffsets")
+"""The keys of references to buffer views. All but the first are those of EXT_structural_metadata."""
 
-def uses_of_accessors(root: JsonObject) -> dict[int, int]:
-    """Return the number of attributes, targets, indices, skins and samplers that refer to each accessor."""
+ACCESSOR_KEYS = (
+    "indices",
+    "inverseBindMatrices",
+    "input",
+    "output",
+    "accessor",
+    "mergeIndices",
+    "mergeValues",
+)
+"""The keys of references to accessors, besides ``attributes`` and ``targets``.
+
+The last three are those of extensions. EXT_mesh_gpu_instancing has ``attributes`` too.
+"""
+
+
+def uses_of_accessors(root: object) -> dict[int, int]:
+    """Return the number of references to each accessor, in glTF 2.0 itself and in extensions."""
     found: list[object] = []
-    for mesh in entries_of(root.get("meshes")):
-        for primitive in entries_of(mesh.get("primitives")):
-            found += [*values_of(primitive.get("attributes")), primitive.get("indices")]
-            for target in entries_of(primitive.get("targets")):
-                found += target.values()
-    found += [skin.get("inverseBindMatrices") for skin in entries_of(root.get("skins"))]
-    for animation in entries_of(root.get("animations")):
-        for sampler in entries_of(animation.get("samplers")):
-            found += [sampler.get("input"), sampler.get("output")]
+    for node in every_object(root):
+        found += (node.get(key) for key in ACCESSOR_KEYS)
+        if VIEW not in node:  # else it is a Draco stream, and its attributes are ids
+            found += values_of(node.get("attributes"))
+        for target in entries_of(node.get("targets")):
+            found += target.values()
     uses: dict[int, int] = {}
     for value in found:
         number = reference(value)
@@ -40,8 +54,8 @@ def uses_of_accessors(root: JsonObject) -> dict[int, int]:
 
 
 def views_in_use(root: object) -> set[int]:
-    """Return every number under a key ``bufferView``, at any depth."""
-    found = (reference(node.get(VIEW)) for node in every_object(root))
+    """Return every number under a key that names buffer views, at any depth."""
+    found = (reference(node.get(key)) for node in every_object(root) for key in VIEW_KEYS)
     return {number for number in found if number is not None}
 
 
