@@ -9,6 +9,7 @@ template reads like its own language.
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -34,6 +35,28 @@ TYPES = {
     Language.WGSL: {"vec2": "vec2<f32>", "vec3": "vec3<f32>", "vec4": "vec4<f32>", "uvec4": "vec4<u32>"},
     Language.HLSL: {"vec2": "float2", "vec3": "float3", "vec4": "float4", "uvec4": "uint4"},
 }
+HLSL = (
+    (r'"glsl/(\w+)\.glsl"', r'"hlsl/\1.hlsl"'),
+    (r"return (skinbake_(?:Frame|NormalMap))\(\s*(.*?)\);", r"\1 made = { \2 };\n    return made;"),
+    (r"\bT \* (vec4\(frame\..*?, 0\.0\))", r"mul(\1, T)"),
+    (r"(Q\[[^]]*\]\.moved) \* (vec4\(p, 1\.0\))", r"mul(\2, \1)"),
+    (r"\b(mat3|mat4x3)\((\w+(?:\[@\{ slot\.index \}\])?)\)", r"(\1)\2"),
+    (r"((?:\(mat3\))?\b[TJC]) \* (frame\.\w+|vec4\(p, 1\.0\))", r"mul(\1, \2)"),
+    (r"any\(notEqual\((\w+), \w+\(0\.0\)\)\)", r"any(\1 != 0.0)"),
+    (r"\b(u?)vec(\d)\b", lambda found: f"{'uint' if found[1] else 'float'}{found[2]}"),
+    (r"\bmat3\b", "float3x3"),
+    (r"\bmat4\b", "float4x4"),
+    (r"\bmat4x3\b", "float3x4"),
+    (r"\bmat2x4\b", "float2x4"),
+    (r"\bmix\(", "lerp("),
+    (r"\binversesqrt\(", "rsqrt("),
+    (r"\bouterProduct\(", "skinbake_outer("),
+)
+"""What makes HLSL of a template in GLSL, in this order: patterns and what takes their place.
+
+Structures have no constructors, but lists. A matrix times a vector is a call. A mat4x3 has four columns, as a
+float3x4. The joints of ``dqs_scaled`` are stored as rows, so its products are the other way round.
+"""
 ENUMERATIONS = {
     "language": Language,
     "method": Method,
@@ -152,15 +175,29 @@ def _text_for(choices: ShaderChoices, reads: Sequence[str], also: Sequence[str] 
 
 
 def _rendered(template: str, context: dict[str, Any]) -> str:
-    return _environment(TEMPLATES).get_template(template).render(context).strip("\n")
+    return _environment().get_template(template).render(context).strip("\n")
+
+
+def _source(template: str) -> str | None:
+    """Return the text of a template; one in HLSL that has no file is made of its twin in GLSL."""
+    path = TEMPLATES / template
+    if path.suffix == ".hlsl" and not path.exists():
+        path = TEMPLATES / "glsl" / f"{path.stem}.glsl"
+        if not path.exists():
+            return None
+        text = path.read_text(encoding="utf-8")
+        for pattern, instead in HLSL:
+            text = re.sub(pattern, instead, text, flags=re.DOTALL)
+        return text
+    return path.read_text(encoding="utf-8") if path.exists() else None
 
 
 @cache
-def _environment(folder: Path) -> jinja2.Environment:
+def _environment() -> jinja2.Environment:
     import jinja2
 
     return jinja2.Environment(
-        loader=jinja2.FileSystemLoader(folder),
+        loader=jinja2.FunctionLoader(_source),
         undefined=jinja2.StrictUndefined,
         autoescape=False,
         line_statement_prefix="//%",

@@ -66,12 +66,10 @@ skinbake_Frame skinbake_frame(float3 n)
     float side = n.z >= 0.0 ? 1.0 : -1.0; // 1 also at -0.0
     float a = -1.0 / (side + n.z);
     float b = (n.x * n.y) * a;
-    skinbake_Frame frame;
-    frame.normal = n;
-    frame.tangent = float3(1.0 + ((n.x * n.x) * a) * side, side * b, -side * n.x);
-    frame.bitangent = float3(b, side * (1.0 + ((n.y * n.y) * a) * side), -n.y);
-    frame.handedness = 1.0;
-    return frame;
+    float3 t0 = float3(1.0 + ((n.x * n.x) * a) * side, side * b, -side * n.x);
+    float3 b0 = float3(b, side * (1.0 + ((n.y * n.y) * a) * side), -n.y);
+    skinbake_Frame made = { n, t0, b0, 1.0 };
+    return made;
 }
 #endif
 
@@ -221,13 +219,13 @@ skinbake_Vertex skinbake_dqs_scaled(float3 p, skinbake_Frame frame, skinbake_Sca
     float s2 = dot(Q[2].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0;
     float s3 = dot(Q[3].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0;
     float4 b = weights_0.x * Q[0].turn
-             + (s1 * weights_0.y) * Q[1].turn
-             + (s2 * weights_0.z) * Q[2].turn
-             + (s3 * weights_0.w) * Q[3].turn;
+           + (s1 * weights_0.y) * Q[1].turn
+           + (s2 * weights_0.z) * Q[2].turn
+           + (s3 * weights_0.w) * Q[3].turn;
     float4x4 T = weights_0.x * Q[0].moved
-               + (s1 * weights_0.y) * Q[1].moved
-               + (s2 * weights_0.z) * Q[2].moved
-               + (s3 * weights_0.w) * Q[3].moved;
+           + (s1 * weights_0.y) * Q[1].moved
+           + (s2 * weights_0.z) * Q[2].moved
+           + (s3 * weights_0.w) * Q[3].moved;
     float square = dot(b, b);
     float4 divisor = b / (square > 0.0 ? square : 1.0); // 2
     float4 g0 = mul(float4(p, 1.0), Q[0].moved); // 3

@@ -60,12 +60,10 @@ skinbake_Frame skinbake_frame(float3 n)
     float side = n.z >= 0.0 ? 1.0 : -1.0; // 1 also at -0.0
     float a = -1.0 / (side + n.z);
     float b = (n.x * n.y) * a;
-    skinbake_Frame frame;
-    frame.normal = n;
-    frame.tangent = float3(1.0 + ((n.x * n.x) * a) * side, side * b, -side * n.x);
-    frame.bitangent = float3(b, side * (1.0 + ((n.y * n.y) * a) * side), -n.y);
-    frame.handedness = 1.0;
-    return frame;
+    float3 t0 = float3(1.0 + ((n.x * n.x) * a) * side, side * b, -side * n.x);
+    float3 b0 = float3(b, side * (1.0 + ((n.y * n.y) * a) * side), -n.y);
+    skinbake_Frame made = { n, t0, b0, 1.0 };
+    return made;
 }
 #endif
 

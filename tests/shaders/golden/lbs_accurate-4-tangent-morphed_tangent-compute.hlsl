@@ -61,12 +61,8 @@ struct skinbake_Frame {
 // The frame of NORMAL, which must have length 1, and TANGENT.
 skinbake_Frame skinbake_frame(float3 n, float4 tangent)
 {
-    skinbake_Frame frame;
-    frame.normal = n;
-    frame.tangent = tangent.xyz;
-    frame.bitangent = cross(n, tangent.xyz) * tangent.w;
-    frame.handedness = tangent.w;
-    return frame;
+    skinbake_Frame made = { n, tangent.xyz, cross(n, tangent.xyz) * tangent.w, tangent.w };
+    return made;
 }
 #endif
 
@@ -81,16 +77,12 @@ skinbake_Frame skinbake_morphed_frame(skinbake_Frame rest, float3 n)
     float3 normal = square > 0.0 ? n * rsqrt(square) : rest.normal;
     float3 s = rest.normal + normal;
     float3 d = normal - rest.normal;
-    bool opposite = dot(s, s) < 1e-4; // then every half turn is the smallest; take the one about t0
+    bool opposite = dot(s, s) < 1e-4; // then every half turn is the smallest: take the one about t0
     float k = opposite ? 0.0 : 2.0 / dot(s, s);
     float3 tangent = rest.tangent - s * (k * dot(d, rest.tangent));
     float3 bitangent = rest.bitangent - s * (k * dot(d, rest.bitangent));
-    skinbake_Frame frame;
-    frame.normal = normal;
-    frame.tangent = tangent;
-    frame.bitangent = opposite ? -bitangent : bitangent;
-    frame.handedness = rest.handedness;
-    return frame;
+    skinbake_Frame made = { normal, tangent, opposite ? -bitangent : bitangent, rest.handedness };
+    return made;
 }
 #endif
 

@@ -57,12 +57,8 @@ struct skinbake_Frame {
 // The frame of NORMAL, which must have length 1, and TANGENT.
 skinbake_Frame skinbake_frame(float3 n, float4 tangent)
 {
-    skinbake_Frame frame;
-    frame.normal = n;
-    frame.tangent = tangent.xyz;
-    frame.bitangent = cross(n, tangent.xyz) * tangent.w;
-    frame.handedness = tangent.w;
-    return frame;
+    skinbake_Frame made = { n, tangent.xyz, cross(n, tangent.xyz) * tangent.w, tangent.w };
+    return made;
 }
 #endif
 
@@ -94,7 +90,7 @@ float3x3 skinbake_outer(float3 q, float3 a)
 #endif
 
 // The frame moves by the Jacobian J of the skinned position, the normal by its inverse transpose.
-// M: the joint matrices of slots 0 to 3; a: their weight gradients, from skinbake_gradients().
+// M: the joint matrices of slots 0 to 3; a: their weight gradients, as skinbake_gradients() gives them.
 skinbake_Vertex skinbake_lbs_direct(float3 p, skinbake_Frame frame, float4x4 M[4], float4 weights_0,
         float3 a[4])
 {
@@ -115,7 +111,7 @@ skinbake_Vertex skinbake_lbs_direct(float3 p, skinbake_Frame frame, float4x4 M[4
     float det = dot(J[0], C[0]);
     skinbake_Vertex v;
     v.position = mul(T, float4(p, 1.0)); // 5
-    v.normal = mul(C, frame.normal) * (det == 0.0 ? 1.0 : 1.0 / det); // 6
+    v.normal = (mul(C, frame.normal)) * (det == 0.0 ? 1.0 : 1.0 / det); // 6
     v.tangent = mul(J, frame.tangent); // 7
     v.bitangent = mul(J, frame.bitangent); // 8
     return v;

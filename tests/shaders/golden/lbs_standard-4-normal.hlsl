@@ -57,12 +57,10 @@ skinbake_Frame skinbake_frame(float3 n)
     float side = n.z >= 0.0 ? 1.0 : -1.0; // 1 also at -0.0
     float a = -1.0 / (side + n.z);
     float b = (n.x * n.y) * a;
-    skinbake_Frame frame;
-    frame.normal = n;
-    frame.tangent = float3(1.0 + ((n.x * n.x) * a) * side, side * b, -side * n.x);
-    frame.bitangent = float3(b, side * (1.0 + ((n.y * n.y) * a) * side), -n.y);
-    frame.handedness = 1.0;
-    return frame;
+    float3 t0 = float3(1.0 + ((n.x * n.x) * a) * side, side * b, -side * n.x);
+    float3 b0 = float3(b, side * (1.0 + ((n.y * n.y) * a) * side), -n.y);
+    skinbake_Frame made = { n, t0, b0, 1.0 };
+    return made;
 }
 #endif
 
@@ -74,12 +72,11 @@ skinbake_Vertex skinbake_lbs_standard(float3 p, skinbake_Frame frame, float4x4 M
               + weights_0.y * (float3x4)M[1]
               + weights_0.z * (float3x4)M[2]
               + weights_0.w * (float3x4)M[3];
-    float3x3 upper = (float3x3)T;
     skinbake_Vertex v;
     v.position = mul(T, float4(p, 1.0)); // 2
-    v.normal = mul(upper, frame.normal); // 3
-    v.tangent = mul(upper, frame.tangent); // 4
-    v.bitangent = mul(upper, frame.bitangent); // 5
+    v.normal = mul((float3x3)T, frame.normal); // 3
+    v.tangent = mul((float3x3)T, frame.tangent); // 4
+    v.bitangent = mul((float3x3)T, frame.bitangent); // 5
     return v;
 }
 
