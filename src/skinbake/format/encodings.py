@@ -4,7 +4,8 @@ The format is in docs/reference/file-format.md.
 
 With one scale for all vertices, linear integers have a mean error of up to 1.9°: single outliers set the
 scale and spoil the other values. So the fourth component of set 0 holds the square root of the vertex's own
-scale.
+scale. The corner of a sliver may have a million times the usual gradient, which even a square root does not
+bear. Then the scale of the file is less than the largest value, and the vertices beyond it are shortened.
 """
 
 from __future__ import annotations
@@ -41,6 +42,20 @@ def vertex_bytes(encoding: Encoding, influences: int) -> int:
     return DTYPES[encoding].itemsize * 2 * (influences - (0 if encoding.is_scaled else 1))
 
 
+ROUGHER = 2.0
+"""The squared error that a scale may have, over the least one, to be preferred because it is larger."""
+
+SCALES = 16
+"""The scales that are tried, from the largest value on: each is a quarter of the one before."""
+
+SWING = 1.0
+"""How far joints take a vertex apart, at most, over the square root of its primitive's area.
+
+Times α it is the tangent of the angle by which α turns a normal. The scale is chosen by that angle: of a
+million it matters little how many there are.
+"""
+
+
 class DecodedSlots(NamedTuple):
     """α or β as a shader decodes it: values (V, K − 1) float32, 1 / length unit of POSITION.
 
@@ -62,12 +77,71 @@ def common_scale(slots: Sequence[FloatArray]) -> float:
     return max((float(np.abs(values).max(initial=0.0)) for values in slots), default=0.0)
 
 
+class Spread(NamedTuple):
+    """The values of one primitive: alpha and beta (V, K − 1), and the areas (V,) around its vertices."""
+
+    alpha: FloatArray
+    beta: FloatArray
+    areas: Float64Array
+
+
+def bearing_scale(spreads: Sequence[Spread], encoding: Encoding) -> float:
+    """Return the scale for α and β with outliers, as a float32 value: the ``common_scale``, or less.
+
+    It is less where all vertices beyond it cost less angle, by area, than the others gain.
+    """
+    largest = common_scale([slots for spread in spreads for slots in (spread.alpha, spread.beta)])
+    terms = []
+    for alpha, beta, areas in spreads:
+        sizes = _sizes(alpha, beta)
+        lit, total = (sizes > 0.0) & (areas > 0.0), float(areas.sum())
+        if lit.any():
+            terms.append((sizes[lit], areas[lit] / total, SWING * np.sqrt(total)))
+
+    def cost(scale: float | None) -> float:
+        """Return the sum of squared angles; without a scale, as if each vertex had the best one."""
+        limit, found = LARGEST[encoding], 0.0
+        for sizes, weights, swing in terms:
+            own = sizes
+            if scale is not None:
+                own = np.square(np.clip(np.ceil(limit * np.sqrt(sizes / scale)), 1.0, limit) / limit) * scale
+            rounding = own / (2.0 * limit) / (sizes + 1.0 / swing)
+            shortening = np.arctan(swing * sizes) - np.arctan(swing * np.minimum(sizes, own))
+            found += float((weights * np.square(rounding + shortening)).sum())
+        return found
+
+    if not terms or cost(largest) <= ROUGHER * cost(None):
+        return largest
+    scales = [float(np.float32(largest / 4.0**step)) for step in range(SCALES)]
+    with np.errstate(over="ignore"):  # a scale far below all values
+        costs = [cost(scale) if scale > 0.0 else np.inf for scale in scales]
+    return next(scale for scale, one in zip(scales, costs, strict=True) if one <= ROUGHER * min(costs))
+
+
+def shortened(alpha: FloatArray, beta: FloatArray, scale: float) -> tuple[FloatArray, FloatArray]:
+    """Return α and β (V, K − 1) without a value beyond the scale. All of a vertex are shortened alike.
+
+    At a sliver both are so long that the normal hangs on their proportion.
+    """
+    sizes = _sizes(alpha, beta)
+    if not (sizes > scale).any():
+        return alpha, beta
+    shares = (scale / np.maximum(sizes, scale))[:, None]
+    return alpha * shares, beta * shares
+
+
+def _sizes(alpha: FloatArray, beta: FloatArray) -> Float64Array:
+    """Return the largest |value| of each vertex (V,)."""
+    both = np.maximum(np.abs(alpha), np.abs(beta)).max(axis=1, initial=0.0)
+    return np.asarray(both, dtype=np.float64)
+
+
 def encoded(slots: FloatArray, encoding: Encoding, scale: float) -> list[npt.NDArray[Any]]:
     """Return α or β (V, K − 1) as arrays to store, one for each influence set.
 
     FLOAT: (V, 3), then (V, 4) float32. Other encodings: (V, 4) integers c, read as c / limit. Set 0 holds
     slots 1–3 relative to the scale s of the vertex, and w ≥ 0 with s = w² · scale. Each further set holds its
-    four slots relative to s. No value is larger than s. scale is the ``common_scale`` of the file. A vertex
+    four slots relative to s. No value is larger than s. scale is at least the largest value. A vertex
     of zeros is stored as zeros.
     """
     if not encoding.is_scaled:
@@ -76,6 +150,7 @@ def encoded(slots: FloatArray, encoding: Encoding, scale: float) -> list[npt.NDA
     largest = np.abs(wide).max(axis=1, initial=0.0)
     least = np.ceil(limit * np.sqrt(largest / (scale or 1.0)))
     least += (least / limit) ** 2 * scale < largest  # corrects the rounding of the root
+    least = np.minimum(least, limit)
     root, integers, error = _rounded(wide, least, limit, scale)
     for step in range(1, CANDIDATES):
         tried = _rounded(wide, np.where(least > 0, np.minimum(least + step, limit), 0), limit, scale)

@@ -10,6 +10,7 @@ import numpy as np
 
 from skinbake.choices import SLOTS_PER_SET, Gradients, Weighting
 from skinbake.errors import Place
+from skinbake.format.encodings import shortened
 from skinbake.format.former import former_attributes, former_sets
 from skinbake.format.influences import with_limit
 from skinbake.format.metadata import FORMER_ATTRIBUTES, KEPT, POSES, STORED_POSE
@@ -54,10 +55,18 @@ def expected_slots(
     """
     kind = noted_kind(views[0])
     if kind is Gradients.SURFACE:
-        return surface_slots(views, operator)
-    fit = fit or prepared_rig_fit(document, views, operator.weighting)
-    slots = fit() if fit else surface_slots(views, operator)
-    return slots if kind is Gradients.RIG else posed_slots(document, views, slots)
+        slots = surface_slots(views, operator)
+    else:
+        fit = fit or prepared_rig_fit(document, views, operator.weighting)
+        slots = fit() if fit else surface_slots(views, operator)
+    if kind is Gradients.POSES:
+        slots = posed_slots(document, views, slots)
+    # An encoding has shortened what is beyond its scale.
+    found: Expected = []
+    for pair, view in zip(slots, views, strict=True):
+        alpha, beta = shortened(*pair, view.metadata.get("scale", np.inf))
+        found.append((alpha.astype(np.float64, copy=False), beta.astype(np.float64, copy=False)))
+    return found
 
 
 def given_weights(document: Document, view: BakedView) -> Float64Array:
@@ -165,6 +174,7 @@ def prepared_rig_fit(document: Document, views: Sequence[BakedView], weighting: 
             rig=rig,
             kept=kept,
             stored=[(view.alpha, view.beta) for view in views],
+            scale=min(view.metadata.get("scale", np.inf) for view in views),
         )
         return [(alpha.astype(np.float64), beta.astype(np.float64)) for alpha, beta in slots]
 

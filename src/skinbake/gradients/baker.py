@@ -170,12 +170,13 @@ def slots_of_surface(
     rig: Rig | None,
     kept: Sequence[float | None] = (),
     stored: Sequence[Slots] = (),
+    scale: float = np.inf,
 ) -> list[Slots]:
     """Return α and β of each primitive of one surface, for given t0 and b0, each (V, 3). No slot adopts.
 
     The arguments are as for ``bake_primitives``; crease_angle is in radians. kept is how much of its fit each
     primitive keeps, None for those that keep all of α and β too. The others keep as much of these as the
-    ``stored`` ones are.
+    ``stored`` ones are; scale is the largest number that an encoding could store.
     """
     gathered = _gathered(primitives, crease_angle)
     parts = [slice(*part) for part in itertools.pairwise([0, *gathered.ends])]
@@ -193,7 +194,9 @@ def slots_of_surface(
     classes = [gathered.classes[part] for part in parts]
     if min(fits) < 1.0:
         found = mixed(found, slots(None), classes, fits)
-    return scaled(found, classes, kept_eighths(found, stored, classes, [fit is not None for fit in kept]))
+    return scaled(
+        found, classes, kept_eighths(found, stored, classes, [fit is not None for fit in kept], scale)
+    )
 
 
 class _Gathered(NamedTuple):

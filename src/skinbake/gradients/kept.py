@@ -54,18 +54,23 @@ def scaled(
 
 
 def kept_eighths(
-    slots: Sequence[Slots], stored: Sequence[Slots], classes: Sequence[IntArray], keeps_part: Sequence[bool]
+    slots: Sequence[Slots],
+    stored: Sequence[Slots],
+    classes: Sequence[IntArray],
+    keeps_part: Sequence[bool],
+    scale: float = np.inf,
 ) -> list[IntArray]:
     """Return how many eighths of α and β the stored ones are nearest to, for each vertex (V,).
 
     keeps_part tells which primitives may keep a part. The points of the others keep all, unless one of these
-    shares them.
+    shares them. Numbers as large as the scale of an encoding tell nothing: it may have shortened them.
     """
     products, squares = np.zeros((2, _count(classes)))
     for ours, theirs, own in zip(map(_wide, slots), map(_wide, stored), classes, strict=True):
+        tells = np.max([np.abs(found).max(axis=1, initial=0.0) for found in theirs], axis=0) < scale
         for values, found in zip(ours, theirs, strict=True):
-            products += np.bincount(own, (values * found).sum(axis=1), len(products))
-            squares += np.bincount(own, (values * values).sum(axis=1), len(products))
+            products += np.bincount(own, tells * (values * found).sum(axis=1), len(products))
+            squares += np.bincount(own, tells * (values * values).sum(axis=1), len(products))
     shares = np.divide(products, squares, out=np.ones_like(products), where=squares > 0.0)
     nearest = np.rint(EIGHTHS * np.nan_to_num(shares, nan=1.0).clip(0.0, 1.0)).astype(np.int64)
     may = np.zeros(len(nearest), dtype=np.bool_)

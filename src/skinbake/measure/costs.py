@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skinbake.format.encodings import rounded
+from skinbake.format.encodings import rounded, shortened
 from skinbake.format.layouts import GradientFormat
 from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.gltf.animation import read_clips, skins_of
@@ -38,10 +38,14 @@ class EncodedPrimitive:
 
 @dataclass(frozen=True, slots=True)
 class AddedError:
-    """The angle in degrees that an encoding adds, over poses and vertices, weighted by rest area."""
+    """The angle in degrees that an encoding adds, over poses and vertices, weighted by rest area.
+
+    effect is the mean angle by which α and β turn standard normals.
+    """
 
     mean: float
     p99: float
+    effect: float
 
 
 def added_error(primitives: Iterable[EncodedPrimitive]) -> AddedError | None:
@@ -51,16 +55,22 @@ def added_error(primitives: Iterable[EncodedPrimitive]) -> AddedError | None:
     sample is left out. If only its stored normal vanishes, the sample counts as 180°. None if no sample is
     left.
     """
-    tally = ErrorTally()
+    tally, effect = ErrorTally(), ErrorTally()
     for item in primitives:
         exact = replace(item.primitive, alpha=item.alpha, beta=item.beta)
         for pose, part, blended in blended_blocks((item.primitive, exact), item.joint_matrices):
-            stored, unrounded = (one.normals((Algorithm.LBS_ACCURATE,), pose, part)[0] for one in blended)
+            (stored,) = blended[0].normals((Algorithm.LBS_ACCURATE,), pose, part)
+            both = Algorithm.LBS_STANDARD, Algorithm.LBS_ACCURATE
+            standard, unrounded = blended[1].normals(both, pose, part)
             square = dot(unrounded, unrounded)
-            angles = angles_between(stored, unrounded).astype(np.float32)
-            tally.add(angles, item.areas[part], valid=(square > 0.0) & np.isfinite(square))
-    summary = tally.summary()
-    return None if summary is None else AddedError(summary.mean, summary.p99)
+            valid = (square > 0.0) & np.isfinite(square)
+            for counted, normals in ((tally, stored), (effect, standard)):
+                angles = angles_between(normals, unrounded).astype(np.float32)
+                counted.add(angles, item.areas[part], valid=valid)
+    found = tally.summary(), effect.summary()
+    if found[0] is None or found[1] is None:
+        return None
+    return AddedError(found[0].mean, found[0].p99, found[1].mean)
 
 
 def added_by_encoding(
@@ -82,7 +92,7 @@ def _primitives(
         exact = bake.rest_primitive()
         alpha, beta = (
             rounded(slots, storage.encoding, storage.scale).astype(np.float64)
-            for slots in (bake.baked.alpha, bake.baked.beta)
+            for slots in shortened(bake.baked.alpha, bake.baked.beta, storage.scale)
         )
         for skin in skins_of(document, bake.source.mesh):
             if skin not in sets:
