@@ -450,6 +450,9 @@ VERIFY = (
         Option("min_gain", Range(0), None, By.ALL, "X", help=
             "Fail if the gain over standard lighting is smaller."),
         REQUIRE_BAKED._replace(help="Fail if a file holds no bake."),
+        Option("sources", str, None, By.NOBODY, "DIR", help=
+            "Fail if an output is not of its source as it is now, or a source in DIR has no output, by the "
+            f"notes of bake --skip-unchanged ({STATE_NAME} in the folder given as INPUT, or --state)."),
         WARNINGS_AS_ERRORS._replace(help="Fail if there are warnings.")),
     *_under("Reports", JSON,
         Option("junit", str, None, By.NOBODY, "FILE", help="Also write the results as JUnit XML."),
@@ -460,7 +463,7 @@ VERIFY = (
             "Also write positions, normals of every lighting, and true normals of one pose, as JSON lines."),
         SUMMARY, TIMINGS),
     *_under("Many files", JOBS, THREADS_OPTION, SKIP_UNCHANGED,
-        STATE._replace(help="The file for the notes of --skip-unchanged."), DASK),
+        STATE._replace(help="The file for the notes of --skip-unchanged, or of --sources."), DASK),
     *LIMITS,
     *SYNC,
     *END,

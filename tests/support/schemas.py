@@ -377,6 +377,7 @@ VERIFY = strict(
                                         "lighting",
                                         "limits",
                                         "warnings",
+                                        "sources",
                                     ]
                                 },
                                 "outcome": {"enum": ["passed", "failed", "skipped"]},

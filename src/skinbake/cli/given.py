@@ -9,7 +9,7 @@ class Given(TypedDict):
     """The options of all commands for many files. Each command has options of its own in addition.
 
     ``output``, ``out_dir``, ``depfile`` and ``dry_run`` belong to commands that write, ``fit_poses`` and
-    ``pack`` to ``bake``.
+    ``pack`` to ``bake``, ``sources`` to ``verify``.
     """
 
     as_json: bool
@@ -30,6 +30,7 @@ class Given(TypedDict):
     quiet: bool
     verbose: int
     output: NotRequired[str | None]
+    sources: NotRequired[str | None]
     out_dir: NotRequired[str | None]
     dry_run: NotRequired[bool]
     fit_poses: NotRequired[tuple[str, ...]]

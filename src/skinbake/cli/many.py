@@ -42,7 +42,7 @@ ResultT_contra = TypeVar("ResultT_contra", bound="Result", contravariant=True)
 def state_path(given: Given) -> str | None:
     """Return the path of the state file, None if unwanted. Raises ChoiceError if it has no place."""
     if not given["skip_unchanged"]:
-        if given["state"]:
+        if given["state"] and not given.get("sources"):
             raise ChoiceError("state", reason=(" is for ", Chosen("skip_unchanged")))
         return None
     if given["state"]:

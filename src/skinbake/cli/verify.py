@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -15,7 +16,7 @@ from skinbake.cli.configuration import option_sets
 from skinbake.cli.console import Console, console
 from skinbake.cli.given import Given
 from skinbake.cli.help import Helpful
-from skinbake.cli.inputs import expanded
+from skinbake.cli.inputs import Input, expanded
 from skinbake.cli.limits import within_limits
 from skinbake.cli.many import Clock, Reporting, notes_of, run_of, state_path, work_through
 from skinbake.cli.targets import check_earlier, check_reports, is_page, jobs_of
@@ -23,14 +24,14 @@ from skinbake.cli.writing import tell_of_report, write_report
 from skinbake.errors import ChoiceError, Chosen, SkinbakeError, printable
 from skinbake.files.bounds import Bounds
 from skinbake.files.urls import STDIO, is_url
-from skinbake.options import VERIFY, By, defaults
+from skinbake.options import STATE_NAME, VERIFY, By, defaults
 from skinbake.threads import threads_limited
 
 if TYPE_CHECKING:
     from typing import Unpack
 
     from skinbake.measure.options import VerifyOptions
-    from skinbake.report.verify import FileVerdict
+    from skinbake.report.verify import Check, FileVerdict
 
 
 class VerifyGiven(Given):
@@ -67,6 +68,8 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[VerifyG
     clock = Clock()
     say = console(given)
     found, notes_at = expanded(inputs), state_path(given)
+    checks, without_output = _sources(inputs, found, given)
+    found = [*found, *without_output]
     reports = {
         "--junit": given["junit"],
         "--html": given["html"],
@@ -95,7 +98,8 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[VerifyG
     options = sets.each(_options)
     from skinbake.jobs.verify import Verify
 
-    commands = [Verify(one) for one in options]
+    bare = frozenset(entry.source for entry in without_output)
+    commands = [Verify(one, checks, bare) for one in options]
     notes = notes_of("verify", options, notes_at, found, say, sync=not given["no_sync"])
     jobs = sets.numbered(jobs_of([(entry, None) for entry in found], given, notes))
     options_of = {source: options[number] for source, number in zip(sources, sets.numbers, strict=True)}
@@ -104,6 +108,45 @@ def command(ctx: click.Context, inputs: tuple[str, ...], **given: Unpack[VerifyG
     clock.imports_done()
     run = run_of(commands, jobs, given, say, notes)
     sys.exit(work_through(run, reporting, given, say, clock, notes))
+
+
+def _sources(
+    inputs: Sequence[str], found: Sequence[Input], given: VerifyGiven
+) -> tuple[Mapping[str, Check], list[Input]]:
+    """Return the check of each output and bare source by --sources, and these sources.
+
+    Raises click.UsageError without a state file that could tell.
+    """
+    folder = given.get("sources")
+    if not folder:
+        return {}, []
+    from skinbake.jobs.sources import checks_of
+    from skinbake.jobs.state import State
+
+    if given["dask"] or any(entry.source == STDIO or is_url(entry.source) for entry in found):
+        raise click.UsageError("--sources needs files on this machine's disks, without --dask")
+    if not Path(folder).is_dir():
+        raise click.UsageError(f"--sources: {folder} is no folder")
+    state_at = given["state"]
+    own = Path(inputs[0], STATE_NAME) if len(inputs) == 1 and Path(inputs[0]).is_dir() else None
+    # The notes of verify itself may lie in another file.
+    if own is not None and (not state_at or (given["skip_unchanged"] and own.exists())):
+        state_at = str(own)
+    if not state_at:
+        raise ChoiceError("sources", reason=(" needs ", Chosen("state"), " FILE, unless INPUT is one folder"))
+    state = State(state_at) if Path(state_at).exists() else None
+    if state is None or state.notices:
+        why = "is not there" if state is None else "is not a sound state file"
+        advice = f"{state_at} {why}: run skinbake bake --skip-unchanged, or name its notes with --state"
+        raise click.UsageError(f"--sources needs the notes of bake --skip-unchanged: {advice}")
+    named = [
+        entry
+        for entry in expanded([folder], but=inputs[0] if Path(inputs[0]).is_dir() else None)
+        if entry.missing is None
+    ]
+    outputs = [entry.source for entry in found if entry.missing is None]
+    checks = checks_of(state, outputs, [one.source for one in named], folder, given["allow_outside"])
+    return checks, [one for one in named if one.source in checks and one.source not in outputs]
 
 
 def _reporting(

@@ -19,7 +19,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 from skinbake.errors import InputError, Notice, OutputError, Place, SkinbakeError
 from skinbake.files.bounds import (
@@ -121,7 +121,7 @@ class Recipe:
 
     def key(self, path: str) -> str:
         """Return the key of a file's records: the command, and the file that it makes (verify: reads)."""
-        return f"{self.command} {self._relative(_absolute(path))}"
+        return f"{self.command} {self._relative(absolute(path))}"
 
     def still_holds(
         self, record: bytes, source: str, target: str | None, within: Within = OWN_FOLDERS
@@ -137,9 +137,9 @@ class Recipe:
                 return False
             read, made = dict(note["read"]), dict(note["made"])
             sides = [(read, source)] if target is None else [(read, source), (made, target)]
-            if any(DIGEST.fullmatch(side[self._relative(_absolute(path))]) is None for side, path in sides):
+            if any(DIGEST.fullmatch(side[self._relative(absolute(path))]) is None for side, path in sides):
                 return False
-            roots = [*self.roots, *(os.path.dirname(_absolute(path)) for _, path in sides)]
+            roots = [*self.roots, *(os.path.dirname(absolute(path)) for _, path in sides)]
             roots += map(os.path.realpath, within.bounds.allowed)
             found = {**made, **read}
             return all(found[path] == digest for path, digest in made.items()) and all(
@@ -149,10 +149,7 @@ class Recipe:
             return False
 
     def _is_so(self, path: str, digest: str | None, roots: Iterable[str]) -> bool:
-        """Tell whether a file below one of the folders has this digest (None: the file is absent)."""
-        whole = os.path.normpath(os.path.join(self.folder, path))
-        below = any(whole.startswith(root.rstrip(os.sep) + os.sep) for root in roots)
-        return below and _digest(whole) == digest
+        return _has_digest(os.path.normpath(os.path.join(self.folder, path)), digest, roots)
 
     def record(
         self,
@@ -174,7 +171,7 @@ class Recipe:
         return {
             "key": self.key(target or source),
             "how": self.how,
-            "from": self._relative(_absolute(source)),
+            "from": self._relative(absolute(source)),
             "within": [
                 self._folder(within.bounds.root),
                 sorted(map(self._folder, within.bounds.allowed)),
@@ -183,7 +180,7 @@ class Recipe:
         }
 
     def _folder(self, path: str | None) -> str:
-        return "" if path is None else self._relative(_absolute(path))
+        return "" if path is None else self._relative(absolute(path))
 
     def _relative(self, path: str) -> str:
         try:
@@ -192,13 +189,27 @@ class Recipe:
             return path
 
 
+class Origin(NamedTuple):
+    """The source of an output, and the digests of the files that were read for it, by absolute path."""
+
+    source: str
+    read: Digests
+
+    def changed(self, roots: Iterable[str]) -> list[str]:
+        """Return the files that are not as they were when the output was made.
+
+        No file outside the folders ``roots`` is opened, because a record may be forged: it counts as changed.
+        """
+        return [path for path, digest in self.read.items() if not _has_digest(path, digest, roots)]
+
+
 def recipe(command: str, options: DataclassInstance, state: str, roots: Iterable[str] = ()) -> Recipe:
     """Return the recipe of a command with its options, a dataclass, for the state file of that name.
 
     ``roots`` are the folders in which inputs were searched.
     """
     folders = tuple(dict.fromkeys(map(os.path.realpath, roots)))
-    return Recipe(command, _how(command, options), os.path.dirname(_absolute(state)), folders)
+    return Recipe(command, _how(command, options), os.path.dirname(absolute(state)), folders)
 
 
 def _how(command: str, options: DataclassInstance) -> str:
@@ -214,7 +225,7 @@ def _how(command: str, options: DataclassInstance) -> str:
 def seen(source: str, bounds: Bounds = BESIDE) -> Seen | None:
     """Look at a file and the files that it names in ``bounds``; None if it cannot be read or is gone."""
     start = time.time_ns()
-    path = _absolute(source)
+    path = absolute(source)
     try:
         signatures = {path: _signature(path)}
         document = read_document(source, bounds)
@@ -243,7 +254,7 @@ def made(target: str, written: Mapping[str, str], read: Digests, bounds: Bounds 
         content_named = digest is not None and Path(path).stem.removeprefix("skinbake-") == digest[:16]
         if digest != ours and not (ours is None and (digest in known or content_named)):
             return None
-    return found.digests if _absolute(target) in found.digests else None
+    return found.digests if absolute(target) in found.digests else None
 
 
 class State:
@@ -271,6 +282,22 @@ class State:
     def known(self, key: str) -> bytes | None:
         """Return the record of a key, or None if there is none."""
         return self._records.get(key)
+
+    def origins(self) -> dict[str, Origin]:
+        """Return what the outputs of bakes were made from, by absolute path. Damaged records are left out."""
+        folder, found = os.path.dirname(absolute(str(self._path))), dict[str, Origin]()
+
+        def whole(path: str) -> str:
+            return os.path.normpath(os.path.join(folder, path))
+
+        for key, record in self._records.items():
+            command, _, output = key.partition(" ")
+            if command == "bake":
+                with suppress(ValueError, KeyError, TypeError, AttributeError, RecursionError):
+                    note = json.loads(record)
+                    read = {whole(path): digest for path, digest in note["read"].items()}
+                    found[whole(output)] = Origin(whole(note["from"]), read)
+        return found
 
     def add(self, record: bytes) -> None:
         """Add a record, on the disk too. Raises OutputError if the write fails."""
@@ -399,7 +426,7 @@ def _lines(file: BinaryIO) -> Iterator[bytes]:
             is_within = True
 
 
-def _absolute(path: str) -> str:
+def absolute(path: str) -> str:
     """Return a path whose folder has no links, so that ``..`` in a relative path leads where it says."""
     folder, name = os.path.split(path)
     return os.path.join(os.path.realpath(folder), name)
@@ -429,6 +456,12 @@ def _digest(path: str) -> str | None:
         if error.errno in (*ABSENT, errno.EISDIR):
             return None
         raise
+
+
+def _has_digest(path: str, digest: str | None, roots: Iterable[str]) -> bool:
+    """Tell whether a file below one of the folders has this digest (None: the file is absent)."""
+    below = any(path.startswith(root.rstrip(os.sep) + os.sep) for root in roots)
+    return below and _digest(path) == digest
 
 
 def code_digest() -> str:

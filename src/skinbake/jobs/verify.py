@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from skinbake.commands.verify import verify_file
@@ -10,7 +11,7 @@ from skinbake.errors import SkinbakeError
 from skinbake.jobs import elsewhere
 from skinbake.jobs.work import Job
 from skinbake.measure.options import VerifyOptions
-from skinbake.report.verify import FileVerdict
+from skinbake.report.verify import Check, FileVerdict
 
 if TYPE_CHECKING:
     from skinbake.jobs import state
@@ -18,15 +19,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Verify:
-    """Verify the source of a job."""
+    """Verify the source of a job. ``sources`` has the check of ``--sources`` by its name.
+
+    A name in ``without_output`` is a source, of which that check alone is made.
+    """
 
     undone: ClassVar[str] = "not verified"
     seconds: ClassVar[tuple[float, float]] = (0.05, 2e-6)
     options: VerifyOptions
+    sources: Mapping[str, Check] = field(default_factory=dict)
+    without_output: frozenset[str] = frozenset()
 
     def result_of(self, job: Job, *, traced: bool) -> FileVerdict:
         """Verify the file. Raises SkinbakeError if it cannot be read. Nothing is written or traced."""
-        return elsewhere.read(job, lambda source, bounds: verify_file(source, self.options, bounds))
+        if job.source in self.without_output:
+            return FileVerdict(job.source, self._checks(job))
+        found = elsewhere.read(job, lambda source, bounds: verify_file(source, self.options, bounds))
+        return replace(found, checks=(*found.checks, *self._checks(job)))
 
     def failed(self, job: Job, error: SkinbakeError) -> FileVerdict:
         """Return that the file could not be verified."""
@@ -34,11 +43,14 @@ class Verify:
 
     def up_to_date(self, job: Job) -> FileVerdict:
         """Return that the file passed before and has not changed since."""
-        return FileVerdict(job.source, up_to_date=True)
+        return FileVerdict(job.source, self._checks(job), up_to_date=True)
+
+    def _checks(self, job: Job) -> tuple[Check, ...]:
+        return (self.sources[job.source],) if job.source in self.sources else ()
 
     def is_noted(self, job: Job) -> bool:
-        """Tell that a state file can hold every verdict."""
-        return True
+        """Tell whether a state file can hold the verdict."""
+        return job.source not in self.without_output
 
     def evidence(
         self, job: Job, result: FileVerdict, before: state.Seen

@@ -25,6 +25,9 @@ from skinbake.wording import counted, gain_in_words
 SCHEMA = "skinbake.verify/1"
 OUTCOMES = ("passed", "up-to-date", "failed")
 
+SOURCES = "sources"
+"""The name of the check of ``--sources``: whether an output is of its source as it is now."""
+
 Outcome = Literal["passed", "failed", "skipped"]
 
 SHOWN_LIGHTINGS = ("standard", "accurate", "exact", "corrected")
@@ -195,7 +198,7 @@ class FileVerdict:
     def found_no_bake(self) -> bool:
         """Tell whether the file passed only because nothing in it is baked, so that nothing was checked."""
         found = self.passed and bool(self.checks) and not self.left
-        return found and all(one.outcome == "skipped" for one in self.checks)
+        return found and all(one.outcome == "skipped" for one in self.checks if one.name != SOURCES)
 
     @property
     def outcome(self) -> str:
@@ -580,7 +583,8 @@ def as_junit(verdicts: Sequence[FileVerdict]) -> str:
     root = ElementTree.Element("testsuites", name="skinbake verify")
     for verdict in verdicts:
         suite = ElementTree.SubElement(root, "testsuite", name=verdict.input)
-        checks = (Check("up-to-date", "passed"),) if verdict.up_to_date else verdict.checks
+        before = (Check("up-to-date", "passed"),) if verdict.up_to_date else ()
+        checks = (*before, *verdict.checks)
         cases: list[str] = [check.outcome for check in checks]
         for check in checks:
             case = ElementTree.SubElement(suite, "testcase", name=check.name, classname=verdict.input)
