@@ -164,11 +164,12 @@ def _named(random: Random) -> Model:
 
 
 def _laborious(random: Random) -> Model:
-    """Return a small soup of which many clips, skins, draws or targets make much work."""
+    """Return a small soup of which many clips, skins, draws, nodes or targets make much work."""
     model, many = _soup(random, vertices=12, joints=3), random.choice((50, 400, 1500))
     content = model.json
     primitive = content["meshes"][0]["primitives"][0]
-    match random.choice(("clips", "skins", "draws", "primitives", "targets", "channels", "joints")):
+    kinds = ("clips", "skins", "draws", "primitives", "meshes", "noted", "targets", "channels", "joints")
+    match random.choice(kinds):
         case "clips":
             content["animations"] *= many
         case "skins":
@@ -178,6 +179,13 @@ def _laborious(random: Random) -> Model:
             content["nodes"] += [{"mesh": 0, "skin": 0}] * many
         case "primitives":
             content["meshes"][0]["primitives"] *= many
+        case "meshes":
+            content["meshes"] *= many
+            content["nodes"] += [{"mesh": number, "skin": 0} for number in range(many)]
+        case "noted":  # as if correctives had been baked
+            noted = {"primitives": [primitive], "extras": {"skinbake": {"version": 1, "targets": 1}}}
+            content["meshes"] += [noted] * many
+            content["nodes"] += [{"mesh": number % (many + 1)} for number in range(10 * many)]
         case "targets":
             primitive["targets"] = [{"POSITION": primitive["attributes"]["POSITION"]}] * many
             content["meshes"][0]["weights"] = [0.01] * many

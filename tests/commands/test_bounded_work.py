@@ -135,6 +135,8 @@ COMMANDS: dict[str, Callable[[Path, Path], list[str | Path]]] = {
     "view": lambda source, folder: ["view", source, "-o", folder / "out.html", "-q"],
     "render": lambda source, folder: ["render", source, "-o", folder / "out.png", "-q"],
     "bake": lambda source, folder: ["bake", source, "-o", folder / "out.glb", "-q"],
+    "draco": lambda source, folder: ["bake", source, "-o", folder / "out.glb", "-q", "--compress", "draco"],
+    "strip": lambda source, folder: ["strip", folder / "baked.glb", "-o", folder / "out.glb", "-q"],
     "correctives": lambda source, folder: [
         *("bake", source, "-o", folder / "out.glb", "-q", "--correctives", "auto")
     ],
