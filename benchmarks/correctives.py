@@ -42,7 +42,7 @@ FEWEST_VERTICES, FEWEST_DEGREES = 20, 0.1
 class Row:
     """A model: vertices, targets, bytes a vertex by encoding, and mean errors by truth and lighting.
 
-    by_bytes is the corrected error with ``packed8`` as a share of the standard one, as the bake measures it.
+    by_bytes is the corrected error with ``packed8`` as a share of the standard one, as the bake says it.
     """
 
     name: str
@@ -64,8 +64,10 @@ def main() -> int:
     parser.add_argument("--output", type=Path, default=DEFAULT_OUTPUT)
     options = parser.parse_args()
     corpus = find_corpus()
-    folders = options.folders or ([] if corpus is None else [corpus / "public", corpus / "cases"])
-    paths = sorted(p for folder in folders for p in folder.rglob("*") if p.suffix in {".glb", ".gltf"})
+    found = [path for folder in options.folders for path in folder.rglob("*")]
+    if not options.folders and corpus is not None:
+        found = [*(corpus / "public").rglob("*"), *(corpus / "cases").glob("*")]
+    paths = sorted(path for path in found if path.suffix in {".glb", ".gltf"})
     if not paths:
         print("no models: name a folder, or set SKINBAKE_CORPUS", file=sys.stderr)
         return 3
@@ -128,12 +130,7 @@ def measured(path: Path) -> Iterator[Row]:
 
 def shares(result: FileResult) -> dict[str, float]:
     """Return the remaining errors of a bake as shares of the standard ones, by truth."""
-    counts = [count for _, count in result.correctives]
-    return {
-        truth: sum(one.remaining[truth] * one.vertices for one in counts)
-        / sum(one.standard[truth] * one.vertices for one in counts)
-        for truth in counts[0].standard
-    }
+    return {truth: after / before for truth, before, after in result.lighting}
 
 
 def size(result: FileResult) -> float:

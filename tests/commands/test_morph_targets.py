@@ -324,11 +324,6 @@ def test_a_note_says_that_an_option_finds_no_targets(tmp_path: Path, option: str
     assert ("adds nothing: nothing here has a morph target without NORMAL" in said) == ("normals" in option)
 
 
-def test_correctives_contradict_it(tmp_path: Path) -> None:
-    said = bake(TUBE, tmp_path / "out.glb", "--morph-normals", "--correctives", "2", code=2)
-    assert "contradicts" in said
-
-
 def test_a_real_face_is_lit_several_times_nearer_in_its_own_clip(tmp_path: Path) -> None:
     source = corpus.case("face_rig_run.glb")
     errors = []

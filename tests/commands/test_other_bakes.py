@@ -56,7 +56,11 @@ def test_morph_normals_are_named_with_what_they_leave(tmp_path: Path, zeros: boo
 
 
 def test_a_file_with_correctives_is_told_of_morph_normals_too(tmp_path: Path) -> None:
-    now = baked(with_targets(tmp_path / "in.glb", zeros=True), tmp_path / "out.glb", "--correctives", "1")
+    """Correctives that one of two clips plays leave the normals of the other one as they are."""
+    file = Editable(with_targets(tmp_path / "in.glb", zeros=True))
+    file.content["animations"].append({**file.content["animations"][0], "name": "other"})
+    source = file.write(tmp_path / "two.glb")
+    now = baked(source, tmp_path / "out.glb", "--correctives", "1", "--clips", "other")
     assert "--morph-normals" in now.file["conclusion"]
     best = now.file["others"][-1]
     assert best["error"] * 1.1 < left_by(now)

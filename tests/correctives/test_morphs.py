@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import copy
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from tests.correctives.models import SHEET, mean_errors, rewritten
-from tests.support import corpus, gltf_reading
+from tests.support import corpus, gltf_reading, khronos
 from tests.support.baked_files import verify
 from tests.support.command_line import invoke
 
@@ -200,3 +201,75 @@ def test_mixtures_are_measured_at_the_morph_weights_that_play(
             figure = file[normals]["lbs"][lighting]["mean"]
             assert between[lighting][truth] == pytest.approx(figure, rel=0.1, abs=0.05)
         assert turned["corrected"][truth] < turned["standard"][truth]
+
+
+def lacking_in_parts(content: Any) -> None:
+    in_parts(content)
+    for primitive in content["meshes"][0]["primitives"]:
+        for target in primitive["targets"]:
+            target.pop("NORMAL")
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
+@pytest.mark.parametrize(
+    "change", [one_without_normal, none_with_normal, lacking_in_parts], ids=lambda change: change.__name__
+)
+def test_normals_of_targets_and_correctives_go_together(
+    change: Callable[[Any], None], suffix: str, tmp_path: Path
+) -> None:
+    given = rewritten(SHEET, tmp_path / "in.glb", change)
+    if suffix == ".gltf":
+        content = gltf_reading.read(given)
+        (tmp_path / "in.bin").write_bytes(content.binary_chunk or b"")
+        content.content["buffers"][0]["uri"] = "in.bin"
+        given = tmp_path / "in.gltf"
+        given.write_text(json.dumps(content.content))
+    options = ["--correctives", "auto", "--morph-normals"]
+    made, plain, again, back = (tmp_path / f"{name}{suffix}" for name in ("made", "plain", "again", "back"))
+    result = invoke("bake", given, "-o", made, *options)
+    assert result.exit_code == 0 and "NORMAL made for" in result.output, result.output
+    assert invoke("bake", given, "-o", plain, *options[:2]).exit_code == 0
+    # Every target has NORMAL, and the figures are those of a reader that knows nothing of bakes.
+    file = gltf_reading.read(made)
+    assert all("NORMAL" in one for part in file.content["meshes"][0]["primitives"] for one in part["targets"])
+    (lit, corrected), (without, _) = (mean_errors(path, 0, TIMES) for path in (made, plain))
+    assert corrected < 0.3 * lit < 0.3 * without
+    answer = verify(made)
+    assert answer.file["passed"] and not answer.file["warnings"]
+    # Both bakes are undone, and made again, byte for byte.
+    assert invoke("bake", made, "-o", again, *options).exit_code == 0
+    assert invoke("strip", made, "-o", back).exit_code == 0
+    for path, same in ((again, made), (back, given)):
+        assert path.read_bytes() == same.read_bytes()
+    if suffix == ".gltf":
+        assert not list(tmp_path.glob("back*.bin"))
+    report, before = khronos.validate(made), khronos.validate(given)
+    assert report["errors"] == before["errors"] and report["warnings"] == before["warnings"]
+
+
+def test_made_normals_of_targets_that_changed_are_stale(tmp_path: Path) -> None:
+    given, made = rewritten(SHEET, tmp_path / "in.glb", none_with_normal), tmp_path / "out.glb"
+    invoke("bake", given, "-o", made, "--correctives", "auto", "--morph-normals")
+
+    def swapped(content: Any) -> None:
+        first, second, *_ = content["meshes"][0]["primitives"][0]["targets"]
+        first["POSITION"], second["POSITION"] = second["POSITION"], first["POSITION"]
+
+    (check,) = (
+        one
+        for one in verify(rewritten(made, tmp_path / "other.glb", swapped)).file["checks"]
+        if one["name"] == "freshness"
+    )
+    assert "morphs-stale" in {one["code"] for one in check["problems"]}
+
+
+def test_normals_of_targets_stay_where_correctives_do_not_help(tmp_path: Path) -> None:
+    def still(content: Any) -> None:
+        none_with_normal(content)
+        content["animations"] = []
+
+    given, made = rewritten(SHEET, tmp_path / "in.glb", still), tmp_path / "out.glb"
+    result = invoke("bake", given, "-o", made, "--correctives", "auto", "--morph-normals")
+    assert result.exit_code == 0 and "NORMAL made for 2 morph targets" in result.output
+    assert "only clips play correctives" in result.output
+    assert all("NORMAL" in target for target in gltf_reading.read(made).primitive(0)["targets"])

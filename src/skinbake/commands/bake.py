@@ -199,11 +199,6 @@ class Baker(CheckedOptions):
         morphs = self._morphs(document, bakes)
         made_targets = morphs.made if morphs else ()
         remarks += morphs.notices if morphs else ()
-        if not made_targets and (self.morph_normals or self.morph_frames):
-            option = Chosen("morph_frames" if self.morph_frames else "morph_normals")
-            lacking = "morph targets" if self.morph_frames else "a morph target without NORMAL"
-            message = Message(option, f" adds nothing: nothing here has {lacking} that it can add to")
-            remarks.append(Notice("no-targets", message, document.place))
         if not bakes and not made_targets:
             return BakedDocument(given, (), skipped, (*reasons, *remarks))
         storage = _storage(GradientFormat(self.encoding, self.layout), bakes)
@@ -248,30 +243,53 @@ class Baker(CheckedOptions):
         skipped: int,
         reasons: Sequence[Notice],
     ) -> BakedDocument:
-        """Return the document with correctives. skipped and reasons are those of other primitives."""
+        """Return the document with correctives. skipped and reasons are those of other primitives.
+
+        They are made for the normals that morph targets have then.
+        """
         from skinbake.commands.corrective_bake import corrected_document  # most bakes add α and β
 
+        morphs, given, lengths = None, document, list[int]()
+        if self.morph_normals:
+            surfaces, _ = Baker(gradients=Gradients.SURFACE)._bakes(document, sources)
+            morphs = self._morphs(document, [bake for surface in surfaces for bake in surface])
+        if morphs is not None and morphs.made:
+            with stage("store"):
+                storage = GradientFormat(self.encoding, self.layout)
+                document, _, lengths = with_baked(
+                    document, [], self.attribute_names, storage, made=morphs.made
+                )
+            sources = [source.in_document(document) for source in sources]
         found = corrected_document(document, sources, self)
-        left, unmeasured = self._left(document, found.lighting, idle=() if found.counts else found.notices)
+        left, unmeasured = self._left(given, found.lighting, idle=() if found.counts else found.notices)
         if left is not None:
             return left._replace(skipped=skipped, notices=tuple(reasons))
+        told = morphs.notices if morphs else ()
         return BakedDocument(
             found.document,
             (),
             skipped,
-            (*reasons, *found.notices, *unmeasured),
+            (*reasons, *told, *found.notices, *unmeasured),
             correctives=tuple(found.counts),
             lighting=found.means,
+            morphs=morphs.reported(lengths) if morphs else (),
         )
 
     def _morphs(self, document: Document, bakes: Sequence[PrimitiveBake]) -> MorphBake | None:
         """Return what is made for morph targets, or told of them; None for a model that has none."""
-        if not self.morph_normals and not any("targets" in bake.source.json for bake in bakes):
+        is_asked = self.morph_normals or self.morph_frames
+        if not is_asked and not any("targets" in bake.source.json for bake in bakes):
             return None
         from skinbake.commands.morph_bake import Wanted, morph_bake  # most models have no targets
 
         wanted = Wanted(self.morph_normals, self.morph_frames)
-        return morph_bake(document, bakes, self.settings, wanted)
+        found = morph_bake(document, bakes, self.settings, wanted)
+        if found.made or not any(wanted):
+            return found
+        option = Chosen("morph_frames" if self.morph_frames else "morph_normals")
+        lacking = "morph targets" if self.morph_frames else "a morph target without NORMAL"
+        message = Message(option, f" adds nothing: nothing here has {lacking} that it can add to")
+        return replace(found, notices=[*found.notices, Notice("no-targets", message, document.place)])
 
     def _lighting(self, baked: Document) -> FileVerdict:
         """Return the lighting of a document with α and β, by linear blend skinning."""

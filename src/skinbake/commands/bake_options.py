@@ -145,7 +145,6 @@ ONLY_FOR_GRADIENTS = (
     "alpha_name",
     "beta_name",
     "limit_influences",
-    "morph_normals",
     "morph_frames",
     "blend",
 )

@@ -14,7 +14,7 @@ from skinbake.choices import Truth
 from skinbake.commands.bake import STEPS_A_BAKE, Baker
 from skinbake.commands.played_correctives import PlayedCorrectives, damaged_correctives
 from skinbake.errors import ChoiceError, InputError, Notice, printable
-from skinbake.format.strip import stripped
+from skinbake.format.strip import stripped, uncorrected
 from skinbake.freshness.baked_views import BakedView, is_baked, rest_primitive, whole_surfaces
 from skinbake.freshness.expected import true_operator_of
 from skinbake.geometry.frames import frame_from_normal, unit_normals
@@ -398,7 +398,9 @@ def baked_in_memory(document: Document) -> tuple[Document, tuple[Notice, ...]]:
         f"baking {counted(count, 'primitive')} in memory",
     )
     document.budget.claim_steps(steps, what, document.place)
-    plain, _, _ = stripped(document)
+    plain, _, _ = uncorrected(document)
+    if plain is document or damaged_bakes(document):
+        plain, _, _ = stripped(document)
     made = Baker(generate_normals=True).bake_document(plain)
     if not made.primitives:
         skipped = (notice for notice in made.notices if notice.message.startswith(SKIPPED))

@@ -22,6 +22,7 @@ from skinbake.errors import Notice, Place
 from skinbake.format.metadata import corrective_note
 from skinbake.format.strip import uncorrected
 from skinbake.freshness.baked_views import baked_views, gathered_together
+from skinbake.freshness.made_targets import made_states
 from skinbake.freshness.staleness import surface_operator
 from skinbake.geometry.poses import normalised
 from skinbake.geometry.skinned import Float64Array
@@ -120,7 +121,7 @@ def _lighting_of(
 
 def _freshness(document: Document, sources: Sequence[PrimitiveSource]) -> Check:
     """Return whether meshes, targets, weights and clips are those of the bake."""
-    problems: list[Notice] = []
+    problems = [state.notice for state in made_states(document) if state.changed]
     moved: dict[str, None] = {}
     for source in sources:
         note = corrective_note(document.objects("meshes")[source.mesh])

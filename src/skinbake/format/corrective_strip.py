@@ -11,6 +11,7 @@ import numpy as np
 from skinbake.errors import InputError, Notice, Place, UnsupportedFeatureError
 from skinbake.format.correctives import QUANTIZATION, TARGET_NAMES, nodes_with
 from skinbake.format.metadata import KEY, VERSION, corrective_note
+from skinbake.format.morph_targets import NOTE
 from skinbake.geometry import poses
 from skinbake.geometry.skinned import FloatArray
 from skinbake.gltf.accessors import element_count, read_accessor
@@ -38,8 +39,8 @@ class Narrowed:
     targets: int
 
 
-def without_correctives(document: Document) -> tuple[JsonObject, list[Narrowed], int]:
-    """Return the JSON without correctives, channels still to be narrowed, and how many meshes had any.
+def without_correctives(document: Document) -> tuple[JsonObject, list[Narrowed]]:
+    """Return the JSON without correctives, and the channels still to be narrowed.
 
     A channel needs ``narrowed`` if another tool has rearranged the animations since the bake. Raises
     UnsupportedFeatureError if a later version of skinbake has made the correctives.
@@ -81,7 +82,7 @@ def without_correctives(document: Document) -> tuple[JsonObject, list[Narrowed],
         root["animations"] = animations
         if not animations:
             del root["animations"]
-    return root, narrowed, len(notes)
+    return root, narrowed
 
 
 def _needs_quantisation(document: Document, meshes: Sequence[JsonObject]) -> bool:
@@ -142,6 +143,8 @@ def _former_mesh(document: Document, mesh: JsonObject, note: JsonObject, kept: i
         extras.pop(TARGET_NAMES, None)
     elif isinstance(names, list) and len(names) == kept + int(note["targets"]):
         extras[TARGET_NAMES] = names[:kept]
+    members = ("version", "generator", "keepExtras", NOTE)
+    extras |= {KEY: {name: note[name] for name in members if name in note}} if NOTE in note else {}
     found["extras"] = extras
     if not extras and "extras" not in former:
         del found["extras"]

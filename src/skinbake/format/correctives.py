@@ -25,7 +25,7 @@ from skinbake.choices import Encoding
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.format.corrective_channels import Keys, with_correctives
 from skinbake.format.metadata import KEY, VERSION, digests, unordered_digest
-from skinbake.format.morph_targets import add_differences, add_zeros
+from skinbake.format.morph_targets import NOTE, add_differences, add_zeros
 from skinbake.geometry import poses
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.accessors import element_count, read_accessor
@@ -195,7 +195,8 @@ def _with_targets(
             for key in ("extensionsUsed", "extensionsRequired")
             if QUANTIZATION not in document.json.get(key, [])
         ]
-    extras[KEY] = note
+    made = object_of(extras.get(KEY))  # what bake has made for the file's own targets
+    extras[KEY] = {**note, **{name: made[name] for name in (NOTE, "keepExtras") if name in made}}
     weights = [*mesh.get("weights", [0] * there), *[0] * item.count]
     return {**mesh, "primitives": primitives, "weights": weights, "extras": extras}
 

@@ -220,11 +220,12 @@ def noted_targets(mesh: JsonObject) -> list[NotedTargets]:
     """
     note = morph_note(mesh)
     entries = note[NOTE] if note else []
+    added = reference((note or {}).get("targets")) or 0  # correctives, which are the last ones
     found = []
     for number, primitive in enumerate(entries_of(mesh.get("primitives"))):
         entry = object_of(entries[number]) if number < len(entries) else {}
         targets = primitive.get("targets")
-        if not isinstance(targets, list) or len(targets) != entry.get("targets"):
+        if not isinstance(targets, list) or len(targets) - added != entry.get("targets"):
             found.append(NotedTargets())
             continue
         numbers, frames = entry.get("normals"), entry.get("frames")

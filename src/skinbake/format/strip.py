@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Set
+from collections.abc import Collection, Iterable, Iterator, Set
 from typing import NamedTuple
 
 from skinbake.choices import Layout
@@ -42,6 +42,7 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
     file unbaked is removed, too.
     """
     document, corrected, notices = uncorrected(without_left(document))
+    count = len(corrected)
     meshes: list[JsonObject] = []
     changed: list[tuple[JsonObject, JsonObject]] = []
     for number, mesh in enumerate(document.objects("meshes")):
@@ -58,15 +59,17 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
             if note is None:
                 restored.append(primitive)
                 changed += [(given, primitive)] if noted else []
+                count += bool(noted) and number not in corrected
                 continue
             _refuse_later_version(note, here)
             written, found = _restored(document, primitive, note, here)
             restored.append(written)
             changed.append((given, written))
+            count += 1
             notices += found
         meshes.append({**morphing, "primitives": restored} if restored else morphing)
     if not changed and meshes == document.objects("meshes"):
-        return document, corrected, notices
+        return document, count, notices
     root = {**document.json, "meshes": meshes}
     removed = set[int]().union(
         *(_accessors_of_vertices(old) - _accessors_of_vertices(new) for old, new in changed)
@@ -76,24 +79,24 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
     back = set[int]().union(
         *(_accessors_of_vertices(new) - _accessors_of_vertices(old) for old, new in changed)
     )
-    before = _without(document, root, removed, streams, notices, back)
-    return before, corrected + len(changed), notices
+    return _without(document, root, removed, streams, notices, back), count, notices
 
 
-def uncorrected(document: Document) -> tuple[Document, int, list[Notice]]:
-    """Return the document without correctives alone, how many meshes had any, and notices as ``stripped``.
+def uncorrected(document: Document) -> tuple[Document, Collection[int], list[Notice]]:
+    """Return the document without correctives alone, the meshes that had any, and notices as ``stripped``.
 
     What a bake has made for the file's own morph targets stays.
     """
-    if not any(map(corrective_note, document.objects("meshes"))):
-        return document, 0, []
+    corrected = {number for number, mesh in enumerate(document.objects("meshes")) if corrective_note(mesh)}
+    if not corrected:
+        return document, (), []
     from skinbake.format.corrective_strip import narrowed, without_correctives  # few files have any
 
-    root, to_narrow, count = without_correctives(document)
+    root, to_narrow = without_correctives(document)
     notices: list[Notice] = []
     unused = uses_of_accessors(document.json).keys() - uses_of_accessors(root).keys()
     found, more = narrowed(_without(document, root, unused, set(), notices, set()), to_narrow)
-    return found, count, [*notices, *more]
+    return found, corrected, [*notices, *more]
 
 
 def _refuse_later_version(note: JsonObject, place: Place) -> None:
