@@ -23,7 +23,7 @@ from skinbake.gltf.primitives import PrimitiveSource, has_float_tangents, read_i
 from skinbake.gltf.rigs import fitting_rig
 from skinbake.gradients import kernel
 from skinbake.gradients.assumptions import assumptions, check_finite
-from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_primitives
+from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_primitives, slots_of_surface
 from skinbake.gradients.kept import Slots, mixed, scaled
 from skinbake.gradients.tangents import frame_vectors, with_straight_tangents
 from skinbake.report.bake import BakedCounts, ExtensionCost, KeptCounts, LimitCost
@@ -233,12 +233,43 @@ class SurfaceBake(NamedTuple):
         classes = [bake.result.classes for bake in bakes]
         fits = [1.0 if share is None else share.fit for share in shares]
         if min(fits) < 1.0:
-            found = bake_primitives([bake.primitive for bake in bakes], self.settings)
-            slots = mixed(slots, [(result.alpha, result.beta) for result, _ in found], classes, fits)
+            slots = mixed(slots, self._by_surface(bakes), classes, fits)
         kept = scaled(slots, classes, [None if share is None else share.eighths for share in shares])
         return [
             replace(bake, result=bake.result.with_slots(*own), share=share)
             for bake, own, share in zip(bakes, kept, shares, strict=True)
+        ]
+
+    def _by_surface(self, bakes: Sequence[PrimitiveBake]) -> list[Slots]:
+        """Return the gradients of the surface in the slots of bakes that are fitted.
+
+        The gradients alone would adopt other joints at some vertices, or the same ones in another order.
+        """
+        found = bake_primitives([bake.primitive for bake in bakes], self.settings)
+        adopted = [bake.result.adopted_joints for bake in bakes]
+        others = [
+            (own != result.adopted_joints).any(axis=1)
+            for own, (result, _) in zip(adopted, found, strict=True)
+        ]
+        slots: list[Slots] = [(result.alpha, result.beta) for result, _ in found]
+        if not any(map(np.any, others)):
+            return slots
+        frames = [frame_vectors(bake.primitive, bake.result.frame) for bake in bakes]
+        there = slots_of_surface(
+            [
+                bake.primitive.with_influences(
+                    np.where(own < 0, bake.primitive.joints, own), bake.primitive.weights
+                )
+                for bake, own in zip(bakes, adopted, strict=True)
+            ],
+            (np.concatenate([t for t, _ in frames]), np.concatenate([b for _, b in frames])),
+            weighting=self.settings.weighting,
+            crease_angle=self.settings.crease_angle,
+            rig=None,
+        )
+        return [
+            (np.where(rows[:, None], own[0], one[0]), np.where(rows[:, None], own[1], one[1]))
+            for rows, own, one in zip(others, there, slots, strict=True)
         ]
 
 
