@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -101,22 +101,58 @@ def check_targets(document: Document, mesh: int, place: Place) -> None:
     if not isinstance(content.get("extras", {}), dict):
         message = '"extras" of its mesh are no object, so there is no place for targetNames and metadata'
         raise UnsupportedFeatureError(message, place)
-    nodes = set(nodes_with(document, mesh))
-    for animation in document.objects("animations"):
-        for channel in objects(animation, "channels", place):
+    moved, nodes = _moved_weights(document), set(nodes_with(document, mesh))
+    if mesh in moved.meshes or nodes & moved.pointed:
+        message = (
+            f"its morph weights are animated through {POINTER_EXTENSION}, which correctives cannot be merged "
+            "with: animate them by a channel of the path weights"
+        )
+        raise UnsupportedFeatureError(message, place)
+    if twice := nodes & moved.twice.keys():
+        node = min(twice)
+        message = (
+            f"animation {moved.twice[node]} has two channels for the morph weights of node {node}, and may "
+            "have one: remove the other"
+        )
+        raise InputError(message, place)
+
+
+class _MovedWeights(NamedTuple):
+    """What animations move the morph weights of.
+
+    channels are the channels of nodes by animation. twice are the nodes with two in one, with its number.
+    pointed and meshes are nodes and meshes whose weights move through pointers.
+    """
+
+    channels: list[dict[int, int]]
+    twice: dict[int, int]
+    pointed: set[int]
+    meshes: set[int]
+
+
+def _moved_weights(document: Document) -> _MovedWeights:
+    known: dict[str, _MovedWeights] = document.derived.setdefault("moved weights", {})
+    if known:
+        return known[""]
+    found = known[""] = _MovedWeights([], {}, set(), set())
+    for number, animation in enumerate(document.objects("animations")):
+        channels: dict[int, int] = {}
+        for position, channel in enumerate(objects(animation, "channels", document.place)):
             target = object_of(channel.get("target"))
+            node = reference(target.get("node"))
+            is_weights = target.get("path") == MORPH_WEIGHTS
+            if is_weights and node is not None and channels.setdefault(node, position) != position:
+                found.twice[node] = number
             extension = object_of(object_of(target.get("extensions")).get(POINTER_EXTENSION))
             pointer = str(extension.get("pointer", "")).partition("/weights")
             path = pointer[0] + pointer[1]
             of_node, of_mesh = POINTER.fullmatch(path), MESH_POINTER.fullmatch(path)
-            if (of_node and of_node[2] == MORPH_WEIGHTS and int(of_node[1]) in nodes) or (
-                of_mesh and int(of_mesh[1]) == mesh
-            ):
-                message = (
-                    f"its morph weights are animated through {POINTER_EXTENSION}, which correctives cannot "
-                    "be merged with: animate them by a channel of the path weights"
-                )
-                raise UnsupportedFeatureError(message, place)
+            if of_node and of_node[2] == MORPH_WEIGHTS:
+                found.pointed.add(int(of_node[1]))
+            if of_mesh:
+                found.meshes.add(int(of_mesh[1]))
+        found.channels.append(channels)
+    return found
 
 
 def with_mesh_correctives(
@@ -292,6 +328,7 @@ def _add_clips(
     place = item.sources[0].place
     changed: list[list[Any]] = []
     before: dict[int, int] = {}
+    moved = _moved_weights(document).channels
     of_clip = {(clip.animation, node): clip for clip in item.clips for node in clip.nodes}
     # A node has no skin where it stands still: it has no clips.
     skins = {
@@ -305,7 +342,7 @@ def _add_clips(
         shared: dict[int | None, int] = {}
         for node, skin in skins.items():
             clip = of_clip.get((number, node))
-            position = _weights_channel(channels, node)
+            position = moved[number].get(node)
             if clip is None and position is None:
                 continue
             sampler = shared.get(skin) if position is None and not there else None
@@ -325,15 +362,6 @@ def _add_clips(
             before[number] = count
             animations[number] = {**animation, "channels": channels, "samplers": samplers}
     return {"channels": changed, "samplers": [list(one) for one in before.items()]}
-
-
-def _weights_channel(channels: Sequence[JsonObject], node: int) -> int | None:
-    """Return the number of the channel that moves the morph weights of a node, None if there is none."""
-    for number, channel in enumerate(channels):
-        target = object_of(channel.get("target"))
-        if target.get("path") == MORPH_WEIGHTS and reference(target.get("node")) == node:
-            return number
-    return None
 
 
 def _keys(

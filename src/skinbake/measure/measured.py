@@ -213,14 +213,15 @@ class _Measurement:
 
 
 def _readable_clips(document: Document, kind: PoseKind) -> tuple[Sequence[Clip], list[Notice]]:
-    """Return the clips of a document. Broken ones give a notice, or InputError if their poses are wanted."""
+    """Return the clips of a document; none, and a notice, if they are broken."""
     try:
         return read_clips(document), []
     except InputError as error:
-        if kind is PoseKind.ANIMATION:
-            advice = "skinbake verify --poses random measures without its clips"
-            raise InputError(f"{error.message}; {advice}", error.place) from error
+        if error is document.budget.refusal:
+            raise
         message = f"its animations are broken, and were not read ({error.message})"
+        if kind is PoseKind.ANIMATION:
+            message += ": random poses are measured in their place. Mend or remove the animations"
         return [], [Notice("animations-broken", message, document.place)]
 
 
