@@ -12,7 +12,7 @@ from skinbake.errors import Notice
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.format.attribute_store import meshopt_of
 from skinbake.format.blend_weights import blend_names
-from skinbake.format.metadata import changed_arrays, corrective_note, read_left, read_metadata, slot_names
+from skinbake.format.metadata import changed_arrays, corrective_notes, read_left, read_metadata, slot_names
 from skinbake.format.stored_slots import NO_METADATA
 from skinbake.freshness.baked_views import is_baked, other_version
 from skinbake.freshness.made_targets import made_states
@@ -156,7 +156,7 @@ def _correctives(
     document: Document, source: PrimitiveSource, primitive: SkinnedPrimitive
 ) -> CorrectiveSummary | None:
     """Return what the metadata of its mesh says of the correctives of a primitive, None if it has none."""
-    note = corrective_note(document.objects("meshes")[source.mesh])
+    note = corrective_notes(document).get(source.mesh)
     if note is None:
         return None
     changed, fit = changed_since(document, source, primitive, note)

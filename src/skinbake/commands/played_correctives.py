@@ -10,7 +10,7 @@ import numpy as np
 
 from skinbake.errors import InputError, Notice, Place
 from skinbake.format.correctives import corrective_digest, nodes_with
-from skinbake.format.metadata import VERSION, changed_arrays, corrective_note, read_metadata
+from skinbake.format.metadata import VERSION, changed_arrays, corrective_notes, read_metadata
 from skinbake.freshness.baked_views import BakedView
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.gltf.accessors import read_accessor
@@ -24,7 +24,7 @@ from skinbake.gltf.animation import (
     read_skeleton,
 )
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, entries_of, reference, text
+from skinbake.gltf.json_access import JsonObject, entries_of, object_of, reference, text
 from skinbake.gltf.morphs import resting_weights
 from skinbake.gltf.primitives import PrimitiveSource
 from skinbake.truth.poses import STEPS_A_CHANNEL, joint_clips, pose_steps
@@ -43,10 +43,8 @@ A tool that drops the keys that others imply within 1e-4 changes them by up to 3
 
 def damaged_correctives(document: Document) -> Iterator[Notice]:
     """Yield a problem for each mesh whose targets or metadata are not those of a bake."""
-    for number, mesh in enumerate(document.objects("meshes")):
-        note = corrective_note(mesh)
-        if note is None:
-            continue
+    for number, note in corrective_notes(document).items():
+        mesh = document.objects("meshes")[number]
         place = Place(document.name, number, text(mesh, "name", document.place))
         primitives = entries_of(mesh.get("primitives"))
         if note["version"] != VERSION:
@@ -80,8 +78,8 @@ def changed_since(
 
     They fit if each vertex has what it had, in whatever order. Raises InputError if a target is broken.
     """
-    entries = entries_of(note.get("primitives"))
-    entry = entries[source.primitive] if source.primitive < len(entries) else {}
+    entries = note.get("primitives", [])
+    entry = object_of(entries[source.primitive]) if source.primitive < len(entries) else {}
     if "digest" not in entry:
         return (), True
     targets = corrective_targets(document, source, int(note["targets"]), len(primitive.positions))
@@ -196,10 +194,7 @@ class PlayedCorrectives:
 
     def __init__(self, document: Document) -> None:
         self._document = document
-        notes = {
-            n: note for n, one in enumerate(document.objects("meshes")) if (note := corrective_note(one))
-        }
-        self.targets = {mesh: int(note["targets"]) for mesh, note in notes.items()}
+        self.targets = {mesh: int(note["targets"]) for mesh, note in corrective_notes(document).items()}
 
     @cached_property
     def clips(self) -> dict[int, Clip]:

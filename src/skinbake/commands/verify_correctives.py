@@ -19,7 +19,7 @@ from skinbake.commands.played_correctives import (
     played_clips,
 )
 from skinbake.errors import Notice, Place
-from skinbake.format.metadata import corrective_note
+from skinbake.format.metadata import corrective_notes
 from skinbake.format.strip import uncorrected
 from skinbake.freshness.baked_views import baked_views, gathered_together
 from skinbake.freshness.made_targets import made_states
@@ -124,7 +124,7 @@ def _freshness(document: Document, sources: Sequence[PrimitiveSource]) -> Check:
     problems = [state.notice for state in made_states(document) if state.changed]
     moved: dict[str, None] = {}
     for source in sources:
-        note = corrective_note(document.objects("meshes")[source.mesh])
+        note = corrective_notes(document).get(source.mesh)
         if note is None:
             continue
         changed, fit = changed_since(document, source, read_primitive(document, source), note)
@@ -136,12 +136,10 @@ def _freshness(document: Document, sources: Sequence[PrimitiveSource]) -> Check:
         else:
             message = f"its corrective normals are not those of the bake any more: {BAKE}"
             problems.append(Notice("stale-targets", message, source.place))
-    for number, mesh in enumerate(document.objects("meshes")):
-        note = corrective_note(mesh)
-        if note is not None:
-            place = Place(document.name, number, text(mesh, "name", document.place))
-            stale = dict.fromkeys(_stale_clips(document, number, note))
-            problems += [Notice("stale-clips", f"{message}: {BAKE}", place) for message in stale]
+    for number, note in corrective_notes(document).items():
+        place = Place(document.name, number, text(document.objects("meshes")[number], "name", document.place))
+        stale = dict.fromkeys(_stale_clips(document, number, note))
+        problems += [Notice("stale-clips", f"{message}: {BAKE}", place) for message in stale]
     remark = f"{', '.join(moved)} changed since the bake, and the correctives still fit" if moved else ""
     return Check("freshness", "failed" if problems else "passed", tuple(problems), remark)
 

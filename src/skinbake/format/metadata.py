@@ -264,6 +264,15 @@ def corrective_note(mesh: JsonObject) -> JsonObject | None:
     return {**sound, "version": version, "targets": targets}
 
 
+def corrective_notes(document: Document) -> dict[int, JsonObject]:
+    """Return the metadata of correctives by mesh. They are read once: each lists all primitives."""
+    known: dict[str, dict[int, JsonObject]] = document.derived.setdefault("corrective notes", {})
+    if not known:
+        notes = ((number, corrective_note(mesh)) for number, mesh in enumerate(document.objects("meshes")))
+        known[""] = {number: note for number, note in notes if note is not None}
+    return known[""]
+
+
 def refuse_other_kind(document: Document, *, correctives: bool) -> None:
     """Raise InputError if a document has the other kind of bake: α/β for correctives, and the reverse."""
     for number, mesh in enumerate(document.objects("meshes")):
