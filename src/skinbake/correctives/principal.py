@@ -13,6 +13,8 @@ depends on the processor, so:
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, blocks
@@ -22,11 +24,14 @@ STEPS = 2.0**20
 
 ROWS = 1 << 12
 
-BLOCK, ITERATIONS = 6, 60
-"""The vectors beside the wanted ones that are iterated with them, and how often."""
+BLOCK, ITERATIONS, SETTLED = 6, 60, 1e-15
+"""The vectors beside the wanted ones that are iterated with them, and how often at most.
+
+They are settled when the wanted ones, in the share of their eigenvalues, change by no more: that is rounding.
+"""
 
 SWEEPS = 12
-"""The sweeps of Jacobi's rotations: a small matrix is diagonal to the last bit after about six."""
+"""The sweeps of Jacobi's rotations at most: a small matrix is diagonal to the last bit after about six."""
 
 REFINEMENTS = 4
 """The rounds of alternating least squares."""
@@ -64,14 +69,19 @@ def leading(matrix: Float64Array, count: int) -> tuple[Float64Array, Float64Arra
     # Columns that stand evenly apart span all samples.
     vectors = _orthonormal(matrix[:, np.arange(size) * len(matrix) // size])
     values = np.zeros(size)
+    found = np.zeros((len(matrix), 0))
     for _ in range(ITERATIONS):
         vectors = _orthonormal(_product(matrix, vectors))
         values, turns = _jacobi(_product(vectors.T, _product(matrix, vectors)))
         vectors = _product(vectors, turns)
-    order = np.argsort(-values, kind="stable")[:count]
-    found = vectors[:, order]
-    signs = np.sign(found[np.abs(found).argmax(axis=0), np.arange(found.shape[1])])
-    return np.maximum(values[order], 0.0), found * np.where(signs == 0.0, 1.0, signs)
+        order = np.argsort(-values, kind="stable")[:count]
+        before, found = found, vectors[:, order]
+        signs = np.sign(found[np.abs(found).argmax(axis=0), np.arange(found.shape[1])])
+        found = found * np.where(signs == 0.0, 1.0, signs)
+        shares = values[order] / max(float(values[order[0]]), 1e-300)
+        if before.size and (np.abs(found - before) * np.abs(shares)).max() <= SETTLED:
+            break
+    return np.maximum(values[order], 0.0), found
 
 
 def _product(a: Float64Array, b: Float64Array) -> Float64Array:
@@ -84,33 +94,40 @@ def _orthonormal(vectors: Float64Array) -> Float64Array:
     """Return columns (R, N) that are orthonormal or 0, by Gram and Schmidt, twice for the last digits."""
     found = np.ascontiguousarray(vectors.T)
     for _ in range(2):
+        before = np.sqrt((found * found).sum(axis=1))
         for number in range(len(found)):
-            vector = found[number].copy()
-            before = float(np.sqrt((vector * vector).sum()))
-            for other in found[:number]:
-                vector = vector - (vector * other).sum() * other
-            length = float(np.sqrt((vector * vector).sum()))
-            found[number] = vector * (1.0 / length if length > 1e-12 * before else 0.0)
+            length = float(np.sqrt((found[number] * found[number]).sum()))
+            found[number] *= 1.0 / length if length > 1e-12 * before[number] else 0.0
+            later = found[number + 1 :]
+            later -= (later * found[number]).sum(axis=1)[:, None] * found[number]
     return np.ascontiguousarray(found.T)
 
 
 def _jacobi(matrix: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Return the eigenvalues (N,) and vectors (N, N) of a small symmetric matrix, by cyclic rotations."""
-    a, turns = matrix.copy(), np.eye(len(matrix))
+    # For so few numbers, lists are faster than arrays.
+    a, size = matrix.tolist(), len(matrix)
+    vectors = np.eye(size).tolist()
     for _ in range(SWEEPS):
-        for p in range(len(a)):
-            for q in range(p + 1, len(a)):
-                if abs(a[p, q]) <= 1e-20 * (abs(a[p, p]) + abs(a[q, q])):
+        is_diagonal = True
+        for p in range(size):
+            for q in range(p + 1, size):
+                if abs(a[p][q]) <= 1e-20 * (abs(a[p][p]) + abs(a[q][q])):
                     continue  # nothing is left to rotate
-                ratio = (a[q, q] - a[p, p]) / (2.0 * a[p, q])
-                t = (1.0 if ratio >= 0.0 else -1.0) / (abs(ratio) + np.sqrt(1.0 + ratio * ratio))
-                c = 1.0 / np.sqrt(1.0 + t * t)
+                is_diagonal = False
+                ratio = (a[q][q] - a[p][p]) / (2.0 * a[p][q])
+                t = (1.0 if ratio >= 0.0 else -1.0) / (abs(ratio) + sqrt(1.0 + ratio * ratio))
+                c = 1.0 / sqrt(1.0 + t * t)
                 s = t * c
-                for rows in (a, a.T, turns.T):
-                    one, two = rows[p].copy(), rows[q].copy()
-                    rows[p], rows[q] = c * one - s * two, s * one + c * two
-                a[p, q] = a[q, p] = 0.0
-    return np.diag(a).copy(), turns
+                one, two = a[p], a[q]
+                a[p] = [c * x - s * y for x, y in zip(one, two, strict=True)]
+                a[q] = [s * x + c * y for x, y in zip(one, two, strict=True)]
+                for row in (*a, *vectors):
+                    row[p], row[q] = c * row[p] - s * row[q], s * row[p] + c * row[q]
+                a[p][q] = a[q][p] = 0.0
+        if is_diagonal:
+            break
+    return np.diag(a).copy(), np.array(vectors)
 
 
 def refined(
