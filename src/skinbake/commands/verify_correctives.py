@@ -27,6 +27,7 @@ from skinbake.freshness.staleness import surface_operator
 from skinbake.geometry.poses import normalised
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import (
+    MORPH_WEIGHTS,
     PATHS,
     Clip,
     Skeleton,
@@ -45,7 +46,6 @@ from skinbake.measure.morphing import morphing_of
 from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import Check, FileVerdict, Mixture
 from skinbake.timing import stage
-from skinbake.truth.poses import joint_clips
 from skinbake.wording import counted
 
 WORSE, ROUNDING = 1.005, 1e-3
@@ -212,7 +212,14 @@ class _Measured:
             mesh = next((v.source.mesh for v in draw.views if v.source.mesh in self.played.targets), None)
             if mesh is None or draw.corrections is None:
                 continue
-            moving = joint_clips(self._document, draw.skin, list(self.played.clips.values()))
+            skeleton = read_skeleton(self._document, draw.skin)
+            nodes = set(skeleton.nodes)
+            # The poses of the draw have claimed the work of looking for them.
+            moving = [
+                clip
+                for clip in self.played.clips.values()
+                if any(one.path != MORPH_WEIGHTS and one.node in nodes for one in clip.channels)
+            ]
             # The weights of correctives by clip and primitive, and those of the file's own targets by clip.
             playing, times, weights = list[Clip](), list[Float64Array](), list[list[Float64Array]]()
             drawn = draw.skin, draw.node
@@ -228,7 +235,6 @@ class _Measured:
             if not playing:
                 continue
             place = draw.views[0].source.place._replace(primitive=None)
-            skeleton = read_skeleton(self._document, draw.skin)
             own = [self._own_weights(draw, *pair) for pair in zip(playing, times, strict=True)]
             if len(playing) == 2:
                 first, second = (clip_values(*pair) for pair in zip(playing, times, strict=True))
