@@ -25,6 +25,7 @@ from skinbake.measure.angles import (
     truths_at_rest,
 )
 from skinbake.measure.draws import Draw, draws, true_surfaces
+from skinbake.measure.float32 import Rounding, rounding_of
 from skinbake.measure.morphing import morph_count, morphing_of
 from skinbake.measure.options import VerifyOptions, limits_check
 from skinbake.measure.reliefs import ReliefTallies
@@ -105,10 +106,11 @@ class _Measurement:
                 self._tallies.expect(method, drawn)
                 for draw in drawn:
                     self._measure(method, draw, again=method != methods[-1])
+            rounded = list(_rounded(drawn)) if "lbs" in methods else []
             with stage("figures"):
                 verdict = self._verdict(drawn, tuple(scaled) if {"dqs", "blend"} & {*methods} else ())
         morphs = morph_count(self._document, [(draw.views[0].source.mesh, draw.poses) for draw in drawn])
-        notices = *self._unread, *left_out, *dict.fromkeys(mirrored(drawn))
+        notices = *self._unread, *left_out, *dict.fromkeys(mirrored(drawn)), *rounded
         return replace(verdict, notices=notices, morphs=morphs)
 
     def _measure(self, method: str, draw: Draw, *, again: bool) -> None:
@@ -325,6 +327,29 @@ def mirrored(drawn: Sequence[Draw]) -> Iterator[Notice]:
                 "with --mirrored-joints, so that normals stay outside"
             )
             yield Notice("joints-mirror", message, draw.views[0].source.place._replace(primitive=None), count)
+
+
+def _rounded(drawn: Sequence[Draw]) -> Iterator[Notice]:
+    """Yield a notice for each primitive whose accurate normals float32 spoils in its poses."""
+    worst: dict[Place, Rounding] = {}
+    for draw in drawn:
+        for view, rest in zip(draw.views, draw.rest, strict=True):
+            found = rounding_of(rest, draw.poses.joint_matrices)
+            if found is not None:
+                worst[view.source.place] = max(found, worst.get(view.source.place, found))
+    for place, found in worst.items():
+        what = (
+            f"in float32, as GPUs compute, rounding turns accurate normals by up to {found.angle:.2g}° at "
+            f"{counted(found.vertices, 'vertex', 'vertices')}, because "
+        )
+        distance = f"{float(f'{found.distance:.3g}'):,.10g}"
+        why = f"its poses take it {distance} length units from the origin: move it nearer"
+        if found.is_steep:
+            why = (
+                "α and β are too large there: run skinbake bake again, or, if the bake is fresh, merge the "
+                "vertices that nearly coincide"
+            )
+        yield Notice("float32", what + why, place, found.vertices)
 
 
 def scaled_joints(rest: Sequence[RestPrimitive], poses: PoseSet) -> list[str]:
