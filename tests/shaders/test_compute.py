@@ -192,10 +192,13 @@ def pass_of(choices: ShaderChoices, number: int) -> Pass:
         pose = 4  # mirrors
     joint_type, top = (np.uint8, np.uint16, np.uint32)[number // 2 % 3], (0, 255, 65535)[number % 3]
     count, width = len(scene.positions), 4 * choices.influence_sets
-    weights: npt.NDArray[Any] = scene.weights
+    weights: npt.NDArray[Any] = scene.weights.copy()
     if top:
         weights = np.round(scene.weights * top).astype(np.uint8 if top == 255 else np.uint16)
         scene = replace(scene, weights=(weights / top).astype(np.float32))
+    # A vertex without any weight is bound to the joint of slot 0.
+    weights[1], scene = 0, replace(scene, weights=scene.weights.copy())
+    scene.weights[1] = np.eye(choices.influences)[0]
     scene, slopes = stored(choices, scene, rng)
     wide = {"joints": scene.joints.astype(joint_type), "weights": weights}
     sets = {

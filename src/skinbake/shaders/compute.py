@@ -23,6 +23,13 @@ MATRICES = {
 }
 """The type of a joint's motion."""
 
+POSITIVE = {
+    Language.GLSL: "any(greaterThan({}, vec4(0.0)))",
+    Language.WGSL: "any({} > vec4<f32>(0.0))",
+    Language.HLSL: "any({} > 0.0)",
+}
+"""Whether one of four weights is positive."""
+
 HEAD = (
     *("vertices", "targets", "joint_size", "weight_size"),
     *("posed_stride", "posed_position", "posed_normal", "posed_tangent"),
@@ -96,6 +103,7 @@ def compute_context(
         else MATRICES[choices.language][Method.LBS if choices.method is Method.LBS else Method.DQS],
         "motion_name": "M" if choices.method is Method.LBS else "Q",
         "scales_joints": choices.method is Method.DQS and not choices.scaled_joints,
+        "is_bound": " || ".join(POSITIVE[choices.language].format(f"weights_{number}") for number in sets),
         "slot_joints": [f"joints_{slot // 4}.{'xyzw'[slot % 4]}" for slot in range(choices.influences)],
         "morphed": _sums(choices),
         "arguments_of_compute": given,

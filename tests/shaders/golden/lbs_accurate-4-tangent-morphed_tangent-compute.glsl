@@ -250,6 +250,9 @@ void main()
     vec4 weights_0 = skinbake_weights(skinbake_draw.weights_0, vertex);
     vec3 alpha_0 = skinbake_vec3(skinbake_draw.alpha_0, vertex);
     vec3 beta_0 = skinbake_vec3(skinbake_draw.beta_0, vertex);
+    if (!(any(greaterThan(weights_0, vec4(0.0))))) {
+        weights_0 = vec4(1.0, 0.0, 0.0, 0.0); // bound to slot 0, as bake takes it
+    }
     vec3 morphed_position = position;
     vec3 morphed_normal = normal;
     vec3 morphed_tangent = tangent.xyz;

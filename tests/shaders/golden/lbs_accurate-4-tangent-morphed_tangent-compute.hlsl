@@ -249,6 +249,9 @@ void main(uint3 id : SV_DispatchThreadID)
     float4 weights_0 = skinbake_weights(skinbake_draw_weights_0, vertex);
     float3 alpha_0 = skinbake_vec3(skinbake_draw_alpha_0, vertex);
     float3 beta_0 = skinbake_vec3(skinbake_draw_beta_0, vertex);
+    if (!(any(weights_0 > 0.0))) {
+        weights_0 = float4(1.0, 0.0, 0.0, 0.0); // bound to slot 0, as bake takes it
+    }
     float3 morphed_position = position;
     float3 morphed_normal = normal;
     float3 morphed_tangent = tangent.xyz;

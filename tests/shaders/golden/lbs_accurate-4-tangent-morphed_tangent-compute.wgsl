@@ -216,9 +216,12 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let normal = skinbake_normal(skinbake_draw.normal, vertex);
     let tangent = skinbake_vec4(skinbake_draw.tangent, vertex);
     let joints_0 = skinbake_integers(skinbake_draw.joints_0, vertex, skinbake_draw.joint_size);
-    let weights_0 = skinbake_weights(skinbake_draw.weights_0, vertex);
+    var weights_0 = skinbake_weights(skinbake_draw.weights_0, vertex);
     let alpha_0 = skinbake_vec3(skinbake_draw.alpha_0, vertex);
     let beta_0 = skinbake_vec3(skinbake_draw.beta_0, vertex);
+    if (!(any(weights_0 > vec4<f32>(0.0)))) {
+        weights_0 = vec4<f32>(1.0, 0.0, 0.0, 0.0); // bound to slot 0, as bake takes it
+    }
     var morphed_position = position;
     var morphed_normal = normal;
     var morphed_tangent = tangent.xyz;

@@ -109,6 +109,9 @@ void main()
 //% for column in compute_reads
     @{ types[column.type] } @{ column.name } = @{ column.call };
 //% endfor
+    if (!(@{ is_bound })) {
+        weights_0 = vec4(1.0, 0.0, 0.0, 0.0); // bound to slot 0, as bake takes it
+    }
 //% if morphs != "none"
 //%   for sum in morphed
     @{ types[sum.type] } @{ sum.variable } = @{ sum.start };

@@ -107,6 +107,9 @@ void main(uint3 id : SV_DispatchThreadID)
 //% for column in compute_reads
     @{ types[column.type] } @{ column.name } = @{ column.call | replace("skinbake_draw.", "skinbake_draw_") };
 //% endfor
+    if (!(@{ is_bound })) {
+        weights_0 = float4(1.0, 0.0, 0.0, 0.0); // bound to slot 0, as bake takes it
+    }
 //% if morphs != "none"
 //%   for sum in morphed
     @{ types[sum.type] } @{ sum.variable } = @{ sum.start };

@@ -96,8 +96,11 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
 //% for column in compute_reads
-    @{ "var" if scales_joints and column.name == "position" else "let" } @{ column.name } = @{ column.call };
+    @{ "var" if column.name == "weights_0" or (scales_joints and column.name == "position") else "let" } @{ column.name } = @{ column.call };
 //% endfor
+    if (!(@{ is_bound })) {
+        weights_0 = vec4<f32>(1.0, 0.0, 0.0, 0.0); // bound to slot 0, as bake takes it
+    }
 //% if morphs != "none"
 //%   for sum in morphed
     var @{ sum.variable } = @{ sum.start };
