@@ -201,6 +201,7 @@ class MeshReport {
 }
 
 const NOT_ASKED = 'applySkinbake has not been called for it';
+const ASK = 'Register SkinbakePlugin wherever its file is loaded, in useGLTF.preload() too';
 const UNDRAWN = ['not drawn', 'it has not been drawn yet'];
 
 function strangeness(mesh) {
@@ -661,10 +662,14 @@ export function framedBy({ geometry }, { normalMap, clearcoatNormalMap, anisotro
     return geometry.attributes.tangent && (normalMap || anisotropy > 0) ? 'tangent' : 'derivatives';
 }
 
-// Watch each draw of skinned meshes, of whatever origin: gltfjsx and clone() make new ones.
 function install() {
     for (const backend of state.backends.values()) backend.install();
-    const { prototype } = state.three.SkinnedMesh;
+    watch(state.three.SkinnedMesh);
+}
+
+// Watch each draw of skinned meshes, of whatever origin: gltfjsx and clone() make new ones. A module does so when it is
+// imported: a page may load its file in another way, too, and then not even make a plugin.
+export function watch({ prototype }) {
     if (Object.hasOwn(prototype, 'onBeforeRender')) return;
     // They stay after dispose(), because they hold what is assigned to meshes.
     for (const name of Object.keys(HOOKS)) Object.defineProperty(prototype, name, hook(name, prototype[name]));
@@ -736,13 +741,27 @@ function meet(renderer, mesh, geometry) {
     forget(geometry);
     const method = adopted?.method ?? methodOf(geometry);
     if (method) adoptDrawn(renderer, mesh, geometry, method);
-    else if (state.count > 0 && !state.passed.has(geometry)) {
-        state.passed.add(geometry);
-        const problem = problemOfGeometry(geometry);
-        if (problem !== NOT_BAKED) tell(mesh, problem || NOT_ASKED);
-    }
+    else meetUnasked(mesh, geometry);
     // Without alpha and beta, the shader must not take it for a baked one.
     if (!state.geometries.has(geometry)) delete geometry.attributes[STORAGE];
+}
+
+let isWaiting = false; // whether a page that has asked for nothing has drawn a baked mesh
+
+// Such a page may still call applySkinbake after its first frame, which may be its only one.
+function meetUnasked(mesh, geometry) {
+    const isUsed = state.count > 0;
+    if (isUsed ? state.passed.has(geometry) : state.three || isWaiting) return;
+    if (isUsed) state.passed.add(geometry);
+    const problem = problemOfGeometry(geometry);
+    if (problem === NOT_BAKED) return;
+    const act = () => tell(mesh, problem || `${NOT_ASKED}. ${ASK}`);
+    if (isUsed) {
+        act();
+    } else {
+        isWaiting = true;
+        setTimeout(() => state.three || act(), SETTLED);
+    }
 }
 
 // Return the method of a geometry that was asked for, or of a clone of it: also one that toJSON() has written, whose

@@ -17,7 +17,7 @@ import {
     ShaderLib,
     SkinnedMesh,
 } from 'three';
-import { apply, applyToAll, DUAL, framedBy, MOVED, serve, sheetOf } from './core.js';
+import { apply, applyToAll, DUAL, framedBy, MOVED, serve, sheetOf, watch } from './core.js';
 import {
     AFTER_ANISOTROPY,
     AFTER_FRAME,
@@ -188,3 +188,5 @@ function serveWebGL() {
     const classes = { BufferAttribute, DataTexture, FloatType, InstancedBufferAttribute, SkinnedMesh };
     serve('webgl', backend, classes, REVISION, 160);
 }
+
+watch(SkinnedMesh);

@@ -76,6 +76,7 @@ import {
     serve,
     sheetOf,
     state,
+    watch,
     WIDTH,
 } from './core.js';
 
@@ -569,3 +570,5 @@ function serveWebGPU() {
     const classes = { BufferAttribute, DataTexture, FloatType, InstancedBufferAttribute, SkinnedMesh };
     serve('webgpu', backend, classes, REVISION, 185);
 }
+
+watch(SkinnedMesh);

@@ -1,4 +1,4 @@
-"""The npm packages as projects use them: installed as their readmes say, and built by vite.
+"""The npm packages as projects use them: installed as their readmes say, before another, and built by vite.
 
 No alias and no import map helps: what a page imports, the bundler has to find. Each page draws a character by
 the oldest and the newest engine, and its normals are held against the replay.
@@ -80,18 +80,18 @@ def version_of(package: str) -> str:
     return str(json.loads(text)["version"])
 
 
-def install_command(package: str) -> list[str]:
-    """Return the arguments of npm in the readme of a package, with the folder of this checkout."""
+def install_command(package: str) -> str:
+    """Return the command of the readme of a package, with the folder of this checkout."""
     readme = (engines_folder() / package / "README.md").read_text(encoding="utf-8")
-    found = re.search(rf"^npm (install .*CHECKOUT/engines/{package})", readme, re.MULTILINE)
+    found = re.search(rf"^npm install .*CHECKOUT/engines/{package}\S*", readme, re.MULTILINE)
     assert found
-    return found[1].replace("CHECKOUT", str(engines_folder().parent)).split()
+    return found[0].replace("CHECKOUT", str(engines_folder().parent))
 
 
-def npm(project: Path, *arguments: str) -> None:
-    command = [required_program("npm"), *arguments, "--offline", "--no-audit", "--no-fund"]
+def run(project: Path, command: str) -> None:
+    required_program("npm")
     done = subprocess.run(
-        command, cwd=project, capture_output=True, encoding="utf-8", timeout=300, check=False
+        ["sh", "-c", command], cwd=project, capture_output=True, encoding="utf-8", timeout=300, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
 
@@ -113,8 +113,13 @@ def apps(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Case], Path]:
                 link.parent.mkdir(parents=True, exist_ok=True)
                 link.symlink_to(package_folder(folder).resolve())
             (project / "package.json").write_text('{"name": "project", "private": true, "type": "module"}')
-            (project / ".npmrc").write_text("legacy-peer-deps=true")
-            npm(project, *install_command(case.package))
+            (project / ".npmrc").write_text("legacy-peer-deps=true\noffline=true\naudit=false\nfund=false\n")
+            later = project.parent / "later"
+            later.mkdir()
+            (later / "package.json").write_text('{"name": "later", "version": "1.0.0"}')
+            for command in (install_command(case.package), "npm install ../later", "npm ci"):
+                run(project, command)
+            assert not (project / "node_modules" / f"skinbake-{case.package}").is_symlink()
             build(project, HERE / "pages" / case.page)
             made[key] = project / "dist"
         return made[key]

@@ -14,6 +14,10 @@ import * as skinbake from 'skinbake-three';
 import { base64 } from '/support/base64.mjs';
 import { parented, pass, posed, skinnedMeshes, stretch } from './posed.mjs';
 
+// A page that has used the package is not told of what it draws before it asks for more.
+skinbake.applySkinbake(new THREE.Group());
+skinbake.dispose(new THREE.Group());
+
 const renderer = new THREE.WebGLRenderer({ antialias: false });
 renderer.setSize(64, 64);
 document.body.append(renderer.domElement);

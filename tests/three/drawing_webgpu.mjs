@@ -13,6 +13,10 @@ import * as skinbake from 'skinbake-three/webgpu';
 import { base64 } from '/support/base64.mjs';
 import { parented, pass, posed, skinnedMeshes, stretch } from './posed.mjs';
 
+// A page that has used the package is not told of what it draws before it asks for more.
+skinbake.applySkinbake(new THREE.Group());
+skinbake.dispose(new THREE.Group());
+
 CAPTURE.names = ['v_normalViewGeometry'];
 
 const SIZE = 96;

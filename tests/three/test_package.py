@@ -564,7 +564,8 @@ def test_meshes_that_are_not_lit_accurately_are_told_of_once(stage: ThreeStage) 
         "batched": "three.js does not skin a BatchedMesh",
         "instanced": "three.js does not skin an InstancedMesh",
         "still": "three.js does not skin a Mesh",
-        "later": "applySkinbake has not been called for it",
+        "later": "applySkinbake has not been called for it. "
+        "Register SkinbakePlugin wherever its file is loaded, in useGLTF.preload() too",
     }
     assert stage.page.messages() == [
         f'skinbake: "{name}" has three.js\'s standard lighting: {reason}' for name, reason in reasons.items()

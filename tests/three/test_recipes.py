@@ -43,11 +43,11 @@ def test_the_import_maps_have_what_the_modules_import() -> None:
         assert (folder / path).exists()
 
 
-@pytest.mark.slow
-def test_react_three_fiber_built_by_vite_keeps_inline_materials_accurate(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build the page of react-three-fiber, and return its folder."""
     require_node("vite", "react", "react-dom", "@react-three/fiber", "three")
-    project = tmp_path / "project"
-    project.mkdir()
+    project = tmp_path_factory.mktemp("project")
     (project / "node_modules").symlink_to(package_folder("vite").parent)
     build_page(
         project,
@@ -55,7 +55,12 @@ def test_react_three_fiber_built_by_vite_keeps_inline_materials_accurate(tmp_pat
         {"skinbake-three": str(PACKAGE / "index.js")},
         define={"process.env.NODE_ENV": '"production"'},
     )
-    with opened_page(PAGE, tmp_path, {"built": project / "dist"}) as (page, models):
+    return project / "dist"
+
+
+@pytest.mark.slow
+def test_react_three_fiber_built_by_vite_keeps_inline_materials_accurate(built: Path, tmp_path: Path) -> None:
+    with opened_page(PAGE, tmp_path, {"built": built}) as (page, models):
         character = ThreeStage(page, models).character(TUBE, BENT)
         found = page.call("show", character.told(Placement()))["found"]
         assert [line for line in page.messages() if "skinbake" in line] == []
@@ -67,3 +72,22 @@ def test_react_three_fiber_built_by_vite_keeps_inline_materials_accurate(tmp_pat
         world = one["reports"][0][2]
         assert largest(one["values"], expected(character, world)) < DEGREES
         assert largest(one["values"], expected(character, world, Algorithm.LBS_STANDARD)) > 10
+
+
+@pytest.mark.slow
+def test_a_file_that_is_preloaded_without_the_plugin_is_told_of(built: Path, tmp_path: Path) -> None:
+    """As gltfjsx writes it. With the plugin in both places, as the readme has it, it is lit accurately."""
+    with opened_page(PAGE, tmp_path, {"built": built}) as (page, models):
+        stage = ThreeStage(page, models)
+        url = stage.character(TUBE, BENT).told(Placement())["url"]
+        assert page.call("preloaded", {"url": url, "isExtended": False}) == ["standard"]
+        said: list[str] = []
+        while not said:
+            page.call("(() => new Promise(requestAnimationFrame))")
+            said = [line for line in page.messages() if "skinbake" in line]
+        assert said == [
+            'skinbake: "tube" has three.js\'s standard lighting: applySkinbake has not been called for it. '
+            "Register SkinbakePlugin wherever its file is loaded, in useGLTF.preload() too"
+        ]
+        assert page.call("preloaded", {"url": f"{url}?again", "isExtended": True}) == ["accurate"]
+        assert [line for line in page.messages() if "skinbake" in line] == []

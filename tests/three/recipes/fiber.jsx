@@ -1,6 +1,6 @@
 // The recipe for react-three-fiber: what gltfjsx writes, with a material inline that is replaced.
 
-import { createRoot, extend, useThree } from '@react-three/fiber';
+import { createRoot, extend, useLoader } from '@react-three/fiber';
 import React from 'react';
 import * as THREE from 'three';
 import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
@@ -54,4 +54,28 @@ window.show = async ({ url, pose }) => {
         found.push({ values: btoa(Array.from(new Uint8Array(values.buffer), (c) => String.fromCharCode(c)).join('')), reports });
     }
     return { found, world };
+};
+
+const accurately = (loader) => loader.register((parser) => new SkinbakePlugin(parser));
+
+// What gltfjsx and useGLTF do: the file is loaded before the component asks for it, with the function or without it.
+// Return the lighting of each mesh.
+window.preloaded = async ({ url, isExtended }) => {
+    useLoader.preload(GLTFLoader, url, isExtended ? accurately : undefined);
+    function Hero() {
+        return <primitive object={useLoader(GLTFLoader, url, accurately).scene} />;
+    }
+    const root = createRoot(document.body.appendChild(document.createElement('canvas')));
+    await root.configure({ frameloop: 'never', size: { width: 64, height: 64, top: 0, left: 0 } });
+    const { getState } = root.render(<React.Suspense fallback={null}><Hero /></React.Suspense>);
+    const meshes = [];
+    while (!meshes.length) {
+        await new Promise((resolve) => setTimeout(resolve, 50));
+        getState().scene.traverse((object) => object.isSkinnedMesh && meshes.push(object));
+    }
+    for (const mesh of meshes) mesh.frustumCulled = false;
+    const { gl, scene, camera } = getState();
+    for (let frame = 0; frame < 2; frame++) gl.render(scene, camera);
+    const programs = meshes.map(({ material }) => gl.properties.get(material).currentProgram.getAttributes());
+    return programs.map((attributes) => ('morphSkinbakeAlpha' in attributes ? 'accurate' : 'standard'));
 };
