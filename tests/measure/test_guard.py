@@ -273,6 +273,17 @@ def test_the_kept_eighths_follow_from_what_is_stored() -> None:
     assert one[1] == other[0] < 5
 
 
+def test_numbers_that_an_encoding_has_shortened_tell_nothing_of_the_kept_eighths() -> None:
+    slots = np.random.default_rng(1).uniform(1.0, 2.0, size=(2, 4, 3))
+    slots[:, 2] *= 1000.0
+    classes = [np.arange(4)]
+    stored = [(0.5 * slots[0], 0.5 * slots[1])]
+    largest = np.abs(stored[0]).max(axis=(0, 2), keepdims=True)
+    cut = stored[0] * np.minimum(1.0, 10.0 / largest)
+    (found,) = kept_eighths([(slots[0], slots[1])], [(cut[0], cut[1])], classes, [True], 10.0)
+    assert found.tolist() == [4, 4, EIGHTHS, 4]
+
+
 def test_primitives_that_keep_all_keep_every_bit() -> None:
     slots = np.random.default_rng(0).normal(size=(2, 4, 3)).astype(np.float32)
     [(alpha, beta)] = scaled([(slots[0], slots[1])], [np.arange(4)], [None])
