@@ -419,7 +419,7 @@ class TestProgress:
         plain = invoke(command, *models, *options, "-q")
         assert plain.stderr == ""
         assert next(line for line in result.stdout.splitlines() if ".gl" in line).startswith(str(models[0]))
-        assert result.stdout.count("dry run" if command == "bake" else ": not baked\n") == len(models)
+        assert result.stdout.count("dry run" if command == "bake" else ", run skinbake bake\n") == len(models)
 
     def test_a_log_gets_nothing(self, tmp_path: Path) -> None:
         models = [FOLDER / name for name in FIXTURES if name != "foreign_joints.glb"]

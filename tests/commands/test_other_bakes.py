@@ -92,6 +92,6 @@ def test_a_missed_limit_names_a_bake_that_is_nearer(tmp_path: Path) -> None:
     then = baked(source, tmp_path / "other.glb", "--correctives", "auto")
     result = invoke("verify", tmp_path / "out.glb", "--max-mean-error", "0.5")
     assert result.exit_code == 1
-    assert f"--correctives auto leaves {left_by(then):.2f}°" in result.stdout
+    assert f"{left_by(then):.2f}° with --correctives auto" in result.stdout
     assert "Next: bake with --correctives auto, or change the limit." in result.stdout
     assert invoke("verify", tmp_path / "other.glb", "--max-mean-error", "0.5").exit_code == 0

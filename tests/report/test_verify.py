@@ -292,7 +292,7 @@ OTHERS = (OtherBake("--gradients poses", 0.8), OtherBake("--correctives auto", 0
 @pytest.mark.parametrize("accurate", [3.9, 2.5, 1.0])
 def test_bakes_that_are_better_are_named_in_words_and_in_json(accurate: float) -> None:
     found = replace(PASSED, normals=lit(4.0, accurate), by_triangles=None, others=OTHERS)
-    told = f"--gradients poses leaves 0.80°, and --correctives auto 0.50°, this one {accurate:.2f}°."
+    told = f"0.80° with --gradients poses, 0.50° with --correctives auto, {accurate:.2f}° with this one."
     step = "Next: bake with --gradients poses or --correctives auto"
     for text_of in (as_text, as_brief):
         assert text_of(found).endswith(f"  Another bake is better: {told} {step}.")

@@ -83,11 +83,14 @@ def _measured(
     for words, chosen in ways:
         if "neighbours" in chosen and not overflows:
             continue
+        held = plain.budget.held
         try:
             made = Baker(**chosen).bake_document(plain)
             figures = by_worse_truth(measured(made.document, options)) if made.is_baked else {}
         except SkinbakeError:
             continue
+        finally:
+            plain.budget.held = held  # of one at a time
         if not chosen:
             overflows = any(count.overflowing_vertices for _, count in made.primitives)
         if figures:

@@ -421,12 +421,12 @@ def conclusion(verdict: FileVerdict) -> Conclusion | None:
 
 def _on_others(others: Sequence[OtherBake], figures: Mapping[str, ErrorFigures]) -> Conclusion:
     """Return what figures come to if other bakes are better."""
-    best, *further = others
-    sentence = f"Another bake is better: {best.options} leaves {best.error:.2f}°"
-    sentence += "".join(f", and {one.options} {one.error:.2f}°" for one in further)
     now = figures[baked_lighting(figures)].mean
+    told = ", ".join(f"{one.error:.2f}° with {one.options}" for one in others)
     step = "bake with " + " or ".join(one.options for one in others)
-    return Conclusion(f"{sentence}, this one {now:.2f}°.", step, step.replace("bake", "better", 1))
+    return Conclusion(
+        f"Another bake is better: {told}, {now:.2f}° with this one.", step, step.replace("bake", "better", 1)
+    )
 
 
 def _on_gain(figures: Mapping[str, ErrorFigures], look: str, *, advised: bool) -> Conclusion:
