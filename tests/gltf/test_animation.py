@@ -14,11 +14,20 @@ from fixtures.make_fixtures import FOLDER
 from skinbake.errors import InputError
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf import animation, rigs
-from skinbake.gltf.animation import clip_poses, random_poses, read_clips, read_skeleton, rest_pose
+from skinbake.gltf.animation import (
+    clip_poses,
+    clip_weights,
+    random_poses,
+    read_clips,
+    read_skeleton,
+    rest_pose,
+)
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.rigs import rig_of_mesh
 from tests.support import corpus, models
+from tests.support.baked_files import Editable, verify
 from tests.support.calls import count_calls
+from tests.support.command_line import invoke
 from tests.support.gltf_reading import GltfFile, JsonObject, read
 from tests.support.small_documents import Builder, animate
 
@@ -227,6 +236,51 @@ def test_a_pointer_to_something_else_moves_nothing(pointer: object) -> None:
     animate(builder)
     point(builder, pointer)
     assert read_clips(builder.document()) == []
+
+
+@pytest.mark.parametrize("holder", ["nodes", "meshes"])
+def test_pointers_to_single_morph_weights_move_them_as_a_channel_of_all_does(
+    holder: str, tmp_path: Path
+) -> None:
+    """The weight of target 1 alone, then those of all targets one by one; others rest."""
+    model = Editable(FOLDER / "morphed_sheet.glb")
+    content = model.content
+    [body] = [number for number, node in enumerate(content["nodes"]) if "skin" in node]
+    count = len(content["meshes"][0]["primitives"][0]["targets"])
+    content["meshes"][0]["weights"] = [0.25] * count
+    content["nodes"][body].pop("weights", None)
+    animation = content["animations"][0]
+    whole = next(one for one in animation["channels"] if one["target"]["path"] == "weights")
+    sampler = animation["samplers"][whole["sampler"]]
+    keys = content["accessors"][sampler["input"]]["count"]
+    values = np.array(model.stored(sampler["output"])).reshape(keys, -1, count)
+    document = read_document(str(model.write(tmp_path / "whole.glb")))
+    at = np.linspace(0.0, 2.0, 23)
+    resting = np.full(count, 0.25)
+
+    def weights(targets: list[int]) -> Float64Array:
+        moving = animation["channels"]
+        animation["channels"] = [one for one in moving if one["target"]["path"] not in {"weights", "pointer"}]
+        for target in targets:
+            output = model.add(np.ascontiguousarray(values[:, :, target].reshape(-1, 1), dtype=np.float32))
+            animation["samplers"].append({**sampler, "output": output})
+            pointer = f"/{holder}/{body if holder == 'nodes' else 0}/weights/{target}"
+            named = {"path": "pointer", "extensions": {"KHR_animation_pointer": {"pointer": pointer}}}
+            animation["channels"].append({"sampler": len(animation["samplers"]) - 1, "target": named})
+        found = read_document(str(model.write(tmp_path / "single.glb")))
+        return clip_weights(body, read_clips(found)[0], at, resting)
+
+    expected = clip_weights(body, read_clips(document)[0], at, resting)
+    assert np.ptp(expected, axis=0).max() > 0.1
+    assert np.allclose(weights(list(range(count))), expected, atol=1e-6)
+    single = weights([1])
+    assert np.allclose(single[:, 1], expected[:, 1], atol=1e-6)
+    assert (np.delete(single, 1, axis=1) == 0.25).all()
+    named = animation["channels"][-1]["target"]["extensions"]["KHR_animation_pointer"]
+    named["pointer"] = named["pointer"][:-1] + "99"
+    past = read_document(str(model.write(tmp_path / "past.glb")))
+    with pytest.raises(InputError, match='"weight" is 99, but'):
+        read_clips(past)
 
 
 def test_a_broken_pointer_is_refused() -> None:
@@ -579,3 +633,11 @@ def test_the_rig_of_many_meshes_is_made_once(tmp_path: Path, monkeypatch: pytest
     assert len({id(rig) for rig, _ in found}) == 1
     assert len(made) == 2  # one for each skin
     assert len(node_skins) == 2 * len(document.objects("nodes"))
+
+
+def test_a_clip_that_points_to_one_morph_weight_moves_it(tmp_path: Path) -> None:
+    target = tmp_path / "baked.glb"
+    given = corpus.case("turn4/pointer_one_weight.glb")
+    assert invoke("bake", given, "-o", target).exit_code == 0
+    answer = verify(target, "--method", "lbs")
+    assert (answer.exit_code, answer.file["morphs"]["moving"]) == (0, 1)

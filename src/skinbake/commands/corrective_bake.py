@@ -291,7 +291,7 @@ def _nodes(document: Document, meshes: Sequence[int], clips: Sequence[Clip]) -> 
     for clip in clips if morphing else ():
         for channel in clip.channels:
             if channel.path == MORPH_WEIGHTS:
-                key = clip.number, channel.method, id(channel.times), id(channel.values)
+                key = clip.number, channel.method, id(channel.times), id(channel.values), channel.target
                 for node in {channel.node, *channel.nodes}:
                     played.setdefault(node, []).append(key)
     bindings: dict[int, object] = {}
@@ -323,9 +323,11 @@ def _moving_targets(plans: Iterable[PosePlan]) -> list[int]:
         if plan.resting is not None:
             found.update(np.flatnonzero(plan.resting).tolist())
             for channel in (channel for clip in plan.sampled for channel in clip.channels):
-                if channel.path == MORPH_WEIGHTS:
+                if channel.path == MORPH_WEIGHTS and channel.target is None:
                     keys = channel.values.reshape(-1, len(plan.resting))
                     found.update(np.flatnonzero(keys.any(axis=0)).tolist())
+                elif channel.path == MORPH_WEIGHTS:
+                    found.add(channel.target or 0)
     return sorted(found)
 
 

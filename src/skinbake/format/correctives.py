@@ -144,10 +144,9 @@ def _moved_weights(document: Document) -> _MovedWeights:
             if is_weights and node is not None and channels.setdefault(node, position) != position:
                 found.twice[node] = number
             extension = object_of(object_of(target.get("extensions")).get(POINTER_EXTENSION))
-            pointer = str(extension.get("pointer", "")).partition("/weights")
-            path = pointer[0] + pointer[1]
-            of_node, of_mesh = POINTER.fullmatch(path), MESH_POINTER.fullmatch(path)
-            if of_node and of_node[2] == MORPH_WEIGHTS:
+            pointer = str(extension.get("pointer", ""))
+            of_node, of_mesh = POINTER.fullmatch(pointer), MESH_POINTER.fullmatch(pointer)
+            if of_node and of_node[3]:
                 found.pointed.add(int(of_node[1]))
             if of_mesh:
                 found.meshes.add(int(of_mesh[1]))

@@ -36,11 +36,13 @@ RANDOM, RANDOM_POSES, RANDOM_ANGLE = -1, 8, np.pi / 6
 """The number of ``random_clip``, its poses, and the largest turn of a joint in radians, as on the page."""
 
 POINTER_EXTENSION = "KHR_animation_pointer"
-POINTER = re.compile("/nodes/(0|[1-9][0-9]{0,8})/(translation|rotation|scale|weights)")
-"""The JSON pointers (RFC 6901) that name the same properties of a node as a channel without the extension."""
+POINTER = re.compile(
+    "/nodes/(0|[1-9][0-9]{0,8})/(?:(translation|rotation|scale)|(weights)(?:/(0|[1-9][0-9]{0,8}))?)"
+)
+"""The JSON pointers (RFC 6901) that name the properties of a node, and one of its morph weights."""
 
-MESH_POINTER = re.compile("/meshes/(0|[1-9][0-9]{0,8})/weights")
-"""The JSON pointer that names the morph weights of a mesh: those of all its nodes without their own."""
+MESH_POINTER = re.compile("/meshes/(0|[1-9][0-9]{0,8})/weights(?:/(0|[1-9][0-9]{0,8}))?")
+"""Those that name morph weights of a mesh, all or one: those of all its nodes without their own."""
 
 
 BYTES_A_NODE = 1024
@@ -52,7 +54,8 @@ class Channel(NamedTuple):
 
     times (N,) are in seconds. values are (N, C), or (N, 3, C) for CUBICSPLINE. Rotations have w first. For
     the path ``weights``, C is the number of morph targets. A channel that moves the weights of a mesh has all
-    skinned nodes that take them from there in ``nodes``, and one of them in ``node``.
+    skinned nodes that take them from there in ``nodes``, and one of them in ``node``. target is the morph
+    target if the channel moves the weight of one: C is 1.
     """
 
     node: int
@@ -61,6 +64,7 @@ class Channel(NamedTuple):
     times: Float64Array
     values: Float64Array
     nodes: frozenset[int] = frozenset()
+    target: int | None = None
 
     def morphs(self, node: int | None) -> bool:
         """Tell whether the channel moves the morph weights of a node."""
@@ -202,8 +206,11 @@ def clip_weights(node: int, clip: Clip, at: Float64Array, resting: Float64Array)
     """Return the morph weights (P, N) of a node; ``resting`` (N,) if the clip does not animate them."""
     weights = np.broadcast_to(resting, (len(at), len(resting)))
     for channel in clip.channels:
-        if channel.morphs(node):
+        if channel.morphs(node) and channel.target is None:
             weights = _at(channel, at)
+        elif channel.morphs(node):
+            weights = weights.copy()
+            weights[:, channel.target] = _at(channel, at)[:, 0]
     return weights
 
 
@@ -358,7 +365,7 @@ def animations_of(document: Document, nodes: Container[int]) -> list[int]:
             _target(document, channel, f"animation {number}")
             for channel in objects(animation, "channels", place)
         )
-        if any(path in PATHS and node in nodes for node, path, _ in targets):
+        if any(path in PATHS and node in nodes for node, path, _, _ in targets):
             found.append(number)
     return found
 
@@ -419,7 +426,7 @@ def _channel(
     accessor and use.
     """
     place, owner = document.place, f'clip "{clip}"'
-    node, path, nodes = _target(document, channel, owner)
+    node, path, nodes, one = _target(document, channel, owner)
     sampler_index = index(channel, "sampler", len(samplers), place, owner=owner)
     if node is None or path is None or sampler_index is None:
         return None
@@ -428,6 +435,9 @@ def _channel(
         from skinbake.gltf.morphs import skinned_target_count  # a bake reads skeletons without it
 
         components = skinned_target_count(document, node)
+        if components and one is not None:
+            index({"weight": one}, "weight", components, place, owner=owner, kind="morph target")
+            components = 1
     if not components:
         return None
     sampler = samplers[sampler_index]
@@ -459,33 +469,33 @@ def _channel(
         by_key = values[:, [3, 0, 1, 2]] if path == "rotation" else values
         shape = (-1, 3, components) if each == 3 else (-1, components)
         outputs[use] = by_key.reshape(shape)
-    return Channel(node, path, method, times, outputs[use], nodes)
+    return Channel(node, path, method, times, outputs[use], nodes, one)
 
 
 def _target(
     document: Document, channel: JsonObject, clip: str
-) -> tuple[int | None, str | None, frozenset[int]]:
+) -> tuple[int | None, str | None, frozenset[int], int | None]:
     """Return the node and its property that a channel moves, also through a pointer; None for others.
 
-    The nodes of ``Channel.nodes`` come last. clip names the clip in errors.
+    ``Channel.nodes`` and ``Channel.target`` come last. clip names the clip in errors.
     """
     place, count = document.place, len(document.objects("nodes"))
     target = member(channel, "target", place)
     path = text(target, "path", place)
     if path != "pointer":
-        return index(target, "node", count, place, owner=clip, kind="node"), path, frozenset()
+        return index(target, "node", count, place, owner=clip, kind="node"), path, frozenset(), None
     extension = member(member(target, "extensions", place), POINTER_EXTENSION, place)
     pointer = text(extension, "pointer", place) or ""
     owner = f'{clip}: the pointer "{pointer}"'
     if (found := POINTER.fullmatch(pointer)) is not None:
         node = index({"node": int(found[1])}, "node", count, place, owner=owner, kind="node")
-        return node, found[2], frozenset()
+        return node, found[2] or found[3], frozenset(), int(found[4]) if found[4] else None
     if (found := MESH_POINTER.fullmatch(pointer)) is None:
-        return None, None, frozenset()
+        return None, None, frozenset(), None
     meshes = len(document.objects("meshes"))
     mesh = index({"mesh": int(found[1])}, "mesh", meshes, place, owner=owner, kind="mesh")
     nodes = _nodes_without_weights(document).get(mesh, frozenset())
-    return min(nodes, default=None), MORPH_WEIGHTS, nodes
+    return min(nodes, default=None), MORPH_WEIGHTS, nodes, int(found[2]) if found[2] else None
 
 
 def _nodes_without_weights(document: Document) -> dict[int | None, frozenset[int]]:

@@ -13,7 +13,9 @@ export function poseAt(model, clip, time) {
     const moved = model.nodes.map(({ translation, rotation, scale, weights }) => ({ translation, rotation, scale, weights }));
     const touched = new Set();
     for (const channel of clip.channels) {
-        moved[channel.node][channel.path] = sampled(channel, time);
+        const [values, node] = [sampled(channel, time), moved[channel.node]];
+        if (channel.weight === undefined) node[channel.path] = values;
+        else node.weights = Object.assign([...node.weights], { [channel.weight]: values[0] });
         if (!['weights', 'turn'].includes(channel.path)) touched.add(channel.node);
     }
     const matrices = new Array(model.nodes.length);

@@ -465,15 +465,17 @@ function clipNames(animations) {
 
 function readClip(source, animation, number, name, nodes) {
     const channels = [];
-    for (const { sampler, target } of list(animation.channels)) {
-        const { node, path } = targetOf(target ?? {});
+    const moved = list(animation.channels).flatMap(({ sampler, target }) =>
+        targetsOf(target ?? {}, source.json).map((one) => ({ sampler, ...one }))
+    );
+    for (const { sampler, node, path, weight } of moved) {
         const one = animation.samplers?.[sampler];
         if (nodes[node] === undefined || !one || !['translation', 'rotation', 'scale', 'weights'].includes(path)) continue;
         const times = source.floats(one.input).array;
         const values = source.floats(one.output).array;
         const method = one.interpolation ?? 'LINEAR';
         const size = values.length / times.length / (method === 'CUBICSPLINE' ? 3 : 1);
-        if (times.length && Number.isInteger(size)) channels.push({ node, path, times, values, method, size });
+        if (times.length && Number.isInteger(size)) channels.push({ node, path, weight, times, values, method, size });
     }
     const ends = channels.map(({ times }) => times[times.length - 1]);
     return {
@@ -485,13 +487,19 @@ function readClip(source, animation, number, name, nodes) {
     };
 }
 
-const POINTER = /^\/nodes\/(0|[1-9]\d*)\/(\w+)$/;
+const POINTER = /^\/(nodes|meshes)\/(0|[1-9]\d*)\/(\w+)(?:\/(0|[1-9]\d*))?$/;
 
-// The node and its property that a channel moves, also through the pointer of KHR_animation_pointer.
-function targetOf({ node, path, extensions }) {
-    if (path !== 'pointer') return { node, path };
+// The nodes and their property that a channel moves, also through the pointer of KHR_animation_pointer: to a property
+// of a node, or to morph weights of a node or a mesh, all or one. Those of a mesh are its nodes' without their own.
+function targetsOf({ node, path, extensions }, json) {
+    if (path !== 'pointer') return [{ node, path }];
     const found = POINTER.exec(extensions?.KHR_animation_pointer?.pointer);
-    return found ? { node: Number(found[1]), path: found[2] } : {};
+    if (!found) return [];
+    const [of, number, name, weight] = [found[1], Number(found[2]), found[3], found[4] && Number(found[4])];
+    if (name !== 'weights') return of === 'nodes' && weight === undefined ? [{ node: number, path: name }] : [];
+    if (of === 'nodes') return [{ node: number, path: name, weight }];
+    const drawing = list(json.nodes).flatMap(({ mesh, weights }, one) => (mesh === number && !weights ? [one] : []));
+    return drawing.map((one) => ({ node: one, path: name, weight }));
 }
 
 // The textures of a material that are drawn, by use.
