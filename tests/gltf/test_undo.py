@@ -407,6 +407,32 @@ def test_weights_and_names_that_a_user_gives_own_targets_later_stay(
     assert mesh["extras"] == {"targetNames": names[:own]}
 
 
+@pytest.mark.parametrize("holder", ["/meshes/0/weights", "/nodes/{node}/weights"])
+def test_a_pointer_to_a_weight_goes_with_its_target_alone(
+    holder: str, bakes: dict[str, tuple[Path, Path, list[str]]], tmp_path: Path
+) -> None:
+    source, made, _ = bakes["packed8"]
+    own, count = own_targets(source)[0], own_targets(made)[0]
+    node = next(number for number, one in enumerate(read(made).content["nodes"]) if "skin" in one)
+    pointers = [f"{holder.format(node=node)}/{number}" for number in (0, own - 1, own, count - 1)]
+
+    def edit(content: JsonObject) -> None:
+        times = put(content, np.array([[0.0], [1.0]], "<f4"), "SCALAR", min=[0], max=[1])
+        sampler = {"input": times, "output": put(content, np.array([[0.0], [0.5]], "<f4"), "SCALAR")}
+        extensions = [{"KHR_animation_pointer": {"pointer": pointer}} for pointer in pointers]
+        targets = [{"path": "pointer", "extensions": one} for one in extensions]
+        channels = [{"sampler": 0, "target": target} for target in targets]
+        content["animations"].append({"samplers": [sampler], "channels": channels})
+        content["extensionsUsed"] = [*content.get("extensionsUsed", []), "KHR_animation_pointer"]
+
+    changed = rewritten(made, tmp_path / "changed.glb", edit)
+    assert invoke("strip", changed, "-o", tmp_path / "back.glb").exit_code == 0
+    content = read(tmp_path / "back.glb").content
+    targets = [one["target"]["extensions"] for one in content["animations"][-1]["channels"]]
+    assert [one["KHR_animation_pointer"]["pointer"] for one in targets] == pointers[:2]
+    assert "KHR_animation_pointer" in content["extensionsUsed"]
+
+
 def test_normals_that_a_user_gives_a_target_later_stay(tmp_path: Path) -> None:
     """The bake has filled the target with zeros."""
     source = rewritten(

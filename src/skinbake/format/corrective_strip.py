@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +17,7 @@ from skinbake.geometry import poses
 from skinbake.geometry.skinned import FloatArray
 from skinbake.gltf.accessors import element_count, read_accessor
 from skinbake.gltf.additions import Additions
-from skinbake.gltf.animation import MORPH_WEIGHTS
+from skinbake.gltf.animation import MORPH_WEIGHTS, POINTER_EXTENSION
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, entries_of, listed, object_of, reference, text
 
@@ -25,6 +26,9 @@ FLOAT, UNSIGNED = 5126, (5121, 5123)
 QUANTISED = ("POSITION", "NORMAL", "TANGENT", "TEXCOORD_")
 """The attributes to which KHR_mesh_quantization gives further types."""
 
+
+WEIGHTS_POINTER = re.compile(r"/(nodes|meshes)/([0-9]{1,9})/weights(?:/([0-9]{1,9}))?")
+"""A JSON pointer of KHR_animation_pointer to all morph weights of a node or a mesh, or to one."""
 
 NUMBERS_A_STEP = 200
 """The numbers that are read and compared in about a step (``Budget.claim_steps``)."""
@@ -164,14 +168,12 @@ def _former_animations(
         left: list[JsonObject] = []
         is_ours = False
         for position, channel in enumerate(channels):
-            target = object_of(channel.get("target"))
-            node = reference(target.get("node"))
-            mesh = None if node is None else of_node.get(node)
-            if target.get("path") != MORPH_WEIGHTS or mesh is None:
+            mesh, weight = _moved_weights(channel, of_node)
+            if mesh not in kept or (weight is not None and weight < kept[mesh]):
                 left.append(channel)
                 continue
             is_ours = True
-            if not kept[mesh]:
+            if not kept[mesh] or weight is not None:
                 continue
             if (number, position) not in former:
                 narrowed.append(Narrowed(number, len(left), kept[mesh]))
@@ -191,6 +193,21 @@ def _former_animations(
         if left or not is_ours:  # a tool may have left an animation with our channels alone
             found.append(animation)
     return found, narrowed
+
+
+def _moved_weights(channel: JsonObject, of_node: Mapping[int, int]) -> tuple[int, int | None]:
+    """Return the mesh whose weights a channel moves, −1 for none, and which weight if it is one alone."""
+    target = object_of(channel.get("target"))
+    if target.get("path") == MORPH_WEIGHTS:
+        node = reference(target.get("node"))
+        return -1 if node is None else of_node.get(node, -1), None
+    extension = object_of(object_of(target.get("extensions")).get(POINTER_EXTENSION))
+    found = WEIGHTS_POINTER.fullmatch(str(extension.get("pointer")))
+    if found is None:
+        return -1, None
+    number = int(found[2])
+    mesh = number if found[1] == "meshes" else of_node.get(number, -1)
+    return mesh, None if found[3] is None else int(found[3])
 
 
 def _noted_channels(notes: Iterable[JsonObject]) -> tuple[dict[tuple[int, int], Any], dict[int, int]]:
