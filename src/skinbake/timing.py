@@ -11,6 +11,9 @@ from typing import NamedTuple, TypeVar
 
 T = TypeVar("T")
 
+WRITTEN = "written"
+"""The word that the output of a file is in place. What follows does not change it."""
+
 OTHER = "other"
 """The stage for time outside any recorded stage."""
 
@@ -100,6 +103,13 @@ def tell_steps(done: int, total: int) -> None:
     hearing = _hearing.get()
     if hearing is not None:
         tell(Told(hearing.told.source, hearing.told.stage, done, total))
+
+
+def tell_written() -> None:
+    """Tell that the output of the present file is in place."""
+    hearing = _hearing.get()
+    if hearing is not None:
+        tell(Told(hearing.told.source, WRITTEN))
 
 
 @contextmanager

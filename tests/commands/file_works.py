@@ -40,8 +40,8 @@ class Bake:
     def failed(self, job: Job, error: SkinbakeError) -> FileResult:
         return self.work.failed(job, error)
 
-    def lost(self, job: Job, reason: str) -> FileResult:
-        return self.work.lost(job, reason)
+    def lost(self, job: Job, reason: str, *, is_written: bool = False) -> FileResult:
+        return self.work.lost(job, reason, is_written=is_written)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,10 @@ from skinbake.errors import SkinbakeError
 from skinbake.jobs import processes, starting
 from skinbake.jobs.processes import Processes
 from skinbake.jobs.runners import FirstThese, InThisProcess, in_order
+from skinbake.jobs.work import Job
 from skinbake.jobs.worker import BASE, Limits
+from skinbake.timing import heard
+from tests.commands.file_works import baking
 from tests.commands.works import (
     Crashing,
     Deadly,
@@ -40,6 +43,7 @@ from tests.commands.works import (
     ToldTooLate,
     Unborn,
     Work,
+    WritingFirst,
 )
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="needs the signals of POSIX")
@@ -220,6 +224,21 @@ def test_a_job_that_takes_too_long_is_told_to_stop_and_lost_alone(tmp_path: Path
     assert {number for number, result in found.items() if result[0] == "lost"} == {1, 4}
     assert found[1] == ("lost", 60.0, "it took longer than 0.5 s (--timeout)")
     assert list(tmp_path.iterdir()) == []  # what it had begun is undone
+
+
+@POSIX
+@pytest.mark.slow
+def test_a_job_that_takes_too_long_after_its_output_is_written_is_not_called_undone() -> None:
+    with heard(lambda told: None):
+        found = limited(WritingFirst(), range(4), Limits(seconds=0.5), workers=1)
+    assert [found[number][0] for number in range(4)] == [0, "written", "lost", 6]
+
+
+def test_the_message_of_a_lost_file_says_whether_its_output_is_written() -> None:
+    job, work = Job("a.glb", "b.glb"), baking()
+    assert str(work.lost(job, "it died").error) == "a.glb: not baked: it died"
+    written = work.lost(job, "it died", is_written=True)
+    assert str(written.error) == "a.glb: its output is written, but not its report: it died"
 
 
 @POSIX

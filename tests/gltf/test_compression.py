@@ -361,8 +361,8 @@ def test_gltf_and_glb_become_each_other(kind: str, tmp_path: Path) -> None:
     for scheme in SCHEMES:
         bake(source, tmp_path / "out.gltf", **compress(scheme))
         assert_same_bake(tmp_path / "out.gltf", tmp_path / "plain.glb")
-        bake(tmp_path / "out.gltf", tmp_path / "again.gltf", **compress(scheme))
-        assert (tmp_path / "again.gltf").read_text() == (tmp_path / "out.gltf").read_text()
+        bake(tmp_path / "out.gltf", tmp_path / "again" / "out.gltf", **compress(scheme))
+        assert (tmp_path / "again" / "out.gltf").read_text() == (tmp_path / "out.gltf").read_text()
         bake(tmp_path / "out.gltf", tmp_path / "back.glb")
         assert_same_bake(tmp_path / "back.glb", tmp_path / "plain.glb")
         strip_file(str(tmp_path / "out.gltf"), str(tmp_path / "bare.gltf"))

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import pytest
 
@@ -20,8 +20,8 @@ from skinbake.commands.strip import strip_file
 from skinbake.errors import InputError, OutputError
 from skinbake.files import Bytes, folders, replacing
 from skinbake.files.bounds import BoundedPath
+from skinbake.files.writing import has_content
 from skinbake.gltf import beside
-from skinbake.gltf.additions import content_digest
 from skinbake.gltf.document import read_document
 from skinbake.gltf.output import plan_output
 from tests.support.baking import bake_file
@@ -441,14 +441,14 @@ def test_a_file_of_many_spellings_is_compared_once(tmp_path: Path, monkeypatch: 
         path.parent.mkdir()
         path.with_name("a.png").write_bytes(b"pixels")
     source.write_text(json.dumps(content))
-    digested: list[object] = []
+    compared: list[object] = []
 
-    def counted(pieces: Iterable[Bytes]) -> str:
-        digested.append(pieces)
-        return content_digest(pieces)
+    def counted(file: BinaryIO, pieces: Iterable[Bytes]) -> bool:
+        compared.append(pieces)
+        return has_content(file, pieces)
 
-    monkeypatch.setattr(beside, "content_digest", counted)
+    monkeypatch.setattr(beside, "has_content", counted)
     planned = plan_output(read_document(str(source)), str(target))
-    assert len(digested) == 2
+    assert len(compared) == 1
     assert list(planned.files) == [target]
     assert list(planned.serving) == [target.with_name("a.png")]

@@ -119,12 +119,53 @@ class TestOneSource:
         assert len(before - after) == len(after - before) == 1
         assert not Path("art", NOTES).exists()
 
-    def test_gradients_that_a_copy_of_the_document_names_stay(self, here: Path) -> None:
-        assert invoke("bake", "art/hero.gltf", "--in-place").exit_code == 0
-        shutil.copyfile("art/hero.gltf", "art/backup.gltf")
+    def test_two_documents_with_the_same_gradients_have_a_buffer_each(self, here: Path) -> None:
+        shutil.copyfile("art/hero.gltf", "art/twin.gltf")
+        for name in ("hero", "twin"):
+            assert invoke("bake", f"art/{name}.gltf", "--in-place").exit_code == 0
         before = files(here / "art")
         assert invoke("bake", "art/hero.gltf", "--in-place", "--weighting", "area").exit_code == 0
-        assert before.items() - files(here / "art").items() == {("hero.gltf", before["hero.gltf"])}
+        after = files(here / "art")
+        (gone,) = before.keys() - after.keys()
+        assert before.items() - after.items() == {(name, before[name]) for name in ("hero.gltf", gone)}
+        assert invoke("strip", "art/hero.gltf", "--in-place").exit_code == 0
+        assert len([name for name in files(here / "art") if name.startswith("skinbake-")]) == 1
+        assert invoke("verify", "art/twin.gltf", "--poses", "random:1").exit_code == 0
+
+    def test_a_copy_of_the_document_by_hand_can_be_baked_and_stripped_without_its_gradients(
+        self, here: Path
+    ) -> None:
+        before = Path("art/hero.gltf").read_bytes()
+        assert invoke("bake", "art/hero.gltf", "--in-place").exit_code == 0
+        for name in ("copy", "other"):
+            shutil.copyfile("art/hero.gltf", f"art/{name}.gltf")
+        assert invoke("bake", "art/hero.gltf", "--in-place", "--weighting", "area").exit_code == 0
+        assert invoke("strip", "art/other.gltf", "--in-place").exit_code == 0
+        assert Path("art/other.gltf").read_bytes() == before
+        assert invoke("bake", "art/copy.gltf", "--in-place").exit_code == 0
+        assert invoke("verify", "art/copy.gltf", "--poses", "random:1").exit_code == 0
+
+    def test_gradients_of_a_former_export_are_removed(self, here: Path) -> None:
+        """The export has replaced the document that named them."""
+        export = Path("art/hero.gltf").read_bytes()
+        for weighting in ("angle", "area", "angle-area"):
+            Path("art/hero.gltf").write_bytes(export)
+            assert invoke("bake", "art/hero.gltf", "--in-place", "--weighting", weighting).exit_code == 0
+            assert len([name for name in files(here / "art") if name.startswith("skinbake-")]) == 1
+
+    def test_copies_of_a_glb_are_replaced_and_removed(self, here: Path) -> None:
+        from pygltflib import GLTF2, Image
+
+        pictures = ["skins/skin%20%231.png", "other/b.png"]
+        (here / "art" / "other").mkdir()
+        Path("art/other/b.png").write_bytes(b"b")
+        for step in range(3):
+            model = GLTF2().load(str(FOLDER / "seam.glb"))
+            model.images = [Image(uri=uri) for uri in pictures[: 2 - step // 2]]
+            model.save(str(here / "art/hero.glb"))
+            change(here / "art" / PICTURE)
+            bake("build/hero.glb", source="art/hero.glb")
+            assert files(here / "build") == clean("art/hero.glb")
 
     def test_gradients_in_another_folder_than_the_buffers_are_replaced_too(self, here: Path) -> None:
         """A former target that names a buffer outside its own folder counted as none."""
@@ -239,20 +280,30 @@ class TestTwoSources:
         pictures = {path.read_bytes() for path in Path("build/skins").glob("*.png")}
         assert pictures == {before, Path("art", PICTURE).read_bytes()}
 
-    def test_a_shared_buffer_stays_until_both_are_made_again(self, here: Path) -> None:
-        """An output must be valid also if the bake of the other source fails."""
+    @pytest.mark.parametrize("options", [(), ("--skip-unchanged",), ("--jobs", "2", "--isolate")])
+    def test_a_shared_buffer_is_replaced_for_both_at_once(self, options: tuple[str, ...], here: Path) -> None:
         shutil.copyfile("art/hero.gltf", "art/twin.gltf")
-        for name in ("hero.gltf", "twin.gltf"):
-            bake(f"build/{name}", source=f"art/{name}")
-        before = Path("build", SHARED_BIN).read_bytes()
-        change(here / "art" / SHARED_BIN)
-        bake("build/hero.gltf")
-        assert Path("build", SHARED_BIN).read_bytes() == before
-        for name in ("twin.gltf", "hero.gltf"):
-            bake(f"build/{name}", source=f"art/{name}")
-        for name in ("hero.gltf", "twin.gltf"):
-            bake(f"clean/{name}", source=f"art/{name}")
-        assert files(here / "build") == files(here / "clean")
+        for number in range(3):
+            if number:
+                EDITS["both"](number)
+            shutil.rmtree("clean", ignore_errors=True)
+            assert invoke("bake", "art", "--out-dir", "build", *options).exit_code == 0
+            assert invoke("bake", "art", "--out-dir", "clean").exit_code == 0
+            assert files(here / "build") == files(here / "clean")
+
+    def test_a_shared_buffer_stays_when_one_of_two_sources_loses_it(self, here: Path) -> None:
+        (here / "art" / "deep").mkdir()
+        content = json.loads(Path("art/hero.gltf").read_text("utf-8"))
+        for entry in (*content["buffers"], *content["images"]):
+            entry["uri"] = entry["uri"] if entry["uri"].startswith("data:") else f"../{entry['uri']}"
+        Path("art/deep/twin.gltf").write_text(json.dumps(content), encoding="utf-8")
+        assert invoke("bake", "art", "--out-dir", "build").exit_code == 0
+        Path("art/hero.gltf").write_text('{"asset": {"version": "2.0"}}', encoding="utf-8")
+        assert invoke("bake", "art", "--out-dir", "build").exit_code == 0
+        assert Path("build", SHARED_BIN).exists()
+        Path("art/deep/twin.gltf").write_text('{"asset": {"version": "2.0"}}', encoding="utf-8")
+        assert invoke("bake", "art", "--out-dir", "build").exit_code == 0
+        assert not Path("build", SHARED_BIN).exists()
 
 
 class TestForeignFiles:
@@ -278,39 +329,6 @@ class TestForeignFiles:
         bake("build/hero.gltf")
         assert Path("build", PICTURE).read_bytes() == b"painted over"
 
-    def test_a_copy_that_another_document_names(self, here: Path) -> None:
-        bake("build/hero.gltf")
-        shutil.copyfile("build/hero.gltf", "build/backup.gltf")
-        before = files(here / "build")
-        for number in range(1, 3):
-            EDITS["both"](number)
-            bake("build/hero.gltf")
-        after = files(here / "build")
-        kept = {name for name in before if name not in {"hero.gltf", NOTES, f"skins/{NOTES}"}}
-        assert {name: before[name] for name in kept} == {name: after[name] for name in kept}
-
-    @pytest.mark.parametrize(
-        "uri",
-        [
-            '"skins/é%20(1).png"',
-            '"skins/%C3%A9%20%281%29.png"',
-            '"skins/%c3%a9%20(1).png"',
-            '"skins/\\u00E9 (1).png"',
-            '"./../build/skins/é (1).png"',
-        ],
-    )
-    def test_a_copy_that_another_document_spells_otherwise(self, uri: str, here: Path) -> None:
-        Path("art", PICTURE).rename("art/skins/é (1).png")
-        text = Path("art/hero.gltf").read_text("utf-8").replace("skin%20%231", "%C3%A9%20(1)")
-        Path("art/hero.gltf").write_text(text, encoding="utf-8")
-        bake("build/hero.gltf")
-        before = Path("build/skins/é (1).png").read_bytes()
-        head = '{"asset": {"version": "2.0"}, "images": [{"uri":'
-        Path("build/other.gltf").write_text(f"{head} {uri}}}]}}", encoding="utf-8")
-        Path("art/skins/é (1).png").write_bytes(b"new")
-        bake("build/hero.gltf")
-        assert Path("build/skins/é (1).png").read_bytes() == before
-
     def test_a_document_that_names_no_file_of_ours_is_no_hindrance(self, here: Path) -> None:
         """It has an image of that name in itself, and a file of that name in another folder."""
         other = {
@@ -324,6 +342,30 @@ class TestForeignFiles:
         EDITS["both"](1)
         for folder in ("build", "clean"):
             bake(f"{folder}/hero.gltf")
+        assert files(here / "build") == files(here / "clean")
+
+    @pytest.mark.skipif(sys.platform == "win32", reason="no FIFOs")
+    @pytest.mark.parametrize("target", ["hero.gltf", "hero.glb"])
+    def test_models_beside_the_target_are_not_opened(self, target: str, here: Path) -> None:
+        """A FIFO took for ever, and a large file all memory."""
+        bake(f"build/{target}")
+        names = [path.name[:18] for path in Path("build").iterdir() if path.name.startswith("skinbake-")]
+        begin = (names or ["skinbake-01234567-"])[0]
+        stranger = [
+            f"{one}/{name}" for one in ("build", "build/skins") for name in ("a.glb", "b.gltf", "c.vrm")
+        ]
+        stranger += [f"build/{begin}0123456789abcdef.bin"]
+        large = ["build/d.gltf", "build/e.glb", f"build/{begin}fedcba9876543210.bin"]
+        for name in stranger:
+            os.mkfifo(name)
+        for name in large:
+            with Path(name).open("wb") as file:
+                file.truncate(1 << 40)
+        EDITS["both"](1)
+        bake(f"build/{target}", "--weighting", "area", "--max-memory", "300M", "--timeout", "60")
+        for name in (*stranger, *large):
+            Path(name).unlink()
+        bake(f"clean/{target}", "--weighting", "area")
         assert files(here / "build") == files(here / "clean")
 
     @pytest.mark.parametrize("link", ["symbolic", "hard"])
@@ -360,7 +402,7 @@ class TestForeignFiles:
             "[" * 100_000,
             "[]",
             "{}",
-            '{"kind": "skinbake copies/1"}',
+            '{"kind": "skinbake copies/2"}',
             '{"kind": 1, "files": {}}',
         ],
     )

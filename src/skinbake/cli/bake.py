@@ -152,7 +152,7 @@ def _untracked_code(results: Sequence[FileResult], say: Console) -> int:
     """Print an error for each output that names a file which git does not track; return the exit code."""
     import subprocess
 
-    from skinbake.gltf.copies import named_paths
+    from skinbake.gltf.beside import named_paths
     from skinbake.gltf.document import read_document
 
     code = exit_codes.OK

@@ -16,6 +16,7 @@ import click
 from skinbake.cli.inputs import MAGIC, Input
 from skinbake.errors import ChoiceError
 from skinbake.files.bounds import Bounds, Within
+from skinbake.files.folders import open_regular
 from skinbake.files.urls import STDIO, File, is_url, join_url, named_file, on_disk
 from skinbake.wording import SUFFIXES
 
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
 
 GLB_HEADERS = struct.Struct("<4sIIII")
 """The header of a GLB, and the header of its first chunk, which is its JSON."""
+
+GLANCE = 1 << 24
+"""The longest JSON in bytes that is looked through before the work begins."""
 
 
 def check_target(source: File, target: File) -> None:
@@ -249,11 +253,8 @@ def check_earlier(path: str, is_own: Callable[[bytes], bool], option: str = "") 
 
 def _head(path: str) -> bytes:
     """Return the first 4096 bytes of a regular file, none if it cannot be read: the write reports why."""
-    with suppress(OSError, ValueError):
-        file = Path(on_disk(path) or "")
-        if file.is_file():
-            with file.open("rb") as opened:
-                return opened.read(4096)
+    with suppress(OSError, ValueError), os.fdopen(open_regular(on_disk(path) or ""), "rb") as file:
+        return file.read(4096)
     return b""
 
 
@@ -273,9 +274,10 @@ def _names_files(source: str) -> bool:
     if Path(source).suffix.lower() == ".gltf" or is_url(source):
         return True
     try:
-        with Path(source).open("rb") as file:
+        with os.fdopen(open_regular(source), "rb") as file:
             head = file.read(GLB_HEADERS.size)
-            text = file.read(GLB_HEADERS.unpack(head)[3])
+            length = GLB_HEADERS.unpack(head)[3]
+            text = file.read(min(length, GLANCE))
     except (OSError, ValueError, struct.error):
         return False  # it cannot be baked either
-    return b'"uri"' in text or b"\\u" in text
+    return length > GLANCE or b'"uri"' in text or b"\\u" in text

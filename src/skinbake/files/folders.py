@@ -27,6 +27,8 @@ MOST_LINKS = 40
 NO_SYNC = frozenset({errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS, errno.EBADF, errno.EACCES, errno.EPERM})
 """The error codes of systems that cannot wait for the disk, for this kind of file or at all."""
 
+NOT_REGULAR = "it is not a regular file"
+
 BY_DESCRIPTOR = os.open in os.supports_dir_fd
 """Whether this system opens names relative to an open folder. All but Windows do."""
 
@@ -48,16 +50,26 @@ def open_beneath(file: BoundedPath) -> int:
     Raises OSError: EXDEV if a link leads out, EINVAL for devices, FIFOs, sockets and files that the system
     generates (/proc, /sys).
     """
-    return _regular(_open(file.root, file.name, _READ_FLAGS))
+    return _regular(lambda: _open(file.root, file.name, _READ_FLAGS))
 
 
-def open_regular(path: str) -> int:
-    """Return a descriptor of a regular file that the user named, opened for reading. Raises OSError."""
-    return _regular(os.open(path, _READ_FLAGS))
+def open_regular(path: str, *, follow: bool = True, dir_fd: int | None = None) -> int:
+    """Return a descriptor of a regular file that the user named, opened for reading. Raises OSError.
+
+    Without ``follow`` it may not be a link.
+    """
+    flags = _READ_FLAGS | (0 if follow else getattr(os, "O_NOFOLLOW", 0))
+    return _regular(lambda: os.open(path, flags, dir_fd=dir_fd))
 
 
-def _regular(descriptor: int) -> int:
+def _regular(opens: Callable[[], int]) -> int:
     """Return the descriptor of a regular file on a disk. Any other one is closed, and OSError is raised."""
+    try:
+        descriptor = opens()
+    except OSError as error:
+        if error.errno == errno.ENXIO:  # a socket
+            raise OSError(errno.EINVAL, NOT_REGULAR) from error
+        raise
     try:
         check_regular(descriptor)
     except BaseException:
@@ -72,7 +84,7 @@ def check_regular(descriptor: int) -> None:
     if stat.S_ISDIR(found.st_mode):  # pragma: no cover: tests/files/test_containment.py
         raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
     if not stat.S_ISREG(found.st_mode) or found.st_dev in _made_up():
-        raise OSError(errno.EINVAL, "it is not a regular file")  # pragma: no cover: tests/files
+        raise OSError(errno.EINVAL, NOT_REGULAR)  # pragma: no cover: tests/files
 
 
 @lru_cache(maxsize=1)

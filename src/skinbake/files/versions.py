@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from skinbake.files import Bytes
-from skinbake.files.folders import Folder
+from skinbake.files.folders import Folder, open_regular
 
 YOUNG = 1_000_000_000
 """Nanoseconds: a file that changed so recently may change again without a later time stamp."""
@@ -41,7 +41,7 @@ class Version(NamedTuple):
 
         When its inode was changed is not asked: giving it another name changes that.
         """
-        descriptor = os.open(name, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0), dir_fd=folder.descriptor)
+        descriptor = open_regular(name, follow=False, dir_fd=folder.descriptor)
         with os.fdopen(descriptor, "rb") as file:
             found = os.fstat(file.fileno())
             if (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns) != self.signature[:4]:
@@ -56,8 +56,11 @@ def version_of(path: str) -> Version:
     return Version(path, signature, _digest(path) if young else None)
 
 
-def signature_of(path: str | Path) -> Signature:
-    """Return the properties that change with a file: identity, size, times; empty if unknown."""
+def signature_of(path: str | Path | int) -> Signature:
+    """Return the properties that change with a file, or with an open one: identity, size, times.
+
+    It is empty if they are unknown.
+    """
     try:
         found = os.stat(path)
     except (OSError, ValueError):
@@ -67,7 +70,7 @@ def signature_of(path: str | Path) -> Signature:
 
 def _digest(path: str) -> str | None:
     try:
-        with open(path, "rb") as file:
+        with os.fdopen(open_regular(path), "rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError:
         return None

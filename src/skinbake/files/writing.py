@@ -12,17 +12,16 @@ import os
 import stat
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple, Protocol
 
 from skinbake.errors import OutputError, Place, ReaderGoneError
 from skinbake.files import Bytes
-from skinbake.files.bounds import BoundedPath
-from skinbake.files.folders import BY_DESCRIPTOR, Folder, beneath, check_regular, flush
+from skinbake.files.folders import BY_DESCRIPTOR, Folder, beneath, flush, open_regular
 from skinbake.files.temporary import remove_abandoned, temporary_name
 from skinbake.files.versions import Signature, Version, signature_of
 from skinbake.signals import interrupts_put_off
@@ -108,8 +107,8 @@ def write_file(pieces: Iterable[Bytes], target: str, *, sync: bool = True) -> No
 class Noting(Protocol):
     """Notes of files beside a target, which hold if they get their names."""
 
-    def note(self, written: Mapping[Path, BoundedPath]) -> None:
-        """Note the files that are at these temporary places. Raises OSError."""
+    def note(self, written: Collection[Path], target: str) -> None:
+        """Note that these files get their names. Raises OSError, and OutputError that names ``target``."""
 
     def forget(self) -> None:
         """Make the notes as they were before ``note``."""
@@ -125,14 +124,15 @@ def write_files(
     sync: bool = True,
     notes: Noting | None = None,
     ahead: Ahead | None = None,
-) -> None:
+) -> Signature:
     """Write files below ``root`` under temporary names, then rename them, the last one last.
 
     ``serving`` are existing files that the last one names, as they were. ``replaces`` is the source of the
     last one, if it replaces its source. ``sync`` waits until all is on the disk. ``notes`` are taken
     before the files get their names, while no other run names files there. ``ahead`` may have a part of the
-    last one. Raises OutputError that names ``target``, and TakenError if the names must be planned again. In
-    both cases everything is as it was.
+    last one. Returns the signature of the last one, without the time when its name was made. Raises
+    OutputError that names ``target``, and TakenError if the names must be planned again. In both cases
+    everything is as it was.
     """
     place = Place(target)
     begun = _Begun(os.path.realpath(root), str(root))
@@ -150,10 +150,10 @@ def write_files(
                 _opened(tuple(_parts(path, (begun.root, begun.given), place)[:-1]), begun, stack)
             with locked(begun.open.values()) if is_shared else nullcontext(), interrupts_put_off():
                 _check_still_so(serving or {}, replaces, place)
-                if notes is not None:
-                    begun.notes = notes
-                    notes.note({path: one.file for path, one in zip(files, begun.written, strict=True)})
                 try:
+                    if notes is not None:
+                        begun.notes = notes
+                        notes.note(files.keys(), target)
                     _rename(begun, replaces, place)
                 except BaseException:
                     if not begun.is_done:  # pragma: no branch: races
@@ -161,6 +161,7 @@ def write_files(
                     raise
             if sync:
                 _sync_folders(begun)
+        return begun.written[-1].signature
     except OSError as error:
         raise OutputError(f"cannot be written: {error.strerror or error}", place) from error
 
@@ -172,11 +173,7 @@ class _Written(NamedTuple):
     temporary: str
     name: str
     pieces: Iterable[Bytes]
-
-    @property
-    def file(self) -> BoundedPath:
-        """The place of the temporary file."""
-        return BoundedPath(self.folder.path, self.temporary)
+    signature: Signature
 
 
 @dataclass(slots=True)
@@ -274,9 +271,10 @@ def _written(
                 _write_all(descriptor, [piece])
         if sync:
             flush(descriptor)
+        signature = signature_of(descriptor)[:-1]
     finally:
         os.close(descriptor)
-    return _Written(folder, temporary, name, pieces)
+    return _Written(folder, temporary, name, pieces, signature)
 
 
 def take_over(descriptor: int, folder: Folder, temporary: str, name: str, *, is_itself: bool) -> None:
@@ -434,17 +432,25 @@ def _name_anew(source: str, goal: str, descriptor: int | None) -> bool:
 
 def _has_content(one: _Written) -> bool:
     """Tell whether the file of that name exists, is not a link, and holds the new content."""
-    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     try:
-        descriptor = os.open(
-            one.folder.name(one.name), flags | getattr(os, "O_BINARY", 0), dir_fd=one.folder.descriptor
-        )
-        with os.fdopen(descriptor, "rb") as file:
-            check_regular(file.fileno())
-            pieces = (memoryview(part).cast("B") for part in one.pieces)
-            return all(file.read(len(piece)) == piece for piece in pieces) and not file.read(1)
+        name = one.folder.name(one.name)
+        with os.fdopen(open_regular(name, follow=False, dir_fd=one.folder.descriptor), "rb") as file:
+            return has_content(file, one.pieces)
     except OSError:
         return False
+
+
+def has_content(file: BinaryIO, pieces: Iterable[Bytes]) -> bool:
+    """Tell whether an open file holds these bytes. It is read up to the first difference. Raises OSError."""
+    if isinstance(pieces, Sequence) and os.fstat(file.fileno()).st_size != sum(map(len, pieces)):
+        return False
+    for piece in pieces:
+        view = memoryview(piece).cast("B")
+        for start in range(0, len(view), SHORT):
+            part = view[start : start + SHORT]
+            if file.read(len(part)) != part:
+                return False
+    return not file.read(1)
 
 
 def _sync_folders(begun: _Begun) -> None:

@@ -22,9 +22,11 @@ from skinbake.files.bounds import (
     path_uri,
     relative_names,
 )
+from skinbake.files.folders import open_beneath
 from skinbake.files.versions import Signature, signature_of
+from skinbake.files.writing import has_content
 from skinbake.gltf.additions import content_digest
-from skinbake.gltf.copies import GRADIENTS, Copies
+from skinbake.gltf.copies import GRADIENTS, Copies, gradients_name
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.resources import FileContent, find, is_data_uri, listed, outside, shortened
@@ -47,14 +49,12 @@ class Beside:
     """The files that a document names, on their way to the folder of the target.
 
     ``target`` is a path without links. No file gets the name of the target. ``copies`` are notes of earlier
-    copies. They get to know which ones are used, and which ones can be replaced.
+    copies. They get to know which ones are used, and what is in their way.
     """
 
     def __init__(self, document: Document, target: Path, root: Path, copies: Copies | None = None) -> None:
         self._document, self._target, self._folder, self._root = document, target, target.parent, root
         self._copies = copies
-        self._uris: dict[str, str] = {}
-        self._final_uris: dict[str, str] = {}
         self._home = Path(os.path.realpath(document.folder))
         self._files: dict[Path, Iterable[Bytes]] = {}
         self._serving: dict[Path, Signature] = {}
@@ -74,7 +74,6 @@ class Beside:
         named = list(named_files(self._document))
         is_buffer = {resource.uri: resource.array == "buffers" for resource in reversed(named)}
         uris = {uri: self._placed(uri, is_buffer=is_buffer[uri]) for uri in {r.uri: None for r in named}}
-        self._uris = uris
         renamed = [(resource, uris[resource.uri]) for resource in named if uris[resource.uri] != resource.uri]
         document = _with_uris(self._document, renamed) if renamed else self._document
         place, told, found = self._document.place, self._document.told, []
@@ -102,23 +101,17 @@ class Beside:
             found.append(Notice("uri-refused", message, place, count))
         return document, self._files, self._serving, found
 
-    def final(self) -> Document | None:
-        """Return the document as it is when earlier copies are replaced, None if none will be.
-
-        Call it after ``planned``.
-        """
-        if not self._final_uris:
-            return None
-        uris = {**self._uris, **self._final_uris}
-        named = named_files(self._document)
-        renamed = [(resource, uris[resource.uri]) for resource in named if uris[resource.uri] != resource.uri]
-        return _with_uris(self._document, renamed) if renamed else self._document
+    def _made(self, uri: str) -> str:
+        """Return the URI of a file that the document did not have before."""
+        pieces = self._document.new_files[uri]
+        if made := GRADIENTS.fullmatch(uri):
+            return self._planned_name(gradients_name(self._target, made[1]), pieces, is_noted=False)
+        return self._copied(uri, relative_names(uri)[0], pieces)
 
     def _placed(self, uri: str, *, is_buffer: bool) -> str:
         """Return a URI relative to the target's folder, and note the file if it must be copied."""
-        new = self._document.new_files.get(uri)
-        if new is not None:
-            return self._copied(uri, relative_names(uri)[0], new, is_buffer=is_buffer)
+        if uri in self._document.new_files:
+            return self._made(uri)
         if self._home == self._folder:
             return uri
         try:
@@ -130,7 +123,7 @@ class Beside:
         name = Path(os.path.relpath(file.path, self._home)).as_posix()
         if not (file.is_own and below(self._path(name), os.fspath(self._root))):
             return path_uri(Path(os.path.relpath(file.path, self._folder)).as_posix())
-        return self._copied(uri, name, FileContent(file), is_buffer=is_buffer)
+        return self._copied(uri, name, FileContent(file))
 
     def _found(self, uri: str) -> BoundedPath | None:
         """Return the place of a file; None, with a note, if it is missing or its URI is refused."""
@@ -168,21 +161,18 @@ class Beside:
         self._outside.append(uri)
         return uri if relative_names(moved)[0] == relative_names(uri)[0] else moved
 
-    def _copied(self, uri: str, name: str, pieces: Iterable[Bytes], *, is_buffer: bool) -> str:
+    def _copied(self, uri: str, name: str, pieces: Iterable[Bytes]) -> str:
         """Return the URI of a copied file: its own name, or another one if that is taken."""
         key = name, pieces if isinstance(pieces, FileContent) else id(pieces)
         if key not in self._names:  # many URIs may be spellings of one name
-            self._names[key] = self._planned_name(name, pieces, is_buffer=is_buffer)
+            self._names[key] = self._planned_name(name, pieces)
         free = self._names[key]
         meant = relative_names(uri)[0]  # the literal name is tried if this one does not exist
         path = self._path(meant)
         would_stay = name == meant or not (os.path.lexists(path) or self._is_target(path))
-        replacing = {} if self._copies is None else self._copies.replacing
-        if replacing.get(Path(self._path(name))) == Path(self._path(free)):
-            self._final_uris[uri] = uri if would_stay else path_uri(name)
         return uri if free == name and would_stay else path_uri(free)
 
-    def _planned_name(self, name: str, pieces: Iterable[Bytes], *, is_buffer: bool) -> str:
+    def _planned_name(self, name: str, pieces: Iterable[Bytes], *, is_noted: bool = True) -> str:
         """Return the name of a copy, and note the file that will be written or serves."""
         before = signature_of(self._path(name))  # read before the content, so that a later change shows
         free = self._free_name(name, pieces)
@@ -191,24 +181,21 @@ class Beside:
             self._files[path] = pieces
         else:
             self._serving[path] = before if free == name else signature_of(path)
-        # A buffer of α and β beside its source is known by its name, and by the former target.
-        is_noted = (
-            isinstance(pieces, FileContent) or self._home != self._folder or not GRADIENTS.fullmatch(name)
-        )
         if self._copies is not None and is_noted:
             made_of = self._home / Path(self._document.name).name
             source = pieces.file.path if isinstance(pieces, FileContent) else str(made_of)
             plain = Path(self._path(name))
-            self._copies.used[path] = source
-            taken = free == name or plain in self._files or plain in self._copies.replacing
-            if not taken and self._copies.is_replaceable(plain, source, is_buffer=is_buffer):
-                self._copies.replacing[plain] = path
+            self._copies.use(path, source, pieces)
+            if free != name and plain not in self._files:
+                self._copies.in_the_way.setdefault(plain, path)
         return free
 
     def _free_name(self, name: str, pieces: Iterable[Bytes]) -> str:
         """Return ``name``, or a name made from the content if another file has or will have that name."""
         planned = self._files.get(Path(self._path(name)))
-        if (planned is None or _same(planned, pieces)) and not self._occupied(name, pieces):
+        if (planned is None or content_digest(planned) == content_digest(pieces)) and not self._occupied(
+            name, pieces
+        ):
             return name
         path = PurePosixPath(name)
         other = str(path.with_name(f"{path.stem}-{content_digest(pieces)}{path.suffix}"))
@@ -229,18 +216,14 @@ class Beside:
         if not os.path.lexists(path):
             return False
         try:
-            return not _same(FileContent(bounded_path(path, os.fspath(self._root))), pieces)
+            with os.fdopen(open_beneath(bounded_path(path, os.fspath(self._root))), "rb") as file:
+                return not has_content(file, pieces)
         except OSError:
             return True
 
     def _is_target(self, path: str) -> bool:
         """Tell whether a path, all links followed, is the target."""
         return Path(os.path.realpath(path)) == self._target
-
-
-def _same(first: Iterable[Bytes], second: Iterable[Bytes]) -> bool:
-    """Tell whether two series of pieces are the same bytes."""
-    return content_digest(first) == content_digest(second)
 
 
 def named_files(document: Document) -> Iterator[NamedFile]:
@@ -254,6 +237,12 @@ def named_files(document: Document) -> Iterator[NamedFile]:
                 and not ("://" in uri and not uri.lower().startswith("file:"))
             ):
                 yield NamedFile(array, number, uri)
+
+
+def named_paths(document: Document, folder: Path) -> frozenset[Path]:
+    """Return the paths to which the buffers and images of a document in a folder may lead."""
+    uris = (resource.uri for resource in named_files(document) if is_relative(resource.uri))
+    return frozenset(Path(os.path.normpath(folder / name)) for uri in uris for name in relative_names(uri))
 
 
 def files_of_extensions(root: JsonObject) -> list[str]:

@@ -85,6 +85,12 @@ def memory_limited(size: int | None) -> Iterator[None]:
         _limit.reset(token)
 
 
+def fits_memory(size: int) -> bool:
+    """Tell whether a document that is read now may take so many bytes."""
+    limit = _limit.get()
+    return size <= (limit or UNCOUNTED) or (limit is None and size <= default_limit())
+
+
 def default_limit(workers: int = 1) -> int:
     """Return the default limit of a file in bytes, with ``workers`` processes at work."""
     return machine_memory() // max(SHARE, workers)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,13 +17,14 @@ from skinbake.files.urls import STDIO
 from skinbake.files.versions import Signature, Version
 from skinbake.files.writing import TakenError, check_target, write_files, write_stdout
 from skinbake.gltf import json_text
-from skinbake.gltf.beside import Beside, named_files
-from skinbake.gltf.copies import Copies, named_paths
+from skinbake.gltf.beside import Beside, named_files, named_paths
+from skinbake.gltf.copies import Copies
 from skinbake.gltf.document import Document, refuse_buffers_outside
 from skinbake.gltf.glb import binary_offset, join_glb
 from skinbake.gltf.json_rewriting import FormerText, rewritten
 from skinbake.gltf.resources import find
 from skinbake.threads import thread_count
+from skinbake.timing import tell_written
 from skinbake.wording import one_or_many
 
 ATTEMPTS = 8
@@ -61,7 +62,7 @@ AS_USUAL = Writing()
 class PlannedOutput:
     """All that writing a document will do: the pieces of each file, the target last, and notices.
 
-    ``copies`` are the copies that earlier outputs left, ``needed`` the files that the document names at last.
+    ``copies`` are its copies, and those that earlier outputs left. ``needed`` are the files that it names.
     Nothing is written outside ``root``. ``serving`` are existing files that the document names, as they were.
     ``replaces`` is the source file, if it will be replaced. ``again`` makes a new plan if another run has
     taken a name meanwhile.
@@ -86,38 +87,37 @@ class PlannedOutput:
         if self.target == STDIO:
             write_stdout(self.files[Path(STDIO)])
             return self
-        planned = self
+        planned, final = self, self
+        written: Signature = ()
         for _ in range(ATTEMPTS):  # pragma: no branch: races
             try:
-                write_files(
+                written = write_files(
                     planned.root,
                     planned.files,
                     self.target,
                     serving=planned.serving,
-                    replaces=self.replaces,
+                    replaces=None if written else self.replaces,
                     sync=sync,
                     notes=planned.copies,
-                    ahead=ahead,
+                    ahead=None if written else ahead,
                 )
+                final = planned
+                tell_written()
+                if planned.copies is None or planned.again is None or not planned.copies.replace(sync=sync):
+                    break
             except TakenError:
                 if planned.again is None:  # pragma: no cover: Dask: tests/files/test_writing.py
                     raise
-                planned = planned.again()
-            else:
-                return planned.settled(sync=sync)
-        raise OutputError("cannot be written: the files beside it keep changing", Place(self.target))
-
-    def settled(self, *, sync: bool) -> PlannedOutput:
-        """Replace and remove earlier copies, as far as that succeeds: the output is whole without it."""
-        copies, final = self.copies, self
-        if copies is None:
-            return self
-        with suppress(OSError, OutputError):
-            if copies.final is None:
-                copies.tidy(self.needed)
-            elif copies.settle(sync=sync):
-                copies.tidy(self.needed)
-                final = replace(self, files={**self.files, copies.target: copies.final})
+            except (OSError, OutputError):
+                if not written:
+                    raise
+                break  # the output is whole
+            planned = planned.again()
+        if not written:
+            raise OutputError("cannot be written: the files beside it keep changing", Place(self.target))
+        if final.copies is not None:
+            with suppress(OSError, OutputError):
+                final.copies.tidy(final.needed, written)
         return final
 
 
@@ -154,16 +154,10 @@ def plan_output(
         path, base = _path_of(target, root)
         check_target(path, target)
         copies = Copies(path, base) if keeps_notes else None
-        placed = Beside(document, path, base, copies)
-        written, beside, serving, notices = placed.planned()
-        last = placed.final()
-        if copies is not None:
-            copies.read_target()
+        written, beside, serving, notices = Beside(document, path, base, copies).planned()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise OutputError(f"cannot be written: {reason}", Place(target)) from error
-    if copies is not None and last is not None:
-        copies.final = _serialised(last, grows=grows)
     return PlannedOutput(
         target,
         {**beside, path: _serialised(written, grows=grows)},
@@ -172,7 +166,7 @@ def plan_output(
         serving=serving,
         again=again,
         copies=copies,
-        needed=named_paths(last or written, path.parent),
+        needed=named_paths(written, path.parent),
     )
 
 

@@ -16,6 +16,7 @@ from skinbake.errors import InputError, Place
 from skinbake.files import Bytes
 from skinbake.files.bounds import BoundedPath, Bounds, OutsideError, RefusedError, bounded_paths
 from skinbake.files.folders import open_beneath, open_regular
+from skinbake.gltf.budget import fits_memory
 
 Claim = Callable[[int], None]
 """A function that hears the size of a file in bytes before it is read. It raises InputError to refuse it."""
@@ -110,9 +111,11 @@ class FileContent:
     file: BoundedPath
 
     def __iter__(self) -> Iterator[bytes]:
-        """Yield the blocks; raises OSError."""
+        """Yield the blocks. Raises OSError, also if the file is larger than any that may be read."""
         descriptor = open_beneath(self.file)
         try:
+            if not fits_memory(os.fstat(descriptor).st_size):
+                raise OSError(errno.EFBIG, f"{self.file.name} is too large: raise --max-memory")
             while block := os.read(descriptor, BLOCK):
                 yield block
         finally:

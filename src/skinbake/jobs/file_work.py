@@ -84,9 +84,10 @@ class FileWork(Generic[ResultT]):
         """Return the result of a file that failed."""
         return self.command.failed(job, error)
 
-    def lost(self, job: Job, reason: str) -> ResultT:
-        """Return the result of a file whose process died before it reported."""
-        return self.failed(job, InputError(f"{self.command.undone}: {reason}", Place(job.source)))
+    def lost(self, job: Job, reason: str, *, is_written: bool = False) -> ResultT:
+        """Return the result of a file whose process died before it reported, though it may have written."""
+        what = "its output is written, but not its report" if is_written else self.command.undone
+        return self.failed(job, InputError(f"{what}: {reason}", Place(job.source)))
 
     def _survived(self, job: Job) -> ResultT:
         return survived(lambda: self._result(job), lambda error: self.failed(job, error), job.source)
@@ -141,6 +142,6 @@ class ByVariant(Generic[ResultT]):
         """Return the result of a file that failed."""
         return self.works[job.variant].failed(job, error)
 
-    def lost(self, job: Job, reason: str) -> ResultT:
-        """Return the result of a file whose process died before it reported."""
-        return self.works[job.variant].lost(job, reason)
+    def lost(self, job: Job, reason: str, *, is_written: bool = False) -> ResultT:
+        """Return the result of a file whose process died before it reported, though it may have written."""
+        return self.works[job.variant].lost(job, reason, is_written=is_written)

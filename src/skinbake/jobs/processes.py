@@ -24,7 +24,7 @@ from skinbake.jobs.starting import check_descriptors, context_for, no_interrupts
 from skinbake.jobs.work import JobT, ReturnT, Work, survived
 from skinbake.jobs.worker import Limits
 from skinbake.threads import threads_limited
-from skinbake.timing import Told, tell
+from skinbake.timing import WRITTEN, Told, tell
 
 T = TypeVar("T")
 
@@ -65,13 +65,14 @@ class _Worker:
     """A process, this end of its pipe, and the jobs that it was sent. The job in work is the first.
 
     begun is the time when that job began. late is the time when the worker was told to stop because that job
-    takes too long.
+    takes too long. has_written tells that the output of that job is in place.
     """
 
     process: BaseProcess
     connection: Connection
     sent: deque[int] = field(default_factory=deque)
     is_quick: bool = False
+    has_written: bool = False
     is_warm: bool = False
     begun: float = 0.0
     late: float | None = None
@@ -110,7 +111,7 @@ class _OneCall(Generic[T]):
     def failed(self, job: None, error: SkinbakeError) -> T | SkinbakeError:
         return error
 
-    def lost(self, job: None, reason: str) -> T | SkinbakeError:
+    def lost(self, job: None, reason: str, *, is_written: bool = False) -> T | SkinbakeError:
         return InputError(f"not done: {reason}", Place(self.file))
 
 
@@ -176,6 +177,7 @@ class _Pool(Generic[JobT, ReturnT]):
                     yield from self._bury(worker)
                     continue
                 if isinstance(message, Told):
+                    worker.has_written |= message.stage == WRITTEN
                     tell(message)
                     continue
                 if not worker.is_warm:
@@ -306,7 +308,7 @@ class _Pool(Generic[JobT, ReturnT]):
 
     def _finished(self, worker: _Worker, number: int, result: ReturnT, seconds: float) -> tuple[int, ReturnT]:
         worker.sent.remove(number)
-        worker.is_quick = seconds < QUICK
+        worker.is_quick, worker.has_written = seconds < QUICK, False
         worker.begun = time.monotonic()
         if self._is_isolated or worker.late is not None:  # it was told to stop just before it was done
             # Release the worker. It sees its pipe close. Jobs sent ahead go back.
@@ -349,7 +351,7 @@ class _Pool(Generic[JobT, ReturnT]):
         if worker.late is not None:
             self._close_file(number)
             reason = f"it took longer than {self._limits.seconds:g} s (--timeout)"
-            yield number, self._work.lost(self._jobs[number], reason)
+            yield number, self._work.lost(self._jobs[number], reason, is_written=worker.has_written)
             return
         deaths = self._deaths[number] = self._deaths.get(number, 0) + 1
         if deaths < ATTEMPTS:
@@ -357,7 +359,7 @@ class _Pool(Generic[JobT, ReturnT]):
             return
         self._close_file(number)
         reason = f"the process that worked on it died, and so did a second one by itself ({how})"
-        yield number, self._work.lost(self._jobs[number], reason)
+        yield number, self._work.lost(self._jobs[number], reason, is_written=worker.has_written)
 
 
 def _not_started(why: str, limits: Limits) -> str:

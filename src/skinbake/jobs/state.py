@@ -35,6 +35,7 @@ from skinbake.files.folders import flush, open_beneath, open_regular
 from skinbake.files.versions import DIGITS, digest_of
 from skinbake.files.writing import write_file
 from skinbake.gltf.beside import named_files
+from skinbake.gltf.budget import fits_memory
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.resources import FileContent
 from skinbake.gradients import kernel
@@ -251,7 +252,7 @@ def made(target: str, written: Mapping[str, str], read: Digests, bounds: Bounds 
     known = set(read.values())
     for path, digest in found.digests.items():
         ours = written.get(os.path.realpath(path))
-        content_named = digest is not None and Path(path).stem.removeprefix("skinbake-") == digest[:16]
+        content_named = digest is not None and Path(path).stem.rpartition("-")[2] == digest[:16]
         if digest != ours and not (ours is None and (digest in known or content_named)):
             return None
     return found.digests if absolute(target) in found.digests else None
@@ -353,9 +354,14 @@ class State:
             self._is_damaged = True
             self.notices = (Notice("state-damaged", DAMAGED, place),)
 
-    def _read_lines(self, descriptor: int) -> bytes:
-        """Read the records, if the first line is that of a state file. Return the bytes in its place."""
+    def _read_lines(self, descriptor: int) -> bytes | None:
+        """Read the records, if the first line is that of a state file. Return the bytes in its place.
+
+        Return None if the file is larger than any that may be read.
+        """
         with os.fdopen(descriptor, "rb") as file:
+            if not fits_memory(os.fstat(descriptor).st_size):
+                return None
             head = file.read(len(HEADER))
             if head == HEADER:
                 for line in _lines(file):
@@ -451,6 +457,8 @@ def _digest(path: str) -> str | None:
     """Return a file's digest, None if there is no file. Raises OSError or ValueError if it cannot be read."""
     try:
         with os.fdopen(open_regular(path), "rb") as file:
+            if not fits_memory(os.fstat(file.fileno()).st_size):
+                return None  # it cannot be read
             return hashlib.file_digest(file, "sha256").hexdigest()[:DIGITS]
     except OSError as error:
         if error.errno in (*ABSENT, errno.EISDIR):

@@ -75,8 +75,8 @@ class Work(Protocol[JobT_contra, ReturnT_co]):
     def failed(self, job: JobT_contra, error: SkinbakeError, /) -> ReturnT_co:
         """Return the result of a job that an error ended."""
 
-    def lost(self, job: JobT_contra, reason: str, /) -> ReturnT_co:
-        """Return the result of a job whose process died before it reported."""
+    def lost(self, job: JobT_contra, reason: str, /, *, is_written: bool = False) -> ReturnT_co:
+        """Return the result of a job whose process died before it reported, though it may have written."""
 
 
 class Runner(Protocol[JobT, ReturnT]):

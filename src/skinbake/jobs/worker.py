@@ -13,7 +13,7 @@ from pathlib import Path
 
 from skinbake.jobs.work import JobT, ReturnT, Work, log_to_stderr, survived
 from skinbake.signals import ENDING
-from skinbake.timing import Told, heard
+from skinbake.timing import WRITTEN, Told, heard
 
 TOLD_AFTER, TOLD_EVERY = 0.5, 0.25
 """The seconds after which a worker first tells of a file, and between two words of it."""
@@ -31,7 +31,7 @@ class Limits:
 
 
 class _Relay:
-    """Tell of files that take long, as a worker: its newest word, a few times a second."""
+    """As a worker, tell of outputs that are written, and a few times a second of files that take long."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection, self._source, self._due = connection, "", 0.0
@@ -41,7 +41,7 @@ class _Relay:
         now = time.monotonic()
         if told.source != self._source:
             self._source, self._due = told.source, now + TOLD_AFTER
-        elif now >= self._due:
+        elif now >= self._due or told.stage == WRITTEN:
             self._due = now + TOLD_EVERY
             with suppress(OSError):  # the other end has closed: the worker sees that next
                 self._connection.send(told)
