@@ -85,8 +85,9 @@ class MeshCorrectives:
 
 def nodes_with(document: Document, mesh: int, skin: int | None = None) -> list[int]:
     """Return the nodes that draw a mesh: all, or those with a skin. All nodes are read once."""
-    known: dict[object, list[int]] = document.derived.setdefault("nodes by mesh", {})
-    if not known:
+    known: dict[object, list[int]] | None = document.derived.get("nodes by mesh")
+    if known is None:
+        known = document.derived["nodes by mesh"] = {}
         for number, node in enumerate(document.objects("nodes")):
             drawn = reference(node.get("mesh"))
             if drawn is not None:
