@@ -23,11 +23,11 @@ from skinbake.format.baked import AttributeNames
 from skinbake.format.layouts import GradientFormat
 from skinbake.gltf import additions
 from skinbake.gltf.additions import Additions, Packed
-from skinbake.gltf.codecs.recode import Compression
+from skinbake.gltf.codecs.views import view_bytes
 from skinbake.gltf.copies import NAME as NOTES
 from skinbake.gltf.document import read_document
+from skinbake.gltf.recode import Compression
 from skinbake.gltf.resources import encode_data_uri
-from skinbake.gltf.views import view_bytes
 from skinbake.version import FIT
 from tests.support.baked_files import verify
 from tests.support.baking import bake_file, bake_settings

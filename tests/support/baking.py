@@ -10,8 +10,8 @@ from skinbake.commands.bake import Baker
 from skinbake.files.bounds import OWN_FOLDERS, Within
 from skinbake.format.baked import AttributeNames
 from skinbake.format.layouts import GradientFormat
-from skinbake.gltf.codecs.recode import Compression
 from skinbake.gltf.output import Writing
+from skinbake.gltf.recode import Compression
 from skinbake.gradients.baker import BakeSettings
 from skinbake.jobs.bake import Bake
 from skinbake.report.bake import FileResult

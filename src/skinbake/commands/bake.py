@@ -189,7 +189,7 @@ class Baker(CheckedOptions):
         with stage("compress"):
             kept: list[Notice] = []
             if self.compress is not Scheme.KEEP:
-                from skinbake.gltf.codecs.recode import Compression, recoded
+                from skinbake.gltf.recode import Compression, recoded
 
                 compression = Compression(self.compress, self.compress_level, self._bits)
                 document, kept = recoded(document, sources, compression)

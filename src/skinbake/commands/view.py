@@ -33,13 +33,13 @@ from skinbake.format.metadata import corrective_note
 from skinbake.format.strip import stripped
 from skinbake.freshness.baked_views import BakedView, sound_views
 from skinbake.freshness.expected import noted_kind
-from skinbake.gltf.codecs.recode import Compression, recoded
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.glb import STDIN
 from skinbake.gltf.images import images_missing, texture_image
 from skinbake.gltf.json_access import JsonObject, reference
 from skinbake.gltf.output import plan_output, refuse_own_input
+from skinbake.gltf.recode import Compression, recoded
 from skinbake.gltf.resources import is_data_uri, read_resource
 from skinbake.gltf.scenes import faces_backward
 from skinbake.measure.options import VerifyOptions

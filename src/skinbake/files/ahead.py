@@ -10,8 +10,7 @@ from threading import Thread
 
 from skinbake.files import Bytes
 from skinbake.files.folders import BY_DESCRIPTOR, Folder, beneath, flush
-from skinbake.files.temporary import remove_abandoned, temporary_name
-from skinbake.files.writing import NEW_FILE, take_over
+from skinbake.files.temporary import NEW_FILE, remove_abandoned, take_over, temporary_name
 from skinbake.signals import interrupts_put_off
 
 STEP = 1 << 23

@@ -6,12 +6,14 @@ import hashlib
 import os
 import re
 import secrets
+import stat
+import sys
 import time
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
-from skinbake.files.folders import Folder
+from skinbake.files.folders import BY_DESCRIPTOR, Folder
 
 OWNER = r"([0-9a-f]{8})_([0-9a-f]+)_([0-9a-f]+)_"
 """The pattern of ``owner``. Its groups are the kernel, the process, and the start time of the process."""
@@ -25,6 +27,16 @@ REMEMBERED = 4096
 
 ABANDONED = 86_400.0
 """Seconds after which a temporary file of an unknown process counts as abandoned."""
+
+NEW_FILE = (
+    os.O_WRONLY
+    | os.O_CREAT
+    | os.O_EXCL
+    | getattr(os, "O_NOFOLLOW", 0)
+    | getattr(os, "O_CLOEXEC", 0)
+    | getattr(os, "O_BINARY", 0)
+)
+"""How a temporary file is opened: it is new, and no link."""
 
 _looked_through: set[tuple[int, int]] = set()
 
@@ -111,3 +123,46 @@ def _is_dead(process: int, started: int) -> bool:
         pass
     state, now_started = _process(process)
     return state in {"Z", "X"} or now_started not in {0, started}
+
+
+def take_over(descriptor: int, folder: Folder, temporary: str, name: str, *, is_itself: bool) -> None:
+    """Give a temporary file the mode of the file whose name it will have.
+
+    If it replaces itself, it keeps its owner and its extended attributes too, as far as the system lets it.
+    """
+    before = status_of(folder, name)
+    if before is None or not stat.S_ISREG(before.st_mode):
+        return
+    if is_itself and BY_DESCRIPTOR:
+        # Give a file the owner and the group that it had; only the superuser may give any owner.
+        now = os.fstat(descriptor)
+        if (now.st_uid, now.st_gid) != (before.st_uid, before.st_gid):
+            try:
+                os.fchown(descriptor, before.st_uid, before.st_gid)
+            except OSError:
+                with suppress(OSError):
+                    os.fchown(descriptor, -1, before.st_gid)
+        _keep_attributes(descriptor, folder, name)
+    os.chmod(descriptor if BY_DESCRIPTOR else folder.name(temporary), stat.S_IMODE(before.st_mode))
+
+
+def _keep_attributes(descriptor: int, folder: Folder, name: str) -> None:
+    """Copy the extended attributes of a file, access lists among them."""
+    if sys.platform != "linux":
+        return
+    with suppress(OSError):
+        former = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder.descriptor)
+        try:
+            for attribute in os.listxattr(former):
+                with suppress(OSError):  # some are the system's own
+                    os.setxattr(descriptor, attribute, os.getxattr(former, attribute))
+        finally:
+            os.close(former)
+
+
+def status_of(folder: Folder, name: str) -> os.stat_result | None:
+    """Return the status of a name in an open folder, of a link itself; None if nothing is there."""
+    try:
+        return os.stat(folder.name(name), dir_fd=folder.descriptor, follow_symlinks=False)
+    except FileNotFoundError:
+        return None

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import errno
 import os
-import stat
 import sys
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -22,7 +21,7 @@ from typing import TYPE_CHECKING, BinaryIO, NamedTuple, Protocol
 from skinbake.errors import OutputError, Place, ReaderGoneError
 from skinbake.files import Bytes
 from skinbake.files.folders import BY_DESCRIPTOR, Folder, beneath, flush, open_regular
-from skinbake.files.temporary import remove_abandoned, temporary_name
+from skinbake.files.temporary import NEW_FILE, remove_abandoned, status_of, take_over, temporary_name
 from skinbake.files.versions import Signature, Version, signature_of
 from skinbake.signals import interrupts_put_off
 
@@ -48,14 +47,6 @@ SHORT = 1 << 20
 NO_LINKS = frozenset({errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK, errno.EACCES, errno.EINVAL})
 """Error codes of systems that cannot give a file a second name."""
 
-NEW_FILE = (
-    os.O_WRONLY
-    | os.O_CREAT
-    | os.O_EXCL
-    | getattr(os, "O_NOFOLLOW", 0)
-    | getattr(os, "O_CLOEXEC", 0)
-    | getattr(os, "O_BINARY", 0)
-)
 SAVED_ANEW = "another program has saved it since it was read, so it is not replaced: run this again"
 
 
@@ -277,41 +268,6 @@ def _written(
     return _Written(folder, temporary, name, pieces, signature)
 
 
-def take_over(descriptor: int, folder: Folder, temporary: str, name: str, *, is_itself: bool) -> None:
-    """Give a temporary file the mode of the file whose name it will have.
-
-    If it replaces itself, it keeps its owner and its extended attributes too, as far as the system lets it.
-    """
-    before = _there(folder, name)
-    if before is None or not stat.S_ISREG(before.st_mode):
-        return
-    if is_itself and BY_DESCRIPTOR:
-        # Give a file the owner and the group that it had; only the superuser may give any owner.
-        now = os.fstat(descriptor)
-        if (now.st_uid, now.st_gid) != (before.st_uid, before.st_gid):
-            try:
-                os.fchown(descriptor, before.st_uid, before.st_gid)
-            except OSError:
-                with suppress(OSError):
-                    os.fchown(descriptor, -1, before.st_gid)
-        _keep_attributes(descriptor, folder, name)
-    os.chmod(descriptor if BY_DESCRIPTOR else folder.name(temporary), stat.S_IMODE(before.st_mode))
-
-
-def _keep_attributes(descriptor: int, folder: Folder, name: str) -> None:
-    """Copy the extended attributes of a file, access lists among them."""
-    if sys.platform != "linux":
-        return
-    with suppress(OSError):
-        former = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder.descriptor)
-        try:
-            for attribute in os.listxattr(former):
-                with suppress(OSError):  # some are the system's own
-                    os.setxattr(descriptor, attribute, os.getxattr(former, attribute))
-        finally:
-            os.close(former)
-
-
 def _parts(path: Path, roots: Sequence[str], place: Place) -> Sequence[str]:
     """Return the parts of a path from the root on; OutputError if it is not below the root."""
     parts = next((path.relative_to(base).parts for base in roots if path.is_relative_to(base)), ())
@@ -332,13 +288,6 @@ def _opened(parts: tuple[str, ...], begun: _Begun, stack: ExitStack) -> Folder:
         begun.open[parts] = folder
         remove_abandoned(folder)
     return begun.open[parts]
-
-
-def _there(folder: Folder, name: str) -> os.stat_result | None:
-    try:
-        return os.stat(folder.name(name), dir_fd=folder.descriptor, follow_symlinks=False)
-    except FileNotFoundError:
-        return None
 
 
 def _write_all(descriptor: int, pieces: Sequence[Bytes]) -> None:
@@ -369,7 +318,7 @@ def _rename(begun: _Begun, replaces: Version | None, place: Place) -> None:
     *beside, last = begun.written
     for one in beside:
         _put_new(one, begun, place)
-    is_new = _there(last.folder, last.name) is None
+    is_new = status_of(last.folder, last.name) is None
     if replaces is not None and not is_new:
         from skinbake.files.replacing import StuckError, replaced  # most outputs replace no input
 

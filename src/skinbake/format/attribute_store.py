@@ -93,7 +93,7 @@ def stored_otherwise(
             continue
         inside = member(before, "attributes", source.place).keys() - extension.get("attributes", {}).keys()
         if beside := sorted(inside & after.attributes.keys()):
-            from skinbake.gltf.codecs.recode import reason_against_new_stream
+            from skinbake.gltf.recode import reason_against_new_stream
 
             message = (
                 f"its new {' and '.join(beside)} are stored beside its Draco stream, not in it: "
@@ -161,7 +161,7 @@ class _DracoStore:
     """
 
     def __init__(self, document: Document, additions: Additions, source: PrimitiveSource, level: int) -> None:
-        from skinbake.gltf.codecs.recode import reason_against_new_stream
+        from skinbake.gltf.recode import reason_against_new_stream
 
         self._document, self._additions, self._source, self._level = document, additions, source, level
         self._before = draco.extension_of(source.json) or {}

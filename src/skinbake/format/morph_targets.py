@@ -21,10 +21,10 @@ from skinbake.geometry.morphs import COMPONENTS, Differences
 from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.additions import Additions, Packed
+from skinbake.gltf.codecs.views import COMPONENT_CODES, TYPES
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, entries_of, is_deeper, object_of, reference, with_integers
 from skinbake.gltf.primitives import PrimitiveSource
-from skinbake.gltf.views import COMPONENT_CODES, TYPES
 from skinbake.version import __version__
 
 NOTE = "morphTargets"

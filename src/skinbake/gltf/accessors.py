@@ -10,9 +10,9 @@ import numpy.typing as npt
 from skinbake.errors import InputError, Place
 from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.gltf.codecs import draco
+from skinbake.gltf.codecs.views import COMPONENT_NAMES, COMPONENTS, MATRIX_ROWS, component_dtype, view_bytes
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, integer, member, shown
-from skinbake.gltf.views import COMPONENT_NAMES, COMPONENTS, MATRIX_ROWS, component_dtype, view_bytes
 from skinbake.wording import counted, one_or_many
 
 

@@ -13,10 +13,10 @@ import numpy.typing as npt
 from skinbake.files import Bytes
 from skinbake.gltf import resources
 from skinbake.gltf.codecs import meshopt
+from skinbake.gltf.codecs.views import COMPONENT_CODES, TYPES
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, integer
 from skinbake.gltf.references import check_views, refuse_dangling
-from skinbake.gltf.views import COMPONENT_CODES, TYPES
 
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 

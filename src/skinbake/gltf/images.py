@@ -6,10 +6,10 @@ from collections.abc import Container, Sequence
 
 from skinbake.errors import InputError, Notice, Place
 from skinbake.files import Bytes
+from skinbake.gltf.codecs.views import view_bytes
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, listed, member, object_of, reference, text
 from skinbake.gltf.resources import decode_data_uri, is_data_uri, read_resource
-from skinbake.gltf.views import view_bytes
 
 WEBP, KTX2 = "EXT_texture_webp", "KHR_texture_basisu"
 TRANSFORM = "KHR_texture_transform"

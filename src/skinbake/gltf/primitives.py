@@ -14,6 +14,7 @@ from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive, no
 from skinbake.geometry.triangles import TRIANGLE_FAN, TRIANGLES, unrolled
 from skinbake.gltf.accessors import StoredArray, element_count, read_accessor
 from skinbake.gltf.codecs import draco
+from skinbake.gltf.codecs.views import component_dtype
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import (
     LARGEST_INTEGER,
@@ -28,7 +29,6 @@ from skinbake.gltf.json_access import (
     objects,
     text,
 )
-from skinbake.gltf.views import component_dtype
 from skinbake.wording import counted, one_or_many
 
 FLOAT = ("f4", False)

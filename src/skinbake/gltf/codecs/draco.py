@@ -16,9 +16,9 @@ import numpy.typing as npt
 
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.geometry.triangles import TRIANGLES
+from skinbake.gltf.codecs.views import COMPONENTS, component_dtype, view_bytes
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, entries_of, index, integer, member, reference
-from skinbake.gltf.views import COMPONENTS, component_dtype, view_bytes
 from skinbake.wording import counted
 
 if TYPE_CHECKING:

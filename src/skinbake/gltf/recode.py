@@ -19,6 +19,7 @@ from skinbake.geometry.triangles import TRIANGLES
 from skinbake.gltf.accessors import is_small_matrix, read_accessor
 from skinbake.gltf.additions import Additions, Packed
 from skinbake.gltf.codecs import draco, meshopt
+from skinbake.gltf.codecs.views import view_bytes
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import (
     JsonObject,
@@ -35,7 +36,6 @@ from skinbake.gltf.json_access import (
 )
 from skinbake.gltf.primitives import PrimitiveSource, check_format, read_indices
 from skinbake.gltf.references import uses_of_accessors
-from skinbake.gltf.views import view_bytes
 
 UNSIGNED_SHORT, UNSIGNED_INT = 5123, 5125
 SIGNED = (5120, 5122)
