@@ -247,7 +247,6 @@ class TestBounds:
     "command",
     [
         ("inspect", "{file}"),
-        ("cost", "{file}"),
         ("verify", "{file}"),
         ("shader", "--lang", "glsl", "--for", "{file}"),
         ("render", "{file}", "-o", "{dir}/out.png"),
