@@ -385,7 +385,7 @@ DANGEROUS = {
         {"in-place": "true", "dry-run": "true", "no-sync": "true", "allow-outside": '["/"]'},
     ),
     "verify": (
-        "junit html dump-normals clip time state summary dask max-memory allow-outside no-sync",
+        "junit html dump-normals clip time sources state summary dask max-memory allow-outside no-sync",
         {"allow-outside": '["/"]'},
     ),
     "strip": (

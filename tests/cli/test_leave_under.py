@@ -108,9 +108,10 @@ def test_a_gate_asks_no_gain_where_there_is_nothing_to_correct(tmp_path: Path) -
 
 def test_a_bake_without_the_option_bakes_what_was_left(folder: Path, tmp_path: Path) -> None:
     [left] = folder.glob("*.gltf")
-    for source, target in ((left, "again.gltf"), (FOLDER / LITTLE, "fresh.gltf")):
-        assert invoke("bake", source, "-o", tmp_path / target).exit_code == 0
-    assert (tmp_path / "again.gltf").read_bytes() == (tmp_path / "fresh.gltf").read_bytes()
+    for source, target in ((left, "again"), (FOLDER / LITTLE, "fresh")):
+        assert invoke("bake", source, "-o", tmp_path / target / "little.gltf").exit_code == 0
+    found, expected = (tmp_path / name / "little.gltf" for name in ("again", "fresh"))
+    assert found.read_bytes() == expected.read_bytes()
 
 
 def test_an_earlier_bake_is_undone_in_place(tmp_path: Path) -> None:

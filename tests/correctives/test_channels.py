@@ -10,7 +10,9 @@ import pytest
 
 from skinbake.format.corrective_channels import Keys, with_correctives
 from tests.correctives.models import SHEET, rewritten
+from tests.support.baked_files import Editable
 from tests.support.command_line import invoke
+from tests.support.gltf_reading import read
 
 TIMES = np.array([0.0, 0.3, 0.35, 1.1], dtype=np.float32)
 OURS = np.array([0.1, 0.32, 0.9, 1.4], dtype=np.float32), np.array([[1.0], [3.0], [-2.0], [0.5]], np.float32)
@@ -69,7 +71,45 @@ def test_two_keys_at_one_time_become_the_last_one() -> None:
     assert at(merged, 0.75)[0] == pytest.approx(4.5)
 
 
-def test_a_pointer_to_morph_weights_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("method", ["LINEAR", "STEP", "CUBICSPLINE"])
+@pytest.mark.parametrize("owner", ["nodes", "meshes"])
+def test_what_a_pointer_to_one_weight_plays_stands_in_the_channel_too(
+    owner: str, method: str, tmp_path: Path
+) -> None:
+    """Players that read no pointers play the channel of all weights; others find the same value twice."""
+    file = Editable(SHEET)
+    (animation,) = file.content["animations"]
+    times = np.array([0.0, 0.4, 1.0], dtype=np.float32)
+    values = np.array([0.1, 0.9, 0.3], dtype=np.float32)
+    stored = np.stack([values * 0, values, values * 0], axis=1) if method == "CUBICSPLINE" else values
+    channel = animation["channels"][-1]
+    channel["sampler"] = len(animation["samplers"])
+    sampler = {"input": file.add(times[:, None]), "output": file.add(stored.reshape(-1, 1))}
+    animation["samplers"].append({**sampler, "interpolation": method})
+    pointer = {"pointer": f"/{owner}/0/weights/1"}
+    channel["target"] = {"path": "pointer", "extensions": {"KHR_animation_pointer": pointer}}
+    file.content["extensionsUsed"] = ["KHR_animation_pointer"]
+    path, out, back = file.write(tmp_path / "in.glb"), tmp_path / "out.glb", tmp_path / "back.glb"
+    assert invoke("bake", path, "-o", out, "--correctives", "auto").exit_code == 0
+    result = invoke("verify", out)
+    assert result.exit_code == 0, result.output
+    baked = read(out)
+    (made,) = baked.content["animations"]
+    [added] = [one for one in made["channels"] if one["target"]["path"] == "weights"]
+    keys = made["samplers"][added["sampler"]]
+    at_keys = baked.values(keys["input"])[:, 0].astype(np.float32)
+    all_weights = baked.values(keys["output"]).reshape(len(at_keys), -1).astype(np.float32)
+    played = Keys(at_keys, all_weights, keys["interpolation"])
+    own = Keys(times, stored.reshape(3, -1, 1) if method == "CUBICSPLINE" else stored[:, None], method)
+    for time in np.linspace(0.0, 1.0, 41):
+        if method != "STEP" or np.abs(time - times[1:]).min() > 1e-3:
+            assert at(played, time)[1] == pytest.approx(at(own, time)[0], abs=0.01)
+            assert at(played, time)[0] == 0.0
+    assert invoke("strip", out, "-o", back).exit_code == 0
+    assert back.read_bytes() == path.read_bytes()
+
+
+def test_a_pointer_to_all_morph_weights_is_refused(tmp_path: Path) -> None:
     def change(content: Any) -> None:
         for channel in content["animations"][0]["channels"]:
             if channel["target"]["path"] == "weights":

@@ -225,7 +225,8 @@ def test_normals_of_targets_and_correctives_go_together(
         given = tmp_path / "in.gltf"
         given.write_text(json.dumps(content.content))
     options = ["--correctives", "auto", "--morph-normals"]
-    made, plain, again, back = (tmp_path / f"{name}{suffix}" for name in ("made", "plain", "again", "back"))
+    names = ("made", "plain", "again/made", "back")
+    made, plain, again, back = (tmp_path / f"{name}{suffix}" for name in names)
     result = invoke("bake", given, "-o", made, *options)
     assert result.exit_code == 0 and "NORMAL made for" in result.output, result.output
     assert invoke("bake", given, "-o", plain, *options[:2]).exit_code == 0

@@ -126,8 +126,7 @@ def _encoding_cost(encoding: Mapping[str, Any]) -> Iterator[str]:
 def _limit_cost(primitives: Iterable[Mapping[str, Any]]) -> Iterator[str]:
     limits = [primitive["limited"] for primitive in primitives if primitive["limited"]]
     if limits:
-        vertices, worst = sum(limit["vertices"] for limit in limits), max(m["normals"]["max"] for m in limits)
-        yield f"{vertices:,} vertices lost influences, and normals turn by at most {worst:.2f}°"
+        yield f"{sum(limit['vertices'] for limit in limits):,} vertices lost influences"
 
 
 def _loss(primitives: Sequence[Mapping[str, Any]]) -> Iterator[str]:

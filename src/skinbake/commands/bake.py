@@ -314,6 +314,9 @@ class Baker(CheckedOptions):
             with stage("gain"):
                 verdict = measured()
                 figures = by_worse_truth(verdict)
+            broken = [notice for notice in verdict.notices if notice.code == "animations-broken"]
+            if broken:
+                raise InputError(broken[0].message, broken[0].place)
         except InputError as error:
             message = f"it is baked, because its gain could not be measured: {error.message}"
             return None, [Notice("gain-unmeasured", message, error.place or given.place)]

@@ -30,7 +30,14 @@ from skinbake.geometry import poses
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.accessors import element_count, read_accessor
 from skinbake.gltf.additions import Additions
-from skinbake.gltf.animation import MESH_POINTER, MORPH_WEIGHTS, POINTER, POINTER_EXTENSION
+from skinbake.gltf.animation import (
+    MESH_POINTER,
+    MORPH_WEIGHTS,
+    POINTER,
+    POINTER_EXTENSION,
+    clip_weights,
+    read_clips,
+)
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import (
     JsonObject,
@@ -45,6 +52,9 @@ from skinbake.version import __version__
 QUANTIZATION = "KHR_mesh_quantization"
 
 TARGET_NAMES = "targetNames"
+
+CUBIC_PIECES = 8
+"""The straight pieces that follow a cubic one of a pointer to a weight."""
 
 TYPES_OF_TARGETS: dict[Encoding, type[np.generic]] = {
     Encoding.FLOAT32: np.float32,
@@ -105,8 +115,8 @@ def check_targets(document: Document, mesh: int, place: Place) -> None:
     moved, nodes = _moved_weights(document), set(nodes_with(document, mesh))
     if mesh in moved.meshes or nodes & moved.pointed:
         message = (
-            f"its morph weights are animated through {POINTER_EXTENSION}, which correctives cannot be merged "
-            "with: animate them by a channel of the path weights"
+            f"all its morph weights are animated through one pointer of {POINTER_EXTENSION}, which "
+            "correctives cannot be merged with: animate them by a channel of the path weights"
         )
         raise UnsupportedFeatureError(message, place)
     if twice := nodes & moved.twice.keys():
@@ -122,7 +132,7 @@ class _MovedWeights(NamedTuple):
     """What animations move the morph weights of.
 
     channels are the channels of nodes by animation. twice are the nodes with two in one, with its number.
-    pointed and meshes are nodes and meshes whose weights move through pointers.
+    pointed and meshes are nodes and meshes whose weights all move through one pointer.
     """
 
     channels: list[dict[int, int]]
@@ -147,9 +157,9 @@ def _moved_weights(document: Document) -> _MovedWeights:
             extension = object_of(object_of(target.get("extensions")).get(POINTER_EXTENSION))
             pointer = str(extension.get("pointer", ""))
             of_node, of_mesh = POINTER.fullmatch(pointer), MESH_POINTER.fullmatch(pointer)
-            if of_node and of_node[3]:
+            if of_node and of_node[3] and not of_node[4]:
                 found.pointed.add(int(of_node[1]))
-            if of_mesh:
+            if of_mesh and not of_mesh[2]:
                 found.meshes.add(int(of_mesh[1]))
         found.channels.append(channels)
     return found
@@ -373,14 +383,26 @@ def _keys(
 ) -> Keys:
     """Return the keys of all weights of a node: those of a sampler, or its weights at rest, then correctives.
 
-    of_node are the node, the number of targets before, and the added ones. Without a clip, these are 0.
+    of_node are the node, the number of targets before, and the added ones. Without a clip, these are 0. What
+    moves single weights through pointers stays, and the keys have the same values, for players that read no
+    pointers. A cubic curve is followed by straight pieces.
     """
     node, there, added = of_node
     if sampler is None:
         assert clip is not None
-        rest = resting_weights(document, node).astype(np.float32)
-        former = np.broadcast_to(rest, (len(clip.times), there)).astype(np.float32)
-        return Keys(clip.times, np.concatenate([former, clip.weights], axis=1), poses.LINEAR)
+        (whole,) = read_clips(document, [clip.animation]) if there else (None,)
+        at = clip.times.astype(np.float64)
+        for channel in whole.channels if whole else ():
+            if channel.morphs(node):
+                held = np.nextafter(channel.times[1:].astype(np.float32), np.float32(-np.inf))
+                keys = np.arange(CUBIC_PIECES * (len(channel.times) - 1)) / CUBIC_PIECES
+                cubic = np.interp(keys, np.arange(len(channel.times)), channel.times)
+                further = {poses.STEP: held, poses.CUBICSPLINE: cubic}.get(channel.method, held[:0])
+                at = np.unique(np.concatenate([at, channel.times, further]).astype(np.float32)).astype(float)
+        former = np.broadcast_to(resting_weights(document, node), (len(at), there))
+        former = former if whole is None else clip_weights(node, whole, at, former[0])
+        own = Keys(at.astype(np.float32), former.astype(np.float32), poses.LINEAR)
+        return with_correctives(own, clip.times, clip.weights)
     method = str(sampler.get("interpolation", poses.LINEAR))
     times = read_accessor(document, int(sampler["input"]), place).decoded()[:, 0].astype(np.float32)
     values = read_accessor(document, int(sampler["output"]), place).decoded().astype(np.float32)
