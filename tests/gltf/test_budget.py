@@ -181,7 +181,6 @@ COMMANDS: list[Callable[[Path], list[str | Path]]] = [
     lambda path: ["bake", path, "-o", path.with_name("out.glb")],
     lambda path: ["bake", path, "--dry-run", "--compress", "meshopt"],
     lambda path: ["inspect", path],
-    lambda path: ["cost", path],
 ]
 
 
