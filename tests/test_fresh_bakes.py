@@ -113,6 +113,32 @@ def test_a_fresh_bake_of_three_hundred_skins_verifies(kind: str, tmp_path: Path)
     assert answer.exit_code == 0, answer.messages
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_fresh_bake_beside_a_clip_past_float32_verifies_or_is_refused(kind: str, tmp_path: Path) -> None:
+    model = Editable(write_model(tmp_path / "model.glb", [sheet()], joints=JOINTS))
+    joints = list(model.content["skins"][0]["joints"])
+    add_clip(model, np.random.default_rng(3), "bend", joints)
+    animation = model.content["animations"][0]
+    sampler = {
+        "input": model.add(np.array([[0.0], [1.0]], dtype=np.float32)),
+        "output": model.add(np.full((2, 3), 1e30, dtype=np.float32)),
+    }
+    for joint in joints[1:3]:
+        animation["samplers"].append(sampler)
+        target = {"node": joint, "path": "scale"}
+        animation["channels"] = [one for one in animation["channels"] if one["target"] != target]
+        animation["channels"].append({"sampler": len(animation["samplers"]) - 1, "target": target})
+    target_path = tmp_path / "baked.glb"
+    result = invoke("bake", model.write(tmp_path / "huge.glb"), "-o", target_path, *KINDS[kind])
+    if kind == "correctives":
+        assert result.exit_code == 3 and not target_path.exists(), result.output
+        return
+    assert result.exit_code == 0, result.output
+    answer = verify(target_path)
+    assert answer.exit_code == 0, answer.messages
+    assert "animations-broken" in [one["code"] for one in answer.file["warnings"]]
+
+
 @corpus.needed
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", ["fresh_held_two_skins.glb", "dup_weights_channel.glb"])

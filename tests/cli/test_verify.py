@@ -129,7 +129,7 @@ def test_a_bake_beside_broken_clips_is_measured_in_other_poses(number: float, tm
     model.stored(model.content["animations"][0]["samplers"][0]["input"])[0] = number
     path = baked(model.write(tmp_path / "bent_tube.glb"), tmp_path / "baked")
     fault = 'clip "bend", node "tube_joint1": a time of its keys is not a finite number'
-    warning = f"warning: {path}: its animations are broken, and were not read ({fault})"
+    warning = f"warning: {path}: its animations are broken, and are not played ({fault})"
     instead = ": random poses are measured in their place. Mend or remove the animations"
     for poses, words in (("animation", instead), ("random", ""), ("rest", "")):
         result = run("--poses", poses, "--method", "lbs", path)

@@ -137,6 +137,8 @@ def corrected_document(
             backed = budget.backed + sum(lengths)
             fresh = Budget(limit=budget.limit, backed=backed, parts=budget.parts)
             verdict = corrected_lighting(written.edited(budget=fresh))
+        if broken := [one for one in verdict.notices if one.code == "animations-broken"]:
+            raise InputError(broken[0].message.partition(": random poses")[0], broken[0].place)
         worse = {(place.mesh, place.primitive) for place in worse_primitives(verdict)}
         if not worse:
             sizes = iter(lengths)

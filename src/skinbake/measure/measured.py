@@ -87,9 +87,15 @@ class _Measurement:
         with stage("gradient operator"):
             surfaces = true_surfaces(self._document, meshes, operators)
         with stage("poses"):
-            drawn, left_out = draws(
-                self._document, surfaces, self._clips, self._options.poses, self._options.truths
-            )
+            measured = self._document, surfaces, self._clips, self._options.poses, self._options.truths
+            try:
+                drawn, left_out = draws(*measured)
+            except InputError as error:
+                if error is self._document.budget.refusal or not self._clips:
+                    raise
+                # Its clips can be read, and move joints past all numbers.
+                self._clips, self._unread = [], [_broken(self._document, self._options.poses.kind, error)]
+                drawn, left_out = draws(*measured[:2], self._clips, *measured[3:])
         if self._corrected is not None:
             drawn = list(map(self._corrected, drawn))
         has_blend = any(view.blend is not None for views in meshes for view in views)
@@ -221,10 +227,14 @@ def _readable_clips(document: Document, kind: PoseKind) -> tuple[Sequence[Clip],
     except InputError as error:
         if error is document.budget.refusal:
             raise
-        message = f"its animations are broken, and were not read ({error.message})"
-        if kind is PoseKind.ANIMATION:
-            message += ": random poses are measured in their place. Mend or remove the animations"
-        return [], [Notice("animations-broken", message, document.place)]
+        return [], [_broken(document, kind, error)]
+
+
+def _broken(document: Document, kind: PoseKind, error: InputError) -> Notice:
+    message = f"its animations are broken, and are not played ({error.message})"
+    if kind is PoseKind.ANIMATION:
+        message += ": random poses are measured in their place. Mend or remove the animations"
+    return Notice("animations-broken", message, document.place)
 
 
 @dataclass(frozen=True, slots=True)
