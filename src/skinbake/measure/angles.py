@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
 
@@ -23,9 +23,11 @@ from skinbake.truth import kernel
 from skinbake.truth.areas import squared_cross
 from skinbake.truth.blending import BlendedPrimitive, chunks, sample_blocks, sides_of
 from skinbake.truth.fine import FineMesh
-from skinbake.truth.morphing import Morphing
 from skinbake.truth.operator import GradientOperator
 from skinbake.truth.truths import ChunkMemory, FineTruth, PosedSurface, Truths, VertexBlock
+
+if TYPE_CHECKING:
+    from skinbake.truth.morphing import Morphing
 
 METHODS: dict[str, dict[str, Algorithm]] = {
     "lbs": {

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -35,11 +36,13 @@ from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.skinning.run import joints_in_use
 from skinbake.timing import stage, tell_steps
 from skinbake.truth import kernel
-from skinbake.truth.morphing import Morphing
 from skinbake.truth.operator import GradientOperator
 from skinbake.truth.poses import PoseSet, described
 from skinbake.truth.truths import Truths
 from skinbake.wording import counted
+
+if TYPE_CHECKING:
+    from skinbake.truth.morphing import Morphing
 
 MORPHED_BYTES = 64 << 20
 """The memory in which morphed primitives wait for the second method. Those that need more are made again."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 from skinbake.choices import Frame, Morphs
 from skinbake.format.morph_targets import NotedTargets, noted_targets
@@ -13,8 +14,10 @@ from skinbake.gltf.json_access import objects
 from skinbake.gltf.morphs import read_targets, target_count
 from skinbake.gltf.primitives import PrimitiveSource
 from skinbake.report.verify import MorphCount
-from skinbake.truth.morphing import Morphing
 from skinbake.truth.poses import PoseSet
+
+if TYPE_CHECKING:
+    from skinbake.truth.morphing import Morphing
 
 NUMBERS = {6: Morphs.FRAMES, 4: Morphs.FRAMES_NORMAL}
 """What follows so many numbers of the differential."""
@@ -30,6 +33,8 @@ def morphing_of(document: Document, views: Sequence[BakedView], poses: PoseSet) 
         return None
     frames = [view.metadata["frame"] for view in views]
     counts = [len(view.now.positions) for view in views]
+    from skinbake.truth.morphing import Morphing  # most models have no targets
+
     return Morphing(
         *moving_targets(document, [view.source for view in views], counts, moving, frames),
         poses.morph_weights[:, moving],

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -37,10 +38,12 @@ from skinbake.skinning.run import Skinning
 from skinbake.truth import kernel
 from skinbake.truth.blending import BlendedPrimitive, sides_of
 from skinbake.truth.kernel import dqs_positions
-from skinbake.truth.morphing import Morphing
 from skinbake.truth.normals import FLAT_FRAME
 from skinbake.truth.truths import Truths, VertexBlock
 from skinbake.truth.values import SparseRows
+
+if TYPE_CHECKING:
+    from skinbake.truth.morphing import Morphing
 
 RELIEF_TILT = 25.0
 """Degrees by which the relief tilts the normal: a deep normal map, as of cloth or scales."""
