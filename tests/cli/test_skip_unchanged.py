@@ -567,6 +567,25 @@ def test_every_fixture_is_up_to_date_after_its_bake(tmp_path: Path) -> None:
         assert {file["status"] for file in document(result)["files"]} == {status}
 
 
+@pytest.mark.parametrize("in_place", [False, True])
+def test_a_buffer_above_a_subfolder_is_a_file_of_the_build(in_place: bool, tmp_path: Path) -> None:
+    source = tmp_path / "art" / "sub" / "seam.gltf"
+    source.parent.mkdir(parents=True)
+    model = read(FOLDER / "seam.glb")
+    (tmp_path / "art" / "shared.bin").write_bytes(model.buffer(0))
+    model.content["buffers"][0]["uri"] = "../shared.bin"
+    source.write_text(json.dumps(model.content))
+    target: list[str | Path] = ["--in-place"] if in_place else ["--out-dir", tmp_path / "build"]
+    state: list[str | Path] = ["--skip-unchanged", "--state", tmp_path / "state", "--json"]
+    statuses = []
+    for _ in range(3):
+        result = invoke("bake", tmp_path / "art", *target, *state)
+        assert result.exit_code == 0, result.output
+        statuses.append(document(result)["files"][0]["status"])
+    assert statuses[-1] == "up-to-date"
+    assert in_place or statuses == ["baked", "up-to-date", "up-to-date"]
+
+
 @pytest.mark.slow
 def test_streams_are_read_and_written_each_time(tmp_path: Path) -> None:
     seam, notes = FOLDER / "seam.glb", ["--skip-unchanged", "--state", str(tmp_path / "state")]

@@ -87,7 +87,7 @@ def test_each_kind_of_difference_is_named_until_the_folder_is_baked_again(art: P
         "build/stray.glb": ["source-unknown"],
         "art/new.glb": ["output-missing"],
     }
-    assert f"{SHARED_BIN} changed since its bake: run skinbake bake on" in asked(art).stderr
+    assert f"{SHARED_BIN} changed since its bake: run skinbake bake --skip-unchanged on" in asked(art).stderr
     baked(art)
     (build / "sub/b.glb").unlink()
     (build / "stray.glb").unlink()

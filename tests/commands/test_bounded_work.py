@@ -256,16 +256,13 @@ def test_parts_allow_steps_by_vertices_of_their_own(tmp_path: Path, monkeypatch:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", ["inspect", "cost"])
-def test_thousands_of_meshes_that_are_only_read_are_refused_early(command: str, tmp_path: Path) -> None:
+def test_thousands_of_meshes_that_are_only_read_are_refused_early(tmp_path: Path) -> None:
     source = write_model(tmp_path / "in.glb", [sheet()], change=with_targets(1, 9000))
-    done = invoke(command, source)
+    done = invoke("inspect", source)
     assert done.exit_code == 3
     assert "9,000 primitives would take" in done.stderr
-    assert (
-        invoke(command, write_model(tmp_path / "in.glb", [sheet()], change=with_targets(1, 90))).exit_code
-        == 0
-    )
+    few = write_model(tmp_path / "in.glb", [sheet()], change=with_targets(1, 90))
+    assert invoke("inspect", few).exit_code == 0
 
 
 class Counted(list[Any]):

@@ -122,3 +122,19 @@ def test_a_pointer_to_all_morph_weights_is_refused(tmp_path: Path) -> None:
     result = invoke("bake", path, "-o", tmp_path / "out.glb", "--correctives", "auto")
     assert result.exit_code == 3 and "KHR_animation_pointer" in result.output
     assert not (tmp_path / "out.glb").exists()
+
+
+@pytest.mark.parametrize("kind", ["i1", "u1", "i2", "u2"])
+def test_weights_stored_as_integers_come_back_byte_for_byte(kind: str, tmp_path: Path) -> None:
+    file = Editable(SHEET)
+    (animation,) = file.content["animations"]
+    sampler = animation["samplers"][animation["channels"][-1]["sampler"]]
+    stored = np.clip(file.stored(sampler["output"]), 0.0, 1.0) * np.iinfo(kind).max
+    sampler["output"] = file.add(np.round(stored).astype(kind).reshape(-1, 1))
+    types = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123}
+    file.content["accessors"][sampler["output"]] |= {"componentType": types[kind], "normalized": True}
+    path, out, back = file.write(tmp_path / "in.glb"), tmp_path / "out.glb", tmp_path / "back.glb"
+    result = invoke("bake", path, "-o", out, "--correctives", "auto")
+    assert result.exit_code == 0, result.output
+    assert invoke("strip", out, "-o", back).exit_code == 0
+    assert back.read_bytes() == path.read_bytes()

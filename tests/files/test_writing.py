@@ -720,3 +720,10 @@ class TestInPlace:
         path = copied("seam.glb", tmp_path)
         assert bake_file(str(path), str(path)).status == "baked"
         assert read(path).has_attribute("_SKINBAKE_ALPHA_0")
+
+
+def test_what_is_in_place_is_told_before_anything_can_interrupt(tmp_path: Path) -> None:
+    told: list[bool] = []
+    path = tmp_path / "out.bin"
+    write_files(tmp_path, {path: [b"new"]}, str(path), named=lambda: told.append(path.read_bytes() == b"new"))
+    assert told == [True]

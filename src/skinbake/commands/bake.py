@@ -30,6 +30,7 @@ from skinbake.gltf.budget import WELDING_RATIO, Budget
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import JsonObject, entries_of
+from skinbake.gltf.morphs import targets_without_normal
 from skinbake.gltf.output import AS_USUAL, Writing, other_names, plan_output, refuse_own_input, write_ahead
 from skinbake.gltf.primitives import (
     PrimitiveSource,
@@ -250,7 +251,7 @@ class Baker(CheckedOptions):
         from skinbake.commands.corrective_bake import corrected_document  # most bakes add α and β
 
         morphs, given, lengths = None, document, list[int]()
-        if self.morph_normals:
+        if self.morph_normals or any(targets_without_normal(document, source) for source in sources):
             surfaces, _ = Baker(gradients=Gradients.SURFACE)._bakes(document, sources)
             morphs = self._morphs(document, [bake for surface in surfaces for bake in surface])
         if morphs is not None and morphs.made:

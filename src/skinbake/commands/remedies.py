@@ -102,12 +102,12 @@ def _notice(place: Place, own: _Gains, *, is_guarded: bool, better: str | None) 
     called = "exact DQS" if own.least_of == DQS_EXACT else own.least_of[0].upper()
     message = f"α/β make its lighting worse: the {called} gain is {gain_in_words(own.least)}"
     message += f", and the LBS gain is {gain_in_words(lbs)}. " if only_dqs else ". "
-    if not is_guarded and not only_dqs:
-        rig = Chosen("gradients", Gradients.RIG)
-        advice = ", is no worse than standard lighting in the file's own clips: bake so"
-        return Notice("lighting-worse", Message(f"{message}The default, ", rig, advice), place)
     if better is not None and not only_dqs:
         return Notice("lighting-worse", f"{message}A bake with {better} lights the file better", place)
+    if not is_guarded and not only_dqs:
+        rig = Chosen("gradients", Gradients.RIG)
+        advice = ", compares itself with standard lighting in the file's own clips: bake so"
+        return Notice("lighting-worse", Message(f"{message}The default, ", rig, advice), place)
     other = "Blended" if own.least_of[0] == "blend" else "With dual quaternions"
     message += f"{other}, light" if only_dqs else "Light"
     message += " it the standard way (in skinbake-three: lighting(mesh, 'standard'))"

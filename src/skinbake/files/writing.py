@@ -11,7 +11,7 @@ import errno
 import os
 import sys
 import time
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -105,7 +105,7 @@ class Noting(Protocol):
         """Make the notes as they were before ``note``."""
 
 
-def write_files(
+def write_files(  # noqa: PLR0913  # what else is to happen in the one moment of naming
     root: Path,
     files: Mapping[Path, Iterable[Bytes]],
     target: str,
@@ -115,15 +115,16 @@ def write_files(
     sync: bool = True,
     notes: Noting | None = None,
     ahead: Ahead | None = None,
+    named: Callable[[], None] | None = None,
 ) -> Signature:
     """Write files below ``root`` under temporary names, then rename them, the last one last.
 
     ``serving`` are existing files that the last one names, as they were. ``replaces`` is the source of the
     last one, if it replaces its source. ``sync`` waits until all is on the disk. ``notes`` are taken
     before the files get their names, while no other run names files there. ``ahead`` may have a part of the
-    last one. Returns the signature of the last one, without the time when its name was made. Raises
-    OutputError that names ``target``, and TakenError if the names must be planned again. In both cases
-    everything is as it was.
+    last one. ``named`` is called when all have their names, before any interrupt. Returns the signature of
+    the last one, without the time when its name was made. Raises OutputError that names ``target``, and
+    TakenError if the names must be planned again. In both cases everything is as it was.
     """
     place = Place(target)
     begun = _Begun(os.path.realpath(root), str(root))
@@ -146,6 +147,8 @@ def write_files(
                         begun.notes = notes
                         notes.note(files.keys(), target)
                     _rename(begun, replaces, place)
+                    if named is not None:
+                        named()
                 except BaseException:
                     if not begun.is_done:  # pragma: no branch: races
                         begun.take_names_back()  # before another run can take them for its own

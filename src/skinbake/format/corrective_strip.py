@@ -166,9 +166,9 @@ def _former_animations(
     for number, animation in enumerate(animations):
         channels, samplers = entries_of(animation.get("channels")), entries_of(animation.get("samplers"))
         left: list[JsonObject] = []
-        is_ours = False
+        is_ours, every = False, [_moved_weights(channel, of_node) for channel in channels]
         for position, channel in enumerate(channels):
-            mesh, weight = _moved_weights(channel, of_node)
+            mesh, weight = every[position]
             if mesh not in kept or (weight is not None and weight < kept[mesh]):
                 left.append(channel)
                 continue
@@ -178,7 +178,15 @@ def _former_animations(
             if (number, position) not in former:
                 narrowed.append(Narrowed(number, len(left), kept[mesh]))
                 left.append(channel)
-            elif (before := former[number, position]) is not None:
+            elif (before := former[number, position]) is None:
+                # It was added beside pointers, which a later tool may have dropped.
+                points = any(moved[0] == mesh and moved[1] is not None for moved in every)
+                if not points and _moves(
+                    document, listed(animation, "samplers", channel.get("sampler")), kept[mesh]
+                ):
+                    narrowed.append(Narrowed(number, len(left), kept[mesh]))
+                    left.append(channel)
+            else:
                 before_it = samplers[int(before)] if int(before) < len(samplers) else {}
                 now = listed(animation, "samplers", channel.get("sampler")) or {}
                 if _still_plays(document, now, before_it, kept[mesh]):
@@ -250,7 +258,8 @@ def _read(document: Document, number: int) -> FloatArray | None:
         count = element_count(document, number, document.place)
         document.budget.claim_steps(count // NUMBERS_A_STEP, "undoing its bake", document.place)
         with document.budget.passing():
-            return read_accessor(document, number, document.place).decoded()
+            # As correctives are made and stored, also where the weights of a file are integers.
+            return read_accessor(document, number, document.place).decoded().astype(np.float32)
     except InputError as error:
         if error is document.budget.refusal:
             raise
@@ -273,6 +282,20 @@ def _still_plays(document: Document, now: JsonObject, before: JsonObject, target
             [_read(document, int(one or 0)) for one in numbers], 3 if methods[0] else 1, targets
         )
     return bool(known[key])
+
+
+def _moves(document: Document, sampler: JsonObject | None, targets: int) -> bool:
+    """Tell whether a sampler moves any of the first targets."""
+    numbers = [reference((sampler or {}).get(key)) for key in ("input", "output")]
+    count = len(document.objects("accessors"))
+    if any(one is None or not 0 <= one < count for one in numbers):
+        return False
+    times, values = (_read(document, int(one or 0)) for one in numbers)
+    each = 3 if (sampler or {}).get("interpolation") == poses.CUBICSPLINE else 1
+    if times is None or values is None or values.size % (len(times) * each):
+        return False
+    played = values.reshape(len(times), each, -1)[:, each // 2, :targets]
+    return bool(np.ptp(played, axis=0).any())
 
 
 def _agree(arrays: Sequence[FloatArray | None], each: int, targets: int) -> bool:

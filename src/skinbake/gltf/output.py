@@ -100,9 +100,9 @@ class PlannedOutput:
                     sync=sync,
                     notes=planned.copies,
                     ahead=None if written else ahead,
+                    named=tell_written,
                 )
                 final = planned
-                tell_written()
                 if planned.copies is None or planned.again is None or not planned.copies.replace(sync=sync):
                     break
             except TakenError:

@@ -111,11 +111,13 @@ class FileContent:
     file: BoundedPath
 
     def __iter__(self) -> Iterator[bytes]:
-        """Yield the blocks. Raises OSError, also if the file is larger than any that may be read."""
+        """Yield the blocks. Raises OSError; InputError if the file is larger than any that may be read."""
         descriptor = open_beneath(self.file)
         try:
-            if not fits_memory(os.fstat(descriptor).st_size):
-                raise OSError(errno.EFBIG, f"{self.file.name} is too large: raise --max-memory")
+            size = os.fstat(descriptor).st_size
+            if not fits_memory(size):
+                message = f"it has {size:,} bytes, which is too large: raise --max-memory"
+                raise InputError(message, Place(self.file.path))
             while block := os.read(descriptor, BLOCK):
                 yield block
         finally:

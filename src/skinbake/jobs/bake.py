@@ -77,4 +77,6 @@ class Bake:
         from skinbake.jobs import state  # only --skip-unchanged needs it
 
         bounds = Bounds(job.within.output, job.within.bounds.allowed)
+        if job.source == job.target:
+            bounds = job.within.bounds
         return state.made(str(job.target), written, before.digests, bounds)

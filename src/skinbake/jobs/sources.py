@@ -10,6 +10,9 @@ from skinbake.errors import Notice, Place
 from skinbake.jobs.state import Origin, State, absolute
 from skinbake.report.verify import SOURCES, Check
 
+BAKE = "skinbake bake --skip-unchanged"
+"""What makes an output and notes it, with the options of the build."""
+
 
 def checks_of(
     state: State, outputs: Iterable[str], sources: Sequence[str], folder: str, allowed: Sequence[str] = ()
@@ -30,7 +33,7 @@ def checks_of(
     with_output = {origin.source for path, origin in origins.items() if os.path.lexists(path)}
     for source, name in named.items():
         if source not in with_output:
-            problem = Notice("output-missing", "it has no output: run skinbake bake", Place(name))
+            problem = Notice("output-missing", f"it has no output: run {BAKE}", Place(name))
             found[name] = Check(SOURCES, "failed", (problem,))
     return found
 
@@ -44,10 +47,11 @@ def _problems(
         message = "no record tells its source: bake it with --skip-unchanged, or remove it"
         yield Notice("source-unknown", message, place)
     elif origin.source not in named:
-        yield Notice(
-            "source-gone", f"its source {Path(origin.source).name} is not below {folder}: remove it", place
-        )
+        advice = f"is not below {folder}: name its folder with --sources"
+        if not os.path.lexists(origin.source):
+            advice = "is gone: remove the output"
+        yield Notice("source-gone", f"its source {os.path.relpath(origin.source)} {advice}", place)
     elif changed := origin.changed(roots):
         names = ", ".join(Path(path).name for path in changed)
-        message = f"{names} changed since its bake: run skinbake bake on {named[origin.source]}"
+        message = f"{names} changed since its bake: run {BAKE} on {named[origin.source]}"
         yield Notice("source-changed", message, place, len(changed))

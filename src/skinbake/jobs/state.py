@@ -142,6 +142,7 @@ class Recipe:
                 return False
             roots = [*self.roots, *(os.path.dirname(absolute(path)) for _, path in sides)]
             roots += map(os.path.realpath, within.bounds.allowed)
+            roots += [] if within.output is None else [os.path.realpath(within.output)]
             found = {**made, **read}
             return all(found[path] == digest for path, digest in made.items()) and all(
                 self._is_so(path, digest, roots) for path, digest in found.items()
