@@ -60,7 +60,7 @@ def test_a_measured_bake_is_the_remedy_and_the_default_helps(tmp_path: Path, nam
     assert gain(answer) < 1
     [message] = worse(answer)
     assert re.match("α/β make its lighting worse: the (LBS|DQS) gain is 0.", message)
-    assert re.search(r"\. A bake with --[a-z]+ [a-z]+ lights the file better$", message)
+    assert re.search(r"\. A bake with .* lights the file better$", message) or message.endswith(DEFAULT)
     better = verified(model, tmp_path)
     assert worse(better) == []
     assert gain(better) > 1
