@@ -21,9 +21,9 @@ def remember_what_never_changes() -> None:
     _draw_on_paper()
     from skinbake.shaders import text
 
-    environment = text._environment(text.TEMPLATES)
-    for name in environment.list_templates():
-        environment.get_template(name)
+    environment = text._environment()
+    for path in text.TEMPLATES.rglob("*.*"):
+        environment.get_template(path.relative_to(text.TEMPLATES).as_posix())
 
 
 def _draw_on_paper() -> None:
