@@ -11,7 +11,15 @@ import numpy as np
 import pytest
 
 from skinbake.choices import Encoding
-from skinbake.format.encodings import CANDIDATES, LARGEST, common_scale, decoded, encoded, vertex_bytes
+from skinbake.format.encodings import (
+    CANDIDATES,
+    LARGEST,
+    common_scale,
+    decoded,
+    encoded,
+    shortened,
+    vertex_bytes,
+)
 from skinbake.format.layouts import GradientFormat
 from tests.support import khronos
 from tests.support.gltf_reading import GltfFile, read
@@ -226,3 +234,9 @@ def test_metadata_of_float32_say_nothing_of_it(tmp_path: Path) -> None:
     model = baked(FOLDER / "seam.glb", tmp_path / "seam.glb")
     assert not {"encoding", "scale", "layout"} & (note(model.content) or {}).keys()
     assert read(tmp_path / "seam.glb").content == model.content
+
+
+def test_rounding_beside_a_scale_of_0_stays_as_it_is() -> None:
+    alpha, beta = np.array([[1e-17], [0.0]]), np.zeros((2, 1))
+    found = shortened(alpha, beta, 0.0)
+    assert np.array_equal(found[0], alpha) and np.array_equal(found[1], beta)

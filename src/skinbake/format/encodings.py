@@ -121,10 +121,11 @@ def bearing_scale(spreads: Sequence[Spread], encoding: Encoding) -> float:
 def shortened(alpha: FloatArray, beta: FloatArray, scale: float) -> tuple[FloatArray, FloatArray]:
     """Return α and β (V, K − 1) without a value beyond the scale. All of a vertex are shortened alike.
 
-    At a sliver both are so long that the normal hangs on their proportion.
+    At a sliver both are so long that the normal hangs on their proportion. A scale of 0 is that of a surface
+    without slopes: what is left of them is rounding.
     """
     sizes = _sizes(alpha, beta)
-    if not (sizes > scale).any():
+    if scale <= 0.0 or not (sizes > scale).any():
         return alpha, beta
     shares = (scale / np.maximum(sizes, scale))[:, None]
     return alpha * shares, beta * shares

@@ -174,7 +174,8 @@ def prepared_rig_fit(document: Document, views: Sequence[BakedView], weighting: 
             rig=rig,
             kept=kept,
             stored=[(view.alpha, view.beta) for view in views],
-            scale=min(view.metadata.get("scale", np.inf) for view in views),
+            # At a scale of 0 nothing was shortened: nothing was there.
+            scale=min(view.metadata.get("scale") or np.inf for view in views),
         )
         return [(alpha.astype(np.float64), beta.astype(np.float64)) for alpha, beta in slots]
 
