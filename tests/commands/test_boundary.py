@@ -87,7 +87,7 @@ def test_an_error_in_writing_carries_what_was_noticed_before(tmp_path: Path) -> 
     model = write_model(tmp_path / "a.glb", [sheet(WEIGHTS_0=np.full((20, 4), 0.5, np.float32))])
     noticed_before = Baker().bake_file(str(model), None).notices
     assert [notice.code for notice in noticed_before] == ["weights-sum", "joints-repeated"]
-    target = str(model / "b.glb")  # a file is no folder
+    target = str(model / "b.glb")  # a file is not a folder
     with pytest.raises(OutputError) as raised:
         Baker().bake_file(str(model), target)
     assert raised.value.notices == noticed_before

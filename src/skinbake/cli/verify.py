@@ -126,7 +126,7 @@ def _sources(
     if given["dask"] or any(entry.source == STDIO or is_url(entry.source) for entry in found):
         raise click.UsageError("--sources needs files on this machine's disks, without --dask")
     if not Path(folder).is_dir():
-        raise click.UsageError(f"--sources: {folder} is no folder")
+        raise click.UsageError(f"--sources: {folder} is not a folder")
     state_at = given["state"]
     own = Path(inputs[0], STATE_NAME) if len(inputs) == 1 and Path(inputs[0]).is_dir() else None
     # The notes of verify itself may lie in another file.
