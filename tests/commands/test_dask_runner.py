@@ -280,6 +280,15 @@ def _without_workers_jobs_are_lost(found: Any, client: Any, jobs: list[Job]) -> 
     }
 
 
+def test_a_pipe_among_the_inputs_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.glb")
+    (tmp_path / "file.glb").write_bytes(b"abc")
+    assert dask_runner.content(str(tmp_path / "pipe.glb")) is None
+    assert dask_runner.content(str(tmp_path / "gone.glb")) is None
+    digest = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"  # of FIPS 180-2
+    assert dask_runner.content(str(tmp_path / "file.glb")) == (3, digest)
+
+
 @pytest.mark.slow
 def test_the_scheduler_goes_away(tmp_path: Path) -> None:
     write_sheets(tmp_path / "in", 120)

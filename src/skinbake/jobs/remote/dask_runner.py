@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 from skinbake.errors import InputError, Notice, OutputError, Place, SkinbakeError
 from skinbake.files.bounds import Bounds, Within
+from skinbake.files.folders import open_regular
 from skinbake.files.urls import is_url
 from skinbake.jobs.remote.staging import naming, with_names
 from skinbake.jobs.work import Job, ResultT, Work
@@ -217,7 +218,7 @@ def content(name: str | None) -> tuple[int, str] | None:
     if name is None or is_url(name):
         return None
     try:
-        with Path(name).open("rb") as file:
+        with os.fdopen(open_regular(name), "rb") as file:
             return os.fstat(file.fileno()).st_size, hashlib.file_digest(file, "sha256").hexdigest()
     except (OSError, ValueError):
         return None
