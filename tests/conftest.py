@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import pytest
 
@@ -54,3 +54,20 @@ def stage(opened: StageT) -> StageT:
 def _nothing_waits_for_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     """No test cuts the power: waiting for the disk would only take ten times as long."""
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+
+
+@pytest.fixture
+def workers(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Have workers started for the least work; the list tells how many each run may have."""
+    from skinbake.jobs import processes
+
+    counts: list[int] = []
+    original = processes.Processes.run
+
+    def counted(self: Any, work: Any, jobs: Any) -> Any:
+        counts.append(self.workers)
+        return original(self, work, jobs)
+
+    monkeypatch.setattr(processes.Processes, "run", counted)
+    monkeypatch.setattr("skinbake.cli.runners.WORTHWHILE", 0.0)
+    return counts

@@ -37,7 +37,7 @@ def join_url(folder: str, relative: str) -> str:
 
 def on_disk(name: str) -> str | None:
     """Return the path that a path, or a ``file:`` or ``local:`` URL, names. For other URLs return None."""
-    if not is_url(name):  # pragma: no branch: URLs: tests/files/test_urls.py
+    if not is_url(name):  # pragma: no branch: URLs: tests/jobs/test_urls.py
         return name
     scheme, _, rest = name.partition("://")
     return rest if scheme.lower() in {"file", "local"} else None
@@ -71,7 +71,7 @@ def named_file(name: str, folders: dict[str, str] | None = None) -> File:
     ``folders`` keeps the real paths of folders, for one look at each if there are many names.
     """
     path, folders = on_disk(name), {} if folders is None else folders
-    if path is None:  # pragma: no cover: URLs: tests/files/test_urls.py
+    if path is None:  # pragma: no cover: URLs: tests/jobs/test_urls.py
         scheme, _, rest = name.partition("://")
         return File(name, f"{scheme}://{posixpath.normpath(rest)}")
     if name == STDIO:

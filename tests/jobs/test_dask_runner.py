@@ -23,8 +23,8 @@ from skinbake.jobs.remote import dask_runner
 from skinbake.jobs.remote.dask_runner import DaskRunner
 from skinbake.jobs.work import Job
 from skinbake.report.bake import FileResult
-from tests.commands.clusters import PATIENCE, cluster, observer, require_dask, wait_for_workers
-from tests.commands.file_works import BakeOrDie, Raise, baking, verifying
+from tests.jobs.clusters import PATIENCE, cluster, observer, require_dask, wait_for_workers
+from tests.jobs.file_works import BakeOrDie, Raise, baking, verifying
 from tests.support.command_line import document, invoke
 from tests.support.kernels import use_numpy
 from tests.support.libraries import tree, write_library, write_sheets

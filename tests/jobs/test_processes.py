@@ -24,8 +24,8 @@ from skinbake.jobs.runners import FirstThese, InThisProcess, in_order
 from skinbake.jobs.work import Job
 from skinbake.jobs.worker import BASE, Limits
 from skinbake.timing import heard
-from tests.commands.file_works import baking
-from tests.commands.works import (
+from tests.jobs.file_works import baking
+from tests.jobs.works import (
     Crashing,
     Deadly,
     DeadlyOnce,

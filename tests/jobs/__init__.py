@@ -1,0 +1,1 @@
+"""Tests of work on many files: processes, clusters, URLs, the state file."""
