@@ -294,7 +294,7 @@ class Baker(CheckedOptions):
 
     def _lighting(self, baked: Document) -> FileVerdict:
         """Return the lighting of a document with α and β, by linear blend skinning."""
-        from skinbake.commands.verify import lighting_of
+        from skinbake.measure.lighting import lighting_of
         from skinbake.measure.options import VerifyOptions
 
         return lighting_of(baked, VerifyOptions(methods=("lbs",)))
@@ -498,7 +498,7 @@ def _refuse_unverifiable(
         BYTES_A_COPY * most <= bound or BYTES_A_COPY * sum(map(_copied_corners, surfaces)) <= bound
     ):
         return
-    from skinbake.commands.verify import claim_verification  # few files come near
+    from skinbake.measure.lighting import claim_verification  # few files come near
 
     sizes = [len(json_text.written(one.json, indent=None, ascii_only=False)) for one in (given, baked)]
     fresh.backed += added + sizes[1] - sizes[0]
@@ -567,7 +567,7 @@ def _lost_gain(written: Document, plain: Document) -> tuple[float, float]:
 
     Both are by the truth by which the encoding loses the larger share.
     """
-    from skinbake.commands.verify import lighting_of
+    from skinbake.measure.lighting import lighting_of
     from skinbake.measure.options import VerifyOptions
 
     options = VerifyOptions(methods=("lbs",))

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from skinbake.choices import CorrectiveAim, Encoding, FrameChoice
-from skinbake.commands.played_correctives import played_clips
+from skinbake.choices import CorrectiveAim, Encoding, FrameChoice, Gradients
 from skinbake.commands.surface_bake import FitTarget, SurfaceBake, unwritten
 from skinbake.correctives.fit import (
     LEAST_HELD_BACK,
@@ -31,6 +30,7 @@ from skinbake.format.correctives import (
     with_mesh_correctives,
 )
 from skinbake.format.metadata import KEY
+from skinbake.format.strip import uncorrected
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.gltf.animation import (
     MORPH_WEIGHTS,
@@ -45,8 +45,11 @@ from skinbake.gltf.json_access import JsonObject, reference
 from skinbake.gltf.morphs import resting_weights, target_count
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive
 from skinbake.gltf.scenes import meshes_of_one_skin
+from skinbake.measure.corrected import corrected_lighting, worse_primitives
 from skinbake.measure.draws import STEPS_A_MORPHED_POSE, STEPS_A_TARGET
 from skinbake.measure.morphing import moving_targets
+from skinbake.measure.options import VerifyOptions
+from skinbake.measure.played_correctives import played_clips
 from skinbake.report.bake import CorrectiveCounts
 from skinbake.report.verify import NEGLIGIBLE
 from skinbake.skinning.rest import RestPrimitive
@@ -94,9 +97,7 @@ class CorrectedDocument(NamedTuple):
 
     def lighting(self) -> FileVerdict:
         """Measure the lighting, if that has not been done."""
-        from skinbake.commands.verify_correctives import corrected_lighting  # it imports Baker
-
-        return self.verdict or corrected_lighting(self.document)
+        return self.verdict or _lighting(self.document)
 
     @property
     def means(self) -> tuple[tuple[str, float, float], ...]:
@@ -113,8 +114,6 @@ def corrected_document(
 
     Raises InputError if clips, skins or targets of the file are broken, or a clip of ``--clips`` is missing.
     """
-    from skinbake.commands.verify_correctives import corrected_lighting, worse_primitives  # it imports Baker
-
     clips = read_clips(document)
     chosen = _chosen(document, clips, baker.clips)
     plain = [mesh for mesh in dict.fromkeys(one.mesh for one in sources) if not target_count(document, mesh)]
@@ -136,7 +135,7 @@ def corrected_document(
             budget = document.budget
             backed = budget.backed + sum(lengths)
             fresh = Budget(limit=budget.limit, backed=backed, parts=budget.parts)
-            verdict = corrected_lighting(written.edited(budget=fresh))
+            verdict = _lighting(written.edited(budget=fresh))
         if broken := [one for one in verdict.notices if one.code == "animations-broken"]:
             raise InputError(broken[0].message.partition(": random poses")[0], broken[0].place)
         worse = {(place.mesh, place.primitive) for place in worse_primitives(verdict)}
@@ -150,6 +149,16 @@ def corrected_document(
             # What others have makes plain what the rest does not need.
             return CorrectedDocument(written, counts, warnings_in(notices), verdict)
         found = [(place, one, item and _without(item, worse)) for place, one, item in found]
+
+
+def _lighting(document: Document) -> FileVerdict:
+    """Measure the lighting of a document with correctives, beside that of α and β of the surface."""
+    from skinbake.commands.bake import Baker
+
+    with stage("α and β"):
+        plain, _, _ = uncorrected(document)
+        gradients = Baker(gradients=Gradients.SURFACE).bake_document(plain).document
+    return corrected_lighting(document, gradients, VerifyOptions())[0]
 
 
 def _without(

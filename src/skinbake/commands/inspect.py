@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from skinbake.choices import FrameChoice
-from skinbake.commands.played_correctives import changed_since
 from skinbake.errors import Notice
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.format.attribute_store import meshopt_of
@@ -33,6 +32,7 @@ from skinbake.gltf.resources import is_data_uri
 from skinbake.gradients.influences import weight_field, weight_sum_notices
 from skinbake.gradients.normals import lean_notices
 from skinbake.gradients.tangents import chosen_frame, with_straight_tangents
+from skinbake.measure.played_correctives import changed_since
 from skinbake.report.inspect import (
     AttributeSummary,
     BakeSummary,

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skinbake.choices import USUAL_TRUTHS, Baseline, Method
-from skinbake.commands.played_correctives import PlayedCorrectives
 from skinbake.commands.posed_scene import (
     Draw,
     baked_in_memory,
@@ -27,6 +26,7 @@ from skinbake.gltf.animation import RANDOM, Clip
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.output import refuse_own_input
 from skinbake.measure.angles import INSIDE_OUT, METHODS, Corrections, truths_at_rest
+from skinbake.measure.played_correctives import PlayedCorrectives
 from skinbake.report.normals import BYTES_A_NUMBER, PosedNormals, line
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.blended import BlendedSkinning

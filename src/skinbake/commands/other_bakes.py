@@ -70,7 +70,7 @@ def _measured(
             both = {"correctives": "auto", "morph_normals": True}
             ways += [("--correctives auto --morph-normals", both)] if lacking else []
     else:
-        from skinbake.commands.verify import lighting_of as measured
+        from skinbake.measure.lighting import lighting_of as measured
 
         ways.append((_default(document, sources), {}))
         if lacking:

@@ -12,7 +12,6 @@ import numpy as np
 
 from skinbake.choices import Truth
 from skinbake.commands.bake import STEPS_A_BAKE, Baker
-from skinbake.commands.played_correctives import PlayedCorrectives, damaged_correctives
 from skinbake.errors import ChoiceError, InputError, Notice, printable
 from skinbake.format.strip import stripped, uncorrected
 from skinbake.freshness.baked_views import BakedView, is_baked, rest_primitive, whole_surfaces
@@ -45,6 +44,7 @@ from skinbake.gltf.primitives import (
 from skinbake.gltf.scenes import faces_backward, shown_nodes
 from skinbake.measure.angles import Corrections, MeasuredBlock, lighting_errors, truths_at_rest
 from skinbake.measure.morphing import morphing_of
+from skinbake.measure.played_correctives import PlayedCorrectives, damaged_correctives
 from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.truth.blending import BlendedPrimitive
 from skinbake.truth.morphing import Morphing

@@ -6,19 +6,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from skinbake.commands.remedies import worse_lighting
-from skinbake.errors import InputError, Notice, warnings_in
+from skinbake.errors import Notice, warnings_in
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.format.metadata import corrective_note, read_left, read_metadata
 from skinbake.freshness.baked_views import BakedView, baked_views, gathered_together, is_baked
 from skinbake.freshness.made_targets import made_states
 from skinbake.freshness.staleness import claim_freshness, fits_begun, freshness_check, surface_operator
-from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources
 from skinbake.gradients.influences import weight_sum_notices
 from skinbake.gradients.normals import lean_notices
-from skinbake.measure.draws import draws, true_surfaces
 from skinbake.measure.measured import lighting_verdict
 from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import Check, FileVerdict, leaves_room
@@ -37,31 +35,6 @@ def verify_file(source: str, options: VerifyOptions, bounds: Bounds = BESIDE) ->
         problem = Check("warnings", "failed", tuple(warned))
         return replace(verdict, checks=(*verdict.checks, problem))
     return verdict
-
-
-def lighting_of(document: Document, options: VerifyOptions) -> FileVerdict:
-    """Return the lighting of a document that has just been baked. Its freshness is not in question."""
-    wanted, _, _ = _sorted_out(document)
-    surfaces = gathered_together(document, baked_views(document, wanted)[0])
-    operators = [surface_operator(document, surface) for surface in surfaces]
-    return lighting_verdict(document, options, surfaces, operators)
-
-
-def claim_verification(document: Document) -> None:
-    """Count the work of verifying a document that has just been baked. Raises InputError if it is too much.
-
-    Other faults of the document raise nothing: verify says them.
-    """
-    wanted, _, _ = _sorted_out(document)
-    claim_freshness(document, len(wanted))
-    try:
-        surfaces = gathered_together(document, baked_views(document, wanted)[0])
-        operators = [surface_operator(document, surface) for surface in surfaces]
-        whole = true_surfaces(document, surfaces, operators)
-        draws(document, whole, read_clips(document), VerifyOptions().poses)
-    except InputError as error:
-        if error is document.budget.refusal:
-            raise
 
 
 def verify_document(

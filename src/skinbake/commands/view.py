@@ -14,7 +14,6 @@ from urllib.parse import quote
 import numpy as np
 
 from skinbake.choices import FrameChoice, Gradients, Neighbours, Scheme, Weld
-from skinbake.commands.played_correctives import PlayedCorrectives
 from skinbake.commands.posed_scene import (
     baked_in_memory,
     damaged_bakes,
@@ -43,6 +42,7 @@ from skinbake.gltf.recode import Compression, recoded
 from skinbake.gltf.resources import is_data_uri, read_resource
 from skinbake.gltf.scenes import faces_backward
 from skinbake.measure.options import VerifyOptions
+from skinbake.measure.played_correctives import PlayedCorrectives
 from skinbake.report.verify import FileVerdict, by_worse_truth, file_json, first_problem, gain, remarks
 from skinbake.timing import stage
 from skinbake.view.index import Listed, index, pages
