@@ -4,7 +4,8 @@ The tree::
 
     SkinbakeError
     ├── InputError                  the file cannot be read, or is not valid glTF        exit 3
-    │   └── UnsupportedFeatureError it is valid, and this version cannot process it      exit 3
+    │   ├── UnsupportedFeatureError it is valid, and this version cannot process it      exit 3
+    │   └── BudgetError             it asks for too much memory or work for its size     exit 3
     ├── OutputError                 the result cannot be written                         exit 4
     │   └── ReaderGoneError         its reader has left                                  exit 141
     └── ChoiceError                 an option has a value that it does not take          exit 2
@@ -176,6 +177,13 @@ def defect(error: Exception, file: str) -> InputError:
 
 class UnsupportedFeatureError(InputError):
     """The input is valid, and uses something that this version cannot process."""
+
+
+class BudgetError(InputError):
+    """A file asks for more memory or work than it may. No search passes over it to another part.
+
+    Users meet it as an ``InputError``.
+    """
 
 
 class OutputError(SkinbakeError):

@@ -124,9 +124,9 @@ data = Path(sys.argv[1]).read_bytes()
 document = parse_gltf(b'{"asset": {"version": "2.0"}}', "x.gltf", Path())
 decoded(Path(sys.argv[2]).read_bytes(), document)
 Path("/proc/self/clear_refs").write_text("5")
-before, spent = memory("VmRSS"), document.budget.spent
+before, spent = memory("VmRSS"), document.budget.taken.bytes
 decoded(data, document)
-print(memory("VmHWM") - before, document.budget.spent - spent)
+print(memory("VmHWM") - before, document.budget.taken.bytes - spent)
 """
 
 

@@ -22,7 +22,7 @@ from skinbake.freshness.baked_views import sound_views
 from skinbake.freshness.made_targets import made_states
 from skinbake.gltf import budget as budgets
 from skinbake.gltf.animation import read_clips, read_skeleton
-from skinbake.gltf.budget import Budget
+from skinbake.gltf.budget import Budget, Work
 from skinbake.gltf.document import read_document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.primitives import skinned_sources
@@ -170,15 +170,15 @@ def test_small_files_take_no_long_work(
 
 
 def test_steps_are_refused_by_the_bytes_of_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(budgets, "STEPS_FREE", 100)
+    monkeypatch.setattr(budgets, "STEPS", budgets.Limit(1, 100))
     budget = Budget(backed=50)
-    budget.claim_steps(50 * budgets.STEPS_RATIO, "one", HERE)
-    budget.claim_steps(60, "two", HERE)
+    budget.claim(Work(steps=50), "one", HERE)
+    budget.claim(Work(steps=60), "two", HERE)
     with pytest.raises(
         InputError, match="three would take 41 steps of work, so the file would take 151 in all"
     ):
-        budget.claim_steps(41, "three", HERE)
-    budget.claim_steps(40, "four", HERE)
+        budget.claim(Work(steps=41), "three", HERE)
+    budget.claim(Work(steps=40), "four", HERE)
     assert budget.steps_left == 0
 
 
@@ -189,7 +189,7 @@ def test_many_tiny_meshes_are_refused_before_they_are_worked_on(
     source = write_model(tmp_path / "in.glb", [sheet()], change=with_meshes(700))
     out, text = tmp_path / "baked.glb", tmp_path / "x.glsl"
     with monkeypatch.context() as unbounded:
-        unbounded.setattr(budgets, "STEPS_FREE", 1 << 30)
+        unbounded.setattr(budgets, "STEPS", budgets.Limit(1, 1 << 30))
         assert invoke("bake", source, "-o", out).exit_code == 0
     for command, what in [
         (("bake", source, "-o", tmp_path / "p.glb", "--gradients", "poses"), "fitting it to its poses"),
@@ -344,7 +344,7 @@ def test_poses_that_are_too_much_work_are_left_out_with_a_notice(
     assert 3 < count < 600
     assert measured.startswith(f"{count} poses of {count // 3} clips")
     assert f"in {count} of up to 600 poses" in notice
-    monkeypatch.setattr(budgets, "STEPS_FREE", 1 << 30)
+    monkeypatch.setattr(budgets, "STEPS", budgets.Limit(1, 1 << 30))
     measured, notice = verified(tmp_path / "baked.glb")
     assert measured.startswith("600 poses of 200 clips")
     assert not notice
@@ -382,9 +382,9 @@ def test_targets_of_a_draw_are_read_once_for_all_moments_of_a_search(tmp_path: P
     document = read_document(str(tmp_path / "baked.glb"))
     (draw,), (clip,) = list(shown_draws(document, sound_views(document))), read_clips(document)
     first = posed_draw(document, draw, clip, np.array([0.0]))
-    spent = document.budget.spent
+    spent = document.budget.taken.bytes
     second = posed_draw(document, draw, clip, np.array([0.0, 0.5]))
-    assert document.budget.spent == spent
+    assert document.budget.taken.bytes == spent
     assert first.morphing is not None
     assert second.morphing is not None
     assert second.morphing.targets is first.morphing.targets

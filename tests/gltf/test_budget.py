@@ -21,7 +21,7 @@ from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.format.strip import stripped
 from skinbake.gltf import budget as budgets
 from skinbake.gltf.animation import read_clips
-from skinbake.gltf.budget import Budget, memory_limited, shown
+from skinbake.gltf.budget import Budget, Limit, Work, memory_limited, shown
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.compaction import _Shifts
 from skinbake.gltf.document import Document, parse_glb, parse_gltf, read_document
@@ -38,27 +38,27 @@ LINUX = pytest.mark.skipif(sys.platform != "linux", reason="reads what a child t
 def test_what_is_held_is_limited_and_can_be_let_go() -> None:
     budget = Budget(limit=100, backed=1)
     with budget.passing():
-        budget.claim(90, "a part", HERE)
-    budget.claim(100, "another", HERE)
+        budget.claim(Work(bytes=90), "a part", HERE)
+    budget.claim(Work(bytes=100), "another", HERE)
     with pytest.raises(InputError, match=r"x.glb: one more would take 1 byte, .*101 bytes.*: raise --max"):
-        budget.claim(1, "one more", HERE)
+        budget.claim(Work(bytes=1), "one more", HERE)
 
 
 def test_what_is_spent_in_all_is_limited_by_the_file_s_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(budgets, "FREE", 1000)
+    monkeypatch.setattr(budgets, "MEMORY", Limit(2048, 1000))
     budget = Budget(limit=1 << 60, backed=2)
-    for _ in range(2 * budgets.RATIO // 64):
+    for _ in range(2 * 2048 // 64):
         with budget.passing():
-            budget.claim(64, "a part", HERE)
-    with pytest.raises(InputError, match=f"The limit is {budgets.RATIO:,} times its 2 bytes"):
-        budget.claim(1, "the last", HERE)
+            budget.claim(Work(bytes=64), "a part", HERE)
+    with pytest.raises(InputError, match="The limit is 2,048 times its 2 bytes"):
+        budget.claim(Work(bytes=1), "the last", HERE)
 
 
 def test_zeros_count_once_an_accessor() -> None:
     budget = Budget(limit=1 << 60, backed=0)
     for _ in range(3):
-        budget.claim_zeros(budgets.ZEROS_FREE // 2, 7, HERE)
-    budget.claim_zeros(budgets.ZEROS_FREE // 2, 8, HERE)
+        budget.claim_zeros(budgets.ZEROS.free // 2, 7, HERE)
+    budget.claim_zeros(budgets.ZEROS.free // 2, 8, HERE)
     with pytest.raises(InputError, match="accessor 9 has no buffer view and claims 1 byte of zeros"):
         budget.claim_zeros(1, 9, HERE)
 
@@ -212,20 +212,21 @@ def test_vertices_that_are_shared_too_often_are_refused_before_they_are_read(
 
 def test_vertices_and_triangles_are_limited_by_the_file_s_bytes() -> None:
     budget = Budget(backed=100)
-    most = budgets.ELEMENTS_FREE + 100 * budgets.ELEMENTS_RATIO
-    budget.check_elements(most, HERE)
-    budget.check_elements(most, HERE)
+    most = budgets.ELEMENTS.free + 400
+    budget.look_at(most, [], HERE)
+    budget.look_at(most, [], HERE)
     with pytest.raises(InputError, match=f"x.glb: its skinned primitives have {most + 1:,} vertices"):
-        budget.check_elements(most + 1, HERE)
+        budget.look_at(most + 1, [], HERE)
 
 
 def test_welding_is_limited_by_the_file_s_bytes() -> None:
     budget = Budget(limit=1 << 60, backed=100)
-    budget.claim_welding(budgets.WELDING_FREE, HERE)
-    budget.claim_welding(100 * budgets.WELDING_RATIO, HERE)
-    assert budget.held == budget.welded
+    claim = budget.welding(HERE)
+    claim(128 * MIB)
+    claim(100 * 512)
+    assert budget.held == 128 * MIB + 100 * 512
     with pytest.raises(InputError, match=r"x.glb: its vertices have so many copies .* 128 MiB"):
-        budget.claim_welding(1, HERE)
+        claim(1)
 
 
 @pytest.mark.parametrize("json", [{"indices": "x"}, {"indices": -1}, {"indices": 9}, {"indices": None}])
@@ -363,7 +364,7 @@ def test_targets_that_are_sparse_alone_are_read(tmp_path: Path) -> None:
     found = read_targets(document, one, list(range(200)), count=count, tangents=False)
     assert found is not None
     assert len(found.targets) == 200
-    assert document.budget.zeros == 200 * count * 12
+    assert document.budget.taken.zeros == 200 * count * 12
     assert document.budget.held < held + 1_000_000  # only what moves is kept
 
 
@@ -418,8 +419,7 @@ def test_metadata_that_primitives_share_is_counted_at_each_use(
     """A file of 1 MiB could let strip work for hours, or take any amount of memory."""
     few = sharing(dict(list(attributes.items())[-2:]), note, 1)
     document = sharing(attributes, note, primitives)
-    monkeypatch.setattr(budgets, "FREE", 4_000_000)
-    monkeypatch.setattr(budgets, "RATIO", 1)
+    monkeypatch.setattr(budgets, "MEMORY", Limit(1, 4_000_000))
     held = few.budget.held
     assert stripped(few)[1] == 1
     assert few.budget.held == held
@@ -504,7 +504,6 @@ def test_streams_that_primitives_share_are_compared_within_the_memory(
             mesh["primitives"].append(primitive)
 
     document = read_document(str(draco_twin(FOLDER / "bent_tube.glb", tmp_path / "in.glb", change=share)))
-    monkeypatch.setattr(budgets, "FREE", 1_000_000)
-    monkeypatch.setattr(budgets, "RATIO", 1)
+    monkeypatch.setattr(budgets, "MEMORY", Limit(1, 1_000_000))
     with pytest.raises(InputError, match=r"Draco streams? would take .* whatever --max-memory says"):
         stripped(document)

@@ -22,6 +22,7 @@ from skinbake.commands.inspect import inspect_file
 from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
 from skinbake.errors import ChoiceError, InputError
+from skinbake.gltf.budget import Limit
 from skinbake.gltf.compaction import compacted
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
@@ -757,9 +758,9 @@ def test_what_all_of_a_file_expands_to_is_limited(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     source = twin(kind, "bent_tube.glb", tmp_path)
-    monkeypatch.setattr("skinbake.gltf.budget.UNPACKED_FREE", 1000)
+    monkeypatch.setattr("skinbake.gltf.budget.UNPACKED", Limit(100, 1000))
     bake(source, tmp_path / "out.glb")
-    monkeypatch.setattr("skinbake.gltf.budget.UNPACKED_RATIO", 1)
+    monkeypatch.setattr("skinbake.gltf.budget.UNPACKED", Limit(1, 1000))
     with pytest.raises(InputError, match="The limit is 1 times as many") as raised:
         bake_file(str(source), str(tmp_path / "not.glb"))
     assert 'mesh 0 "tube", primitive 0' in str(raised.value)

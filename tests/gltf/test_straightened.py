@@ -186,14 +186,13 @@ def test_memory_that_is_refused_is_no_reason_to_keep_the_bake(
         former.update({name: 0 for name in former if name != "digest"})
     changed = rewritten(file, tmp_path / "changed.glb")
     document = read_document(str(changed))
-    before = document.budget.spent
+    before = document.budget.taken.bytes
     whole, _, told = stripped(document)
     assert told == [] or (renumbered and callable(twin)), "accessors of streams are not searched"
-    spent, refused = document.budget.spent, 0
+    spent, refused = document.budget.taken.bytes, 0
     assert spent > before
-    monkeypatch.setattr(budget, "RATIO", 0)
     for limit in np.linspace(before, spent, 30).astype(int):
-        monkeypatch.setattr(budget, "FREE", int(limit))
+        monkeypatch.setattr(budget, "MEMORY", budget.Limit(0, int(limit)))
         document = read_document(str(changed))
         try:
             found, _, notices = stripped(document)

@@ -522,8 +522,8 @@ def test_vertices_that_nodes_draw_without_a_skin_are_work_each_time(
     monkeypatch.setattr(posed_scene, "STEPS_A_SHOWN_CLIP", 0)
     document = read_document(path)
     assert len(posed_scene.attachments(document)[0]) == times
-    assert document.budget.steps == times * vertices
-    monkeypatch.setattr(budget, "STEPS_FREE", times * vertices - 1 - document.budget.backed)
+    assert document.budget.taken.steps == times * vertices
+    monkeypatch.setattr(budget, "STEPS", budget.Limit(1, times * vertices - 1 - document.budget.backed))
     with pytest.raises(InputError, match="once more would take"):
         posed_scene.attachments(read_document(path))
 
@@ -597,8 +597,7 @@ def test_the_errors_are_those_of_a_pose_that_bends_much(
 
 
 def test_welding_counts_to_the_memory_of_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(budget, "WELDING_FREE", 0)
-    monkeypatch.setattr(budget, "WELDING_RATIO", 0)
+    monkeypatch.setattr(budget, "WELDING", budget.Limit(0, 0))
     with pytest.raises(InputError, match="its vertices have so many copies at one place"):
         measure_errors(FOLDER / "seam.glb", tmp_path, monkeypatch)
 

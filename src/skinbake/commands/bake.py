@@ -26,7 +26,7 @@ from skinbake.format.metadata import refuse_other_kind, with_left
 from skinbake.format.strip import stripped
 from skinbake.gltf import json_text
 from skinbake.gltf.beside import files_read
-from skinbake.gltf.budget import WELDING_RATIO, Budget
+from skinbake.gltf.budget import WELDING, Budget
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import JsonObject, entries_of
@@ -493,7 +493,7 @@ def _refuse_unverifiable(
         if int(every.max(initial=-1)) + 1 < len(every):  # else no vertex has a copy
             corners = sum(bake.primitive.triangles.size for bake in surface)
             most += (int(np.bincount(every).max()) - 1) * corners
-    bound = WELDING_RATIO * fresh.backed
+    bound = WELDING.ratio * fresh.backed
     if steps <= fresh.steps_left and (
         BYTES_A_COPY * most <= bound or BYTES_A_COPY * sum(map(_copied_corners, surfaces)) <= bound
     ):

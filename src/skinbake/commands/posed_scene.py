@@ -12,7 +12,7 @@ import numpy as np
 
 from skinbake.choices import Truth
 from skinbake.commands.bake import STEPS_A_BAKE, Baker
-from skinbake.errors import ChoiceError, InputError, Notice, printable
+from skinbake.errors import BudgetError, ChoiceError, InputError, Notice, printable
 from skinbake.format.strip import stripped, uncorrected
 from skinbake.freshness.baked_views import BakedView, is_baked, rest_primitive, whole_surfaces
 from skinbake.freshness.expected import true_operator_of
@@ -133,9 +133,9 @@ def attachments(document: Document) -> tuple[list[Attachment], list[Notice]]:
                     read[key] = _rigid(document, source)
                 vertices = 0 if read[key] is None else len(read[key][0].positions)
                 budget.claim_steps(vertices, f"drawing {vertices:,} vertices once more", source.place)
-            except InputError as error:
-                if error is budget.refusal:
-                    raise
+            except BudgetError:
+                raise
+            except InputError:
                 lost.add(source.mesh)
                 continue
             if read[key] is not None:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skinbake.choices import Encoding
-from skinbake.errors import InputError, Notice
+from skinbake.errors import BudgetError, InputError, Notice
 from skinbake.format.stored_slots import read_array, shown
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray
 from skinbake.gltf.accessors import read_accessor
@@ -97,9 +97,9 @@ def read_blend(
         return gradient
     try:
         weights = read_blend_weights(document, source, name, count)
+    except BudgetError:
+        raise
     except InputError as error:
-        if error is document.budget.refusal:
-            raise
         return Notice("attribute-format", error.message, error.place or source.place)
     if weights is None:
         message = (

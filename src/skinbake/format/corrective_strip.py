@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from skinbake.errors import InputError, Notice, Place, UnsupportedFeatureError
+from skinbake.errors import BudgetError, InputError, Notice, Place, UnsupportedFeatureError
 from skinbake.format.correctives import QUANTIZATION, TARGET_NAMES, nodes_with
 from skinbake.format.metadata import KEY, VERSION, corrective_note
 from skinbake.format.morph_targets import NOTE
@@ -260,9 +260,9 @@ def _read(document: Document, number: int) -> FloatArray | None:
         with document.budget.passing():
             # As correctives are made and stored, also where the weights of a file are integers.
             return read_accessor(document, number, document.place).decoded().astype(np.float32)
-    except InputError as error:
-        if error is document.budget.refusal:
-            raise
+    except BudgetError:
+        raise
+    except InputError:
         return None
 
 

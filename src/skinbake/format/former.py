@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.errors import InputError, Place
+from skinbake.errors import BudgetError, InputError, Place
 from skinbake.format.metadata import (
     FORMER_ATTRIBUTES,
     INFLUENCE_TYPES,
@@ -21,7 +21,7 @@ from skinbake.format.metadata import (
     noted_names,
 )
 from skinbake.gltf.accessors import StoredArray, read_accessor
-from skinbake.gltf.budget import ELEMENTS_FREE
+from skinbake.gltf.budget import ELEMENTS
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, integer, reference
@@ -76,9 +76,9 @@ def former_attributes(
     try:
         draco.add_former_streams(document, with_former_stream)
         now = _influence_digests(document, attributes, place)
-    except InputError as error:
-        if error is document.budget.refusal:
-            raise
+    except BudgetError:
+        raise
+    except InputError:
         return None
     if now != {name: digest.get(name) for name in now}:
         return None
@@ -87,9 +87,9 @@ def former_attributes(
             found = find(document, attributes, note, place)
             restored = former_sets({**attributes, **found}, note)
             before = _influence_digests(document, restored, place)
-        except InputError as error:
-            if error is document.budget.refusal:
-                raise
+        except BudgetError:
+            raise
+        except InputError:
             continue
         if before == note.get("formerDigest") and found.keys() <= _digested(restored):
             return found
@@ -149,7 +149,7 @@ def _of_fours(document: Document, count: int) -> list[int]:
             if isinstance(size, int | float) and accessor.get("type") == "VEC4" and "bufferView" in accessor:
                 known.setdefault(size, []).append(number)  # 4.0 is the same key as 4
     looked_at: dict[str, int] = document.derived.setdefault("rows looked at", {"all": 0})
-    room = max(document.budget.backed, ELEMENTS_FREE) - looked_at["all"]
+    room = max(document.budget.backed, ELEMENTS.free) - looked_at["all"]
     found = known.get(count, [])[: room // count]
     looked_at["all"] += count * len(found)
     return found
@@ -159,9 +159,9 @@ def _digest(document: Document, number: int, place: Place) -> str | None:
     """Return the digest of an accessor in the form of the metadata, None if it cannot be read."""
     try:
         stored = _read(document, number, place)
-    except InputError as error:
-        if error is document.budget.refusal:
-            raise
+    except BudgetError:
+        raise
+    except InputError:
         return None
     kind = stored.values.dtype
     is_joints = kind.kind == "u" and kind.itemsize <= 2 and not stored.normalized
@@ -202,9 +202,9 @@ def former_tangent(
         if former is not None and 0 <= former < count and _digest(document, former, where) == before:
             return {"TANGENT": former}
         again = _with_digest(document, attributes, "TANGENT", before, where)
-    except InputError as error:
-        if error is document.budget.refusal:
-            raise
+    except BudgetError:
+        raise
+    except InputError:
         return None
     return None if again is None else {"TANGENT": again}
 

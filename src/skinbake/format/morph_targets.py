@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.errors import InputError, Place, UnsupportedFeatureError
+from skinbake.errors import BudgetError, InputError, Place, UnsupportedFeatureError
 from skinbake.format.attribute_store import meshopt_packing
 from skinbake.format.metadata import DEEPEST_NOTE, KEY, VERSION, unordered_digest
 from skinbake.geometry.morphs import COMPONENTS, Differences
@@ -290,7 +290,7 @@ def _is_zeros(document: Document, accessor: int, primitive: JsonObject) -> bool:
     try:
         with document.budget.passing():
             return not read_accessor(document, accessor, Place(document.name)).values.any()
-    except InputError as error:
-        if error is document.budget.refusal:
-            raise
+    except BudgetError:
+        raise
+    except InputError:
         return False

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from skinbake.errors import InputError, Notice
+from skinbake.errors import BudgetError, InputError, Notice
 from skinbake.format.morph_targets import NotedTargets, morph_digest, noted_targets
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import entries_of
@@ -60,9 +60,9 @@ def _digest(document: Document, source: PrimitiveSource, noted: NotedTargets) ->
     try:
         primitive = read_primitive(document, source)
         read = read_targets(document, source, made, count=len(primitive.positions), tangents=False)
-    except InputError as error:
-        if error is document.budget.refusal:
-            raise
+    except BudgetError:
+        raise
+    except InputError:
         return None
     assert read is not None
     moves = dict(zip(made, (target.positions for target in read.targets), strict=True))

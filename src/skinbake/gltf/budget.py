@@ -1,68 +1,189 @@
-"""Count the memory that a document claims, before the program allocates it.
+"""Bound the work and the memory that a file asks for, before the program spends them.
 
-A small file can claim any amount of memory: by accessors without data, by streams that expand, by arrays that
-a thousand primitives share. Each codec has limits for one stream. These limits hold for all together.
+A small file can ask for any amount: by accessors without data, by streams that expand, by arrays that a
+thousand primitives share, by clips and skins that a few bytes repeat. Whoever is about to spend something
+claims it, as ``Cost.BAKED_VERTEX * count``; the limits hold for all claims of a document together.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
-from skinbake.errors import InputError, Place
+from skinbake.errors import BudgetError, Place
 from skinbake.threads import GROUP_ROOT, GROUPS, group_folders
 
-SHARE = 4
-"""Without ``--max-memory`` a file may take the memory of the machine divided by this."""
 
-UNCOUNTED = 1 << 26
-"""Below this number of bytes, the memory of the machine is not looked up."""
+@dataclass(frozen=True, slots=True)
+class Work:
+    """What something takes: ``steps`` of about a microsecond, and ``bytes`` of memory.
 
-RATIO, FREE = 2048, 1 << 30
-"""All memory that a run allocates for a document is at most RATIO times its bytes, or FREE bytes.
+    Of the bytes, ``zeros`` are those of accessors without data, ``unpacked`` those to which so many
+    ``packed`` ones expand, and ``welded`` those by which welding makes a surface larger.
+    """
 
-The larger of the two counts. Time grows with this memory, so it grows with the file. A bake takes 300 bytes
-for a vertex that is stored in 50 bytes, a verification 3,000. Twenty primitives that share their vertices
-take twenty times as much.
+    steps: float = 0
+    bytes: int = 0
+    zeros: int = 0
+    packed: int = 0
+    unpacked: int = 0
+    welded: int = 0
+
+    def __mul__(self, count: int) -> Work:
+        """Return the work on so many of what this is the work on one of."""
+        return Work(
+            self.steps * count,
+            self.bytes * count,
+            self.zeros * count,
+            self.packed * count,
+            self.unpacked * count,
+            self.welded * count,
+        )
+
+    def __add__(self, other: Work) -> Work:
+        """Return the work on both."""
+        return Work(
+            self.steps + other.steps,
+            self.bytes + other.bytes,
+            self.zeros + other.zeros,
+            self.packed + other.packed,
+            self.unpacked + other.unpacked,
+            self.welded + other.welded,
+        )
+
+
+class Cost:
+    """What one of each thing takes: steps as measured on small models, bytes at most.
+
+    Only what a file can repeat in a few bytes has steps: the work on each vertex grows with the file.
+    """
+
+    # Reading
+    NODE = Work(bytes=1024)  # of a skeleton, with its numbers
+    RIG_JOINT = Work(bytes=160)
+    DIGESTED_NUMBER = Work(bytes=32)
+    NOTE_ENTRY = Work(bytes=256)  # of a note in the extras of an accessor, which many primitives may name
+    SUMMED_PRIMITIVE = Work(steps=500)  # by inspect
+    SUMMED_VERTEX = Work(bytes=64)
+    SUMMED_SLOT = Work(bytes=40)
+    UNDONE_NUMBER = Work(steps=1 / 200)  # of correctives: it is read and compared
+
+    # Poses: of a clip, of a channel, and of a node and a joint in each pose
+    SAMPLED_CLIP = Work(steps=700)
+    SAMPLED_CHANNEL = Work(steps=30)
+    POSED_NODE = Work(steps=1)
+    POSED_JOINT = Work(steps=5, bytes=512)
+    NODE_MATRIX = Work(bytes=640)  # while the poses of a clip are made
+    CHANNEL_VALUE = Work(bytes=256)  # likewise
+    TARGET_WEIGHT = Work(bytes=24)
+
+    # Bakes
+    BAKED_PRIMITIVE = Work(steps=700)
+    BAKED_VERTEX = Work(bytes=128)
+    BAKED_SLOT = Work(bytes=48)
+    BAKED_TRIANGLE = Work(bytes=24)
+    BLENDED_CORNER = Work(bytes=256)  # for the gradient of blend weights
+    FITTED_SURFACE = Work(steps=4_000)  # to poses
+    JUDGED_PRIMITIVE = Work(steps=4_300)  # by the guard
+    MORPHED_VERTEX = Work(bytes=256)  # of a surface that is differentiated, and of the work on one target
+    MORPHED_TRIANGLE = Work(bytes=768)
+    DRACO_STREAM = Work(steps=6_000)  # the search for grids included
+    DRACO_TABLE_ENTRY = Work(steps=1 / 250)  # quantising to n bits fills a table of 2ⁿ
+    FITTED_MOTION = Work(steps=5_000)  # of correctives: a clip that moves a skin, but for its poses
+    FITTED_KEY = Work(steps=1 / 2)  # a vertex at each key of it
+    FITTED_SAMPLE = Work(bytes=48)  # a vertex at a key, while correctives are fitted
+
+    # Verification
+    COMPARED_PRIMITIVE = Work(steps=3_000)  # for its freshness
+    COMPARED_VERTEX = Work(bytes=800)  # its gradient operator takes the largest part
+    COMPARED_SLOT = Work(bytes=128)
+    COMPARED_TRIANGLE = Work(bytes=400)
+    WELDED_PAIR = Work(bytes=64)  # vertices that may be one: two indices, four times over
+    COPIED_CORNER = Work(bytes=192)  # of a triangle, at each copy of its vertices
+    FINE_CORNER = Work(bytes=512)  # of a triangle, in the truth *fine*
+    MEASURED_PRIMITIVE = Work(steps=10_000)  # in each draw
+    MEASURED_SAMPLE = Work(bytes=32)  # a vertex in a pose: its errors, while they may be among the largest
+    MEASURED_MORPH = Work(steps=3_000)  # a primitive with morph targets, in each pose
+    MEASURED_TARGET = Work(steps=20)  # and for each target
+    VERIFIED_PRIMITIVE = Work(steps=22_000)  # all of these, its first poses included
+    VERIFIED_TARGET = Work(steps=60)
+    VERIFIED_JOINT = Work(steps=30)
+
+    # Pictures, pages and normals
+    SHOWN_CLIP = Work(steps=150)
+    DRAWN_PRIMITIVE = Work(steps=3_000)
+    DRAWN_VERTEX = Work(bytes=2048)
+    DRAWN_AGAIN = Work(steps=1)  # a vertex of a mesh without a skin, for each node that draws it
+    POSED_VERTEX = Work(bytes=64)  # in each pose
+    DRAWN_MORPH = Work(steps=1_500)  # a primitive with morph targets, in each pose
+    DRAWN_TARGET = Work(steps=3)  # and for each target
+    READ_TARGET = Work(steps=7)  # a target of a primitive, for each clip
+    COVERING_TRIANGLE = Work(bytes=256)  # while its area in a picture is found
+    SAMPLED_PIXEL = Work(bytes=224)  # while it is drawn, with all its samples
+    DRAWN_PIXEL = Work(bytes=10)  # in each picture, until the end
+    DECODED_PIXEL = Work(bytes=21)  # of an image: Pillow takes the most for WebP
+    TEXTURE_PIXEL = Work(bytes=11)  # of an image's levels, and of their copies in Pillow
+    PAGE_BYTE = Work(bytes=4)  # of a model in a page: as base64, filled in, and encoded
+    WRITTEN_NUMBER = Work(bytes=20)  # as text
+
+
+class Limit(NamedTuple):
+    """So much for each byte of a file, and so much for a file of any size."""
+
+    ratio: float
+    free: int
+
+    def most(self, size: int) -> int:
+        """Return the two together for a file of so many bytes."""
+        return self.free + int(self.ratio * size)
+
+
+MEMORY = Limit(2048, 1 << 30)
+"""All memory that a run allocates for a document: the larger of the two counts.
+
+Time grows with this memory, so it grows with the file. A bake takes 300 bytes for a vertex that is stored in
+50 bytes, a verification 3,000. Twenty primitives that share their vertices take twenty times as much.
 """
 
-ZEROS_RATIO, ZEROS_FREE = 256, 1 << 24
-"""Accessors without a buffer view may claim ZEROS_RATIO times the document's bytes, and ZEROS_FREE more.
+ZEROS = Limit(256, 1 << 24)
+"""The bytes of accessors without a buffer view.
 
 Only sparse morph targets use such zeros in practice: six hundred of them, on a face of 100,000 vertices,
 claim 150 times the bytes of the file.
 """
 
-UNPACKED_RATIO, UNPACKED_FREE = 100, 1 << 27
-"""Compressed data may expand to UNPACKED_RATIO times its bytes, or to UNPACKED_FREE if that is more.
+UNPACKED = Limit(100, 1 << 27)
+"""The bytes to which compressed data may expand, for each of its own bytes: the larger of the two counts.
 
-Real characters expand 2 to 12 times.
+Entropy codes have no minimum size: a stream of 100 bytes can hold a billion equal vertices. Real characters
+expand 2 to 12 times.
 """
 
-ELEMENTS_RATIO, ELEMENTS_FREE = 4, 1 << 19
-"""Skinned primitives may have ELEMENTS_RATIO vertices and triangles for each byte, and ELEMENTS_FREE more.
+ELEMENTS = Limit(4, 1 << 19)
+"""The vertices and triangles of skinned primitives.
 
 Each counts as often as a primitive uses it, because each use is work. Compressed characters have 0.1 for a
 byte. Thirty primitives that share the vertices of one of them have 3.
 """
 
-WELDING_RATIO, WELDING_FREE = 512, 1 << 27
-"""Welding may make a surface larger by WELDING_RATIO bytes for each byte, and by WELDING_FREE more.
+WELDING = Limit(512, 1 << 27)
+"""The bytes by which welding may make surfaces larger.
 
 Every copy of a vertex has the neighbours of all its copies, so a thousand copies have a million neighbours.
 The seams and poles of characters have some tens of copies.
 """
 
-STEPS_RATIO, STEPS_FREE = 1, 1_250_000
-"""Work that small files can ask for by repeating a few bytes takes at most STEPS_RATIO steps for each byte.
+STEPS = Limit(1, 1_250_000)
+"""The steps of work that small files can ask for by repeating a few bytes.
 
-And STEPS_FREE more. A step is about a microsecond. Skins, clips, nodes in poses, draws of primitives and
-poses of morph targets have steps; vertices in poses have a bound of their own. Of the real characters that
-were tried, the one with the most has about 2 steps for a byte, in 84 skins.
+Skins, clips, nodes in poses, draws of primitives and poses of morph targets have steps; vertices in poses
+have a bound of their own, ``SAMPLES``. Of the real characters that were tried, the one with the most has
+about 2 steps for a byte, in 84 skins.
 """
 
 STEPS_A_PART, STEPS_A_VERTEX = 24_000, 3_000
@@ -71,6 +192,19 @@ STEPS_A_PART, STEPS_A_VERTEX = 24_000, 3_000
 Or STEPS_A_VERTEX for each vertex, if these are fewer. A character of a hundred small parts asks for a hundred
 bakes, but repeats nothing. ``view`` takes the most: 24,000 steps for a part.
 """
+
+SAMPLES = Limit(24, 1_000_000)
+"""The vertices × poses in which lighting is measured. Each takes 3 µs.
+
+A mesh is measured once for each skin that draws it, and in at least three poses of each clip. Fifty soldiers
+of one mesh of 3,000 vertices need 20 a byte, a character of a million vertices needs 0.5.
+"""
+
+SHARE = 4
+"""Without ``--max-memory`` a file may take the memory of the machine divided by this."""
+
+UNCOUNTED = 1 << 26
+"""Below this number of bytes, the memory of the machine is not looked up."""
 
 _limit: ContextVar[int | None] = ContextVar("_limit", default=None)
 
@@ -128,144 +262,129 @@ def shown(size: int) -> str:
 
 @dataclass(slots=True)
 class Budget:
-    """The memory that a document has claimed so far, in all its edited versions together.
+    """What a document has claimed so far, in all its edited versions together.
 
-    limit is the most that it may hold at a time, None for the default. backed is the size of its files. held
-    are its files and the memory that it has claimed and not released. spent is all that it has ever claimed.
-    steps are the steps of work that it has claimed, parts those that its primitives allow. refusal is the
-    last error of this class: a search that passes over what cannot be read must not pass over it.
+    limit is the most memory that it may hold at a time, None for the default. backed is the size of its
+    files. held are its files and the memory that it has claimed and not released, taken all that it has ever
+    claimed. parts are the steps that its primitives allow.
     """
 
     limit: int | None = field(default_factory=_limit.get)
     backed: int = 0
     held: int = 0
-    spent: int = 0
-    zeros: int = 0
-    unpacked: int = 0
-    packed: int = 0
-    welded: int = 0
-    steps: int = 0
     parts: int = 0
-    refusal: InputError | None = None
+    taken: Work = Work()
     _zeros_of: set[int] = field(default_factory=set)
     _files: set[str] = field(default_factory=set)
 
     def back(self, size: int, path: str | None, what: str, place: Place) -> None:
-        """Count the bytes of a file before it is read for ``what``. Raises InputError if it is too much.
+        """Count the bytes of a file before it is read for ``what``. Raises BudgetError if it is too much.
 
         A file that is named again counts as memory that the document claims. A stream has no path.
         """
         if path in self._files:
-            self.claim(size, what, place)
+            self.claim(Work(bytes=size), what, place)
             return
         if path is not None:
             self._files.add(path)
         self._hold(size, what, place)
         self.backed += size
 
-    def claim(self, size: int, what: str, place: Place) -> None:
-        """Count ``size`` bytes before they are allocated for ``what``. Raises InputError if it is too much.
+    def claim(self, work: Work | int, what: str, place: Place, *, passing: bool = False) -> None:
+        """Count work before it is done for ``what``. Raises BudgetError if it is too much.
 
-        The message begins with ``what`` and goes on with ``would take``.
+        What is refused does not count. passing: the memory is released at once, and only counts as spent.
+        The message begins with ``what``, and goes on with ``would take``.
         """
-        spent = self.spent + size
-        if spent > max(FREE, RATIO * self.backed):  # pragma: no cover: too large
-            raise self._refusal(
-                f"{what} would take {shown(size)}, so the file would take {shown(spent)} in "
-                f"all. The limit is {RATIO:,} times its {shown(self.backed)}, whatever --max-memory "
-                "says",
-                place,
+        work = Work(bytes=work) if isinstance(work, int) else work
+        taken, of_file = self.taken + work, f"A file of {shown(self.backed)}"
+        if work.zeros and taken.zeros > (most := ZEROS.most(self.backed)):
+            message = (
+                f"{what} has no buffer view and claims {shown(work.zeros)} of zeros, {shown(taken.zeros)} "
+                f"with others. {of_file} may claim at most {shown(most)}, whatever --max-memory says"
             )
-        self._hold(size, what, place)
-        self.spent = spent
+            raise BudgetError(message, place)
+        if work.zeros:
+            what = f"{what}, which has no buffer view,"
+        if work.unpacked and taken.unpacked > max(UNPACKED.ratio * taken.packed, UNPACKED.free):
+            message = (
+                f"{taken.packed} bytes of compressed data, this included, would expand to {taken.unpacked}. "
+                f"The limit is {UNPACKED.ratio} times as many"
+            )
+            raise BudgetError(message, place)
+        if work.welded and taken.welded > (most := WELDING.most(self.backed)):
+            message = (
+                "its vertices have so many copies at one place that welding them would take "
+                f"{shown(taken.welded)}. {of_file} may take at most {shown(most)} for it"
+            )
+            raise BudgetError(message, place)
+        if work.steps > self.steps_left:
+            message = (
+                f"{what} would take {int(work.steps):,} steps of work, so the file would take "
+                f"{int(taken.steps):,} in all. {of_file} may take {STEPS.most(self.backed) + self.parts:,}: "
+                "it uses its skins, clips, nodes, primitives or morph targets too often"
+            )
+            raise BudgetError(message, place)
+        if work.bytes and taken.bytes > max(MEMORY.free, MEMORY.ratio * self.backed):
+            message = (
+                f"{what} would take {shown(work.bytes)}, so the file would take {shown(taken.bytes)} in all. "
+                f"The limit is {MEMORY.ratio:,} times its {shown(self.backed)}, whatever --max-memory says"
+            )
+            raise BudgetError(message, place)
+        held = self.held
+        self._hold(work.bytes, what, place)
+        self.taken = taken
+        if passing:
+            self.held = held
+
+    def claim_zeros(self, size: int, accessor: int, place: Place) -> None:
+        """Count the zeros of an accessor without a buffer view. Read again, they are memory alone."""
+        is_new = accessor not in self._zeros_of
+        self.claim(Work(bytes=size, zeros=size if is_new else 0), f"accessor {accessor}", place)
+        self._zeros_of.add(accessor)
+
+    def claim_steps(self, count: int, what: str, place: Place) -> None:
+        """Claim steps. Goes with its last caller."""
+        self.claim(Work(steps=count), what, place)
+
+    def claim_welding(self, size: int, place: Place) -> None:
+        """Claim the bytes of welding. Goes with its last caller."""
+        self.claim(Work(bytes=size, welded=size), "welding it", place)
+
+    def welding(self, place: Place) -> Callable[[int], None]:
+        """Return what claims the bytes by which welding makes a surface larger."""
+        return lambda size: self.claim(Work(bytes=size, welded=size), "welding it", place)
 
     def _hold(self, size: int, what: str, place: Place) -> None:
-        """Count ``size`` bytes as held. What is refused does not count."""
         held = self.held + size
         if self.limit is None and held > UNCOUNTED:
             self.limit = default_limit()
         if self.limit is not None and held > self.limit:
-            raise self._refusal(
+            raise BudgetError(
                 f"{what} would take {shown(size)}, so the file would take {shown(held)} in "
                 f"all. The limit is {shown(self.limit)}: raise --max-memory",
                 place,
             )
         self.held = held
 
-    def claim_zeros(self, size: int, accessor: int, place: Place) -> None:
-        """Count the zeros of an accessor without a buffer view, which have no bytes in the file."""
-        if accessor not in self._zeros_of:
-            self._zeros_of.add(accessor)
-            self.zeros += size
-        most = ZEROS_RATIO * self.backed + ZEROS_FREE
-        if self.zeros > most:
-            raise self._refusal(
-                f"accessor {accessor} has no buffer view and claims {shown(size)} of zeros, "
-                f"{shown(self.zeros)} with others. A file of {shown(self.backed)} may claim at most "
-                f"{shown(most)}, whatever --max-memory says",
-                place,
-            )
-        self.claim(size, f"accessor {accessor}, which has no buffer view,", place)
+    def look_at(self, elements: int, vertices: Iterable[int], place: Place) -> None:
+        """Hold the vertices and triangles of all skinned primitives against the size of the document.
 
-    def claim_unpacked(self, size: int, stored: int, place: Place) -> None:
-        """Count ``size`` bytes, to which ``stored`` bytes of compressed data will expand."""
-        self.unpacked += size
-        self.packed += stored
-        if self.unpacked > max(UNPACKED_RATIO * self.packed, UNPACKED_FREE):  # pragma: no cover: too large
-            raise self._refusal(
-                f"{self.packed} bytes of compressed data, this included, would expand to "
-                f"{self.unpacked}. The limit is {UNPACKED_RATIO} times as many",
-                place,
+        ``vertices`` are the numbers of vertices that each primitive has of its own: it allows steps for them.
+        Raises BudgetError.
+        """
+        if elements > (most := ELEMENTS.most(self.backed)):
+            message = (
+                f"its skinned primitives have {elements:,} vertices and triangles, each counted as often as "
+                f"a primitive uses it. A file of {shown(self.backed)} may have at most {most:,}"
             )
-        self.claim(size, "compressed data", place)
-
-    def check_elements(self, count: int, place: Place) -> None:
-        """Hold the vertices and triangles of all skinned primitives against the size of the document."""
-        most = ELEMENTS_RATIO * self.backed + ELEMENTS_FREE
-        if count > most:
-            raise self._refusal(
-                f"its skinned primitives have {count:,} vertices and triangles, each counted as often as a "
-                f"primitive uses it. A file of {shown(self.backed)} may have at most {most:,}",
-                place,
-            )
-
-    def claim_welding(self, size: int, place: Place) -> None:
-        """Count ``size`` bytes by which welding makes a surface larger."""
-        self.welded += size
-        most = WELDING_RATIO * self.backed + WELDING_FREE
-        if self.welded > most:  # pragma: no cover: thousands of copies
-            raise self._refusal(
-                f"its vertices have so many copies at one place that welding them would take "
-                f"{shown(self.welded)}. A file of {shown(self.backed)} may take at most {shown(most)} for it",
-                place,
-            )
-        self.claim(size, "welding it", place)
-
-    def allow_parts(self, vertices: Iterable[int]) -> None:
-        """Allow the work on primitives with so many vertices of their own each, once for a document."""
-        steps = sum(min(STEPS_A_PART, STEPS_A_VERTEX * count) for count in vertices)
-        self.parts = max(self.parts, steps)
+            raise BudgetError(message, place)
+        self.parts = max(self.parts, sum(min(STEPS_A_PART, STEPS_A_VERTEX * count) for count in vertices))
 
     @property
     def steps_left(self) -> int:
         """The steps that the document may still claim."""
-        return STEPS_RATIO * self.backed + STEPS_FREE + self.parts - self.steps
-
-    def claim_steps(self, count: int, what: str, place: Place) -> None:
-        """Count steps of work before they are done for ``what``. Raises InputError if they are too many."""
-        if count > self.steps_left:
-            most = self.steps_left + self.steps
-            raise self._refusal(
-                f"{what} would take {count:,} steps of work, so the file would take {self.steps + count:,} "
-                f"in all. A file of {shown(self.backed)} may take {most:,}: it uses its skins, clips, nodes, "
-                "primitives or morph targets too often",
-                place,
-            )
-        self.steps += count
-
-    def _refusal(self, message: str, place: Place) -> InputError:
-        self.refusal = InputError(message, place)
-        return self.refusal
+        return int(STEPS.most(self.backed) + self.parts - self.taken.steps)
 
     @contextmanager
     def passing(self) -> Iterator[None]:

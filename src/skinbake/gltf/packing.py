@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple, TypeGuard
 
-from skinbake.errors import InputError, Notice, Place
+from skinbake.errors import BudgetError, InputError, Notice, Place
 from skinbake.files import Bytes
 from skinbake.files.bounds import OutsideError, RefusedError, is_relative
 from skinbake.gltf.codecs import meshopt
@@ -157,9 +157,9 @@ def _with_buffers(document: Document, chunk: _Chunk, *, files: bool) -> tuple[Js
             continue
         try:
             moved[number] = chunk.add(document.buffer(number))
+        except BudgetError:
+            raise
         except InputError as error:  # a buffer that cannot be read stays where it is
-            if error is document.budget.refusal:
-                raise
             if not is_data_uri(uri):
                 left.append(_left_buffer(uri, error))
     if len(moved) == 1:
@@ -264,8 +264,8 @@ def _bytes_at(uri: str, document: Document) -> Bytes:
     try:
         document.budget.claim(2 * len(uri), "holding its images", document.place)
         data = decode_data_uri(uri, document.place)
+    except BudgetError:
+        raise
     except InputError as error:
-        if error is document.budget.refusal:
-            raise
         raise _StaysError("unreadable", error.message) from error
     return data

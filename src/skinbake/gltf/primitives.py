@@ -132,8 +132,8 @@ def skinned_sources(document: Document) -> tuple[list[PrimitiveSource], list[Not
                 Notice("no-joints", "skipped: its node has a skin, but it has no JOINTS_0", source.place)
             )
     counts = [_whole(element.get("count")) or 0 for element in document.objects("accessors")]
-    document.budget.check_elements(sum(_element_count(one, counts) for one in sources), document.place)
-    document.budget.allow_parts(_own_vertices(document, sources, counts))
+    elements = sum(_element_count(one, counts) for one in sources)
+    document.budget.look_at(elements, _own_vertices(document, sources, counts), document.place)
     return sources, notices
 
 

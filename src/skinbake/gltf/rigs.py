@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.errors import Chosen, InputError, Message, Notice
+from skinbake.errors import BudgetError, Chosen, InputError, Message, Notice
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import Skeleton, read_skeleton, rest_pose, skins_of
@@ -23,9 +23,9 @@ def fitting_rig(document: Document, source: PrimitiveSource) -> tuple[Rig | None
     """
     try:
         rig, others = rig_of_mesh(document, source.mesh)
+    except BudgetError:
+        raise
     except InputError as error:
-        if error is document.budget.refusal:
-            raise
         return None, [_no_rig(f"the skeleton cannot be read ({error.message})", source)]
     if len(rig.parents) == 1:
         return None, []

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skinbake.choices import USUAL_TRUTHS, PoseKind, Truth
-from skinbake.errors import InputError, Notice, Place
+from skinbake.errors import BudgetError, InputError, Notice, Place
 from skinbake.freshness.baked_views import BakedView
 from skinbake.geometry.skinned import BoolArray
 from skinbake.gltf.animation import Clip, read_clips
@@ -93,8 +93,10 @@ class _Measurement:
             measured = self._document, surfaces, self._clips, self._options.poses, self._options.truths
             try:
                 drawn, left_out = draws(*measured)
+            except BudgetError:
+                raise
             except InputError as error:
-                if error is self._document.budget.refusal or not self._clips:
+                if not self._clips:
                     raise
                 # Its clips can be read, and move joints past all numbers.
                 self._clips, self._unread = [], [_broken(self._document, self._options.poses.kind, error)]
@@ -227,9 +229,9 @@ def _readable_clips(document: Document, kind: PoseKind) -> tuple[Sequence[Clip],
     """Return the clips of a document; none, and a notice, if they are broken."""
     try:
         return read_clips(document), []
+    except BudgetError:
+        raise
     except InputError as error:
-        if error is document.budget.refusal:
-            raise
         return [], [_broken(document, kind, error)]
 
 

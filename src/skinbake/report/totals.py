@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from skinbake.errors import Notice, Place, SkinbakeError, printable
+from skinbake.errors import BudgetError, InputError, Notice, Place, SkinbakeError, printable
 from skinbake.wording import counted, gain_in_words
 
 SCREEN = 20
@@ -183,4 +183,5 @@ def error_fields(error: SkinbakeError | None) -> dict[str, Any] | None:
     if error is None:
         return None
     where = place_fields(error.place) if error.place else {}
-    return {"kind": type(error).__name__, "message": error.message, **where}
+    kind = InputError if isinstance(error, BudgetError) else type(error)
+    return {"kind": kind.__name__, "message": error.message, **where}

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from skinbake.errors import InputError, Place
+from skinbake.gltf.budget import Work
 from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, integer, reference
@@ -28,7 +29,8 @@ def view_bytes(document: Document, view_index: int, place: Place) -> memoryview:
         what = f"the {name} of buffer view {view_index}"
         data = stored_bytes(document, view["extensions"][name], what, place)
         meshopt.check_length(data, packing, what, place)
-        document.budget.claim_unpacked(packing.count * packing.stride, len(data), place)
+        size = packing.count * packing.stride
+        document.budget.claim(Work(bytes=size, unpacked=size, packed=len(data)), "compressed data", place)
         known[view_index] = meshopt.decoded(data, packing, what, place)
     found: memoryview = known[view_index]
     return found
