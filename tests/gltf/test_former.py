@@ -204,7 +204,7 @@ def test_the_search_takes_time_in_proportion_to_the_primitives(
 
     found = json_access.objects
     monkeypatch.setattr("skinbake.gltf.codecs.draco.extension_of", counted)
-    monkeypatch.setattr("skinbake.gltf.json_access.objects", watched)
+    monkeypatch.setattr("skinbake.gltf.asset.objects", watched)
     Watched.looks = 0
     _, restored, notices = stripped(document.edited())
     assert restored == 300

@@ -194,7 +194,7 @@ class Baker(CheckedOptions):
 
                 compression = Compression(self.compress, self.compress_level, self._bits)
                 document, kept = recoded(document, sources, compression)
-        sources = [source.in_document(document) for source in sources]
+        sources = [document.asset.counterpart(source) for source in sources]
         surfaces, remarks = self._bakes(document, sources)
         bakes = [bake for surface in surfaces for bake in surface]
         morphs = self._morphs(document, bakes)
@@ -260,7 +260,7 @@ class Baker(CheckedOptions):
                 document, _, lengths = with_baked(
                     document, [], self.attribute_names, storage, made=morphs.made
                 )
-            sources = [source.in_document(document) for source in sources]
+            sources = [document.asset.counterpart(source) for source in sources]
         found = corrected_document(document, sources, self)
         left, unmeasured = self._left(given, found.lighting, idle=() if found.counts else found.notices)
         if left is not None:

@@ -42,7 +42,6 @@ from skinbake.gltf.animation import (
 from skinbake.gltf.budget import Budget
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, reference
-from skinbake.gltf.morphs import resting_weights, target_count
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive
 from skinbake.gltf.scenes import meshes_of_one_skin
 from skinbake.measure.corrected import corrected_lighting, worse_primitives
@@ -116,7 +115,11 @@ def corrected_document(
     """
     clips = read_clips(document)
     chosen = _chosen(document, clips, baker.clips)
-    plain = [mesh for mesh in dict.fromkeys(one.mesh for one in sources) if not target_count(document, mesh)]
+    plain = [
+        mesh
+        for mesh in dict.fromkeys(one.mesh for one in sources)
+        if not document.asset.meshes[mesh].target_count
+    ]
     morphing = [mesh for mesh in dict.fromkeys(one.mesh for one in sources) if mesh not in plain]
     found: list[tuple[Place, Correctives, MeshCorrectives | None]] = []
     for group in [*meshes_of_one_skin(document, plain)[0], *([mesh] for mesh in morphing)]:
@@ -297,7 +300,7 @@ def _nodes(document: Document, meshes: Sequence[int], clips: Sequence[Clip]) -> 
     These have the same joints, inverse bind matrices and, if the mesh has targets, the same morph weights.
     """
     every = document.objects("nodes")
-    morphing = [mesh for mesh in meshes if target_count(document, mesh)]
+    morphing = [mesh for mesh in meshes if document.asset.meshes[mesh].target_count]
     played: dict[int, list[object]] = {}
     for clip in clips if morphing else ():
         for channel in clip.channels:
@@ -317,7 +320,10 @@ def _nodes(document: Document, meshes: Sequence[int], clips: Sequence[Clip]) -> 
                 bindings[skin] = _binding(read_skeleton(document, skin))
             weights: object = None
             if mesh in morphing:
-                weights = tuple(resting_weights(document, node).tolist()), tuple(played.get(node, ()))
+                weights = (
+                    tuple(document.asset.nodes[node].resting_weights().tolist()),
+                    tuple(played.get(node, ())),
+                )
             found[mesh][node] = first.setdefault((bindings[skin], weights), node)
     return found
 

@@ -22,7 +22,7 @@ from skinbake.geometry.morphs import NO_DIFFERENCES, Differences
 from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray, SkinnedPrimitive
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, objects
-from skinbake.gltf.morphs import read_targets, target_count, targets_without_normal
+from skinbake.gltf.morphs import read_targets, targets_without_normal
 from skinbake.gltf.primitives import PrimitiveSource, plain_sources, read_primitive, reason_to_skip
 from skinbake.gradients import kernel
 from skinbake.gradients.baker import BakeSettings
@@ -214,7 +214,7 @@ def _made(
     document: Document, parts: Sequence[_Part], settings: BakeSettings, most: int | None
 ) -> Iterable[tuple[MadeTargets, MorphCounts]]:
     """Yield what is made for each primitive of a mesh, and its numbers, for ``most`` targets or all."""
-    target_count(document, parts[0].source.mesh)  # refuses primitives with different numbers
+    document.asset.meshes[parts[0].source.mesh].target_count  # noqa: B018  # refuses different numbers
     surface, slices = _surface(document, parts, settings)
     wanted = sorted(set().union(*(part.targets for part in parts)))
     if most is not None:

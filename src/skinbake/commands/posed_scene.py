@@ -31,7 +31,6 @@ from skinbake.gltf.animation import (
 from skinbake.gltf.document import Document
 from skinbake.gltf.images import images_unplaced
 from skinbake.gltf.json_access import reference
-from skinbake.gltf.morphs import resting_weights, target_count
 from skinbake.gltf.primitives import (
     PrimitiveSource,
     has_surface,
@@ -243,7 +242,7 @@ def claim_draws(document: Document, draws: Sequence[Draw], clips: Sequence[Clip]
         steps = STEPS_A_PRIMITIVE * primitives + sum(STEPS_A_CLIP + len(clip.channels) for clip in clips)
         steps += poses * (len(skeleton.nodes) + len(skeleton.joints))
         if draw.node is not None:
-            targets = target_count(document, draw.views[0].source.mesh)
+            targets = document.asset.meshes[draw.views[0].source.mesh].target_count
             steps += (STEPS_A_MORPHED_POSE + STEPS_A_TARGET * targets) * primitives * poses
             steps += STEPS_A_TARGET_READ * targets * primitives * len(clips)
         drawn = f"{counted(vertices, 'vertex', 'vertices')} in {counted(poses, 'pose')}"
@@ -266,7 +265,7 @@ def posed_draw(
     corrections = draw.correctives and draw.correctives(clip, times)
     if draw.node is None:
         return PosedDraw(matrices, None, corrections)
-    weights = clip_weights(draw.node, clip, times, resting_weights(document, draw.node))
+    weights = clip_weights(draw.node, clip, times, document.asset.nodes[draw.node].resting_weights())
     poses = PoseSet((), matrices, (), (), weights)
     # A search poses a draw some hundred times, mostly by the same targets. They are read once.
     known: dict[int, Any] = document.derived.setdefault("targets of draws", {})

@@ -21,7 +21,7 @@ from skinbake.format.morph_targets import IN_PLANE, UPWARD
 from skinbake.freshness.baked_views import BakedView, baked_views, is_baked, rest_primitive
 from skinbake.freshness.staleness import claim_freshness, refuse_stale
 from skinbake.geometry.dual_quaternions import RIGID_TOLERANCE
-from skinbake.gltf.animation import read_clips, skins_of
+from skinbake.gltf.animation import read_clips
 from skinbake.gltf.codecs import draco, meshopt
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import entries_of, object_of, reference
@@ -460,7 +460,7 @@ def _posed(document: Document, views: Sequence[BakedView]) -> Iterator[tuple[Bak
     """Yield each view with the poses of each skin that draws it, the same poses as in verify."""
     clips, sets = read_clips(document), dict[int, PoseSet]()
     for view in views:
-        for skin in skins_of(document, view.source.mesh):
+        for skin in document.asset.skins_of(view.source.mesh):
             if skin not in sets:
                 sets[skin] = pose_set(document, skin, clips, PoseRequest())
             yield view, sets[skin]

@@ -85,7 +85,7 @@ def stored_otherwise(
             continue
         from skinbake.gltf.codecs.draco_stream import EDGEBREAKER
 
-        after = source.in_document(written)
+        after = written.asset.counterpart(source)
         extension = draco.extension_of(after.json) or {}
         if extension.get("bufferView") != before.get("bufferView"):
             method = draco.read_stream(document, source.json, source.place).method

@@ -45,7 +45,6 @@ from skinbake.gltf.json_access import (
     objects,
     reference,
 )
-from skinbake.gltf.morphs import resting_weights, target_count
 from skinbake.gltf.primitives import PrimitiveSource
 from skinbake.version import __version__
 
@@ -184,7 +183,7 @@ def with_mesh_correctives(
             "targets": item.count,
             **item.settings,
         }
-        there = target_count(document, item.mesh)
+        there = document.asset.meshes[item.mesh].target_count
         note |= _add_clips(document, additions, item, animations, there)
         meshes[item.mesh] = _with_targets(document, additions, item, there, encoding, note)
         for number in nodes_with(document, item.mesh):
@@ -399,7 +398,7 @@ def _keys(
                 cubic = np.interp(keys, np.arange(len(channel.times)), channel.times)
                 further = {poses.STEP: held, poses.CUBICSPLINE: cubic}.get(channel.method, held[:0])
                 at = np.unique(np.concatenate([at, channel.times, further]).astype(np.float32)).astype(float)
-        former = np.broadcast_to(resting_weights(document, node), (len(at), there))
+        former = np.broadcast_to(document.asset.nodes[node].resting_weights(), (len(at), there))
         former = former if whole is None else clip_weights(node, whole, at, former[0])
         own = Keys(at.astype(np.float32), former.astype(np.float32), poses.LINEAR)
         return with_correctives(own, clip.times, clip.weights)

@@ -19,7 +19,6 @@ from skinbake.geometry.frames import unit_normals
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, is_number
-from skinbake.gltf.morphs import target_count
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive, reason_to_skip, skinned_sources
 from skinbake.gltf.scenes import meshes_of_one_skin
 from skinbake.gradients.tangents import TANGENT_TOLERANCE, frame_vectors
@@ -110,7 +109,7 @@ def whole_surfaces(document: Document, views: Sequence[BakedView]) -> list[list[
     that draws it has its own weights for them. Groups and views keep their order.
     """
     meshes = list(dict.fromkeys(view.source.mesh for view in views))
-    plain = [mesh for mesh in meshes if not target_count(document, mesh)]
+    plain = [mesh for mesh in meshes if not document.asset.meshes[mesh].target_count]
     groups = meshes_of_one_skin(document, plain)[0] + [[mesh] for mesh in meshes if mesh not in plain]
     groups.sort(key=lambda group: meshes.index(group[0]))
     return [[view for view in views if view.source.mesh in group] for group in groups]

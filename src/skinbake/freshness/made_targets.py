@@ -10,7 +10,7 @@ from skinbake.format.morph_targets import NotedTargets, morph_digest, noted_targ
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import entries_of
 from skinbake.gltf.morphs import read_targets
-from skinbake.gltf.primitives import PrimitiveSource, all_sources, read_primitive
+from skinbake.gltf.primitives import PrimitiveSource, read_primitive
 
 
 class MadeState(NamedTuple):
@@ -40,7 +40,7 @@ class MadeState(NamedTuple):
 def made_states(document: Document) -> Iterator[MadeState]:
     """Yield the primitives whose targets have NORMAL by bake, with or without a skin."""
     meshes = [noted_targets(mesh) for mesh in document.objects("meshes")]
-    for source in all_sources(document):
+    for source in document.asset.primitives:
         noted = meshes[source.mesh][source.primitive]
         if noted:
             targets = entries_of(source.json.get("targets"))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -15,15 +14,12 @@ from skinbake.errors import InputError, Place
 from skinbake.geometry import poses
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import read_accessor
-from skinbake.gltf.document import Document
+from skinbake.gltf.document import Document, once_a_document
 from skinbake.gltf.json_access import (
     JsonObject,
     index,
-    is_number,
-    joints_of,
     member,
     objects,
-    reference,
     text,
 )
 from skinbake.wording import counted
@@ -72,7 +68,7 @@ class Channel(NamedTuple):
 
 
 class Clip(NamedTuple):
-    """One animation: its name by ``clip_names``, and the channels that move nodes or morph skinned meshes.
+    """One animation, named as ``Animation.called``: the channels that move nodes or morph skinned meshes.
 
     start and duration are in seconds, from the first key to the last. glTF clips usually begin at 0, but
     exporters also cut clips from a longer take, and these begin later. number is that of the animation in the
@@ -86,7 +82,7 @@ class Clip(NamedTuple):
     number: int = 0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Skeleton:
     """The joints of a skin and all their ancestors, parents before children.
 
@@ -153,8 +149,7 @@ def random_clip(document: Document) -> Clip:
 
     A pose lasts a second. The page has the same clip (``randomClip`` in poses.js), by the same numbers.
     """
-    skins = range(len(document.objects("skins")))
-    joints = list(dict.fromkeys(joint for skin in skins for joint in listed_joints(document, skin)))
+    joints = list(dict.fromkeys(joint for skin in document.asset.skins for joint in skin.joints))
     # Mulberry32: its state grows by a constant, so that all numbers of a sequence are known at once.
     state = np.arange(1, 3 * RANDOM_POSES * len(joints) + 1, dtype=np.uint32) * np.uint32(0x6D2B79F5)
     state += np.uint32(1)  # the seed
@@ -220,52 +215,33 @@ def _at(channel: Channel, at: Float64Array) -> Float64Array:
     )
 
 
-def skins_of(document: Document, mesh: int) -> list[int]:
-    """Return the skins with which nodes draw a mesh, in the nodes' order. All nodes are read once."""
-    known: dict[int, dict[int, None]] = document.derived.setdefault("skins by mesh", {})
-    if not known:
-        for node in document.objects("nodes"):
-            # Some exporters write 3.0. The reader of the primitives has checked that these are indices.
-            drawn, skin = reference(node.get("mesh")), reference(node.get("skin"))
-            if drawn is not None and skin is not None:
-                known.setdefault(drawn, {})[skin] = None
-    return list(known.get(mesh, ()))
-
-
-def read_skeleton(document: Document, skin_index: int) -> Skeleton:
+def read_skeleton(document: Document, skin: int) -> Skeleton:
     """Return the joints of a skin with their ancestors. Skins that say the same share them.
 
     Raises InputError if the hierarchy or the matrices are broken. A broken skin too is read only once.
     """
-    known: dict[int, Skeleton | InputError] = document.derived.setdefault("skeletons by skin", {})
-    if skin_index not in known:
-        try:
-            # A skeleton is read once for all skins that list the same joints and inverse bind matrices.
-            skin, owner = document.objects("skins")[skin_index], f"skin {skin_index}"
-            count, joints = len(document.objects("accessors")), listed_joints(document, skin_index)
-            matrices = index(skin, "inverseBindMatrices", count, document.place, owner=owner, kind="accessor")
-            alike: dict[object, Skeleton] = document.derived.setdefault("skeletons", {})
-            key = tuple(joints), matrices
-            if key not in alike:
-                alike[key] = _read_skeleton(document, owner, joints, matrices)
-            known[skin_index] = alike[key]
-        except InputError as error:
-            known[skin_index] = error
-    found = known[skin_index]
+    found = _skeleton_or_fault(document, skin)
     if isinstance(found, InputError):
         raise found.with_traceback(None)
     return found
 
 
-def listed_joints(document: Document, skin_index: int) -> list[int]:
-    """Return the nodes that a skin lists as its joints; raises InputError if one is not a node."""
-    skin, place, owner = document.objects("skins")[skin_index], document.place, f"skin {skin_index}"
-    count = len(document.objects("nodes"))
-    joints = [
-        index({"joint": joint}, "joint", count, place, owner=owner, kind="node")
-        for joint in joints_of(skin, skin_index, place)
-    ]
-    return [joint for joint in joints if joint is not None]
+@once_a_document
+def _skeleton_or_fault(document: Document, number: int) -> Skeleton | InputError:
+    skin = document.asset.skins[number]
+    try:
+        alike, key = _alike(document), (tuple(skin.joints), skin.inverse_bind)
+        if key not in alike:
+            alike[key] = _read_skeleton(document, f"skin {number}", *key)
+        return alike[key]
+    except InputError as error:
+        return error
+
+
+@once_a_document
+def _alike(document: Document) -> dict[tuple[tuple[int, ...], int | None], Skeleton]:
+    """Return the skeletons that were read, by joints and inverse bind matrices."""
+    return {}
 
 
 def read_node(document: Document, node: int) -> Skeleton:
@@ -276,71 +252,37 @@ def read_node(document: Document, node: int) -> Skeleton:
 def _read_skeleton(
     document: Document, owner: str, joints: Sequence[int], matrices_in: int | None
 ) -> Skeleton:
-    place, nodes = document.place, document.objects("nodes")
-    # The parents are read once, because every skin needs them.
-    known = document.derived.setdefault("nodes", {})
-    if "parents" not in known:
-        known["parents"] = _read_parents(document)
-    parents: dict[int, int] = known["parents"]
-    order = _ancestors_first(joints, parents, place)
-    document.budget.claim(BYTES_A_NODE * len(order), f"the joints of {owner} and those above", place)
-    where = {node: position for position, node in enumerate(order)}
-    matrices = {
-        position: _numbers(nodes, node, "matrix", np.eye(4).ravel(), place).reshape(4, 4).T
-        for position, node in enumerate(order)
-        if "matrix" in nodes[node]
-    }
-    rotations = np.stack([_numbers(nodes, n, "rotation", np.array([0.0, 0, 0, 1]), place) for n in order])
-    return Skeleton(
-        nodes=tuple(order),
-        parents=tuple(where[parents[node]] if node in parents else -1 for node in order),
-        translations=np.stack([_numbers(nodes, n, "translation", np.zeros(3), place) for n in order]),
-        rotations=poses.normalised(rotations[:, [3, 0, 1, 2]]),
-        scales=np.stack([_numbers(nodes, n, "scale", np.ones(3), place) for n in order]),
-        joints=np.array([where[joint] for joint in joints]),
-        inverse_bind=_inverse_bind(document, matrices_in, len(joints)),
-        matrices=matrices,
-    )
-
-
-def _read_parents(document: Document) -> dict[int, int]:
-    nodes = document.objects("nodes")
-    parents: dict[int, int] = {}
-    for number, node in enumerate(nodes):
-        children = node.get("children", [])
-        if not isinstance(children, list):
-            raise InputError(f"node {number} has children that are not an array", document.place)
-        owner = f"node {number}"
-        for child in children:
-            position = index({"child": child}, "child", len(nodes), document.place, owner=owner, kind="node")
-            if position is not None and parents.setdefault(position, number) != number:
-                raise InputError(f"node {position} has two parents", document.place)
-    return parents
-
-
-def _ancestors_first(joints: Sequence[int], parents: dict[int, int], place: Place) -> list[int]:
+    nodes, parents = document.asset.nodes, document.asset.parents
+    # The joints and the nodes above them, parents first.
     order: dict[int, None] = {}
     for joint in joints:
         chain: dict[int, None] = {}
         node: int | None = joint
         while node is not None and node not in order:
             if node in chain:
-                raise InputError(f"node {node} is its own ancestor", place)
+                raise InputError(f"node {node} is its own ancestor", document.place)
             chain[node] = None
             node = parents.get(node)
         order.update(dict.fromkeys(reversed(chain)))
-    return list(order)
-
-
-def _numbers(
-    nodes: list[JsonObject], number: int, key: str, default: Float64Array, place: Place
-) -> Float64Array:
-    value = nodes[number].get(key)
-    if value is None:
-        return default
-    if not isinstance(value, list) or len(value) != len(default) or not all(map(is_number, value)):
-        raise InputError(f'node {number}: "{key}" must be {len(default)} numbers', place)
-    return np.array(value, dtype=np.float64)
+    what = f"the joints of {owner} and those above"
+    document.budget.claim(BYTES_A_NODE * len(order), what, document.place)
+    where = {node: position for position, node in enumerate(order)}
+    matrices = {
+        position: nodes[node].stored("matrix").reshape(4, 4).T
+        for position, node in enumerate(order)
+        if nodes[node].has_matrix
+    }
+    rotations = np.stack([nodes[node].stored("rotation") for node in order])
+    return Skeleton(
+        nodes=tuple(order),
+        parents=tuple(where[parents[node]] if node in parents else -1 for node in order),
+        translations=np.stack([nodes[node].stored("translation") for node in order]),
+        rotations=poses.normalised(rotations[:, [3, 0, 1, 2]]),
+        scales=np.stack([nodes[node].stored("scale") for node in order]),
+        joints=np.array([where[joint] for joint in joints]),
+        inverse_bind=_inverse_bind(document, matrices_in, len(joints)),
+        matrices=matrices,
+    )
 
 
 def _inverse_bind(document: Document, number: int | None, count: int) -> Float64Array:
@@ -360,10 +302,11 @@ def animations_of(document: Document, nodes: Container[int]) -> list[int]:
     Raises InputError if a target is broken.
     """
     place, found = document.place, []
-    for number, animation in enumerate(document.objects("animations")):
+    for animation in document.asset.animations:
+        number = animation.number
         targets = (
             _target(document, channel, f"animation {number}")
-            for channel in objects(animation, "channels", place)
+            for channel in objects(animation.json, "channels", place)
         )
         if any(path in PATHS and node in nodes for node, path, _, _ in targets):
             found.append(number)
@@ -372,44 +315,34 @@ def animations_of(document: Document, nodes: Container[int]) -> list[int]:
 
 def read_clips(document: Document, some: Sequence[int] | None = None) -> Sequence[Clip]:
     """Return the animations that move, turn, scale or morph, or some of them; InputError if one is broken."""
-    known: dict[int, Clip | None] = document.derived.setdefault("clips", {})
+    known, place = _known_clips(document), document.place
     times: dict[int | bytes, Float64Array] = {}
     outputs: dict[tuple[object, ...], Float64Array] = {}
-    animations = document.objects("animations")
+    animations = document.asset.animations
     numbers = range(len(animations)) if some is None else some
     for number in numbers:
         if number in known:
             continue
         animation = animations[number]
-        place = document.place
-        samplers = objects(animation, "samplers", place)
-        text(animation, "name", place)  # it must be one
-        name, channels = clip_names(document)[number], []
-        for channel in objects(animation, "channels", place):
-            found = _channel(document, name, samplers, channel, times, outputs)
+        samplers = objects(animation.json, "samplers", place)
+        text(animation.json, "name", place)  # it must be one
+        channels = []
+        for channel in objects(animation.json, "channels", place):
+            found = _channel(document, animation.called, samplers, channel, times, outputs)
             if found is not None:
                 channels.append(found)
         known[number] = None
         if channels:
             start = min(float(channel.times[0]) for channel in channels)
             duration = max(float(channel.times[-1]) for channel in channels)
-            known[number] = Clip(name, duration, tuple(channels), start, number)
+            known[number] = Clip(animation.called, duration, tuple(channels), start, number)
     return [clip for number in numbers if (clip := known[number])]
 
 
-def clip_names(document: Document) -> list[str]:
-    """Return what people call each animation: its name, with its number where others share the name."""
-    known: dict[str, list[str]] = document.derived.setdefault("clip names", {})
-    if not known:
-        names = [
-            (isinstance(name := animation.get("name"), str) and name) or f"animation {number}"
-            for number, animation in enumerate(document.objects("animations"))
-        ]
-        counts = Counter(names)
-        known[""] = [
-            name if counts[name] == 1 else f"{name} (animation {number})" for number, name in enumerate(names)
-        ]
-    return known[""]
+@once_a_document
+def _known_clips(document: Document) -> dict[int, Clip | None]:
+    """Return the clips that were read, by the number of their animation; None for one that moves nothing."""
+    return {}
 
 
 def _channel(
@@ -494,21 +427,8 @@ def _target(
         return None, None, frozenset(), None
     meshes = len(document.objects("meshes"))
     mesh = index({"mesh": int(found[1])}, "mesh", meshes, place, owner=owner, kind="mesh")
-    nodes = _nodes_without_weights(document).get(mesh, frozenset())
+    nodes = document.asset.takers_of_weights.get(mesh or 0, frozenset())
     return min(nodes, default=None), MORPH_WEIGHTS, nodes, int(found[2]) if found[2] else None
-
-
-def _nodes_without_weights(document: Document) -> dict[int | None, frozenset[int]]:
-    """Return by mesh the nodes that draw it with a skin and have no morph weights of their own."""
-    known: dict[int | None, frozenset[int]] | None = document.derived.get("nodes without weights")
-    if known is None:
-        found: dict[int | None, list[int]] = {}
-        for number, node in enumerate(document.objects("nodes")):
-            if "skin" in node and node.get("weights") is None:
-                found.setdefault(reference(node.get("mesh")), []).append(number)
-        known = {mesh: frozenset(nodes) for mesh, nodes in found.items()}
-        document.derived["nodes without weights"] = known
-    return known
 
 
 def _wide(document: Document, number: int, place: Place) -> Float64Array:
@@ -521,8 +441,8 @@ def _wide(document: Document, number: int, place: Place) -> Float64Array:
 
 
 def _refused(document: Document, clip: str, node: int, fault: str) -> InputError:
-    name = document.objects("nodes")[node].get("name")
-    called = f'node "{name}"' if isinstance(name, str) and name else f"node {node}"
+    name = document.asset.nodes[node].name
+    called = f'node "{name}"' if name else f"node {node}"
     return InputError(f'clip "{clip}", {called}: {fault}', document.place)
 
 

@@ -9,11 +9,12 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property, wraps
 from json import JSONDecodeError
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, TypeVarTuple
 
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.files import Bytes
@@ -30,6 +31,7 @@ from skinbake.files.bounds import (
 from skinbake.files.folders import open_beneath
 from skinbake.files.urls import STDIO
 from skinbake.gltf import json_access, json_text, resources
+from skinbake.gltf.asset import Asset
 from skinbake.gltf.budget import Budget
 from skinbake.gltf.glb import STDIN, GlbChunks, split_glb
 from skinbake.wording import counted, meant_file, not_gltf, one_or_many
@@ -45,7 +47,11 @@ JSON_FAULTS = {
 """Faults of a JSON text that Python's parser words for programmers."""
 
 
-@dataclass(frozen=True, slots=True)
+Key = TypeVarTuple("Key")
+Found = TypeVar("Found")
+
+
+@dataclass(frozen=True)
 class Document:
     """A glTF document. Treat it as immutable: edits make a new one, and share the unchanged parts.
 
@@ -59,7 +65,8 @@ class Document:
       whether the JSON spells what is not ASCII by escapes of four digits.
     - ``former`` are the JSON text as read and its value, None after a change of the container.
     - ``raw`` is the text or the container as read, None after an edit.
-    - ``derived`` holds results of decoders, each under its own key, so that nothing is decoded twice.
+    - ``asset`` has its parts as typed records. What a room finds out about a document once, it keeps there by
+      ``once_a_document``.
     - ``budget`` counts the memory that it has claimed, with all edited versions.
     """
 
@@ -79,9 +86,9 @@ class Document:
     raw: Bytes | None = None
     derived: dict[str, dict[Any, Any]] = field(default_factory=dict, repr=False)
     budget: Budget = field(default_factory=Budget, repr=False, compare=False)
-    _loaded: dict[int, memoryview] = field(default_factory=dict, repr=False)
     _files: dict[str, Bytes] = field(default_factory=dict, repr=False)
-    _checked: dict[str, list[json_access.JsonObject]] = field(default_factory=dict, repr=False)
+    _loaded: dict[int, memoryview] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _found: dict[object, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def place(self) -> Place:
@@ -96,13 +103,16 @@ class Document:
 
     def edited(self, **changes: Any) -> Document:
         """Return a copy with fields replaced, which no longer has the bytes that were read."""
-        return replace(self, raw=None, derived={}, _loaded={}, _checked={}, **changes)
+        return replace(self, raw=None, derived={}, **changes)
+
+    @cached_property
+    def asset(self) -> Asset:
+        """Its nodes, meshes, skins … as records."""
+        return Asset(self.json, self.place)
 
     def objects(self, key: str) -> list[json_access.JsonObject]:
         """Return a top-level array of objects (``accessors``, ``meshes`` …), empty where absent."""
-        if key not in self._checked:
-            self._checked[key] = json_access.objects(self.json, key, self.place)
-        return self._checked[key]
+        return self.asset.objects(key)
 
     def buffer(self, index: int) -> memoryview:
         """Return the ``byteLength`` bytes of one buffer.
@@ -139,6 +149,26 @@ class Document:
 
             self._files[uri] = resources.read_resource(uri, self.folder, self.bounds, self.place, claim)
         return self._files[uri]
+
+
+def once_a_document(
+    find: Callable[[Document, *Key], Found],
+) -> Callable[[Document, *Key], Found]:
+    """Return a function that finds something out about a document once for each of its other arguments.
+
+    These are positional, and can be keys of a dict. The result lives as long as the document; an edited copy
+    starts anew. Errors are not kept.
+    """
+
+    @wraps(find)
+    def found(document: Document, *key: *Key) -> Found:
+        known = document._found.setdefault(found, {})
+        if key not in known:
+            known[key] = find(document, *key)
+        result: Found = known[key]
+        return result
+
+    return found
 
 
 def _why_short(index: int, uri: str | None, data: Bytes, length: int) -> str:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
-from skinbake.errors import InputError, Place
+from skinbake.errors import InputError
 from skinbake.geometry.morphs import (
     COMPONENTS,
     NO_DIFFERENCES,
@@ -15,10 +13,9 @@ from skinbake.geometry.morphs import (
     MorphTarget,
     MorphTargets,
 )
-from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import element_count, read_accessor
-from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, index, is_number, objects, text
+from skinbake.gltf.document import Document, once_a_document
+from skinbake.gltf.json_access import JsonObject, index
 from skinbake.gltf.primitives import (
     FLOAT,
     NORMALISED_SIGNED,
@@ -45,60 +42,11 @@ EXPECTED = {
 }
 
 
-def target_count(document: Document, mesh: int) -> int:
-    """Return the number of morph targets of a mesh. They are counted once.
-
-    Primitives without targets do not count. Raises InputError if the others have different numbers.
-    """
-    known: dict[int, int] = document.derived.setdefault("target counts", {})
-    if mesh not in known:
-        content = document.objects("meshes")[mesh]
-        place = Place(document.name, mesh, text(content, "name", document.place))
-        primitives = objects(content, "primitives", place)
-        counts = sorted({len(objects(primitive, "targets", place)) for primitive in primitives} - {0})
-        if len(counts) > 1:
-            found = " and ".join(str(count) for count in counts)
-            raise InputError(
-                f"its primitives have {found} morph targets; "
-                "all primitives of a mesh must have the same number",
-                place,
-            )
-        known[mesh] = counts[0] if counts else 0
-    return known[mesh]
-
-
 def skinned_target_count(document: Document, node: int) -> int:
     """Return the number of morph targets of the mesh that a node draws with a skin; 0 without one."""
-    content = document.objects("nodes")[node]
-    count = len(document.objects("meshes"))
-    mesh = index(content, "mesh", count, document.place, owner=f"node {node}", kind="mesh")
-    return 0 if mesh is None or "skin" not in content else target_count(document, mesh)
-
-
-def resting_weights(document: Document, node: int) -> Float64Array:
-    """Return the weights (N,) of targets without an animation; the node draws a mesh with N targets.
-
-    They are the weights of the node, otherwise of the mesh, otherwise 0. Raises InputError if they are not N
-    numbers.
-    """
-    content = document.objects("nodes")[node]
-    mesh = int(content["mesh"])
-    count = target_count(document, mesh)
-    if content.get("weights") is not None:
-        return _numbers(content, count, f"node {node}", document.place)
-    owner = document.objects("meshes")[mesh]
-    place = Place(document.name, mesh, text(owner, "name", document.place))
-    return _numbers(owner, count, "its mesh", place)
-
-
-def _numbers(owner: JsonObject, count: int, called: str, place: Place) -> Float64Array:
-    value = owner.get("weights")
-    if value is None:
-        return np.zeros(count)
-    if not isinstance(value, list) or not all(map(is_number, value)) or len(value) != count:
-        numbers = counted(count, "number")
-        raise InputError(f'"weights" of {called} must be {numbers}, one for each morph target', place)
-    return np.array(value, dtype=np.float64)
+    drawing = document.asset.nodes[node]
+    mesh = drawing.mesh
+    return 0 if mesh is None or drawing.skin is None else document.asset.meshes[mesh].target_count
 
 
 def targets_without_normal(document: Document, source: PrimitiveSource) -> list[int]:
@@ -106,7 +54,7 @@ def targets_without_normal(document: Document, source: PrimitiveSource) -> list[
 
     Exporters of VRM write such zeros. Raises InputError for targets that are broken.
     """
-    targets = objects(source.json, "targets", source.place)
+    targets = source.targets
     with_zeros = [number for number, target in enumerate(targets) if {"NORMAL", "POSITION"} <= target.keys()]
     for name, moves in (("NORMAL", False), ("POSITION", True)):
         with_zeros = [one for one in with_zeros if _moves(document, source, one, name) is moves]
@@ -115,10 +63,9 @@ def targets_without_normal(document: Document, source: PrimitiveSource) -> list[
 
 def _moves(document: Document, source: PrimitiveSource, number: int, name: str) -> bool:
     """Tell whether a target changes an attribute at any vertex. Each accessor is read once for it."""
-    targets, accessors = objects(source.json, "targets", source.place), document.objects("accessors")
+    targets, accessors, known = source.targets, document.objects("accessors"), _known_to_move(document)
     place = source.place.at(f"{name} of morph target {number}")
     accessor = index(targets[number], name, len(accessors), place)
-    known: dict[tuple[str, int | None], bool] = document.derived.setdefault("targets that move", {})
     if (name, accessor) not in known:
         vertices = index(source.attributes, "POSITION", len(accessors), place)
         count = 0 if vertices is None else element_count(document, vertices, place)
@@ -126,6 +73,12 @@ def _moves(document: Document, source: PrimitiveSource, number: int, name: str) 
             found = _differences(document, source, (number, name, 3), targets, count, {})
         known[name, accessor] = len(found.rows) > 0
     return known[name, accessor]
+
+
+@once_a_document
+def _known_to_move(document: Document) -> dict[tuple[str, int | None], bool]:
+    """Return whether targets change anything, by attribute and accessor."""
+    return {}
 
 
 def read_targets(
@@ -145,7 +98,7 @@ def read_targets(
     differs from POSITION, and for positions that are not finite. Normals and tangents that are not finite
     count as 0.
     """
-    targets = objects(source.json, "targets", source.place)
+    targets = source.targets
     if not targets:
         return None
     members: dict[Kind, str] = {"positions": "POSITION", "normals": "NORMAL"}

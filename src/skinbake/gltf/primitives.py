@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple, TypeAlias, cast
 
@@ -13,21 +12,18 @@ from skinbake.errors import InputError, Notice, Place, UnsupportedFeatureError
 from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive, not_finite
 from skinbake.geometry.triangles import TRIANGLE_FAN, TRIANGLES, unrolled
 from skinbake.gltf.accessors import StoredArray, element_count, read_accessor
+from skinbake.gltf.asset import PrimitiveSource as PrimitiveSource  # noqa: PLC0414  # others import it from here
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.codecs.views import component_dtype
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import (
     LARGEST_INTEGER,
-    JsonObject,
     entries_of,
     index,
     integer,
-    joints_of,
     listed,
     member,
     object_of,
-    objects,
-    text,
 )
 from skinbake.wording import counted, one_or_many
 
@@ -58,48 +54,8 @@ EXPECTED = {
 
 UNLIT = "KHR_materials_unlit"
 
-SET = re.compile(r"(?:JOINTS|WEIGHTS)_(0|[1-9]\d{0,8})", re.ASCII)
-"""The name of an attribute that holds influences."""
-
 MOST_SETS = 64
 """The most influence sets of a primitive: each slot of a vertex is compared with all others of it."""
-
-
-class PrimitiveSource(NamedTuple):
-    """One primitive of a skinned mesh in the document: its JSON and its place."""
-
-    mesh: int
-    primitive: int
-    json: JsonObject
-    joint_count: int
-    place: Place
-
-    def in_document(self, document: Document) -> PrimitiveSource:
-        """Return the same primitive of a document in which other accessors replace its own."""
-        return self._replace(json=document.objects("meshes")[self.mesh]["primitives"][self.primitive])
-
-    @property
-    def attributes(self) -> JsonObject:
-        """Return the JSON object that maps attribute names to accessor indices."""
-        return member(self.json, "attributes", self.place)
-
-    @property
-    def influence_sets(self) -> int:
-        """Return the number of ``JOINTS_n`` sets of the primitive, counted from 0 without a gap."""
-        attributes = self.attributes
-        count = 0
-        while f"JOINTS_{count}" in attributes:
-            count += 1
-        return count
-
-    @property
-    def unread_sets(self) -> list[str]:
-        """Return the attributes of influence sets that are not read, because a set before them is missing."""
-        read = self.influence_sets
-        found = (SET.fullmatch(name) for name in self.attributes)
-        return [
-            name for number, name in sorted((int(one[1]), one[0]) for one in found if one) if number >= read
-        ]
 
 
 class StoredInfluences(NamedTuple):
@@ -116,9 +72,9 @@ def skinned_sources(document: Document) -> tuple[list[PrimitiveSource], list[Not
     smallest number of joints of all skins of its mesh. Raises InputError if nodes, skins or meshes contradict
     each other.
     """
-    joint_counts = _joint_counts(document)
+    joint_counts = document.asset.joint_counts
     sources, notices = [], []
-    for source in _all_sources(document, joint_counts):
+    for source in document.asset.primitives:
         has_joints = "JOINTS_0" in source.attributes
         if source.mesh in joint_counts and has_joints:
             sources.append(source)
@@ -137,17 +93,12 @@ def skinned_sources(document: Document) -> tuple[list[PrimitiveSource], list[Not
     return sources, notices
 
 
-def all_sources(document: Document) -> list[PrimitiveSource]:
-    """Return every primitive, with or without a skin."""
-    return list(_all_sources(document, _joint_counts(document)))
-
-
 def plain_sources(document: Document) -> list[PrimitiveSource]:
     """Return the primitives without a skin: those that no node with a skin draws, or without JOINTS_0."""
-    joint_counts = _joint_counts(document)
+    joint_counts = document.asset.joint_counts
     return [
         source
-        for source in _all_sources(document, joint_counts)
+        for source in document.asset.primitives
         if source.mesh not in joint_counts or "JOINTS_0" not in source.attributes
     ]
 
@@ -198,7 +149,7 @@ def _own_vertices(
 
 def why_nothing(document: Document) -> str:
     """Return why a document without skinned primitives has none: a clause for messages."""
-    if _joint_counts(document):
+    if document.asset.joint_counts:
         return "the meshes that are drawn with a skin have no JOINTS_0"
     if document.objects("skins"):
         return "it has a skin, but no mesh that is drawn with one"
@@ -222,30 +173,6 @@ def _whole(value: object) -> int | None:
     if isinstance(value, float) and value.is_integer():
         value = int(value)
     return value if isinstance(value, int) and 0 <= value <= LARGEST_INTEGER else None
-
-
-def _joint_counts(document: Document) -> dict[int, int]:
-    skins, meshes = document.objects("skins"), document.objects("meshes")
-    counts: dict[int, int] = {}
-    for number, node in enumerate(document.objects("nodes")):
-        if "mesh" not in node and "skin" not in node:
-            continue
-        owner = f"node {number}"
-        mesh = index(node, "mesh", len(meshes), document.place, owner=owner, kind="mesh")
-        skin = index(node, "skin", len(skins), document.place, owner=owner, kind="skin")
-        if mesh is None or skin is None:
-            continue
-        joint_count = len(joints_of(skins[skin], skin, document.place))
-        counts[mesh] = min(counts.get(mesh, joint_count), joint_count)
-    return counts
-
-
-def _all_sources(document: Document, joint_counts: dict[int, int]) -> Iterator[PrimitiveSource]:
-    for number, mesh in enumerate(document.objects("meshes")):
-        place = Place(document.name, number, text(mesh, "name", document.place))
-        for position, primitive in enumerate(objects(mesh, "primitives", place)):
-            here = Place(place.file, place.mesh, place.mesh_name, position)
-            yield PrimitiveSource(number, position, primitive, joint_counts.get(number, 0), here)
 
 
 def reason_to_skip(document: Document, source: PrimitiveSource, *, generate_normals: bool) -> Notice | None:

@@ -8,8 +8,8 @@ import numpy.typing as npt
 from skinbake.errors import BudgetError, Chosen, InputError, Message, Notice
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import Float64Array
-from skinbake.gltf.animation import Skeleton, read_skeleton, rest_pose, skins_of
-from skinbake.gltf.document import Document
+from skinbake.gltf.animation import Skeleton, read_skeleton, rest_pose
+from skinbake.gltf.document import Document, once_a_document
 from skinbake.gltf.json_access import MOST
 from skinbake.gltf.primitives import PrimitiveSource
 from skinbake.wording import counted
@@ -50,7 +50,9 @@ def rig_of_mesh(document: Document, mesh: int) -> tuple[Rig, int]:
     A node that is listed twice carries itself. Joints whose inverse bind matrix is singular have no pivot.
     Raises InputError if the nodes form a circle, or if a matrix cannot be read.
     """
-    skeletons = {id(one): one for one in (read_skeleton(document, skin) for skin in skins_of(document, mesh))}
+    skeletons = {
+        id(one): one for one in (read_skeleton(document, skin) for skin in document.asset.skins_of(mesh))
+    }
     first, *others = (_rig_of(document, skeleton) for skeleton in skeletons.values())
     return first, len({rig.digest for rig in others} - {first.digest})
 
@@ -73,42 +75,38 @@ BYTES_A_JOINT = 160
 """The memory that a joint of a rig takes."""
 
 
+@once_a_document
 def _rig_of(document: Document, skeleton: Skeleton) -> Rig:
     """Return the rig of a skeleton of the document, which is made once for all meshes."""
-    known: dict[int, Rig] = document.derived.setdefault("rigs", {})
-    key = id(skeleton)  # the document keeps its skeletons
-    if key not in known:
-        # For each joint the next joint above it. Nodes that are not joints are passed over.
-        positions = skeleton.joints.tolist()
-        joint_at: dict[int, int] = {}
-        for joint, position in enumerate(positions):
-            joint_at.setdefault(position, joint)
-        above = [NO_PARENT] * len(skeleton.parents)
-        for position, parent in enumerate(skeleton.parents):  # parents come before their children
-            if parent >= 0:
-                above[position] = joint_at.get(parent, above[parent])
-        parents = np.empty(len(positions), dtype=np.int32)
-        parents[:] = [
-            above[position] if joint_at[position] == joint else joint_at[position]
-            for joint, position in enumerate(positions)
-        ]
-        with document.budget.passing():
-            nodes, joints = len(skeleton.nodes), len(skeleton.joints)
-            what = f"the stored pose of {counted(nodes, 'node')} and {counted(joints, 'joint')}"
-            size = BYTES_A_POSED_NODE * nodes + BYTES_A_POSED_JOINT * joints
-            document.budget.claim(size, what, document.place)
-            # The origins of the joints in mesh space (J, 3), NaN for a matrix that cannot be inverted.
-            pivots = np.full((len(skeleton.inverse_bind), 3), np.nan)
-            usable = np.flatnonzero(np.isfinite(skeleton.inverse_bind).all(axis=(1, 2)))
-            usable = usable[np.linalg.det(skeleton.inverse_bind[usable, :3, :3]) != 0.0]
-            linear, moved = skeleton.inverse_bind[usable, :3, :3], skeleton.inverse_bind[usable, :3, 3:]
-            pivots[usable] = -np.linalg.solve(linear, moved)[..., 0]
-            pivots[~np.isfinite(pivots).all(axis=1)] = np.nan
-            known[key] = Rig(parents, pivots, _stored_pose(skeleton, parents))
-        document.budget.claim(
-            BYTES_A_JOINT * joints, f"the rig of {counted(joints, 'joint')}", document.place
-        )
-    return known[key]
+    # For each joint the next joint above it. Nodes that are not joints are passed over.
+    positions = skeleton.joints.tolist()
+    joint_at: dict[int, int] = {}
+    for joint, position in enumerate(positions):
+        joint_at.setdefault(position, joint)
+    above = [NO_PARENT] * len(skeleton.parents)
+    for position, parent in enumerate(skeleton.parents):  # parents come before their children
+        if parent >= 0:
+            above[position] = joint_at.get(parent, above[parent])
+    parents = np.empty(len(positions), dtype=np.int32)
+    parents[:] = [
+        above[position] if joint_at[position] == joint else joint_at[position]
+        for joint, position in enumerate(positions)
+    ]
+    with document.budget.passing():
+        nodes, joints = len(skeleton.nodes), len(skeleton.joints)
+        what = f"the stored pose of {counted(nodes, 'node')} and {counted(joints, 'joint')}"
+        size = BYTES_A_POSED_NODE * nodes + BYTES_A_POSED_JOINT * joints
+        document.budget.claim(size, what, document.place)
+        # The origins of the joints in mesh space (J, 3), NaN for a matrix that cannot be inverted.
+        pivots = np.full((len(skeleton.inverse_bind), 3), np.nan)
+        usable = np.flatnonzero(np.isfinite(skeleton.inverse_bind).all(axis=(1, 2)))
+        usable = usable[np.linalg.det(skeleton.inverse_bind[usable, :3, :3]) != 0.0]
+        linear, moved = skeleton.inverse_bind[usable, :3, :3], skeleton.inverse_bind[usable, :3, 3:]
+        pivots[usable] = -np.linalg.solve(linear, moved)[..., 0]
+        pivots[~np.isfinite(pivots).all(axis=1)] = np.nan
+        rig = Rig(parents, pivots, _stored_pose(skeleton, parents))
+    document.budget.claim(BYTES_A_JOINT * joints, f"the rig of {counted(joints, 'joint')}", document.place)
+    return rig
 
 
 def _stored_pose(skeleton: Skeleton, parents: npt.NDArray[np.int32]) -> Float64Array | None:

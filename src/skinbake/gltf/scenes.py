@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Container, Hashable, Iterable
 
 from skinbake.errors import Chosen, Message, Notice, Place
-from skinbake.gltf.animation import listed_joints, read_skeleton
+from skinbake.gltf.animation import read_skeleton
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import entries_of, object_of, reference
 
@@ -72,12 +72,7 @@ def meshes_of_one_skin(document: Document, meshes: Iterable[int]) -> tuple[list[
 
 def _skins_by_mesh(document: Document, meshes: Container[int]) -> dict[int, Skins]:
     """Return the skins of each of the meshes; the first of equal skins stands for all of them."""
-    # Some exporters write 3.0. Reading the primitives has checked that they are indices.
-    pairs = [
-        (int(node["mesh"]), int(node["skin"]))
-        for node in document.objects("nodes")
-        if "skin" in node and node.get("mesh") in meshes
-    ]
+    pairs = [(mesh, skin) for _, mesh, skin in document.asset.drawn if mesh in meshes]
     first: dict[Hashable, int] = {}
     number = {
         skin: first.setdefault(_binding(document, skin), skin) for skin in sorted({s for _, s in pairs})
@@ -91,7 +86,7 @@ def _skins_by_mesh(document: Document, meshes: Container[int]) -> dict[int, Skin
 def _binding(document: Document, skin: int) -> Hashable:
     """Return the identity of a skin: its joints, in order, and their inverse bind matrices."""
     matrices = read_skeleton(document, skin).inverse_bind
-    return tuple(listed_joints(document, skin)), (matrices + 0.0).tobytes()  # −0 = +0
+    return tuple(document.asset.skins[skin].joints), (matrices + 0.0).tobytes()  # −0 = +0
 
 
 def _owners(owned: Iterable[tuple[Iterable[int], int]]) -> dict[int, int]:
@@ -110,7 +105,7 @@ def _kept_apart(document: Document, groups: dict[Skins, list[int]]) -> list[Noti
     Each joint of each skin is read once, so that many groups of many joints take no longer than reading them.
     """
     group_of = _owners((skins, number) for number, skins in enumerate(groups))
-    joints = {skin: listed_joints(document, skin) for skin in group_of}
+    joints = {skin: document.asset.skins[skin].joints for skin in group_of}
     moved_by = _owners((joints[skin], group) for skin, group in group_of.items())
     of_several = {skin for skin in joints if any(moved_by[node] == SEVERAL for node in joints[skin])}
     concerned = [meshes[0] for skins, meshes in groups.items() if not skins.isdisjoint(of_several)]

@@ -21,7 +21,6 @@ from skinbake.gltf.animation import (
     read_skeleton,
 )
 from skinbake.gltf.document import Document
-from skinbake.gltf.morphs import resting_weights, target_count
 from skinbake.measure.angles import Corrections, MeasuredBlock, lighting_errors
 from skinbake.measure.draws import Draw
 from skinbake.measure.lighting import bakeable, surfaces_of
@@ -145,8 +144,8 @@ class CorrectedDraws:
         """Return the weights (P, N) of the file's own morph targets at times of a clip; N is 0 without."""
         if draw.node is None:
             return np.zeros((len(times), 0))
-        own = target_count(self._plain, draw.views[0].source.mesh)
-        resting = resting_weights(self._document, draw.node)
+        own = self._plain.asset.meshes[draw.views[0].source.mesh].target_count
+        resting = self._document.asset.nodes[draw.node].resting_weights()
         return clip_weights(draw.node, self.played.clips[clip.number], times, resting)[:, :own]
 
     def _mixture(

@@ -10,7 +10,7 @@ import numpy as np
 from skinbake.format.encodings import rounded, shortened
 from skinbake.format.layouts import GradientFormat
 from skinbake.geometry.skinned import Float64Array, FloatArray
-from skinbake.gltf.animation import read_clips, skins_of
+from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document
 from skinbake.measure.tally import ErrorTally
 from skinbake.measure.unwritten import UnwrittenBake
@@ -94,7 +94,7 @@ def _primitives(
             rounded(slots, storage.encoding, storage.scale).astype(np.float64)
             for slots in shortened(bake.baked.alpha, bake.baked.beta, storage.scale)
         )
-        for skin in skins_of(document, bake.source.mesh):
+        for skin in document.asset.skins_of(bake.source.mesh):
             if skin not in sets:
                 sets[skin] = pose_set(document, skin, clips, PoseRequest())
             stored = replace(exact, alpha=alpha, beta=beta)

@@ -18,7 +18,7 @@ from skinbake.choices import USUAL_TRUTHS, PoseKind
 from skinbake.errors import InputError, Notice
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
-from skinbake.gltf.animation import animations_of, read_clips, read_skeleton, skins_of
+from skinbake.gltf.animation import animations_of, read_clips, read_skeleton
 from skinbake.gltf.budget import shown
 from skinbake.gltf.document import Document
 from skinbake.gltf.scenes import meshes_of_one_skin
@@ -267,7 +267,7 @@ def _poses(document: Document, mesh: int, vertices: int, look: _Look) -> list[tu
     are those of the look. Raises InputError as ``pose_set``, or if a clip is broken.
     """
     count = min(max(SAMPLES // vertices, LEAST_POSES), look.poses)
-    skins = list({id(read_skeleton(document, skin)): skin for skin in skins_of(document, mesh)}.values())
+    skins = list({id(read_skeleton(document, skin)): skin for skin in document.asset.skins_of(mesh)}.values())
     skins = skins[: count // LEAST_POSES]
     each, known = count // len(skins), document.derived.setdefault("poses to judge", {})
     for skin in skins:

@@ -11,7 +11,7 @@ from skinbake.freshness.baked_views import BakedView
 from skinbake.geometry.morphs import MorphTargets
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import objects
-from skinbake.gltf.morphs import read_targets, target_count
+from skinbake.gltf.morphs import read_targets
 from skinbake.gltf.primitives import PrimitiveSource
 from skinbake.report.verify import MorphCount
 from skinbake.truth.poses import PoseSet
@@ -106,5 +106,5 @@ def morph_count(document: Document, drawn: Iterable[tuple[int, PoseSet]]) -> Mor
     moving: dict[int, set[int]] = {}
     for mesh, poses in drawn:
         moving.setdefault(mesh, set()).update(poses.moving_targets)
-    targets = sum(target_count(document, mesh) for mesh in moving)
+    targets = sum(document.asset.meshes[mesh].target_count for mesh in moving)
     return MorphCount(targets, sum(map(len, moving.values()))) if targets else None

@@ -25,7 +25,6 @@ from skinbake.gltf.animation import (
 )
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, entries_of, object_of, reference, text
-from skinbake.gltf.morphs import resting_weights
 from skinbake.gltf.primitives import PrimitiveSource
 from skinbake.truth.poses import STEPS_A_CHANNEL, joint_clips, pose_steps
 
@@ -109,7 +108,7 @@ def played_clips(document: Document, mesh: int, added: int) -> list[PlayedClip]:
         skin = reference(document.objects("nodes")[node].get("skin"))
         if skin is None:
             continue
-        resting = resting_weights(document, node)
+        resting = document.asset.nodes[node].resting_weights()
         channels = _weights_of_nodes(document)
         for clip in read_clips(document):
             times, poses = _posed(document, skin).get(clip.number, (None, None))
@@ -209,7 +208,7 @@ class PlayedCorrectives:
         found = []
         for view in views:
             added, count = self.targets.get(view.source.mesh, 0), len(view.now.positions)
-            source = view.source.in_document(self._document)
+            source = self._document.asset.counterpart(view.source)
             lengths = np.linalg.norm(view.now.normals.astype(np.float64), axis=1)
             own = np.zeros((0, count, 3))
             if added:
@@ -229,7 +228,7 @@ class PlayedCorrectives:
         added, node = self.targets.get(mesh, 0), self.node(mesh, skin) if node is None else node
         if not added or node is None:
             return np.zeros((len(times), added))
-        resting = resting_weights(self._document, node)
+        resting = self._document.asset.nodes[node].resting_weights()
         # A clip of a stripped document, or of joints alone, has no channels of morph weights.
         whole = self.clips.get(clip.number, clip)
         return clip_weights(node, whole, times, resting)[:, -added:]

@@ -13,7 +13,7 @@ import numpy as np
 from skinbake.choices import PoseKind
 from skinbake.errors import ChoiceError, InputError, Notice, Place
 from skinbake.geometry.poses import fingerprint, is_fingerprint_of
-from skinbake.gltf.animation import MORPH_WEIGHTS, Clip, read_clips, skins_of
+from skinbake.gltf.animation import MORPH_WEIGHTS, Clip, read_clips
 from skinbake.gltf.document import Document, read_document
 from skinbake.pose_fit.fit import FitPoses
 from skinbake.truth.poses import PoseRequest, PoseSet, joint_clips, pose_set
@@ -169,7 +169,7 @@ def poses_to_fit(document: Document, mesh: int, sources: Sequence[PoseSource], p
     """
     document.budget.claim_steps(STEPS_A_SURFACE, "fitting it to its poses", place)
     clips, notices = _clips(document, sources, place)
-    skins = skins_of(document, mesh)
+    skins = document.asset.skins_of(mesh)
     known: dict[object, _Poses] = document.derived.setdefault("poses to fit", {})
     key = tuple(skins), tuple(map(str, sources))
     if key not in known:

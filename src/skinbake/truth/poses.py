@@ -24,7 +24,6 @@ from skinbake.gltf.animation import (
     random_poses,
     read_skeleton,
     rest_pose,
-    skins_of,
 )
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import MOST
@@ -100,16 +99,18 @@ def draws_of(document: Document, mesh: int, clips: Sequence[Clip]) -> list[tuple
 
     Nodes of one skin are one draw if their targets rest at the same weights and no clip moves them.
     """
-    from skinbake.gltf.morphs import resting_weights, target_count  # bake poses meshes without it
-
-    if not target_count(document, mesh):
-        return [(skin, None) for skin in skins_of(document, mesh)]
+    if not document.asset.meshes[mesh].target_count:
+        return [(skin, None) for skin in document.asset.skins_of(mesh)]
     morphing = [channel for clip in clips for channel in clip.channels if channel.path == MORPH_WEIGHTS]
     animated = {channel.node for channel in morphing}.union(*{channel.nodes for channel in morphing})
     draws: dict[object, tuple[int, int | None]] = {}
     for number, node in enumerate(document.objects("nodes")):
         if node.get("mesh") == mesh and "skin" in node:
-            resting = number if number in animated else tuple(resting_weights(document, number).tolist())
+            resting = (
+                number
+                if number in animated
+                else tuple(document.asset.nodes[number].resting_weights().tolist())
+            )
             draws.setdefault((int(node["skin"]), resting), (int(node["skin"]), number))
     return list(draws.values())
 
@@ -155,9 +156,7 @@ class PosePlan:
         """Choose the clips. A clip of the file counts if it moves joints, their ancestors, or the weights."""
         resting = None
         if node is not None:
-            from skinbake.gltf.morphs import resting_weights  # bake poses meshes without it
-
-            resting = resting_weights(document, node)
+            resting = document.asset.nodes[node].resting_weights()
             resting = resting if resting.size else None
         morphed = None if resting is None else node
         moving = moving_clips(document, skin, clips, morphed)

@@ -9,6 +9,7 @@ from the stream, because the vertices have the same order there for all attribut
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from skinbake.errors import BudgetError, InputError, Place, UnsupportedFeatureEr
 from skinbake.geometry.triangles import TRIANGLES
 from skinbake.gltf.budget import Work
 from skinbake.gltf.codecs.views import COMPONENTS, component_dtype, view_bytes
-from skinbake.gltf.document import Document
+from skinbake.gltf.document import Document, once_a_document
 from skinbake.gltf.json_access import JsonObject, entries_of, index, integer, member, reference
 from skinbake.wording import counted
 
@@ -61,11 +62,10 @@ def decoded_accessor(
     cannot be decoded or holds other data. Raises UnsupportedFeatureError if streams hold different values for
     one accessor.
     """
-    claims = _claims(document).get(number)
+    draco = _draco_of(document)
+    claims, known = draco.claims.get(number), draco.values
     if claims is None:
         return None
-    # If primitives share an accessor, their values are compared once, not each with all others.
-    known = document.derived.setdefault("draco values", {})
     if number not in known:
         values = _claimed(document, claims[0], shape, place)
         for other in claims[1:]:
@@ -74,8 +74,7 @@ def decoded_accessor(
                     f"accessor {number} stands for different values in two Draco streams", place
                 )
         known[number] = values
-    found: npt.NDArray[np.generic] = known[number]
-    return found
+    return known[number]
 
 
 def holds_the_same(document: Document, primitive: JsonObject, before: JsonObject, place: Place) -> bool:
@@ -85,7 +84,7 @@ def holds_the_same(document: Document, primitive: JsonObject, before: JsonObject
     InputError if primitives share streams so often that comparing them would take too much memory.
     """
     now, then = dict(_claims_of(primitive)), dict(_claims_of(before))
-    known = document.derived.setdefault("draco pairs", {})
+    known = _draco_of(document).pairs
     try:
         for number in now.keys() & then.keys():
             pair = now[number], then[number]
@@ -121,17 +120,30 @@ def _shape(document: Document, number: int, place: Place) -> Shape:
     return dtype, COMPONENTS[kind], integer(accessor, "count", place, minimum=1)
 
 
-def _claims(document: Document) -> dict[int, list[Claim]]:
-    """Return the claims of Draco streams by accessor; several if primitives share the accessor."""
-    known = document.derived.setdefault("draco", {})
-    if "claims" not in known:
-        different: dict[int, dict[object, Claim]] = {}
-        for primitive in _primitives(document):
-            for number, claim in _claims_of(primitive):
-                different.setdefault(number, {}).setdefault(_data_of(claim), claim)
-        known["claims"] = {number: list(held.values()) for number, held in different.items()}
-    found: dict[int, list[Claim]] = known["claims"]
-    return found
+@dataclass
+class _Draco:
+    """The Draco streams of a document: who claims their data, and what was decoded.
+
+    - ``claims`` are by accessor, several if primitives share it.
+    - ``values`` are those of accessors: if primitives share one, their values are compared once.
+    - ``pairs`` tells whether two claims to an accessor hold the same values.
+    - ``streams`` are by buffer view and declared counts.
+    """
+
+    claims: dict[int, list[Claim]]
+    values: dict[int, npt.NDArray[np.generic]] = field(default_factory=dict)
+    pairs: dict[tuple[object, ...], bool] = field(default_factory=dict)
+    streams: dict[tuple[int, ...], DracoMesh] = field(default_factory=dict)
+    has_former: bool = False
+
+
+@once_a_document
+def _draco_of(document: Document) -> _Draco:
+    different: dict[int, dict[object, Claim]] = {}
+    for primitive in _primitives(document):
+        for number, claim in _claims_of(primitive):
+            different.setdefault(number, {}).setdefault(_data_of(claim), claim)
+    return _Draco({number: list(held.values()) for number, held in different.items()})
 
 
 def add_former_streams(document: Document, former: Callable[[JsonObject], JsonObject | None]) -> None:
@@ -140,13 +152,13 @@ def add_former_streams(document: Document, former: Callable[[JsonObject], JsonOb
     former returns a primitive of the document as it was, None where it had no other stream. A second call for
     a document does nothing: every primitive that is restored makes one.
     """
-    claims, known = _claims(document), document.derived["draco"]
-    if "has former" in known:
+    draco = _draco_of(document)
+    if draco.has_former:
         return
-    known["has former"] = True
+    draco.has_former = True
     for primitive in filter(None, map(former, _primitives(document))):
         for number, claim in _claims_of(primitive):
-            claims.setdefault(number, [claim])
+            draco.claims.setdefault(number, [claim])
 
 
 def _primitives(document: Document) -> Iterator[JsonObject]:
@@ -237,7 +249,7 @@ def read_stream(document: Document, primitive: JsonObject, place: Place) -> Drac
             place,
         )
     counts = declared(document, primitive, member(extension, "attributes", place), place)
-    known = document.derived.setdefault("draco", {})
+    known = _draco_of(document).streams
     key = (view, *counts)
     if key not in known:
         data = view_bytes(document, view, place)
@@ -245,8 +257,7 @@ def read_stream(document: Document, primitive: JsonObject, place: Place) -> Drac
         work = Work(bytes=counts[2], unpacked=counts[2], packed=len(data))
         document.budget.claim(work, "compressed data", place)
         known[key] = draco_stream.decode(data, found, *counts, place)
-    mesh: DracoMesh = known[key]
-    return mesh
+    return known[key]
 
 
 def declared(

@@ -10,7 +10,7 @@ import numpy as np
 from skinbake.errors import InputError, Place
 from skinbake.gltf.budget import Work
 from skinbake.gltf.codecs import meshopt
-from skinbake.gltf.document import Document
+from skinbake.gltf.document import Document, once_a_document
 from skinbake.gltf.json_access import JsonObject, index, integer, reference
 
 
@@ -22,7 +22,7 @@ def view_bytes(document: Document, view_index: int, place: Place) -> memoryview:
     view = document.objects("bufferViews")[view_index]
     if meshopt.extension_of(view, place) is None:
         return stored_bytes(document, view, f"buffer view {view_index}", place)
-    known = document.derived.setdefault("views", {})
+    known = _unpacked(document)
     if view_index not in known:
         name = str(meshopt.extension_of(view, place))
         packing = meshopt.packing(view, name, f"buffer view {view_index}", place)
@@ -32,8 +32,13 @@ def view_bytes(document: Document, view_index: int, place: Place) -> memoryview:
         size = packing.count * packing.stride
         document.budget.claim(Work(bytes=size, unpacked=size, packed=len(data)), "compressed data", place)
         known[view_index] = meshopt.decoded(data, packing, what, place)
-    found: memoryview = known[view_index]
-    return found
+    return known[view_index]
+
+
+@once_a_document
+def _unpacked(document: Document) -> dict[int, memoryview]:
+    """Return the buffer views that were decompressed."""
+    return {}
 
 
 def stored_bytes(document: Document, holder: JsonObject, what: str, place: Place) -> memoryview:
