@@ -229,6 +229,15 @@ def test_welding_is_limited_by_the_file_s_bytes() -> None:
         claim(1)
 
 
+def test_compressed_data_may_expand_to_128_mib_or_a_hundred_times_its_bytes() -> None:
+    """Constant attributes cost nothing: 6 million vertices in a stream of 300 bytes."""
+    budget = Budget(limit=1 << 60, backed=100 * MIB)
+    budget.claim(Work(packed=300, unpacked=128 * MIB), "compressed data", HERE)
+    with pytest.raises(InputError, match=r"300 bytes .* would expand to 134217729. The limit is 100 times"):
+        budget.claim(Work(unpacked=1), "compressed data", HERE)
+    budget.claim(Work(packed=2 * MIB, unpacked=72 * MIB), "compressed data", HERE)
+
+
 @pytest.mark.parametrize("json", [{"indices": "x"}, {"indices": -1}, {"indices": 9}, {"indices": None}])
 def test_json_that_is_not_sound_is_refused_where_it_is_read(json: JsonObject, tmp_path: Path) -> None:
     def spoil(root: JsonObject) -> None:

@@ -12,6 +12,7 @@ from skinbake.errors import Notice
 from skinbake.format.former import note_former_stream
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.additions import Additions, Packed
+from skinbake.gltf.budget import Cost
 from skinbake.gltf.codecs import draco, meshopt
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, member
@@ -206,8 +207,8 @@ class _DracoStore:
         arrays = {name: self._values(name) for name in names}
         from skinbake.gltf.codecs import draco_stream
 
-        steps, what = draco_stream.steps_of_encoding({}), "putting its new attributes into Draco"
-        self._document.budget.claim_steps(steps, what, self._source.place)
+        what = "putting its new attributes into Draco"
+        self._document.budget.claim(Cost.DRACO_STREAM, what, self._source.place)
         stream = draco_stream.encode(arrays, faces, self._source.place, level=self._level)
         numbers = {name: stream.unique_ids[name] for name in names}
         return self._additions.add_stream(stream.data), numbers

@@ -16,6 +16,7 @@ from skinbake.errors import BudgetError, InputError, Notice
 from skinbake.format.stored_slots import read_array, shown
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray
 from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.budget import Work
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, object_of
 from skinbake.gltf.primitives import FLOAT, Formats, PrimitiveSource, check_format, refuse_not_finite
@@ -57,7 +58,7 @@ def read_blend_weights(
     if len(stored.values) != count:
         raise InputError(f"it has {counted(len(stored.values), 'element')}, POSITION has {count:,}", place)
     check_format(stored, name, 1, place, formats=_FORMATS, expected=_EXPECTED)
-    document.budget.claim(stored.decoded_size, "its decoded values", place)
+    document.budget.claim(Work(bytes=stored.decoded_size), "its decoded values", place)
     weights = stored.decoded()
     refuse_not_finite(weights, "blend weights", place)
     outside = np.flatnonzero((weights[:, 0] < -SLACK) | (weights[:, 0] > 1.0 + SLACK))

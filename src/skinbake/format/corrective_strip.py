@@ -18,6 +18,7 @@ from skinbake.geometry.skinned import FloatArray
 from skinbake.gltf.accessors import element_count, read_accessor
 from skinbake.gltf.additions import Additions
 from skinbake.gltf.animation import MORPH_WEIGHTS, POINTER_EXTENSION
+from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, entries_of, listed, object_of, reference, text
 
@@ -29,9 +30,6 @@ QUANTISED = ("POSITION", "NORMAL", "TANGENT", "TEXCOORD_")
 
 WEIGHTS_POINTER = re.compile(r"/(nodes|meshes)/([0-9]{1,9})/weights(?:/([0-9]{1,9}))?")
 """A JSON pointer of KHR_animation_pointer to all morph weights of a node or a mesh, or to one."""
-
-NUMBERS_A_STEP = 200
-"""The numbers that are read and compared in about a step (``Budget.claim_steps``)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,7 +254,7 @@ def _read(document: Document, number: int) -> FloatArray | None:
     """Return the values of an accessor, None if they cannot be read, and count the work."""
     try:
         count = element_count(document, number, document.place)
-        document.budget.claim_steps(count // NUMBERS_A_STEP, "undoing its bake", document.place)
+        document.budget.claim(Cost.UNDONE_NUMBER * count, "undoing its bake", document.place)
         with document.budget.passing():
             # As correctives are made and stored, also where the weights of a file are integers.
             return read_accessor(document, number, document.place).decoded().astype(np.float32)

@@ -21,15 +21,12 @@ from skinbake.format.metadata import (
     noted_names,
 )
 from skinbake.gltf.accessors import StoredArray, read_accessor
-from skinbake.gltf.budget import ELEMENTS
+from skinbake.gltf.budget import ELEMENTS, Cost
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, integer, reference
 
 BEFORE, ACCESSORS = "before", "accessors"
-
-BYTES_A_NUMBER = 32
-"""The approximate memory in which the digest of a number is made, at most."""
 
 
 def note_former_stream(former: JsonObject, accessors: JsonObject) -> JsonObject:
@@ -172,8 +169,7 @@ def _digest(document: Document, number: int, place: Place) -> str | None:
 def _read(document: Document, number: int, place: Place) -> StoredArray:
     """Return an accessor, and count the memory of its digest: many primitives may name it."""
     stored = read_accessor(document, number, place)
-    with document.budget.passing():
-        document.budget.claim(BYTES_A_NUMBER * stored.values.size, "its digest", place)
+    document.budget.claim(Cost.DIGESTED_NUMBER * stored.values.size, "its digest", place, passing=True)
     return stored
 
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from skinbake.choices import Frame
 from skinbake.errors import InputError, Place
 from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive, blocks
+from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import (
     JsonObject,
@@ -36,9 +37,6 @@ LARGE = 1 << 23
 
 DEEPEST_NOTE = 32
 """The most levels of a note of skinbake; bake writes two."""
-
-BYTES_AN_ENTRY = 256
-"""The approximate memory that the reading of a note takes for each of its entries, at most."""
 
 POSES = "poses"
 """The member that names the poses of a fit: their sources, a fingerprint of them, and a digest of α and β."""
@@ -215,9 +213,8 @@ def read_metadata(document: Document, primitive: JsonObject) -> JsonObject | Non
                 known[number] = note, entries_inside(note)
             note, entries = known[number]
             if note is not None:
-                with document.budget.passing():
-                    what = f"reading the metadata of accessor {number}"
-                    document.budget.claim(BYTES_AN_ENTRY * entries, what, document.place)
+                what = f"reading the metadata of accessor {number}"
+                document.budget.claim(Cost.NOTE_ENTRY * entries, what, document.place, passing=True)
             found = note
             if found is not None:
                 return found

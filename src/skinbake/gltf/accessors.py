@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from skinbake.errors import InputError, Place
 from skinbake.geometry.skinned import Float64Array, FloatArray
+from skinbake.gltf.budget import Work
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.codecs.views import COMPONENT_NAMES, COMPONENTS, MATRIX_ROWS, component_dtype, view_bytes
 from skinbake.gltf.document import Document
@@ -185,7 +186,7 @@ def _substituted(
             f"{counted(len(dense), 'element')}",
             place,
         )
-    document.budget.claim(dense.nbytes, "its sparse accessor", place)
+    document.budget.claim(Work(bytes=dense.nbytes), "its sparse accessor", place)
     values = dense.copy()
     values[positions] = _view_array(
         document, value_view, offsets[1], (dense.dtype, dense.shape[1], count), place

@@ -14,6 +14,7 @@ from skinbake.errors import InputError, Place
 from skinbake.geometry import poses
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.budget import Cost, Work
 from skinbake.gltf.document import Document, once_a_document
 from skinbake.gltf.json_access import (
     JsonObject,
@@ -39,10 +40,6 @@ POINTER = re.compile(
 
 MESH_POINTER = re.compile("/meshes/(0|[1-9][0-9]{0,8})/weights(?:/(0|[1-9][0-9]{0,8}))?")
 """Those that name morph weights of a mesh, all or one: those of all its nodes without their own."""
-
-
-BYTES_A_NODE = 1024
-"""About the most bytes that reading one node of a skeleton takes."""
 
 
 class Channel(NamedTuple):
@@ -265,7 +262,7 @@ def _read_skeleton(
             node = parents.get(node)
         order.update(dict.fromkeys(reversed(chain)))
     what = f"the joints of {owner} and those above"
-    document.budget.claim(BYTES_A_NODE * len(order), what, document.place)
+    document.budget.claim(Cost.NODE * len(order), what, document.place)
     where = {node: position for position, node in enumerate(order)}
     matrices = {
         position: nodes[node].stored("matrix").reshape(4, 4).T
@@ -436,7 +433,7 @@ def _wide(document: Document, number: int, place: Place) -> Float64Array:
     stored = read_accessor(document, number, place)
     # The decoded values, the widened ones, and the same again if components change places.
     size = stored.decoded_size + 16 * stored.values.size
-    document.budget.claim(size, f"accessor {number} of an animation or skin", place)
+    document.budget.claim(Work(bytes=size), f"accessor {number} of an animation or skin", place)
     return stored.wide()
 
 

@@ -32,7 +32,7 @@ from skinbake.files.folders import open_beneath
 from skinbake.files.urls import STDIO
 from skinbake.gltf import json_access, json_text, resources
 from skinbake.gltf.asset import Asset
-from skinbake.gltf.budget import Budget
+from skinbake.gltf.budget import Budget, Work
 from skinbake.gltf.glb import STDIN, GlbChunks, split_glb
 from skinbake.wording import counted, meant_file, not_gltf, one_or_many
 
@@ -140,7 +140,7 @@ class Document:
     def _resource(self, index: int, uri: str) -> Bytes:
         """Return the bytes that the URI of a buffer names; all edited versions share one reading."""
         if resources.is_data_uri(uri):
-            self.budget.claim(2 * len(uri), f"the data: URI of buffer {index}", self.place)
+            self.budget.claim(Work(bytes=2 * len(uri)), f"the data: URI of buffer {index}", self.place)
             return resources.decode_data_uri(uri, self.place)
         if uri not in self._files:
 
@@ -338,9 +338,8 @@ def parse_gltf(
 def _parse_json(data: bytes, budget: Budget, place: Place) -> json_access.JsonObject:
     # About the memory of a parsed JSON text in bytes (objects of CPython, 64 bit).
     costs = {b"{": 240, b":": 100, b"[": 64, b",": 40}
-    budget.claim(
-        (2 * len(data) + sum(cost * data.count(mark) for mark, cost in costs.items())), "its JSON", place
-    )
+    size = 2 * len(data) + sum(cost * data.count(mark) for mark, cost in costs.items())
+    budget.claim(Work(bytes=size), "its JSON", place)
     try:
         root = json_text.parsed(data.decode("utf-8-sig"))
     except ValueError as error:

@@ -6,6 +6,7 @@ from collections.abc import Container, Sequence
 
 from skinbake.errors import InputError, Notice, Place
 from skinbake.files import Bytes
+from skinbake.gltf.budget import Work
 from skinbake.gltf.codecs.views import view_bytes
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, listed, member, object_of, reference, text
@@ -88,7 +89,7 @@ def image_bytes(document: Document, image: int) -> Bytes:
         raise InputError(f"image {image} names neither a buffer view nor a file", document.place)
 
     def claim(size: int) -> None:
-        document.budget.claim(size, f"image {image}", document.place)
+        document.budget.claim(Work(bytes=size), f"image {image}", document.place)
 
     if is_data_uri(uri):
         claim(2 * len(uri))

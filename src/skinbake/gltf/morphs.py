@@ -14,6 +14,7 @@ from skinbake.geometry.morphs import (
     MorphTargets,
 )
 from skinbake.gltf.accessors import element_count, read_accessor
+from skinbake.gltf.budget import Work
 from skinbake.gltf.document import Document, once_a_document
 from skinbake.gltf.json_access import JsonObject, index
 from skinbake.gltf.primitives import (
@@ -141,11 +142,11 @@ def _differences(
         with document.budget.passing():
             stored = read_accessor(document, accessor, place)
             check_format(stored, name, components, place, formats=FORMATS, expected=EXPECTED)
-            document.budget.claim(stored.decoded_size, "its decoded values", place)
+            document.budget.claim(Work(bytes=stored.decoded_size), "its decoded values", place)
             values = stored.decoded()
             if name == "POSITION":
                 refuse_not_finite(values, "values", place)
             read[name, accessor] = Differences.of(values)
         kept = read[name, accessor]
-        document.budget.claim(kept.rows.nbytes + kept.values.nbytes, "its differences", place)
+        document.budget.claim(Work(bytes=kept.rows.nbytes + kept.values.nbytes), "its differences", place)
     return read[name, accessor]

@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple, TypeGuard
 from skinbake.errors import BudgetError, InputError, Notice, Place
 from skinbake.files import Bytes
 from skinbake.files.bounds import OutsideError, RefusedError, is_relative
+from skinbake.gltf.budget import Work
 from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, integer, member
@@ -246,7 +247,7 @@ def _bytes_at(uri: str, document: Document) -> Bytes:
     if not is_data_uri(uri):
         # The bytes of an image's file, within the bounds of the document.
         def claim(size: int) -> None:
-            document.budget.claim(size, f'image "{shortened(uri)}"', document.place)
+            document.budget.claim(Work(bytes=size), f'image "{shortened(uri)}"', document.place)
 
         try:
             descriptor = find(uri, document.folder, document.bounds)[1]
@@ -262,7 +263,7 @@ def _bytes_at(uri: str, document: Document) -> Bytes:
         except OSError as error:
             raise _StaysError("unreadable", f"cannot be read: {error.strerror}") from error
     try:
-        document.budget.claim(2 * len(uri), "holding its images", document.place)
+        document.budget.claim(Work(bytes=2 * len(uri)), "holding its images", document.place)
         data = decode_data_uri(uri, document.place)
     except BudgetError:
         raise

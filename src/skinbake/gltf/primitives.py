@@ -13,6 +13,7 @@ from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive, no
 from skinbake.geometry.triangles import TRIANGLE_FAN, TRIANGLES, unrolled
 from skinbake.gltf.accessors import StoredArray, element_count, read_accessor
 from skinbake.gltf.asset import PrimitiveSource as PrimitiveSource  # noqa: PLC0414  # others import it from here
+from skinbake.gltf.budget import Work
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.codecs.views import component_dtype
 from skinbake.gltf.document import Document
@@ -267,7 +268,7 @@ def read_primitive(document: Document, source: PrimitiveSource) -> SkinnedPrimit
     influences = read_influences(document, source, count)
     sizes = [entry.joints.values.nbytes * (len(influences) > 1) for entry in influences]
     sizes += [entry.weights.decoded_size or entry.weights.values.nbytes for entry in influences]
-    document.budget.claim(sum(sizes), "its influences", source.place)
+    document.budget.claim(Work(bytes=sum(sizes)), "its influences", source.place)
     joints: IntArray = np.zeros((count, 0), np.uint8)
     weights: FloatArray = np.zeros((count, 0), np.float32)
     if influences:  # a mesh without a skin has none
@@ -324,7 +325,7 @@ def read_triangles(document: Document, source: PrimitiveSource) -> npt.NDArray[n
     indices = read_indices(document, source)
     # The triangles of a strip or fan come from three temporary arrays.
     each = 4 * (indices.dtype != np.uint32) if mode == TRIANGLES else 40
-    document.budget.claim(each * len(indices), "its triangles", place)
+    document.budget.claim(Work(bytes=each * len(indices)), "its triangles", place)
     return unrolled(indices, mode)
 
 
@@ -336,7 +337,7 @@ def read_indices(document: Document, source: PrimitiveSource) -> IntArray:
     )
     number = index(source.json, "indices", len(document.objects("accessors")), place)
     if number is None:
-        document.budget.claim(4 * count, "its indices", place)
+        document.budget.claim(Work(bytes=4 * count), "its indices", place)
         return np.arange(count, dtype=np.uint32)
     stored = read_accessor(document, number, place).values
     if stored.dtype.kind != "u" or stored.shape[1] != 1:
@@ -398,7 +399,7 @@ def _decoded(
     document: Document, source: PrimitiveSource, attribute: str, components: int, count: int | None = None
 ) -> FloatArray:
     stored = _stored(document, source, attribute, components, count)
-    document.budget.claim(stored.decoded_size, "its decoded values", source.place.at(attribute))
+    document.budget.claim(Work(bytes=stored.decoded_size), "its decoded values", source.place.at(attribute))
     return stored.decoded()
 
 

@@ -18,6 +18,7 @@ from skinbake.errors import InputError, Notice, Place
 from skinbake.geometry.triangles import TRIANGLES
 from skinbake.gltf.accessors import is_small_matrix, read_accessor
 from skinbake.gltf.additions import Additions, Packed
+from skinbake.gltf.budget import Cost
 from skinbake.gltf.codecs import draco, meshopt
 from skinbake.gltf.codecs.views import view_bytes
 from skinbake.gltf.document import Document
@@ -371,8 +372,9 @@ def _streamed(recoder: _Recoder, source: PrimitiveSource, users: int, compressio
     level = draco.USUAL_LEVEL if compression.level is None else compression.level
     from skinbake.gltf.codecs import draco_stream
 
-    steps = draco_stream.steps_of_encoding(compression.bits)
-    document.budget.claim_steps(steps, "putting it into Draco", place)
+    entries = sum(1 << number for number in compression.bits.values())
+    work = Cost.DRACO_STREAM + Cost.DRACO_TABLE_ENTRY * entries
+    document.budget.claim(work, "putting it into Draco", place)
     stream = draco_stream.encode(arrays, faces, place, level=level, bits=compression.bits)
     attributes = {name: recoder.own(number, users) for name, number in numbers.items()}
     for name, number in attributes.items():

@@ -9,6 +9,7 @@ from skinbake.errors import BudgetError, Chosen, InputError, Message, Notice
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import Skeleton, read_skeleton, rest_pose
+from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document, once_a_document
 from skinbake.gltf.json_access import MOST
 from skinbake.gltf.primitives import PrimitiveSource
@@ -65,16 +66,6 @@ scale that changes the norm of a matrix as much counts too: one by 1.4 % in all 
 """
 
 
-BYTES_A_POSED_NODE, BYTES_A_POSED_JOINT = 640, 640
-"""The memory that a node, and a joint, take while the stored pose and its fingerprint are made.
-
-A file of two bytes for each joint can list one node as many joints.
-"""
-
-BYTES_A_JOINT = 160
-"""The memory that a joint of a rig takes."""
-
-
 @once_a_document
 def _rig_of(document: Document, skeleton: Skeleton) -> Rig:
     """Return the rig of a skeleton of the document, which is made once for all meshes."""
@@ -95,8 +86,9 @@ def _rig_of(document: Document, skeleton: Skeleton) -> Rig:
     with document.budget.passing():
         nodes, joints = len(skeleton.nodes), len(skeleton.joints)
         what = f"the stored pose of {counted(nodes, 'node')} and {counted(joints, 'joint')}"
-        size = BYTES_A_POSED_NODE * nodes + BYTES_A_POSED_JOINT * joints
-        document.budget.claim(size, what, document.place)
+        # A file of two bytes for each joint can list one node as many joints.
+        work = Cost.NODE_MATRIX * nodes + Cost.POSED_JOINT * joints
+        document.budget.claim(work, what, document.place)
         # The origins of the joints in mesh space (J, 3), NaN for a matrix that cannot be inverted.
         pivots = np.full((len(skeleton.inverse_bind), 3), np.nan)
         usable = np.flatnonzero(np.isfinite(skeleton.inverse_bind).all(axis=(1, 2)))
@@ -105,7 +97,7 @@ def _rig_of(document: Document, skeleton: Skeleton) -> Rig:
         pivots[usable] = -np.linalg.solve(linear, moved)[..., 0]
         pivots[~np.isfinite(pivots).all(axis=1)] = np.nan
         rig = Rig(parents, pivots, _stored_pose(skeleton, parents))
-    document.budget.claim(BYTES_A_JOINT * joints, f"the rig of {counted(joints, 'joint')}", document.place)
+    document.budget.claim(Cost.RIG_JOINT * joints, f"the rig of {counted(joints, 'joint')}", document.place)
     return rig
 
 

@@ -92,8 +92,8 @@ def holds_the_same(document: Document, primitive: JsonObject, before: JsonObject
             if key not in known:
                 shape = _shape(document, number, place)
                 values = [_claimed(document, claim, shape, place) for claim in pair]
-                with document.budget.passing():
-                    document.budget.claim(2 * values[0].nbytes, "comparing its Draco streams", place)
+                work = Work(bytes=2 * values[0].nbytes)
+                document.budget.claim(work, "comparing its Draco streams", place, passing=True)
                 known[key] = _equal(*values)
             if not known[key]:
                 return False
@@ -204,9 +204,8 @@ def _claimed(document: Document, claim: Claim, shape: Shape, place: Place) -> np
         there = ", ".join(map(str, sorted(mesh.attributes))) or "none"
         raise InputError(f"its Draco stream has no attribute {claim.unique_id}; it has {there}", place)
     if values.dtype != shape[0]:
-        document.budget.claim(
-            values.size * (shape[0].itemsize + 16), "the content of its Draco stream", place
-        )
+        work = Work(bytes=values.size * (shape[0].itemsize + 16))
+        document.budget.claim(work, "the content of its Draco stream", place)
     largest = None if claim.unique_id is None else mesh.signed.get(claim.unique_id)
     return _of_type(values, shape, largest, place)
 
@@ -253,7 +252,7 @@ def read_stream(document: Document, primitive: JsonObject, place: Place) -> Drac
     key = (view, *counts)
     if key not in known:
         data = view_bytes(document, view, place)
-        found = draco_stream.check_counts(data, *counts, place)
+        found = draco_stream.check_counts(data, *counts[:2], place)
         work = Work(bytes=counts[2], unpacked=counts[2], packed=len(data))
         document.budget.claim(work, "compressed data", place)
         known[key] = draco_stream.decode(data, found, *counts, place)

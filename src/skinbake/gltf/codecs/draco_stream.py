@@ -28,13 +28,6 @@ SEQUENTIAL, EDGEBREAKER = 0, 1
 METADATA_FLAG = 1 << 15
 DEEPEST_METADATA = 16
 
-EXPANSION, SMALL = 1000, 1 << 26
-"""A stream may declare at most EXPANSION times its bytes, or SMALL bytes if that is more.
-
-Entropy codes have no minimum size: a stream of 100 bytes can hold a billion equal vertices. Real streams of
-characters expand 4 to 12 times, a flat grid of a million vertices 400 times.
-"""
-
 MEMORY_BASE, MEMORY_FACTOR = 1 << 28, 16
 """Decoding may take MEMORY_BASE bytes, and MEMORY_FACTOR times the bytes that the file declares.
 
@@ -73,15 +66,22 @@ class DracoMesh:
     signed: dict[int, int]
 
 
-def check_counts(data: memoryview, vertices: int, corners: int, size: int, place: Place) -> Counts:
+def check_counts(data: memoryview, vertices: int, corners: int, place: Place) -> Counts:
     """Return the counts of a stream, compared with the declarations of the accessors, without decoding.
 
-    vertices and corners are the declared numbers, ``size`` is the bytes of all declared elements. Raises
-    InputError if the stream has another version than 2.2, contradicts the declarations, or is out of
-    proportion to them.
+    vertices and corners are the declared numbers. Raises InputError if the stream has another version than
+    2.2, or contradicts the declarations.
     """
     counts = read_counts(data, place)
-    _check_counts(counts, len(data), (vertices, corners, size), place)
+    # A point of edgebreaker is a vertex with one set of attributes, so there are at least as many points.
+    too_many = counts.vertices > vertices if counts.method == EDGEBREAKER else counts.vertices != vertices
+    if 3 * counts.faces != corners or too_many:
+        raise InputError(
+            f"its Draco stream declares {counted(counts.vertices, 'vertex', 'vertices')} and "
+            f"{3 * counts.faces:,} indices, but its accessors declare {vertices:,} and {corners:,}"
+            f"{REMEDY}",
+            place,
+        )
     return counts
 
 
@@ -131,25 +131,6 @@ def _values(entry: Mapping[str, Any], number: int, vertices: int, place: Place) 
             place,
         )
     return np.asarray(values)
-
-
-def _check_counts(counts: Counts, length: int, declared: tuple[int, int, int], place: Place) -> None:
-    vertices, corners, size = declared
-    # A point of edgebreaker is a vertex with one set of attributes, so there are at least as many points.
-    too_many = counts.vertices > vertices if counts.method == EDGEBREAKER else counts.vertices != vertices
-    if 3 * counts.faces != corners or too_many:
-        raise InputError(
-            f"its Draco stream declares {counted(counts.vertices, 'vertex', 'vertices')} and "
-            f"{3 * counts.faces:,} indices, but its accessors declare {vertices:,} and {corners:,}"
-            f"{REMEDY}",
-            place,
-        )
-    if size > max(EXPANSION * length, SMALL):  # pragma: no cover: takes 64 MiB: tests/gltf/test_draco.py
-        raise InputError(
-            f"its accessors declare {size} bytes for a Draco stream of {length}, over the limit of "
-            f"{EXPANSION} times as many",
-            place,
-        )
 
 
 @contextmanager
@@ -253,12 +234,6 @@ GRID_BITS, GRID_SAMPLES = range(4, 21), 64
 Past them a few floats lie on a grid by chance, and Draco's tables of 2^bits take 10 to 100 ms.
 """
 
-STEPS_A_STREAM = 6_000
-"""About the steps of encoding a small stream, the search for grids included (``Budget.claim_steps``)."""
-
-STEPS_OF_TABLES = 250
-"""Quantising to ``bits`` takes 2^bits divided by this in steps: Draco fills tables of that size."""
-
 WIDEST = float(np.finfo(np.float32).max) / 16
 """The largest range of values that Draco quantises."""
 
@@ -314,11 +289,6 @@ def encode(
             return result
         for name in inexact:
             del grids[name]
-
-
-def steps_of_encoding(bits: Mapping[str, int]) -> int:
-    """Return about the steps of encoding a small stream, some attributes quantised to numbers of bits."""
-    return STEPS_A_STREAM + sum(1 << number for number in bits.values()) // STEPS_OF_TABLES
 
 
 def _check_arrays(arrays: Mapping[str, npt.NDArray[Any]], faces: npt.NDArray[Any], place: Place) -> None:
