@@ -198,7 +198,7 @@ def bent_tube(gradients: Gradients) -> Errors:
         path = Path(folder) / BENT_TUBE.name
         Baker(gradients=gradients).bake_file(str(BENT_TUBE), str(path))
         document = read_document(str(path))
-    ((view,), _) = baked_views(document, skinned_sources(document)[0])
+    (view,) = baked_views(document, skinned_sources(document))
     matrices = pose_set(document, 0, read_clips(document), PoseRequest()).joint_matrices
     _, theta, height = tube(tube_weights, 33, 46)
     exact = exact_normals(tube_weights, matrices, theta, height)

@@ -74,7 +74,7 @@ class Bend:
 def strongest_bend() -> Bend:
     """Bake the fixture and pose it where standard lighting is worst."""
     document = Baker().bake_document(read_document(str(MODEL))).document
-    source = skinned_sources(document)[0][0]
+    source = skinned_sources(document)[0]
     primitive = read_primitive(document, source)
     frame = rest_frame(primitive, FrameChoice.AUTO)
     alpha, beta = (

@@ -151,7 +151,7 @@ class Bend:
 def strongest_bend() -> Bend:
     """Bake the fixture and pose it where standard lighting is worst."""
     document = Baker().bake_document(read_document(str(MODEL))).document
-    (view,), _ = baked_views(document, skinned_sources(document)[0])
+    (view,) = baked_views(document, skinned_sources(document))
     rest, now = rest_primitive(view), view.now
     (clip,) = read_clips(document)
     poses = clip_poses(read_skeleton(document, 0), clip, np.unique(clip.channels[0].times))

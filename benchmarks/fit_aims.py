@@ -113,7 +113,7 @@ def lit_by_aims(path: Path, name: str, seen: set[tuple[int, float]]) -> Model | 
     document, vertices = made.document, sum(counts.vertices for _, counts in made.primitives)
     if vertices < FEWEST:
         return None
-    views, clips = baked_views(document, skinned_sources(document)[0])[0], read_clips(document)
+    views, clips = baked_views(document, skinned_sources(document)), read_clips(document)
     plain: Slots = {id(view): (view.alpha, view.beta) for view in views}
     slots = {aim: fitted(document, views, constants) for aim, constants in AIMS.items()}
     ratios: dict[str, dict[str, Float64Array]] = {}
@@ -150,7 +150,7 @@ def fitted(document: Document, views: Sequence[BakedView], constants: Mapping[st
     found: Slots = {}
     settings = Baker().settings._replace(neighbours=Neighbours.DROP)
     for surface in gathered_together(document, views):
-        rig, _ = fitting_rig(document, surface[0].source)
+        rig = fitting_rig(document, surface[0].source)
         with rules(constants):
             bakes = bake_primitives([view.now for view in surface], settings, rig)
         found |= {id(view): (bake.alpha, bake.beta) for view, (bake, _) in zip(surface, bakes, strict=True)}

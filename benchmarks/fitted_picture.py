@@ -57,7 +57,7 @@ def lit_both_ways(path: Path) -> Lit:
     for gradients in (Gradients.SURFACE, Gradients.RIG):
         baker = Baker(gradients=gradients, generate_normals=True)
         document = baker.bake_document(read_document(str(path))).document
-        view = baked_views(document, skinned_sources(document)[0])[0][0]
+        view = baked_views(document, skinned_sources(document))[0]
         poses = pose_set(document, 0, read_clips(document), PoseRequest())
         fields = error_fields(document, [view], poses, "lbs")
         for kind, lighting in (("standard", "standard"), (str(gradients), "accurate")):

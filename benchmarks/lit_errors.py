@@ -41,7 +41,7 @@ class Lit:
 def measured(document: Document, request: PoseRequest, *, fine: bool = False) -> Lit:
     """Measure a baked document in some poses by both truths, as verify does; or by the truth *fine* too."""
     found, clips = Lit(), read_clips(document)
-    views, _ = baked_views(document, skinned_sources(document)[0])
+    views = baked_views(document, skinned_sources(document))
     for together in whole_surfaces(document, views):
         for skin, node in draws_of(document, together[0].source.mesh, clips):
             poses = pose_set(document, skin, clips, request, node)

@@ -271,7 +271,7 @@ def differences(
 def with_target(path: Path, target: Path, warp: Warp) -> None:
     """Write a copy whose skinned primitives have one target, and whose clips move its weight."""
     document = read_document(str(path))
-    sources, _ = skinned_sources(document)
+    sources = skinned_sources(document)
     every = [read_primitive(document, source) for source in sources]
     everywhere = np.concatenate([primitive.positions for primitive in every]).astype(np.float64)
     box = np.stack([everywhere.min(axis=0), everywhere.max(axis=0)])

@@ -152,7 +152,7 @@ class Model:
 
 def compare(path: Path) -> str:
     """Return the line of one model."""
-    document, _ = baked_in_memory(read_document(str(path)))
+    document = baked_in_memory(read_document(str(path)))
     model, clips = Model(document), read_clips(document)
     begun = time.perf_counter()
     spots = search.where_it_shows(document, model.draws)

@@ -59,12 +59,12 @@ class Character:
             target = Path(folder) / f"{path.stem}.glb"
             Baker(frame=FrameChoice.NORMAL, generate_normals=True).bake_file(str(path), str(target))
             document = read_document(str(target))
-            views, problems = baked_views(document, skinned_sources(document)[0])
+            views = baked_views(document, skinned_sources(document))
             ((view,),) = whole_surfaces(document, views)
             clips = read_clips(document)
             ((skin, node),) = draws_of(document, view.source.mesh, clips)
             poses = pose_set(document, skin, clips, PoseRequest(PoseKind.ANIMATION, samples), node)
-            assert not problems
+            assert not list(document.notices)
             return cls(
                 path.parent.name,
                 rest_primitive(view),

@@ -16,7 +16,7 @@ A file that was read and does not pass verification is not an error: it is a ver
 from __future__ import annotations
 
 import copyreg
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
@@ -134,6 +134,49 @@ class Notice:
         return self.code in ADVICE
 
 
+@dataclass(frozen=True, slots=True)
+class Skipped(Notice):
+    """A primitive that bake leaves out. ``reason`` is the message without the word for that."""
+
+    reason: str = ""
+
+
+def skipped(code: str, place: Place, *reason: str | Chosen) -> Skipped:
+    """Return the notice on a primitive that is left out for a reason."""
+    return Skipped(code, Message("skipped: ", *reason), place, reason=Message(*reason))
+
+
+class Notices:
+    """The notices of a run, each once, in the order in which they were told.
+
+    A document has them for all its edited versions, as it has its budget. What is kept to serve again tells
+    nothing when it is made: its users tell, each time.
+    """
+
+    def __init__(self) -> None:
+        self._told: dict[Notice, None] = {}
+
+    def tell(self, *notices: Notice) -> None:
+        """Add notices that nobody has told before."""
+        self._told.update(dict.fromkeys(notices))
+
+    def __iter__(self) -> Iterator[Notice]:
+        """Yield the notices that were told so far."""
+        return iter(tuple(self._told))
+
+    @contextmanager
+    def withheld(self) -> Iterator[Collection[Notice]]:
+        """Keep apart what is told in the block: for what is only tried or measured.
+
+        Yields the notices of the block. Its user tells those that count, after the block.
+        """
+        before, self._told = self._told, {}
+        try:
+            yield self._told.keys()
+        finally:
+            self._told = before
+
+
 def warnings_in(notices: Iterable[Notice]) -> list[Notice]:
     """Return the notices that are no advice."""
     return [notice for notice in notices if not notice.is_advice]
@@ -142,7 +185,7 @@ def warnings_in(notices: Iterable[Notice]) -> list[Notice]:
 class SkinbakeError(Exception):
     """Base of every error that skinbake raises on purpose.
 
-    ``notices`` are the assumptions about the file that were made before it failed.
+    ``notices`` were told about the file before it failed.
     """
 
     def __init__(self, message: str, place: Place | None = None) -> None:
@@ -153,12 +196,12 @@ class SkinbakeError(Exception):
 
 
 @contextmanager
-def noticed(notices: Sequence[Notice]) -> Iterator[None]:
-    """Add the notices that came before an error to an error that leaves the block."""
+def noticed(notices: Iterable[Notice]) -> Iterator[None]:
+    """Give an error that leaves the block the notices that came before it."""
     try:
         yield
     except SkinbakeError as error:
-        error.notices = (*notices, *error.notices)
+        error.notices = tuple(dict.fromkeys((*notices, *error.notices)))
         raise
 
 

@@ -34,8 +34,8 @@ def baked_model(model: GLTF2, baker: Baker) -> GLTF2:
     """
     given = document_of(model)
     refuse_other_kind(given, correctives=baker.correctives is not None)
-    original, _, _ = stripped(given)
-    prepared, _ = for_target(original, AS_GLB)
+    original, _ = stripped(given)
+    prepared = for_target(original, AS_GLB)
     made = baker.bake_document(prepared)
     if made.is_baked or made.left:
         document = made.document

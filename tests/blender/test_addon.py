@@ -50,7 +50,7 @@ class Posed:
 
     def angles_to_triangle_truth(self) -> Array:
         document = read_document(str(self.path))
-        primitive = read_primitive(document, skinned_sources(document)[0][0])
+        primitive = read_primitive(document, skinned_sources(document)[0])
         return angles(true_normals(primitive, self.positions[None])[0], self.normals)
 
 

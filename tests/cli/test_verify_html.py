@@ -16,7 +16,7 @@ from skinbake.cli import exit_codes
 from skinbake.commands import view
 from skinbake.commands.verify import verify_file
 from skinbake.commands.view import write_report
-from skinbake.errors import InputError, Notice, Place
+from skinbake.errors import InputError, Notice, Notices, Place
 from skinbake.files.bounds import BESIDE
 from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import Check, FileVerdict
@@ -151,7 +151,8 @@ def test_a_page_that_fails_leaves_the_pages_of_the_others(tmp_path: Path) -> Non
     verdicts = [verify_file(path, options) for path in paths]
     Path(paths[0]).unlink()
     target = str(tmp_path / "all.html")
-    folder, failed, _ = write_report(verdicts, dict.fromkeys(paths, options), target, lambda _: BESIDE)
+    every = dict.fromkeys(paths, options)
+    folder, failed = write_report(verdicts, every, target, lambda _: BESIDE, Notices())
     assert folder == tmp_path / "all"
     assert [str(error.place) for error in failed] == paths[:1]
     assert {name: link is None for name, _, link in rows(tmp_path / "all.html")} == {

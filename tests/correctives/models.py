@@ -122,7 +122,7 @@ def mean_errors(path: Path, clip: int, times: list[float], **how: Any) -> Array:
     """
     document = read_document(str(path))
     primitives = {
-        (one.mesh, one.primitive): read_primitive(document, one) for one in skinned_sources(document)[0]
+        (one.mesh, one.primitive): read_primitive(document, one) for one in skinned_sources(document)
     }
     authored = {
         (mesh, number)

@@ -451,7 +451,7 @@ class TestTaken:
     def planned(source: Path, target: Path) -> Any:
         from skinbake.gltf.container import for_target
 
-        return plan_output(for_target(read_document(str(source)), str(target))[0], str(target))
+        return plan_output(for_target(read_document(str(source)), str(target)), str(target))
 
     def test_a_name_that_is_always_taken_is_an_output_error(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

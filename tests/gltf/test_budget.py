@@ -133,7 +133,7 @@ def test_indices_that_are_not_in_the_file_are_counted(tmp_path: Path) -> None:
         del content["meshes"][0]["primitives"][0]["indices"]
 
     document = read_document(str(edited("seam.glb", tmp_path, change)))
-    ((source,), _) = skinned_sources(document)
+    (source,) = skinned_sources(document)
     before = document.budget.held
     found = read_indices(document, source)
     assert found.nbytes > 0
@@ -245,7 +245,7 @@ def test_json_that_is_not_sound_is_refused_where_it_is_read(json: JsonObject, tm
         root["accessors"][0]["count"] = -5
 
     document = read_document(str(edited("seam.glb", tmp_path, spoil)))
-    assert len(skinned_sources(document)[0]) == 1
+    assert len(skinned_sources(document)) == 1
 
 
 @LINUX
@@ -368,7 +368,7 @@ def test_targets_that_are_sparse_alone_are_read(tmp_path: Path) -> None:
     root["meshes"][0]["primitives"][0]["targets"] = [{"POSITION": first + n} for n in range(200)]
     source.write_text(json.dumps(root))
     document = read_document(str(source))
-    (one,), _ = skinned_sources(document)
+    (one,) = skinned_sources(document)
     held = document.budget.held
     found = read_targets(document, one, list(range(200)), count=count, tangents=False)
     assert found is not None
@@ -385,7 +385,7 @@ def test_influence_sets_past_all_measure_are_refused(tmp_path: Path) -> None:
                 attributes[f"{kind}_{number}"] = attributes[f"{kind}_0"]
 
     document = read_document(str(write_model(tmp_path / "in.glb", [sheet()], change=repeat)))
-    (source,), _ = skinned_sources(document)
+    (source,) = skinned_sources(document)
     with pytest.raises(UnsupportedFeatureError, match="has 65 influence sets; the limit is 64"):
         read_primitive(document, source)
 
@@ -483,7 +483,7 @@ def test_streams_that_share_accessors_are_compared_once_each(
         return read(*given)
 
     monkeypatch.setattr(draco, "read_stream", counted)
-    sources, _ = skinned_sources(document)
+    sources = skinned_sources(document)
     attributes = len(sources[0].attributes)
     for source in sources:
         read_primitive(document, source)

@@ -522,7 +522,8 @@ class TestQuantising:
         path = write_model(tmp_path / "odd.glb", [sheet(**{name: values})])
         compression = Compression(Scheme.DRACO, bits={name: 10})
         document = read_document(str(path))
-        _, notices = recoded(document, skinned_sources(document)[0], compression)
+        recoded(document, skinned_sources(document), compression)
+        notices = list(document.notices)
         found = [(notice.code, notice.place.attribute) for notice in notices]
         assert found == ([] if why is None else [("bits-ignored", name)])
         assert why is None or why in notices[0].message

@@ -60,7 +60,7 @@ def test_a_lossless_twin_reads_like_its_original(name: str, tmp_path: Path) -> N
     arrays = []
     for file in (FOLDER / name, path):
         document = read_document(str(file))
-        arrays.append([read_primitive(document, source) for source in skinned_sources(document)[0]])
+        arrays.append([read_primitive(document, source) for source in skinned_sources(document)])
     for ours, theirs in zip(*arrays, strict=True):
         assert ours.positions.tobytes() == theirs.positions.tobytes()
         for attribute in ("normals", "joints", "weights", "triangles"):
@@ -113,7 +113,7 @@ def with_stream(path: Path, change: Callable[[bytes], bytes]) -> Path:
 
 def read_first(path: Path) -> Any:
     document = read_document(str(path))
-    (source,) = skinned_sources(document)[0]
+    (source,) = skinned_sources(document)
     assert reason_to_skip(document, source, generate_normals=False) is None
     return read_primitive(document, source)
 

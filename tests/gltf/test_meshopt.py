@@ -52,7 +52,7 @@ def test_a_twin_reads_like_its_original(fixture: str, name: str, beside: bool, t
     arrays = []
     for file in (FOLDER / fixture, path):
         document = read_document(str(file))
-        arrays.append([read_primitive(document, source) for source in skinned_sources(document)[0]])
+        arrays.append([read_primitive(document, source) for source in skinned_sources(document)])
     for ours, theirs in zip(*arrays, strict=True):
         for attribute in ("positions", "normals", "joints", "weights", "triangles"):
             assert np.array_equal(getattr(ours, attribute), getattr(theirs, attribute))
@@ -171,7 +171,7 @@ WRONG: list[tuple[Callable[[JsonObject], Any], str]] = [
 def test_wrong_views_are_refused(change: Callable[[JsonObject], Any], message: str, tmp_path: Path) -> None:
     path = meshopt_twin(FOLDER / "foreign_joints.glb", tmp_path / "twin.glb", change=change)
     document = read_document(str(path))
-    (source,) = skinned_sources(document)[0]
+    (source,) = skinned_sources(document)
     with pytest.raises(InputError, match=message) as caught:
         read_primitive(document, source)
     whole_file = "has no URI" in message

@@ -53,7 +53,7 @@ def face(targets: list[dict[str, object]] | None = None) -> Builder:
 
 def read(builder: Builder, wanted: list[int], *, tangents: bool = False) -> MorphTargets | None:
     document = builder.document()
-    ((source,), _) = skinned_sources(document)
+    (source,) = skinned_sources(document)
     return read_targets(document, source, wanted, count=V, tangents=tangents)
 
 
@@ -98,7 +98,7 @@ def test_differences_count_as_held_once_an_accessor_and_without_the_zeros() -> N
     targets = builder.json["meshes"][0]["primitives"][0]["targets"]
     targets.append(targets[0])
     document = builder.document()
-    ((source,), _) = skinned_sources(document)
+    (source,) = skinned_sources(document)
     before = document.budget.held
     found = read_targets(document, source, [0, 1, 2], count=V, tangents=False)
     assert found is not None

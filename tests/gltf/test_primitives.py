@@ -19,6 +19,7 @@ from skinbake.gltf.primitives import (
     read_primitive,
     reason_to_skip,
     skinned_sources,
+    tell_half_skinned,
 )
 from skinbake.gltf.resources import encode_data_uri
 from tests.support.gltf_reading import GltfFile, read
@@ -27,7 +28,7 @@ from tests.support.models import SHARED, Change, Part, copied, edited, rewritten
 
 def sources(path: Path) -> tuple[Document, list[PrimitiveSource]]:
     document = read_document(str(path))
-    return document, skinned_sources(document)[0]
+    return document, skinned_sources(document)
 
 
 def primitive_of(path: Path, number: int = 0) -> SkinnedPrimitive:
@@ -105,7 +106,9 @@ def test_a_mesh_is_skinned_where_a_node_gives_it_a_skin(tmp_path: Path) -> None:
         content["nodes"] += [{"mesh": 1}, {"mesh": 2, "skin": 0}, {"mesh": 0}, {"skin": 0}]
 
     document = read_document(str(edited("seam.glb", tmp_path, change)))
-    found, notices = skinned_sources(document)
+    found = skinned_sources(document)
+    tell_half_skinned(document)
+    notices = list(document.notices)
     assert [(source.mesh, source.primitive) for source in found] == [(0, 0)]
     assert [(notice.code, notice.place.mesh) for notice in notices] == [
         ("no-skin", 1),

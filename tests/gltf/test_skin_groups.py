@@ -11,7 +11,7 @@ import pytest
 from fixtures.builder import JsonObject
 from skinbake.errors import InputError
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.scenes import meshes_of_one_skin
+from skinbake.gltf.scenes import meshes_of_one_skin, tell_meshes_apart
 from tests.support.cutting import cut_into_meshes
 from tests.support.gltf_reading import read
 from tests.support.models import FOLDER, edited, rewritten
@@ -28,8 +28,10 @@ def cut(folder: Path, change: Any = None, *, own_skins: bool = False) -> Path:
 
 
 def groups(path: Path) -> tuple[list[list[int]], list[str]]:
-    found, notices = meshes_of_one_skin(read_document(str(path)), [0, 1])
-    return found, [notice.code for notice in notices]
+    document = read_document(str(path))
+    found = meshes_of_one_skin(document, [0, 1])
+    tell_meshes_apart(document, [0, 1])
+    return found, [notice.code for notice in document.notices]
 
 
 def second_node(content: JsonObject) -> JsonObject:
@@ -90,7 +92,9 @@ def test_two_characters_of_their_own_joints_are_no_notice(tmp_path: Path) -> Non
 
 def test_the_notice_counts_the_groups_and_names_them(tmp_path: Path) -> None:
     path = cut(tmp_path, also_drawn_alone)
-    _, [notice] = meshes_of_one_skin(read_document(str(path)), [0, 1])
+    document = read_document(str(path))
+    tell_meshes_apart(document, [0, 1])
+    [notice] = document.notices
     assert notice.count == 2
     assert notice.message.endswith("The groups begin with meshes 0, 1")
 
@@ -121,7 +125,10 @@ def test_groups_apart_are_those_of_which_a_pair_shares_a_joint(seed: int) -> Non
     first = [mesh for mesh, joints in enumerate(by_joints) if joints not in by_joints[:mesh]]
     moved = {mesh: {node for joints in by_joints[mesh] for node in joints} for mesh in first}
     expected = [mesh for mesh in first if any(moved[mesh] & moved[other] for other in first if other != mesh)]
-    found, notices = meshes_of_one_skin(drawn(skins, draws), range(6))
+    document = drawn(skins, draws)
+    found = meshes_of_one_skin(document, range(6))
+    tell_meshes_apart(document, range(6))
+    notices = list(document.notices)
     assert [group[0] for group in found] == first
     assert [notice.count for notice in notices] == ([len(expected)] if expected else [])
     for notice in notices:
@@ -147,6 +154,8 @@ def test_the_joints_of_many_groups_are_not_compared_by_pairs() -> None:
     document = drawn(skins, [[skin] for skin in range(count)])
     for skin in document.objects("skins"):
         skin["joints"] = [Joint(node) for node in skin["joints"]]
-    _, (notice,) = meshes_of_one_skin(document, range(count))
+    assert meshes_of_one_skin(document, range(count)) == [[mesh] for mesh in range(count)]
+    tell_meshes_apart(document, range(count))
+    (notice,) = document.notices
     assert notice.count == count
     assert compared <= 8 * count * count  # joints in all skins: count²; by pairs of groups it is count³

@@ -259,7 +259,7 @@ def test_real_models_are_sound_but_for_two(path: Path) -> None:
     document = read_document(str(path))
     found = [
         notice
-        for source in skinned_sources(document)[0]
+        for source in skinned_sources(document)
         if "NORMAL" in source.attributes
         for notice in lean_notices([(read_primitive(document, source), source.place)])
     ]
@@ -272,7 +272,7 @@ def test_inspect_bake_and_verify_say_it(tmp_path: Path, degrees: int) -> None:
     model = Editable(corpus.model(CESIUM_MAN))
     normals = model.array("NORMAL")
     document = read_document(str(corpus.model(CESIUM_MAN)))
-    [source] = skinned_sources(document)[0]
+    [source] = skinned_sources(document)
     normals[:] = turned(read_primitive(document, source), degrees).normals
     path = model.write(tmp_path / "turned.glb")
 

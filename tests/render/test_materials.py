@@ -281,7 +281,8 @@ def test_an_image_that_cannot_be_had_is_left_out_with_a_notice(
     materials = Materials(document)
     made = materials.of({"material": 0}, False)
     assert (made.base, dict(made.images)) == (CLAY, {})
-    (notice,) = materials.notices()
+    materials.tell_missing()
+    (notice,) = document.notices
     assert notice.code == "images-missing"
     assert words in notice.message
 

@@ -521,7 +521,7 @@ def test_vertices_that_nodes_draw_without_a_skin_are_work_each_time(
     monkeypatch.setattr(posed_scene, "STEPS_A_PRIMITIVE", 0)
     monkeypatch.setattr(posed_scene, "STEPS_A_SHOWN_CLIP", 0)
     document = read_document(path)
-    assert len(posed_scene.attachments(document)[0]) == times
+    assert len(posed_scene.attachments(document)) == times
     assert document.budget.taken.steps == times * vertices
     monkeypatch.setattr(budget, "STEPS", budget.Limit(1, times * vertices - 1 - document.budget.backed))
     with pytest.raises(InputError, match="once more would take"):

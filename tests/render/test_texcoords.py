@@ -11,7 +11,7 @@ from PIL import Image
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Layout
-from skinbake.commands.posed_scene import unplaced
+from skinbake.commands.posed_scene import tell_unplaced
 from skinbake.format.layouts import GradientFormat
 from skinbake.freshness.baked_views import sound_views
 from skinbake.gltf.document import read_document
@@ -104,7 +104,8 @@ def test_an_image_that_is_left_out_is_told_of(tmp_path: Path, number: int) -> No
     textured.set_material(file.content, {use: {"texCoord": number} for use in USES})
     document = read_document(str(file.write(tmp_path / "lost.glb")))
     (view,) = sound_views(document)
-    (notice,) = unplaced(document, view, "picture")
+    tell_unplaced(document, view, "picture")
+    (notice,) = document.notices
     assert notice.code == "images-unplaced"
     assert notice.message == (
         f"its material puts an image on TEXCOORD_{number}, which the primitive does not have. "
@@ -116,7 +117,8 @@ def test_an_image_that_is_left_out_is_told_of(tmp_path: Path, number: int) -> No
 def test_an_image_that_is_drawn_is_not_told_of(tmp_path: Path) -> None:
     document = read_document(str(baked_by_hand(tmp_path)))
     for view in sound_views(document):
-        assert unplaced(document, view, "page") == []
+        tell_unplaced(document, view, "page")
+        assert not list(document.notices)
 
 
 @pytest.mark.slow

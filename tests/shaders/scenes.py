@@ -284,9 +284,9 @@ class Character:
         target = folder / f"{source.stem}.glb"
         bake_file(str(source), str(target))
         document = read_document(str(target))
-        sources, _ = skinned_sources(document)
-        views, problems = baked_views(document, sources)
-        assert not problems
+        sources = skinned_sources(document)
+        views = baked_views(document, sources)
+        assert not list(document.notices)
         view = views[0]
         assert view.metadata["frame"] == self.frame
         rest = rest_primitive(view)

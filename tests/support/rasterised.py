@@ -33,7 +33,7 @@ def fragments(
     matrix (4, 4) leads to the screen. Normals and positions are perspective-correct.
     """
     document = read_document(str(path))
-    (view,), _ = baked_views(document, skinned_sources(document)[0])
+    (view,) = baked_views(document, skinned_sources(document))
     skeleton = read_skeleton(document, 0)
     clip = next(iter(read_clips(document)), None) or random_clip(document)
     poses = clip_poses(skeleton, clip, np.array([time]))

@@ -112,7 +112,7 @@ def test_a_mesh_that_the_rest_pose_hides_has_the_area_of_its_bind(tmp_path: Path
 
 def areas(path: Path) -> list[float]:
     document = read_document(str(path))
-    sources, _ = skinned_sources(document)
+    sources = skinned_sources(document)
     return [
         float(RestAreas(document, number).of(read_primitive(document, one)).sum())
         for number, one in enumerate(sources)

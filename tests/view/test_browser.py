@@ -107,7 +107,7 @@ def test_errors_on_the_page_are_those_of_verify(browsing: Browsing) -> None:
 def errors_by_verify(path: Path, time: float) -> dict[str, float]:
     """Return the mean errors by triangles of one pose, weighted by area at rest."""
     document = read_document(str(path))
-    (view,), _ = baked_views(document, skinned_sources(document)[0])
+    (view,) = baked_views(document, skinned_sources(document))
     operator = gradient_operator([view.now])
     matrices = clip_poses(read_skeleton(document, 0), read_clips(document)[0], np.array([time]))
     corners = view.now.positions[view.now.triangles].astype(np.float64)

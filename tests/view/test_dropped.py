@@ -75,7 +75,7 @@ def test_every_frame_and_storage_is_shown(
     take(browsing, path)
     assert browsing.call("(() => document.title)") == f"{path.name} – skinbake"
     document = read_document(str(path))
-    (view,), _ = baked_views(document, skinned_sources(document)[0])
+    (view,) = baked_views(document, skinned_sources(document))
     for lighting, algorithm in LIGHTINGS.items():
         found = normals(browsing, lighting, clip=0, time=0.6)
         wanted = unit(replay(algorithm, rest_primitive(view), matrices(browsing)).normals[0])
@@ -109,7 +109,7 @@ def test_dual_quaternions_take_joints_that_scale(
         file.content["nodes"][joint]["scale"] = scale
     path = baked(file.write(tmp_path / "source.glb"), tmp_path / "baked")
     take(browsing, path)
-    (view,), _ = baked_views(document := read_document(str(path)), skinned_sources(document)[0])
+    (view,) = baked_views(document := read_document(str(path)), skinned_sources(document))
     found = normals(browsing, "dqs", clip=0, time=0.6)
     wanted = replay(Algorithm.DQS_EXACT, rest_primitive(view), matrices(browsing))
     # Seen along a plane that is left of the surface, a normal is rounding.
@@ -156,7 +156,7 @@ def test_morph_targets_come_before_skinning(
     else:
         path = baked(FOLDER / "morphed_sheet.glb", tmp_path, frame)
     document = read_document(str(path))
-    views, _ = baked_views(document, skinned_sources(document)[0])
+    views = baked_views(document, skinned_sources(document))
     clips = read_clips(document)
     ((skin, node),) = draws_of(document, 0, clips)
     poses = pose_set(document, skin, clips, PoseRequest(samples=5), node)

@@ -21,7 +21,7 @@ from skinbake.cli.limits import within_limits
 from skinbake.cli.many import Clock, Reporting, notes_of, run_of, state_path, work_through
 from skinbake.cli.targets import check_earlier, check_reports, is_page, jobs_of
 from skinbake.cli.writing import tell_of_report, write_report
-from skinbake.errors import ChoiceError, Chosen, SkinbakeError, printable
+from skinbake.errors import ChoiceError, Chosen, Notices, SkinbakeError, printable
 from skinbake.files.bounds import Bounds
 from skinbake.files.urls import STDIO, is_url
 from skinbake.options import STATE_NAME, VERIFY, By, defaults
@@ -220,9 +220,10 @@ def _reporting(
         def bounds(source: str) -> Bounds:
             return Bounds(searched.get(source), given["allow_outside"])
 
+        notices = Notices()
         try:
-            folder, failed, notices = write_report(
-                verdicts, options, target, bounds, sync=not given["no_sync"]
+            folder, failed = write_report(
+                verdicts, options, target, bounds, notices, sync=not given["no_sync"]
             )
         except SkinbakeError as error:
             say.error(error)

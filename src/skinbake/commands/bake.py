@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
@@ -14,12 +14,22 @@ import numpy as np
 from skinbake.choices import Encoding, FrameChoice, Gradients, Neighbours, Scheme, Weld
 from skinbake.commands.bake_options import CheckedOptions
 from skinbake.commands.surface_bake import FitTarget, PrimitiveBake, SurfaceBake, unwritten
-from skinbake.errors import Chosen, InputError, Message, Notice, Place, noticed, warnings_in
+from skinbake.errors import (
+    Chosen,
+    InputError,
+    Message,
+    Notice,
+    Place,
+    Skipped,
+    noticed,
+    skipped,
+    warnings_in,
+)
 from skinbake.files.ahead import Ahead
 from skinbake.files.bounds import OWN_FOLDERS, Within
 from skinbake.files.urls import STDIO
 from skinbake.files.versions import version_of
-from skinbake.format.attribute_store import level_ignored, stored_otherwise
+from skinbake.format.attribute_store import tell_level_ignored, tell_stored_otherwise
 from skinbake.format.baked import with_baked
 from skinbake.format.layouts import GradientFormat
 from skinbake.format.metadata import refuse_other_kind, with_left
@@ -31,11 +41,19 @@ from skinbake.gltf.container import for_target
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import JsonObject, entries_of
 from skinbake.gltf.morphs import targets_without_normal
-from skinbake.gltf.output import AS_USUAL, Writing, other_names, plan_output, refuse_own_input, write_ahead
+from skinbake.gltf.output import (
+    AS_USUAL,
+    Writing,
+    plan_output,
+    refuse_own_input,
+    tell_other_names,
+    write_ahead,
+)
 from skinbake.gltf.primitives import (
     PrimitiveSource,
     reason_to_skip,
     skinned_sources,
+    tell_half_skinned,
     why_nothing,
 )
 from skinbake.gradients.baker import BakeSettings
@@ -107,7 +125,7 @@ class Baker(CheckedOptions):
                     read = prerequisites(source, files_read(document, target, pack=writing.pack))
             planned = None
             if target is not None and not untouched:
-                with noticed(notices), stage("write"):
+                with noticed(notices), document.notices.withheld() as told, stage("write"):
                     planned = plan_output(
                         result,
                         target,
@@ -115,7 +133,9 @@ class Baker(CheckedOptions):
                         keeps_notes=writing.keeps_notes,
                         grows=made.is_baked,
                     )
-                notices = [*notices, *planned.notices, *(other_names(source) if target == source else ())]
+                    if target == source:
+                        tell_other_names(document, source)
+                notices = [*notices, *told]
             with noticed(notices):
                 if self.warnings_as_errors and warnings_in(notices):
                     raise InputError("not written: there are warnings (--warnings-as-errors)", document.place)
@@ -153,22 +173,24 @@ class Baker(CheckedOptions):
         with any earlier bake.
         """
         refuse_other_kind(document, correctives=self.correctives is not None)
-        with stage("strip"):
-            original, _, undone = stripped(document)
-            prepared, moved = (original, []) if target is None else for_target(original, target, pack=pack)
+        with document.notices.withheld() as undone, stage("strip"):
+            original, _ = stripped(document)
+            prepared = original if target is None else for_target(original, target, pack=pack)
         if begin is not None and document.objects("skins") and self.compress is Scheme.KEEP:
             meshes = document.objects("meshes") if original is document else []
             count = sum(len(entries_of(mesh.get("primitives"))) for mesh in meshes)
             begin(prepared, growth=JSON_A_PRIMITIVE * count)
         made = self.bake_document(prepared)
         if made.is_baked or made.left:
-            return made, made.document, [*undone, *moved, *made.notices]
+            return made, made.document, [*undone, *made.notices]
         reason = "none of its skinned primitives can be baked" if made.skipped else why_nothing(document)
         if self.correctives is not None and made.notices:
-            reason = made.notices[-1].message.removeprefix("skipped: ")
+            last = made.notices[-1]
+            reason = last.reason if isinstance(last, Skipped) else last.message
         if self.require_baked:
             raise InputError(f"{reason} (--require-baked)", document.place)
-        result, moved = (document, []) if target is None else for_target(document, target, pack=pack)
+        with document.notices.withheld() as moved:
+            result = document if target is None else for_target(document, target, pack=pack)
         idle = self.correctives is not None and made.notices and not warnings_in(made.notices)
         code = "nothing-to-correct" if idle else "nothing-baked"
         last = Notice(code, f"passed through unchanged: {reason}", document.place)
@@ -188,12 +210,13 @@ class Baker(CheckedOptions):
             return self._corrected(document, sources, skipped, reasons)
         given = document
         with stage("compress"):
-            kept: list[Notice] = []
+            kept: Collection[Notice] = ()
             if self.compress is not Scheme.KEEP:
                 from skinbake.gltf.recode import Compression, recoded
 
                 compression = Compression(self.compress, self.compress_level, self._bits)
-                document, kept = recoded(document, sources, compression)
+                with document.notices.withheld() as kept:
+                    document = recoded(document, sources, compression)
         sources = [document.asset.counterpart(source) for source in sources]
         surfaces, remarks = self._bakes(document, sources)
         bakes = [bake for surface in surfaces for bake in surface]
@@ -214,15 +237,15 @@ class Baker(CheckedOptions):
             cost, unmeasured = _encoding_cost(document, bakes, storage, written, (to_store, names))
         notices = [*kept, *reasons, *remarks, *(notice for bake in bakes for notice in bake.notices)]
         notices += lean_notices((bake.primitive, bake.source.place) for bake in bakes)
-        notices += [
-            *stored_otherwise(document, sources, written),
-            *level_ignored(document, sources, level),
-            *unmeasured,
-        ]
-        if self.compress is Scheme.DRACO:
-            from skinbake.format.growth import draco_growth
+        with document.notices.withheld() as told:
+            tell_stored_otherwise(document, sources, written)
+            tell_level_ignored(document, sources, level)
+            document.notices.tell(*unmeasured)
+            if self.compress is Scheme.DRACO:
+                from skinbake.format.growth import tell_draco_growth
 
-            notices += draco_growth(given, written)
+                tell_draco_growth(given, written)
+        notices += told
         primitives = tuple(
             (bake.source.place, bake.counts(self.encoding, length))
             for bake, length in zip(bakes, lengths, strict=True)
@@ -365,7 +388,10 @@ class Baker(CheckedOptions):
 
     def _bakeable(self, document: Document) -> tuple[list[PrimitiveSource], int, list[Notice]]:
         """Return the primitives to bake, the number of skinned ones left out, and notices on the latter."""
-        sources, notices = skinned_sources(document)
+        sources = skinned_sources(document)
+        with document.notices.withheld() as half_skinned:
+            tell_half_skinned(document)
+        notices = list(half_skinned)
         wanted: list[PrimitiveSource] = []
         for source in sources:
             reason = reason_to_skip(document, source, generate_normals=self.generate_normals)
@@ -375,8 +401,8 @@ class Baker(CheckedOptions):
                 )
                 if lacking is not None:
                     auto = Chosen("frame", FrameChoice.AUTO)
-                    message = Message(f"skipped: it has no {lacking}; ", auto, " takes the frame from NORMAL")
-                    reason = Notice("no-tangents", message, source.place)
+                    words = f"it has no {lacking}; ", auto, " takes the frame from NORMAL"
+                    reason = skipped("no-tangents", source.place, *words)
             if reason is None:
                 wanted.append(source)
             else:
@@ -451,10 +477,12 @@ def _surfaces(
         by_mesh[source.mesh].append(source)
     if weld is not Weld.SKIN:
         return list(by_mesh.values()), []
-    from skinbake.gltf.scenes import meshes_of_one_skin
+    from skinbake.gltf.scenes import meshes_of_one_skin, tell_meshes_apart
 
-    groups, apart = meshes_of_one_skin(document, by_mesh)
-    return [[source for mesh in group for source in by_mesh[mesh]] for group in groups], apart
+    groups = meshes_of_one_skin(document, by_mesh)
+    with document.notices.withheld() as apart:
+        tell_meshes_apart(document, by_mesh)
+    return [[source for mesh in group for source in by_mesh[mesh]] for group in groups], list(apart)
 
 
 def _guarded(

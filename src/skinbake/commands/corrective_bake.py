@@ -122,7 +122,7 @@ def corrected_document(
     ]
     morphing = [mesh for mesh in dict.fromkeys(one.mesh for one in sources) if mesh not in plain]
     found: list[tuple[Place, Correctives, MeshCorrectives | None]] = []
-    for group in [*meshes_of_one_skin(document, plain)[0], *([mesh] for mesh in morphing)]:
+    for group in [*meshes_of_one_skin(document, plain), *([mesh] for mesh in morphing)]:
         of_group = [one for mesh in group for one in sources if one.mesh == mesh]
         found += _fitted(document, of_group, clips, chosen, baker)
     while True:
@@ -158,8 +158,8 @@ def _lighting(document: Document) -> FileVerdict:
     """Measure the lighting of a document with correctives, beside that of α and β of the surface."""
     from skinbake.commands.bake import Baker
 
-    with stage("α and β"):
-        plain, _, _ = uncorrected(document)
+    with document.notices.withheld(), stage("α and β"):
+        plain, _ = uncorrected(document)
         gradients = Baker(gradients=Gradients.SURFACE).bake_document(plain).document
     return corrected_lighting(document, gradients, VerifyOptions())[0]
 

@@ -27,6 +27,7 @@ from skinbake.gltf.primitives import (
     read_primitive,
     reason_to_skip,
     skinned_sources,
+    tell_half_skinned,
 )
 from skinbake.gltf.resources import is_data_uri
 from skinbake.gradients.influences import weight_field, weight_sum_notices
@@ -55,7 +56,10 @@ def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
     """Return a summary of one file. Raises SkinbakeError if it cannot be read."""
     with stage("read"):
         document = read_document(source, bounds)
-    sources, notices = skinned_sources(document)
+    sources = skinned_sources(document)
+    with document.notices.withheld() as half_skinned:
+        tell_half_skinned(document)
+    notices = list(half_skinned)
     what = f"summing up {counted(len(sources), 'primitive')}"
     document.budget.claim_steps(STEPS_A_PRIMITIVE * len(sources), what, document.place)
     primitives = []

@@ -62,7 +62,7 @@ def posed_normals(document: Document, request: NormalsRequest) -> Iterator[Posed
     views = sound_views(document)
     correctives = None if views else sound_correctives(document)
     if correctives:
-        document, _ = baked_in_memory(document)
+        document = baked_in_memory(document)
         views = sound_views(document)
     if not views:
         message = "no α and β in it are sound, so it has no accurate normals: run skinbake bake"

@@ -8,7 +8,7 @@ from typing import Any
 
 from skinbake.choices import Encoding, Gradients
 from skinbake.commands.bake import Baker
-from skinbake.errors import SkinbakeError
+from skinbake.errors import Notices, SkinbakeError
 from skinbake.format.metadata import corrective_note, read_metadata
 from skinbake.format.strip import stripped
 from skinbake.gltf.document import Document
@@ -43,7 +43,7 @@ def other_bakes(document: Document, verdict: FileVerdict, options: VerifyOptions
     standard, nearest = figures["standard"].mean, figures[own].mean
     found: list[OtherBake] = []
     with stage("other bakes"):
-        plain, _, _ = stripped(document.edited(budget=replace(document.budget)))
+        plain, _ = stripped(document.edited(budget=replace(document.budget), notices=Notices()))
         for corrects in (False, True) if own == "accurate" else (True, False):
             every = _measured(document, plain, asked, corrects=corrects)
             best = min(every, key=lambda other: other.error, default=None)
@@ -59,7 +59,7 @@ def _measured(
     document: Document, plain: Document, options: VerifyOptions, *, corrects: bool
 ) -> Iterator[OtherBake]:
     """Yield the bakes of one kind that can be measured."""
-    sources, _ = skinned_sources(plain)
+    sources = skinned_sources(plain)
     lacking = any(_lacks_normals(plain, source) for source in sources)
     ways: list[tuple[str, dict[str, Any]]] = []
     if corrects:

@@ -12,7 +12,7 @@ import numpy as np
 
 from skinbake.choices import Truth
 from skinbake.commands.bake import STEPS_A_BAKE, Baker
-from skinbake.errors import BudgetError, ChoiceError, InputError, Notice, printable
+from skinbake.errors import BudgetError, ChoiceError, InputError, Notice, Skipped, printable
 from skinbake.format.strip import stripped, uncorrected
 from skinbake.freshness.baked_views import BakedView, is_baked, rest_primitive, whole_surfaces
 from skinbake.freshness.expected import true_operator_of
@@ -29,7 +29,7 @@ from skinbake.gltf.animation import (
     read_skeleton,
 )
 from skinbake.gltf.document import Document
-from skinbake.gltf.images import images_unplaced
+from skinbake.gltf.images import tell_images_unplaced
 from skinbake.gltf.json_access import reference
 from skinbake.gltf.primitives import (
     PrimitiveSource,
@@ -112,8 +112,8 @@ class Attachment:
         return np.asarray(self.rest.positions @ matrices[:3, :3].T + matrices[:3, 3])
 
 
-def attachments(document: Document) -> tuple[list[Attachment], list[Notice]]:
-    """Return what nodes of the shown scene draw without a skin, and a notice on what of it cannot be read."""
+def attachments(document: Document) -> list[Attachment]:
+    """Return what nodes of the shown scene draw without a skin; tell what of it cannot be read."""
     sources: dict[int | None, list[PrimitiveSource]] = {}
     for source in plain_sources(document):
         sources.setdefault(source.mesh, []).append(source)
@@ -140,11 +140,11 @@ def attachments(document: Document) -> tuple[list[Attachment], list[Notice]]:
             if read[key] is not None:
                 rest, triangles, tangents = read[key]
                 found.append(Attachment(source, rest, triangles, tangents, skeleton))
-    if not lost:
-        return found, []
-    words = one_or_many(len(lost), "1 mesh without a skin", "{} meshes without a skin")
-    message = f"{words} cannot be read: left out of the picture"
-    return found, [Notice("not-skinned", message, document.place, len(lost))]
+    if lost:
+        words = one_or_many(len(lost), "1 mesh without a skin", "{} meshes without a skin")
+        message = f"{words} cannot be read: left out of the picture"
+        document.notices.tell(Notice("not-skinned", message, document.place, len(lost)))
+    return found
 
 
 def _rigid(document: Document, source: PrimitiveSource) -> tuple[RestPrimitive, IntArray, Any] | None:
@@ -377,43 +377,41 @@ def posed_positions(draw: Draw, posed: PosedDraw) -> Iterator[Float64Array]:
         yield BlendedPrimitive(rest, matrices, Options()).positions(*every).transpose(2, 1, 0)
 
 
-SKIPPED = "skipped: "
-"""The beginning of the notices that say why a primitive is left out."""
-
-
 OF_STORAGE = {"draco-sequential"}
 """The notices of a bake that speak only of the bytes of its output."""
 
 
-def baked_in_memory(document: Document) -> tuple[Document, tuple[Notice, ...]]:
+def baked_in_memory(document: Document) -> Document:
     """Bake a document with the defaults. Raises InputError if nothing in it can be baked.
 
-    The notices are those on damaged bakes, and on α and β. Nothing is stored, so those on storage are left
-    out.
+    Nothing is stored, so nothing is told of storage.
     """
-    count = len(skinned_sources(document)[0])
+    count = len(skinned_sources(document))
     steps, what = (
         (STEPS_A_PRIMITIVE - STEPS_A_BAKE) * count,
         f"baking {counted(count, 'primitive')} in memory",
     )
     document.budget.claim_steps(steps, what, document.place)
-    plain, _, _ = uncorrected(document)
-    if plain is document or damaged_bakes(document):
-        plain, _, _ = stripped(document)
+    with document.notices.withheld():
+        plain, _ = uncorrected(document)
+        if plain is document or holds_bake(document):
+            plain, _ = stripped(document)
     made = Baker(generate_normals=True).bake_document(plain)
     if not made.primitives:
-        skipped = (notice for notice in made.notices if notice.message.startswith(SKIPPED))
-        reasons = "; ".join(notice.message.removeprefix(SKIPPED) for notice in skipped)
+        reasons = "; ".join(notice.reason for notice in made.notices if isinstance(notice, Skipped))
         raise InputError(f"nothing in it can be shown: {reasons or why_nothing(document)}", document.place)
-    notices = [notice for notice in made.notices if notice.code not in OF_STORAGE]
+    tell, sources = document.notices.tell, skinned_sources(document)
+    message = "its bake is damaged, and one made in memory is shown: skinbake verify says what is wrong"
+    tell(*(Notice("bake-damaged", message, one.place) for one in sources if is_baked(document, one)))
+    for problem in damaged_correctives(document):
+        message = f"its correctives are left out here, and α and β shown in place of them: {problem.message}"
+        tell(Notice("correctives-not-shown", message, problem.place))
     message = "it has no NORMAL: smooth normals are generated here, and in a bake with --generate-normals"
-    generated = [
-        Notice("normals-generated", message, source.place)
-        for source in skinned_sources(document)[0]
-        if "NORMAL" not in source.attributes
-        and reason_to_skip(document, source, generate_normals=True) is None
-    ]
-    return made.document, (*damaged_bakes(document), *_damaged_correctives(document), *generated, *notices)
+    for one in sources:
+        if "NORMAL" not in one.attributes and reason_to_skip(document, one, generate_normals=True) is None:
+            tell(Notice("normals-generated", message, one.place))
+    tell(*(notice for notice in made.notices if notice.code not in OF_STORAGE))
+    return made.document
 
 
 def sound_correctives(document: Document) -> PlayedCorrectives | None:
@@ -422,26 +420,14 @@ def sound_correctives(document: Document) -> PlayedCorrectives | None:
     return played if played.targets and not any(damaged_correctives(document)) else None
 
 
-def _damaged_correctives(document: Document) -> Iterator[Notice]:
-    """Yield a notice for each mesh with damaged correctives, in place of which α and β are shown."""
-    for problem in damaged_correctives(document):
-        message = f"its correctives are left out here, and α and β shown in place of them: {problem.message}"
-        yield Notice("correctives-not-shown", message, problem.place)
+def holds_bake(document: Document) -> bool:
+    """Tell whether a primitive holds a bake, sound or not."""
+    return any(is_baked(document, source) for source in skinned_sources(document))
 
 
-def damaged_bakes(document: Document) -> list[Notice]:
-    """Return a notice for each primitive that holds a bake. The bake of none is sound."""
-    message = "its bake is damaged, and one made in memory is shown: skinbake verify says what is wrong"
-    return [
-        Notice("bake-damaged", message, source.place)
-        for source in skinned_sources(document)[0]
-        if is_baked(document, source)
-    ]
-
-
-def unplaced(document: Document, view: BakedView, made: str) -> list[Notice]:
-    """Return a notice if an image of a primitive has no texture coordinates there."""
+def tell_unplaced(document: Document, view: BakedView, made: str) -> None:
+    """Tell if an image of a primitive has no texture coordinates there."""
     ours = {*view.metadata["alpha"], *view.metadata["beta"]}  # they may be stored as such sets
-    return images_unplaced(
+    tell_images_unplaced(
         document, view.source.json, set(view.source.attributes) - ours, made, view.source.place
     )

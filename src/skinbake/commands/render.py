@@ -26,7 +26,7 @@ from skinbake.commands.posed_scene import (
     posed_primitives,
     shown_draws,
     sound_correctives,
-    unplaced,
+    tell_unplaced,
 )
 from skinbake.commands.where_it_shows import followed, in_degrees, in_words, telling_pose
 from skinbake.errors import ChoiceError, InputError, Notice, SkinbakeError
@@ -122,7 +122,6 @@ def render_file(
     """
     document = read_document(source, bounds)
     refuse_own_input(document, source, target)
-    notices: tuple[Notice, ...] = ()
     views = sound_views(document)
     correctives = None if views else sound_correctives(document)
     own = "corrected" if correctives else "accurate"
@@ -131,7 +130,7 @@ def render_file(
         raise ChoiceError("lighting", "corrected", reason=(": the file has no correctives",))
     was_baked = bool(views) or correctives is not None
     if not views:
-        document, notices = baked_in_memory(document)
+        document = baked_in_memory(document)
         views = sound_views(document)
     if not views:
         raise InputError("nothing in it is baked soundly: run skinbake verify", document.place)
@@ -141,11 +140,14 @@ def render_file(
     # What is too large is refused, and what is not a number is not drawn.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         draws = list(shown_draws(document, views, correctives))
-        pictures, pose, missing = _pictures(document, draws, sides, own, options, moves=suffix in MOVING)
+        pictures, pose = _pictures(document, draws, sides, own, options, moves=suffix in MOVING)
     data = encoded(pictures, suffix)
     write_file([data], target, sync=sync)
-    told = tuple(dict.fromkeys((*notices, *missing, *_not_drawn(document))))  # a bake tells of unlit ones too
-    return RenderResult(data, len(pictures), pose, was_baked, told)
+    for primitive in skinned_sources(document):
+        reason = reason_to_skip(document, primitive, generate_normals=True)
+        if reason is not None and reason.code == "unlit":  # no picture has it
+            document.notices.tell(reason)
+    return RenderResult(data, len(pictures), pose, was_baked, tuple(document.notices))
 
 
 def _check_influences(views: Sequence[BakedView]) -> None:
@@ -160,14 +162,6 @@ def _check_influences(views: Sequence[BakedView]) -> None:
             )
 
 
-def _not_drawn(document: Document) -> list[Notice]:
-    """Return notices on the unlit primitives, which no picture has."""
-    reasons = (
-        reason_to_skip(document, source, generate_normals=True) for source in skinned_sources(document)[0]
-    )
-    return [reason for reason in reasons if reason is not None and reason.code == "unlit"]
-
-
 def _pictures(
     document: Document,
     draws: Sequence[Draw],
@@ -176,8 +170,8 @@ def _pictures(
     options: RenderOptions,
     *,
     moves: bool,
-) -> tuple[list[Picture], str, list[Notice]]:
-    """Return the pictures, the first pose in words, and notices on what is missing in them."""
+) -> tuple[list[Picture], str]:
+    """Return the pictures, and the first pose in words; tell what is missing in them."""
     clip, moment, spot = telling_pose(document, draws, options.clip, options.time, is_close=options.is_close)
     times, pose = _times(clip, moment, options, moves=moves)
     if spot is not None:
@@ -190,7 +184,7 @@ def _pictures(
     materials = Materials(document)
     is_lit = options.look.mode == "shaded"
     in_clay = options.in_clay or not is_lit
-    rigid, missing = attachments(document)
+    rigid = attachments(document)
     held = [posed_attachment(document, one, clip, times) for one in rigid]
     parts: list[tuple[int, BakedView | Attachment, Skeleton]] = [
         (number, view, draw.skeleton) for number, draw in enumerate(draws) for view in draw.views
@@ -245,11 +239,10 @@ def _pictures(
         for number, shot in enumerate(_shots(draws, posed, errors, options, yaws[0], len(times)))
     )
     pictures = [captioned(studio.picture(shot, sides, options.look), words, options.look) for shot in shots]
-    missing += materials.notices()
-    if not in_clay:
-        drawn = (view for draw in draws for view in draw.views)
-        missing += [notice for view in drawn for notice in unplaced(document, view, "picture")]
-    return pictures, pose, missing
+    materials.tell_missing()
+    for view in () if in_clay else (view for draw in draws for view in draw.views):
+        tell_unplaced(document, view, "picture")
+    return pictures, pose
 
 
 def _refuse_layers(

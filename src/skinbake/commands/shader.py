@@ -304,7 +304,7 @@ def _not_plain(document: Document, view: BakedView, choices: ShaderChoices) -> I
 
 def _views(document: Document) -> list[BakedView]:
     """Return the baked primitives. Raises InputError if there are none, or one is damaged or stale."""
-    sources, _ = skinned_sources(document)
+    sources = skinned_sources(document)
     baked = []
     for source in sources:
         if not is_baked(document, source):
@@ -325,11 +325,12 @@ def _views(document: Document) -> list[BakedView]:
         elif any(reason.code == "no-normals" for reason in found):
             message = "nothing in it is baked: run skinbake bake --generate-normals first"
         else:
-            told = "; ".join(dict.fromkeys(reason.message.removeprefix("skipped: ") for reason in found))
+            told = "; ".join(dict.fromkeys(reason.reason for reason in found))
             message = f"nothing in it can be baked: {told or why_nothing(document)}"
         raise InputError(message, document.place)
     claim_freshness(document, len(baked))
-    views, problems = baked_views(document, baked)
+    with document.notices.withheld() as problems:
+        views = baked_views(document, baked)
     for problem in problems:
         if problem.code != "tangents-skewed":
             raise InputError(problem.message, problem.place)

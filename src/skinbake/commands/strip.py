@@ -13,7 +13,7 @@ from skinbake.gltf.beside import files_read
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import read_document
 from skinbake.gltf.json_access import entries_of
-from skinbake.gltf.output import other_names, plan_output, refuse_own_input
+from skinbake.gltf.output import plan_output, refuse_own_input, tell_other_names
 from skinbake.report.depfile import prerequisites
 from skinbake.report.strip import StripResult
 from skinbake.timing import stage
@@ -43,21 +43,21 @@ def strip_file(
         given = read_document(source, bounds)
     refuse_own_input(given, source, target)
     with stage("strip"):
-        document, count, notices = stripped(given)
+        document, count = stripped(given)
     if count == 0:
         primitives = (one for mesh in given.objects("meshes") for one in entries_of(mesh.get("primitives")))
         attributes = (one.get("attributes") for one in primitives)
         lost = any(isinstance(one, dict) and "_SKINBAKE_ALPHA_0" in one for one in attributes)
         reason = "its α/β have no metadata to undo them by: take its source" if lost else "it holds no bake"
-        notices.append(Notice("nothing-baked", f"passed through unchanged: {reason}", Place(source)))
-    document, found = for_target(document, target)
+        given.notices.tell(Notice("nothing-baked", f"passed through unchanged: {reason}", Place(source)))
+    document = for_target(document, target)
     read = prerequisites(source, files_read(given, target, pack=False)) if lists_read else ()
     with stage("write"):
         untouched = in_place and count == 0
         planned = None if untouched else plan_output(document, target, root=root, keeps_notes=keeps_notes)
-    notices += [*found, *(planned.notices if planned else ())]
     if in_place and planned:
-        notices += other_names(source)
+        tell_other_names(given, source)
+    notices = tuple(given.notices)
     if warnings_as_errors and notices:
         raise InputError(
             f"not written: {'; '.join(notice.message for notice in notices)} (--warnings-as-errors)",
@@ -66,4 +66,4 @@ def strip_file(
     if planned is not None:
         with noticed(notices), stage("write"):
             replace(planned, replaces=replaced).write(sync=sync)
-    return StripResult(source, target, count, tuple(notices), read=read)
+    return StripResult(source, target, count, notices, read=read)

@@ -67,10 +67,10 @@ class FitTarget(NamedTuple):
         """Return what the primitives of a surface are fitted to for a kind of gradients."""
         if kind is Gradients.SURFACE:
             return cls()
-        with stage("rig"):
-            rig, notices = fitting_rig(document, sources[0])
+        with document.notices.withheld() as notices, stage("rig"):
+            rig = fitting_rig(document, sources[0])
         if kind is Gradients.RIG:
-            return cls(kind, rig, notices=notices)
+            return cls(kind, rig, notices=[*notices])
         from skinbake.pose_fit.poses import poses_to_fit  # it poses: half a second of imports
 
         with stage("poses"):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from skinbake.commands.remedies import worse_lighting
-from skinbake.errors import Notice, warnings_in
+from skinbake.errors import Notice, Skipped, warnings_in
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.format.metadata import corrective_note, read_left, read_metadata
 from skinbake.freshness.baked_views import BakedView, baked_views, gathered_together, is_baked
@@ -14,7 +14,7 @@ from skinbake.freshness.made_targets import made_states
 from skinbake.freshness.staleness import claim_freshness, fits_begun, freshness_check, surface_operator
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import JsonObject
-from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources
+from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources, tell_half_skinned
 from skinbake.gradients.influences import weight_sum_notices
 from skinbake.gradients.normals import lean_notices
 from skinbake.measure.measured import lighting_verdict
@@ -55,9 +55,9 @@ def verify_document(
         notices += stale
         return _unbaked(document, options, notices, wanted)
     claim_freshness(document, len(wanted))
-    with stage("read"):
-        views, problems = baked_views(document, wanted)
-    problems = [*lost, *problems]
+    with document.notices.withheld() as damaged, stage("read"):
+        views = baked_views(document, wanted)
+    problems = [*lost, *damaged]
     if problems:
         structure = Check("structure", "failed", tuple(problems))
         rest = [Check(name, "skipped", (), "structure failed") for name in ("freshness", "lighting")]
@@ -106,17 +106,19 @@ def _sorted_out(document: Document) -> tuple[list[PrimitiveSource], list[Notice]
 
     A primitive that is baked, but can no longer be baked, is a problem, unless no light reaches it.
     """
-    sources, notices = skinned_sources(document)
+    with document.notices.withheld() as half_skinned:
+        tell_half_skinned(document)
+    notices = list(half_skinned)
     wanted: list[PrimitiveSource] = []
-    skipped = [notice for notice in notices if notice.code == "no-joints"]
-    for entry in sources:
+    unread = [notice for notice in notices if isinstance(notice, Skipped) and notice.code == "no-joints"]
+    for entry in skinned_sources(document):
         reason = reason_to_skip(document, entry, generate_normals=False)
         if reason is None:
             wanted.append(entry)
         else:
             notices.append(reason)
-            skipped += [] if reason.code == "unlit" else [reason]
-    lost = [_lost(notice) for notice in skipped if _has_metadata(document, notice)]
+            unread += [] if reason.code == "unlit" else [reason]
+    lost = [_lost(notice) for notice in unread if _has_metadata(document, notice)]
     baked_ones = {(notice.code, notice.place) for notice in lost}
     return wanted, lost, [notice for notice in notices if (notice.code, notice.place) not in baked_ones]
 
@@ -129,9 +131,9 @@ def _has_metadata(document: Document, notice: Notice) -> bool:
     return read_metadata(document, found) is not None
 
 
-def _lost(notice: Notice) -> Notice:
-    message = f"it is baked, but it has lost data that α/β need ({notice.message}): run skinbake bake"
-    return replace(notice, message=message.replace("skipped: ", ""))
+def _lost(notice: Skipped) -> Notice:
+    message = f"it is baked, but it has lost data that α/β need ({notice.reason}): run skinbake bake"
+    return Notice(notice.code, message, notice.place)
 
 
 def _unbaked(

@@ -16,7 +16,7 @@ from skinbake.freshness.made_targets import made_states
 from skinbake.gltf.animation import Clip
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, is_number, text
-from skinbake.gltf.primitives import PrimitiveSource, read_primitive, skinned_sources
+from skinbake.gltf.primitives import PrimitiveSource, read_primitive, skinned_sources, tell_half_skinned
 from skinbake.measure.corrected import WORSE, corrected_lighting, worse_primitives
 from skinbake.measure.options import VerifyOptions
 from skinbake.measure.played_correctives import (
@@ -38,7 +38,9 @@ def corrected_verdict(document: Document, options: VerifyOptions) -> FileVerdict
     Standard lighting, the correctives, and what α and β would give are measured in the same poses.
     """
     with stage("read"):
-        sources, notices = skinned_sources(document)
+        sources = skinned_sources(document)
+        with document.notices.withheld() as notices:
+            tell_half_skinned(document)
         problems = list(damaged_correctives(document))
     if problems:
         structure = Check("structure", "failed", tuple(problems))
@@ -46,8 +48,8 @@ def corrected_verdict(document: Document, options: VerifyOptions) -> FileVerdict
         return FileVerdict(document.name, (structure, *skipped), notices=tuple(notices))
     with stage("freshness"):
         fresh = _freshness(document, sources)
-    with stage("α and β"):
-        plain, _, _ = uncorrected(document)
+    with document.notices.withheld(), stage("α and β"):
+        plain, _ = uncorrected(document)
         gradients = Baker().bake_document(plain).document
     verdict, measured = corrected_lighting(document, gradients, options)
     if measured is None:

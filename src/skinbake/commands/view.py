@@ -16,15 +16,15 @@ import numpy as np
 from skinbake.choices import FrameChoice, Gradients, Neighbours, Scheme, Weld
 from skinbake.commands.posed_scene import (
     baked_in_memory,
-    damaged_bakes,
+    holds_bake,
     shown_draws,
     sound_correctives,
-    unplaced,
+    tell_unplaced,
 )
 from skinbake.commands.render import small_picture
 from skinbake.commands.verify import verify_document
 from skinbake.commands.where_it_shows import in_words, where_it_shows
-from skinbake.errors import InputError, Notice, SkinbakeError
+from skinbake.errors import InputError, Notice, Notices, SkinbakeError
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.urls import STDIO
 from skinbake.files.writing import write_file, write_files, write_stdout
@@ -35,7 +35,7 @@ from skinbake.freshness.expected import noted_kind
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.glb import STDIN
-from skinbake.gltf.images import images_missing, texture_image
+from skinbake.gltf.images import tell_images_missing, texture_image
 from skinbake.gltf.json_access import JsonObject, reference
 from skinbake.gltf.output import plan_output, refuse_own_input
 from skinbake.gltf.recode import Compression, recoded
@@ -85,18 +85,18 @@ def view_file(source: str, target: str | None = None, bounds: Bounds = BESIDE) -
         refuse_own_input(document, source, target)
     corrected = document if sound_correctives(document) else None
     was_baked = bool(sound_views(document)) or corrected is not None
-    notices: tuple[Notice, ...] = ()
     notes: list[str] = []
     if not was_baked:
-        before = "The bake of the file is damaged." if damaged_bakes(document) else "The file was not baked."
+        before = "The bake of the file is damaged." if holds_bake(document) else "The file was not baked."
         if any(corrective_note(mesh) for mesh in document.objects("meshes")):
             before = LEFT_OUT
         notes = [f"{before} This page baked it in memory, with the defaults."]
     if corrected or not was_baked:
-        document, notices = baked_in_memory(document)
+        document = baked_in_memory(document)
     verdict = verify_document(corrected or document, VerifyOptions())
-    told = tuple(dict.fromkeys((*notices, *verdict.notices)))  # bake and verify say some things alike
-    made, missing = page_of(document, replace(verdict, notices=told), notes, corrected=corrected)
+    told = tuple(dict.fromkeys((*document.notices, *verdict.notices)))
+    with document.notices.withheld() as missing:
+        made = page_of(document, replace(verdict, notices=told), notes, corrected=corrected)
     return ViewResult(made, was_baked, (*missing, *told))
 
 
@@ -106,8 +106,8 @@ def page_of(
     notes: Sequence[str],
     limits: Sequence[str] | None = None,
     corrected: Document | None = None,
-) -> tuple[bytes, list[Notice]]:
-    """Return the page of a document that was verified, and notices on what is missing in it.
+) -> bytes:
+    """Return the page of a document that was verified; tell what is missing in it.
 
     limits are those that it was held to, in words; None if it was not. corrected is the same document with
     correctives, if it has any: they are shown beside the α and β that ``document`` holds.
@@ -119,12 +119,19 @@ def page_of(
             others += [_with_influences(view, noted_kind(view)) for view in views]
             notes = [*notes, COMPARED]
     with stage("page"):
-        glb, images, missing = _self_contained(corrected or document)
+        glb, images = _self_contained(corrected or document)
         size = sum(map(len, glb))
         document.budget.claim(PAGE_BYTES * size, f"a page of {counted(size, 'byte')}", document.place)
-        missing += [notice for view in views for notice in unplaced(document, view, "page")]
-        missing += _not_drawn(document, views)
-        told = [*notes, *remarks(verdict), *map(_sentence, (*missing, *verdict.notices))]
+        for view in views:
+            tell_unplaced(document, view, "page")
+        most = max((4 * view.source.influence_sets for view in views), default=0)
+        if most > max(INFLUENCES):
+            message = (
+                f"it has up to {most} influences for a vertex, and a page draws {max(INFLUENCES)}: the page "
+                "has its figures only. Bake it with --limit-influences 8, or draw it by skinbake render"
+            )
+            document.notices.tell(Notice("influences-not-drawn", message, document.place))
+        told = [*notes, *remarks(verdict), *map(_sentence, (*document.notices, *verdict.notices))]
         name = "stdin" if document.place.file == STDIN else PurePath(document.name).name
         findings = {
             **_findings(verdict),
@@ -138,8 +145,8 @@ def page_of(
                 f"the page has {len(made) / 1e6:.0f} MB, because the model has {size / 1e6:.0f} MB, of which "
                 f"{images / 1e6:.0f} MB are images: show a copy with smaller images or fewer clips"
             )
-            missing.append(Notice("page-large", message, document.place, len(made)))
-        return made, missing
+            document.notices.tell(Notice("page-large", message, document.place, len(made)))
+        return made
 
 
 def _sentence(notice: Notice) -> str:
@@ -185,7 +192,8 @@ def _other_gradients(
         generate_normals=True,  # strip takes generated ones away
     )
     try:
-        plain, _, _ = stripped(document)
+        with document.notices.withheld():
+            plain, _ = stripped(document)
         made = baker.bake_document(plain)
         others = {view.source.place: view for view in sound_views(made.document)}
     except InputError:
@@ -214,21 +222,21 @@ def _with_influences(view: BakedView, kind: Gradients) -> OtherGradients:
     )
 
 
-def _self_contained(document: Document) -> tuple[list[bytes | memoryview], int, list[Notice]]:
-    """Return the pieces of a GLB without compression that holds all; the bytes of its images; notices."""
-    plain, _ = recoded(document, [], Compression(Scheme.NONE))
-    packed, _ = for_target(plain, STDIO)
-    packed, notices = _with_images(packed)
+def _self_contained(document: Document) -> tuple[list[bytes | memoryview], int]:
+    """Return the pieces of a GLB without compression that holds all, and the bytes of its images."""
+    with document.notices.withheld():
+        packed = for_target(recoded(document, [], Compression(Scheme.NONE)), STDIO)
+    packed = _with_images(packed)
     views = packed.objects("bufferViews")
     held = {reference(image.get("bufferView")) for image in packed.objects("images")}
     sizes = (reference(views[one].get("byteLength")) for one in held if one is not None and one < len(views))
     images = sum(size or 0 for size in sizes)
     images += sum(len(str(image.get("uri", ""))) for image in packed.objects("images"))
-    return list(plan_output(packed, STDIO).files.popitem()[1]), images, notices
+    return list(plan_output(packed, STDIO).files.popitem()[1]), images
 
 
-def _with_images(document: Document) -> tuple[Document, list[Notice]]:
-    """Return a GLB with the images that it names in its BIN chunk, and a notice on those that are missing."""
+def _with_images(document: Document) -> Document:
+    """Return a GLB with the images that it names in its BIN chunk; tell of those that are missing."""
     binary = list(document.binary or ())
     length = sum(map(len, binary))
     views, images = list(document.objects("bufferViews")), list(document.objects("images"))
@@ -265,11 +273,12 @@ def _with_images(document: Document) -> tuple[Document, list[Notice]]:
         images[number] = {**kept, **held[uri]}
         binary += [bytes(padding), data]
         length += padding + len(data)
+    tell_images_missing(document, lost, "page")
     if not images:
-        return document, images_missing(lost, "page", document.place)
+        return document
     buffers = [{**document.objects("buffers")[0], "byteLength": length}, *document.objects("buffers")[1:]]
     root: dict[str, Any] = {**document.json, "images": images, "bufferViews": views, "buffers": buffers}
-    return document.edited(json=root, binary=tuple(binary)), images_missing(lost, "page", document.place)
+    return document.edited(json=root, binary=tuple(binary))
 
 
 def _places(document: Document, views: Sequence[BakedView], corrected: Document | None) -> list[JsonObject]:
@@ -296,18 +305,6 @@ def _places(document: Document, views: Sequence[BakedView], corrected: Document 
     ]
 
 
-def _not_drawn(document: Document, views: Sequence[BakedView]) -> list[Notice]:
-    """Return a notice if vertices have more influences than the page draws."""
-    most = max((4 * view.source.influence_sets for view in views), default=0)
-    if most <= max(INFLUENCES):
-        return []
-    message = (
-        f"it has up to {most} influences for a vertex, and a page draws {max(INFLUENCES)}: the page has its "
-        "figures only. Bake it with --limit-influences 8, or draw it by skinbake render"
-    )
-    return [Notice("influences-not-drawn", message, document.place)]
-
-
 def _findings(verdict: FileVerdict) -> dict[str, Any]:
     """Return the verdict in the members of verify's JSON, with problems as sentences."""
     told = file_json(verdict)
@@ -332,12 +329,13 @@ def _findings(verdict: FileVerdict) -> dict[str, Any]:
     }
 
 
-def _page(document: Document, verdict: FileVerdict, options: VerifyOptions) -> tuple[bytes, list[Notice]]:
-    """Return the page of a file that was verified, with its verdict and limits, and what is missing in it."""
+def _page(document: Document, verdict: FileVerdict, options: VerifyOptions) -> bytes:
+    """Return the page of a file that was verified, with its verdict and limits."""
     notes, corrected = [], document if sound_correctives(document) else None
     if any(corrective_note(mesh) for mesh in document.objects("meshes")):
         notes = [] if corrected else [LEFT_OUT]
-        document, _ = baked_in_memory(document)
+        with document.notices.withheld():
+            document = baked_in_memory(document)
     return page_of(document, verdict, notes, limits_in_words(options), corrected)
 
 
@@ -346,42 +344,44 @@ def write_report(
     options: Mapping[str, VerifyOptions],
     target: str,
     bounds: Callable[[str], Bounds],
+    notices: Notices,
     *,
     sync: bool = True,
-) -> tuple[Path | None, list[SkinbakeError], list[Notice]]:
+) -> tuple[Path | None, list[SkinbakeError]]:
     """Write the page of one verdict, or an index and the pages of several in a folder of its name.
 
     ``options`` are those of each input. ``bounds`` gives the folders in which the document of an input may
     name files. A file that cannot be read, or was not verified again, has no page. The index tells the limits
     that are the same for all, and that there are others. Return the folder of the pages, None if there is
-    none, the errors of single pages, which the index goes without, and notices on what pages lack, or on
-    their size. Raises SkinbakeError if the page of a single verdict, or the index, cannot be written.
+    none, and the errors of single pages, which the index goes without. ``notices`` are told what pages lack.
+    Raises SkinbakeError if the page of a single verdict, or the index, cannot be written.
     """
     if len(verdicts) == 1 and verdicts[0].error is None and not verdicts[0].up_to_date:
         source = verdicts[0].input
         document = read_document(source, bounds(source))
-        page, notices = _page(document, verdicts[0], options[source])
+        page = _page(document, verdicts[0], options[source])
+        notices.tell(*document.notices)
         write_file([page], target, sync=sync)
-        return None, [], notices
-    listed, folder, failed, told = list[Listed](), None, list[SkinbakeError](), list[Notice]()
+        return None, []
+    listed, folder, failed = list[Listed](), None, list[SkinbakeError]()
     for verdict, path in zip(verdicts, pages(target, [one.input for one in verdicts]), strict=True):
         link = picture = None
         if verdict.error is None and not verdict.up_to_date:
             try:
                 document = read_document(verdict.input, bounds(verdict.input))
-                page, notices = _page(document, verdict, options[verdict.input])
+                page = _page(document, verdict, options[verdict.input])
                 picture = small_picture(document)
                 write_files(path.parent, {path: [page]}, str(path), sync=sync)
             except SkinbakeError as error:
                 failed.append(error)
             else:
                 folder = path.parent
-                told += notices
+                notices.tell(*document.notices)
                 link = f"{quote(folder.name)}/{path.name}"
         listed.append(_listed(verdict, link, picture))
     limits = [limits_in_words(options[verdict.input]) for verdict in verdicts]
     write_file([index(listed, _limits_of_all(limits))], target, sync=sync)
-    return folder, failed, told
+    return folder, failed
 
 
 def _listed(verdict: FileVerdict, link: str | None, picture: bytes | None) -> Listed:

@@ -175,7 +175,8 @@ class _Search:
         from scipy.sparse import coo_array
 
         self.document = document
-        self.rigid, _ = attachments(document)
+        with document.notices.withheld():
+            self.rigid = attachments(document)
         self.surfaces = [_Surface(draw) for draw in draws]
         every = np.concatenate([one.rest[np.unique(one.triangles)] for one in self.surfaces])
         self.size = float(np.linalg.norm(every.max(axis=0) - every.min(axis=0)))

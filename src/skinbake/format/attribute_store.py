@@ -60,26 +60,23 @@ def meshopt_packing(document: Document, source: PrimitiveSource, level: int | No
     return Packed(name, meshopt.level_of(level), beside)
 
 
-def level_ignored(document: Document, sources: Sequence[PrimitiveSource], level: int | None) -> list[Notice]:
-    """Return a notice if a level of ``--compress-level`` was given, and no primitive is compressed."""
+def tell_level_ignored(document: Document, sources: Sequence[PrimitiveSource], level: int | None) -> None:
+    """Tell if a level of ``--compress-level`` was given, and no primitive is compressed."""
     if level is None or any(
         draco.extension_of(source.json) is not None or meshopt_of(document, source) is not None
         for source in sources
     ):
-        return []
+        return
     message = (
         "--compress-level has no effect, because nothing that is baked is compressed: --compress draco or "
         "--compress meshopt compresses it"
     )
-    return [Notice("level-ignored", message, document.place)]
+    document.notices.tell(Notice("level-ignored", message, document.place))
 
 
-def stored_otherwise(
-    document: Document, sources: Sequence[PrimitiveSource], written: Document
-) -> list[Notice]:
-    """Return notices on Draco streams that the bake ``written`` replaces, or that hold former influences."""
+def tell_stored_otherwise(document: Document, sources: Sequence[PrimitiveSource], written: Document) -> None:
+    """Tell of Draco streams that the bake ``written`` replaces, or that hold former influences."""
     sequential = 0
-    notices: list[Notice] = []
     for source in sources:
         before = draco.extension_of(source.json)
         if before is None:
@@ -101,15 +98,15 @@ def stored_otherwise(
                 f"{reason_against_new_stream(document, source)}. Babylon.js and PlayCanvas do not read them "
                 "there: for these, bake with --compress none"
             )
-            notices.append(Notice("not-compressed", message, source.place))
+            document.notices.tell(Notice("not-compressed", message, source.place))
     if not sequential:
-        return notices
+        return
     streams = "Draco stream is" if sequential == 1 else "Draco streams are"
     message = (
         f"{sequential} {streams} stored by the sequential method instead of edgebreaker, because influences, "
         "tangents or normals are new: it is larger, but it keeps the order of vertices"
     )
-    return [*notices, Notice("draco-sequential", message, document.place, sequential)]
+    document.notices.tell(Notice("draco-sequential", message, document.place, sequential))
 
 
 def meshopt_of(document: Document, source: PrimitiveSource) -> str | None:

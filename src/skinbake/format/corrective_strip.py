@@ -312,10 +312,10 @@ def _agree(arrays: Sequence[FloatArray | None], each: int, targets: int) -> bool
     return np.array_equal(times[rows], former_times[last]) and np.array_equal(played, wanted)
 
 
-def narrowed(document: Document, channels: Sequence[Narrowed]) -> tuple[Document, list[Notice]]:
-    """Return the document with new samplers of the first weights alone, and a notice."""
+def narrowed(document: Document, channels: Sequence[Narrowed]) -> Document:
+    """Return the document with new samplers of the first weights alone, and tell of them."""
     if not channels:
-        return document, []
+        return document
     additions = Additions(document)
     animations = [dict(one) for one in document.objects("animations")]
     for one in channels:
@@ -340,4 +340,5 @@ def narrowed(document: Document, channels: Sequence[Narrowed]) -> tuple[Document
         "another tool has rearranged the animations since the bake: the weights of the file's own targets "
         "are kept, with keys at the times of the correctives"
     )
-    return additions.applied({"animations": animations}), [Notice("weights-kept", message, document.place)]
+    document.notices.tell(Notice("weights-kept", message, document.place))
+    return additions.applied({"animations": animations})

@@ -12,17 +12,17 @@ LARGER = 1.15
 """The growth from which it is told as a factor: below it, "1.0 times" would say nothing."""
 
 
-def draco_growth(before: Document, after: Document) -> list[Notice]:
-    """Return a notice if a bake with ``--compress draco`` needs more bytes than its input, else none.
+def tell_draco_growth(before: Document, after: Document) -> None:
+    """Tell if a bake with ``--compress draco`` needs more bytes than its input.
 
     An input that is in Draco already grows by α and β alone, and is not a case for a remedy. Nor is an output
     that Draco could not take.
     """
     if _is_in_draco(before) or not _is_in_draco(after):
-        return []
+        return
     first, last = _bytes_of_buffers(before), _bytes_of_buffers(after)
     if last <= first or not first:
-        return []
+        return
     growth = last / first
     by = f"{growth:.2g} times as large" if growth >= LARGER else f"{percent(growth - 1.0, 1)} larger"
     sizes = f"{by} ({first:,} to {last:,} bytes)"
@@ -30,7 +30,7 @@ def draco_growth(before: Document, after: Document) -> list[Notice]:
         f"--compress draco makes its buffers {sizes}, because floats stay exact: use --compress meshopt; "
         "--position-bits 14 --normal-bits 10 helps less"
     )
-    return [Notice("draco-larger", message, before.place)]
+    after.notices.tell(Notice("draco-larger", message, before.place))
 
 
 def _is_in_draco(document: Document) -> bool:

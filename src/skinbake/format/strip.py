@@ -30,8 +30,8 @@ from skinbake.gltf.json_access import JsonObject, integer, objects, reference, t
 from skinbake.gltf.references import buffers_in_use, uses_of_accessors, views_in_use
 
 
-def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
-    """Return the document as before bake, the number of baked primitives, and notices on leftovers.
+def stripped(document: Document) -> tuple[Document, int]:
+    """Return the document as before bake, and the number of baked primitives; tell of leftovers.
 
     A mesh with correctives counts as one.
 
@@ -41,7 +41,7 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
     version of skinbake has baked it: what its metadata means is unknown. The note of a bake that has left the
     file unbaked is removed, too.
     """
-    document, corrected, notices = uncorrected(without_left(document))
+    document, corrected = uncorrected(without_left(document))
     count = len(corrected)
     meshes: list[JsonObject] = []
     changed: list[tuple[JsonObject, JsonObject]] = []
@@ -62,14 +62,13 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
                 count += bool(noted) and number not in corrected
                 continue
             _refuse_later_version(note, here)
-            written, found = _restored(document, primitive, note, here)
+            written = _restored(document, primitive, note, here)
             restored.append(written)
             changed.append((given, written))
             count += 1
-            notices += found
         meshes.append({**morphing, "primitives": restored} if restored else morphing)
     if not changed and meshes == document.objects("meshes"):
-        return document, count, notices
+        return document, count
     root = {**document.json, "meshes": meshes}
     removed = set[int]().union(
         *(_accessors_of_vertices(old) - _accessors_of_vertices(new) for old, new in changed)
@@ -79,24 +78,22 @@ def stripped(document: Document) -> tuple[Document, int, list[Notice]]:
     back = set[int]().union(
         *(_accessors_of_vertices(new) - _accessors_of_vertices(old) for old, new in changed)
     )
-    return _without(document, root, removed, streams, notices, back), count, notices
+    return _without(document, root, removed, streams, back), count
 
 
-def uncorrected(document: Document) -> tuple[Document, Collection[int], list[Notice]]:
-    """Return the document without correctives alone, the meshes that had any, and notices as ``stripped``.
+def uncorrected(document: Document) -> tuple[Document, Collection[int]]:
+    """Return the document without correctives alone, and the meshes that had any; tell as ``stripped``.
 
     What a bake has made for the file's own morph targets stays.
     """
     corrected = {number for number, mesh in enumerate(document.objects("meshes")) if corrective_note(mesh)}
     if not corrected:
-        return document, (), []
+        return document, ()
     from skinbake.format.corrective_strip import narrowed, without_correctives  # few files have any
 
     root, to_narrow = without_correctives(document)
-    notices: list[Notice] = []
     unused = uses_of_accessors(document.json).keys() - uses_of_accessors(root).keys()
-    found, more = narrowed(_without(document, root, unused, set(), notices, set()), to_narrow)
-    return found, corrected, [*notices, *more]
+    return narrowed(_without(document, root, unused, set(), set()), to_narrow), corrected
 
 
 def _refuse_later_version(note: JsonObject, place: Place) -> None:
@@ -128,12 +125,10 @@ def _numbers(values: Iterable[object]) -> set[int]:
     return {number for value in values if (number := json_access.reference(value)) is not None}
 
 
-def _restored(
-    document: Document, primitive: JsonObject, note: JsonObject, place: Place
-) -> tuple[JsonObject, list[Notice]]:
+def _restored(document: Document, primitive: JsonObject, note: JsonObject, place: Place) -> JsonObject:
     """Return the JSON of the primitive without bake's attributes and metadata, with its own influences."""
     attributes = dict(json_access.member(primitive, "attributes", place))
-    notices = _removed(attributes, note, place)
+    _remove(document, attributes, note, place)
     former = former_attributes(document, attributes, note, place)
     tangent = former_tangent(document, attributes, note, place)
     before = with_former_stream(primitive)
@@ -145,7 +140,7 @@ def _restored(
             "another tool has removed or edited the TANGENT from before the bake: "
             "the straightened TANGENT stays"
         )
-        notices.append(Notice("tangents-kept", message, place))
+        document.notices.tell(Notice("tangents-kept", message, place))
     if former is not None:
         attributes = former_sets(attributes, note)
     ours = json_access.member(primitive, "attributes", place).keys() - attributes.keys()
@@ -164,28 +159,20 @@ def _restored(
         written["extras"] = left
         if not left and not note.get("keepExtras"):
             del written["extras"]
-    if former is not None:
-        return written, notices
-    if FORMER_ATTRIBUTES in note:
-        message = (
-            "another tool has removed or edited the influences from before the bake: the "
-            f"influences that {_who_changed(attributes, note)} stay, with adopted joints among them"
-        )
-        return written, [*notices, Notice("limited-kept", message, place)]
-    message = (
-        "another tool has removed or edited the influences from before the bake: joints that bake "
-        "adopted stay, with weights too small to see. A bake takes them for the file's own: bake from the "
-        "source instead"
-    )
-    return written, [*notices, Notice("adopted-kept", message, place)]
-
-
-def _who_changed(attributes: JsonObject, note: JsonObject) -> str:
-    return (
-        "--neighbours extend added"
-        if former_sets(attributes, note) != attributes
-        else "--limit-influences left"
-    )
+    if former is None:
+        message = "another tool has removed or edited the influences from before the bake: "
+        if FORMER_ATTRIBUTES in note:
+            code, is_extended = "limited-kept", former_sets(attributes, note) != attributes
+            option = "--neighbours extend added" if is_extended else "--limit-influences left"
+            message += f"the influences that {option} stay, with adopted joints among them"
+        else:
+            code = "adopted-kept"
+            message += (
+                "joints that bake adopted stay, with weights too small to see. A bake takes them for the "
+                "file's own: bake from the source instead"
+            )
+        document.notices.tell(Notice(code, message, place))
+    return written
 
 
 def _set_number(name: str) -> int:
@@ -194,8 +181,8 @@ def _set_number(name: str) -> int:
     return int(number) if number != name and number.isdecimal() and len(number) < 9 else -1
 
 
-def _removed(attributes: JsonObject, note: JsonObject, place: Place) -> list[Notice]:
-    """Remove bake's additions from the attributes; return a notice if some can no longer be recognised.
+def _remove(document: Document, attributes: JsonObject, note: JsonObject, place: Place) -> None:
+    """Remove bake's additions from the attributes; tell if some can no longer be recognised.
 
     A damaged note may name any attribute. One that no bake adds stays. So does what later attributes need: a
     NORMAL before a TANGENT, and texture coordinates before others, which would leave a gap.
@@ -210,16 +197,16 @@ def _removed(attributes: JsonObject, note: JsonObject, place: Place) -> list[Not
     last = max((_set_number(name) for name in names), default=-1)
     if note.get("layout") == Layout.TEXCOORD and any(_set_number(name) > last for name in attributes):
         message = f"another tool has added texture coordinates behind {names[-1]}: α and β stay before them"
-        return [Notice("texcoords-kept", message, place, len(names) - len(missing))]
+        document.notices.tell(Notice("texcoords-kept", message, place, len(names) - len(missing)))
+        return
     for name in [*(() if doubtful else names), *blend_names(note), *generated]:
         attributes.pop(name, None)
-    if not doubtful:
-        return []
-    message = (
-        f"α and β were in {names[0]} to {names[-1]}, but {', '.join(missing)} are missing: the "
-        "other sets stay, because they may hold texture coordinates now"
-    )
-    return [Notice("texcoords-kept", message, place, len(names) - len(missing))]
+    if doubtful:
+        message = (
+            f"α and β were in {names[0]} to {names[-1]}, but {', '.join(missing)} are missing: the "
+            "other sets stay, because they may hold texture coordinates now"
+        )
+        document.notices.tell(Notice("texcoords-kept", message, place, len(names) - len(missing)))
 
 
 def _extensions_before(
@@ -244,12 +231,7 @@ def _extensions_before(
 
 
 def _without(
-    document: Document,
-    root: JsonObject,
-    removed: Set[int],
-    streams: Set[int],
-    notices: list[Notice],
-    back: Set[int],
+    document: Document, root: JsonObject, removed: Set[int], streams: Set[int], back: Set[int]
 ) -> Document:
     """Return the document without the accessors, and without buffer views and bytes that only they used.
 
@@ -258,14 +240,11 @@ def _without(
     """
     tail = _tail_of_bake(document, root, removed, streams)
     if tail is None:
-        notices.append(
-            Notice(
-                "bytes-left",
-                "another tool has rearranged the file since its bake: the data of the bake stays "
-                "in the file, unused",
-                document.place,
-            )
+        message = (
+            "another tool has rearranged the file since its bake: the data of the bake stays in the file, "
+            "unused"
         )
+        document.notices.tell(Notice("bytes-left", message, document.place))
         return document.edited(json=_with_own_views(document, root, back))
     accessors, views = document.objects("accessors"), document.objects("bufferViews")
     _put_back(root, "accessors", accessors[: len(accessors) - len(removed)])

@@ -61,32 +61,29 @@ def is_baked(document: Document, source: PrimitiveSource) -> bool:
     )
 
 
-def baked_views(
-    document: Document, sources: Sequence[PrimitiveSource]
-) -> tuple[list[BakedView], list[Notice]]:
-    """Return every baked primitive whose structure is sound, and a problem for each other one."""
+def baked_views(document: Document, sources: Sequence[PrimitiveSource]) -> list[BakedView]:
+    """Return every baked primitive whose structure is sound; tell the problem of each other one."""
     views: list[BakedView] = []
-    problems: list[Notice] = []
     for source in sources:
         found = _view(document, source)
         if isinstance(found, BakedView):
             views.append(found)
-            problems += _skewed(found)
+            document.notices.tell(*_skewed(found))
         else:
-            problems.append(found)
-    return views, [*problems, *_contradictions(document, views)]
+            document.notices.tell(found)
+    document.notices.tell(*_contradictions(document, views))
+    return views
 
 
 def sound_views(document: Document) -> list[BakedView]:
     """Return the baked primitives of a document whose structure is sound, and that light reaches."""
-    sources, _ = skinned_sources(document)
     sound = [
         source
-        for source in sources
+        for source in skinned_sources(document)
         if is_baked(document, source) and reason_to_skip(document, source, generate_normals=False) is None
     ]
-    views, _ = baked_views(document, sound)
-    return views
+    with document.notices.withheld():
+        return baked_views(document, sound)
 
 
 def gathered_together(document: Document, views: Sequence[BakedView]) -> list[list[BakedView]]:
@@ -98,7 +95,7 @@ def gathered_together(document: Document, views: Sequence[BakedView]) -> list[li
     meshes = list(dict.fromkeys(view.source.mesh for view in views))
     groups = [[mesh] for mesh in meshes]
     if any(_weld(view) == "skin" for view in views):
-        groups, _ = meshes_of_one_skin(document, meshes)
+        groups = meshes_of_one_skin(document, meshes)
     return [[view for view in views if view.source.mesh in group] for group in groups]
 
 
@@ -110,7 +107,7 @@ def whole_surfaces(document: Document, views: Sequence[BakedView]) -> list[list[
     """
     meshes = list(dict.fromkeys(view.source.mesh for view in views))
     plain = [mesh for mesh in meshes if not document.asset.meshes[mesh].target_count]
-    groups = meshes_of_one_skin(document, plain)[0] + [[mesh] for mesh in meshes if mesh not in plain]
+    groups = meshes_of_one_skin(document, plain) + [[mesh] for mesh in meshes if mesh not in plain]
     groups.sort(key=lambda group: meshes.index(group[0]))
     return [[view for view in views if view.source.mesh in group] for group in groups]
 

@@ -153,7 +153,8 @@ def prepared_rig_fit(document: Document, views: Sequence[BakedView], weighting: 
     It gives α and β (V, K − 1) of each view, of the joints that the slots name. It no longer reads the
     document, so any thread may do it.
     """
-    rig, _ = fitting_rig(document, views[0].source)
+    with document.notices.withheld():
+        rig = fitting_rig(document, views[0].source)
     if rig is None:
         return None
     if STORED_POSE not in views[0].metadata:

@@ -63,7 +63,8 @@ def is_stored_as_noted(document: Document, view: BakedView) -> bool:
     """Tell whether the nodes are stored in the pose to which α and β are fitted, if there is one."""
     if noted_kind(view) is Gradients.SURFACE or STORED_POSE not in view.metadata:
         return True
-    rig, _ = fitting_rig(document, view.source)
+    with document.notices.withheld():
+        rig = fitting_rig(document, view.source)
     if rig is None or rig.fingerprint is None:
         return False
     return is_fingerprint_of(rig.fingerprint, view.metadata[STORED_POSE]["fingerprint"])
@@ -78,7 +79,8 @@ def rig_changed(document: Document, view: BakedView) -> bool:
     """Tell whether the rig is another one than the noted one, or is gone."""
     if noted_kind(view) is Gradients.SURFACE or "rig" not in view.metadata:
         return False
-    rig, _ = fitting_rig(document, view.source)
+    with document.notices.withheld():
+        rig = fitting_rig(document, view.source)
     return rig is None or rig.digest != view.metadata.get("rig")
 
 

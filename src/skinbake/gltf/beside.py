@@ -65,23 +65,23 @@ class Beside:
 
     def planned(
         self,
-    ) -> tuple[Document, dict[Path, Iterable[Bytes]], dict[Path, Signature], list[Notice]]:
-        """Return the document with URIs for the target's folder, the files to write there, and notices.
+    ) -> tuple[Document, dict[Path, Iterable[Bytes]], dict[Path, Signature]]:
+        """Return the document with URIs for the target's folder, and the files to write there.
 
-        Before the notices come the files that are already there with the same content. No notice repeats
-        what one has ``told`` of the document.
+        Last come the files that are already there with the same content. Notices tell of those that cannot
+        be copied, but for those that have been ``told`` already.
         """
         named = list(named_files(self._document))
         is_buffer = {resource.uri: resource.array == "buffers" for resource in reversed(named)}
         uris = {uri: self._placed(uri, is_buffer=is_buffer[uri]) for uri in {r.uri: None for r in named}}
         renamed = [(resource, uris[resource.uri]) for resource in named if uris[resource.uri] != resource.uri]
         document = _with_uris(self._document, renamed) if renamed else self._document
-        place, told, found = self._document.place, self._document.told, []
+        place, told, tell = self._document.place, self._document.told, self._document.notices.tell
         if missing := [uri for uri in self._missing if uri not in told]:
             count = len(missing)
             files = "1 file that it names is" if count == 1 else f"{count} files that it names are"
             message = f"{files} missing and cannot be copied: {listed(missing)}"
-            found.append(Notice("file-missing", message, place, count))
+            tell(Notice("file-missing", message, place, count))
         if away := [uri for uri in self._outside if uri not in told]:
             count = len(away)
             images = "1 image is" if count == 1 else f"{count} images are"
@@ -89,7 +89,7 @@ class Beside:
                 f"{images} outside its folder, and neither read nor copied; the output refers to "
                 f"the same place: {listed(away)}"
             )
-            found.append(Notice("image-outside", message, place, count))
+            tell(Notice("image-outside", message, place, count))
         if unopened := [(uri, why) for uri, why in self._refused if uri not in told]:
             count, (uri, why) = len(unopened), unopened[0]
             names = one_or_many(
@@ -98,8 +98,8 @@ class Beside:
                 "{} URIs name no file beside it, and stay as they are. The first is",
             )
             message = f'{names} "{shortened(uri)}": {why}'
-            found.append(Notice("uri-refused", message, place, count))
-        return document, self._files, self._serving, found
+            tell(Notice("uri-refused", message, place, count))
+        return document, self._files, self._serving
 
     def _made(self, uri: str) -> str:
         """Return the URI of a file that the document did not have before."""

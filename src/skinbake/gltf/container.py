@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Collection
 from pathlib import Path
 
 from skinbake.errors import Notice, OutputError, Place
@@ -18,8 +18,10 @@ from skinbake.gltf.json_access import JsonObject
 from skinbake.wording import counted, one_or_many
 
 
-def for_target(document: Document, target: str, *, pack: bool = False) -> tuple[Document, list[Notice]]:
+def for_target(document: Document, target: str, *, pack: bool = False) -> Document:
     """Return the document in the container that the suffix of ``target`` means; ``-`` is a GLB.
+
+    Notices tell what stays outside, or is lost.
 
     With ``pack``, a GLB takes the files of buffers and images into its BIN chunk. Otherwise:
 
@@ -31,30 +33,26 @@ def for_target(document: Document, target: str, *, pack: bool = False) -> tuple[
     The files that extensions name are neither packed nor copied; a notice names them.
     """
     moves = target != STDIO and is_elsewhere(document, target)
-    converted, notices = _converted(document, target, pack=pack, moves=moves)
-    return converted, [*notices, *_not_copied(document, pack=pack, moves=moves)]
-
-
-def _converted(document: Document, target: str, *, pack: bool, moves: bool) -> tuple[Document, list[Notice]]:
-    """Return the document in the container of the target, and notices on what stays outside or is lost."""
+    converted = document
     if is_glb_name(target):
-        glb, notices = document, list[Notice]()
+        unpacked: Collection[Notice] = ()
         if pack or not document.is_glb:
             from skinbake.gltf.packing import packed, packed_with_files  # most files are GLBs, and stay so
 
-            glb = document if document.is_glb else _as_glb(document)
+            converted = document if document.is_glb else _as_glb(document)
             if pack:
-                glb, notices = packed_with_files(glb, moves=moves)
+                with document.notices.withheld() as unpacked:
+                    converted = packed_with_files(converted, moves=moves)
             else:
-                glb = packed(glb, buffer_files=target == STDIO)
-        return (_self_contained(glb), _loose_images(glb) or notices) if target == STDIO else (glb, notices)
-    if pack:  # pragma: no cover: refused before: tests/gltf/test_packing.py
+                converted = packed(converted, buffer_files=target == STDIO)
+        # Of images that stay files, standard output has a word of its own.
+        if target != STDIO or not _tell_loose_images(converted):
+            document.notices.tell(*unpacked)
+        converted = _self_contained(converted) if target == STDIO else converted
+    elif pack:  # pragma: no cover: refused before: tests/gltf/test_packing.py
         raise OutputError("--pack needs a .glb or .vrm: a .gltf has no binary chunk", Place(target))
-    return _as_gltf(document, Path(target).stem) if document.is_glb else (document, [])
-
-
-def _not_copied(document: Document, *, pack: bool, moves: bool) -> Iterator[Notice]:
-    """Yield a notice on the files that extensions name, if the document moves or is packed."""
+    elif document.is_glb:
+        converted = _as_gltf(document, Path(target).stem)
     uris = files_of_extensions(document.json) if pack or moves else []
     if uris:  # pragma: no cover: tests/gltf/test_container.py
         files = one_or_many(
@@ -63,7 +61,8 @@ def _not_copied(document: Document, *, pack: bool, moves: bool) -> Iterator[Noti
         what = ("neither packed nor copied" if moves else "not packed") if pack else "not copied"
         stay = one_or_many(len(uris), "its URI stays as it is", "their URIs stay as they are")
         message = f"{files} {what}, and {stay}: {resources.listed(uris)}"
-        yield Notice("uri-not-copied", message, document.place, len(uris))
+        document.notices.tell(Notice("uri-not-copied", message, document.place, len(uris)))
+    return converted
 
 
 def is_glb_name(target: str) -> bool:
@@ -89,7 +88,7 @@ def _as_glb(document: Document) -> Document:
     )
 
 
-def _as_gltf(document: Document, stem: str) -> tuple[Document, list[Notice]]:
+def _as_gltf(document: Document, stem: str) -> Document:
     changes = {
         "is_glb": False,
         "indent": "  ",
@@ -98,9 +97,20 @@ def _as_gltf(document: Document, stem: str) -> tuple[Document, list[Notice]]:
         "other_chunks": (),
         "trailing": b"",
     }
-    notices = list(_dropped(document))
+    # The parts of a GLB that a .gltf cannot hold.
+    lost = []
+    if document.other_chunks:
+        lost.append(f"{counted(len(document.other_chunks), 'GLB chunk')} of unknown type")
+    if document.binary is not None and not document.has_binary_buffer:
+        lost.append("an unreferenced BIN chunk")
+    if document.trailing:
+        lost.append(counted(len(document.trailing), "trailing byte"))
+    if lost:
+        verb = "has" if len(lost) == 1 and lost[0].startswith(("1 ", "an ")) else "have"
+        message = f"{' and '.join(lost)} {verb} no place in a .gltf"
+        document.notices.tell(Notice("chunks-dropped", message, document.place))
     if not document.has_binary_buffer:
-        return document.edited(**changes), notices
+        return document.edited(**changes)
     buffers = document.objects("buffers")
     taken = {
         name
@@ -112,7 +122,7 @@ def _as_gltf(document: Document, stem: str) -> tuple[Document, list[Notice]]:
     uri = path_uri(next(name for name in names if name not in taken))
     root = {**document.json, "buffers": [{**buffers[0], "uri": uri}, *buffers[1:]]}
     new_files = {**document.new_files, uri: (document.buffer(0),)}
-    return document.edited(json=root, new_files=new_files, **changes), notices
+    return document.edited(json=root, new_files=new_files, **changes)
 
 
 def _names(uri: str) -> tuple[str, ...]:
@@ -121,20 +131,6 @@ def _names(uri: str) -> tuple[str, ...]:
         return relative_names(uri)
     except RefusedError:
         return ()
-
-
-def _dropped(document: Document) -> Iterator[Notice]:
-    """Yield a notice on the parts of a GLB that a ``.gltf`` cannot hold."""
-    lost = []
-    if document.other_chunks:
-        lost.append(f"{counted(len(document.other_chunks), 'GLB chunk')} of unknown type")
-    if document.binary is not None and not document.has_binary_buffer:
-        lost.append("an unreferenced BIN chunk")
-    if document.trailing:
-        lost.append(counted(len(document.trailing), "trailing byte"))
-    if lost:
-        verb = "has" if len(lost) == 1 and lost[0].startswith(("1 ", "an ")) else "have"
-        yield Notice("chunks-dropped", f"{' and '.join(lost)} {verb} no place in a .gltf", document.place)
 
 
 def _self_contained(document: Document) -> Document:
@@ -164,14 +160,15 @@ def _is_hollow(document: Document, buffer: JsonObject) -> bool:
     )
 
 
-def _loose_images(document: Document) -> list[Notice]:
+def _tell_loose_images(document: Document) -> bool:
+    """Tell of images that are files beside standard output; return whether there are any."""
     loose = [uri for image in document.objects("images") if isinstance(uri := image.get("uri"), str)]
     count = sum(map(is_relative, loose))
-    if not count:
-        return []
-    message = one_or_many(
-        count,
-        f"1 image is a file; on standard output its URI still starts at {document.folder}",
-        f"{count:,} images are files; on standard output their URIs still start at {document.folder}",
-    )
-    return [Notice("images-outside", message, document.place, count)]
+    if count:
+        message = one_or_many(
+            count,
+            f"1 image is a file; on standard output its URI still starts at {document.folder}",
+            f"{count:,} images are files; on standard output their URIs still start at {document.folder}",
+        )
+        document.notices.tell(Notice("images-outside", message, document.place, count))
+    return count > 0

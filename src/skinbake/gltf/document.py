@@ -16,7 +16,7 @@ from json import JSONDecodeError
 from pathlib import Path
 from typing import Any, TypeVar, TypeVarTuple
 
-from skinbake.errors import InputError, Place, UnsupportedFeatureError
+from skinbake.errors import InputError, Notices, Place, UnsupportedFeatureError
 from skinbake.files import Bytes
 from skinbake.files.bounds import (
     BESIDE,
@@ -68,6 +68,7 @@ class Document:
     - ``asset`` has its parts as typed records. What a room finds out about a document once, it keeps there by
       ``once_a_document``.
     - ``budget`` counts the memory that it has claimed, with all edited versions.
+    - ``notices`` collects what is told of it, with all edited versions.
     """
 
     name: str
@@ -86,6 +87,7 @@ class Document:
     raw: Bytes | None = None
     derived: dict[str, dict[Any, Any]] = field(default_factory=dict, repr=False)
     budget: Budget = field(default_factory=Budget, repr=False, compare=False)
+    notices: Notices = field(default_factory=Notices, repr=False, compare=False)
     _files: dict[str, Bytes] = field(default_factory=dict, repr=False)
     _loaded: dict[int, memoryview] = field(default_factory=dict, init=False, repr=False, compare=False)
     _found: dict[object, Any] = field(default_factory=dict, init=False, repr=False, compare=False)

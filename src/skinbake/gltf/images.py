@@ -36,23 +36,23 @@ def texcoord_set(info: JsonObject) -> int:
     return next((number for number in sets if number is not None and number >= 0), 0)
 
 
-def images_unplaced(
+def tell_images_unplaced(
     document: Document, primitive: JsonObject, has: Container[str], made: str, place: Place
-) -> list[Notice]:
-    """Return a notice if a primitive lacks the texture coordinates of an image that its material shows.
+) -> None:
+    """Tell if a primitive lacks the texture coordinates of an image that its material shows.
 
     has are the names of its texture coordinates.
     """
     material = listed(document.json, "materials", primitive.get("material"))
     if material is None:
-        return []
+        return
     infos = shown_textures(material).values()
     named = {f"TEXCOORD_{texcoord_set(info)}" for info in infos if reference(info.get("index")) is not None}
     missing = sorted(name for name in named if name not in has)
-    if not missing:  # pragma: no branch: tests/render/test_texcoords.py
-        return []
-    message = f"its material puts an image on {' and '.join(missing)}, which the primitive does not have"
-    return [Notice("images-unplaced", f"{message}. The {made} shows the primitive without it", place)]
+    if missing:  # pragma: no branch: tests/render/test_texcoords.py
+        message = f"its material puts an image on {' and '.join(missing)}, which the primitive does not have"
+        shown = f"{message}. The {made} shows the primitive without it"
+        document.notices.tell(Notice("images-unplaced", shown, place))
 
 
 def texture_image(document: Document, texture: int) -> int | None:
@@ -97,11 +97,11 @@ def image_bytes(document: Document, image: int) -> Bytes:
     return read_resource(uri, document.folder, document.bounds, document.place, claim, of="image")
 
 
-def images_missing(reasons: Sequence[str], made: str, place: Place) -> list[Notice]:
-    """Return a notice on images that are left out of a page or a picture, if there are any."""
+def tell_images_missing(document: Document, reasons: Sequence[str], made: str) -> None:
+    """Tell of images that are left out of a page or a picture, if there are any."""
     if not reasons:
-        return []
+        return
     message = f"{reasons[0]}. The {made} is without this image"
     if len(reasons) > 1:
         message = f"{len(reasons)} images are left out of the {made}. Of the first: {reasons[0]}"
-    return [Notice("images-missing", message, place, len(reasons))]
+    document.notices.tell(Notice("images-missing", message, document.place, len(reasons)))

@@ -60,7 +60,7 @@ AS_USUAL = Writing()
 
 @dataclass(frozen=True, slots=True)
 class PlannedOutput:
-    """All that writing a document will do: the pieces of each file, the target last, and notices.
+    """All that writing a document will do: the pieces of each file, the target last.
 
     ``copies`` are its copies, and those that earlier outputs left. ``needed`` are the files that it names.
     Nothing is written outside ``root``. ``serving`` are existing files that the document names, as they were.
@@ -70,7 +70,6 @@ class PlannedOutput:
 
     target: str
     files: dict[Path, Iterable[Bytes]]
-    notices: list[Notice]
     root: Path = field(default_factory=Path)
     serving: dict[Path, Signature] = field(default_factory=dict)
     replaces: Version | None = None
@@ -129,7 +128,7 @@ def plan_output(
     keeps_notes: bool = True,
     grows: bool = False,
 ) -> PlannedOutput:
-    """Return the plan of writing a document to ``target``, or to stdout for ``-``.
+    """Return the plan of writing a document to ``target``, or to stdout for ``-``; tell what is not copied.
 
     The suffix of the target must match the container. ``root`` is the folder that nothing is written outside
     of; the default is the folder of the target. Files that a relative URI names are copied under their
@@ -145,7 +144,7 @@ def plan_output(
     """
     refuse_buffers_outside(document)
     if target == STDIO:
-        return PlannedOutput(target, {Path(STDIO): _serialised(document, grows=grows)}, [])
+        return PlannedOutput(target, {Path(STDIO): _serialised(document, grows=grows)})
 
     def again() -> PlannedOutput:
         return plan_output(document, target, root=root, keeps_notes=keeps_notes, grows=grows)
@@ -154,14 +153,13 @@ def plan_output(
         path, base = _path_of(target, root)
         check_target(path, target)
         copies = Copies(path, base) if keeps_notes else None
-        written, beside, serving, notices = Beside(document, path, base, copies).planned()
+        written, beside, serving = Beside(document, path, base, copies).planned()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise OutputError(f"cannot be written: {reason}", Place(target)) from error
     return PlannedOutput(
         target,
         {**beside, path: _serialised(written, grows=grows)},
-        notices,
         root=base,
         serving=serving,
         again=again,
@@ -230,20 +228,20 @@ def refuse_own_input(document: Document, source: str, target: str) -> None:
             raise OutputError("it is a file of the input", Place(target))
 
 
-def other_names(source: str) -> list[Notice]:
-    """Return a notice if a file that is replaced in place has other names, by hard links."""
+def tell_other_names(document: Document, source: str) -> None:
+    """Tell of a file that is replaced in place if it has other names, by hard links."""
     try:
         count = Path(source).stat().st_nlink - 1
     except OSError:
-        return []
+        return
     if count < 1:
-        return []
+        return
     message = one_or_many(
         count,
         "it has 1 other name (a hard link), which keeps the former bytes",
         "it has {} other names (hard links), which keep the former bytes",
     )
-    return [Notice("hard-links", message, Place(source), count)]
+    document.notices.tell(Notice("hard-links", message, Place(source), count))
 
 
 def _serialised(document: Document, *, grows: bool) -> Sequence[Bytes]:

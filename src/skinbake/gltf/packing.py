@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple, TypeGuard
 
-from skinbake.errors import BudgetError, InputError, Notice, Place
+from skinbake.errors import BudgetError, InputError, Notice
 from skinbake.files import Bytes
 from skinbake.files.bounds import OutsideError, RefusedError, is_relative
 from skinbake.gltf.budget import Work
@@ -88,8 +87,8 @@ def packed(document: Document, *, buffer_files: bool = False) -> Document:
     return _with_all(document, buffer_files=buffer_files, image_files=False)[0]
 
 
-def packed_with_files(document: Document, *, moves: bool) -> tuple[Document, list[Notice]]:
-    """Return a GLB with all buffers and images in its BIN chunk, and notices on those that stay outside.
+def packed_with_files(document: Document, *, moves: bool) -> Document:
+    """Return a GLB with all buffers and images in its BIN chunk; tell of those that stay outside.
 
     It gets a BIN chunk if it has none and needs one. The bytes of images are not changed. An image stays
     outside if it may not be read, is missing, or has an unknown format. A buffer stays outside if it is
@@ -103,18 +102,15 @@ def packed_with_files(document: Document, *, moves: bool) -> tuple[Document, lis
     if moves and left:
         inside = replace(inside, told=frozenset(file.uri for file in left))
     kinds = dict.fromkeys((file.what, file.kind) for file in left)
-    alike = [[file for file in left if (file.what, file.kind) == kind] for kind in kinds]
-    return inside, [_not_packed(files, document.place, moves=moves) for files in alike]
-
-
-def _not_packed(left: Sequence[_Left], place: Place, *, moves: bool) -> Notice:
-    """Return the notice on buffers, or images, of one kind that stay files."""
-    uri, kind, why, what = left[0]
-    said = f'"{shortened(uri)}" {why}{FATES[kind] if moves else ""}'
-    others = list(dict.fromkeys(file.uri for file in left if file.uri != uri))
-    also = f". The others are {listed(others)}" if others else ""
-    stay = one_or_many(len(left), f"1 {what} stays a file", f"{{}} {what}s stay files")
-    return Notice(CODES[what], f"{stay}: {said}{also}", place, len(left))
+    for alike in kinds:
+        files = [file for file in left if (file.what, file.kind) == alike]
+        uri, kind, why, what = files[0]
+        others = list(dict.fromkeys(file.uri for file in files if file.uri != uri))
+        also = f". The others are {listed(others)}" if others else ""
+        stay = one_or_many(len(files), f"1 {what} stays a file", f"{{}} {what}s stay files")
+        message = f'{stay}: "{shortened(uri)}" {why}{FATES[kind] if moves else ""}{also}'
+        document.notices.tell(Notice(CODES[what], message, document.place, len(files)))
+    return inside
 
 
 def _with_empty_chunk(document: Document) -> Document:

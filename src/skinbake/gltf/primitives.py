@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeAlias, cast
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.errors import InputError, Notice, Place, UnsupportedFeatureError
+from skinbake.errors import InputError, Notice, Place, Skipped, UnsupportedFeatureError, skipped
 from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive, not_finite
 from skinbake.geometry.triangles import TRIANGLE_FAN, TRIANGLES, unrolled
 from skinbake.gltf.accessors import StoredArray, element_count, read_accessor
@@ -66,32 +66,41 @@ class StoredInfluences(NamedTuple):
     weights: StoredArray
 
 
-def skinned_sources(document: Document) -> tuple[list[PrimitiveSource], list[Notice]]:
-    """Return the primitives that a node with a skin draws, and notices on half-skinned ones.
+def skinned_sources(document: Document) -> list[PrimitiveSource]:
+    """Return the primitives that a node with a skin draws.
 
     A primitive is skinned if a node with a skin uses its mesh *and* it has JOINTS_0. ``joint_count`` is the
     smallest number of joints of all skins of its mesh. Raises InputError if nodes, skins or meshes contradict
     each other.
     """
     joint_counts = document.asset.joint_counts
-    sources, notices = [], []
-    for source in document.asset.primitives:
-        has_joints = "JOINTS_0" in source.attributes
-        if source.mesh in joint_counts and has_joints:
-            sources.append(source)
-            notices += _sets_after_gap(source)
-        elif has_joints:
-            notices.append(
-                Notice("no-skin", "skipped: it has joints, but no node gives its mesh a skin", source.place)
-            )
-        elif source.mesh in joint_counts:
-            notices.append(
-                Notice("no-joints", "skipped: its node has a skin, but it has no JOINTS_0", source.place)
-            )
+    sources = [
+        source
+        for source in document.asset.primitives
+        if source.mesh in joint_counts and "JOINTS_0" in source.attributes
+    ]
     counts = [_whole(element.get("count")) or 0 for element in document.objects("accessors")]
     elements = sum(_element_count(one, counts) for one in sources)
     document.budget.look_at(elements, _own_vertices(document, sources, counts), document.place)
-    return sources, notices
+    return sources
+
+
+def tell_half_skinned(document: Document) -> None:
+    """Tell of primitives that have joints or a skin alone, and of influences that are not read."""
+    joint_counts = document.asset.joint_counts
+    for source in document.asset.primitives:
+        place, has_joints = source.place, "JOINTS_0" in source.attributes
+        if source.mesh not in joint_counts:
+            if has_joints:
+                reason = "it has joints, but no node gives its mesh a skin"
+                document.notices.tell(skipped("no-skin", place, reason))
+        elif not has_joints:
+            reason = "its node has a skin, but it has no JOINTS_0"
+            document.notices.tell(skipped("no-joints", place, reason))
+        elif unread := source.unread_sets:
+            missing = f"it has {unread[0]} and no JOINTS_{source.influence_sets}"
+            message = f"{missing}: sets after the gap are not read"
+            document.notices.tell(Notice("sets-after-gap", message, place))
 
 
 def plain_sources(document: Document) -> list[PrimitiveSource]:
@@ -102,15 +111,6 @@ def plain_sources(document: Document) -> list[PrimitiveSource]:
         for source in document.asset.primitives
         if source.mesh not in joint_counts or "JOINTS_0" not in source.attributes
     ]
-
-
-def _sets_after_gap(source: PrimitiveSource) -> list[Notice]:
-    """Return a notice if a primitive has influences that are not read: a set before them is missing."""
-    unread = source.unread_sets
-    if not unread:
-        return []
-    message = f"it has {unread[0]} and no JOINTS_{source.influence_sets}: sets after the gap are not read"
-    return [Notice("sets-after-gap", message, source.place)]
 
 
 def _own_vertices(
@@ -176,7 +176,7 @@ def _whole(value: object) -> int | None:
     return value if isinstance(value, int) and 0 <= value <= LARGEST_INTEGER else None
 
 
-def reason_to_skip(document: Document, source: PrimitiveSource, *, generate_normals: bool) -> Notice | None:
+def reason_to_skip(document: Document, source: PrimitiveSource, *, generate_normals: bool) -> Skipped | None:
     """Return the reason why a skinned primitive is not baked, None if it is.
 
     Raises InputError if its JSON refers to missing accessors, or is not valid glTF.
@@ -191,26 +191,25 @@ def reason_to_skip(document: Document, source: PrimitiveSource, *, generate_norm
         raise InputError(f'"mode" is {mode}; glTF knows 0 to {TRIANGLE_FAN}', source.place)
     if mode < TRIANGLES:
         kind = "points" if mode == 0 else "lines"
-        return Notice("no-surface", f"skipped: it draws {kind}, which have no surface", source.place)
+        return skipped("no-surface", source.place, f"it draws {kind}, which have no surface")
     if "POSITION" not in source.attributes:
-        return Notice("no-positions", "skipped: it has no POSITION", source.place)
+        return skipped("no-positions", source.place, "it has no POSITION")
     unlit = is_unlit(document, source)
     if "NORMAL" not in source.attributes and not generate_normals and not unlit:
-        return Notice(
-            "no-normals", "skipped: it has no NORMAL; bake --generate-normals adds smooth ones", source.place
-        )
+        reason = "it has no NORMAL; bake --generate-normals adds smooth ones"
+        return skipped("no-normals", source.place, reason)
     if _triangle_count(document, source, mode) == 0:
-        return Notice("no-triangles", "skipped: it has no whole triangle", source.place)
+        return skipped("no-triangles", source.place, "it has no whole triangle")
     if unlit:
-        message = f"skipped: no light reaches it, because its material is unlit ({UNLIT})"
-        return Notice("unlit", message, source.place)
+        reason = f"no light reaches it, because its material is unlit ({UNLIT})"
+        return skipped("unlit", source.place, reason)
     return None
 
 
 def has_surface(document: Document, source: PrimitiveSource) -> bool:
     """Tell whether a primitive draws a triangle, lit or not. Raises InputError if it is broken."""
-    skipped = reason_to_skip(document, source, generate_normals=True)
-    return skipped is None or skipped.code == "unlit"
+    reason = reason_to_skip(document, source, generate_normals=True)
+    return reason is None or reason.code == "unlit"
 
 
 def is_unlit(document: Document, source: PrimitiveSource) -> bool:

@@ -55,10 +55,8 @@ class Compression:
     bits: Mapping[str, int] = field(default_factory=dict)
 
 
-def recoded(
-    document: Document, sources: list[PrimitiveSource], compression: Compression
-) -> tuple[Document, list[Notice]]:
-    """Return the document with its geometry in ``compression``, and notices on the exceptions.
+def recoded(document: Document, sources: list[PrimitiveSource], compression: Compression) -> Document:
+    """Return the document with its geometry in ``compression``; tell of the exceptions.
 
     sources are the primitives that will be baked. ``none`` decodes all data that Draco or meshopt compressed,
     animations and images too. ``draco`` and ``meshopt`` compress those primitives and leave all other data as
@@ -66,14 +64,13 @@ def recoded(
     is. Raises InputError if its data cannot be read.
     """
     recoder = _Recoder(document)
-    notices: list[Notice] = []
     if compression.scheme is Scheme.NONE:
         _decompress(recoder)
     elif compression.scheme is Scheme.MESHOPT:
         _into_meshopt(recoder, sources, compression)
     elif compression.scheme is Scheme.DRACO:
-        notices = list(_into_draco(recoder, sources, compression))
-    return recoder.finished(), notices
+        _into_draco(recoder, sources, compression)
+    return recoder.finished()
 
 
 class _Recoder:
@@ -253,9 +250,8 @@ def _is_packed(document: Document, number: int, place: Place) -> bool:
     return view is not None and meshopt.extension_of(views[view], place) is not None
 
 
-def _into_draco(
-    recoder: _Recoder, sources: list[PrimitiveSource], compression: Compression
-) -> Iterator[Notice]:
+def _into_draco(recoder: _Recoder, sources: list[PrimitiveSource], compression: Compression) -> None:
+    tell = recoder.document.notices.tell
     anew = {source.place for source in sources if _is_encoded_anew(recoder.document, source)}
     groups: dict[tuple[object, ...], list[PrimitiveSource]] = {}
     for source in sources:
@@ -264,16 +260,16 @@ def _into_draco(
                 message = (
                     "it is already in Draco and is not quantised again: decode it with --compress none first"
                 )
-                yield Notice("bits-ignored", message, source.place)
+                tell(Notice("bits-ignored", message, source.place))
             continue
         reason = _reason_against_draco(recoder.document, source)
         if reason is not None:
-            yield Notice("not-compressed", f"left as it is, not put into Draco: {reason}", source.place)
+            tell(Notice("not-compressed", f"left as it is, not put into Draco: {reason}", source.place))
         else:
             key = (reference(source.json.get("indices")), *sorted(source.attributes.items()))
             groups.setdefault(key, []).append(source)
     for group in groups.values():
-        yield from _unquantised(recoder.document, group[0], compression)
+        _tell_unquantised(recoder.document, group[0], compression)
         changes = _streamed(recoder, group[0], len(group), compression)
         for source in group:
             extensions = {**member(source.json, "extensions", source.place), **changes["extensions"]}
@@ -329,8 +325,8 @@ def _reason_against_type(name: str, accessor: JsonObject) -> str | None:
     return None
 
 
-def _unquantised(document: Document, source: PrimitiveSource, compression: Compression) -> Iterator[Notice]:
-    """Yield a notice for each attribute that bits were asked for and that stays exact."""
+def _tell_unquantised(document: Document, source: PrimitiveSource, compression: Compression) -> None:
+    """Tell of each attribute that bits were asked for and that stays exact."""
     from skinbake.gltf.codecs import draco_stream
 
     for name in compression.bits:
@@ -341,7 +337,7 @@ def _unquantised(document: Document, source: PrimitiveSource, compression: Compr
         reason = draco_stream.reason_against_bits(name, values)
         if reason is not None:
             message = f"it is not quantised and stays exact: {reason}"
-            yield Notice("bits-ignored", message, source.place.at(name))
+            document.notices.tell(Notice("bits-ignored", message, source.place.at(name)))
 
 
 def _sparse_inside(document: Document, source: PrimitiveSource) -> str | None:

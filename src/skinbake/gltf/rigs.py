@@ -16,33 +16,31 @@ from skinbake.gltf.primitives import PrimitiveSource
 from skinbake.wording import counted
 
 
-def fitting_rig(document: Document, source: PrimitiveSource) -> tuple[Rig | None, list[Notice]]:
-    """Return the rig of the skin that draws a primitive, None if no joint of it can turn, and notices.
+def fitting_rig(document: Document, source: PrimitiveSource) -> Rig | None:
+    """Return the rig of the skin that draws a primitive; tell why if it has none to fit to, and return None.
 
-    Nothing is fitted, and nothing is said, for a skin of one joint. Raises InputError if the rig would take
+    Nothing is fitted, and nothing is told, for a skin of one joint. Raises InputError if the rig would take
     more memory than the file may have.
     """
     try:
         rig, others = rig_of_mesh(document, source.mesh)
+        if len(rig.parents) == 1:
+            return None
+        reason = "no inverse bind matrix of the skin can be inverted"
     except BudgetError:
         raise
     except InputError as error:
-        return None, [_no_rig(f"the skeleton cannot be read ({error.message})", source)]
-    if len(rig.parents) == 1:
-        return None, []
-    if not np.isfinite(rig.pivots).all(axis=1).any():
-        return None, [_no_rig("no inverse bind matrix of the skin can be inverted", source)]
-    if not others:
-        return rig, []
-    others_draw = "another skin draws" if others == 1 else f"{others} other skins draw"
-    message = f"{others_draw} the mesh with other joints or bind poses: α/β are fitted to the first skin"
-    return rig, [Notice("rig-of-first-skin", message, source.place)]
-
-
-def _no_rig(reason: str, source: PrimitiveSource) -> Notice:
-    surface = Chosen("gradients", "surface")
-    message = Message(f"{reason}: α/β are the gradients of the surface, as with ", surface)
-    return Notice("no-rig", message, source.place)
+        rig, others, reason = None, 0, f"the skeleton cannot be read ({error.message})"
+    if rig is None or not np.isfinite(rig.pivots).all(axis=1).any():
+        surface = Chosen("gradients", "surface")
+        why = Message(f"{reason}: α/β are the gradients of the surface, as with ", surface)
+        document.notices.tell(Notice("no-rig", why, source.place))
+        return None
+    if others:
+        others_draw = "another skin draws" if others == 1 else f"{others} other skins draw"
+        message = f"{others_draw} the mesh with other joints or bind poses: α/β are fitted to the first skin"
+        document.notices.tell(Notice("rig-of-first-skin", message, source.place))
+    return rig
 
 
 def rig_of_mesh(document: Document, mesh: int) -> tuple[Rig, int]:

@@ -5,9 +5,9 @@ Source: glTF 2.0, §3.5 and §3.7.3.
 
 from __future__ import annotations
 
-from collections.abc import Container, Hashable, Iterable
+from collections.abc import Hashable, Iterable
 
-from skinbake.errors import Chosen, Message, Notice, Place
+from skinbake.errors import Chosen, Message, Notice
 from skinbake.gltf.animation import read_skeleton
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import entries_of, object_of, reference
@@ -50,29 +50,24 @@ SEVERAL = -1
 """Stands for more than one group of meshes."""
 
 
-def meshes_of_one_skin(document: Document, meshes: Iterable[int]) -> tuple[list[list[int]], list[Notice]]:
-    """Return the given meshes in groups that the same skins draw, and a notice on separate meshes.
+def meshes_of_one_skin(document: Document, meshes: Iterable[int]) -> list[list[int]]:
+    """Return the given meshes in groups that the same skins draw.
 
     Groups, and the meshes in each, keep the given order. Two skins count as one if they have the same joints
     in the same order and equal inverse bind matrices: some exporters write one skin for each mesh. Meshes are
     one group only if they have *all* skins in common: if one more skin draws a mesh by itself, the mesh
     really ends at its border there. Only meshes with equal inverse bind matrices share a mesh space.
-    Quantisation gives every mesh its own, so the notice also counts meshes that share joints with another
-    group but have other inverse bind matrices.
 
     Raises InputError if a skin cannot be read.
     """
-    wanted = dict.fromkeys(meshes)
-    drawn_by = _skins_by_mesh(document, wanted.keys())
+    return list(_groups(document, meshes).values())
+
+
+def _groups(document: Document, meshes: Iterable[int]) -> dict[Skins, list[int]]:
+    """Return meshes by the skins that draw them; the first of equal skins stands for all of them."""
     groups: dict[Skins, list[int]] = {}
-    for mesh in wanted:
-        groups.setdefault(drawn_by[mesh], []).append(mesh)
-    return list(groups.values()), _kept_apart(document, groups)
-
-
-def _skins_by_mesh(document: Document, meshes: Container[int]) -> dict[int, Skins]:
-    """Return the skins of each of the meshes; the first of equal skins stands for all of them."""
-    pairs = [(mesh, skin) for _, mesh, skin in document.asset.drawn if mesh in meshes]
+    wanted = dict.fromkeys(meshes)
+    pairs = [(mesh, skin) for _, mesh, skin in document.asset.drawn if mesh in wanted]
     first: dict[Hashable, int] = {}
     number = {
         skin: first.setdefault(_binding(document, skin), skin) for skin in sorted({s for _, s in pairs})
@@ -80,7 +75,9 @@ def _skins_by_mesh(document: Document, meshes: Container[int]) -> dict[int, Skin
     drawn_by: dict[int, set[int]] = {}
     for mesh, skin in pairs:
         drawn_by.setdefault(mesh, set()).add(number[skin])
-    return {mesh: frozenset(skins) for mesh, skins in drawn_by.items()}
+    for mesh in wanted:
+        groups.setdefault(frozenset(drawn_by[mesh]), []).append(mesh)
+    return groups
 
 
 def _binding(document: Document, skin: int) -> Hashable:
@@ -99,22 +96,24 @@ def _owners(owned: Iterable[tuple[Iterable[int], int]]) -> dict[int, int]:
     return owners
 
 
-def _kept_apart(document: Document, groups: dict[Skins, list[int]]) -> list[Notice]:
-    """Return a notice if joints of one group also move another one.
+def tell_meshes_apart(document: Document, meshes: Iterable[int]) -> None:
+    """Tell of groups of ``meshes_of_one_skin`` if joints of one also move another one.
 
+    Quantisation gives every mesh its own inverse bind matrices: then meshes of the same joints are apart.
     Each joint of each skin is read once, so that many groups of many joints take no longer than reading them.
     """
+    groups = _groups(document, meshes)
     group_of = _owners((skins, number) for number, skins in enumerate(groups))
     joints = {skin: document.asset.skins[skin].joints for skin in group_of}
     moved_by = _owners((joints[skin], group) for skin, group in group_of.items())
     of_several = {skin for skin in joints if any(moved_by[node] == SEVERAL for node in joints[skin])}
     concerned = [meshes[0] for skins, meshes in groups.items() if not skins.isdisjoint(of_several)]
     if not concerned:
-        return []
+        return
     message = Message(
         f"{len(concerned)} groups of meshes share joints but are not welded by ",
         Chosen("weld", "skin"),
         ". Meshes are welded only if all their skins are the same: equal joints, in order, and equal "
         f"inverse bind matrices. The groups begin with meshes {', '.join(map(str, concerned))}",
     )
-    return [Notice("weld-apart", message, Place(document.name), len(concerned))]
+    document.notices.tell(Notice("weld-apart", message, document.place, len(concerned)))

@@ -42,7 +42,8 @@ def corrected_lighting(
     ``gradients`` is the document without its correctives, and with α and β. None for the draws if their bake
     is not sound. Raises InputError.
     """
-    views, problems = baked_views(gradients, bakeable(gradients))
+    with gradients.notices.withheld() as problems:
+        views = baked_views(gradients, bakeable(gradients))
     if problems:
         return FileVerdict(document.name, (Check("structure", "failed", tuple(problems)),)), None
     measured = CorrectedDraws(document, gradients)

@@ -138,7 +138,7 @@ def judged_shares(
     meshes = [surface.bakes[0].source.mesh for surface in surfaces]
     morphed = [any("targets" in bake.source.json for bake in surface.bakes) for surface in surfaces]
     plain = [mesh for mesh, morphs in zip(meshes, morphed, strict=True) if not morphs]
-    groups = meshes_of_one_skin(document, plain)[0] if len(plain) > 1 else [plain] if plain else []
+    groups = meshes_of_one_skin(document, plain) if len(plain) > 1 else [plain] if plain else []
     alone = [[number] for number, morphs in enumerate(morphed) if morphs]
     for group in [[meshes.index(mesh) for mesh in group] for group in groups] + alone:
         if not any(surfaces[number].rig for number in group):

@@ -19,7 +19,7 @@ from skinbake.truth.operator import GradientOperator
 
 def bakeable(document: Document) -> list[PrimitiveSource]:
     """Return the skinned primitives that can be baked as they are."""
-    every, _ = skinned_sources(document)
+    every = skinned_sources(document)
     return [one for one in every if reason_to_skip(document, one, generate_normals=False) is None]
 
 
@@ -33,7 +33,8 @@ def surfaces_of(
 
 def lighting_of(document: Document, options: VerifyOptions) -> FileVerdict:
     """Return the lighting of a document that has just been baked. Its freshness is not in question."""
-    views, _ = baked_views(document, bakeable(document))
+    with document.notices.withheld():
+        views = baked_views(document, bakeable(document))
     return lighting_verdict(document, options, *surfaces_of(document, views))
 
 
@@ -45,7 +46,8 @@ def claim_verification(document: Document) -> None:
     wanted = bakeable(document)
     claim_freshness(document, len(wanted))
     try:
-        surfaces = surfaces_of(document, baked_views(document, wanted)[0])
+        with document.notices.withheld():
+            surfaces = surfaces_of(document, baked_views(document, wanted))
         draws(document, true_surfaces(document, *surfaces), read_clips(document), VerifyOptions().poses)
     except BudgetError:
         raise

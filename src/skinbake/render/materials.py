@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.errors import InputError, Notice
+from skinbake.errors import InputError
 from skinbake.files import Bytes
 from skinbake.geometry.skinned import FloatArray
 from skinbake.gltf.document import Document
 from skinbake.gltf.images import (
     TRANSFORM,
     image_bytes,
-    images_missing,
     shown_textures,
+    tell_images_missing,
     texcoord_set,
     texture_image,
 )
@@ -170,9 +170,9 @@ class Materials:
             placements={use: found.placements[use] for use in images},
         )
 
-    def notices(self) -> list[Notice]:
+    def tell_missing(self) -> None:
         """Return a notice if images were left out."""
-        return images_missing(self._lost, "picture", self._document.place)
+        tell_images_missing(self._document, self._lost, "picture")
 
     def _read(self, content: dict[str, Any]) -> Material:
         pbr = object_of(content.get("pbrMetallicRoughness"))
