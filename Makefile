@@ -81,7 +81,7 @@ speeds: $(DEV) $(NODE_MODULES) ## Time the shaders (writes docs/gpu.md) and fram
 
 man: $(PACKAGE) ## Write the man page build/skinbake.1 from the declarations of the commands
 	@mkdir -p build
-	$(BIN)/python -m skinbake.cli.manual > build/skinbake.1
+	$(BIN)/python -m skinbake.cli.help > build/skinbake.1
 
 docs: $(DEV) ## Build the documentation's site into build/site/html: warnings and broken links are errors
 	$(BIN)/python -m website.build

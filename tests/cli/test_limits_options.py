@@ -8,7 +8,10 @@ from typing import Any
 
 import pytest
 
-from skinbake.cli.limits import memory_of_each
+from skinbake.cli.console import Console
+from skinbake.cli.inputs import expanded
+from skinbake.cli.plan import Plan
+from skinbake.cli.runners import memory_of_each
 from skinbake.gltf.budget import machine_memory
 from skinbake.options import BYTES
 from tests.support.command_line import call, invoke, run
@@ -75,9 +78,12 @@ def test_what_cannot_be_another_process_s_work_is_refused(
 
 
 def test_memory_is_shared_by_the_processes_that_there_are() -> None:
-    given: Any = {"max_memory": None, "dask": None, "jobs": 1000, "isolate": False}
+    (file,) = expanded(["a.glb"])
     for files, share in ((1, 4), (4, 4), (10, 10), (5000, 1000)):
-        assert memory_of_each(given, ["a.glb"] * files) == machine_memory() // share
+        plan: Plan[Any] = Plan(
+            command="bake", say=Console(0, color=False), jobs=1000, targets=[(file, None)] * files
+        )
+        assert memory_of_each(plan) == machine_memory() // share
 
 
 @pytest.mark.parametrize("seconds", ["0", "-1", "nan", "inf"])

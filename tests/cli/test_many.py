@@ -23,12 +23,12 @@ from benchmarks.skinned_grid import grid_of, write_grid
 from skinbake import threads
 from skinbake.choices import PoseKind
 from skinbake.cli.console import Console
-from skinbake.cli.many import Run, _told
 from skinbake.cli.progress import Progress
 from skinbake.commands.bake import Baker
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
 from skinbake.jobs import processes
 from skinbake.jobs.file_work import FileWork
+from skinbake.jobs.runners import InThisProcess
 from skinbake.jobs.verify import Verify
 from skinbake.jobs.work import Job
 from skinbake.measure.options import VerifyOptions
@@ -433,24 +433,25 @@ class TestProgress:
         last = "files: 29 of 30, 0.967/s, 1 s left"
         assert lines == ["files: 9 of 30, 0.9/s, 23 s left", "files: 19 of 30, 0.95/s, 12 s left", last]
 
-    def test_a_file_counts_as_done_before_the_slow_ones_in_front_of_it(self) -> None:
+    def test_a_file_counts_as_done_before_the_slow_ones_in_front_of_it(
+        self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    ) -> None:
         events: list[tuple[str, str]] = []
 
-        class Bar(Progress):
-            def finish(self, source: str) -> None:
-                events.append(("done", source))
+        def backwards(self: Any, work: Any, jobs: Any) -> Generator[tuple[int, Any], None, None]:
+            for number in reversed(range(len(jobs))):
+                yield number, work(jobs[number])
 
-        class Backwards:
-            def run(self, work: Any, jobs: Any) -> Generator[tuple[int, Any], None, None]:
-                for number in (2, 1, 0):
-                    yield number, jobs[number].source
-
-        jobs = [Job(f"{name}.glb") for name in "abc"]
-        run: Run[Any] = Run(jobs, Backwards(), FileWork(bake_work()), 0.0)
-        bar = Bar(Console(0, color=False), len(jobs))
-        found = list(_told(run, lambda result: events.append(("told", result)), bar))
-        assert found == [job.source for job in jobs]
-        assert events == [*(("done", name) for name in reversed(found)), *(("told", name) for name in found)]
+        monkeypatch.setattr(InThisProcess, "run", backwards)
+        monkeypatch.setattr(Progress, "finish", lambda self, source: events.append(("done", source)))
+        monkeypatch.setattr(
+            Console, "written", lambda self, line: events.append(("told", line.split(" ")[0]))
+        )
+        names = [str(tmp_path / f"{name}.glb") for name in "abc"]
+        for name in names:
+            shutil.copyfile(FOLDER / "seam.glb", name)
+        assert invoke("bake", *names, "--dry-run").exit_code == 0
+        assert events == [*(("done", name) for name in reversed(names)), *(("told", name) for name in names)]
 
     @pytest.mark.usefixtures("terminal")
     def test_a_bar_in_the_first_tick_of_the_clock_has_no_rate(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import concurrent.futures
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,10 @@ import pytest
 import skinbake
 from benchmarks.skinned_grid import grid_of, write_grid
 from skinbake import threads
+from skinbake.errors import InputError
 from skinbake.gradients.by_loops import PART
+from skinbake.jobs.processes import Processes
+from skinbake.jobs.runners import InThisProcess
 from tests.support.command_line import document, invoke
 from tests.support.models import FOLDER
 
@@ -109,15 +113,16 @@ def test_auto_is_the_cores_divided_by_the_jobs(
 ) -> None:
     found = []
 
-    def ended(run: Any, *_: object) -> int:
-        found.append(run.work.threads)
-        return 0
+    def run(self: Any, work: Any, jobs: Any) -> Iterator[tuple[int, Any]]:
+        found.append(work.threads)
+        yield from ((number, work.failed(job, InputError("not done"))) for number, job in enumerate(jobs))
 
     cores(monkeypatch, 12)
-    monkeypatch.setattr("skinbake.cli.bake.work_through", ended)
+    for runner in (InThisProcess, Processes):
+        monkeypatch.setattr(runner, "run", run)
     for number in range(files):
         (tmp_path / f"{number}.glb").touch()
-    assert invoke("bake", tmp_path, "--dry-run", *options).exit_code == 0
+    assert invoke("bake", tmp_path, "--dry-run", *options).exit_code == 3
     assert found == [expected]
 
 

@@ -20,9 +20,9 @@ from skinbake.cli.configuration import (
     options_of,
     searched_folders,
 )
-from skinbake.cli.console import console
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import expanded
+from skinbake.cli.plan import Plan, planned
 from skinbake.errors import ChoiceError, InputError, Place
 from skinbake.options import in_toml
 from skinbake.report.config import ConfigResult, Options, OptionValue, as_json, as_text
@@ -40,24 +40,23 @@ VARIABLES = {"threads": "OMP_NUM_THREADS", "color": "NO_COLOR"}
     ),
 )
 @click.argument("inputs", nargs=-1, metavar="[INPUT]...")
-@click.pass_context
-def command(ctx: click.Context, /, inputs: tuple[str, ...], **given: Any) -> None:
+@planned()
+def command(plan: Plan[Any], inputs: tuple[str, ...], *, changed: bool) -> None:
     """Show the value of each option, and where it comes from: the default, or a line of a configuration file.
 
     With INPUT, a file, a folder or a quoted pattern, also show the options of bake and verify for each file,
     overrides included. The files are not read. The whole configuration file is checked.
     """
-    say = console(given)
     found, code = expanded(inputs) if inputs else [], exit_codes.OK
     for entry in found:
         if entry.missing is not None:
-            say.error(InputError(entry.missing, Place(entry.source)))
+            plan.say.error(InputError(entry.missing, Place(entry.source)))
             code = exit_codes.INPUT
-    result = _result(ctx, [entry.source for entry in found if entry.missing is None])
-    if given["as_json"]:
-        say.document(as_json(result, only_changed=given["changed"]))
+    result = _result(click.get_current_context(), [entry.source for entry in found if entry.missing is None])
+    if plan.as_json:
+        plan.say.document(as_json(result, only_changed=changed))
     else:
-        say.result(as_text(result, only_changed=given["changed"]))
+        plan.say.result(as_text(result, only_changed=changed))
     sys.exit(code)
 
 
@@ -75,9 +74,11 @@ def _result(ctx: click.Context, sources: Sequence[str]) -> ConfigResult:
         chosen = by_command[name]
         if chosen is None:
             return _options(contexts[name], None, {})
-        return _options(
-            contexts[name], chosen, chosen.settings if source is None else chosen.settings_of(source)
-        )
+        settings = dict(chosen.settings)
+        for number, pattern in {} if source is None else chosen.patterns_for(source).items():
+            for option, setting in chosen.overrides[number].settings.items():
+                settings[option] = setting._replace(pattern=pattern)
+        return _options(contexts[name], chosen, settings)
 
     return ConfigResult(
         None if configured is None else configured.configuration.name,
@@ -99,38 +100,36 @@ def _refuse_contradictions(
         configured = by_command[name]
         if configured is None:
             continue
-        refusal = _Refusal(configured, contexts[name], check)
-        if configured.settings and (error := refusal.of(())):
+        # The options of the command as click has them, with the table of the file and nothing typed.
+        ctx, values = contexts[name], {key: one.value for key, one in configured.settings.items()}
+        given = ctx.command.make_context(
+            ctx.info_name, [], ctx.parent, resilient_parsing=True, default_map=values
+        ).params
+
+        if configured.settings and (error := _refusal(check, given, configured, ())):
             keys = [configured.settings[one].keys for one in error.options if one in configured.settings]
             configured.configuration.refuse(keys[0] if keys else (name,), error.worded(in_toml))
-        chosen = {configured.overrides_of(source) for source in sources}
+        chosen = {tuple(configured.patterns_for(source)) for source in sources}
         alone = {(number,) for number, one in enumerate(configured.overrides) if one.settings}
         for numbers in sorted(chosen | alone):
-            error = refusal.of(numbers)
+            error = _refusal(check, given, configured, numbers)
             # An override may rely on those before it, which often are for its files too.
-            if error and (numbers in chosen or refusal.of(range(numbers[0] + 1))):
+            if error and (numbers in chosen or _refusal(check, given, configured, range(numbers[0] + 1))):
                 raise ConfigurationError(f"{configured.origin_of(numbers)}: {error.worded(in_toml)}")
 
 
-class _Refusal:
-    """The check of a command's options with those of overrides."""
-
-    def __init__(
-        self, configured: Configured, ctx: click.Context, check: Callable[[Mapping[str, Any]], object]
-    ) -> None:
-        values = {name: setting.value for name, setting in configured.settings.items()}
-        command = ctx.command.make_context(
-            ctx.info_name, [], ctx.parent, resilient_parsing=True, default_map=values
-        )
-        self._configured, self._given, self._check = configured, command.params, check
-
-    def of(self, overrides: Iterable[int]) -> ChoiceError | None:
-        """Return why the options are refused with those of overrides, None if they are not."""
-        try:
-            self._check({**self._given, **self._configured.given_by(overrides)})
-        except ChoiceError as error:
-            return error
-        return None
+def _refusal(
+    check: Callable[[Mapping[str, Any]], object],
+    given: Mapping[str, Any],
+    configured: Configured,
+    overrides: Iterable[int],
+) -> ChoiceError | None:
+    """Return why the options of a command are refused with those of overrides, None if they are not."""
+    try:
+        check({**given, **configured.converted_by(overrides)})
+    except ChoiceError as error:
+        return error
+    return None
 
 
 def _contexts(ctx: click.Context) -> Iterator[click.Context]:

@@ -6,7 +6,7 @@ import errno
 import json
 import re
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -170,16 +170,15 @@ def ended_by_errors(say: Console) -> Iterator[None]:
         sys.exit(exit_codes.of_error(error))
 
 
-def console(given: Mapping[str, Any], *, results_on_stderr: bool = False) -> Console:
+def console(*, verbose: int, quiet: bool, color: str, results_on_stderr: bool = False) -> Console:
     """Return the console for the message options, and set up logging to match."""
     import os
 
-    verbose, auto = given["verbose"], False if os.environ.get("NO_COLOR") else None
-    chosen = {"always": True, "never": False, "auto": auto}[given["color"]]
-    if verbose and not given["quiet"]:
+    chosen = {"always": True, "never": False, "auto": False if os.environ.get("NO_COLOR") else None}[color]
+    if verbose and not quiet:
         import logging  # it takes some milliseconds
 
         from skinbake.jobs.work import log_to_stderr
 
         log_to_stderr(logging.DEBUG if verbose > 1 else logging.INFO)
-    return Console(-1 if given["quiet"] else verbose, chosen, results_on_stderr)
+    return Console(-1 if quiet else verbose, chosen, results_on_stderr)

@@ -1,4 +1,7 @@
-"""The help of the commands: options in groups, examples at the end; completion; and a man page of it all."""
+"""The help of the commands: options in groups, examples at the end; completion; and a man page of it all.
+
+``python -m skinbake.cli.help`` prints the page.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from skinbake.cli.configuration import CALLBACKS, configured_in, explained
+from skinbake.cli.configuration import CHOOSES_FILE, configured_in, explained, load
 from skinbake.cli.options import DeclaredOption, PathName
 from skinbake.cli.terminal import stdout_told
 from skinbake.errors import ChoiceError, printable
@@ -48,8 +51,8 @@ class Helpful(click.Command):
                 param.type = PathName("file")
         for declared in OPTIONS[name]:
             option = DeclaredOption(declared, (words or {}).get(declared.name))
-            if option.name in CALLBACKS:
-                option.callback, option.is_eager, option.expose_value = CALLBACKS[option.name], True, False
+            if option.name in CHOOSES_FILE:
+                option.callback, option.is_eager, option.expose_value = load, True, False
             self.params.append(option)
 
     def make_context(self, *arguments: Any, **options: Any) -> click.Context:
@@ -121,7 +124,9 @@ class Helpful(click.Command):
                 ):
                     ctx.params[other] = 0
             if ctx.params.get("verbose") and not ctx.params.get("quiet"):
-                click.echo(printable(configured.in_words()), err=True)
+                keys = ", ".join(str(setting.keys[-1]) for setting in configured.settings.values())
+                name = configured.configuration.name
+                click.echo(printable(f"{name} sets {keys}" if keys else name), err=True)
         try:
             return super().invoke(ctx)
         except ChoiceError as error:
@@ -193,3 +198,9 @@ def _plain(text: str) -> str:
     """Return text without a meaning for troff."""
     escaped = text.replace("\\", "\\e").replace("-", "\\-")
     return f"\\&{escaped}" if escaped.startswith((".", "'")) else escaped
+
+
+if __name__ == "__main__":
+    from skinbake.cli.main import main
+
+    click.echo(manual(main), nl=False)

@@ -10,9 +10,8 @@ from typing import NamedTuple
 
 import click
 
-from skinbake.cli.remote import behind
 from skinbake.errors import InputError
-from skinbake.files.urls import STDIO, File, file_part, is_url, named_file, on_disk
+from skinbake.files.urls import STDIO, File, file_part, is_url, join_url, named_file, on_disk
 from skinbake.wording import SUFFIXES, not_gltf
 
 MAGIC = frozenset("*?[")
@@ -135,13 +134,17 @@ class _Search:
         """Return the files that a URL stands for. For a URL to a local path, the rules of paths hold."""
         path = on_disk(url)
         if path is None or url.lower().endswith(SUFFIXES):
+            from skinbake.jobs.elsewhere import files_behind
+
             try:
-                found = [self._input(file, kept) for file, kept in behind(url, self._but)]
-                return [
-                    entry if entry.source == url else entry._replace(searched=entry.root) for entry in found
-                ]
+                files = files_behind(url)
             except InputError as error:
                 return [self._input(url, url, error.message)]
+            outputs = join_url(self._but, "") if self._but and is_url(self._but) else None
+            if outputs is not None and not join_url(url, "").startswith(outputs):
+                files = [(file, kept) for file, kept in files if not file.startswith(outputs)]
+            found = [self._input(file, kept) for file, kept in files]
+            return [entry if entry.source == url else entry._replace(searched=entry.root) for entry in found]
         if MAGIC.isdisjoint(path) and not os.path.isdir(path):
             return [self._input(url, url, "there is no such folder")]
         scheme = url[: len(url) - len(path)]

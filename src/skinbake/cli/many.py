@@ -4,29 +4,26 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing, contextmanager, suppress
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from skinbake.cli import exit_codes
-from skinbake.cli.console import Console, json_text
-from skinbake.cli.limits import memory_of_each
+from skinbake.cli.console import json_text
+from skinbake.cli.plan import Plan
 from skinbake.cli.progress import Progress
-from skinbake.cli.runners import LONG, runner_of, seconds_of, threads_of_each
-from skinbake.cli.writing import tell_of_report
-from skinbake.errors import ChoiceError, Chosen, OutputError, Place
+from skinbake.cli.runners import LONG, memory_of_each, runner_of, seconds_of, threads_of_each
+from skinbake.errors import OutputError, Place, printable
+from skinbake.files.bounds import Within
 from skinbake.files.folders import flush
-from skinbake.options import STATE_NAME
 from skinbake.timing import heard
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-    from skinbake.cli.given import Given
-    from skinbake.cli.inputs import Input
     from skinbake.jobs.file_work import FileCommand
     from skinbake.jobs.state import Recipe, State
     from skinbake.jobs.work import Job, Result, Runner, Work
@@ -39,32 +36,12 @@ ResultT = TypeVar("ResultT", bound="Result")
 ResultT_contra = TypeVar("ResultT_contra", bound="Result", contravariant=True)
 
 
-def state_path(given: Given) -> str | None:
-    """Return the path of the state file, None if unwanted. Raises ChoiceError if it has no place."""
-    if not given["skip_unchanged"]:
-        if given["state"] and not given.get("sources"):
-            raise ChoiceError("state", reason=(" is for ", Chosen("skip_unchanged")))
-        return None
-    if given["state"]:
-        return given["state"]
-    out_dir = given.get("out_dir")
-    if out_dir:
-        return str(Path(out_dir, STATE_NAME))
-    instead = "; with --out-dir it needs none" if "out_dir" in given else ""
-    raise ChoiceError(
-        "skip_unchanged", reason=(" needs ", Chosen("state"), f" FILE, to keep its notes in{instead}")
-    )
-
-
 class Clock:
-    """The time that the process has run, and the time before its work began."""
+    """The time that the process has run, and the time before its work began, with all late imports done."""
 
-    def __init__(self) -> None:
-        self._begun = self._imported = time.perf_counter()
-
-    def imports_done(self) -> None:
-        """Note that all late imports are done."""
-        self._imported = time.perf_counter()
+    def __init__(self, begun: float) -> None:
+        """Take the time at which the command began. The work begins now."""
+        self._begun, self._imported = begun, time.perf_counter()
 
     @property
     def working(self) -> float:
@@ -73,7 +50,12 @@ class Clock:
 
     def process(self) -> dict[str, float | None]:
         """Return the seconds of the process: before the command began, of its imports, and until now."""
-        age, command = _age(), time.perf_counter() - self._begun
+        age, command = None, time.perf_counter() - self._begun
+        # The process's age to 0.01 s, if the system tells it quickly.
+        with suppress(OSError, ValueError, IndexError, AttributeError):
+            text = Path("/proc/self/stat").read_text(encoding="ascii", errors="replace")
+            begun = int(text.rpartition(")")[2].split()[19]) / os.sysconf("SC_CLK_TCK")
+            age = time.clock_gettime(time.CLOCK_BOOTTIME) - begun
         return {
             "start_up": None if age is None else max(0.0, age - command),
             "imports": self._imported - self._begun,
@@ -81,36 +63,26 @@ class Clock:
         }
 
 
-def _age() -> float | None:
-    """Return the process's age in seconds, to 0.01 s, or None if the system does not tell it quickly."""
-    try:
-        fields = (
-            Path("/proc/self/stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()
-        )
-        return time.clock_gettime(time.CLOCK_BOOTTIME) - int(fields[19]) / os.sysconf("SC_CLK_TCK")
-    except (OSError, ValueError, IndexError, AttributeError):
-        return None
-
-
 class Summary:
     """Write JSON lines, one a file, and the totals at the end. Report once if writing fails."""
 
-    def __init__(self, path: str | None, schema: str, say: Console, *, sync: bool = True) -> None:
+    def __init__(self, plan: Plan[Any], schema: str) -> None:
         """Begin the file, in folders that are made. Raises OutputError.
 
-        With ``sync``, closing it waits until it is on the disk.
+        Unless --no-sync is given, closing it waits until it is on the disk.
         """
-        self._path, self._schema, self._say, self._sync = path, schema, say, sync
+        self._plan, self._schema = plan, schema
         self.failed = False
         self._file = None
-        if path is not None:
+        if plan.summary is not None:
+            path = Path(plan.summary)
             try:
-                if not Path(path).parent.exists():
-                    Path(path).parent.mkdir(parents=True, exist_ok=True)
-                self._file = Path(path).open("w", encoding="utf-8", newline="\n")  # noqa: SIM115  # close() closes it
+                if not path.parent.exists():
+                    path.parent.mkdir(parents=True, exist_ok=True)
+                self._file = path.open("w", encoding="utf-8", newline="\n")
             except (OSError, ValueError) as error:
                 reason = getattr(error, "strerror", None) or error
-                raise OutputError(f"cannot be written: {reason}", Place(path)) from error
+                raise OutputError(f"cannot be written: {reason}", Place(plan.summary)) from error
 
     def file(self, content: Mapping[str, object]) -> None:
         """Add a file's line."""
@@ -131,14 +103,16 @@ class Summary:
         with suppress(OSError):  # closing writes again what could not be written
             if file is not None:
                 file.close()
-        self._say.error(OutputError(f"cannot be written: {error.strerror}", Place(str(self._path))))
+        self._plan.say.error(
+            OutputError(f"cannot be written: {error.strerror}", Place(str(self._plan.summary)))
+        )
 
     def close(self) -> None:
         """Close the file."""
         if self._file is None:
             return
         try:
-            if self._sync:
+            if not self._plan.no_sync:
                 flush(self._file.fileno())
             self._file.close()
         except OSError as error:
@@ -146,11 +120,28 @@ class Summary:
 
 
 class Notes:
-    """The records of --skip-unchanged, if it was given. A failure to write is reported once."""
+    """The records of --skip-unchanged, if it was given. A failure to write is reported once.
 
-    def __init__(self, say: Console, state: State | None = None, recipes: Sequence[Recipe] = ()) -> None:
-        self._say, self._state, self.recipes = say, state, recipes
+    ``recipes`` has one for each set of options. If the file is not a state file, it says so once, and keeps
+    no record.
+    """
+
+    def __init__(self, plan: Plan[Any], options: Sequence[DataclassInstance]) -> None:
+        """Read the state file. Raises InputError if the system cannot read it."""
+        self._say = plan.say
+        self._state: State | None = None
+        self.recipes: Sequence[Recipe] = ()
         self.failed = False
+        if plan.notes_at is None or not options:
+            return
+        from skinbake.jobs.state import State, recipe
+
+        state = State(plan.notes_at, sync=not plan.no_sync)
+        self._say.notices(state.notices)
+        if state.is_ours:
+            roots = {entry.root for entry in plan.inputs if os.sep in entry.kept}  # the folders searched
+            first = recipe(plan.command, options[0], plan.notes_at, sorted(roots))
+            self._state, self.recipes = state, [first, *map(first.with_options, options[1:])]
 
     def known(self, path: str) -> bytes | None:
         """Return the record of the file that is made, or read, at a path, or None if there is none."""
@@ -170,72 +161,6 @@ class Notes:
         """Close the state file."""
         if self._state is not None:
             self._state.close()
-
-
-def notes_of(
-    command: str,
-    options: Sequence[DataclassInstance],
-    path: str | None,
-    inputs: Iterable[Input],
-    say: Console,
-    *,
-    sync: bool,
-) -> Notes:
-    """Return the notes in the state file at ``path``, and warn if it holds something else.
-
-    They have a recipe for each set of options.
-    If it is not a state file, or for None, the notes are empty and no record is kept. Raises InputError if
-    the system cannot read the file.
-    """
-    if path is None:
-        return Notes(say)
-    from skinbake.jobs.state import State, recipe
-
-    state = State(path, sync=sync)
-    say.notices(state.notices)
-    if not state.is_ours:
-        return Notes(say)
-    roots = {entry.root for entry in inputs if os.sep in entry.kept}  # the folders that were searched
-    first = recipe(command, options[0], path, sorted(roots))
-    return Notes(say, state, [first, *map(first.with_options, options[1:])])
-
-
-@dataclass(frozen=True, slots=True)
-class Run(Generic[ResultT]):
-    """The jobs of a command, their runner, the work, and the seconds that it takes, approximately."""
-
-    jobs: Sequence[Job]
-    runner: Runner[Job, ResultT]
-    work: Work[Job, ResultT]
-    seconds: float
-
-
-def run_of(
-    commands: Sequence[FileCommand[ResultT]],
-    jobs: Sequence[Job],
-    given: Given,
-    say: Console,
-    notes: Notes,
-    turns: Sequence[int] = (),
-) -> Run[ResultT]:
-    """Return the run of a command on jobs, as the options ask for. Parameters are as for ``runner_of``.
-
-    ``commands`` are those of each set of options, in the order of the jobs' ``variant``.
-    Raises ChoiceError for options that do not go together, and InputError if a cluster cannot be used.
-    """
-    from skinbake.jobs.file_work import ByVariant, FileWork
-
-    sources, guess = [job.source for job in jobs], commands[0].seconds
-    modules = ("skinbake.cli.main", type(commands[0]).__module__, "skinbake.jobs.file_work")
-    runner: Runner[Job, ResultT] = runner_of(given, sources, turns, modules, guess, say)
-    memory, threads = memory_of_each(given, sources), threads_of_each(given, sources)
-    recipes: Sequence[Recipe | None] = notes.recipes or [None] * len(commands)
-    works = [
-        FileWork(command, recipe, given["timings"], memory, threads)
-        for command, recipe in zip(commands, recipes, strict=True)
-    ]
-    work = works[0] if len(works) == 1 else ByVariant(tuple(works))
-    return Run(jobs, runner, work, seconds_of(sources, guess))
 
 
 class ResultsJson(Protocol[ResultT_contra]):
@@ -268,6 +193,11 @@ def of_one(
     return document
 
 
+def code_of(result: Result) -> int:
+    """Return the exit code for the result of a file."""
+    return exit_codes.of_error(result.error)
+
+
 @dataclass(frozen=True, slots=True)
 class Reporting(Generic[ResultT]):
     """How a command's results are reported, counted and written, and the exit code of each.
@@ -280,98 +210,137 @@ class Reporting(Generic[ResultT]):
     outcomes: tuple[str, ...]
     tell: Callable[[ResultT], None]
     count: Callable[[Totals, ResultT], None]
-    code: Callable[[ResultT], int]
     file_json: Callable[[ResultT], Mapping[str, object]]
     document: ResultsJson[ResultT]
     write: Callable[[Sequence[ResultT]], int] | None = None
+    code: Callable[[ResultT], int] = code_of
+
+
+def _work_of(plan: Plan[Any], commands: Sequence[FileCommand[ResultT]], notes: Notes) -> Work[Job, ResultT]:
+    """Return the work on a file, which takes the memory and threads that the plan leaves to each."""
+    from skinbake.jobs.file_work import ByVariant, FileWork
+
+    memory, threads = memory_of_each(plan), threads_of_each(plan)
+    recipes: Sequence[Recipe | None] = notes.recipes or [None] * len(commands)
+    works = [
+        FileWork(command, recipe, plan.timings, memory, threads)
+        for command, recipe in zip(commands, recipes, strict=True)
+    ]
+    return works[0] if len(works) == 1 else ByVariant(tuple(works))
 
 
 def work_through(
-    run: Run[ResultT], reporting: Reporting[ResultT], given: Given, say: Console, clock: Clock, notes: Notes
+    plan: Plan[Any],
+    commands: Sequence[FileCommand[ResultT]],
+    reporting: Reporting[ResultT],
+    noted: Sequence[DataclassInstance] = (),
 ) -> int:
-    """Do all jobs, report each result as it comes and all at the end, and return the exit code."""
-    from skinbake.report.totals import Totals, timing_lines, totals_json
+    """Do a command on all files of a plan, report each result and all at the end; return the exit code.
 
-    totals, results, code = Totals(len(run.jobs), reporting.outcomes), list[ResultT](), exit_codes.OK
-    summary = Summary(given["summary"], reporting.schema, say, sync=not given["no_sync"])
-    with _outcomes(run, reporting.tell, say, totals, clock, [summary, notes]) as found:
-        for result in found:
-            notes.add(result.record)
-            summary.file(reporting.file_json(result))
-            reporting.count(totals, result)
-            code = max(code, reporting.code(result))
-            if given["as_json"] or reporting.write:
-                results.append(result)
-        if reporting.write:
-            code = max(code, reporting.write(results))
-        code = max(code, exit_codes.OUTPUT if notes.failed else code)
-        summary.line(totals_json(totals, clock.working, schema=reporting.schema, exit_code=code))
+    ``commands`` are those of each set of options, in the order of the plan's. ``noted`` are the options, one
+    for each set, that decide what is written, for the state file. Raises ChoiceError for options that do not
+    go together, and InputError if a cluster or a state file cannot be used.
+    """
+    from skinbake.jobs.runners import in_order
+    from skinbake.jobs.work import Job
+    from skinbake.report.totals import (
+        Totals,
+        closing_line,
+        failure_lines,
+        lowest_lines,
+        timing_lines,
+        totals_json,
+    )
+
+    say, guess = plan.say, commands[0].seconds
+    notes = Notes(plan, noted)
+    jobs = [
+        Job(
+            entry.source,
+            target and target.given,
+            notes.known(entry.source if target is None else target.given),
+            within=Within(plan.bounds(entry.searched), plan.out_dir),
+            variant=plan.variants.get(entry.source, 0),
+        )
+        if entry.missing is None
+        else Job(entry.source, missing=entry.missing, variant=plan.variants.get(entry.source, 0))
+        for entry, target in plan.targets
+    ]
+    clock = Clock(plan.begun)
+    runner: Runner[Job, ResultT] = runner_of(plan, type(commands[0]).__module__, guess)
+    work = _work_of(plan, commands, notes)
+
+    totals, results, code = Totals(len(jobs), reporting.outcomes), list[ResultT](), exit_codes.OK
+    progress = Progress(say, len(jobs), at_once=seconds_of(plan.names, guess) > LONG)
+
+    def done() -> Generator[tuple[int, ResultT], None, None]:
+        """Yield the number and the result of each job as it is done, in any order."""
+        with closing(runner.run(work, jobs)) as found:
+            for number, result in found:
+                progress.finish(jobs[number].source)
+                yield number, result
+
+    # After the last result, or an interrupt, the work ends, the bar is removed, and the files are closed.
+    with closing(Summary(plan, reporting.schema)) as summary, closing(notes):
+        try:
+            with progress, heard(progress.hear), closing(in_order(done())) as found:
+                for _, result in zip(jobs, found, strict=True):
+                    progress.print(partial(reporting.tell, result))
+                    notes.add(result.record)
+                    summary.file(reporting.file_json(result))
+                    reporting.count(totals, result)
+                    code = max(code, reporting.code(result))
+                    if plan.as_json or reporting.write:
+                        results.append(result)
+                progress.pause()  # what is written of all results is reported below them, without a bar
+                if reporting.write:
+                    code = max(code, reporting.write(results))
+                code = max(code, exit_codes.OUTPUT if notes.failed else code)
+                summary.line(totals_json(totals, clock.working, schema=reporting.schema, exit_code=code))
+        except KeyboardInterrupt:
+            if totals.files > 1:
+                say.note(closing_line(totals, clock.working, interrupted=True))
+            raise
+    last = [*failure_lines(totals)]
+    if totals.files > FEW or len(totals.failures) > 1 or (totals.files > 1 and say.verbosity > 0):
+        last += [*lowest_lines(totals), closing_line(totals, clock.working)]
+    for line in last:
+        say.note(line)
     code = max(code, exit_codes.OUTPUT if summary.failed else code)
-    if given["summary"] and not summary.failed:
-        tell_of_report(given["summary"], given, say)
-    if given["timings"]:  # at any verbosity, because it was asked for
+    if plan.summary and not summary.failed:
+        tell_of_report(plan, plan.summary)
+    if plan.timings:  # at any verbosity, because it was asked for
         say.listing(timing_lines(totals, clock.process()))
-    if given["as_json"]:
-        spent = clock.process() if given["timings"] else None
+    if plan.as_json:
+        spent = clock.process() if plan.timings else None
         content = reporting.document(results, exit_code=code, process=spent)
         if content is not None:
             say.document(content)
     return code
 
 
-@contextmanager
-def _outcomes(
-    run: Run[ResultT],
-    tell: Callable[[ResultT], None],
-    say: Console,
-    totals: Totals,
-    clock: Clock,
-    kept: Sequence[Summary | Notes],
-) -> Iterator[Iterator[ResultT]]:
-    """Yield the results. After the last one, or after an interrupt, close everything.
+def write_report(plan: Plan[Any], path: str, text: str) -> int:
+    """Write the file of a report, whole or not at all. Return the exit code."""
+    from skinbake.files.writing import write_file
 
-    Closing ends the work, removes the bar, reports the outcome of all files, and closes the kept files.
-    """
-    from skinbake.report.totals import closing_line, failure_lines, lowest_lines
-
-    with ExitStack() as stack:
-        for one in kept:
-            stack.enter_context(closing(one))
-        try:
-            progress = Progress(say, len(run.jobs), at_once=run.seconds > LONG)
-            with progress, heard(progress.hear), closing(_told(run, tell, progress)) as results:
-                yield results
-        except KeyboardInterrupt:
-            if totals.files > 1:
-                say.note(closing_line(totals, clock.working, interrupted=True))
-            raise
-    for line in failure_lines(totals):
-        say.note(line)
-    if totals.files > FEW or len(totals.failures) > 1 or (totals.files > 1 and say.verbosity > 0):
-        for line in lowest_lines(totals):
-            say.note(line)
-        say.note(closing_line(totals, clock.working))
+    data, file = text.encode("utf-8", "surrogateescape"), Path(path)
+    try:
+        if file.exists() and not (file.is_file() or file.is_dir()):
+            file.write_bytes(data)  # for example a pipe
+        else:
+            write_file([data], path, sync=not plan.no_sync)
+    except OSError as error:
+        plan.say.error(OutputError(f"cannot be written: {error.strerror}", Place(path)))
+        return exit_codes.OUTPUT
+    except OutputError as error:
+        message = error.message.removeprefix("cannot be written: ")
+        plan.say.error(OutputError(f"cannot be written: {message}", Place(path)))
+        return exit_codes.OUTPUT
+    return exit_codes.OK
 
 
-def _told(
-    run: Run[ResultT], tell: Callable[[ResultT], None], progress: Progress
-) -> Generator[ResultT, None, None]:
-    """Yield the results in order as they come, each reported above the bar. Closing it ends the work.
-
-    After the last one no bar is shown: what is written of all results is reported below them.
-    """
-    from skinbake.jobs.runners import in_order
-
-    with closing(in_order(_counted(run, progress))) as results:
-        for _, result in zip(run.jobs, results, strict=True):
-            progress.print(partial(tell, result))
-            yield result
-    progress.pause()
-
-
-def _counted(run: Run[ResultT], progress: Progress) -> Generator[tuple[int, ResultT], None, None]:
-    """Yield the number and the result of each job as it is done, in any order. Closing it ends the work."""
-    with closing(run.runner.run(run.work, run.jobs)) as results:
-        for number, result in results:
-            progress.finish(run.jobs[number].source)
-            yield number, result
+def tell_of_report(plan: Plan[Any], path: str, *, pages: Path | None = None) -> None:
+    """Say that a report was written, and where its pages are, unless the result on stdout is JSON."""
+    if not plan.as_json:
+        where = f", its pages in {printable(str(pages))}" if pages else ""
+        plan.say.written(f"{printable(path)}: written{where}")

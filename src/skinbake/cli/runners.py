@@ -1,22 +1,24 @@
-"""The runner of a command line's work: this process, other processes of this machine, or a cluster."""
+"""Who does the work of a plan, and within which limits: this process, other processes, or a cluster."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from skinbake.cli.console import Console
-from skinbake.cli.limits import worker_limits
-from skinbake.cli.remote import cluster_runner
+import click
+
+from skinbake.cli.plan import Plan
+from skinbake.cli.targets import in_turns
+from skinbake.errors import ChoiceError, Chosen, InputError, Place
 from skinbake.files.urls import STDIO, is_url
 
 if TYPE_CHECKING:
-    from skinbake.cli.given import Given
     from skinbake.jobs.work import Job, Result, Runner
-    from skinbake.jobs.worker import Limits
 
+T = TypeVar("T")
 ResultT = TypeVar("ResultT", bound="Result")
 
 SECONDS_A_URL = 0.1
@@ -31,65 +33,111 @@ SHARE = 0.05
 LONG = 1.0
 """The seconds of work from which its progress is shown at once."""
 
+ADDRESS = re.compile(r"((tcp|tls|ucx|wss?)://)?[^/\s]+:\d+/?|inproc://.+")
 
-def runner_of(
-    given: Given,
-    sources: Sequence[str],
-    turns: Sequence[int],
-    modules: Sequence[str],
-    guess: tuple[float, float],
-    say: Console,
-) -> Runner[Job, ResultT]:
-    """Return the runner for some sources. Parameters are as for ``chosen_runner`` and ``cluster_runner``.
-
-    Raises ChoiceError for options that do not go together, and InputError if a cluster cannot be used.
-    """
-    limits = worker_limits(given, sources)
-    cluster: Runner[Job, ResultT] | None = cluster_runner(given, sources, turns, say)
-    return cluster or chosen_runner(given, sources, turns, modules, guess, limits)
+OR_CLUSTER = (
+    " controls processes of this machine, ",
+    Chosen("dask"),
+    " uses a cluster: give only one",
+)
 
 
-def chosen_runner(
-    given: Given,
-    sources: Sequence[str],
-    turns: Sequence[int],
-    modules: Sequence[str],
-    guess: tuple[float, float],
-    limits: Limits | None = None,
-) -> Runner[Job, ResultT]:
-    """Return the runner for the sources.
+def runner_of(plan: Plan[Any], module: str, guess: tuple[float, float]) -> Runner[Job, ResultT]:
+    """Return the runner for the files of a plan.
 
-    ``turns`` are the numbers of the sources that must be done in order. ``modules`` are the modules that
-    workers need. ``guess`` is the time that a file takes, and each byte of it. With ``limits``, even a single
-    file gets a process that keeps them.
+    ``module`` is that of the command, which workers need. ``guess`` is the time that a file takes, and each
+    byte of it. A file that has limits of its own gets a process that keeps them. Raises ChoiceError for
+    options that do not go together, and InputError if a cluster cannot be used.
     """
     from skinbake.jobs.runners import FirstThese, InThisProcess
 
-    count = given["jobs"]
-    alone = count == 1 or len(sources) == 1 or STDIO in sources
-    if limits is None and (alone or seconds_of(sources, guess) <= WORTHWHILE):
+    limited = next((name for name in ("timeout", "isolate") if getattr(plan, name)), None)
+    if limited and plan.dask:
+        raise ChoiceError(limited, reason=OR_CLUSTER)
+    if limited and STDIO in {*plan.names, plan.output}:
+        raise ChoiceError(limited, reason=(" needs files, not - for stdin or stdout",))
+    _check_elsewhere(plan)
+    turns = in_turns([entry for entry, _ in plan.targets]) if plan.out_dir else []
+    if plan.dask:
+        from skinbake.jobs.elsewhere import dask_runner
+
+        cluster = dask_runner(plan.dask)
+        click.get_current_context().call_on_close(cluster.close)
+        notices = cluster.connect()
+        plan.say.notices(notices)
+        if notices and plan.warnings_as_errors:
+            raise InputError("nothing was sent: there are warnings (--warnings-as-errors)", Place(plan.dask))
+        return FirstThese(turns, cluster.one_by_one(), cluster) if turns else cluster
+    alone = plan.jobs == 1 or len(plan.targets) == 1 or STDIO in plan.names
+    if not limited and (alone or seconds_of(plan.names, guess) <= WORTHWHILE):
         return InThisProcess()
     from skinbake.jobs.processes import Processes
     from skinbake.jobs.worker import Limits
     from skinbake.threads import usable_cores
 
-    limits = limits or Limits()
-    workers = count or usable_cores()
+    limits = Limits(plan.timeout, memory_of_each(plan) if plan.isolate else None)
+    workers, modules = plan.jobs or usable_cores(), ("skinbake.cli.main", module, "skinbake.jobs.file_work")
     whole = Processes(workers, modules, limits, partial(_large_ones, workers, guess))
     return FirstThese(turns, Processes(1, modules, limits), whole) if turns else whole
 
 
-def threads_of_each(given: Given, sources: Sequence[str]) -> int | None:
+def _check_elsewhere(plan: Plan[Any]) -> None:
+    """Raise ChoiceError for options that do not fit a cluster, or URLs."""
+    address = plan.dask
+    if address is not None and not ADDRESS.fullmatch(address):
+        raise ChoiceError(
+            "dask", reason=(" needs the address that a scheduler prints, like tcp://host:8786",)
+        )
+    if address and plan.jobs != 1:
+        raise ChoiceError("jobs", reason=OR_CLUSTER)
+    if address and STDIO in {*plan.names, plan.output}:
+        raise ChoiceError("dask", reason=(" needs files or URLs, not - for stdin or stdout",))
+    named = [*plan.names, plan.out_dir or "", plan.output or ""]
+    if plan.skip_unchanged and (address or any(map(is_url, named))):
+        reason = " needs files on this disk, without ", Chosen("dask"), " and URLs"
+        raise ChoiceError("skip_unchanged", reason=reason)
+
+
+def within_limits(call: Callable[[], T], plan: Plan[Any], source: str) -> T:
+    """Return the result of a call that works on one file, within --max-memory and --timeout.
+
+    Under --timeout the call, which must be picklable, is made in another process. Raises SkinbakeError, and
+    ChoiceError if another process cannot read the file.
+    """
+    if plan.timeout is None:
+        from skinbake.gltf.budget import memory_limited
+
+        with memory_limited(plan.max_memory):
+            return call()
+    if source == STDIO:
+        raise ChoiceError("timeout", reason=(" needs a file, not - for stdin",))
+    from skinbake.jobs.processes import done_in_time
+    from skinbake.threads import thread_count
+
+    return done_in_time(call, source, plan.timeout, plan.max_memory, thread_count())
+
+
+def memory_of_each(plan: Plan[Any]) -> int | None:
+    """Return the memory that each file may take, or None for the default of one file at a time."""
+    if plan.max_memory or plan.dask or (plan.jobs == 1 and not plan.isolate):
+        return plan.max_memory
+    from skinbake.gltf.budget import default_limit
+    from skinbake.threads import usable_cores
+
+    return default_limit(min(plan.jobs or usable_cores(), len(plan.targets)))
+
+
+def threads_of_each(plan: Plan[Any]) -> int | None:
     """Return the threads for the work on a file, or None: the process that does it looks for itself."""
-    if given["threads"] is not None or given["dask"]:
-        return given["threads"]
-    if given["isolate"]:
+    if plan.threads is not None or plan.dask:
+        return plan.threads
+    if plan.isolate:
         return 1  # threads reserve addresses, which count for the process's limit
-    if given["jobs"] == 1 and not given["timeout"]:
+    if plan.jobs == 1 and not plan.timeout:
         return None
     from skinbake.threads import thread_count, usable_cores
 
-    return thread_count(min(given["jobs"] or usable_cores(), len(sources)))
+    return thread_count(min(plan.jobs or usable_cores(), len(plan.targets)))
 
 
 def _large_ones(workers: int, guess: tuple[float, float], jobs: Sequence[Job]) -> list[int]:

@@ -9,21 +9,13 @@ import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
 
 from skinbake.cli.inputs import MAGIC, Input
-from skinbake.errors import ChoiceError
-from skinbake.files.bounds import Bounds, Within
 from skinbake.files.folders import open_regular
 from skinbake.files.urls import STDIO, File, is_url, join_url, named_file, on_disk
 from skinbake.wording import SUFFIXES
-
-if TYPE_CHECKING:
-    from skinbake.cli.given import Given
-    from skinbake.cli.many import Notes
-    from skinbake.jobs.work import Job
 
 GLB_HEADERS = struct.Struct("<4sIIII")
 """The header of a GLB, and the header of its first chunk, which is its JSON."""
@@ -96,40 +88,7 @@ def check_read(option: str, files: Iterable[File], targets: Iterable[tuple[Input
                 raise click.UsageError(f"{option}: {file.given} is also an output, {target.given}")
 
 
-def targets_of(inputs: list[Input], given: Mapping[str, Any]) -> list[tuple[Input, File | None]]:
-    """Return (input, output) pairs. Raises click.UsageError for a combination without a meaning."""
-    chosen = [name for name in ("output", "out_dir", "in_place") if given[name]]
-    if len(chosen) > 1:
-        raise click.UsageError("give only one of -o/--output, --out-dir and --in-place")
-    if not chosen and not given.get("dry_run"):
-        raise click.UsageError("give one of -o/--output, --out-dir and --in-place" + _meant_output(inputs))
-    if given["output"]:
-        if len(inputs) > 1:
-            raise click.UsageError("-o takes one input; use --out-dir for several")
-        if given["output"] == STDIO and given["as_json"]:
-            why = " prints to stdout, and so does -o -: name the file of the GLB"
-            raise ChoiceError("as_json", reason=(why,))
-        check_named(given["output"], f"use --out-dir {given['output']}, or name the file")
-        target = named_file(given["output"])
-        check_target(inputs[0].file, target)
-        return [(inputs[0], target)]
-    if given["in_place"]:
-        if any(entry.source == STDIO for entry in inputs):
-            raise click.UsageError("--in-place needs files, not - for stdin")
-        first: dict[tuple[object, ...], Input] = {}  # each file once, but hard links are replaced one by one
-        for entry in inputs:
-            first.setdefault(entry.file[1:], entry)
-        return [(entry, entry.file) for entry in first.values()]
-    if given["out_dir"] == STDIO:
-        raise click.UsageError("--out-dir needs the name of a folder, not -; -o - writes to stdout")
-    if given["out_dir"]:
-        if os.path.isfile(on_disk(given["out_dir"]) or ""):  # noqa: PTH113  # pathlib fails for long names
-            raise click.UsageError(f"--out-dir {given['out_dir']} is a file, not a folder")
-        return list(pair_up(inputs, given["out_dir"]))
-    return [(entry, None) for entry in inputs]
-
-
-def _meant_output(inputs: Sequence[Input]) -> str:
+def meant_output(inputs: Sequence[Input]) -> str:
     """Return the advice for a second name that stands for no file yet: it may be meant as the output."""
     if len(inputs) != 2 or STDIO in {entry.source for entry in inputs}:
         return ""
@@ -142,23 +101,6 @@ def _meant_output(inputs: Sequence[Input]) -> str:
         return ""
     option = "-o" if suffix else "--out-dir"
     return f"; {last.source} was taken for a second input: write {option} {last.source}"
-
-
-def jobs_of(targets: Iterable[tuple[Input, File | None]], given: Given, notes: Notes) -> list[Job]:
-    """Return the jobs of pairs from ``targets_of``, each with its record in the notes."""
-    from skinbake.jobs.work import Job
-
-    return [
-        Job(
-            entry.source,
-            target and target.given,
-            notes.known(entry.source if target is None else target.given),
-            within=Within(Bounds(entry.searched, given["allow_outside"]), given.get("out_dir")),
-        )
-        if entry.missing is None
-        else Job(entry.source, missing=entry.missing)
-        for entry, target in targets
-    ]
 
 
 def pair_up(inputs: Sequence[Input], folder: str) -> list[tuple[Input, File]]:

@@ -7,13 +7,13 @@ from typing import Any
 
 import click
 
-from skinbake.cli.console import console, ended_by_errors
+from skinbake.cli.console import ended_by_errors
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import path_on_disk
-from skinbake.cli.limits import within_limits
+from skinbake.cli.plan import Plan, planned
+from skinbake.cli.runners import within_limits
 from skinbake.cli.targets import check_earlier, check_named, is_model_name, is_page
 from skinbake.errors import printable
-from skinbake.files.bounds import Bounds
 from skinbake.files.urls import STDIO
 from skinbake.wording import counted
 
@@ -31,23 +31,32 @@ PAGES = (".html", ".htm")
     ),
 )
 @click.argument("source", metavar="FILE")
-def command(source: str, output: str | None, **given: Any) -> None:
+@planned()
+def command(plan: Plan[Any], source: str, *, port: int, no_browser: bool) -> None:
     """Show a file in the browser: standard and accurate lighting side by side, over its own animations.
 
     The page is one HTML file that loads nothing from the network. A file that is not baked is baked in
     memory. Without -o the page is served to this machine only, until Ctrl-C.
     """
-    source = path_on_disk(source)
+    source, output, say = path_on_disk(source), plan.output, plan.say
     if output is not None:
-        _check_page(output)
-    if output is not None and (given["port"] or given["no_browser"]):
-        raise click.UsageError("--port and --no-browser are for a page that is served; -o writes it instead")
-    say = console(given, results_on_stderr=output == STDIO)
+        # A name of another kind of file, of a folder, or of a foreign file is refused.
+        check_named(output)
+        if output != STDIO and is_model_name(output):
+            raise click.UsageError(f"{output} is the name of a model; name the page .html")
+        if output != STDIO and not output.lower().endswith(PAGES):
+            expected = f"expected a name that ends in {' or '.join(PAGES)}, or - for stdout"
+            raise click.UsageError(f"{output}: {expected}")
+        if output != STDIO:
+            check_earlier(output, is_page)
+        if port or no_browser:
+            why = "are for a page that is served; -o writes it instead"
+            raise click.UsageError(f"--port and --no-browser {why}")
     from skinbake.commands.view import view_file, write_page
 
-    call = partial(view_file, source, output, Bounds(allowed=given["allow_outside"]))
+    call = partial(view_file, source, output, plan.bounds())
     with ended_by_errors(say):
-        result = within_limits(call, given, source)
+        result = within_limits(call, plan, source)
         say.notices(result.notices)
         if output is None:
             # Serve the page until Ctrl-C, and open the browser on it.
@@ -58,29 +67,15 @@ def command(source: str, output: str | None, **given: Any) -> None:
 
             def started(address: str) -> None:
                 say.result(f"{address} (Ctrl-C ends)")
-                if not given["no_browser"]:
+                if not no_browser:
                     # A browser in a terminal returns when it ends, and until then wants answers.
                     threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
 
-            serve(result.page, given["port"], started)
+            serve(result.page, port, started)
         else:
-            write_page(result, output, sync=not given["no_sync"])
+            write_page(result, output, sync=not plan.no_sync)
     if output != STDIO:
         how = "" if result.was_baked else ", baked in memory"
         say.written(
             f"{printable(source)} -> {printable(str(output))}: {counted(len(result.page), 'byte')}{how}"
         )
-
-
-def _check_page(output: str) -> None:
-    """Raise click.UsageError for the name of another kind of file, of a folder, or of a foreign file."""
-    check_named(output)
-    if output == STDIO:
-        return
-    if is_model_name(output):
-        raise click.UsageError(f"{output} is the name of a model; name the page .html")
-    if not output.lower().endswith(PAGES):
-        raise click.UsageError(
-            f"{output}: expected a name that ends in {' or '.join(PAGES)}, or - for stdout"
-        )
-    check_earlier(output, is_page)
