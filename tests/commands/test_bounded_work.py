@@ -26,7 +26,7 @@ from skinbake.gltf.budget import Budget, Work
 from skinbake.gltf.document import read_document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.primitives import skinned_sources
-from skinbake.truth.poses import pose_steps
+from skinbake.truth.poses import pose_work
 from tests.support.command_line import invoke
 from tests.support.models import Change, Part, bake, sheet, write_model
 from tests.support.webgpu import NAGA
@@ -331,7 +331,7 @@ def test_clips_that_say_the_same_are_sampled_once(tmp_path: Path) -> None:
     document = read_document(str(path))
     clips, skeleton = read_clips(document), read_skeleton(document, 0)
     assert len(clips) == 40
-    assert pose_steps(skeleton, clips, 60) == pose_steps(skeleton, clips[:1], 60)
+    assert pose_work(skeleton, clips, 60) == pose_work(skeleton, clips[:1], 60)
 
 
 def test_poses_that_are_too_much_work_are_left_out_with_a_notice(

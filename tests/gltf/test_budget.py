@@ -317,13 +317,12 @@ def test_a_mesh_that_is_drawn_more_often_than_its_file_is_long_is_not_measured(
 
     baked(write_model(tmp_path / "in.glb", [sheet()]), tmp_path / "out.glb")
     assert verify_file(str(tmp_path / "out.glb"), VerifyOptions()).checks
-    monkeypatch.setattr(draws, "SAMPLES_A_BYTE", 0)
     for most, poses in ((20 * 24, 24), (20 * 24 - 1, 23), (20 * 3, 3)):
-        monkeypatch.setattr(draws, "SAMPLES_FREE", most)
+        monkeypatch.setattr(draws, "SAMPLES", Limit(0, most))
         verdict = verify_file(str(tmp_path / "out.glb"), VerifyOptions())
         assert verdict.poses.startswith(f"{poses} random poses")
         assert [one.code for one in verdict.notices] == ["poses-left-out"] * (poses < 24)
-    monkeypatch.setattr(draws, "SAMPLES_FREE", 20 * 3 - 1)
+    monkeypatch.setattr(draws, "SAMPLES", Limit(0, 20 * 3 - 1))
     with pytest.raises(InputError, match="60 vertices times poses"):
         verify_file(str(tmp_path / "out.glb"), VerifyOptions())
 
@@ -340,11 +339,10 @@ def test_the_truth_fine_claims_its_memory_and_its_work(
     baked(write_model(tmp_path / "in.glb", [sheet()]), tmp_path / "out.glb")
     options = VerifyOptions(truth=Truth.FINE)
     assert verify_file(path, options).fine
-    monkeypatch.setattr(draws, "SAMPLES_A_BYTE", 0)
-    monkeypatch.setattr(draws, "SAMPLES_FREE", math.ceil((20 + 2 * 43) / 8) * 3 - 1)
+    monkeypatch.setattr(draws, "SAMPLES", Limit(0, math.ceil((20 + 2 * 43) / 8) * 3 - 1))
     with pytest.raises(InputError, match="42 vertices times poses"):
         verify_file(path, options)
-    monkeypatch.setattr(draws, "BYTES_A_CORNER", 1 << 40)
+    monkeypatch.setattr(budgets.Cost, "FINE_CORNER", Work(bytes=1 << 40))
     with pytest.raises(InputError, match="the truth fine at 72 corners of triangles would take 72 TiB"):
         verify_file(path, options)
 

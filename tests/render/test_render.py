@@ -518,8 +518,8 @@ def test_vertices_that_nodes_draw_without_a_skin_are_work_each_time(
 
     path = str(write_model(tmp_path / "in.glb", [sheet()], change=hang))
     vertices = len(sheet().attributes["POSITION"])
-    monkeypatch.setattr(posed_scene, "STEPS_A_PRIMITIVE", 0)
-    monkeypatch.setattr(posed_scene, "STEPS_A_SHOWN_CLIP", 0)
+    monkeypatch.setattr(budget.Cost, "DRAWN_PRIMITIVE", budget.Work())
+    monkeypatch.setattr(budget.Cost, "SHOWN_CLIP", budget.Work())
     document = read_document(path)
     assert len(posed_scene.attachments(document)) == times
     assert document.budget.taken.steps == times * vertices
@@ -605,7 +605,7 @@ def test_welding_counts_to_the_memory_of_a_file(tmp_path: Path, monkeypatch: pyt
 def test_a_surface_is_welded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The search for the worst pose needs the welded surface, and so does the picture of this pose."""
     claimed: list[int] = []
-    monkeypatch.setattr(budget.Budget, "claim_welding", lambda self, size, place: claimed.append(size))
+    monkeypatch.setattr(budget.Budget, "welding", lambda self, place: claimed.append)
     with pytest.raises(InputError, match="enough"):
         measure_errors(TUBE, tmp_path, monkeypatch)
     assert len(claimed) == 1

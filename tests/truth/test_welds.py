@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from skinbake.geometry.skinned import SkinnedPrimitive
+from skinbake.gltf.budget import Cost
 from skinbake.truth import mesh
 from skinbake.truth.mesh import weld_classes
 from tests.support.labels import as_met
@@ -157,7 +158,7 @@ def test_pairs_at_crowded_places_are_claimed_before_they_are_listed() -> None:
     close = copies(normals=tilted(*np.linspace(0, 10, count)))
     claimed: list[int] = []
     weld_classes([close], claim=claimed.append)
-    assert sum(claimed) >= mesh.BYTES_A_PAIR * count * (count - 1) // 2
+    assert sum(claimed) >= Cost.WELDED_PAIR.bytes * count * (count - 1)
 
     class RefusedError(Exception):
         pass

@@ -39,13 +39,12 @@ from skinbake.gltf.animation import (
     read_clips,
     read_skeleton,
 )
-from skinbake.gltf.budget import Budget
+from skinbake.gltf.budget import Budget, Cost
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, reference
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive
 from skinbake.gltf.scenes import meshes_of_one_skin
 from skinbake.measure.corrected import corrected_lighting, worse_primitives
-from skinbake.measure.draws import STEPS_A_MORPHED_POSE, STEPS_A_TARGET
 from skinbake.measure.morphing import moving_targets
 from skinbake.measure.options import VerifyOptions
 from skinbake.measure.played_correctives import played_clips
@@ -56,7 +55,7 @@ from skinbake.timing import stage
 from skinbake.truth.areas import RestAreas
 from skinbake.truth.morphing import Morphing
 from skinbake.truth.operator import true_operator
-from skinbake.truth.poses import PosePlan, PoseRequest, pose_steps
+from skinbake.truth.poses import PosePlan, PoseRequest, pose_work
 from skinbake.wording import counted
 
 if TYPE_CHECKING:
@@ -78,12 +77,6 @@ Unreal drops changes of 0.1 or less.
 
 UNIT_LENGTH = 1e-2
 """How far the length of a stored normal may be from 1 without a difference to its targets: bytes are."""
-
-STEPS_A_MOTION, SAMPLES_A_STEP = 5_000, 2
-"""The steps of a clip that moves a skin, but for its poses, and the vertices × keys of a step.
-
-See ``budget.STEPS_FREE``.
-"""
 
 
 class CorrectedDocument(NamedTuple):
@@ -251,17 +244,18 @@ def _fitted(
         return [(place, nothing, None) for place in places]
     place = sources[0].place
     poses = LEAST_KEYS + LEAST_HELD_BACK
-    steps = sum(STEPS_A_MOTION + pose_steps(one.plan.skeleton, [one.clip], poses) for one in motions)
-    if moving:
-        of_pose = STEPS_A_MORPHED_POSE + STEPS_A_TARGET * len(moving)
-        steps += of_pose * len(sources) * poses * len(motions)
     vertices = sum(len(one.positions) for one in rest)
-    steps += vertices * LEAST_KEYS * len(motions) // SAMPLES_A_STEP
+    work = Cost.FITTED_MOTION * len(motions) + Cost.FITTED_KEY * (vertices * LEAST_KEYS * len(motions))
+    for motion in motions:
+        work += pose_work(motion.plan.skeleton, [motion.clip], poses)
+    if moving:
+        of_pose = Cost.MEASURED_MORPH + Cost.MEASURED_TARGET * len(moving)
+        work += of_pose * (len(sources) * poses * len(motions))
     fitting = (
         f"fitting {counted(vertices, 'vertex', 'vertices')} to {counted(len(motions), 'clip')} of its skins"
     )
-    document.budget.claim_steps(steps, f"{fitting} (--clips chooses some)", place)
-    operator = true_operator(primitives, claim=lambda size: document.budget.claim_welding(size, place))
+    document.budget.claim(work, f"{fitting} (--clips chooses some)", place)
+    operator = true_operator(primitives, claim=document.budget.welding(place))
     areas = np.concatenate([RestAreas(document, motions[0].plan.skin).of(one) for one in primitives])
     with stage("fit"):
         made = fitted(
@@ -272,7 +266,7 @@ def _fitted(
             None if baker.correctives == "auto" else baker.correctives,
             FORMS[baker.encoding],
             accurate=baker.corrective_aim is CorrectiveAim.GRADIENTS,
-            claim=lambda size: document.budget.claim(size, "fitting its correctives", place),
+            claim=lambda work: document.budget.claim(work, "fitting its correctives", place),
         )
     found = []
     for mesh, here, part, one in zip(meshes, places, parts, made, strict=True):

@@ -17,6 +17,7 @@ from skinbake.freshness.baked_views import is_baked, other_version
 from skinbake.freshness.made_targets import made_states
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.accessors import described
+from skinbake.gltf.budget import Cost
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.codecs.meshopt import is_fallback
 from skinbake.gltf.document import Document, read_document
@@ -45,12 +46,6 @@ from skinbake.report.inspect import (
 from skinbake.timing import stage
 from skinbake.wording import counted
 
-BYTES_A_VERTEX, BYTES_A_SLOT = 64, 40
-"""The approximate memory for summing up a primitive, at most."""
-
-STEPS_A_PRIMITIVE = 500
-"""The steps of summing up a primitive of few vertices: see ``budget.STEPS_FREE``."""
-
 
 def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
     """Return a summary of one file. Raises SkinbakeError if it cannot be read."""
@@ -61,7 +56,7 @@ def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
         tell_half_skinned(document)
     notices = list(half_skinned)
     what = f"summing up {counted(len(sources), 'primitive')}"
-    document.budget.claim_steps(STEPS_A_PRIMITIVE * len(sources), what, document.place)
+    document.budget.claim(Cost.SUMMED_PRIMITIVE * len(sources), what, document.place)
     primitives = []
     read: dict[int, list[PrimitiveSource]] = {}
     leaning: set[int] = set()
@@ -115,15 +110,15 @@ def _lean_notices(document: Document, sources: Sequence[PrimitiveSource]) -> lis
         primitives = []
         for source in sources:
             primitive = read_primitive(document, source)
-            size = BYTES_A_VERTEX * len(primitive.positions)
-            document.budget.claim(size, "comparing its normals", source.place)
+            work = Cost.SUMMED_VERTEX * len(primitive.positions)
+            document.budget.claim(work, "comparing its normals", source.place)
             primitives.append((primitive, source.place))
         return lean_notices(primitives)
 
 
 def _summary(document: Document, source: PrimitiveSource, primitive: SkinnedPrimitive) -> PrimitiveSummary:
-    size = BYTES_A_VERTEX + BYTES_A_SLOT * primitive.joints.shape[1]
-    document.budget.claim(len(primitive.positions) * size, "summing it up", source.place)
+    work = Cost.SUMMED_VERTEX * len(primitive.positions) + Cost.SUMMED_SLOT * primitive.joints.size
+    document.budget.claim(work, "summing it up", source.place)
     _, defects = weight_field(primitive)
     sums = primitive.weights.astype(np.float64).sum(axis=1)
     attributes = [_attribute(document, source, name) for name in source.attributes]

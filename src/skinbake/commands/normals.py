@@ -23,11 +23,12 @@ from skinbake.files.writing import write_file
 from skinbake.freshness.baked_views import sound_views
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import RANDOM, Clip
+from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.output import refuse_own_input
 from skinbake.measure.angles import INSIDE_OUT, METHODS, Corrections, truths_at_rest
 from skinbake.measure.played_correctives import PlayedCorrectives
-from skinbake.report.normals import BYTES_A_NUMBER, PosedNormals, line
+from skinbake.report.normals import PosedNormals, line
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.blended import BlendedSkinning
 from skinbake.skinning.components import Vector
@@ -99,7 +100,7 @@ def write_normals(
     lines, pose = [], ""
     for one in posed_normals(document, request):
         what = f"the text of {one.numbers:,} numbers"
-        document.budget.claim(BYTES_A_NUMBER * one.numbers, what, document.place)
+        document.budget.claim(Cost.WRITTEN_NUMBER * one.numbers, what, document.place)
         lines.append(line(source, one))
         pose = one.pose
     write_file(lines, target, sync=sync)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from skinbake.choices import Truth
-from skinbake.commands.bake import STEPS_A_BAKE, Baker
+from skinbake.commands.bake import Baker
 from skinbake.errors import BudgetError, ChoiceError, InputError, Notice, Skipped, printable
 from skinbake.format.strip import stripped, uncorrected
 from skinbake.freshness.baked_views import BakedView, is_baked, rest_primitive, whole_surfaces
@@ -28,6 +28,7 @@ from skinbake.gltf.animation import (
     read_node,
     read_skeleton,
 )
+from skinbake.gltf.budget import Cost, Work
 from skinbake.gltf.document import Document
 from skinbake.gltf.images import tell_images_unplaced
 from skinbake.gltf.json_access import reference
@@ -49,26 +50,11 @@ from skinbake.truth.blending import BlendedPrimitive
 from skinbake.truth.morphing import Morphing
 from skinbake.truth.operator import GradientOperator
 from skinbake.truth.poses import (
-    BYTES_A_JOINT_AND_POSE,
-    BYTES_A_NODE_AND_POSE,
-    STEPS_A_CLIP,
     PoseSet,
     draws_of,
 )
 from skinbake.truth.truths import Truths
 from skinbake.wording import counted, one_or_many
-
-BYTES_A_VERTEX, BYTES_A_POSED_VERTEX = 2048, 64
-"""The memory of a vertex that is drawn, and in each pose."""
-
-STEPS_A_PRIMITIVE, STEPS_A_MORPHED_POSE, STEPS_A_SHOWN_CLIP = 3_000, 1_500, 150
-"""The steps of drawing a primitive, of morphing it in a pose, and of a clip that may be shown.
-
-See ``budget.STEPS_FREE``.
-"""
-
-STEPS_A_TARGET, STEPS_A_TARGET_READ = 3, 7
-"""The further steps of a primitive for each of its morph targets, in a pose and for a clip."""
 
 HALF_TURN = np.diag([-1.0, 1.0, -1.0, 1.0])
 """A turn of the whole scene around the vertical."""
@@ -125,13 +111,14 @@ def attachments(document: Document) -> list[Attachment]:
         for source in sources.get(reference(nodes[number].get("mesh")), ()):
             try:
                 skeleton = read_node(document, number)
-                steps = STEPS_A_PRIMITIVE + STEPS_A_SHOWN_CLIP * len(skeleton.nodes)
-                budget.claim_steps(steps, "drawing meshes without a skin", document.place)
+                work = Cost.DRAWN_PRIMITIVE + Cost.SHOWN_CLIP * len(skeleton.nodes)
+                budget.claim(work, "drawing meshes without a skin", document.place)
                 key = source.mesh, source.primitive
                 if key not in read:
                     read[key] = _rigid(document, source)
                 vertices = 0 if read[key] is None else len(read[key][0].positions)
-                budget.claim_steps(vertices, f"drawing {vertices:,} vertices once more", source.place)
+                again = f"drawing {vertices:,} vertices once more"
+                budget.claim(Cost.DRAWN_AGAIN * vertices, again, source.place)
             except BudgetError:
                 raise
             except InputError:
@@ -153,7 +140,7 @@ def _rigid(document: Document, source: PrimitiveSource) -> tuple[RestPrimitive, 
         return None
     mesh = read_primitive(document, source)
     count = len(mesh.positions)
-    document.budget.claim(BYTES_A_VERTEX * count, "a mesh without a skin", source.place)
+    document.budget.claim(Cost.DRAWN_VERTEX * count, "a mesh without a skin", source.place)
     normals = mesh.normals
     if not len(normals):
         normals = smooth_normals(mesh.positions, mesh.triangles, np.arange(count))
@@ -193,8 +180,8 @@ def shown_draws(
 ) -> Iterator[Draw]:
     """Yield what the nodes of the shown scene draw, with the correctives that were stripped, if any."""
     clips = read_clips(document)
-    steps = STEPS_A_SHOWN_CLIP * len(clips)
-    document.budget.claim_steps(steps, f"showing {counted(len(clips), 'clip')}", document.place)
+    what = f"showing {counted(len(clips), 'clip')}"
+    document.budget.claim(Cost.SHOWN_CLIP * len(clips), what, document.place)
     nodes = document.objects("nodes")
     shown = {
         (reference(nodes[number].get("mesh")), reference(nodes[number].get("skin")))
@@ -235,21 +222,20 @@ def _played(
 
 def claim_draws(document: Document, draws: Sequence[Draw], clips: Sequence[Clip], poses: int) -> None:
     """Count the memory and the work of draws in so many poses. Raises InputError if it is too much."""
-    budget, place = document.budget, document.place
     for draw in draws:
         skeleton, primitives = draw.skeleton, len(draw.rest)
         vertices = sum(len(rest.positions) for rest in draw.rest)
-        steps = STEPS_A_PRIMITIVE * primitives + sum(STEPS_A_CLIP + len(clip.channels) for clip in clips)
-        steps += poses * (len(skeleton.nodes) + len(skeleton.joints))
+        nodes, joints = len(skeleton.nodes), len(skeleton.joints)
+        work = Cost.DRAWN_PRIMITIVE * primitives + Cost.SAMPLED_CLIP * len(clips)
+        work += Work(steps=sum(len(clip.channels) for clip in clips) + poses * (nodes + joints))
         if draw.node is not None:
             targets = document.asset.meshes[draw.views[0].source.mesh].target_count
-            steps += (STEPS_A_MORPHED_POSE + STEPS_A_TARGET * targets) * primitives * poses
-            steps += STEPS_A_TARGET_READ * targets * primitives * len(clips)
-        drawn = f"{counted(vertices, 'vertex', 'vertices')} in {counted(poses, 'pose')}"
-        budget.claim_steps(steps, f"drawing {drawn}", place)
-        size = BYTES_A_NODE_AND_POSE * len(skeleton.nodes) + BYTES_A_JOINT_AND_POSE * len(skeleton.joints)
-        size = poses * size + vertices * (BYTES_A_VERTEX + BYTES_A_POSED_VERTEX * poses)
-        budget.claim(size, drawn, place)
+            work += (Cost.DRAWN_MORPH + Cost.DRAWN_TARGET * targets) * (primitives * poses)
+            work += Cost.READ_TARGET * (targets * primitives * len(clips))
+        work += (Cost.NODE_MATRIX * nodes + Cost.JOINT_MATRIX * joints) * poses
+        work += (Cost.DRAWN_VERTEX + Cost.POSED_VERTEX * poses) * vertices
+        drawn = f"drawing {counted(vertices, 'vertex', 'vertices')} in {counted(poses, 'pose')}"
+        document.budget.claim(work, drawn, document.place)
 
 
 def posed_draw(
@@ -387,11 +373,8 @@ def baked_in_memory(document: Document) -> Document:
     Nothing is stored, so nothing is told of storage.
     """
     count = len(skinned_sources(document))
-    steps, what = (
-        (STEPS_A_PRIMITIVE - STEPS_A_BAKE) * count,
-        f"baking {counted(count, 'primitive')} in memory",
-    )
-    document.budget.claim_steps(steps, what, document.place)
+    what = f"baking {counted(count, 'primitive')} in memory"
+    document.budget.claim(Cost.DRAWN_PRIMITIVE * count, what, document.place)
     with document.notices.withheld():
         plain, _ = uncorrected(document)
         if plain is document or holds_bake(document):

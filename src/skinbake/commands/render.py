@@ -36,6 +36,7 @@ from skinbake.freshness.baked_views import BakedView, rest_primitive, sound_view
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.animation import RANDOM, Clip, Skeleton, random_clip, read_clips, rest_pose
+from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.json_access import reference
 from skinbake.gltf.output import refuse_own_input
@@ -56,18 +57,12 @@ MOST = 1e15
 MOST_INFLUENCES = 64
 """The most influences of a vertex that are drawn. Drivers compile a shader of 256 for a minute."""
 
-BYTES_A_SAMPLED_PIXEL, BYTES_A_PIXEL = 224, 10
-"""The memory of drawing a pixel, with all its samples, and of keeping it in each picture until the end."""
-
 LAYERS_FREE, LAYERS_A_BYTE = 24.0, 4e-6
 """How often triangles may cover the picture, and how often more for each byte of the file.
 
 A software driver takes up to 0.07 s for each time. Of 60 characters none covers it more than 3 times, or 5
 close up.
 """
-
-BYTES_A_TRIANGLE = 256
-"""The memory of a triangle while its area in the picture is found."""
 
 NEAREST = 1e-6
 """The least depth of a corner, in units of the scene. What lies behind the camera counts as far beside it."""
@@ -177,8 +172,8 @@ def _pictures(
     if spot is not None:
         pose = f"{pose}, close up: {in_words(spot)}"
     pixels = options.look.width * options.look.height
-    size = pixels * (BYTES_A_SAMPLED_PIXEL + BYTES_A_PIXEL * len(times))
-    document.budget.claim(size, f"drawing {counted(len(times), 'picture')}", document.place)
+    work = (Cost.SAMPLED_PIXEL + Cost.DRAWN_PIXEL * len(times)) * pixels
+    document.budget.claim(work, f"drawing {counted(len(times), 'picture')}", document.place)
     claim_draws(document, draws, [clip], len(times))
     posed = [posed_draw(document, draw, clip, times) for draw in draws]
     materials = Materials(document)
@@ -268,10 +263,8 @@ def _refuse_layers(
     ]
     layers = 0.0
     count = sum(len(triangles) for _, triangles in found)
-    with document.budget.passing():
-        document.budget.claim(
-            BYTES_A_TRIANGLE * count, f"the area of {counted(count, 'triangle')}", document.place
-        )
+    what = f"the area of {counted(count, 'triangle')}"
+    document.budget.claim(Cost.COVERING_TRIANGLE * count, what, document.place, passing=True)
     for (positions, triangles), drawn in zip(found, times, strict=True):
         at = positions @ projected[:, :3].T + projected[:, 3]
         corners = np.clip(at[:, :2] / np.maximum(at[:, 3:], NEAREST), -1.0, 1.0)[triangles]

@@ -14,6 +14,7 @@ from skinbake.format.metadata import corrective_notes
 from skinbake.format.strip import uncorrected
 from skinbake.freshness.made_targets import made_states
 from skinbake.gltf.animation import Clip
+from skinbake.gltf.budget import Work
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, is_number, text
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive, skinned_sources, tell_half_skinned
@@ -121,7 +122,7 @@ def _stale_clips(document: Document, mesh: int, note: JsonObject) -> Iterator[st
     if not any(one.plays for one in found):
         yield "no clip plays its correctives any more"
     steps = 1 + noted.size // 1000
-    document.budget.claim_steps(steps * len(found), "comparing what its clips play", document.place)
+    document.budget.claim(Work(steps=steps * len(found)), "comparing what its clips play", document.place)
     is_played, silent = np.zeros(len(noted), dtype=np.bool_), dict[int, Clip]()
     for one in found:
         same = np.abs(noted - [*one.poses, *one.weights]) <= SAME

@@ -32,6 +32,7 @@ from skinbake.format.metadata import corrective_note
 from skinbake.format.strip import stripped
 from skinbake.freshness.baked_views import BakedView, sound_views
 from skinbake.freshness.expected import noted_kind
+from skinbake.gltf.budget import Cost, Work
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.glb import STDIN
@@ -56,9 +57,6 @@ IMAGES = {PNG: "image/png", JPEG: "image/jpeg", WEBP: "image/webp"}
 
 LARGE_PAGE = 50_000_000
 """The bytes of a page from which on a notice says so."""
-
-PAGE_BYTES = 4
-"""The memory of a page for each byte of its model: its text in base64, filled into the page, and encoded."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +119,7 @@ def page_of(
     with stage("page"):
         glb, images = _self_contained(corrected or document)
         size = sum(map(len, glb))
-        document.budget.claim(PAGE_BYTES * size, f"a page of {counted(size, 'byte')}", document.place)
+        document.budget.claim(Cost.PAGE_BYTE * size, f"a page of {counted(size, 'byte')}", document.place)
         for view in views:
             tell_unplaced(document, view, "page")
         most = max((4 * view.source.influence_sets for view in views), default=0)
@@ -249,7 +247,7 @@ def _with_images(document: Document) -> Document:
     held: dict[str, JsonObject] = {}
 
     def claim(size: int) -> None:
-        document.budget.claim(size, "holding its images in a page", document.place)
+        document.budget.claim(Work(bytes=size), "holding its images in a page", document.place)
 
     for number, image in enumerate(images):
         uri = image.get("uri")

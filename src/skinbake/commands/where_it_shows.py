@@ -33,6 +33,7 @@ from skinbake.commands.posed_scene import (
 from skinbake.errors import ChoiceError, InputError, printable
 from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray
 from skinbake.gltf.animation import Clip, random_clip, read_clips, rest_pose
+from skinbake.gltf.budget import Work
 from skinbake.gltf.document import Document
 from skinbake.measure.angles import MeasuredBlock
 from skinbake.report.verify import NEGLIGIBLE
@@ -417,7 +418,9 @@ def where_it_shows(
     poses = int(max(PROMISING * 2, affordable))
     some = clips[: poses // 2]
     claim_draws(document, draws, some, EACH)
-    document.budget.claim_steps(2 * nodes * poses, "looking for what a bake improves most", document.place)
+    document.budget.claim(
+        Work(steps=2 * nodes * poses), "looking for what a bake improves most", document.place
+    )
     search = _Search(document, draws)
     if not search.size > 0 or not np.isfinite(search.size):
         return []

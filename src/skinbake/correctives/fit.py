@@ -20,6 +20,7 @@ from skinbake.correctives.principal import gram, leading, refined, scaled_to
 from skinbake.correctives.surface import TRUTHS, Surface
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
 from skinbake.gltf.animation import Clip, clip_poses, clip_weights
+from skinbake.gltf.budget import Cost, Work
 from skinbake.skinning.rest import RestPrimitive
 from skinbake.truth.poses import PosePlan
 
@@ -45,9 +46,6 @@ LEAST_TOLERANCE = float(np.radians(0.1))
 
 SAMPLES = 1 << 23
 """Vertices × keys of a fit. A mesh of more vertices has fewer keys."""
-
-BYTES_A_SAMPLE = 48
-"""The memory of a vertex at a key, at most. With morph targets it takes twice as much."""
 
 HELD_BACK, LEAST_HELD_BACK = 60, 6
 """The poses between keys in which what does not help is found: of all clips, and of each one at least."""
@@ -155,17 +153,17 @@ def fitted(
     form: Form,
     *,
     accurate: bool = False,
-    claim: Callable[[int], None] = lambda size: None,
+    claim: Callable[[Work], None] = lambda work: None,
 ) -> list[Correctives]:
     """Return the correctives of each mesh of a surface. wanted is the number of targets, None for ``auto``.
 
     meshes are parts of the primitives of the surface. areas (V,) weight the vertices of all primitives.
-    accurate: toward the normals of α and β. ``claim`` is called with the bytes of the fit before it takes
-    them.
+    accurate: toward the normals of α and β. ``claim`` is called with the work of the fit before it is
+    done.
     """
     most = max(LEAST_KEYS, min(MOST_KEYS, SAMPLES // max(surface.count, 1)))
-    size = BYTES_A_SAMPLE * (1 if surface.morphing is None else 2)
-    claim(size * surface.count * max(most, LEAST_KEYS * len(motions)))
+    samples = surface.count * max(most, LEAST_KEYS * len(motions))
+    claim(Cost.FITTED_SAMPLE * (samples if surface.morphing is None else 2 * samples))
     times, parts = [], []
     for motion in motions:
         of_clip = min(max(most // len(motions), LEAST_KEYS), most)

@@ -17,6 +17,7 @@ from skinbake.format.stored_slots import BAKE, NO_METADATA, read_slots, shown, w
 from skinbake.geometry import frames
 from skinbake.geometry.frames import unit_normals
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
+from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, is_number
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive, reason_to_skip, skinned_sources
@@ -27,9 +28,6 @@ from skinbake.timing import stage
 from skinbake.truth.mesh import normalised_weights
 from skinbake.version import FIT
 from skinbake.wording import counted
-
-BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 800, 128, 400
-"""The approximate memory for a baked primitive, at most. Its gradient operator takes the largest part."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,8 +128,9 @@ def _view(  # noqa: PLR0911  # one for each problem
     if wrong is not None:
         return Notice("metadata-broken", f"its metadata is damaged: {wrong}; {BAKE}", source.place)
     now = read_primitive(document, source)
-    size = len(now.positions) * (BYTES_A_VERTEX + BYTES_A_SLOT * now.joints.shape[1])
-    document.budget.claim(size + BYTES_A_TRIANGLE * len(now.triangles), "measuring it", source.place)
+    work = Cost.COMPARED_VERTEX * len(now.positions) + Cost.COMPARED_SLOT * now.joints.size
+    work += Cost.COMPARED_TRIANGLE * len(now.triangles)
+    document.budget.claim(work, "measuring it", source.place)
     slots = read_slots(document, source, metadata, len(now.positions))
     if isinstance(slots, Notice):
         return slots

@@ -255,7 +255,7 @@ def true_operator_of(document: Document, views: Sequence[BakedView]) -> Gradient
     """
     return true_operator(
         before_adoption(document, views),
-        claim=lambda size: document.budget.claim_welding(size, views[0].source.place),
+        claim=document.budget.welding(views[0].source.place),
     )
 
 

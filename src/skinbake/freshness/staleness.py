@@ -37,15 +37,13 @@ from skinbake.freshness.without_poses import (
     rig_changed,
 )
 from skinbake.geometry.skinned import Float64Array
+from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document
 from skinbake.report.verify import Check
 from skinbake.threads import Threads
 from skinbake.truth.mesh import free_slots
 from skinbake.truth.operator import GradientOperator, gradient_operator
 from skinbake.wording import counted
-
-STEPS_A_PRIMITIVE = 3_000
-"""The steps of reading the bake of a primitive and comparing it: see ``budget.STEPS_FREE``."""
 
 BAKE_LAST = "Bake last: run skinbake bake on the file that the last tool wrote"
 
@@ -60,7 +58,7 @@ def surface_operator(document: Document, views: Sequence[BakedView]) -> Gradient
         [view.now for view in views],
         weighting=noted["weighting"],
         crease_angle_degrees=float(noted["creaseAngle"]),
-        claim=lambda size: document.budget.claim_welding(size, views[0].source.place),
+        claim=document.budget.welding(views[0].source.place),
     )
 
 
@@ -157,8 +155,8 @@ def _stale_blends(
 
 def claim_freshness(document: Document, count: int) -> None:
     """Count the work of reading so many bakes and comparing them. Raises InputError if it is too much."""
-    steps, what = STEPS_A_PRIMITIVE * count, f"the freshness of {counted(count, 'primitive')}"
-    document.budget.claim_steps(steps, what, document.place)
+    what = f"the freshness of {counted(count, 'primitive')}"
+    document.budget.claim(Cost.COMPARED_PRIMITIVE * count, what, document.place)
 
 
 def refuse_stale(document: Document, views: Sequence[BakedView]) -> None:

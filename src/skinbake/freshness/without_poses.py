@@ -128,7 +128,7 @@ def _without_effect(
     groups = noted_poses(document, views[0]).groups
     true = true_operator(
         [view.now for view in views],
-        claim=lambda size: document.budget.claim_welding(size, views[0].source.place),
+        claim=document.budget.welding(views[0].source.place),
     )
     slots = [(view.alpha.astype(np.float64), view.beta.astype(np.float64)) for view in views]
     stored = rest_primitives_of(document, views, slots)

@@ -77,9 +77,10 @@ class Cost:
     SAMPLED_CLIP = Work(steps=700)
     SAMPLED_CHANNEL = Work(steps=30)
     POSED_NODE = Work(steps=1)
-    POSED_JOINT = Work(steps=5, bytes=512)
+    POSED_JOINT = Work(steps=5)
     NODE_MATRIX = Work(bytes=640)  # while the poses of a clip are made
     CHANNEL_VALUE = Work(bytes=256)  # likewise
+    JOINT_MATRIX = Work(bytes=512)
     TARGET_WEIGHT = Work(bytes=24)
 
     # Bakes
@@ -103,7 +104,7 @@ class Cost:
     COMPARED_VERTEX = Work(bytes=800)  # its gradient operator takes the largest part
     COMPARED_SLOT = Work(bytes=128)
     COMPARED_TRIANGLE = Work(bytes=400)
-    WELDED_PAIR = Work(bytes=64)  # vertices that may be one: two indices, four times over
+    WELDED_PAIR = Work(bytes=32)  # two vertices that may be one, in each order: their numbers, twice over
     COPIED_CORNER = Work(bytes=192)  # of a triangle, at each copy of its vertices
     FINE_CORNER = Work(bytes=512)  # of a triangle, in the truth *fine*
     MEASURED_PRIMITIVE = Work(steps=10_000)  # in each draw

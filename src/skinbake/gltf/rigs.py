@@ -85,7 +85,7 @@ def _rig_of(document: Document, skeleton: Skeleton) -> Rig:
         nodes, joints = len(skeleton.nodes), len(skeleton.joints)
         what = f"the stored pose of {counted(nodes, 'node')} and {counted(joints, 'joint')}"
         # A file of two bytes for each joint can list one node as many joints.
-        work = Cost.NODE_MATRIX * nodes + Cost.POSED_JOINT * joints
+        work = Cost.NODE_MATRIX * nodes + Cost.JOINT_MATRIX * joints
         document.budget.claim(work, what, document.place)
         # The origins of the joints in mesh space (J, 3), NaN for a matrix that cannot be inverted.
         pivots = np.full((len(skeleton.inverse_bind), 3), np.nan)

@@ -14,11 +14,12 @@ from skinbake.freshness.baked_views import BakedView, rest_primitive, whole_surf
 from skinbake.freshness.expected import true_operator_of
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import Clip
+from skinbake.gltf.budget import SAMPLES, Cost, Work
 from skinbake.gltf.document import Document
 from skinbake.measure.angles import Corrections
 from skinbake.skinning.rest import RestPrimitive
 from skinbake.truth.areas import RestAreas
-from skinbake.truth.fine import BYTES_A_CORNER, FineMesh
+from skinbake.truth.fine import FineMesh
 from skinbake.truth.operator import TRUE_CREASE_ANGLE, TRUE_WEIGHTING, GradientOperator
 from skinbake.truth.poses import (
     LEAST_SAMPLES,
@@ -31,22 +32,6 @@ from skinbake.truth.poses import (
     steps_of_looking,
 )
 from skinbake.wording import counted
-
-BYTES_A_SAMPLE = 32
-"""The memory of one vertex in one pose, at most: its errors, while they may be among the largest."""
-
-STEPS_A_DRAW, STEPS_A_MORPHED_POSE, STEPS_A_TARGET = 10_000, 3_000, 20
-"""The steps of measuring a primitive, and further ones in each pose of morph targets, and for each target.
-
-See ``budget.STEPS_FREE``.
-"""
-
-SAMPLES_A_BYTE, SAMPLES_FREE = 24, 1_000_000
-"""The vertices × poses that a file may need, for each of its bytes and in addition. Each takes 3 µs.
-
-A mesh is measured once for each skin that draws it, and in at least three poses of each clip. Fifty soldiers
-of one mesh of 3,000 vertices need 20 a byte, a character of a million vertices needs 0.5.
-"""
 
 FINE_RATIO = 8
 """The vertices and points of a usual fine mesh for each vertex of the mesh. So many of them count as one."""
@@ -166,21 +151,21 @@ def _planned(
         for rank, draw in enumerate(draws_of(document, views[0].source.mesh, clips))
     ]
     budget, plans, chosen = document.budget, dict[DrawKey, PosePlan](), list[int]()
-    steps = samples = 0
+    steps, samples = 0.0, 0
     looking = steps_of_looking(clips)
     # One draw of each surface is measured in any case, or the file is refused.
     for number in sorted(range(len(every)), key=lambda number: every[number][0]):
         rank, views, _, draw = every[number]
         place = views[0].source.place._replace(primitive=None)
-        needed = STEPS_A_DRAW * len(views)
-        if rank and steps + needed + looking > budget.steps_left:
+        needed = Cost.MEASURED_PRIMITIVE * len(views)
+        if rank and steps + needed.steps + looking > budget.steps_left:
             break
-        budget.claim_steps(needed, f"{counted(len(views), 'primitive')} of skin {draw[0]}", place)
+        budget.claim(needed, f"{counted(len(views), 'primitive')} of skin {draw[0]}", place)
         plan = plans.get(draw) or PosePlan.of(document, draw[0], clips, request, draw[1])
         few = _limited(plan, LEAST_SAMPLES)
-        steps += (0 if draw in plans else few.steps) + _morphed_steps(few, len(views))
+        steps += (0 if draw in plans else few.work.steps) + _morphing(few, len(views)).steps
         samples += _samples(views, few)
-        if rank and (steps > budget.steps_left or samples > _most_samples(document)):
+        if rank and (steps > budget.steps_left or samples > SAMPLES.most(document.budget.backed)):
             break
         plans[draw] = plan
         chosen.append(number)
@@ -203,7 +188,7 @@ def _fine_mesh(document: Document, views: Sequence[BakedView], operator: Gradien
     """Return the mesh of the truth *fine*. Raises InputError if it takes too much memory for the file."""
     corners, place = operator.triangles.size, views[0].source.place._replace(primitive=None)
     what = f"the truth fine at {counted(corners, 'corner')} of triangles"
-    document.budget.claim(BYTES_A_CORNER * corners, what, place)
+    document.budget.claim(Cost.FINE_CORNER * corners, what, place)
     return FineMesh.of(operator)
 
 
@@ -223,10 +208,10 @@ def _fewer_poses(
         return {draw: _limited(plan, most) for draw, plan in plans.items()}
 
     def is_too_much(some: dict[DrawKey, PosePlan]) -> bool:
-        steps = sum(plan.steps for plan in some.values())
-        steps += sum(_morphed_steps(some[draw], len(views)) for views, draw in drawn)
+        steps = sum(plan.work.steps for plan in some.values())
+        steps += sum(_morphing(some[draw], len(views)).steps for views, draw in drawn)
         samples = sum(_samples(views, some[draw]) for views, draw in drawn)
-        return steps > document.budget.steps_left or samples > _most_samples(document)
+        return steps > document.budget.steps_left or samples > SAMPLES.most(document.budget.backed)
 
     if every <= LEAST_SAMPLES or not is_too_much(plans):
         return plans, []
@@ -241,11 +226,11 @@ def _fewer_poses(
     return few, [Notice("poses-left-out", message, document.place, every - most)]
 
 
-def _morphed_steps(plan: PosePlan, primitives: int) -> int:
-    """Return the steps of work of measuring so many primitives under morph targets, pose by pose."""
+def _morphing(plan: PosePlan, primitives: int) -> Work:
+    """Return the steps of measuring so many primitives under morph targets, pose by pose."""
     if plan.resting is None or not plan.morphs:
-        return 0
-    return primitives * plan.count * (STEPS_A_MORPHED_POSE + STEPS_A_TARGET * len(plan.resting))
+        return Work()
+    return (Cost.MEASURED_MORPH + Cost.MEASURED_TARGET * len(plan.resting)) * (primitives * plan.count)
 
 
 def _samples(views: Sequence[BakedView], plan: PosePlan, fine: FineMesh | None = None) -> int:
@@ -256,10 +241,6 @@ def _samples(views: Sequence[BakedView], plan: PosePlan, fine: FineMesh | None =
     vertices = sum(len(view.now.positions) for view in views) if fine is None else -(-fine.size // FINE_RATIO)
     asked = plan.request.samples
     return vertices * (plan.count if asked is None else -(-plan.count // asked) * SHARED_SAMPLES)
-
-
-def _most_samples(document: Document) -> int:
-    return SAMPLES_FREE + SAMPLES_A_BYTE * document.budget.backed
 
 
 class _Work:
@@ -274,12 +255,10 @@ class _Work:
         vertices, count = sum(len(view.now.positions) for view in views), plan.count
         place = views[0].source.place._replace(primitive=None)
         samples = f"{counted(vertices, 'vertex', 'vertices')} in {counted(count, 'pose')}"
-        self._document.budget.claim_steps(
-            _morphed_steps(plan, len(views)), f"{samples} of morph targets", place
-        )
-        self._document.budget.claim(BYTES_A_SAMPLE * vertices * count, samples, place)
+        self._document.budget.claim(_morphing(plan, len(views)), f"{samples} of morph targets", place)
+        self._document.budget.claim(Cost.MEASURED_SAMPLE * (vertices * count), samples, place)
         self._samples += _samples(views, plan, fine)
-        most = _most_samples(self._document)
+        most = SAMPLES.most(self._document.budget.backed)
         if self._samples > most:
             raise InputError(
                 f"it asks for {self._samples:,} vertices times poses, as often as nodes draw it and clips "

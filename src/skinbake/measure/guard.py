@@ -19,7 +19,7 @@ from skinbake.errors import InputError, Notice
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.gltf.animation import animations_of, read_clips, read_skeleton
-from skinbake.gltf.budget import shown
+from skinbake.gltf.budget import Cost, shown
 from skinbake.gltf.document import Document
 from skinbake.gltf.scenes import meshes_of_one_skin
 from skinbake.gradients.baker import BakeSettings, bake_primitives
@@ -94,9 +94,6 @@ TINY = 1e-9
 TIE = 1e-6
 """The share of an error up to which two are the same. Rounding must not choose between them."""
 
-STEPS_A_PRIMITIVE = 4_300
-"""The steps of judging a primitive: see ``budget.STEPS_FREE``."""
-
 STEPS = np.arange(EIGHTHS, -1, -1)
 """The eighths of a fit, of α and β, and of one truth's importance that are tried, the largest first."""
 
@@ -146,7 +143,7 @@ def judged_shares(
         try:
             count = sum(len(surfaces[number].bakes) for number in group)
             what = f"judging the lighting of {counted(count, 'primitive')}"
-            document.budget.claim_steps(STEPS_A_PRIMITIVE * count, what, document.place)
+            document.budget.claim(Cost.JUDGED_PRIMITIVE * count, what, document.place)
             with document.budget.passing():
                 found = _Whole(document, [surfaces[number] for number in group], settings).shares()
         except InputError as error:

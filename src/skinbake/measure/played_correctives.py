@@ -23,10 +23,11 @@ from skinbake.gltf.animation import (
     read_clips,
     read_skeleton,
 )
+from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, entries_of, object_of, reference, text
 from skinbake.gltf.primitives import PrimitiveSource
-from skinbake.truth.poses import STEPS_A_CHANNEL, joint_clips, pose_steps
+from skinbake.truth.poses import joint_clips, pose_work
 
 BAKE = "run skinbake bake --correctives again"
 
@@ -118,7 +119,7 @@ def played_clips(document: Document, mesh: int, added: int) -> list[PlayedClip]:
                 continue
             if times is None or poses is None:
                 times, poses = _printed(document, skin, clip._replace(channels=()))
-            document.budget.claim_steps(STEPS_A_CHANNEL, "what its clips play", document.place)
+            document.budget.claim(Cost.SAMPLED_CHANNEL, "what its clips play", document.place)
             weights = clip_weights(node, clip._replace(channels=tuple(own)), times, resting)
             prints = _printed_values(weights)
             found[key] = PlayedClip(clip, poses, prints, bool(weights[:, -added:].any()))
@@ -153,8 +154,7 @@ def _printed(document: Document, skin: int, clip: Clip) -> tuple[Float64Array, t
     count either.
     """
     skeleton = read_skeleton(document, skin)
-    steps = pose_steps(skeleton, [clip], PRINTED)
-    document.budget.claim_steps(steps, f"what moves skin {skin}", document.place)
+    document.budget.claim(pose_work(skeleton, [clip], PRINTED), f"what moves skin {skin}", document.place)
     start = min((float(one.times[0]) for one in clip.channels), default=clip.start)
     end = max((float(one.times[-1]) for one in clip.channels), default=clip.duration)
     times = start + (end - start) * (np.arange(PRINTED) + BETWEEN) / PRINTED

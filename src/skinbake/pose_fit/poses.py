@@ -14,6 +14,7 @@ from skinbake.choices import PoseKind
 from skinbake.errors import ChoiceError, InputError, Notice, Place
 from skinbake.geometry.poses import fingerprint, is_fingerprint_of
 from skinbake.gltf.animation import MORPH_WEIGHTS, Clip, read_clips
+from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document, read_document
 from skinbake.pose_fit.fit import FitPoses
 from skinbake.truth.poses import PoseRequest, PoseSet, joint_clips, pose_set
@@ -43,9 +44,6 @@ CLIP_SHARE = 0.95
 """The share of the clips in the fit. The random poses have the rest."""
 
 MOST_RANDOM = 10_000
-
-STEPS_A_SURFACE = 4_000
-"""The steps of fitting a surface of few vertices to its poses: see ``budget.STEPS_FREE``."""
 
 
 class ClipFile:
@@ -167,7 +165,7 @@ def poses_to_fit(document: Document, mesh: int, sources: Sequence[PoseSource], p
     Clips have CLIP_SHARE of the fit if there are any. Raises InputError if a clip or a skin is broken, or if
     the surfaces are too much work for the file.
     """
-    document.budget.claim_steps(STEPS_A_SURFACE, "fitting it to its poses", place)
+    document.budget.claim(Cost.FITTED_SURFACE, "fitting it to its poses", place)
     clips, notices = _clips(document, sources, place)
     skins = document.asset.skins_of(mesh)
     known: dict[object, _Poses] = document.derived.setdefault("poses to fit", {})

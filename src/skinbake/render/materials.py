@@ -14,6 +14,7 @@ import numpy.typing as npt
 from skinbake.errors import InputError
 from skinbake.files import Bytes
 from skinbake.geometry.skinned import FloatArray
+from skinbake.gltf.budget import Cost, Work
 from skinbake.gltf.document import Document
 from skinbake.gltf.images import (
     TRANSFORM,
@@ -43,13 +44,6 @@ LARGEST = 2048
 FORMATS = ("PNG", "JPEG", "WEBP")
 PNG_DEPTH = 24
 """The place of the byte of a PNG that holds the bits of a sample."""
-
-BYTES_A_PIXEL = {"PNG": 12, "JPEG": 12, "WEBP": 21}
-DEEP_BYTES_A_PIXEL = 16
-"""The most that Pillow takes while it decodes, as measured; of a PNG of 16 bits a sample too."""
-
-KEPT_BYTES_A_PIXEL = 11
-"""The bytes for a pixel of an image's levels, and of their copies in Pillow."""
 
 HOLE = 0.5
 """The alpha under which blending leaves a hole where there is none."""
@@ -240,16 +234,15 @@ def decoded(data: Bytes, document: Document) -> Levels:
             warnings.simplefilter("error")  # Pillow warns of images that are far too large, and of odd ones
             if (canvas := _webp_canvas(data)) is not None:
                 with document.budget.passing():
-                    _claim_image(document, canvas, BYTES_A_PIXEL["WEBP"], COPIES * len(data))
+                    _claim_image(document, canvas, Cost.DECODED_PIXEL, COPIES * len(data))
             with Image.open(io.BytesIO(data), formats=FORMATS) as image:
                 is_deep = image.format == "PNG" and data[PNG_DEPTH] == 16
-                each = DEEP_BYTES_A_PIXEL if is_deep else BYTES_A_PIXEL[str(image.format)]
                 with document.budget.passing():
-                    _claim_image(document, image.size, each, COPIES * len(data))
+                    _claim_image(document, image.size, Cost.DECODED_PIXEL, COPIES * len(data))
                     shallow = _shallow(image) if is_deep else image
                     shallow.thumbnail((LARGEST, LARGEST))
                     found = shallow.convert("RGBA")
-                _claim_image(document, found.size, KEPT_BYTES_A_PIXEL)
+                _claim_image(document, found.size, Cost.TEXTURE_PIXEL)
     except InputError:
         raise
     except UnidentifiedImageError as error:
@@ -266,11 +259,11 @@ def decoded(data: Bytes, document: Document) -> Levels:
     return tuple(np.asarray(level, np.uint8) for level in levels)
 
 
-def _claim_image(document: Document, size: tuple[int, int], each: int, further: int = 0) -> None:
-    """Claim so many bytes for each pixel of an image, and some more. Raises InputError."""
+def _claim_image(document: Document, size: tuple[int, int], each: Work, further: int = 0) -> None:
+    """Claim what each pixel of an image takes, and some further bytes. Raises InputError."""
     width, height = size
     what = f"an image of {width:,} × {height:,} pixels"
-    document.budget.claim(each * width * height + further, what, document.place)
+    document.budget.claim(each * (width * height) + Work(bytes=further), what, document.place)
 
 
 def _webp_canvas(data: Bytes) -> tuple[int, int] | None:

@@ -13,9 +13,6 @@ from skinbake.geometry.skinned import Float64Array
 
 SCHEMA = "skinbake.normals/1"
 
-BYTES_A_NUMBER = 20
-"""The memory of a number's text, at most."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosedNormals:

@@ -32,9 +32,6 @@ less.
 SHARE = 2.0**-LEVELS
 """Where a point lies on its edge, seen from its vertex, as a share of the edge's parameter."""
 
-BYTES_A_CORNER = 512
-"""The memory of a fine mesh for each corner of a triangle, while it is measured at rest and skinned."""
-
 
 @dataclass(frozen=True, slots=True)
 class FineMesh:

@@ -23,6 +23,7 @@ from skinbake.geometry.skinned import (
     SkinnedPrimitive,
     blocks,
 )
+from skinbake.gltf.budget import Cost
 from skinbake.skinning.components import Vector, cross, dot
 from skinbake.skinning.rest import RestPrimitive
 
@@ -167,9 +168,6 @@ def carrying_slots(primitive: SkinnedPrimitive) -> BoolArray:
     return carries
 
 
-BYTES_A_PAIR = 64
-"""The bytes of a pair of vertices that may be one: two indices, four times over."""
-
 CROWDED = 32
 """The number of vertices at one place from which SciPy looks for pairs, because all pairs are too many.
 
@@ -279,7 +277,7 @@ def _close_pairs(
         # Without a look at all pairs: places lie 4 apart on the first axis, and normals within 2 of each
         # other. So only pairs at one place are near.
         tree = cKDTree(np.column_stack([4.0 * places[candidates], directions]))
-        claim(BYTES_A_PAIR * int(tree.count_neighbors(tree, chord)) // 2)
+        claim(Cost.WELDED_PAIR.bytes * int(tree.count_neighbors(tree, chord)))
         close: Int64Array = candidates[tree.query_pairs(chord, output_type="ndarray")]
         return close
     # By place. Then a pair is so many steps apart, and each number of steps is looked at.

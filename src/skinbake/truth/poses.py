@@ -25,6 +25,7 @@ from skinbake.gltf.animation import (
     read_skeleton,
     rest_pose,
 )
+from skinbake.gltf.budget import Cost, Work
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import MOST
 from skinbake.wording import counted
@@ -37,15 +38,6 @@ LEAST_SAMPLES = 3
 
 FALLBACK_POSES = 24
 """The number of random poses for a file that has no animation."""
-
-BYTES_A_NODE_AND_POSE, BYTES_A_JOINT_AND_POSE = 640, 512
-"""The bytes that a pose takes for a node while its matrices are made, and for a joint to keep its matrix."""
-
-STEPS_A_CLIP, STEPS_A_CHANNEL, STEPS_A_JOINT = 700, 30, 5
-"""The steps of sampling a clip for a skin, and each of its channels, and of a joint in a pose.
-
-See ``budget.STEPS_FREE``.
-"""
 
 MORPHS_AT_ONCE = 2
 """The number of morph targets that a random pose moves. All targets at once would destroy a face."""
@@ -129,7 +121,7 @@ def moving_clips(document: Document, skin: int, clips: Sequence[Clip], node: int
     """Return the clips that move a skin, or the morph weights of a node, with the channels that do."""
     skeleton = read_skeleton(document, skin)
     what = f"looking for the clips of skin {skin}"
-    document.budget.claim_steps(steps_of_looking(clips), what, document.place)
+    document.budget.claim(Work(steps=steps_of_looking(clips)), what, document.place)
     nodes = set(skeleton.nodes)
     return [clip for clip in (_only(nodes, node, clip) for clip in clips) if clip.channels]
 
@@ -201,16 +193,17 @@ class PosePlan:
         )
 
     @property
-    def steps(self) -> int:
-        """The steps of work that making the poses takes: see ``budget.STEPS_FREE``."""
-        return pose_steps(self.skeleton, self.sampled, self.count)
+    def work(self) -> Work:
+        """The steps that making the poses takes."""
+        return pose_work(self.skeleton, self.sampled, self.count)
 
 
-def pose_steps(skeleton: Skeleton, clips: Sequence[Clip], count: int) -> int:
-    """Return the steps of work of sampling clips for a skeleton, in so many poses."""
+def pose_work(skeleton: Skeleton, clips: Sequence[Clip], count: int) -> Work:
+    """Return the steps of sampling clips for a skeleton, in so many poses. Equal clips are one."""
     distinct = {_key(clip): len(clip.channels) for clip in clips}
-    sampling = STEPS_A_CLIP * len(distinct) + STEPS_A_CHANNEL * sum(distinct.values())
-    return sampling + count * (len(skeleton.nodes) + STEPS_A_JOINT * len(skeleton.joints))
+    sampling = Cost.SAMPLED_CLIP * len(distinct) + Cost.SAMPLED_CHANNEL * sum(distinct.values())
+    a_pose = Cost.POSED_NODE * len(skeleton.nodes) + Cost.POSED_JOINT * len(skeleton.joints)
+    return sampling + a_pose * count
 
 
 def pose_set(
@@ -229,7 +222,17 @@ def planned_poses(document: Document, plan: PosePlan) -> PoseSet:
     Raises InputError if joints go to infinity, or if the poses are too much work or memory for the file.
     """
     skeleton, clips, request = plan.skeleton, plan.sampled, plan.request
-    _claim(document, plan)
+    # The steps, and the memory: of the matrices of all nodes for a while, of those of the joints to keep.
+    channels = max((len(clip.channels) for clip in clips), default=0)
+    targets = 0 if plan.resting is None else len(plan.resting)
+    budget, place = document.budget, document.place
+    joints = f"{counted(plan.count, 'pose')} of {counted(len(skeleton.joints), 'joint')}"
+    budget.claim(plan.work, f"skin {plan.skin} in {joints}", place)
+    at_a_time = Cost.NODE_MATRIX * len(skeleton.nodes) + Cost.CHANNEL_VALUE * channels
+    what = f"{counted(plan.of_each, 'pose')} of {counted(len(skeleton.nodes), 'node')}"
+    budget.claim(at_a_time * plan.of_each, what, place, passing=True)
+    a_pose = Cost.JOINT_MATRIX * len(skeleton.joints) + Cost.TARGET_WEIGHT * targets
+    budget.claim(a_pose * plan.count, joints, place)
     nodes = document.objects("nodes")
     found = [nodes[skeleton.nodes[joint]].get("name") for joint in skeleton.joints]
     names = tuple(
@@ -259,21 +262,6 @@ def _check_range(poses: PoseSet, skin: int, place: Place) -> None:
         "of float32: mend the scales and translations of its nodes, its inverse bind matrix, or its keys",
         place,
     )
-
-
-def _claim(document: Document, plan: PosePlan) -> None:
-    """Count the memory of the poses: matrices of all nodes for a while, of the joints permanently."""
-    skeleton, count = plan.skeleton, plan.count
-    channels = max((len(clip.channels) for clip in plan.sampled), default=0)
-    budget, place = document.budget, document.place
-    joints = f"{counted(count, 'pose')} of {counted(len(skeleton.joints), 'joint')}"
-    budget.claim_steps(plan.steps, f"skin {plan.skin} in {joints}", place)
-    with budget.passing():
-        at_a_time = plan.of_each * (BYTES_A_NODE_AND_POSE * len(skeleton.nodes) + 256 * channels)
-        nodes = counted(len(skeleton.nodes), "node")
-        budget.claim(at_a_time, f"{counted(plan.of_each, 'pose')} of {nodes}", place)
-    targets = 0 if plan.resting is None else len(plan.resting)
-    budget.claim(count * (BYTES_A_JOINT_AND_POSE * len(skeleton.joints) + 24 * targets), joints, place)
 
 
 def _only(nodes: set[int], morphed: int | None, clip: Clip) -> Clip:
