@@ -312,17 +312,17 @@ def test_a_mesh_that_is_drawn_more_often_than_its_file_is_long_is_not_measured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from skinbake.commands.verify import verify_file
-    from skinbake.measure import draws
+    from skinbake.measure import scene
     from skinbake.measure.options import VerifyOptions
 
     baked(write_model(tmp_path / "in.glb", [sheet()]), tmp_path / "out.glb")
     assert verify_file(str(tmp_path / "out.glb"), VerifyOptions()).checks
     for most, poses in ((20 * 24, 24), (20 * 24 - 1, 23), (20 * 3, 3)):
-        monkeypatch.setattr(draws, "SAMPLES", Limit(0, most))
+        monkeypatch.setattr(scene, "SAMPLES", Limit(0, most))
         verdict = verify_file(str(tmp_path / "out.glb"), VerifyOptions())
         assert verdict.poses.startswith(f"{poses} random poses")
         assert [one.code for one in verdict.notices] == ["poses-left-out"] * (poses < 24)
-    monkeypatch.setattr(draws, "SAMPLES", Limit(0, 20 * 3 - 1))
+    monkeypatch.setattr(scene, "SAMPLES", Limit(0, 20 * 3 - 1))
     with pytest.raises(InputError, match="60 vertices times poses"):
         verify_file(str(tmp_path / "out.glb"), VerifyOptions())
 
@@ -332,14 +332,14 @@ def test_the_truth_fine_claims_its_memory_and_its_work(
 ) -> None:
     """The 20 vertices of a sheet of 4 by 5 have 31 edges and 12 diagonals, each with a point for each end."""
     from skinbake.commands.verify import verify_file
-    from skinbake.measure import draws
+    from skinbake.measure import scene
     from skinbake.measure.options import VerifyOptions
 
     path = str(tmp_path / "out.glb")
     baked(write_model(tmp_path / "in.glb", [sheet()]), tmp_path / "out.glb")
     options = VerifyOptions(truth=Truth.FINE)
     assert verify_file(path, options).fine
-    monkeypatch.setattr(draws, "SAMPLES", Limit(0, math.ceil((20 + 2 * 43) / 8) * 3 - 1))
+    monkeypatch.setattr(scene, "SAMPLES", Limit(0, math.ceil((20 + 2 * 43) / 8) * 3 - 1))
     with pytest.raises(InputError, match="42 vertices times poses"):
         verify_file(path, options)
     monkeypatch.setattr(budgets.Cost, "FINE_CORNER", Work(bytes=1 << 40))

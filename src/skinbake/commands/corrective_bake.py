@@ -31,6 +31,7 @@ from skinbake.format.correctives import (
 )
 from skinbake.format.metadata import KEY
 from skinbake.format.strip import uncorrected
+from skinbake.freshness.corrective_freshness import PlayedClips, PlayedCorrectives
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.gltf.animation import (
     MORPH_WEIGHTS,
@@ -47,7 +48,6 @@ from skinbake.gltf.scenes import meshes_of_one_skin
 from skinbake.measure.corrected import corrected_lighting, worse_primitives
 from skinbake.measure.morphing import moving_targets
 from skinbake.measure.options import VerifyOptions
-from skinbake.measure.played_correctives import played_clips
 from skinbake.report.bake import CorrectiveCounts
 from skinbake.report.verify import NEGLIGIBLE
 from skinbake.skinning.rest import RestPrimitive
@@ -154,7 +154,7 @@ def _lighting(document: Document) -> FileVerdict:
     with document.notices.withheld(), stage("α and β"):
         plain, _ = uncorrected(document)
         gradients = Baker(gradients=Gradients.SURFACE).bake_document(plain).document
-    return corrected_lighting(document, gradients, VerifyOptions())[0]
+    return corrected_lighting(PlayedCorrectives(document), gradients, VerifyOptions())[0]
 
 
 def _without(
@@ -394,10 +394,10 @@ def _weights(nodes: Mapping[int, int], made: Correctives, idle: dict[int, list[C
 
 def _with_plays(document: Document, items: Sequence[MeshCorrectives]) -> Document:
     """Return the document with notes of what its clips play, by which ``verify`` knows them again."""
-    meshes = list(document.objects("meshes"))
+    meshes, clips = list(document.objects("meshes")), PlayedClips(document)
     for item in items:
         mesh = meshes[item.mesh]
-        played = played_clips(document, item.mesh, item.count)
+        played = clips.of_mesh(item.mesh, item.count)
         plays = [[*one.poses, *one.weights] for one in played if one.plays]
         note = {**mesh["extras"][KEY], "plays": plays}
         meshes[item.mesh] = {**mesh, "extras": {**mesh["extras"], KEY: note}}

@@ -14,6 +14,7 @@ from skinbake.format.blend_weights import blend_names
 from skinbake.format.metadata import changed_arrays, corrective_notes, read_left, read_metadata, slot_names
 from skinbake.format.stored_slots import NO_METADATA
 from skinbake.freshness.baked_views import is_baked, other_version
+from skinbake.freshness.corrective_freshness import changed_since
 from skinbake.freshness.made_targets import made_states
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.accessors import described
@@ -34,7 +35,6 @@ from skinbake.gltf.resources import is_data_uri
 from skinbake.gradients.influences import weight_field, weight_sum_notices
 from skinbake.gradients.normals import lean_notices
 from skinbake.gradients.tangents import chosen_frame, with_straight_tangents
-from skinbake.measure.played_correctives import changed_since
 from skinbake.report.inspect import (
     AttributeSummary,
     BakeSummary,

@@ -21,13 +21,13 @@ from skinbake.errors import InputError
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.writing import write_file
 from skinbake.freshness.baked_views import sound_views
+from skinbake.freshness.corrective_freshness import PlayedCorrectives
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import RANDOM, Clip
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.output import refuse_own_input
 from skinbake.measure.angles import INSIDE_OUT, METHODS, Corrections, truths_at_rest
-from skinbake.measure.played_correctives import PlayedCorrectives
 from skinbake.report.normals import PosedNormals, line
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.blended import BlendedSkinning

@@ -15,6 +15,7 @@ from skinbake.commands.bake import Baker
 from skinbake.errors import BudgetError, ChoiceError, InputError, Notice, Skipped, printable
 from skinbake.format.strip import stripped, uncorrected
 from skinbake.freshness.baked_views import BakedView, is_baked, rest_primitive, whole_surfaces
+from skinbake.freshness.corrective_freshness import PlayedCorrectives, damaged_correctives
 from skinbake.freshness.expected import true_operator_of
 from skinbake.geometry.frames import frame_from_normal, unit_normals
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, IntArray
@@ -44,7 +45,6 @@ from skinbake.gltf.primitives import (
 from skinbake.gltf.scenes import faces_backward, shown_nodes
 from skinbake.measure.angles import Corrections, MeasuredBlock, lighting_errors, truths_at_rest
 from skinbake.measure.morphing import morphing_of
-from skinbake.measure.played_correctives import PlayedCorrectives, damaged_correctives
 from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.truth.blending import BlendedPrimitive
 from skinbake.truth.morphing import Morphing
@@ -217,7 +217,8 @@ def _played(
     times: Float64Array,
 ) -> Corrections:
     """Return the correctives of a surface at times of a clip. Random poses play none."""
-    return Corrections(targets, [correctives.weights(one.source.mesh, drawn, clip, times) for one in views])
+    weights = [correctives.weights(one.source.mesh, *drawn, clip.number, times) for one in views]
+    return Corrections(targets, weights)
 
 
 def claim_draws(document: Document, draws: Sequence[Draw], clips: Sequence[Clip], poses: int) -> None:

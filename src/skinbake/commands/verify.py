@@ -17,8 +17,9 @@ from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources, tell_half_skinned
 from skinbake.gradients.influences import weight_sum_notices
 from skinbake.gradients.normals import lean_notices
-from skinbake.measure.measured import lighting_verdict
+from skinbake.measure.measured import Measurement
 from skinbake.measure.options import VerifyOptions
+from skinbake.measure.scene import Scene
 from skinbake.report.verify import Check, FileVerdict, leaves_room
 from skinbake.threads import Threads, thread_count
 from skinbake.timing import stage
@@ -70,7 +71,7 @@ def verify_document(
     operators, fresh = _operators_and_freshness(document, surfaces)
     if stale:
         fresh = replace(fresh, outcome="failed", problems=(*fresh.problems, *stale), remark="")
-    verdict = lighting_verdict(document, options, surfaces, operators)
+    verdict = Measurement(Scene.of_bakes(document, views, operators), options).verdict()
     if fresh.outcome == "passed":
         verdict = _beside_others(document, verdict, options, looks_further)
         notices += worse_lighting(views, verdict, options.methods or ("lbs", "blend"))

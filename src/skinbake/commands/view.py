@@ -31,6 +31,7 @@ from skinbake.files.writing import write_file, write_files, write_stdout
 from skinbake.format.metadata import corrective_note
 from skinbake.format.strip import stripped
 from skinbake.freshness.baked_views import BakedView, sound_views
+from skinbake.freshness.corrective_freshness import PlayedCorrectives
 from skinbake.freshness.expected import noted_kind
 from skinbake.gltf.budget import Cost, Work
 from skinbake.gltf.container import for_target
@@ -43,7 +44,6 @@ from skinbake.gltf.recode import Compression, recoded
 from skinbake.gltf.resources import is_data_uri, read_resource
 from skinbake.gltf.scenes import faces_backward
 from skinbake.measure.options import VerifyOptions
-from skinbake.measure.played_correctives import PlayedCorrectives
 from skinbake.report.verify import FileVerdict, by_worse_truth, file_json, first_problem, gain, remarks
 from skinbake.timing import stage
 from skinbake.view.index import Listed, index, pages

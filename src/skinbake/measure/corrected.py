@@ -9,6 +9,7 @@ import numpy as np
 
 from skinbake.errors import Place
 from skinbake.freshness.baked_views import baked_views
+from skinbake.freshness.corrective_freshness import PlayedCorrectives
 from skinbake.geometry.poses import normalised
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import (
@@ -18,16 +19,13 @@ from skinbake.gltf.animation import (
     Skeleton,
     clip_values,
     clip_weights,
-    read_skeleton,
 )
 from skinbake.gltf.document import Document
-from skinbake.measure.angles import Corrections, MeasuredBlock, lighting_errors
-from skinbake.measure.draws import Draw
-from skinbake.measure.lighting import bakeable, surfaces_of
-from skinbake.measure.measured import lighting_verdict
-from skinbake.measure.morphing import morphing_of
+from skinbake.measure.angles import MeasuredBlock
+from skinbake.measure.lighting import bakeable
+from skinbake.measure.measured import Measurement
 from skinbake.measure.options import VerifyOptions
-from skinbake.measure.played_correctives import PlayedCorrectives
+from skinbake.measure.scene import Draw, Scene
 from skinbake.report.verify import Check, FileVerdict, Mixture
 
 WORSE, ROUNDING = 1.005, 1e-3
@@ -35,163 +33,123 @@ WORSE, ROUNDING = 1.005, 1e-3
 
 
 def corrected_lighting(
-    document: Document, gradients: Document, options: VerifyOptions
-) -> tuple[FileVerdict, CorrectedDraws | None]:
-    """Measure standard lighting, correctives, and α and β in the same poses.
+    played: PlayedCorrectives, gradients: Document, options: VerifyOptions
+) -> tuple[FileVerdict, list[Draw]]:
+    """Measure standard lighting, correctives, and α and β in the same poses. Return the draws, too.
 
-    ``gradients`` is the document without its correctives, and with α and β. None for the draws if their bake
+    ``gradients`` is the document without its correctives, and with α and β. There are no draws if their bake
     is not sound. Raises InputError.
     """
     with gradients.notices.withheld() as problems:
         views = baked_views(gradients, bakeable(gradients))
     if problems:
-        return FileVerdict(document.name, (Check("structure", "failed", tuple(problems)),)), None
-    measured = CorrectedDraws(document, gradients)
-    by_lbs = replace(options, methods=("lbs",))
-    surfaces, operators = surfaces_of(gradients, views)
-    return lighting_verdict(gradients, by_lbs, surfaces, operators, measured.corrected), measured
+        return FileVerdict(gradients.name, (Check("structure", "failed", tuple(problems)),)), []
+    scene = Scene.of_bakes(gradients, views, correctives=played)
+    measurement = Measurement(scene, replace(options, methods=("lbs",)))
+    return measurement.verdict(), measurement.drawn
 
 
-class CorrectedDraws:
-    """The draws in which the correctives of a document were measured, on a document without them."""
+def mixtures(played: PlayedCorrectives, drawn: Sequence[Draw]) -> Iterator[tuple[Place, Mixture]]:
+    """Yield what correctives do in poses that they were not made for, by surface.
 
-    def __init__(self, document: Document, plain: Document) -> None:
-        self._document, self._plain, self.played = document, plain, PlayedCorrectives(document)
-        self.drawn: list[Draw] = []
-
-    def corrected(self, draw: Draw) -> Draw:
-        """Return the draw with its correctives. A mesh without any has none."""
-        weights = [self._weights(draw, view.source.mesh) for view in draw.views]
-        found = replace(draw, corrections=Corrections(self.played.of_views(draw.views), weights))
-        self.drawn.append(found)
-        return found
-
-    def _weights(self, draw: Draw, mesh: int) -> Float64Array:
-        """Return the weights (P, K) of a mesh's correctives in the poses of a draw; 0 outside clips."""
-        found = np.zeros((len(draw.poses.clips), self.played.targets.get(mesh, 0)))
-        times = np.array([0.0 if time is None else time for time in draw.poses.times])
-        for number in set(draw.poses.numbers) - {None}:
-            rows = np.flatnonzero([one == number for one in draw.poses.numbers])
-            clip = self.played.clips[int(number or 0)]
-            found[rows] = self.played.weights(mesh, (draw.skin, draw.node), clip, times[rows])
-        return found
-
-    def mixtures(self) -> Iterator[tuple[Place, Mixture]]:
-        """Yield what correctives do in poses that they were not made for, by surface.
-
-        These are poses half-way between the first two clips that play them, as in a cross-fade, and those of
-        the first one with a limb turned by 60°, as by IK.
-        """
-        for draw in self.drawn:
-            mesh = next((v.source.mesh for v in draw.views if v.source.mesh in self.played.targets), None)
-            if mesh is None or draw.corrections is None:
-                continue
-            skeleton = read_skeleton(self._document, draw.skin)
-            nodes = set(skeleton.nodes)
-            # The poses of the draw have claimed the work of looking for them.
-            moving = [
-                clip
-                for clip in self.played.clips.values()
-                if any(one.path != MORPH_WEIGHTS and one.node in nodes for one in clip.channels)
-            ]
-            # The weights of correctives by clip and primitive, and those of the file's own targets by clip.
-            playing, times, weights = list[Clip](), list[Float64Array](), list[list[Float64Array]]()
-            drawn = draw.skin, draw.node
-            for clip in moving:
-                at = clip.start + (clip.duration - clip.start) * MOMENTS
-                played = [self.played.weights(view.source.mesh, drawn, clip, at) for view in draw.views]
-                if any(one.any() for one in played):
-                    playing.append(clip)
-                    times.append(at)
-                    weights.append(played)
-                if len(playing) == 2:
-                    break
-            if not playing:
-                continue
-            place = draw.views[0].source.place._replace(primitive=None)
-            own = [self._own_weights(draw, *pair) for pair in zip(playing, times, strict=True)]
-            if len(playing) == 2:
-                first, second = (clip_values(*pair) for pair in zip(playing, times, strict=True))
-                # The mean of the values (P, C) of two clips.
-                at_rest = dict(
-                    zip(PATHS, (skeleton.translations, skeleton.rotations, skeleton.scales), strict=True)
-                )
-                found = {}
-                for node, path in {**first, **second}:
-                    if node not in skeleton.nodes:
-                        continue
-                    rest = np.tile(at_rest[path][skeleton.nodes.index(node)], (len(MOMENTS), 1))
-                    one, other = (values.get((node, path), rest) for values in (first, second))
-                    if path == "rotation":
-                        near = np.where((one * other).sum(axis=1, keepdims=True) < 0.0, -other, other)
-                        found[node, path] = normalised(one + near)
-                    else:
-                        found[node, path] = (one + other) / 2.0
-                matrices = skeleton.joint_matrices(found, None, len(MOMENTS))
-                mean = [(one + other) / 2.0 for one, other in zip(*weights, strict=True)]
-                name = f'half-way between "{playing[0].name}" and "{playing[1].name}"'
-                yield place, self._mixture(name, draw, matrices, mean, (own[0] + own[1]) / 2.0)
-            limb = _limb(skeleton)
-            if limb is not None:
-                turned = np.zeros((len(skeleton.joints), len(MOMENTS), 4))
-                turned[..., 0] = 1.0
-                turned[limb] = TURN
-                matrices = skeleton.joint_matrices(clip_values(playing[0], times[0]), turned, len(MOMENTS))
-                joint = self._document.objects("nodes")[skeleton.nodes[skeleton.joints[limb]]].get("name")
-                name = f'in "{playing[0].name}" with {joint or f"joint {limb}"} turned by 60°'
-                yield place, self._mixture(name, draw, matrices, weights[0], own[0])
-
-    def _own_weights(self, draw: Draw, clip: Clip, times: Float64Array) -> Float64Array:
-        """Return the weights (P, N) of the file's own morph targets at times of a clip; N is 0 without."""
-        if draw.node is None:
-            return np.zeros((len(times), 0))
-        own = self._plain.asset.meshes[draw.views[0].source.mesh].target_count
-        resting = self._document.asset.nodes[draw.node].resting_weights()
-        return clip_weights(draw.node, self.played.clips[clip.number], times, resting)[:, :own]
-
-    def _mixture(
-        self,
-        name: str,
-        draw: Draw,
-        matrices: Float64Array,
-        weights: Sequence[Float64Array],
-        own: Float64Array,
-    ) -> Mixture:
-        """Measure joint matrices (P, J, 4, 4) with weights (P, K) of correctives by primitive.
-
-        own (P, N) are the weights of the file's own morph targets.
-        """
-        assert draw.corrections is not None
-        poses = draw.poses._replace(joint_matrices=matrices, morph_weights=own if own.size else None)
-        morphing = morphing_of(self._plain, draw.views, poses)
-        sums: dict[tuple[str, str], list[float]] = {}
-
-        def add(block: MeasuredBlock) -> None:
-            if block.lighting in {"standard", "corrected"}:
-                areas = draw.areas[block.primitive][block.vertex : block.vertex + block.errors.shape[1]]
-                total = sums.setdefault((block.lighting, block.truth), [0.0, 0.0])
-                total[0] += float(
-                    (np.where(block.valid, np.nan_to_num(block.errors, nan=180.0), 0.0) * areas).sum()
-                )
-                total[1] += float((block.valid * areas).sum())
-
-        corrections = replace(draw.corrections, weights=weights)
-        lighting_errors(
-            draw.operator,
-            draw.rest,
-            matrices,
-            "lbs",
-            add,
-            morphing=morphing,
-            corrections=corrections,
-            direct=False,
-        )
-        means = {key: total / max(weight, 1e-300) for key, (total, weight) in sums.items()}
-        by_truth = [
-            {truth: mean for (of, truth), mean in means.items() if of == lighting}
-            for lighting in ("standard", "corrected")
+    These are poses half-way between the first two clips that play them, as in a cross-fade, and those of
+    the first one with a limb turned by 60°, as by IK.
+    """
+    for draw in drawn:
+        views, skeleton = draw.surface.views, draw.skeleton
+        if draw.corrections is None or not any(view.source.mesh in played.targets for view in views):
+            continue
+        # The poses of the draw have claimed the work of looking for the clips that move it.
+        nodes = set(skeleton.nodes)
+        moving = [
+            clip
+            for clip in played.clips.values()
+            if any(one.path != MORPH_WEIGHTS and one.node in nodes for one in clip.channels)
         ]
-        return Mixture(name, *by_truth)
+        # The weights of correctives by clip and primitive, and those of the file's own targets by clip.
+        playing, times, weights = list[Clip](), list[Float64Array](), list[list[Float64Array]]()
+        for clip in moving:
+            at = clip.start + (clip.duration - clip.start) * MOMENTS
+            by_view = [
+                played.weights(view.source.mesh, draw.skin, draw.node, clip.number, at) for view in views
+            ]
+            if any(one.any() for one in by_view):
+                playing.append(clip)
+                times.append(at)
+                weights.append(by_view)
+            if len(playing) == 2:
+                break
+        if not playing:
+            continue
+        own = [_own_weights(played, draw, *pair) for pair in zip(playing, times, strict=True)]
+        if len(playing) == 2:
+            first, second = (clip_values(*pair) for pair in zip(playing, times, strict=True))
+            # The mean of the values (P, C) of two clips.
+            at_rest = dict(
+                zip(PATHS, (skeleton.translations, skeleton.rotations, skeleton.scales), strict=True)
+            )
+            found = {}
+            for node, path in {**first, **second}:
+                if node not in skeleton.nodes:
+                    continue
+                rest = np.tile(at_rest[path][skeleton.nodes.index(node)], (len(MOMENTS), 1))
+                one, other = (values.get((node, path), rest) for values in (first, second))
+                if path == "rotation":
+                    near = np.where((one * other).sum(axis=1, keepdims=True) < 0.0, -other, other)
+                    found[node, path] = normalised(one + near)
+                else:
+                    found[node, path] = (one + other) / 2.0
+            matrices = skeleton.joint_matrices(found, None, len(MOMENTS))
+            mean = [(one + other) / 2.0 for one, other in zip(*weights, strict=True)]
+            name = f'half-way between "{playing[0].name}" and "{playing[1].name}"'
+            yield draw.surface.place, _mixture(name, draw, matrices, mean, (own[0] + own[1]) / 2.0)
+        limb = _limb(skeleton)
+        if limb is not None:
+            turned = np.zeros((len(skeleton.joints), len(MOMENTS), 4))
+            turned[..., 0] = 1.0
+            turned[limb] = TURN
+            matrices = skeleton.joint_matrices(clip_values(playing[0], times[0]), turned, len(MOMENTS))
+            joint = played.document.asset.nodes[skeleton.nodes[skeleton.joints[limb]]].name
+            name = f'in "{playing[0].name}" with {joint or f"joint {limb}"} turned by 60°'
+            yield draw.surface.place, _mixture(name, draw, matrices, weights[0], own[0])
+
+
+def _own_weights(played: PlayedCorrectives, draw: Draw, clip: Clip, times: Float64Array) -> Float64Array:
+    """Return the weights (P, N) of the file's own morph targets at times of a clip; N is 0 without."""
+    if draw.node is None:
+        return np.zeros((len(times), 0))
+    own = draw.surface.document.asset.meshes[draw.surface.views[0].source.mesh].target_count
+    resting = played.document.asset.nodes[draw.node].resting_weights()
+    return clip_weights(draw.node, clip, times, resting)[:, :own]
+
+
+def _mixture(
+    name: str, draw: Draw, matrices: Float64Array, weights: Sequence[Float64Array], own: Float64Array
+) -> Mixture:
+    """Measure joint matrices (P, J, 4, 4) with weights (P, K) of correctives by primitive.
+
+    own (P, N) are the weights of the file's own morph targets.
+    """
+    assert draw.corrections is not None
+    poses = draw.poses._replace(joint_matrices=matrices, morph_weights=own if own.size else None)
+    mixed = replace(draw, poses=poses, corrections=replace(draw.corrections, weights=weights))
+    sums: dict[tuple[str, str], list[float]] = {}
+
+    def add(block: MeasuredBlock) -> None:
+        if block.lighting in {"standard", "corrected"}:
+            areas = draw.areas[block.primitive][block.vertex : block.vertex + block.errors.shape[1]]
+            total = sums.setdefault((block.lighting, block.truth), [0.0, 0.0])
+            errors = np.where(block.valid, np.nan_to_num(block.errors, nan=180.0), 0.0)
+            total[0] += float((errors * areas).sum())
+            total[1] += float((block.valid * areas).sum())
+
+    mixed.measure(add)
+    means = {key: total / max(weight, 1e-300) for key, (total, weight) in sums.items()}
+    by_truth = [
+        {truth: mean for (of, truth), mean in means.items() if of == lighting}
+        for lighting in ("standard", "corrected")
+    ]
+    return Mixture(name, *by_truth)
 
 
 MOMENTS: Float64Array = np.linspace(0.0, 1.0, 12, endpoint=False) + 0.382 / 12.0

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from skinbake.errors import BudgetError, InputError
-from skinbake.freshness.baked_views import BakedView, baked_views, gathered_together
-from skinbake.freshness.staleness import claim_freshness, surface_operator
+from skinbake.freshness.baked_views import baked_views
+from skinbake.freshness.staleness import claim_freshness
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document
 from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources
-from skinbake.measure.draws import draws, true_surfaces
-from skinbake.measure.measured import lighting_verdict
+from skinbake.measure.measured import Measurement
 from skinbake.measure.options import VerifyOptions
+from skinbake.measure.scene import Scene
 from skinbake.report.verify import FileVerdict
-from skinbake.truth.operator import GradientOperator
 
 
 def bakeable(document: Document) -> list[PrimitiveSource]:
@@ -23,19 +20,11 @@ def bakeable(document: Document) -> list[PrimitiveSource]:
     return [one for one in every if reason_to_skip(document, one, generate_normals=False) is None]
 
 
-def surfaces_of(
-    document: Document, views: Sequence[BakedView]
-) -> tuple[list[list[BakedView]], list[GradientOperator]]:
-    """Return baked primitives by surface, and the gradient operator of each surface."""
-    surfaces = gathered_together(document, views)
-    return surfaces, [surface_operator(document, surface) for surface in surfaces]
-
-
 def lighting_of(document: Document, options: VerifyOptions) -> FileVerdict:
     """Return the lighting of a document that has just been baked. Its freshness is not in question."""
     with document.notices.withheld():
         views = baked_views(document, bakeable(document))
-    return lighting_verdict(document, options, *surfaces_of(document, views))
+    return Measurement(Scene.of_bakes(document, views), options).verdict()
 
 
 def claim_verification(document: Document) -> None:
@@ -47,8 +36,8 @@ def claim_verification(document: Document) -> None:
     claim_freshness(document, len(wanted))
     try:
         with document.notices.withheld():
-            surfaces = surfaces_of(document, baked_views(document, wanted))
-        draws(document, true_surfaces(document, *surfaces), read_clips(document), VerifyOptions().poses)
+            views = baked_views(document, wanted)
+        Scene.of_bakes(document, views).measured(read_clips(document), VerifyOptions().poses)
     except BudgetError:
         raise
     except InputError:

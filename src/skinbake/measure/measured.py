@@ -12,10 +12,8 @@ import numpy as np
 
 from skinbake.choices import USUAL_TRUTHS, PoseKind, Truth
 from skinbake.errors import BudgetError, InputError, Notice, Place
-from skinbake.freshness.baked_views import BakedView
 from skinbake.geometry.skinned import BoolArray
 from skinbake.gltf.animation import Clip, read_clips
-from skinbake.gltf.document import Document
 from skinbake.measure.angles import (
     IDENTITY_TOLERANCE,
     METHODS,
@@ -25,18 +23,16 @@ from skinbake.measure.angles import (
     not_rigid_joints,
     truths_at_rest,
 )
-from skinbake.measure.draws import Draw, draws, true_surfaces
 from skinbake.measure.float32 import Rounding, rounding_of
-from skinbake.measure.morphing import morph_count, morphing_of
 from skinbake.measure.options import VerifyOptions, limits_check
 from skinbake.measure.reliefs import ReliefTallies
+from skinbake.measure.scene import Draw, Scene
 from skinbake.measure.tally import ErrorTally
-from skinbake.report.verify import Check, ErrorFigures, FileVerdict, Normals, Worst
+from skinbake.report.verify import Check, ErrorFigures, FileVerdict, MorphCount, Normals, Worst
 from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.skinning.run import joints_in_use
 from skinbake.timing import stage, tell_steps
 from skinbake.truth import kernel
-from skinbake.truth.operator import GradientOperator
 from skinbake.truth.poses import PoseSet, described
 from skinbake.truth.truths import Truths
 from skinbake.wording import counted
@@ -51,64 +47,52 @@ MANY_VERTICES = 1 << 18
 """From so many vertices on, freed memory is given back before a measurement. It takes some milliseconds."""
 
 
-def lighting_verdict(
-    document: Document,
-    options: VerifyOptions,
-    meshes: Sequence[Sequence[BakedView]],
-    operators: Sequence[GradientOperator],
-    corrected: Callable[[Draw], Draw] | None = None,
-) -> FileVerdict:
-    """Measure the lighting of a document. Return a verdict with the checks of the lighting and its figures.
+class Measurement:
+    """The measurement of the lighting of a scene, with what serves more than one draw or method.
 
-    meshes are the surfaces of the bakes. operators have the settings of the bakes, one for each surface.
-    ``corrected`` gives a draw its correctives, which are then measured too.
-    Raises InputError if the file cannot be posed, or asks for work out of proportion to its size.
+    drawn are the measured draws, once there is a verdict.
     """
-    return _Measurement(document, options, corrected).verdict(meshes, operators)
 
-
-class _Measurement:
-    """The measurement of a document, draw by draw, with what serves more than one draw or method."""
-
-    def __init__(
-        self, document: Document, options: VerifyOptions, corrected: Callable[[Draw], Draw] | None
-    ) -> None:
-        self._document, self._options, self._corrected = document, options, corrected
-        with stage("poses"):
-            self._clips, self._unread = _readable_clips(document, options.poses.kind)
+    def __init__(self, scene: Scene, options: VerifyOptions) -> None:
+        self._scene, self._document, self._options = scene, scene.document, options
+        self.drawn: list[Draw] = []
+        self._clips: Sequence[Clip] = ()
         self._done, self._total, self._identity = 0.0, 0, 0.0
         self._tallies = FileTallies(options.truths)
         self._at_rest: tuple[tuple[int, int, bool], Truths] | None = None
         self._morphed: dict[int, Morphing] = {}
         self._room = MORPHED_BYTES
-        self._reliefs = ReliefTallies(document, Options(options.cap, options.baseline))
+        self._reliefs = ReliefTallies(scene.document, Options(options.cap, options.baseline))
 
-    def verdict(
-        self, meshes: Sequence[Sequence[BakedView]], operators: Sequence[GradientOperator]
-    ) -> FileVerdict:
-        """Return the verdict; the arguments are those of ``lighting_verdict``."""
-        with stage("gradient operator"):
-            surfaces = true_surfaces(self._document, meshes, operators)
+    def verdict(self) -> FileVerdict:
+        """Return a verdict with the checks of the lighting and its figures.
+
+        Correctives are measured too, if the scene has any. Raises InputError if the file cannot be posed, or
+        asks for work out of proportion to its size.
+        """
+        asked, unread = (self._options.poses, self._options.truths), list[Notice]()
         with stage("poses"):
-            measured = self._document, surfaces, self._clips, self._options.poses, self._options.truths
             try:
-                drawn, left_out = draws(*measured)
+                self._clips = read_clips(self._document)
+                self.drawn = drawn = self._scene.measured(self._clips, *asked)
             except BudgetError:
                 raise
             except InputError as error:
-                if not self._clips:
-                    raise
-                # Its clips can be read, and move joints past all numbers.
-                self._clips, self._unread = [], [_broken(self._document, self._options.poses.kind, error)]
-                drawn, left_out = draws(*measured[:2], self._clips, *measured[3:])
-        if self._corrected is not None:
-            drawn = list(map(self._corrected, drawn))
-        has_blend = any(view.blend is not None for views in meshes for view in views)
+                # Its clips are broken, or move joints past all numbers.
+                message = f"its animations are broken, and are not played ({error.message})"
+                if self._options.poses.kind is PoseKind.ANIMATION:
+                    message += ": random poses are measured in their place. Mend or remove the animations"
+                unread = [Notice("animations-broken", message, self._document.place)]
+                self._clips = ()
+                self.drawn = drawn = self._scene.measured((), *asked)
+        has_blend = any(view.blend is not None for view in self._scene.views)
         methods = self._options.methods or ("lbs", "dqs", *(["blend"] if has_blend else []))
         if "blend" in methods and not has_blend:
             message = "no primitive of it has blend weights that a bake has read: run skinbake bake --blend"
             raise InputError(message, self._document.place)
-        scaled = dict.fromkeys(name for draw in drawn for name in scaled_joints(draw.rest, draw.poses))
+        scaled = dict.fromkeys(
+            name for draw in drawn for name in scaled_joints(draw.surface.rest, draw.poses)
+        )
         self._total = sum(len(draw.poses.clips) for draw in drawn) * len(methods)
         self._reliefs.expect(drawn)
         # The figures are checked to be finite.
@@ -120,19 +104,24 @@ class _Measurement:
             rounded = list(_rounded(drawn)) if "lbs" in methods else []
             with stage("figures"):
                 verdict = self._verdict(drawn, tuple(scaled) if {"dqs", "blend"} & {*methods} else ())
-        morphs = morph_count(self._document, [(draw.views[0].source.mesh, draw.poses) for draw in drawn])
-        notices = *self._unread, *left_out, *dict.fromkeys(mirrored(drawn)), *rounded
+        moving: dict[int, set[int]] = {}
+        for draw in drawn:
+            mesh = draw.surface.views[0].source.mesh
+            moving.setdefault(mesh, set()).update(draw.poses.moving_targets)
+        targets = sum(self._document.asset.meshes[mesh].target_count for mesh in moving)
+        morphs = MorphCount(targets, sum(map(len, moving.values()))) if targets else None
+        notices = *unread, *self._scene.notices, *dict.fromkeys(mirrored(drawn)), *rounded
         return replace(verdict, notices=notices, morphs=morphs)
 
     def _measure(self, method: str, draw: Draw, *, again: bool) -> None:
         """Measure a draw by a method; ``again``: another method follows."""
-        if len(draw.operator.positions) >= MANY_VERTICES:
+        if len(draw.surface.operator.positions) >= MANY_VERTICES:
             give_back_freed_memory()
         morphing = self._morphing(draw, again=again)
         truths = self._truths(draw, morphing)
         identity = lighting_errors(
-            draw.operator,
-            draw.rest,
+            draw.surface.operator,
+            draw.surface.rest,
             draw.poses.joint_matrices,
             method,
             lambda add: add(),  # what the tallies return for a block
@@ -153,9 +142,9 @@ class _Measurement:
         key = id(draw)
         if key in self._morphed:
             return self._morphed[key] if again else self._morphed.pop(key)
-        morphing = morphing_of(self._document, draw.views, draw.poses)
+        morphing = draw.morphing
         # The memory of each vertex in one pose, with the data that truths need.
-        size = sum(8 * rest.joints.shape[0] * (20 + 3 * rest.joints.shape[1]) for rest in draw.rest)
+        size = sum(8 * rest.joints.shape[0] * (20 + 3 * rest.joints.shape[1]) for rest in draw.surface.rest)
         size *= len(draw.poses.clips)
         if morphing is None or not again or size > self._room:
             return morphing
@@ -165,10 +154,14 @@ class _Measurement:
 
     def _truths(self, draw: Draw, morphing: Morphing | None) -> Truths:
         """Return the data of a mesh at rest. The last ones serve again for the same mesh in as many poses."""
-        key = id(draw.operator), len(draw.poses.clips), morphing is None
+        key = id(draw.surface.operator), len(draw.poses.clips), morphing is None
         if self._at_rest is None or self._at_rest[0] != key:
             self._at_rest = None  # two at a time would take twice the memory
-            self._at_rest = key, truths_at_rest(draw.operator, draw.rest, key[1], morphing, fine=draw.fine)
+            fine = draw.surface.fine if Truth.FINE in self._options.truths else None
+            self._at_rest = (
+                key,
+                truths_at_rest(draw.surface.operator, draw.surface.rest, key[1], morphing, fine=fine),
+            )
         return self._at_rest[1]
 
     def _advance(self, poses: float) -> None:
@@ -225,23 +218,6 @@ class _Measurement:
             yield limits_check(held, self._options, self._document.place)
 
 
-def _readable_clips(document: Document, kind: PoseKind) -> tuple[Sequence[Clip], list[Notice]]:
-    """Return the clips of a document; none, and a notice, if they are broken."""
-    try:
-        return read_clips(document), []
-    except BudgetError:
-        raise
-    except InputError as error:
-        return [], [_broken(document, kind, error)]
-
-
-def _broken(document: Document, kind: PoseKind, error: InputError) -> Notice:
-    message = f"its animations are broken, and are not played ({error.message})"
-    if kind is PoseKind.ANIMATION:
-        message += ": random poses are measured in their place. Mend or remove the animations"
-    return Notice("animations-broken", message, document.place)
-
-
 @dataclass(frozen=True, slots=True)
 class _Segment:
     """One primitive under one skin: its place and its poses."""
@@ -265,7 +241,7 @@ class FileTallies:
 
     def expect(self, method: str, drawn: Sequence[Draw]) -> None:
         """Prepare to count the results of a method."""
-        places = dict.fromkeys(view.source.place for draw in drawn for view in draw.views)
+        places = dict.fromkeys(view.source.place for draw in drawn for view in draw.surface.views)
         for truth in self._truths:
             lightings = [one for one in METHODS[method] if (truth, one) not in NOT_MEASURED]
             if method == "lbs" and any(draw.corrections for draw in drawn):
@@ -283,14 +259,15 @@ class FileTallies:
         Several threads may count. One thread adds, in the order of the blocks.
         """
         first = len(self._segments)
-        self._segments += [_Segment(view.source.place, draw.poses) for view in draw.views]
+        draw.areas  # noqa: B018  # they are made by one thread
+        self._segments += [_Segment(view.source.place, draw.poses) for view in draw.surface.views]
         return partial(self._count, method, draw, first)
 
     def _count(self, method: str, draw: Draw, first: int, block: MeasuredBlock) -> Callable[[], None]:
         """Count a block of a draw whose segments begin with ``first``. Return what adds it to its tallies."""
         areas = draw.areas[block.primitive][block.vertex : block.vertex + block.errors.shape[1]]
         start = first + block.primitive, block.pose, block.vertex
-        by_place = self._by_place[draw.views[block.primitive].source.place]
+        by_place = self._by_place[draw.surface.views[block.primitive].source.place]
         whole, own = (tallies[block.truth, method][block.lighting] for tallies in (self._whole, by_place))
         tallies = [whole] if own is whole else [whole, own]
         with stage("figures"):
@@ -334,21 +311,23 @@ def mirrored(drawn: Sequence[Draw]) -> Iterator[Notice]:
         key, matrices = id(draw.poses), draw.poses.joint_matrices
         if key not in mirrors:
             mirrors[key] = (np.linalg.det(matrices[..., :3, :3]) < 0).any(axis=0)
-        count = int(np.count_nonzero(mirrors[key] & joints_in_use(draw.rest, matrices.shape[1])))
+        count = int(np.count_nonzero(mirrors[key] & joints_in_use(draw.surface.rest, matrices.shape[1])))
         if count:
             joints = counted(count, "joint mirrors", "joints mirror")
             message = (
                 f"{joints} the surface (negative determinant): write the shader with --for this file, or "
                 "with --mirrored-joints, so that normals stay outside"
             )
-            yield Notice("joints-mirror", message, draw.views[0].source.place._replace(primitive=None), count)
+            yield Notice(
+                "joints-mirror", message, draw.surface.views[0].source.place._replace(primitive=None), count
+            )
 
 
 def _rounded(drawn: Sequence[Draw]) -> Iterator[Notice]:
     """Yield a notice for each primitive whose accurate normals float32 spoils in its poses."""
     worst: dict[Place, Rounding] = {}
     for draw in drawn:
-        for view, rest in zip(draw.views, draw.rest, strict=True):
+        for view, rest in zip(draw.surface.views, draw.surface.rest, strict=True):
             found = rounding_of(rest, draw.poses.joint_matrices)
             if found is not None:
                 worst[view.source.place] = max(found, worst.get(view.source.place, found))
@@ -397,8 +376,8 @@ def _strain(draw: Draw) -> tuple[float, str]:
     """Return the ratio of the largest to the least scaling of a frame by joints, and the joint to blame."""
     matrices = draw.poses.joint_matrices
     stretches = np.linalg.svd(matrices[..., :3, :3], compute_uv=False)
-    extent = max(float(np.abs(rest.positions).max(initial=0.0)) for rest in draw.rest)
-    slope = max(float(np.abs([rest.alpha, rest.beta]).max(initial=0.0)) for rest in draw.rest)
+    extent = max(float(np.abs(rest.positions).max(initial=0.0)) for rest in draw.surface.rest)
+    slope = max(float(np.abs([rest.alpha, rest.beta]).max(initial=0.0)) for rest in draw.surface.rest)
     reach = stretches[..., 0] * extent + np.abs(matrices[..., :3, 3]).max(axis=-1)
     largest = (stretches[..., 0] + reach * slope).max(axis=0)
     least = stretches[..., 2].min(axis=0)

@@ -27,7 +27,7 @@ from skinbake.geometry.morphs import carried_by_normal
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import listed, object_of
-from skinbake.measure.draws import Draw
+from skinbake.measure.scene import Draw
 from skinbake.measure.tally import ErrorTally
 from skinbake.report.verify import ErrorFigures, Normals, Reliefs, Worst
 from skinbake.skinning.algorithms import Algorithm
@@ -85,37 +85,37 @@ class ReliefTallies:
     def expect(self, drawn: Sequence[Draw]) -> None:
         """Take the draws of the file."""
         self._places = dict.fromkeys(
-            draw.views[number].source.place for draw in drawn for number in self._mapped(draw)
+            draw.surface.views[number].source.place for draw in drawn for number in self._mapped(draw)
         )
 
     def _mapped(self, draw: Draw) -> list[int]:
         """Return the numbers of a draw's primitives that have a normal map, and TANGENT for its frame."""
         return [
             number
-            for number, view in enumerate(draw.views)
+            for number, view in enumerate(draw.surface.views)
             if view.now.tangents is not None and has_normal_map(self._document, view)
         ]
 
     def measure(self, method: str, draw: Draw, truths: Truths, morphing: Morphing | None) -> None:
         """Measure the primitives of a draw that have a normal map. truths are the draw's, at rest."""
         mapped = self._mapped(draw)
-        samples = sum(len(draw.rest[number].positions) for number in mapped) * len(draw.poses.clips)
+        samples = sum(len(draw.surface.rest[number].positions) for number in mapped) * len(draw.poses.clips)
         if not samples:
             return
         chosen = np.arange(0, len(draw.poses.clips), -(-samples // RELIEF_SAMPLES))
         first = len(self._worst)
-        self._worst += [(view.source.place, draw, chosen) for view in draw.views]
-        size = max(1, min(CHUNK_POSES, CHUNK_SAMPLES // len(draw.operator.positions)))
+        self._worst += [(view.source.place, draw, chosen) for view in draw.surface.views]
+        size = max(1, min(CHUNK_POSES, CHUNK_SAMPLES // len(draw.surface.operator.positions)))
         size = 1 if morphing is not None else size
         for start in range(0, len(chosen), size):
             poses = chosen[start : start + size]
-            rests = _Rests.of(draw.rest, truths, morphing, int(poses[0]))
+            rests = _Rests.of(draw.surface.rest, truths, morphing, int(poses[0]))
             posed = _PosedRelief.of(method, rests, draw.poses.joint_matrices[poses], self._options)
             for block in truths.vertex_blocks:
                 if block.primitive not in mapped:
                     continue
-                view, areas = draw.views[block.primitive], draw.areas[block.primitive][block.rows]
-                texel = _texels(view, draw.rest[block.primitive], block.rows)
+                view, areas = draw.surface.views[block.primitive], draw.areas[block.primitive][block.rows]
+                texel = _texels(view, draw.surface.rest[block.primitive], block.rows)
                 for kind, lighting, errors, valid in posed.errors(truths, block, texel):
                     tallies = self._tallies.setdefault((kind, method, lighting), {})
                     counted = kernel.count_errors(errors, areas, valid)

@@ -1,0 +1,572 @@
+"""The scene of a document as arrays: its baked surfaces, the skins that draw them, and their poses.
+
+One ``Draw`` serves verify, dump, pictures and pages. A scene is built from a document with sound bakes, in a
+file or made in memory. What follows from the document is made when it is first asked for, and once.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import zip_longest
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from skinbake.choices import USUAL_TRUTHS, Truth
+from skinbake.errors import BudgetError, InputError, Notice, Place
+from skinbake.freshness.baked_views import BakedView, gathered_together, rest_primitive, whole_surfaces
+from skinbake.freshness.expected import true_operator_of
+from skinbake.freshness.staleness import surface_operator
+from skinbake.geometry.frames import frame_from_normal, unit_normals
+from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, IntArray
+from skinbake.gltf.animation import (
+    Clip,
+    Skeleton,
+    clip_poses,
+    clip_weights,
+    read_clips,
+    read_node,
+    read_skeleton,
+    rest_pose,
+)
+from skinbake.gltf.budget import SAMPLES, Cost, Work
+from skinbake.gltf.document import Document
+from skinbake.gltf.primitives import PrimitiveSource, has_surface, plain_sources, read_primitive
+from skinbake.gltf.scenes import faces_backward, shown_nodes
+from skinbake.measure.angles import Corrections, MeasuredBlock, lighting_errors, truths_at_rest
+from skinbake.measure.morphing import moving_targets
+from skinbake.skinning.rest import Options, RestPrimitive
+from skinbake.timing import stage
+from skinbake.truth.areas import RestAreas
+from skinbake.truth.blending import BlendedPrimitive
+from skinbake.truth.fine import FineMesh
+from skinbake.truth.operator import TRUE_CREASE_ANGLE, TRUE_WEIGHTING, GradientOperator
+from skinbake.truth.poses import (
+    LEAST_SAMPLES,
+    SHARED_SAMPLES,
+    PosePlan,
+    PoseRequest,
+    PoseSet,
+    draws_of,
+    planned_poses,
+    steps_of_looking,
+)
+from skinbake.truth.truths import Truths
+from skinbake.wording import counted, one_or_many
+
+if TYPE_CHECKING:
+    from skinbake.freshness.corrective_freshness import PlayedCorrectives
+    from skinbake.truth.morphing import Morphing
+
+FINE_RATIO = 8
+"""The vertices and points of a usual fine mesh for each vertex of the mesh. So many of them count as one."""
+
+HALF_TURN = np.diag([-1.0, 1.0, -1.0, 1.0])
+"""A turn of the whole scene around the vertical."""
+
+LIGHTINGS = ("standard", "accurate", "corrected")
+
+DrawKey: TypeAlias = tuple[int, int | None]
+"""A skin, and the node with the morph weights, if there are any."""
+
+
+class Surface:
+    """The baked primitives that the truths take as one surface, whoever draws them.
+
+    views are the primitives as the document stores them. bake_operator is an operator of the same primitives
+    that a bake has, if there is one. correctives are those of the file, if it has any.
+    """
+
+    def __init__(
+        self,
+        document: Document,
+        views: Sequence[BakedView],
+        correctives: PlayedCorrectives | None = None,
+        bake_operator: GradientOperator | None = None,
+    ) -> None:
+        self.document, self.views, self.correctives = document, views, correctives
+        self._bake_operator = bake_operator
+        self._targets: tuple[list[int], Morphing] | None = None
+
+    @property
+    def place(self) -> Place:
+        """The mesh of the first primitive."""
+        return self.views[0].source.place._replace(primitive=None)
+
+    @cached_property
+    def rest(self) -> list[RestPrimitive]:
+        """The primitives before skinning, in the order of the views."""
+        return [rest_primitive(view) for view in self.views]
+
+    @cached_property
+    def vertices(self) -> int:
+        """The number of vertices of all primitives."""
+        return sum(len(view.now.positions) for view in self.views)
+
+    @cached_property
+    def operator(self) -> GradientOperator:
+        """The operator of the truths over all primitives. Raises InputError if it takes too much memory."""
+        noted = self.views[0].metadata
+        usual = noted["weighting"] == TRUE_WEIGHTING and math.isclose(noted["creaseAngle"], TRUE_CREASE_ANGLE)
+        if self._bake_operator is not None and usual:
+            return self._bake_operator
+        return true_operator_of(self.document, self.views)
+
+    @cached_property
+    def fine(self) -> FineMesh:
+        """The mesh of the truth *fine*. Raises InputError if it takes too much memory for the file."""
+        corners = self.operator.triangles.size
+        what = f"the truth fine at {counted(corners, 'corner')} of triangles"
+        self.document.budget.claim(Cost.FINE_CORNER * corners, what, self.place)
+        return FineMesh.of(self.operator)
+
+    @cached_property
+    def changes(self) -> list[Float64Array]:
+        """The changes (K, V, 3) of unit normals by the correctives, by primitive."""
+        assert self.correctives is not None
+        return self.correctives.of_views(self.views)
+
+    def morphing(self, weights: Float64Array | None) -> Morphing | None:
+        """Return the targets that move in P poses of weights (P, N); None if none does.
+
+        Targets whose weight is 0 in every pose are not read. Raises InputError if one of the others is
+        broken. A search poses a surface some hundred times, mostly by the same targets: they are read once.
+        """
+        if weights is None or not weights.any():
+            return None
+        moving = np.flatnonzero(weights.any(axis=0)).tolist()
+        if self._targets is None or self._targets[0] != moving:
+            from skinbake.truth.morphing import Morphing  # most models have no targets
+
+            counts = [len(view.now.positions) for view in self.views]
+            frames = [view.metadata["frame"] for view in self.views]
+            sources = [view.source for view in self.views]
+            read = moving_targets(self.document, sources, counts, moving, frames)
+            self._targets = moving, Morphing(*read, weights[:, moving])
+        return replace(self._targets[1], weights=weights[:, moving])
+
+
+@dataclass(frozen=True, eq=False)
+class Draw:
+    """A surface as one skin draws it, in P poses.
+
+    skin and node are numbers. The node is the one whose morph weights move the surface, None without morph
+    targets. poses are joint matrices and morph weights: those of the rest pose until the draw is posed.
+    corrections are the correctives that its clips play there, if any.
+    """
+
+    surface: Surface
+    skin: int
+    node: int | None
+    skeleton: Skeleton
+    poses: PoseSet
+    corrections: Corrections | None = None
+
+    def posed(self, poses: PoseSet) -> Draw:
+        """Return the draw in other poses, with the correctives that clips play there."""
+        correctives = self.surface.correctives
+        if correctives is None:
+            return replace(self, poses=poses, corrections=None)
+        times = np.array([0.0 if time is None else time for time in poses.times])
+        numbers = poses.numbers or (None,) * len(times)
+        weights = []
+        for view in self.surface.views:
+            mesh = view.source.mesh
+            own = np.zeros((len(times), correctives.targets.get(mesh, 0)))
+            for number in dict.fromkeys(numbers):
+                rows = np.flatnonzero([one == number for one in numbers])
+                own[rows] = correctives.weights(mesh, self.skin, self.node, number, times[rows])
+            weights.append(own)
+        return replace(self, poses=poses, corrections=Corrections(self.surface.changes, weights))
+
+    def at(self, clip: Clip, times: Float64Array, *, turned: bool = True) -> Draw:
+        """Return the draw at times (P,) of a clip. If turned, it faces along +Z."""
+        # A scene of a hundred characters has a hundred times the channels of each.
+        nodes, document = set(self.skeleton.nodes), self.surface.document
+        own = clip._replace(channels=tuple(channel for channel in clip.channels if channel.node in nodes))
+        matrices = clip_poses(self.skeleton, own, times)
+        if turned and faces_backward(document):
+            matrices = HALF_TURN @ matrices
+        weights = None
+        if self.node is not None:
+            weights = clip_weights(self.node, clip, times, document.asset.nodes[self.node].resting_weights())
+        count = len(times)
+        played = (clip.name,) * count, tuple(times.tolist()), weights, (clip.number,) * count
+        return self.posed(PoseSet((), matrices, *played))
+
+    @property
+    def matrices(self) -> Float64Array:
+        """The joint matrices (P, J, 4, 4)."""
+        return self.poses.joint_matrices
+
+    @property
+    def morphing(self) -> Morphing | None:
+        """The morph targets that move it; None if none does. Raises InputError if one is broken."""
+        return self.surface.morphing(self.poses.morph_weights)
+
+    @cached_property
+    def areas(self) -> list[Float64Array]:
+        """The areas (V,) around the vertices of each primitive at rest, in the squared unit of the scene."""
+        space = RestAreas(self.surface.document, self.skin)
+        return [space.of(view.now) for view in self.surface.views]
+
+    def primitives(self, every: int = 1) -> Iterator[tuple[RestPrimitive, Float64Array]]:
+        """Yield each primitive before skinning, with the matrices of the poses in which it is that.
+
+        With ``every``, only every so many poses count.
+        """
+        morphing = self.morphing
+        if morphing is None:
+            yield from ((rest, self.matrices[::every]) for rest in self.surface.rest)
+            return
+        for pose in range(0, len(self.matrices), every):
+            for rest in morphing.primitives(self.surface.rest, pose):
+                yield rest, self.matrices[pose : pose + 1]
+
+    def positions(self, every: int = 1) -> Iterator[Float64Array]:
+        """Yield positions (P, V, 3) of each primitive: all poses, or one at a time if targets move it."""
+        for rest, matrices in self.primitives(every):
+            whole = slice(0, len(matrices)), slice(0, len(rest.positions))
+            yield BlendedPrimitive(rest, matrices, Options()).positions(*whole).transpose(2, 1, 0)
+
+    def truths(self, names: Sequence[Truth] = USUAL_TRUTHS) -> Truths:
+        """Measure the surface at rest, for ``measure`` in any as many poses without morph targets."""
+        surface = self.surface
+        return truths_at_rest(surface.operator, surface.rest, len(self.matrices), self.morphing, names)
+
+    def measure(self, record: Callable[[MeasuredBlock], None], at_rest: Truths | None = None) -> None:
+        """Measure the errors of lighting by linear blend skinning against true normals, block by block."""
+        lighting_errors(
+            self.surface.operator,
+            self.surface.rest,
+            self.matrices,
+            "lbs",
+            record,
+            morphing=self.morphing,
+            at_rest=at_rest or self.truths(),
+            corrections=self.corrections,
+            direct=False,
+        )
+
+
+class Scene:
+    """The surfaces of a document, and how nodes draw them.
+
+    views are its sound bakes. correctives are those of the file: the bakes may have been made in memory, to
+    be compared with them. notices tell what was not measured.
+    """
+
+    def __init__(
+        self,
+        document: Document,
+        views: Sequence[BakedView],
+        correctives: PlayedCorrectives | None = None,
+    ) -> None:
+        self.document, self.views, self.correctives = document, views, correctives
+        self.notices: list[Notice] = []
+        self._operators: dict[tuple[int, ...], GradientOperator] = {}
+
+    @classmethod
+    def of_bakes(
+        cls,
+        document: Document,
+        views: Sequence[BakedView],
+        operators: Sequence[GradientOperator] = (),
+        correctives: PlayedCorrectives | None = None,
+    ) -> Scene:
+        """Return a scene in which operators of bakes serve again, where the truths take the same surface.
+
+        operators have the settings of the bakes, one for each of the surfaces that ``gathered_together``
+        returns. They are built if there are none.
+        """
+        surfaces = gathered_together(document, views)
+        made = operators or [surface_operator(document, surface) for surface in surfaces]
+        scene = cls(document, [view for surface in surfaces for view in surface], correctives)
+        scene._operators = {tuple(map(id, own)): one for own, one in zip(surfaces, made, strict=True)}
+        return scene
+
+    @cached_property
+    def surfaces(self) -> list[Surface]:
+        """The surfaces that the truths take as whole."""
+        return [
+            Surface(self.document, views, self.correctives, self._operators.get(tuple(map(id, views))))
+            for views in whole_surfaces(self.document, self.views)
+        ]
+
+    def measured(
+        self, clips: Sequence[Clip], request: PoseRequest, truths: Collection[Truth] = USUAL_TRUTHS
+    ) -> list[Draw]:
+        """Return each surface as often as skins draw it, or nodes if it has morph targets, in asked poses.
+
+        truths are those to measure by. If all skins or poses are too much work for the file, some skins of
+        each surface are measured, in some poses each, and a notice says so. Raises InputError if a skin
+        cannot be posed, or if the work is out of proportion to the file even so.
+        """
+        document, budget = self.document, self.document.budget
+        self.notices.clear()
+        with stage("gradient operator"):
+            for surface in self.surfaces:
+                surface.operator  # noqa: B018  # its memory is claimed before that of the poses
+        # Claim the work of each draw, and pose it. Draws of one skin and node share their poses.
+        drawn, plans = self._planned(clips, request)
+        most_samples = SAMPLES.most(budget.backed)
+        is_fine, samples = Truth.FINE in truths, 0
+        sets, found = dict[DrawKey, PoseSet](), list[Draw]()
+        if is_fine:
+            for surface in self.surfaces:
+                surface.fine  # noqa: B018  # likewise
+        for surface, draw in drawn:
+            plan = plans[draw]
+            what = f"{counted(surface.vertices, 'vertex', 'vertices')} in {counted(plan.count, 'pose')}"
+            budget.claim(_morphed(surface, plan), f"{what} of morph targets", surface.place)
+            budget.claim(Cost.MEASURED_SAMPLE * (surface.vertices * plan.count), what, surface.place)
+            samples += _samples(surface, plan, is_fine=is_fine)
+            if samples > most_samples:
+                raise InputError(
+                    f"it asks for {samples:,} vertices times poses, as often as nodes draw it and clips move "
+                    f"it: over the {most_samples:,} that a file of its size may ask for",
+                    surface.place,
+                )
+            if draw not in sets:
+                sets[draw] = planned_poses(document, plan)
+            found.append(Draw(surface, *draw, plan.skeleton, sets[draw]).posed(sets[draw]))
+        return found
+
+    def _planned(
+        self, clips: Sequence[Clip], request: PoseRequest
+    ) -> tuple[list[tuple[Surface, DrawKey]], dict[DrawKey, PosePlan]]:
+        """Return the affordable draws, and the plans of as many poses as are affordable."""
+        document, budget = self.document, self.document.budget
+        # One draw of each surface is measured in any case, or the file is refused. The others follow while
+        # they are affordable in the least number of poses.
+        every = [
+            (rank, surface, draw)
+            for surface in self.surfaces
+            for rank, draw in enumerate(draws_of(document, surface.views[0].source.mesh, clips))
+        ]
+        most_samples = SAMPLES.most(budget.backed)
+        plans, chosen = dict[DrawKey, PosePlan](), list[int]()
+        steps, samples = 0.0, 0
+        for number in sorted(range(len(every)), key=lambda number: every[number][0]):
+            rank, surface, draw = every[number]
+            needed = Cost.MEASURED_PRIMITIVE * len(surface.views)
+            if rank and steps + needed.steps + steps_of_looking(clips) > budget.steps_left:
+                break
+            what = f"{counted(len(surface.views), 'primitive')} of skin {draw[0]}"
+            budget.claim(needed, what, surface.place)
+            plan = plans.get(draw) or PosePlan.of(document, draw[0], clips, request, draw[1])
+            few = _limited(plan, LEAST_SAMPLES)
+            steps += (0 if draw in plans else few.work.steps) + _morphed(surface, few).steps
+            samples += _samples(surface, few)
+            if rank and (steps > budget.steps_left or samples > most_samples):
+                break
+            plans[draw] = plan
+            chosen.append(number)
+        drawn = [every[number][1:] for number in sorted(chosen)]
+        if len(drawn) < len(every):
+            message = (
+                f"its lighting is measured in {len(drawn):,} of the {len(every):,} ways in which skins draw "
+                "its meshes: all are too much work for a file of its size"
+            )
+            left_out = len(every) - len(drawn)
+            self.notices.append(Notice("poses-left-out", message, document.place, left_out))
+
+        # As many poses as are affordable. Plans that are too much work in LEAST_SAMPLES poses each are kept
+        # so: their claims are refused below.
+        def is_too_much(most: int | None) -> bool:
+            some = plans if most is None else {draw: _limited(plan, most) for draw, plan in plans.items()}
+            steps = sum(plan.work.steps for plan in some.values()) + sum(
+                _morphed(surface, some[draw]).steps for surface, draw in drawn
+            )
+            samples = sum(_samples(surface, some[draw]) for surface, draw in drawn)
+            return steps > budget.steps_left or samples > most_samples
+
+        poses = max((plan.count for plan in plans.values()), default=0)
+        if poses > LEAST_SAMPLES and is_too_much(None):
+            counts = range(LEAST_SAMPLES, poses)
+            fitting = bisect_left(counts, True, key=is_too_much)
+            plans = {draw: _limited(plan, counts[max(fitting - 1, 0)]) for draw, plan in plans.items()}
+            most = max(plan.count for plan in plans.values())
+            message = (
+                f"its lighting is measured in {most:,} of up to {poses:,} poses of each skin, which evenly "
+                "spread clips share: all poses are too much work for a file of its size"
+            )
+            self.notices.append(Notice("poses-left-out", message, document.place, poses - most))
+        return drawn, plans
+
+    def shown(self) -> list[Draw]:
+        """Return what the nodes of the shown scene draw, at rest. Raises InputError for a broken skin."""
+        document, clips = self.document, read_clips(self.document)
+        what = f"showing {counted(len(clips), 'clip')}"
+        document.budget.claim(Cost.SHOWN_CLIP * len(clips), what, document.place)
+        nodes = [document.asset.nodes[number] for number in shown_nodes(document)]
+        shown = {(node.mesh, node.skin) for node in nodes}
+        meshes = {mesh for mesh, _ in shown}
+        found = []
+        for group in whole_surfaces(document, [view for view in self.views if view.source.mesh in meshes]):
+            surfaces: dict[tuple[int, ...], Surface] = {}
+            for skin, node in draws_of(document, group[0].source.mesh, clips):
+                # Skins may draw meshes crosswise: each mesh by one of them here, by the other in another
+                # scene.
+                parts = tuple(part for part, view in enumerate(group) if (view.source.mesh, skin) in shown)
+                if not parts:
+                    continue
+                if parts not in surfaces:
+                    surfaces[parts] = Surface(document, [group[part] for part in parts], self.correctives)
+                skeleton = read_skeleton(document, skin)
+                with np.errstate(over="ignore", invalid="ignore"):  # what is past all numbers is not drawn
+                    at_rest = PoseSet((), rest_pose(skeleton), ("rest pose",), (None,))
+                found.append(Draw(surfaces[parts], skin, node, skeleton, at_rest))
+        return found
+
+
+def _limited(plan: PosePlan, most: int) -> PosePlan:
+    return replace(plan, request=plan.request._replace(most=most))
+
+
+def _morphed(surface: Surface, plan: PosePlan) -> Work:
+    """Return the work of measuring a surface under morph targets, pose by pose."""
+    if plan.resting is None or not plan.morphs:
+        return Work()
+    of_primitive = Cost.MEASURED_MORPH + Cost.MEASURED_TARGET * len(plan.resting)
+    return of_primitive * (len(surface.views) * plan.count)
+
+
+def _samples(surface: Surface, plan: PosePlan, *, is_fine: bool = False) -> int:
+    """Return the vertices × poses of a draw. The clips of the file count, not the samples that users ask for.
+
+    A fine mesh has about eight times the vertices, and its user has asked for it.
+    """
+    vertices = -(-surface.fine.size // FINE_RATIO) if is_fine else surface.vertices
+    asked = plan.request.samples
+    return vertices * (plan.count if asked is None else -(-plan.count // asked) * SHARED_SAMPLES)
+
+
+def claim_draws(document: Document, draws: Sequence[Draw], clips: Sequence[Clip], poses: int) -> None:
+    """Count the memory and the work of showing draws in so many poses. Raises BudgetError for too much."""
+    for draw in draws:
+        skeleton, primitives, vertices = draw.skeleton, len(draw.surface.views), draw.surface.vertices
+        nodes, joints = len(skeleton.nodes), len(skeleton.joints)
+        work = Cost.DRAWN_PRIMITIVE * primitives + Cost.SAMPLED_CLIP * len(clips)
+        work += Work(steps=sum(len(clip.channels) for clip in clips) + poses * (nodes + joints))
+        if draw.node is not None:
+            targets = document.asset.meshes[draw.surface.views[0].source.mesh].target_count
+            work += (Cost.DRAWN_MORPH + Cost.DRAWN_TARGET * targets) * (primitives * poses)
+            work += Cost.READ_TARGET * (targets * primitives * len(clips))
+        work += (Cost.NODE_MATRIX * nodes + Cost.JOINT_MATRIX * joints) * poses
+        work += (Cost.DRAWN_VERTEX + Cost.POSED_VERTEX * poses) * vertices
+        drawn = f"drawing {counted(vertices, 'vertex', 'vertices')} in {counted(poses, 'pose')}"
+        document.budget.claim(work, drawn, document.place)
+
+
+def lighting_errors_of(
+    draws: Sequence[Draw], truth: Truth = Truth.TRIANGLES, at_rest: Sequence[Truths | None] = ()
+) -> list[dict[str, Float32Array]]:
+    """Return, for each primitive by lighting, errors in degrees and where they are known: (2, P, V)."""
+    found: list[dict[str, Float32Array]] = []
+    for draw, truths in zip_longest(draws, at_rest):
+        count = len(draw.matrices)
+        names = LIGHTINGS if draw.corrections else LIGHTINGS[:2]
+        own = [
+            {name: np.zeros((2, count, len(rest.positions)), np.float32) for name in names}
+            for rest in draw.surface.rest
+        ]
+
+        def record(block: MeasuredBlock, own: Any = own) -> None:
+            found = own[block.primitive].get(block.lighting)
+            if found is not None:
+                poses = slice(block.pose, block.pose + block.errors.shape[0])
+                rows = slice(block.vertex, block.vertex + block.errors.shape[1])
+                found[0, poses, rows] = np.where(block.valid, block.errors, 0.0)
+                found[1, poses, rows] = block.valid
+
+        draw.measure(record, truths or draw.truths((truth,)))
+        found += own
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Attachment:
+    """A primitive that a node of the shown scene draws without a skin: a hat, a staff."""
+
+    source: PrimitiveSource
+    rest: RestPrimitive
+    triangles: IntArray
+    tangents: FloatArray | None
+    skeleton: Skeleton
+
+    def at(self, document: Document, clip: Clip, times: Float64Array) -> Float64Array:
+        """Return the matrix (P, 1, 4, 4) of its node at times (P,) of a clip. It faces along +Z."""
+        turn = HALF_TURN if faces_backward(document) else np.eye(4)
+        return turn @ clip_poses(self.skeleton, clip, times)
+
+    def positions(self, matrices: Float64Array) -> Float64Array:
+        """Return its positions (V, 3) under the node's matrix (4, 4)."""
+        return np.asarray(self.rest.positions @ matrices[:3, :3].T + matrices[:3, 3])
+
+
+def attachments(document: Document) -> list[Attachment]:
+    """Return what nodes of the shown scene draw without a skin; tell what of it cannot be read."""
+    sources: dict[int | None, list[PrimitiveSource]] = {}
+    for source in plain_sources(document):
+        sources.setdefault(source.mesh, []).append(source)
+    budget = document.budget
+    found: list[Attachment] = []
+    read: dict[tuple[int, int], tuple[RestPrimitive, IntArray, FloatArray | None] | None] = {}
+    lost: set[int] = set()
+    for number in sorted(shown_nodes(document)):
+        for source in sources.get(document.asset.nodes[number].mesh, ()):
+            try:
+                skeleton = read_node(document, number)
+                work = Cost.DRAWN_PRIMITIVE + Cost.SHOWN_CLIP * len(skeleton.nodes)
+                budget.claim(work, "drawing meshes without a skin", document.place)
+                key = source.mesh, source.primitive
+                if key not in read:
+                    read[key] = _rigid(document, source)
+                one = read[key]
+                vertices = 0 if one is None else len(one[0].positions)
+                again = Cost.DRAWN_AGAIN * vertices
+                budget.claim(again, f"drawing {vertices:,} vertices once more", source.place)
+            except BudgetError:
+                raise
+            except InputError:
+                lost.add(source.mesh)
+                continue
+            if one is not None:
+                found.append(Attachment(source, *one, skeleton))
+    if lost:
+        words = one_or_many(len(lost), "1 mesh without a skin", "{} meshes without a skin")
+        message = f"{words} cannot be read: left out of the picture"
+        document.notices.tell(Notice("not-skinned", message, document.place, len(lost)))
+    return found
+
+
+def _rigid(
+    document: Document, source: PrimitiveSource
+) -> tuple[RestPrimitive, IntArray, FloatArray | None] | None:
+    """Return a primitive as one joint moves all of it, its triangles and TANGENT; None without a surface."""
+    if not has_surface(document, source):
+        return None
+    mesh = read_primitive(document, source)
+    count = len(mesh.positions)
+    document.budget.claim(Cost.DRAWN_VERTEX * count, "a mesh without a skin", source.place)
+    normals = mesh.normals
+    if not len(normals):
+        from skinbake.geometry.triangles import smooth_normals  # most meshes have normals
+
+        normals = smooth_normals(mesh.positions, mesh.triangles, np.arange(count))
+    normals = unit_normals(normals)
+    rest = RestPrimitive(
+        np.asarray(mesh.positions, np.float64),
+        normals,
+        *frame_from_normal(normals),
+        joints=np.zeros((count, 4), np.int64),
+        weights=np.eye(4)[np.zeros(count, np.int64)],
+        alpha=np.zeros((count, 3)),
+        beta=np.zeros((count, 3)),
+    )
+    return rest, mesh.triangles, mesh.tangents
