@@ -40,17 +40,17 @@ def standard(
     The paper calls it approximated lighting. A mix of length zero leaves the vertex where it is. ``options``
     have no effect here.
     """
-    line(1)
+    line(1)  # Q = Σ w[s] σ[s] Q[s]
     mixed = weighted_sum(signed(vertex.weights, hemispheres(quaternions)), quaternions)
-    line(2)
+    line(2)  # Q / |r|
     unit = _normalised(mixed)
-    line(3)
+    line(3)  # p' = Q(p)
     position = plus_scaled(vertex.position, 2.0, _half_displacement(unit, vertex.position))
-    line(4)
+    line(4)  # n' = R n
     normal = _rotated(unit, vertex.normal)
-    line(5)
+    line(5)  # t' = R t
     tangent = _rotated(unit, vertex.tangent)
-    line(6)
+    line(6)  # b' = R b
     bitangent = _rotated(unit, vertex.bitangent)
     return PosedVertex(position, normal, tangent, bitangent)
 
@@ -68,26 +68,26 @@ def accurate(
 
     Line 4 computes Q[s](p) − p, from which the same differences follow. b', n' and the cap as in algorithm 3.
     """
-    line(1)
+    line(1)  # Q = Σ w[s] σ[s] Q[s]
     mixed = weighted_sum(signed(vertex.weights, hemispheres(quaternions)), quaternions)
-    line(2)
+    line(2)  # Q / |r|
     unit = _normalised(mixed)
-    line(3)
+    line(3)  # p' = Q(p)
     position = plus_scaled(vertex.position, 2.0, _half_displacement(unit, vertex.position))
-    line(4)
+    line(4)  # Q[s](p) − p
     moved = [scaled(2.0, _half_displacement(quaternion, vertex.position)) for quaternion in quaternions]
-    line(5)
+    line(5)  # Q[s](p) − Q[s₀](p)
     differences = [minus(displacement, moved[0]) for displacement in moved[1:]]
-    line(6)
+    line(6)  # t' = R t + Σ α[s] (Q[s](p) − Q[s₀](p))
     tangent = plus_gradient(_rotated(unit, vertex.tangent), vertex.alpha, differences, options.cap)
-    line(7)
+    line(7)  # b' likewise, with β
     bitangent = plus_gradient(_rotated(unit, vertex.bitangent), vertex.beta, differences, options.cap)
-    line(8)
+    line(8)  # n' = ± t' × b'
     normal = scaled(vertex.handedness, cross(tangent, bitangent))
     posed = PosedVertex(position, normal, tangent, bitangent)
     if not options.normal_map:
         return posed
-    line(9)
+    line(9)  # R n0, for normal maps
     return with_normal_map(posed, _rotated(unit, vertex.normal), vertex.handedness, line, first=10)
 
 
@@ -117,35 +117,35 @@ def exact(vertex: RestVertex, quaternions: Sequence[Vector], options: Options, l
     spatial ones. With ``options.cap``, the correction t' − R t is limited. A mix of length zero
     leaves the vertex where it is.
     """
-    line(1)
+    line(1)  # b = Σ w σ Q
     signs = hemispheres(quaternions)
     mixed = weighted_sum(signed(vertex.weights, signs), quaternions)
-    line(2)
+    line(2)  # k = 2 / (r₀² + |r|²)
     factor = quotient(2.0, dot(mixed[:4], mixed[:4]))
-    line(3)
+    line(3)  # i, δ = k h and p' = p + δ
     lever = _lever(mixed, vertex.position)
     displacement = scaled(factor, _half_turn(mixed, lever))
     position = tuple(value + by for value, by in zip(vertex.position, displacement, strict=True))
-    line(4)
+    line(4)  # σ Q[s] − Q[s₀]
     differences = [
         minus(scaled(sign, quaternion), quaternions[0])
         for sign, quaternion in zip(signs, quaternions[1:], strict=True)
     ]
-    line(5)
+    line(5)  # ḃ along t: Σ α (σ Q[s] − Q[s₀])
     along_tangent = _rate(vertex.alpha, differences)
-    line(6)
+    line(6)  # ḃ along b, with β
     along_bitangent = _rate(vertex.beta, differences)
     blend = _Blend(mixed, factor, vertex.position, lever, displacement)
-    line(7)
+    line(7)  # t' = t + k (ḣ − (r₀ ṙ₀ + r · ṙ) δ)
     tangent = blend.derivative(vertex.tangent, along_tangent, options.cap)
-    line(8)
+    line(8)  # b' likewise
     bitangent = blend.derivative(vertex.bitangent, along_bitangent, options.cap)
-    line(9)
+    line(9)  # n' = ± t' × b'
     normal = scaled(vertex.handedness, cross(tangent, bitangent))
     posed = PosedVertex(position, normal, tangent, bitangent)
     if not options.normal_map:
         return posed
-    line(10)
+    line(10)  # the mix applied to n0, for normal maps
     carried = plus_scaled(vertex.normal, factor, blend.turn(vertex.normal))
     return with_normal_map(posed, carried, vertex.handedness, line, first=11)
 
@@ -180,10 +180,7 @@ class _Blend(NamedTuple):
         turn_rate = minus_scaled(turn_rate, dot(self.mixed[:4], rate[:4]), self.displacement)
         if cap is None:
             return plus_scaled(tangent, self.factor, turn_rate)
-        return self._capped(tangent, turn_rate, cap)
-
-    def _capped(self, tangent: Vector, turn_rate: Vector, cap: float) -> Vector:
-        """Return t' with t' − R t limited to cap × |R t|."""
+        # t' − R t is limited to cap × |R t|.
         turned = self.turn(tangent)
         correction = scaled(self.factor, minus(turn_rate, turned))
         return corrected(plus_scaled(tangent, self.factor, turned), correction, cap)

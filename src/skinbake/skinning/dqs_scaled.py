@@ -53,17 +53,17 @@ def standard(vertex: RestVertex, motions: Sequence[Rows], options: Options, line
 
     A mix B of length zero takes the vertex to the origin. ``options`` have no effect here.
     """
-    line(1)
+    line(1)  # the mix: Σ w σ of all columns, B the last one
     mixed = _mixed(vertex.weights, motions, hemispheres(list(map(_rotation, motions))))
-    line(2)
+    line(2)  # B / |B|²
     divisor = _divisor(_rotation(mixed))
-    line(3)
+    line(3)  # p' = vec(G B⁻¹), G = Σ w σ (M[s] p) r[s]
     position = _over(affine(mixed, vertex.position), divisor)
-    line(4)
+    line(4)  # n' = vec((Σ w σ (M[s] n) r[s]) B⁻¹)
     normal = _over(linear(mixed, vertex.normal), divisor)
-    line(5)
+    line(5)  # t' likewise
     tangent = _over(linear(mixed, vertex.tangent), divisor)
-    line(6)
+    line(6)  # b' likewise
     bitangent = _over(linear(mixed, vertex.bitangent), divisor)
     return PosedVertex(position, normal, tangent, bitangent)
 
@@ -76,29 +76,29 @@ def position(vertex: RestVertex, motions: Sequence[Rows]) -> Vector:
 
 def accurate(vertex: RestVertex, motions: Sequence[Rows], options: Options, line: LineMark) -> PosedVertex:
     """Run algorithm 5: t' of algorithm 4 plus Σ α (M[s] p − M[s₀] p), as if skinning blended positions."""
-    line(1)
+    line(1)  # the mix: Σ w σ of all columns, B the last one
     mixed = _mixed(vertex.weights, motions, hemispheres(list(map(_rotation, motions))))
-    line(2)
+    line(2)  # B / |B|²
     divisor = _divisor(_rotation(mixed))
-    line(3)
+    line(3)  # p' = vec(G B⁻¹)
     position = _over(affine(mixed, vertex.position), divisor)
-    line(4)
+    line(4)  # M[s] p
     # r[s] has length 1, so it is its own divisor.
     moved = [_over(affine(motion, vertex.position), _rotation(motion)) for motion in motions]
-    line(5)
+    line(5)  # M[s] p − M[s₀] p
     differences = [minus(point, moved[0]) for point in moved[1:]]
-    line(6)
+    line(6)  # t' = vec((Σ w σ (M[s] t) r[s]) B⁻¹) + Σ α (M[s] p − M[s₀] p)
     tangent = _over(linear(mixed, vertex.tangent), divisor)
     tangent = plus_gradient(tangent, vertex.alpha, differences, options.cap)
-    line(7)
+    line(7)  # b' likewise, with β
     bitangent = _over(linear(mixed, vertex.bitangent), divisor)
     bitangent = plus_gradient(bitangent, vertex.beta, differences, options.cap)
-    line(8)
+    line(8)  # n' = ± t' × b'
     normal = scaled(vertex.handedness, cross(tangent, bitangent))
     posed = PosedVertex(position, normal, tangent, bitangent)
     if not options.normal_map:
         return posed
-    line(9)
+    line(9)  # the mix applied to n0, for normal maps
     carried = _over(linear(mixed, vertex.normal), divisor)
     return with_normal_map(posed, carried, vertex.handedness, line, first=10)
 
@@ -110,33 +110,33 @@ def exact(vertex: RestVertex, motions: Sequence[Rows], options: Options, line: L
     (``counting``). With ``options.cap``, what depends on α is limited. A mix B of length zero takes the
     vertex to the origin.
     """
-    line(1)
+    line(1)  # r[s], σ, and the mix without translations
     turns = [_rotation(motion) for motion in motions]
     signs = hemispheres(turns)
     # No translation: line 5 needs every M[s] p by itself.
     mixed = _mixed(vertex.weights, motions, signs, columns=(0, 1, 2, 4))
-    line(2)
+    line(2)  # B / |B|²
     divisor = _divisor(_rotation(mixed))
-    line(3)
+    line(3)  # (M[s] p) r[s]
     moved = [affine(motion, vertex.position) for motion in motions]
-    line(4)
+    line(4)  # what α multiplies in Ġ and in Ḃ
     # σ (M[s] p) r[s] and σ r[s], less those of slot 0.
     moves = [minus(scaled(sign, one), moved[0]) for sign, one in zip(signs, moved[1:], strict=True)]
     turns = [minus(scaled(sign, one), turns[0]) for sign, one in zip(signs, turns[1:], strict=True)]
-    line(5)
+    line(5)  # P = G B⁻¹ and p' = vec P
     blend = plus_weighted(moved[0], vertex.weights[1:], moves)
     position = _over(blend, divisor)
     ratio = (dot(blend, divisor), *position)
-    line(6)
+    line(6)  # t' = vec((Ġ − P Ḃ) B⁻¹)
     tangent = _derivative(mixed, vertex.tangent, (vertex.alpha, moves, turns), ratio, divisor, options.cap)
-    line(7)
+    line(7)  # b' likewise
     bitangent = _derivative(mixed, vertex.bitangent, (vertex.beta, moves, turns), ratio, divisor, options.cap)
-    line(8)
+    line(8)  # n' = ± t' × b'
     normal = scaled(vertex.handedness, cross(tangent, bitangent))
     posed = PosedVertex(position, normal, tangent, bitangent)
     if not options.normal_map:
         return posed
-    line(9)
+    line(9)  # the mix applied to n0, for normal maps
     carried = _over(linear(mixed, vertex.normal), divisor)
     return with_normal_map(posed, carried, vertex.handedness, line, first=10)
 

@@ -46,15 +46,21 @@ def standard(vertex: RestVertex, matrices: Sequence[Rows], options: Options, lin
     The paper calls it approximated lighting. The normal of line 3 is that of ``options.baseline``. The paper
     uses ``Baseline.BLENDED``.
     """
-    line(1)
+    line(1)  # T = Σ w[s] M[s]
     blended = _blend(vertex.weights, matrices, columns=4)
-    line(2)
+    line(2)  # p' = T p
     position = affine(blended, vertex.position)
-    line(3)
-    normal = _standard_normal(blended, vertex, matrices, options.baseline)
-    line(4)
+    line(3)  # n': T n (three.js), T⁻ᵀ n (Bevy) or Σ w[s] cof(M[s]) n (Filament)
+    if options.baseline is Baseline.INVERSE_TRANSPOSE:
+        normal = linear(inverse_transpose(blended), vertex.normal)
+    elif options.baseline is Baseline.COFACTOR:
+        turned = [linear(cofactors(matrix), vertex.normal) for matrix in matrices]
+        normal = weighted_sum(vertex.weights, turned)
+    else:
+        normal = linear(blended, vertex.normal)
+    line(4)  # t' = T t
     tangent = linear(blended, vertex.tangent)
-    line(5)
+    line(5)  # b' = T b
     bitangent = linear(blended, vertex.bitangent)
     return PosedVertex(position, normal, tangent, bitangent)
 
@@ -67,25 +73,25 @@ def direct(vertex: RestVertex, matrices: Sequence[Rows], options: Options, line:
     side of J n. If a fold or a mirrored joint makes det J negative, it is opposite to algorithm 3's t' × b' =
     det J · J⁻ᵀ n. If det J is 0, cof(J) n is returned. ``options`` have no effect here.
     """
-    line(1)
+    line(1)  # T = Σ w[s] M[s]
     blended = _blend(vertex.weights, matrices, columns=4)
-    line(2)
+    line(2)  # q[s] = M[s] p
     moved = [affine(matrix, vertex.position) for matrix in matrices]
-    line(3)
+    line(3)  # J = T + Σ q[s] a[s]ᵀ, a[s] = ∇w[s]
     jacobian: Rows = tuple(row[:3] for row in blended)
     for position, gradient in zip(moved, vertex.gradients, strict=True):
         jacobian = tuple(
             plus_scaled(row, value, gradient) for row, value in zip(jacobian, position, strict=True)
         )
-    line(4)
+    line(4)  # J' = J⁻ᵀ
     inverted = inverse_transpose(jacobian)
-    line(5)
+    line(5)  # p' = T p
     position = affine(blended, vertex.position)
-    line(6)
+    line(6)  # n' = J' n
     normal = linear(inverted, vertex.normal)
-    line(7)
+    line(7)  # t' = J t
     tangent = linear(jacobian, vertex.tangent)
-    line(8)
+    line(8)  # b' = J b
     bitangent = linear(jacobian, vertex.bitangent)
     return PosedVertex(position, normal, tangent, bitangent)
 
@@ -95,24 +101,24 @@ def accurate(vertex: RestVertex, matrices: Sequence[Rows], options: Options, lin
 
     The sign is the handedness of the rest frame. ``options.cap`` limits the length of the two sums.
     """
-    line(1)
+    line(1)  # T = Σ w[s] M[s], 3 × 3
     blended = _blend(vertex.weights, matrices, columns=3)
-    line(2)
+    line(2)  # q[s] = M[s] p
     moved = [affine(matrix, vertex.position) for matrix in matrices]
-    line(3)
+    line(3)  # q[s] − q[s₀]
     differences = [minus(position, moved[0]) for position in moved[1:]]
-    line(4)
+    line(4)  # t' = T t + Σ α[s] (q[s] − q[s₀])
     tangent = plus_gradient(linear(blended, vertex.tangent), vertex.alpha, differences, options.cap)
-    line(5)
+    line(5)  # b' = T b + Σ β[s] (q[s] − q[s₀])
     bitangent = plus_gradient(linear(blended, vertex.bitangent), vertex.beta, differences, options.cap)
-    line(6)
+    line(6)  # n' = ± t' × b'
     normal = scaled(vertex.handedness, cross(tangent, bitangent))
-    line(7)
+    line(7)  # p' = q[s₀] + Σ w[s] (q[s] − q[s₀])
     position = plus_weighted(moved[0], vertex.weights[1:], differences)
     posed = PosedVertex(position, normal, tangent, bitangent)
     if not options.normal_map:
         return posed
-    line(8)
+    line(8)  # T n0, for normal maps
     return with_normal_map(posed, linear(blended, vertex.normal), vertex.handedness, line, first=9)
 
 
@@ -143,15 +149,3 @@ def plus_gradient(
 def _blend(weights: Sequence[Component], matrices: Sequence[Rows], *, columns: int) -> Rows:
     """Return T = Σ w[s] M[s], its first three or all four columns."""
     return tuple(weighted_sum(weights, [matrix[row][:columns] for matrix in matrices]) for row in range(3))
-
-
-def _standard_normal(
-    blended: Rows, vertex: RestVertex, matrices: Sequence[Rows], baseline: Baseline
-) -> Vector:
-    """Return the normal of common engines: T n (three.js), T⁻ᵀ n (Bevy) or Σ w cof(M[s]) n (Filament)."""
-    if baseline is Baseline.INVERSE_TRANSPOSE:
-        return linear(inverse_transpose(blended), vertex.normal)
-    if baseline is Baseline.COFACTOR:
-        turned = [linear(cofactors(matrix), vertex.normal) for matrix in matrices]
-        return weighted_sum(vertex.weights, turned)
-    return linear(blended, vertex.normal)

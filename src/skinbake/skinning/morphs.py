@@ -72,8 +72,19 @@ def morphed(
         sums=sums,
     )
     if targets.numbers:
-        return _with_gradients_of_any_frame(replace(primitive, lengths=rest.tangent_lengths()))
-    return _with_gradients(primitive) if targets.with_tangents else primitive
+        # t and b have any angle. ∇w · t = α and ∇w · b = β, so with c = t × b
+        # ∇w = (α b × c + β c × t) / |c|². A frame without an area has no gradients.
+        c = np.cross(t, b)
+        square = dot(c, c)
+        scale = (1 / np.where(square > 0, square, square.dtype.type(1)))[:, None]
+        dual = replace(primitive, tangents=np.cross(b, c) * scale, bitangents=np.cross(c, t) * scale)
+        return replace(primitive, gradients=dual.weight_gradients(), lengths=rest.tangent_lengths())
+    if targets.with_tangents:
+        # t and b are at right angles, and not of length 1: ∇w = (α t + β b) / |t|².
+        square = dot(t, t)
+        scale = 1 / np.where(square > 0, square, square.dtype.type(1))
+        return replace(primitive, gradients=primitive.weight_gradients() * scale[:, None, None])
+    return primitive
 
 
 def as_engines_light(
@@ -89,23 +100,3 @@ def as_engines_light(
     n0 = rest.normals.astype(np.float64)
     normals, _ = morphed_normals(n0, targets.summed("normals", weights, len(n0)))
     return replace(moved, normals=normals, sides=moved.handedness())
-
-
-def _with_gradients(primitive: RestPrimitive) -> RestPrimitive:
-    """Return the primitive with ∇w = (α t + β b) / |t|²: t and b are at right angles, and not of length 1."""
-    square = dot(primitive.tangents, primitive.tangents)
-    scale = 1 / np.where(square > 0, square, square.dtype.type(1))
-    return replace(primitive, gradients=primitive.weight_gradients() * scale[:, None, None])
-
-
-def _with_gradients_of_any_frame(primitive: RestPrimitive) -> RestPrimitive:
-    """Return the primitive with the ∇w that have ∇w · t = α and ∇w · b = β, for t and b of any angle.
-
-    With c = t × b, they are (α b × c + β c × t) / |c|².
-    """
-    t, b = primitive.tangents, primitive.bitangents
-    c = np.cross(t, b)
-    square = dot(c, c)
-    scale = (1 / np.where(square > 0, square, square.dtype.type(1)))[:, None]
-    dual = replace(primitive, tangents=np.cross(b, c) * scale, bitangents=np.cross(c, t) * scale)
-    return replace(primitive, gradients=dual.weight_gradients())

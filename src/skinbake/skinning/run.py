@@ -50,11 +50,11 @@ class Skinning:
         For rigid joints, algorithms 4–6 (``dual_quaternions``) apply the scale common to all joints of a pose
         to p, t and b first. A joint in use is rigid within ``tolerance`` (``rigid_motions``).
         """
-        motions = (
-            _dual_motions([rest], joint_matrices, tolerance, dtype)
-            if dual_quaternions
-            else _matrices(joint_matrices, dtype)
-        )
+        if dual_quaternions:
+            motions = _dual_motions([rest], joint_matrices, tolerance, dtype)
+        else:  # the upper three rows of the matrices
+            rows = joint_matrices[:, :, :3, :].reshape(*joint_matrices.shape[:2], 12)
+            motions = _Motions(np.ascontiguousarray(np.transpose(rows, (2, 1, 0)), dtype=dtype), 4, None)
         return cls(_Vertices(rest, dtype), motions, options or Options())
 
     @classmethod
@@ -70,7 +70,11 @@ class Skinning:
         vertex = self._block(pose, part, gradients=Algorithm.LBS_DIRECT in algorithms)
         per_slot = [self.motions.of_slot(joints, pose) for joints in self.vertices.joints(part)]
         steps = SCALED_STEPS if self.has_scaled_joints else STEPS
-        return [steps[algorithm](vertex, per_slot, self.options, _ignore_line) for algorithm in algorithms]
+        return [
+            # Only counting needs the marks of lines.
+            steps[algorithm](vertex, per_slot, self.options, lambda number: None)
+            for algorithm in algorithms
+        ]
 
     def positions(self, pose: slice, part: slice) -> Vector:
         """Return the positions that dual quaternions give a block: components (P, V)."""
@@ -96,10 +100,6 @@ def joints_in_use(primitives: Sequence[RestPrimitive], count: int) -> BoolArray:
     return in_use
 
 
-def _ignore_line(number: int) -> None:
-    """Ignore the mark: only counting needs the lines."""
-
-
 @dataclass(frozen=True, slots=True)
 class _Motions:
     """Joint motions as a table (components, J, P), the length of a row or None, and the uniform scale (P,).
@@ -123,13 +123,6 @@ class _Motions:
             return gathered
         starts = range(0, len(gathered), self.row_length)
         return tuple(gathered[start : start + self.row_length] for start in starts)
-
-
-def _matrices(joint_matrices: FloatArray, dtype: npt.DTypeLike) -> _Motions:
-    """Take the upper three rows of joint matrices."""
-    poses, joints = joint_matrices.shape[:2]
-    rows = joint_matrices[:, :, :3, :].reshape(poses, joints, 12)
-    return _Motions(np.ascontiguousarray(np.transpose(rows, (2, 1, 0)), dtype=dtype), 4, None)
 
 
 def _dual_motions(

@@ -27,7 +27,6 @@ from skinbake.geometry.skinned import (
 from skinbake.skinning.components import Vector, cross, dot, minus, scaled
 from skinbake.truth import kernel
 from skinbake.truth.mesh import (
-    Int64Array,
     JointField,
     WeldedMesh,
     carrying_slots,
@@ -106,15 +105,28 @@ def gradient_operator(
     counts = tuple(len(primitive.positions) for primitive in primitives)
     positions = np.concatenate([primitive.positions for primitive in primitives])
     positions = np.ascontiguousarray(positions, dtype=np.float64)
-    # The triangles that have an area, over all primitives.
-    triangles = _all_triangles(primitives)
+    # The triangles that have an area, over all primitives: with the numbers of the concatenated vertices.
+    parts = [np.zeros((0, 3), dtype=np.int64)]
+    starts = np.cumsum([0, *counts])
+    for number, (primitive, size) in enumerate(zip(primitives, counts, strict=True)):
+        own = primitive.triangles.astype(np.int64)
+        if own.size and not (own.min() >= 0 and own.max() < size):
+            found = f"indices from {own.min()} to {own.max()}"
+            raise InputError(f"primitive {number}: {found}, expected 0 to {size - 1}")
+        parts.append(own + starts[number])
+    triangles = np.concatenate(parts)
     triangles = triangles[is_sound(positions, triangles)]
     # Which vertices are one point.
     classes = weld_classes(primitives, crease_angle_degrees=crease_angle_degrees, claim=claim)
-    claim(_welding_size(triangles, classes))
-    # The corners of each class, and the sum of their weights.
+    # The corners of each class.
     places = classes[triangles].ravel()
     count = int(classes.max(initial=-1)) + 1
+    met = np.bincount(places, minlength=count)
+    # Every copy of a vertex gets the row of its class, with an entry for each neighbour; up to eight copies
+    # of a row are in memory. If each triangle of a fan has its own copy of the centre, there are as many long
+    # rows as triangles.
+    entries = int((1 + 2 * met[classes]).sum()) - len(classes) - 2 * triangles.size
+    claim(max(entries, 0) * 12 * 8)
     # The weight of each corner (T, 3) of sound triangles.
     edges = _edges(positions, triangles)
     weights = np.empty(triangles.shape)
@@ -122,8 +134,9 @@ def gradient_operator(
         # The two edges at the corner, both leading away from it.
         following, preceding = edges[corner], scaled(-1.0, edges[corner - 1])
         weights[:, corner] = weights_of_corners(following, preceding, weighting)
+    # The mean of a class divides by the sum over all of its corners.
     totals = np.bincount(places, weights.ravel(), minlength=count).astype(np.float64)
-    ends = np.concatenate([[0], np.cumsum(np.bincount(places, minlength=count))])
+    ends = np.concatenate([[0], np.cumsum(met)])
     corners = np.argsort(places, kind="stable").astype(np.int32)
     return GradientOperator(
         counts=counts,
@@ -144,17 +157,6 @@ def true_operator(
     return gradient_operator(
         primitives, weighting=TRUE_WEIGHTING, crease_angle_degrees=TRUE_CREASE_ANGLE, claim=claim
     )
-
-
-def _welding_size(triangles: Int64Array, classes: Int64Array) -> int:
-    """Return the bytes by which welding makes the operator larger. Every copy gets the row of its class.
-
-    A row has an entry for each neighbour. Up to eight copies of it are in memory. If each triangle of a fan
-    has its own copy of the centre, there are as many long rows as triangles.
-    """
-    corners = np.bincount(classes[triangles].ravel(), minlength=int(classes.max(initial=-1)) + 1)
-    entries = int((1 + 2 * corners[classes]).sum()) - len(classes) - 2 * triangles.size
-    return max(entries, 0) * 12 * 8
 
 
 def expected_alpha_beta(
@@ -206,22 +208,6 @@ def _derivatives_of_joints(derivatives: SparseRows, field: JointField, named: In
         table = np.bincount(cells, values[first:last][entries] * weights, (rows.stop - rows.start) * width)
         found[rows] = np.take_along_axis(table.reshape(-1, width), named[rows].astype(np.int64), axis=1)
     return found
-
-
-def _all_triangles(primitives: Sequence[SkinnedPrimitive]) -> Int64Array:
-    """Concatenate the triangles, with indices into the concatenated vertices."""
-    parts = [np.zeros((0, 3), dtype=np.int64)]
-    offset = 0
-    for number, primitive in enumerate(primitives):
-        count, triangles = len(primitive.positions), primitive.triangles.astype(np.int64)
-        if triangles.size and not (triangles.min() >= 0 and triangles.max() < count):
-            raise InputError(
-                f"primitive {number}: indices from {triangles.min()} to {triangles.max()}, "
-                f"expected 0 to {count - 1}"
-            )
-        parts.append(triangles + offset)
-        offset += count
-    return np.concatenate(parts)
 
 
 def _edges(positions: Float64Array, triangles: IntArray) -> list[Vector]:

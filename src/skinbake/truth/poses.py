@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skinbake.choices import PoseKind
-from skinbake.errors import InputError, Place
+from skinbake.errors import InputError
 from skinbake.geometry.poses import random_weights
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import (
@@ -123,7 +123,16 @@ def moving_clips(document: Document, skin: int, clips: Sequence[Clip], node: int
     what = f"looking for the clips of skin {skin}"
     document.budget.claim(Work(steps=steps_of_looking(clips)), what, document.place)
     nodes = set(skeleton.nodes)
-    return [clip for clip in (_only(nodes, node, clip) for clip in clips) if clip.channels]
+    found = []
+    for clip in clips:  # without the channels of other nodes: 84 skins have 84 times the channels of one
+        channels = tuple(
+            channel
+            for channel in clip.channels
+            if (channel.morphs(node) if channel.path == MORPH_WEIGHTS else channel.node in nodes)
+        )
+        if channels:
+            found.append(clip._replace(channels=channels))
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,41 +255,34 @@ def planned_poses(document: Document, plan: PosePlan) -> PoseSet:
         elif clips:
             poses = _sampled(plan, names)
         else:
-            poses = _random(plan, names)
-    _check_range(poses, plan.skin, document.place)
+            weights = None
+            if plan.resting is not None:
+                weights = random_weights(plan.resting, plan.count, MORPHS_AT_ONCE, request.seed)
+            matrices = random_poses(skeleton, plan.count, angle=request.angle, seed=request.seed)
+            called = tuple(f"random pose {number}" for number in range(plan.count))
+            poses = PoseSet(names, matrices, called, (None,) * plan.count, weights)
+    # Every renderer stores float32.
+    fits = (np.abs(poses.joint_matrices) <= MOST).all(axis=(2, 3))
+    if not fits.all():
+        pose, joint = np.argwhere(~fits)[0]
+        message = (
+            f"in {poses.clips[pose]} the matrix of {names[joint]} of skin {plan.skin} is past all numbers of "
+            "float32: mend the scales and translations of its nodes, its inverse bind matrix, or its keys"
+        )
+        raise InputError(message, place)
     return poses
 
 
-def _check_range(poses: PoseSet, skin: int, place: Place) -> None:
-    """Raise InputError for a joint matrix that float32 cannot hold, because every renderer stores float32."""
-    fits = (np.abs(poses.joint_matrices) <= MOST).all(axis=(2, 3))
-    if fits.all():
-        return
-    pose, joint = np.argwhere(~fits)[0]
-    raise InputError(
-        f"in {poses.clips[pose]} the matrix of {poses.joint_names[joint]} of skin {skin} is past all numbers "
-        "of float32: mend the scales and translations of its nodes, its inverse bind matrix, or its keys",
-        place,
-    )
-
-
-def _only(nodes: set[int], morphed: int | None, clip: Clip) -> Clip:
-    """Return a clip without the channels of other nodes. 84 skins have 84 times the channels of one."""
-    channels = tuple(
-        channel
-        for channel in clip.channels
-        if (channel.morphs(morphed) if channel.path == MORPH_WEIGHTS else channel.node in nodes)
-    )
-    return clip._replace(channels=channels)
-
-
 def _sampled(plan: PosePlan, joint_names: tuple[str, ...]) -> PoseSet:
-    each = plan.of_each
+    each, offset = plan.of_each, plan.request.offset
     known: dict[object, Float64Array] = {}
     matrices, weights, names, times = [], [], [], []
     numbers: list[int | None] = []
     for clip in plan.sampled:
-        at = _moments(clip, each, plan.request.offset)
+        # At both ends and evenly between, or at the same place in each of as many equal parts.
+        at = np.linspace(clip.start, clip.duration, each)
+        if offset is not None:
+            at = clip.start + (clip.duration - clip.start) * (np.arange(each) + offset) / each
         key = _key(clip)
         if key not in known:
             known[key] = clip_poses(plan.skeleton, clip, at)
@@ -303,23 +305,6 @@ def _key(clip: Clip) -> tuple[object, ...]:
         for channel in clip.channels
     )
     return clip.start, clip.duration, *channels
-
-
-def _moments(clip: Clip, count: int, offset: float | None) -> Float64Array:
-    """Return the times of a clip's samples, as ``PoseRequest`` says."""
-    if offset is None:
-        return np.linspace(clip.start, clip.duration, count)
-    return clip.start + (clip.duration - clip.start) * (np.arange(count) + offset) / count
-
-
-def _random(plan: PosePlan, joint_names: tuple[str, ...]) -> PoseSet:
-    request, count = plan.request, plan.count
-    matrices = random_poses(plan.skeleton, count, angle=request.angle, seed=request.seed)
-    weights = (
-        None if plan.resting is None else random_weights(plan.resting, count, MORPHS_AT_ONCE, request.seed)
-    )
-    names = tuple(f"random pose {number}" for number in range(count))
-    return PoseSet(joint_names, matrices, names, (None,) * count, weights)
 
 
 def described(request: PoseRequest, sets: Sequence[PoseSet], seconds: float) -> str:
