@@ -19,10 +19,10 @@ import skinbake
 from fixtures.builder import AnyArray, JsonObject
 from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs, Stage
-from skinbake.commands.shader import ShaderRequest, ShaderResult, shader
+from skinbake.commands.shader import ShaderResult, shader
 from skinbake.errors import ChoiceError
 from skinbake.geometry.morphs import Differences, MorphTarget, MorphTargets
-from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
+from skinbake.shaders.choices import ALGORITHMS, ShaderChoices, ShaderRequest
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed
 from skinbake.skinning.rest import RestPrimitive

@@ -18,7 +18,7 @@ from click.testing import CliRunner
 
 from skinbake.choices import Frame, FrameChoice, Language, Lighting, Method, Morphs
 from skinbake.cli.main import main
-from skinbake.commands.shader import ShaderRequest, shader
+from skinbake.commands.shader import shader
 from skinbake.errors import ChoiceError
 from skinbake.geometry.frames import frame_from_normal
 from skinbake.geometry.morphs import (
@@ -32,7 +32,7 @@ from skinbake.geometry.morphs import (
     normals_of_frames,
 )
 from skinbake.geometry.skinned import Float32Array
-from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
+from skinbake.shaders.choices import ALGORITHMS, ShaderChoices, ShaderRequest
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed
 from skinbake.skinning.rest import RestPrimitive

@@ -15,11 +15,11 @@ import numpy.typing as npt
 import pytest
 
 from skinbake.choices import Encoding, Language, Layout, Lighting, Method
-from skinbake.commands.shader import ShaderRequest, shader
+from skinbake.commands.shader import shader
 from skinbake.errors import ChoiceError, InputError
 from skinbake.format.layouts import GradientFormat
 from skinbake.shaders import text as shader_texts
-from skinbake.shaders.choices import AttributeText, ShaderChoices
+from skinbake.shaders.choices import AttributeText, ShaderChoices, ShaderRequest
 from tests.support.baked_files import Editable
 from tests.support.command_line import invoke
 from tests.support.gltf_reading import GltfFile, read

@@ -20,10 +20,10 @@ import pytest
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method
-from skinbake.commands.shader import ShaderRequest, shader
+from skinbake.commands.shader import shader
 from skinbake.errors import ChoiceError
 from skinbake.format.layouts import GradientFormat
-from skinbake.shaders.choices import ShaderChoices
+from skinbake.shaders.choices import ShaderChoices, ShaderRequest
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser, corpus
 from tests.support.baked_files import Editable

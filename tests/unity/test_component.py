@@ -15,7 +15,8 @@ import pytest
 import skinbake
 from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Language, Stage
-from skinbake.commands.shader import ShaderRequest, shader
+from skinbake.commands.shader import shader
+from skinbake.shaders.choices import ShaderRequest
 from tests.shaders.running import done
 from tests.support import analytic, dxc, glslang, webgpu
 from tests.support.gltf_reading import read

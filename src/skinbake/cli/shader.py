@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import fields
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -18,11 +18,9 @@ from skinbake.cli.targets import check_named, check_text_target
 from skinbake.errors import ChoiceError, printable
 from skinbake.files.urls import STDIO, named_file
 from skinbake.options import SHADER, checked
+from skinbake.shaders.choices import ShaderRequest
 from skinbake.shaders.text import targets
 from skinbake.wording import SUFFIXES
-
-if TYPE_CHECKING:
-    from skinbake.commands.shader import ShaderRequest
 
 
 @click.command(
@@ -64,7 +62,7 @@ def command(plan: Plan[Any], *, source: str | None, **choices: Any) -> None:
 
 def check_together(given: Mapping[str, Any]) -> None:
     """Raise ChoiceError if options contradict each other, whichever language and file come with them."""
-    from skinbake.commands.shader import ShaderRequest, check_request
+    from skinbake.commands.shader import check_request
 
     choices = {one.name: given[one.name] for one in fields(ShaderRequest)}
     languages = [choices["language"]] if choices["language"] else targets()[choices["target"]]
@@ -82,8 +80,6 @@ def check_together(given: Mapping[str, Any]) -> None:
 
 def _request(choices: Mapping[str, Any]) -> ShaderRequest:
     """Return what is asked for. A target with one language needs no --lang. Raises click.UsageError."""
-    from skinbake.commands.shader import ShaderRequest
-
     languages = targets()[choices["target"]]
     if not choices["language"] and len(languages) > 1:
         raise click.UsageError("Missing option '--lang'. Choose from: " + ", ".join(languages))

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 from typing import Any
 
 import numpy as np
 
-from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method, Morphs, Stage
+from skinbake.choices import Encoding, Frame, Layout, Method, Morphs, Stage
 from skinbake.errors import ChoiceError, InputError, Notice, Place
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.urls import STDIO
@@ -31,36 +31,15 @@ from skinbake.gradients.influences import weight_sum_notices
 from skinbake.measure.measured import scaled_joints
 from skinbake.measure.morphing import NUMBERS, carrier, noted_of
 from skinbake.options import on_command_line
-from skinbake.shaders.choices import AT_RUN_TIME, BEST, AttributeText, ShaderChoices
+from skinbake.shaders.choices import AT_RUN_TIME, BEST, AttributeText, ShaderChoices, ShaderRequest
 from skinbake.shaders.text import shader_made
 from skinbake.truth.poses import PoseRequest, PoseSet, pose_set
 from skinbake.wording import counted
 
-DEFAULT_INFLUENCES = 4
 DEFAULTS = {"encoding": Encoding.FLOAT32, "layout": Layout.ATTRIBUTES}
 """The meaning of metadata that do not say how α and β are stored."""
 ALIKE = {"frame": "frame", "influences": "limit-influences", "encoding": "encoding", "layout": "layout"}
 """What the primitives of one text have in common, by metadata, and the options of bake that make it so."""
-
-
-@dataclass(frozen=True, slots=True)
-class ShaderRequest:
-    """The options of ``skinbake shader``. None leaves the choice to the baked file, or to the default."""
-
-    language: Language
-    method: Method = Method.LBS
-    lighting: Lighting | None = None
-    influences: int | None = None
-    frame: Frame | None = None
-    cap: float | None = None
-    mirrored_joints: bool = False
-    scaled_joints: bool = False
-    target: str = "plain"
-    encoding: Encoding | None = None
-    layout: Layout | None = None
-    morphs: Morphs | None = None
-    normal_map: bool = False
-    stage: Stage = Stage.VERTEX
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,32 +60,29 @@ def shader(
     baked, or does not fit the request. Raises OutputError if ``target`` is a file of the source document.
     """
     if source is None:
-        choices, notices = _choices(request)
-        text, choices = shader_made(choices)
-        return ShaderResult(text, choices, tuple(notices))
-    choices, notices = _choices_of_file(request, source, target, bounds)
+        text, choices = shader_made(request.decided())
+        if request.frame is not None or request.target in AT_RUN_TIME:
+            return ShaderResult(text, choices)
+        message = (
+            f"the shader is made for --frame {Frame.NORMAL}, but bake uses the tangent frame if a "
+            "mesh has TANGENT. Name the baked file with --for, or give --frame"
+        )
+        return ShaderResult(text, choices, (Notice("frame-assumed", message, Place("shader")),))
+    document = read_document(source, bounds)
+    if target is not None:
+        refuse_own_input(document, source, target)
     try:
-        text, choices = shader_made(choices)
+        text, choices = shader_made(_choices_of_file(document, request))
     except ChoiceError as error:
-        if _contradicts_itself(request):
-            raise
+        check_request(request)  # a request may contradict itself, whatever the file is
         message = f"this file does not fit {error.worded(on_command_line)}"
         raise InputError(message, Place(source)) from error
-    return ShaderResult(text, choices, tuple(notices))
-
-
-def _contradicts_itself(request: ShaderRequest) -> bool:
-    """Tell whether a refused request is itself at fault: it is refused for the usual kind of file too."""
-    try:
-        check_request(request)
-    except ChoiceError:
-        return True
-    return False
+    return ShaderResult(text, choices, tuple(document.notices))
 
 
 def check_request(request: ShaderRequest) -> None:
     """Raise ChoiceError if a request is refused for the usual kind of file."""
-    shader_made(replace(_choices(request)[0], scale=1.0))
+    shader_made(request.decided(scale=1.0))
 
 
 def write_shader(result: ShaderResult, target: str, *, sync: bool = True) -> None:
@@ -118,44 +94,8 @@ def write_shader(result: ShaderResult, target: str, *, sync: bool = True) -> Non
         write_file(pieces, target, sync=sync)
 
 
-def _choices(request: ShaderRequest) -> tuple[ShaderChoices, list[Notice]]:
-    notices = []
-    if request.frame is None and request.target not in AT_RUN_TIME:
-        message = (
-            f"the shader is made for --frame {Frame.NORMAL}, but bake uses the tangent frame if a "
-            "mesh has TANGENT. Name the baked file with --for, or give --frame"
-        )
-        notices.append(Notice("frame-assumed", message, Place("shader")))
-    frame, influences = request.frame or Frame.NORMAL, request.influences or DEFAULT_INFLUENCES
-    return _made(request, frame, influences), notices
-
-
-def _made(request: ShaderRequest, frame: Frame, influences: int) -> ShaderChoices:
-    return ShaderChoices(
-        language=request.language,
-        method=request.method,
-        lighting=request.lighting or BEST[request.method],
-        influences=influences,
-        frame=frame,
-        cap=request.cap,
-        mirrored_joints=request.mirrored_joints,
-        scaled_joints=request.scaled_joints,
-        target=request.target,
-        encoding=request.encoding or Encoding.FLOAT32,
-        layout=request.layout or Layout.ATTRIBUTES,
-        morphs=request.morphs or Morphs.NONE,
-        normal_map=request.normal_map,
-        stage=request.stage,
-    )
-
-
-def _choices_of_file(
-    request: ShaderRequest, source: str, target: str | None, bounds: Bounds
-) -> tuple[ShaderChoices, list[Notice]]:
-    """Return the choices from a file's metadata, and a notice for each primitive that they do not serve."""
-    document = read_document(source, bounds)
-    if target is not None:
-        refuse_own_input(document, source, target)
+def _choices_of_file(document: Document, request: ShaderRequest) -> ShaderChoices:
+    """Return the choices from a file's metadata; tell of each primitive that they do not serve."""
     views = _views(document)
     serving = [view for view in views if _serves(view, request)]
     if not serving:
@@ -165,54 +105,55 @@ def _choices_of_file(
     if request.influences is not None:
         serving = _in_one_place(_with_enough(serving, request.influences))
     _refuse_several_kinds(document, serving, request)
-    kind = {member: _noted(serving[0], member) for member in ALIKE}
-    choices = replace(
-        _made(request, Frame(str(kind["frame"])), request.influences or int(kind["influences"])),
-        encoding=Encoding(str(kind["encoding"])),
-        layout=Layout(str(kind["layout"])),
+    choices = request.decided(
+        frame=Frame(_noted(serving[0], "frame")),
+        influences=int(_noted(serving[0], "influences")),
+        encoding=Encoding(_noted(serving[0], "encoding")),
+        layout=Layout(_noted(serving[0], "layout")),
     )
-    choices, others = _with_names(document, serving, choices)
+    choices = _with_names(document, serving, choices)
     if request.morphs is None:
         # Only the plain text leaves it to its user where the numbers of a differential come from.
         numbers = choices.target == "plain"
         choices = replace(choices, morphs=carrier(document, serving, numbers=numbers))
-        others += _unread_numbers(document, serving, choices)
+        _tell_unread_numbers(document, serving, choices)
     choices = _with_joints(document, serving, choices)
-    others += [notice for view in serving for notice in weight_sum_notices(view.now, view.source.place)]
-    if request.stage is Stage.COMPUTE:
-        others += [notice for view in serving for notice in _not_plain(document, view, choices)]
+    for view in serving:
+        document.notices.tell(*weight_sum_notices(view.now, view.source.place))
+    for view in serving if request.stage is Stage.COMPUTE else ():
+        _tell_not_plain(document, view, choices)
+    for view in _others(views, serving):
+        _tell_not_for(document, view, request)
+    return choices
+
+
+def _others(views: Sequence[BakedView], serving: Sequence[BakedView]) -> list[BakedView]:
     served = {view.source.place for view in serving}
-    return choices, [*others, *(_not_for(view, request) for view in views if view.source.place not in served)]
+    return [view for view in views if view.source.place not in served]
 
 
 def _choices_at_run_time(
     document: Document, views: Sequence[BakedView], request: ShaderRequest
-) -> tuple[ShaderChoices, list[Notice]]:
+) -> ShaderChoices:
     """Return the choices for a module that reads everything else from the file when it runs.
 
     A primitive that needs more influences than were asked for gets a notice.
     """
     influences = request.influences or max(int(view.metadata["influences"]) for view in views)
     serving = _with_enough(views, influences)
-    choices = _made(request, Frame(str(views[0].metadata["frame"])), influences)
-    served = {view.source.place for view in serving}
-    others = [_over_module(view, influences) for view in views if view.source.place not in served]
-    others += _unread_numbers(document, serving, choices)
-    return _with_joints(document, serving, choices), others
+    choices = request.decided(frame=Frame(views[0].metadata["frame"]), influences=influences)
+    for view in _others(views, serving):
+        message = (
+            f"this module does not fit it: its vertices use more than {influences} of its "
+            f"{view.metadata['influences']} influences. Bake it with --limit-influences {influences}"
+        )
+        document.notices.tell(Notice("shader-not-for", message, view.source.place))
+    _tell_unread_numbers(document, serving, choices)
+    return _with_joints(document, serving, choices)
 
 
-def _over_module(view: BakedView, influences: int) -> Notice:
-    message = (
-        f"this module does not fit it: its vertices use more than {influences} of its "
-        f"{view.metadata['influences']} influences. Bake it with --limit-influences {influences}"
-    )
-    return Notice("shader-not-for", message, view.source.place)
-
-
-def _unread_numbers(
-    document: Document, views: Sequence[BakedView], choices: ShaderChoices
-) -> Iterator[Notice]:
-    """Yield a notice for each primitive whose numbers of ``--morph-frames`` the text does not read, and miss.
+def _tell_unread_numbers(document: Document, views: Sequence[BakedView], choices: ShaderChoices) -> None:
+    """Tell of each primitive whose numbers of ``--morph-frames`` the text does not read, and would miss.
 
     Engines but three.js and Babylon.js follow NORMAL of the targets. It is there where the numbers are
     four. The plain text reads one kind of them.
@@ -233,13 +174,11 @@ def _unread_numbers(
             )
         else:
             continue
-        yield Notice("morph-frames-unread", message, view.source.place)
+        document.notices.tell(Notice("morph-frames-unread", message, view.source.place))
 
 
-def _with_names(
-    document: Document, views: Sequence[BakedView], choices: ShaderChoices
-) -> tuple[ShaderChoices, list[Notice]]:
-    """Return the choices with the file's names and scale, and a notice for each primitive with other names.
+def _with_names(document: Document, views: Sequence[BakedView], choices: ShaderChoices) -> ShaderChoices:
+    """Return the choices with the file's names and scale; tell of each primitive with other names.
 
     Texture coordinates follow the existing ones of a primitive, so each primitive may have its own numbers.
     Other names are the same for all of a bake. Raises InputError if they are not, or if scales differ.
@@ -258,20 +197,16 @@ def _with_names(
     first = views[0].metadata
     blend = first[blend_weights.NOTE]["weights"] if choices.method is Method.BLEND else None
     text = AttributeText(PurePath(document.name).name, tuple(first["alpha"]), tuple(first["beta"]), blend)
-    choices = replace(choices, attributes=text, scale=scales.pop() if choices.decodes else None)
-    if choices.layout != Layout.TEXCOORD:
-        return choices, []
-    return choices, [_other_texcoords(view) for view in views if view.metadata["alpha"] != first["alpha"]]
+    for view in views:
+        if choices.layout == Layout.TEXCOORD and view.metadata["alpha"] != first["alpha"]:
+            own = slot_names(view.metadata)
+            message = f"its α and β are in {own[0]} to {own[-1]}: pass these attributes to the same functions"
+            document.notices.tell(Notice("texcoords-differ", message, view.source.place))
+    return replace(choices, attributes=text, scale=scales.pop() if choices.decodes else None)
 
 
-def _other_texcoords(view: BakedView) -> Notice:
-    names = slot_names(view.metadata)
-    message = f"its α and β are in {names[0]} to {names[-1]}: pass these attributes to the same functions"
-    return Notice("texcoords-differ", message, view.source.place)
-
-
-def _not_plain(document: Document, view: BakedView, choices: ShaderChoices) -> Iterator[Notice]:
-    """Yield a notice if a compute pass cannot read the bytes of a primitive as they are in the file."""
+def _tell_not_plain(document: Document, view: BakedView, choices: ShaderChoices) -> None:
+    """Tell if a compute pass cannot read the bytes of a primitive as they are in the file."""
     whole = {f"{name}_{n}" for name in ("JOINTS", "WEIGHTS") for n in range(choices.influence_sets)}
     whole |= set(slot_names(view.metadata)) if choices.decodes else set()
     floats = {
@@ -299,7 +234,7 @@ def _not_plain(document: Document, view: BakedView, choices: ShaderChoices) -> I
             f"a compute pass reads plain bytes, and this primitive has others ({', '.join(sorted(packed))}): "
             "give it the arrays that your loader has expanded, with their offsets"
         )
-        yield Notice("pass-reads-plain", message, view.source.place)
+        document.notices.tell(Notice("pass-reads-plain", message, view.source.place))
 
 
 def _views(document: Document) -> list[BakedView]:
@@ -384,18 +319,15 @@ def _refuse_several_kinds(document: Document, views: Sequence[BakedView], reques
         f"{member} ({', '.join(f'{value} in {place}' for value, place in found.items())})"
         for member, found in several.items()
     )
-    options = " ".join(f"--{ALIKE[member]} {_common(found)}" for member, found in several.items())
+    # The value that a bake can give to all of them.
+    common = {one: Frame.NORMAL if Frame.NORMAL in found else min(found) for one, found in several.items()}
+    options = " ".join(f"--{ALIKE[member]} {value}" for member, value in common.items())
     raise InputError(
         f"its primitives differ in {listed}, and each kind needs its own shader. To have one for all, run "
         f"skinbake bake {options}, with the other options as before. Or write one for each kind with "
         f"{' and '.join(f'--{member}' for member in several)}",
         document.place,
     )
-
-
-def _common(values: Collection[Any]) -> Any:
-    """Return the value of a member of metadata that a bake can give to all primitives."""
-    return Frame.NORMAL if Frame.NORMAL in values else min(values)
 
 
 def _with_enough(views: Sequence[BakedView], influences: int) -> list[BakedView]:
@@ -467,11 +399,12 @@ def _posed(document: Document, views: Sequence[BakedView]) -> Iterator[tuple[Bak
             yield view, sets[skin]
 
 
-def _not_for(view: BakedView, request: ShaderRequest) -> Notice:
-    """Return the notice for a primitive that needs a shader of its own, with the options that write it."""
+def _tell_not_for(document: Document, view: BakedView, request: ShaderRequest) -> None:
+    """Tell of a primitive that needs a shader of its own, with the options that write it."""
     if request.method is Method.BLEND and view.blend is None:
         message = "this shader does not fit it: it is baked without --blend. Light it by --method lbs"
-        return Notice("shader-not-for", message, view.source.place)
+        document.notices.tell(Notice("shader-not-for", message, view.source.place))
+        return
     storage = {member: str(_noted(view, member)) for member in DEFAULTS}
     others = {
         member: kind for member, kind in storage.items() if getattr(request, member) not in (None, kind)
@@ -483,4 +416,4 @@ def _not_for(view: BakedView, request: ShaderRequest) -> Notice:
         f"this shader does not fit it: it is baked in the {frame} frame with {influences} "
         f"influences{stored}. Write another shader with --frame {frame} --influences {influences}{options}"
     )
-    return Notice("shader-not-for", message, view.source.place)
+    document.notices.tell(Notice("shader-not-for", message, view.source.place))

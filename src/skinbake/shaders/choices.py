@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 from skinbake.choices import SLOTS_PER_SET, Encoding, Frame, Language, Layout, Lighting, Method, Morphs, Stage
 from skinbake.errors import ChoiceError, Chosen
@@ -51,35 +52,54 @@ class AttributeText:
 
 
 @dataclass(frozen=True, slots=True)
-class ShaderChoices:
-    """One shader: every choice that changes its text.
+class ShaderRequest:
+    """What is asked of a shader. None leaves the choice to the baked file, or to the default.
 
     influences N ≥ 1. cap limits the correction of t' and b' to cap × |T t|, None is off. With
     ``mirrored_joints`` the normal is turned by the sign of det T. With ``scaled_joints``, dual quaternions
-    take joints that scale, shear or mirror. attributes None means the default names
-    of bake. encoding and layout are the storage of α and β. scale is that of the encoding if the file is
-    known, in 1 / length unit of POSITION. ``morphs`` is the direction that the frame follows under morph
-    targets. With ``normal_map`` the text has what mapped normals need, too. ``stage`` COMPUTE is a whole pass
-    over buffers in place of functions. Raises ChoiceError for choices
-    that exclude each other.
+    take joints that scale, shear or mirror. encoding and layout are the storage of α and β. ``morphs`` is the
+    direction that the frame follows under morph targets. With ``normal_map`` the text has what mapped normals
+    need, too. ``stage`` COMPUTE is a whole pass over buffers in place of functions.
     """
 
     language: Language
     method: Method = Method.LBS
-    lighting: Lighting = Lighting.ACCURATE
-    influences: int = 4
-    frame: Frame = Frame.NORMAL
+    lighting: Lighting | None = None
+    influences: int | None = None
+    frame: Frame | None = None
     cap: float | None = None
     mirrored_joints: bool = False
     scaled_joints: bool = False
     target: str = "plain"
-    attributes: AttributeText | None = None
-    encoding: Encoding = Encoding.FLOAT32
-    layout: Layout = Layout.ATTRIBUTES
-    scale: float | None = None
-    morphs: Morphs = Morphs.NONE
+    encoding: Encoding | None = None
+    layout: Layout | None = None
+    morphs: Morphs | None = None
     normal_map: bool = False
     stage: Stage = Stage.VERTEX
+
+    def decided(self, **known: Any) -> ShaderChoices:
+        """Return the choices of a request, of what is known of a file, and of the defaults."""
+        asked = {one.name: getattr(self, one.name) for one in fields(ShaderRequest)}
+        asked = {name: value for name, value in asked.items() if value is not None}
+        return ShaderChoices(**{"lighting": BEST[self.method], **known, **asked})
+
+
+@dataclass(frozen=True, slots=True)
+class ShaderChoices(ShaderRequest):
+    """One shader: every choice that changes its text. Raises ChoiceError for choices that exclude each other.
+
+    attributes None means the default names of bake. scale is that of the encoding if the file is known, in
+    1 / length unit of POSITION.
+    """
+
+    lighting: Lighting = Lighting.ACCURATE
+    influences: int = 4
+    frame: Frame = Frame.NORMAL
+    encoding: Encoding = Encoding.FLOAT32
+    layout: Layout = Layout.ATTRIBUTES
+    morphs: Morphs = Morphs.NONE
+    attributes: AttributeText | None = None
+    scale: float | None = None
 
     def __post_init__(self) -> None:
         legal = [light for method, light in ALGORITHMS if method is self.method] or list(BLENDED)
