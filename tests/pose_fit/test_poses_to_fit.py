@@ -82,8 +82,9 @@ def test_random_poses_are_as_many_as_asked_for(path: Path, count: int) -> None:
 def test_the_notice_counts_the_random_poses_that_replace_clips(tmp_path: Path) -> None:
     file = Editable(TUBE)
     del file.content["animations"]
-    found = poses_to_fit(read_document(str(file.write(tmp_path / "still.glb"))), 0, [ANIMATIONS], PLACE)
-    (notice,) = found.notices
+    document = read_document(str(file.write(tmp_path / "still.glb")))
+    found = poses_to_fit(document, 0, [ANIMATIONS], PLACE)
+    (notice,) = document.notices
     assert f"{len(found.groups[0].joint_matrices)} random poses" in notice.message
 
 

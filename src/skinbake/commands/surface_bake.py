@@ -67,16 +67,17 @@ class FitTarget(NamedTuple):
         """Return what the primitives of a surface are fitted to for a kind of gradients."""
         if kind is Gradients.SURFACE:
             return cls()
-        with document.notices.withheld() as notices, stage("rig"):
+        with document.notices.withheld() as told, stage("rig"):
             rig = fitting_rig(document, sources[0])
+        notices = [*told]
         if kind is Gradients.RIG:
-            return cls(kind, rig, notices=[*notices])
+            return cls(kind, rig, notices=notices)
         from skinbake.pose_fit.poses import poses_to_fit  # it poses: half a second of imports
 
-        with stage("poses"):
+        with document.notices.withheld() as told, stage("poses"):
             found = poses_to_fit(document, sources[0].mesh, fit_poses, sources[0].place)
         names = [source if isinstance(source, str) else source.name for source in fit_poses]
-        return cls(kind, rig, found, names, [*notices, *found.notices])
+        return cls(kind, rig, found, names, [*notices, *told])
 
     @property
     def noted(self) -> JsonObject:

@@ -209,7 +209,8 @@ def noted_poses(document: Document, view: BakedView) -> FoundPoses:
     """Return the poses that the metadata names, as far as they are in the file. Files are not."""
     from skinbake.pose_fit.poses import poses_to_fit
 
-    return poses_to_fit(document, view.source.mesh, noted_sources(view), view.source.place)
+    with document.notices.withheld():
+        return poses_to_fit(document, view.source.mesh, noted_sources(view), view.source.place)
 
 
 def noted_sources(view: BakedView) -> tuple[str, ...]:

@@ -148,11 +148,10 @@ def pose_source(value: PoseSource) -> PoseSource:
 
 @dataclass(frozen=True, slots=True)
 class FoundPoses:
-    """The poses of one mesh by groups, their fingerprint, and notices on what had to be assumed."""
+    """The poses of one mesh by groups, and their fingerprint."""
 
     groups: tuple[FitPoses, ...]
     fingerprint: tuple[float, ...]
-    notices: tuple[Notice, ...]
 
     def are(self, noted: Sequence[float]) -> bool:
         """Tell whether a fingerprint in the metadata is that of these poses."""
@@ -160,13 +159,24 @@ class FoundPoses:
 
 
 def poses_to_fit(document: Document, mesh: int, sources: Sequence[PoseSource], place: Place) -> FoundPoses:
-    """Return the poses of all skins that draw a mesh. They are made once for all meshes of the same skins.
+    """Return the poses of all skins that draw a mesh, and tell what had to be assumed.
 
-    Clips have CLIP_SHARE of the fit if there are any. Raises InputError if a clip or a skin is broken, or if
-    the surfaces are too much work for the file.
+    They are made once for all meshes of the same skins. Clips have CLIP_SHARE of the fit if there are any.
+    Raises InputError if a clip or a skin is broken, or if the surfaces are too much work for the file.
     """
     document.budget.claim(Cost.FITTED_SURFACE, "fitting it to its poses", place)
-    clips, notices = _clips(document, sources, place)
+    clips: list[Clip] = []
+    for source in sources:
+        if source == ANIMATIONS:
+            clips += read_clips(document)
+        elif isinstance(source, ClipFile):
+            found_clips, here, moved = source.clips_for(document)
+            clips += found_clips
+            if here < moved:
+                are = "is" if here == 1 else "are"
+                nodes = counted(moved, "node")
+                message = f"{source.name} moves {nodes} by name; {here} of them {are} in this file"
+                document.notices.tell(Notice("fit-poses-unmatched", message, place, moved - here))
     skins = document.asset.skins_of(mesh)
     known: dict[object, _Poses] = document.derived.setdefault("poses to fit", {})
     key = tuple(skins), tuple(map(str, sources))
@@ -175,15 +185,11 @@ def poses_to_fit(document: Document, mesh: int, sources: Sequence[PoseSource], p
     found = known[key]
     if not found.has_clips and any(not is_random(one) for one in sources):
         random = f"α/β are fitted to {counted(found.random, 'random pose')}"
-        message = f"{_no_clip(sources)} moves its joints: {random}{_own_clips(document, skins, sources)}"
-        notices.append(Notice("fit-poses-random", message, place))
-    return FoundPoses(found.groups, found.fingerprint, tuple(notices))
-
-
-def _no_clip(sources: Sequence[PoseSource]) -> str:
-    """Return words for the clips that were searched for one that moves the joints."""
-    files = [source.name for source in sources if isinstance(source, ClipFile)]
-    return "no clip" if ANIMATIONS in sources or not files else f"no clip of {' or '.join(files)}"
+        files = [source.name for source in sources if isinstance(source, ClipFile)]
+        none = "no clip" if ANIMATIONS in sources or not files else f"no clip of {' or '.join(files)}"
+        message = f"{none} moves its joints: {random}{_own_clips(document, skins, sources)}"
+        document.notices.tell(Notice("fit-poses-random", message, place))
+    return FoundPoses(found.groups, found.fingerprint)
 
 
 def _own_clips(document: Document, skins: Sequence[int], sources: Sequence[PoseSource]) -> str:
@@ -243,25 +249,6 @@ def _random_counts(sources: Sequence[PoseSource], skins: int) -> list[int]:
 def is_random(source: PoseSource) -> bool:
     """Tell whether a source stands for random poses."""
     return isinstance(source, str) and source.startswith(f"{RANDOM}:")
-
-
-def _clips(
-    document: Document, sources: Sequence[PoseSource], place: Place
-) -> tuple[list[Clip], list[Notice]]:
-    clips: list[Clip] = []
-    notices: list[Notice] = []
-    for source in sources:
-        if source == ANIMATIONS:
-            clips += read_clips(document)
-        elif isinstance(source, ClipFile):
-            found, here, moved = source.clips_for(document)
-            clips += found
-            if here < moved:
-                are = "is" if here == 1 else "are"
-                nodes = counted(moved, "node")
-                message = f"{source.name} moves {nodes} by name; {here} of them {are} in this file"
-                notices.append(Notice("fit-poses-unmatched", message, place, moved - here))
-    return clips, notices
 
 
 def _group(sets: Sequence[PoseSet], joints: int, share: float) -> FitPoses:
