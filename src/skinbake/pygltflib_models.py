@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,7 +14,6 @@ from skinbake.format.metadata import refuse_other_kind
 from skinbake.format.strip import stripped
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import Document, joined, parse_gltf
-from skinbake.gltf.json_access import shown
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2
@@ -68,7 +66,7 @@ def document_of(model: GLTF2) -> Document:
     except (TypeError, ValueError):
         is_path = False
     if not is_path:
-        raise InputError(f"its _path is {shown(given)}: expected the folder of its files", Place(name))
+        raise InputError(f"its _path is {given!r:.40}: expected the folder of its files", Place(name))
     document = parse_gltf(text, name, folder)
     blob = model.binary_blob()
     if blob is None:
@@ -84,7 +82,7 @@ def document_of(model: GLTF2) -> Document:
 def model_of(document: Document, like: GLTF2) -> GLTF2:
     """Return a document, a GLB, as a model of the same class, with the folder and the name of ``like``."""
     with _of_pygltflib("holds what pygltflib does not read", document.place):
-        model = type(like).from_json(json.dumps(document.json), infer_missing=True)
+        model = type(like).from_json(document.text, infer_missing=True)
     if document.binary is not None:
         model.set_binary_blob(bytes(joined(document.binary)))
     for member in ("_path", "_name"):

@@ -279,7 +279,7 @@ def test_an_image_that_cannot_be_had_is_left_out_with_a_notice(
 
     document = read_document(str(write_model(tmp_path / "sheet.glb", [sheet()], change=change)))
     materials = Materials(document)
-    made = materials.of({"material": 0}, False)
+    made = materials.of(0, False)
     assert (made.base, dict(made.images)) == (CLAY, {})
     materials.tell_missing()
     (notice,) = document.notices
@@ -294,8 +294,8 @@ def test_a_material_of_other_types_is_clay(tmp_path: Path) -> None:
         ]
 
     document = read_document(str(write_model(tmp_path / "sheet.glb", [sheet()], change=change)))
-    for number in (0, 5, "first", None):
-        made = Materials(document).of({"material": number}, False)
+    for number in (0, 5, None):
+        made = Materials(document).of(number, False)
         assert (made.base, made.emissive) == (CLAY, (0.0, 0.0, 0.0))
 
 

@@ -178,7 +178,7 @@ def test_a_sampler_that_is_none_is_as_usual(tmp_path: Path, change: JsonObject) 
         content.update(change)
 
     document = read_document(str(write_model(tmp_path / "sheet.glb", [sheet()], change=broken)))
-    assert Materials(document).of({"material": 0}, False).samplings["base"] == Sampling()
+    assert Materials(document).of(0, False).samplings["base"] == Sampling()
 
 
 def placement(folder: Path, info: object) -> Placement:
@@ -187,7 +187,7 @@ def placement(folder: Path, info: object) -> Placement:
         content["images"], content["textures"] = [textured.image([(1, 2, 3)])], [{"source": 0}]
 
     document = read_document(str(write_model(folder / "sheet.glb", [sheet()], change=change)))
-    return Materials(document).of({"material": 0}, False).placements["base"]
+    return Materials(document).of(0, False).placements["base"]
 
 
 @pytest.mark.parametrize("content", textured.BROKEN, ids=str)

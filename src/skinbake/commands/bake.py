@@ -34,12 +34,11 @@ from skinbake.format.baked import with_baked
 from skinbake.format.layouts import GradientFormat
 from skinbake.format.metadata import refuse_other_kind, with_left
 from skinbake.format.strip import stripped
-from skinbake.gltf import json_text
 from skinbake.gltf.beside import files_read
 from skinbake.gltf.budget import WELDING, Budget
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.json_access import JsonObject, entries_of
+from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.morphs import targets_without_normal
 from skinbake.gltf.output import (
     AS_USUAL,
@@ -176,9 +175,8 @@ class Baker(CheckedOptions):
         with document.notices.withheld() as undone, stage("strip"):
             original, _ = stripped(document)
             prepared = original if target is None else for_target(original, target, pack=pack)
-        if begin is not None and document.objects("skins") and self.compress is Scheme.KEEP:
-            meshes = document.objects("meshes") if original is document else []
-            count = sum(len(entries_of(mesh.get("primitives"))) for mesh in meshes)
+        if begin is not None and document.asset.skins and self.compress is Scheme.KEEP:
+            count = len(document.asset.primitives) if original is document else 0
             begin(prepared, growth=JSON_A_PRIMITIVE * count)
         made = self.bake_document(prepared)
         if made.is_baked or made.left:
@@ -302,7 +300,7 @@ class Baker(CheckedOptions):
     def _morphs(self, document: Document, bakes: Sequence[PrimitiveBake]) -> MorphBake | None:
         """Return what is made for morph targets, or told of them; None for a model that has none."""
         is_asked = self.morph_normals or self.morph_frames
-        if not is_asked and not any("targets" in bake.source.json for bake in bakes):
+        if not is_asked and not any(bake.source.has_targets for bake in bakes):
             return None
         from skinbake.commands.morph_bake import Wanted, morph_bake  # most models have no targets
 
@@ -510,12 +508,12 @@ def _refuse_unverifiable(
     Nobody could tell whether such a bake is fresh.
     """
     fresh = Budget(limit=given.budget.limit, backed=given.budget.backed, parts=given.budget.parts)
-    joints = max((len(skin.get("joints", ())) for skin in given.objects("skins")), default=0)
+    joints = max((given.asset.skins[one.skin].joint_count for one in given.asset.drawn), default=0)
     steps = STEPS_A_JOINT * joints
     most = 0
     for surface in surfaces:
         for bake in surface:
-            steps += STEPS_TO_VERIFY + STEPS_A_TARGET * len(bake.source.json.get("targets", ()))
+            steps += STEPS_TO_VERIFY + STEPS_A_TARGET * len(bake.source.targets)
         # Each copy of a vertex has the corners of all its copies: at most as often as the class with most.
         every = np.concatenate([bake.result.classes for bake in surface])
         if int(every.max(initial=-1)) + 1 < len(every):  # else no vertex has a copy
@@ -528,7 +526,7 @@ def _refuse_unverifiable(
         return
     from skinbake.measure.lighting import claim_verification  # few files come near
 
-    sizes = [len(json_text.written(one.json, indent=None, ascii_only=False)) for one in (given, baked)]
+    sizes = [len(one.text) for one in (given, baked)]
     fresh.backed += added + sizes[1] - sizes[0]
     claim_verification(baked.edited(budget=fresh))
 

@@ -28,8 +28,8 @@ from skinbake.format.correctives import (
     check_targets,
     nodes_with,
     with_mesh_correctives,
+    with_plays,
 )
-from skinbake.format.metadata import KEY
 from skinbake.format.strip import uncorrected
 from skinbake.freshness.corrective_freshness import PlayedClips, PlayedCorrectives
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
@@ -42,7 +42,7 @@ from skinbake.gltf.animation import (
 )
 from skinbake.gltf.budget import Budget, Cost
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, reference
+from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive
 from skinbake.gltf.scenes import meshes_of_one_skin
 from skinbake.measure.corrected import corrected_lighting, worse_primitives
@@ -190,8 +190,7 @@ def _chosen(document: Document, clips: Sequence[Clip], asked: Sequence[str]) -> 
     known: dict[str, set[int]] = {str(clip.number): {clip.number} for clip in clips}
     named: dict[str, set[int]] = {}
     for clip in clips:
-        own = document.objects("animations")[clip.number].get("name")
-        for name in {clip.name, str(own or clip.name)}:
+        for name in {clip.name, document.asset.animations[clip.number].name or clip.name}:
             named.setdefault(name, set()).add(clip.number)
     known |= named
     wanted = [part for name in asked for part in ([name] if name in known else name.split(","))]
@@ -220,9 +219,9 @@ def _fitted(
         if baker.corrective_aim is CorrectiveAim.GRADIENTS:
             rest = _with_gradients(document, sources, baker)
     nodes = _nodes(document, meshes, clips)
-    drawing = document.objects("nodes")
+    drawing = document.asset.nodes
     plans = {
-        node: PosePlan.of(document, int(drawing[node]["skin"]), clips, PoseRequest(), node)
+        node: PosePlan.of(document, drawing[node].skin or 0, clips, PoseRequest(), node)
         for of_mesh in nodes.values()
         for node in of_mesh.values()
     }
@@ -293,7 +292,6 @@ def _nodes(document: Document, meshes: Sequence[int], clips: Sequence[Clip]) -> 
 
     These have the same joints, inverse bind matrices and, if the mesh has targets, the same morph weights.
     """
-    every = document.objects("nodes")
     morphing = [mesh for mesh in meshes if document.asset.meshes[mesh].target_count]
     played: dict[int, list[object]] = {}
     for clip in clips if morphing else ():
@@ -307,7 +305,7 @@ def _nodes(document: Document, meshes: Sequence[int], clips: Sequence[Clip]) -> 
     found: dict[int, dict[int, int]] = {mesh: {} for mesh in meshes}
     for mesh in meshes:
         for node in nodes_with(document, mesh):
-            skin = reference(every[node].get("skin"))
+            skin = document.asset.nodes[node].skin
             if skin is None:
                 continue
             if skin not in bindings:
@@ -394,14 +392,11 @@ def _weights(nodes: Mapping[int, int], made: Correctives, idle: dict[int, list[C
 
 def _with_plays(document: Document, items: Sequence[MeshCorrectives]) -> Document:
     """Return the document with notes of what its clips play, by which ``verify`` knows them again."""
-    meshes, clips = list(document.objects("meshes")), PlayedClips(document)
+    plays, clips = {}, PlayedClips(document)
     for item in items:
-        mesh = meshes[item.mesh]
         played = clips.of_mesh(item.mesh, item.count)
-        plays = [[*one.poses, *one.weights] for one in played if one.plays]
-        note = {**mesh["extras"][KEY], "plays": plays}
-        meshes[item.mesh] = {**mesh, "extras": {**mesh["extras"], KEY: note}}
-    return document.edited(json={**document.json, "meshes": meshes})
+        plays[item.mesh] = [[*one.poses, *one.weights] for one in played if one.plays]
+    return with_plays(document, plays)
 
 
 def _settings(made: Correctives, baker: Baker) -> JsonObject:

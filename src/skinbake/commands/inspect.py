@@ -9,7 +9,7 @@ import numpy as np
 from skinbake.choices import FrameChoice
 from skinbake.errors import Notice
 from skinbake.files.bounds import BESIDE, Bounds
-from skinbake.format.attribute_store import meshopt_of
+from skinbake.format.attribute_store import compression_of
 from skinbake.format.blend_weights import blend_names
 from skinbake.format.metadata import changed_arrays, corrective_notes, read_left, read_metadata, slot_names
 from skinbake.format.stored_slots import NO_METADATA
@@ -19,10 +19,8 @@ from skinbake.freshness.made_targets import made_states
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.accessors import described
 from skinbake.gltf.budget import Cost
-from skinbake.gltf.codecs import draco
-from skinbake.gltf.codecs.meshopt import is_fallback
+from skinbake.gltf.codecs.views import bytes_beside
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.json_access import index
 from skinbake.gltf.primitives import (
     PrimitiveSource,
     has_float_tangents,
@@ -31,7 +29,6 @@ from skinbake.gltf.primitives import (
     skinned_sources,
     tell_half_skinned,
 )
-from skinbake.gltf.resources import is_data_uri
 from skinbake.gradients.influences import weight_field, weight_sum_notices
 from skinbake.gradients.normals import lean_notices
 from skinbake.gradients.tangents import chosen_frame, with_straight_tangents
@@ -82,19 +79,12 @@ def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
     for mesh in sorted(leaning):
         notices += _lean_notices(document, read[mesh])
     made = list(made_states(document))
-    outside = sum(
-        len(document.buffer(number))
-        for number, buffer in enumerate(document.objects("buffers"))
-        if isinstance(uri := buffer.get("uri"), str)
-        and not is_data_uri(uri)
-        and not is_fallback(buffer, document.place)
-    )
     return InspectResult(
         input=source,
-        byte_length=len(document.raw or b"") + outside,
-        meshes=len(document.objects("meshes")),
-        skins=len(document.objects("skins")),
-        animations=len(document.objects("animations")),
+        byte_length=len(document.raw or b"") + bytes_beside(document),
+        meshes=len(document.asset.meshes),
+        skins=len(document.asset.skins),
+        animations=len(document.asset.animations),
         primitives=tuple(primitives),
         notices=tuple(notices),
         left=read_left(document) is not None,
@@ -130,7 +120,6 @@ def _summary(document: Document, source: PrimitiveSource, primitive: SkinnedPrim
         changed = (*changed_arrays(metadata, primitive), *gone)
         size = sum(attribute.byte_length for attribute in attributes if attribute.name in names)
         bake = BakeSummary(metadata, changed, size, other_version(metadata))
-    targets = source.json.get("targets")
     return PrimitiveSummary(
         place=source.place,
         vertices=len(primitive.positions),
@@ -142,10 +131,8 @@ def _summary(document: Document, source: PrimitiveSource, primitive: SkinnedPrim
         defects=defects._asdict(),
         frame=_frame(document, source, primitive),
         attributes=tuple(attributes),
-        compression=(
-            draco.EXTENSION if draco.extension_of(source.json) is not None else meshopt_of(document, source)
-        ),
-        morph_targets=len(targets) if isinstance(targets, list) else 0,
+        compression=compression_of(document, source),
+        morph_targets=len(source.whole_targets),
         bake=bake,
         correctives=_correctives(document, source, primitive),
     )
@@ -181,6 +168,5 @@ def _frame(document: Document, source: PrimitiveSource, primitive: SkinnedPrimit
 
 def _attribute(document: Document, source: PrimitiveSource, name: str) -> AttributeSummary:
     place = source.place.at(name)
-    number = index(source.attributes, name, len(document.objects("accessors")), place)
-    stored, size = described(document, number or 0, place)
+    stored, size = described(document, document.asset.accessor_of(source, name) or 0, place)
     return AttributeSummary(name, stored, size)

@@ -21,7 +21,6 @@ from skinbake.format.morph_targets import MadeTargets, check_extras, morph_diges
 from skinbake.geometry.morphs import NO_DIFFERENCES, Differences
 from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray, SkinnedPrimitive
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, objects
 from skinbake.gltf.morphs import read_targets, targets_without_normal
 from skinbake.gltf.primitives import PrimitiveSource, plain_sources, read_primitive, reason_to_skip
 from skinbake.gradients import kernel
@@ -82,7 +81,7 @@ class _Part:
     @property
     def targets(self) -> list[int]:
         """The numbers of the targets for which anything is made."""
-        return list(range(len(_targets(self.source)))) if self.wanted.frames else self.lacking
+        return list(range(len(self.source.targets))) if self.wanted.frames else self.lacking
 
     @property
     def lacking(self) -> list[int]:
@@ -151,14 +150,10 @@ def _checked(
     return list(_made(document, parts, settings, None))
 
 
-def _targets(source: PrimitiveSource) -> list[JsonObject]:
-    return objects(source.json, "targets", source.place)
-
-
 def _missing(made: MadeTargets, count: MorphCounts) -> Notice:
     lacking = count.normals
     have, them = ("has", "it") if lacking == 1 else ("have", "them")
-    zeros = ", or only zeros in it" if any("NORMAL" in one for one in _targets(made.source)) else ""
+    zeros = ", or only zeros in it" if any("NORMAL" in one for one in made.source.targets) else ""
     message = (
         f"{counted(lacking, 'morph target')} of {count.targets:,} {have} no NORMAL{zeros}, so engines light "
         f"{them} as at rest. At weight 1 that is {count.mean:.1f}° off in the mean where normals turn: "
@@ -240,7 +235,7 @@ def _made(
     for number, part in enumerate(parts):
         normals = {t: changes[t][number].normals for t in part.lacking if t in changes}
         # Zeros that are right stay.
-        here = _targets(part.source)
+        here = part.source.targets
         normals = {t: made for t, made in normals.items() if len(made.rows) or "NORMAL" not in here[t]}
         of_frames = [t for t in part.targets if t in changes] if part.numbers else []
         frames = [{t: changes[t][number].in_plane for t in of_frames}] if part.numbers else []
@@ -253,7 +248,7 @@ def _made(
         yield (
             MadeTargets(part.source, normals, frames, morph_digest(part.primitive, moving)),
             MorphCounts(
-                targets=len(_targets(part.source)),
+                targets=len(part.source.targets),
                 normals=len(part.lacking) if most else len(normals),
                 frames=part.numbers,
                 mean=sum(every) / max(len(every), 1),

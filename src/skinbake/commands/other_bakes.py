@@ -9,7 +9,7 @@ from typing import Any
 from skinbake.choices import Encoding, Gradients
 from skinbake.commands.bake import Baker
 from skinbake.errors import Notices, SkinbakeError
-from skinbake.format.metadata import corrective_note, read_metadata
+from skinbake.format.metadata import corrective_notes, read_metadata
 from skinbake.format.strip import stripped
 from skinbake.gltf.document import Document
 from skinbake.gltf.morphs import targets_without_normal
@@ -65,7 +65,7 @@ def _measured(
     if corrects:
         from skinbake.commands.verify_correctives import corrected_verdict as measured
 
-        if plain.objects("animations") and options.methods == ("lbs",):  # which correctives are for
+        if plain.asset.animations and options.methods == ("lbs",):  # which correctives are for
             ways.append(("--correctives auto", {"correctives": "auto"}))
             both = {"correctives": "auto", "morph_normals": True}
             ways += [("--correctives auto --morph-normals", both)] if lacking else []
@@ -75,11 +75,11 @@ def _measured(
         ways.append((_default(document, sources), {}))
         if lacking:
             ways.append(("--morph-normals", {"morph_normals": True}))
-        elif any("targets" in source.json for source in sources):
+        elif any(source.has_targets for source in sources):
             ways.append(("--morph-frames", {"morph_frames": True}))
         ways.append(("--neighbours extend", {"neighbours": "extend"}))
-        ways += [("--gradients poses", {"gradients": "poses"})] if plain.objects("animations") else []
-    overflows, is_corrected = True, any(map(corrective_note, document.objects("meshes")))
+        ways += [("--gradients poses", {"gradients": "poses"})] if plain.asset.animations else []
+    overflows, is_corrected = True, bool(corrective_notes(document))
     for words, chosen in ways:
         if "neighbours" in chosen and not overflows:
             continue
@@ -107,8 +107,7 @@ def _lacks_normals(document: Document, source: PrimitiveSource) -> bool:
 
 def _default(document: Document, sources: list[PrimitiveSource]) -> str:
     """Return what the default bake has that the bake of a file lacks."""
-    meshes = document.objects("meshes")
-    notes = [read_metadata(document, meshes[one.mesh]["primitives"][one.primitive]) for one in sources]
+    notes = [read_metadata(document, document.asset.counterpart(one).json) for one in sources]
     held = [note for note in notes if note is not None]
     found = []
     if any(note.get("gradients") != Gradients.RIG for note in held):

@@ -31,8 +31,7 @@ from skinbake.gltf.animation import (
 )
 from skinbake.gltf.budget import Cost, Work
 from skinbake.gltf.document import Document
-from skinbake.gltf.images import tell_images_unplaced
-from skinbake.gltf.json_access import reference
+from skinbake.gltf.materials import tell_images_unplaced
 from skinbake.gltf.primitives import (
     PrimitiveSource,
     has_surface,
@@ -103,12 +102,12 @@ def attachments(document: Document) -> list[Attachment]:
     sources: dict[int | None, list[PrimitiveSource]] = {}
     for source in plain_sources(document):
         sources.setdefault(source.mesh, []).append(source)
-    nodes, budget = document.objects("nodes"), document.budget
+    nodes, budget = document.asset.nodes, document.budget
     found: list[Attachment] = []
     read: dict[tuple[int, int], Any] = {}
     lost: set[int] = set()
     for number in sorted(shown_nodes(document)):
-        for source in sources.get(reference(nodes[number].get("mesh")), ()):
+        for source in sources.get(nodes[number].mesh, ()):
             try:
                 skeleton = read_node(document, number)
                 work = Cost.DRAWN_PRIMITIVE + Cost.SHOWN_CLIP * len(skeleton.nodes)
@@ -182,11 +181,8 @@ def shown_draws(
     clips = read_clips(document)
     what = f"showing {counted(len(clips), 'clip')}"
     document.budget.claim(Cost.SHOWN_CLIP * len(clips), what, document.place)
-    nodes = document.objects("nodes")
-    shown = {
-        (reference(nodes[number].get("mesh")), reference(nodes[number].get("skin")))
-        for number in shown_nodes(document)
-    }
+    nodes = document.asset.nodes
+    shown = {(nodes[number].mesh, nodes[number].skin) for number in shown_nodes(document)}
     meshes = {mesh for mesh, _ in shown}
     for group in whole_surfaces(document, [view for view in views if view.source.mesh in meshes]):
         surfaces: dict[tuple[int, ...], tuple[Draw, Sequence[Float64Array]]] = {}
@@ -319,8 +315,7 @@ def asked_clips(document: Document, asked: str | None) -> Sequence[Clip]:
     if not named and asked.isdecimal():
         named = [clip for clip in clips if clip.number == int(asked)]
     if not named:
-        animations = document.objects("animations")
-        alike = [clip for clip in clips if animations[clip.number].get("name") == asked]
+        alike = [clip for clip in clips if document.asset.animations[clip.number].name == asked]
         there = alike or clips
         listed = [printable(clip.name) for clip in there[:LISTED]] or ["none"]
         more = [f"{len(there) - LISTED} more"] if len(there) > LISTED else []
@@ -412,6 +407,4 @@ def holds_bake(document: Document) -> bool:
 def tell_unplaced(document: Document, view: BakedView, made: str) -> None:
     """Tell if an image of a primitive has no texture coordinates there."""
     ours = {*view.metadata["alpha"], *view.metadata["beta"]}  # they may be stored as such sets
-    tell_images_unplaced(
-        document, view.source.json, set(view.source.attributes) - ours, made, view.source.place
-    )
+    tell_images_unplaced(document, view.source, set(view.source.attributes) - ours, made)

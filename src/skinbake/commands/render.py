@@ -38,7 +38,6 @@ from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.animation import RANDOM, Clip, Skeleton, random_clip, read_clips, rest_pose
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.json_access import reference
 from skinbake.gltf.output import refuse_own_input
 from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources
 from skinbake.render.materials import CLAY, WHITE, Material, Materials
@@ -186,7 +185,9 @@ def _pictures(
     ]
     parts += [(number, one, one.skeleton) for number, one in enumerate(rigid, len(draws))]
     subjects = [
-        _subject(document, number, drawn, skeleton, materials.of(drawn.source.json, in_clay, is_lit=is_lit))
+        _subject(
+            document, number, drawn, skeleton, materials.of(drawn.source.material, in_clay, is_lit=is_lit)
+        )
         for number, drawn, skeleton in parts
     ]
     some = [
@@ -380,8 +381,8 @@ def _attribute(
     document: Document, source: PrimitiveSource, name: str, widths: tuple[int, ...], count: int
 ) -> FloatArray | None:
     """Return the values of an attribute that is only drawn (V, the largest width); None if it has no such."""
-    number = reference(source.attributes.get(name))
-    if number is None or not 0 <= number < len(document.objects("accessors")):
+    number = document.asset.accessor_of(source, name)
+    if number is None:
         return None
     found = read_accessor(document, number, source.place).decoded()
     if found.shape[0] != count or found.shape[1] not in widths:

@@ -15,18 +15,15 @@ from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.urls import STDIO
 from skinbake.files.writing import write_file, write_stdout
 from skinbake.format import blend_weights
-from skinbake.format.baked import FLOAT
-from skinbake.format.metadata import corrective_note, slot_names
+from skinbake.format.metadata import corrective_notes, slot_names
 from skinbake.format.morph_targets import IN_PLANE, UPWARD
 from skinbake.freshness.baked_views import BakedView, baked_views, is_baked, rest_primitive
 from skinbake.freshness.staleness import claim_freshness, refuse_stale
 from skinbake.geometry.dual_quaternions import RIGID_TOLERANCE
 from skinbake.gltf.animation import read_clips
-from skinbake.gltf.codecs import draco, meshopt
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.json_access import entries_of, object_of, reference
 from skinbake.gltf.output import refuse_own_input
-from skinbake.gltf.primitives import reason_to_skip, skinned_sources, why_nothing
+from skinbake.gltf.primitives import parts_not_plain, reason_to_skip, skinned_sources, why_nothing
 from skinbake.gradients.influences import weight_sum_notices
 from skinbake.measure.measured import scaled_joints
 from skinbake.measure.morphing import NUMBERS, carrier, noted_of
@@ -217,18 +214,7 @@ def _tell_not_plain(document: Document, view: BakedView, choices: ShaderChoices)
         *(["TANGENT"] if choices.frame == Frame.TANGENT else []),
     }
     floats |= set() if choices.decodes else set(slot_names(view.metadata))
-    json, accessors, spans = (view.source.json, *map(document.objects, ("accessors", "bufferViews")))
-    moved = entries_of(json.get("targets")) if choices.morphs is not Morphs.NONE else []
-    packed = set(object_of(json.get("extensions"))) & {draco.EXTENSION}
-    for attributes in (object_of(json.get("attributes")), *moved):
-        for name in attributes.keys() & (whole | floats):
-            accessor = accessors[attributes[name]]
-            held = reference(accessor.get("bufferView"))
-            extensions = {} if held is None else object_of(spans[held].get("extensions"))
-            packed |= extensions.keys() & {meshopt.KHRONOS, meshopt.VENDOR}
-            packed |= {f"sparse {name}"} if "sparse" in accessor else set()
-            if name in floats and accessor.get("componentType") != FLOAT:
-                packed.add(f"quantised {name}")
+    packed = parts_not_plain(document, view.source, whole, floats, moved=choices.morphs is not Morphs.NONE)
     if packed:
         message = (
             f"a compute pass reads plain bytes, and this primitive has others ({', '.join(sorted(packed))}): "
@@ -253,7 +239,7 @@ def _views(document: Document) -> list[BakedView]:
         # Say what to run, or why nothing can be baked.
         reasons = [reason_to_skip(document, source, generate_normals=False) for source in sources]
         found = [reason for reason in reasons if reason is not None]
-        if any(corrective_note(mesh) is not None for mesh in document.objects("meshes")):
+        if corrective_notes(document):
             message = "its correctives need no shader: any viewer that plays morph targets shows them"
         elif len(found) < len(sources):
             message = "nothing in it is baked: run skinbake bake first"

@@ -8,11 +8,10 @@ from skinbake.errors import InputError, Notice, Place, noticed
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.urls import STDIO
 from skinbake.files.versions import version_of
-from skinbake.format.strip import stripped
+from skinbake.format.strip import has_lost_metadata, stripped
 from skinbake.gltf.beside import files_read
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import read_document
-from skinbake.gltf.json_access import entries_of
 from skinbake.gltf.output import plan_output, refuse_own_input, tell_other_names
 from skinbake.report.depfile import prerequisites
 from skinbake.report.strip import StripResult
@@ -45,10 +44,9 @@ def strip_file(
     with stage("strip"):
         document, count = stripped(given)
     if count == 0:
-        primitives = (one for mesh in given.objects("meshes") for one in entries_of(mesh.get("primitives")))
-        attributes = (one.get("attributes") for one in primitives)
-        lost = any(isinstance(one, dict) and "_SKINBAKE_ALPHA_0" in one for one in attributes)
-        reason = "its α/β have no metadata to undo them by: take its source" if lost else "it holds no bake"
+        reason = "it holds no bake"
+        if has_lost_metadata(given):
+            reason = "its α/β have no metadata to undo them by: take its source"
         given.notices.tell(Notice("nothing-baked", f"passed through unchanged: {reason}", Place(source)))
     document = for_target(document, target)
     read = prerequisites(source, files_read(given, target, pack=False)) if lists_read else ()

@@ -8,7 +8,7 @@ from dataclasses import replace
 from skinbake.commands.remedies import worse_lighting
 from skinbake.errors import Notice, Skipped, warnings_in
 from skinbake.files.bounds import BESIDE, Bounds
-from skinbake.format.metadata import corrective_note, read_left, read_metadata
+from skinbake.format.metadata import corrective_notes, read_left, read_metadata
 from skinbake.freshness.baked_views import BakedView, baked_views, gathered_together, is_baked
 from skinbake.freshness.made_targets import made_states
 from skinbake.freshness.staleness import claim_freshness, fits_begun, freshness_check, surface_operator
@@ -45,7 +45,7 @@ def verify_document(
 
     looks_further: where it gains little, other bakes are tried.
     """
-    if any(corrective_note(mesh) for mesh in document.objects("meshes")):
+    if corrective_notes(document):
         from skinbake.commands.verify_correctives import corrected_verdict  # most files have α and β
 
         return _beside_others(document, corrected_verdict(document, options), options, looks_further)
@@ -128,8 +128,8 @@ def _has_metadata(document: Document, notice: Notice) -> bool:
     mesh, primitive = notice.place.mesh, notice.place.primitive
     if mesh is None or primitive is None:
         return False
-    found = document.objects("meshes")[mesh]["primitives"][primitive]
-    return read_metadata(document, found) is not None
+    found = document.asset.meshes[mesh].primitives[primitive]
+    return read_metadata(document, found.json) is not None
 
 
 def _lost(notice: Skipped) -> Notice:

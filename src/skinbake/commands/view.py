@@ -28,20 +28,20 @@ from skinbake.errors import InputError, Notice, Notices, SkinbakeError
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.urls import STDIO
 from skinbake.files.writing import write_file, write_files, write_stdout
-from skinbake.format.metadata import corrective_note
+from skinbake.format.metadata import corrective_notes
 from skinbake.format.strip import stripped
 from skinbake.freshness.baked_views import BakedView, sound_views
 from skinbake.freshness.corrective_freshness import PlayedCorrectives
 from skinbake.freshness.expected import noted_kind
-from skinbake.gltf.budget import Cost, Work
+from skinbake.gltf.budget import Cost
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.glb import STDIN
-from skinbake.gltf.images import tell_images_missing, texture_image
-from skinbake.gltf.json_access import JsonObject, reference
+from skinbake.gltf.json_access import JsonObject
+from skinbake.gltf.materials import tell_images_missing
 from skinbake.gltf.output import plan_output, refuse_own_input
+from skinbake.gltf.packing import bytes_of_images, with_images_inside
 from skinbake.gltf.recode import Compression, recoded
-from skinbake.gltf.resources import is_data_uri, read_resource
 from skinbake.gltf.scenes import faces_backward
 from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import FileVerdict, by_worse_truth, file_json, first_problem, gain, remarks
@@ -50,10 +50,6 @@ from skinbake.view.index import Listed, index, pages
 from skinbake.view.page import OtherGradients, Shown, page
 from skinbake.view.texts import INFLUENCES
 from skinbake.wording import counted
-
-PNG, JPEG, WEBP = b"\x89PNG", b"\xff\xd8\xff", b"RIFF"
-IMAGES = {PNG: "image/png", JPEG: "image/jpeg", WEBP: "image/webp"}
-
 
 LARGE_PAGE = 50_000_000
 """The bytes of a page from which on a notice says so."""
@@ -86,7 +82,7 @@ def view_file(source: str, target: str | None = None, bounds: Bounds = BESIDE) -
     notes: list[str] = []
     if not was_baked:
         before = "The bake of the file is damaged." if holds_bake(document) else "The file was not baked."
-        if any(corrective_note(mesh) for mesh in document.objects("meshes")):
+        if corrective_notes(document):
             before = LEFT_OUT
         notes = [f"{before} This page baked it in memory, with the defaults."]
     if corrected or not was_baked:
@@ -224,59 +220,9 @@ def _self_contained(document: Document) -> tuple[list[bytes | memoryview], int]:
     """Return the pieces of a GLB without compression that holds all, and the bytes of its images."""
     with document.notices.withheld():
         packed = for_target(recoded(document, [], Compression(Scheme.NONE)), STDIO)
-    packed = _with_images(packed)
-    views = packed.objects("bufferViews")
-    held = {reference(image.get("bufferView")) for image in packed.objects("images")}
-    sizes = (reference(views[one].get("byteLength")) for one in held if one is not None and one < len(views))
-    images = sum(size or 0 for size in sizes)
-    images += sum(len(str(image.get("uri", ""))) for image in packed.objects("images"))
-    return list(plan_output(packed, STDIO).files.popitem()[1]), images
-
-
-def _with_images(document: Document) -> Document:
-    """Return a GLB with the images that it names in its BIN chunk; tell of those that are missing."""
-    binary = list(document.binary or ())
-    length = sum(map(len, binary))
-    views, images = list(document.objects("bufferViews")), list(document.objects("images"))
-    lost = []
-    for number in range(len(document.objects("textures"))):
-        try:
-            texture_image(document, number)
-        except InputError as error:
-            lost.append(error.message)  # no browser reads it
-    held: dict[str, JsonObject] = {}
-
-    def claim(size: int) -> None:
-        document.budget.claim(Work(bytes=size), "holding its images in a page", document.place)
-
-    for number, image in enumerate(images):
-        uri = image.get("uri")
-        if not isinstance(uri, str) or is_data_uri(uri):
-            continue
-        kept = {key: value for key, value in image.items() if key != "uri"}
-        if uri in held:  # a thousand images may have one name
-            images[number] = {**kept, **held[uri]}
-            continue
-        try:
-            data = read_resource(uri, document.folder, document.bounds, document.place, claim, of="image")
-        except InputError as error:
-            lost.append(error.message)
-            images[number] = kept
-            continue
-        padding = -length % 4
-        head = bytes(data[:4])
-        kind = next((mime for start, mime in IMAGES.items() if head.startswith(start)), "image/png")
-        views.append({"buffer": 0, "byteOffset": length + padding, "byteLength": len(data)})
-        held[uri] = {"bufferView": len(views) - 1, "mimeType": kind}
-        images[number] = {**kept, **held[uri]}
-        binary += [bytes(padding), data]
-        length += padding + len(data)
+    packed, lost = with_images_inside(packed)
     tell_images_missing(document, lost, "page")
-    if not images:
-        return document
-    buffers = [{**document.objects("buffers")[0], "byteLength": length}, *document.objects("buffers")[1:]]
-    root: dict[str, Any] = {**document.json, "images": images, "bufferViews": views, "buffers": buffers}
-    return document.edited(json=root, binary=tuple(binary))
+    return list(plan_output(packed, STDIO).files.popitem()[1]), bytes_of_images(packed)
 
 
 def _places(document: Document, views: Sequence[BakedView], corrected: Document | None) -> list[JsonObject]:
@@ -330,7 +276,7 @@ def _findings(verdict: FileVerdict) -> dict[str, Any]:
 def _page(document: Document, verdict: FileVerdict, options: VerifyOptions) -> bytes:
     """Return the page of a file that was verified, with its verdict and limits."""
     notes, corrected = [], document if sound_correctives(document) else None
-    if any(corrective_note(mesh) for mesh in document.objects("meshes")):
+    if corrective_notes(document):
         notes = [] if corrected else [LEFT_OUT]
         with document.notices.withheld():
             document = baked_in_memory(document)

@@ -109,6 +109,13 @@ def tell_stored_otherwise(document: Document, sources: Sequence[PrimitiveSource]
     document.notices.tell(Notice("draco-sequential", message, document.place, sequential))
 
 
+def compression_of(document: Document, source: PrimitiveSource) -> str | None:
+    """Return the extension that compresses a primitive, or any attribute of it; None without one."""
+    if draco.extension_of(source.json) is not None:
+        return draco.EXTENSION
+    return meshopt_of(document, source)
+
+
 def meshopt_of(document: Document, source: PrimitiveSource) -> str | None:
     """Return the meshopt extension of any attribute of a primitive, None without one."""
     accessors, views = document.objects("accessors"), document.objects("bufferViews")

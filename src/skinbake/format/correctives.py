@@ -14,7 +14,7 @@ The metadata ``extras.skinbake`` of the mesh says what was added, so that ``stri
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -90,6 +90,16 @@ class MeshCorrectives:
     def count(self) -> int:
         """The number of targets."""
         return len(self.targets[0])
+
+
+def with_plays(document: Document, plays: Mapping[int, list[list[float]]]) -> Document:
+    """Return the document with the numbers of what its clips play in the metadata of its correctives."""
+    meshes = list(document.objects("meshes"))
+    for number, rows in plays.items():
+        mesh = meshes[number]
+        note = {**mesh["extras"][KEY], "plays": rows}
+        meshes[number] = {**mesh, "extras": {**mesh["extras"], KEY: note}}
+    return document.edited(json={**document.json, "meshes": meshes})
 
 
 def nodes_with(document: Document, mesh: int, skin: int | None = None) -> list[int]:

@@ -26,7 +26,15 @@ from skinbake.gltf.accessors import described
 from skinbake.gltf.additions import BUFFER_ADDED, BUFFER_LENGTH, FALLBACK_ADDED
 from skinbake.gltf.codecs import draco, meshopt
 from skinbake.gltf.document import Document, joined
-from skinbake.gltf.json_access import JsonObject, integer, objects, reference, text
+from skinbake.gltf.json_access import (
+    JsonObject,
+    entries_of,
+    integer,
+    object_of,
+    objects,
+    reference,
+    text,
+)
 from skinbake.gltf.references import buffers_in_use, uses_of_accessors, views_in_use
 
 
@@ -79,6 +87,12 @@ def stripped(document: Document) -> tuple[Document, int]:
         *(_accessors_of_vertices(new) - _accessors_of_vertices(old) for old, new in changed)
     )
     return _without(document, root, removed, streams, back), count
+
+
+def has_lost_metadata(document: Document) -> bool:
+    """Tell whether primitives have attributes of α and β, in a document of which nothing can be stripped."""
+    primitives = (one for mesh in document.objects("meshes") for one in entries_of(mesh.get("primitives")))
+    return any("_SKINBAKE_ALPHA_0" in object_of(one.get("attributes")) for one in primitives)
 
 
 def uncorrected(document: Document) -> tuple[Document, Collection[int]]:

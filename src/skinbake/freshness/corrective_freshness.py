@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from skinbake.errors import InputError, Notice, Place
+from skinbake.errors import InputError, Notice
 from skinbake.format.correctives import corrective_digest, nodes_with
 from skinbake.format.metadata import VERSION, changed_arrays, corrective_notes, read_metadata
 from skinbake.freshness.baked_views import BakedView
 from skinbake.freshness.made_targets import made_states
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
-from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.accessors import read_attribute
 from skinbake.gltf.animation import (
     MORPH_WEIGHTS,
     Channel,
@@ -27,7 +27,7 @@ from skinbake.gltf.animation import (
 )
 from skinbake.gltf.budget import Cost, Work
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, entries_of, is_number, object_of, reference, text
+from skinbake.gltf.json_access import JsonObject, entries_of, is_number, object_of
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive
 from skinbake.report.verify import Check
 from skinbake.truth.poses import joint_clips, pose_work
@@ -47,15 +47,13 @@ A tool that drops the keys that others imply within 1e-4 changes them by up to 3
 def damaged_correctives(document: Document) -> Iterator[Notice]:
     """Yield a problem for each mesh whose targets or metadata are not those of a bake."""
     for number, note in corrective_notes(document).items():
-        mesh = document.objects("meshes")[number]
-        place = Place(document.name, number, text(mesh, "name", document.place))
-        primitives = entries_of(mesh.get("primitives"))
+        place, primitives = document.asset.meshes[number].place, document.asset.meshes[number].primitives
         if note["version"] != VERSION:
             message = f"its metadata has version {note['version']}, this skinbake reads {VERSION}"
             yield Notice("version", f"{message}: update skinbake", place)
-        elif any(read_metadata(document, one) for one in primitives):
+        elif any(read_metadata(document, one.json) for one in primitives):
             yield Notice("both-bakes", f"it has α/β and correctives, which correct it twice: {BAKE}", place)
-        elif any(len(entries_of(one.get("targets"))) < int(note["targets"]) for one in primitives):
+        elif any(len(one.whole_targets) < int(note["targets"]) for one in primitives):
             yield Notice("targets-missing", f"its morph targets were removed since the bake: {BAKE}", place)
         elif len(entries_of(note.get("primitives"))) != len(primitives):
             yield Notice("metadata-broken", f'its metadata is damaged: "primitives"; {BAKE}', place)
@@ -64,10 +62,9 @@ def damaged_correctives(document: Document) -> Iterator[Notice]:
 def corrective_targets(document: Document, source: PrimitiveSource, added: int, count: int) -> Float64Array:
     """Return the last targets of a primitive, (K, V, 3), as a renderer reads them. Raises InputError."""
     found = np.zeros((added, count, 3))
-    for number, target in enumerate(entries_of(source.json.get("targets"))[-added:]):
-        accessor = reference(target.get("NORMAL"))
-        if accessor is not None:
-            values = read_accessor(document, accessor, source.place.at("NORMAL")).decoded()
+    for number, target in enumerate(source.whole_targets[-added:]):
+        if "NORMAL" in target:
+            values = read_attribute(document, target, "NORMAL", source.place.at("NORMAL")).decoded()
             if values.shape != found[number].shape:
                 raise InputError("its corrective normals do not fit its vertices", source.place)
             found[number] = values
@@ -265,7 +262,7 @@ def corrective_freshness(document: Document, sources: Sequence[PrimitiveSource])
             problems.append(Notice("stale-targets", message, source.place))
     clips = PlayedClips(document)
     for number, note in corrective_notes(document).items():
-        place = Place(document.name, number, text(document.objects("meshes")[number], "name", document.place))
+        place = document.asset.meshes[number].place
         found = clips.of_mesh(number, int(note["targets"]))
         stale = dict.fromkeys(_stale_clips(document, found, note))
         problems += [Notice("stale-clips", f"{message}: {BAKE}", place) for message in stale]

@@ -16,9 +16,9 @@ from skinbake.format.influences import with_limit
 from skinbake.format.metadata import FORMER_ATTRIBUTES, KEPT, POSES, STORED_POSE
 from skinbake.freshness.baked_views import BakedView, rest_primitive
 from skinbake.geometry.skinned import TINY_WEIGHT, UNIT, Float64Array, FloatArray, IntArray, SkinnedPrimitive
-from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.accessors import read_attribute
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, integer
+from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.primitives import StoredInfluences, joints_of_skin, side_by_side
 from skinbake.gltf.rigs import fitting_rig
 from skinbake.gradients.baker import slots_of_surface
@@ -105,8 +105,8 @@ def former_weights(document: Document, view: BakedView) -> FloatArray | None:
         if place not in limited:
             limited[place] = _limited_weights(document, view, before)
         return limited[place]
-    numbers = [integer(before, name, place) for name in names]
-    weights = np.concatenate([read_accessor(document, number, place).decoded() for number in numbers], axis=1)
+    stored = [read_attribute(document, before, name, place) for name in names]
+    weights = np.concatenate([one.decoded() for one in stored], axis=1)
     return np.pad(weights, ((0, 0), (0, view.now.weights.shape[1] - weights.shape[1])))
 
 
@@ -115,9 +115,8 @@ def _limited_weights(document: Document, view: BakedView, before: JsonObject) ->
     sets: list[StoredInfluences] = []
     while f"JOINTS_{len(sets)}" in before:
         names = (f"JOINTS_{len(sets)}", f"WEIGHTS_{len(sets)}")
-        numbers = [integer(before, name, view.source.place) for name in names]
         sets.append(
-            StoredInfluences(*(read_accessor(document, number, view.source.place) for number in numbers))
+            StoredInfluences(*(read_attribute(document, before, name, view.source.place) for name in names))
         )
     joints, weights = side_by_side(sets)
     whole = view.now.with_influences(joints_of_skin(joints, weights, view.source), weights)

@@ -8,7 +8,6 @@ from typing import NamedTuple
 from skinbake.errors import BudgetError, InputError, Notice
 from skinbake.format.morph_targets import NotedTargets, morph_digest, noted_targets
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import entries_of
 from skinbake.gltf.morphs import read_targets
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive
 
@@ -39,11 +38,11 @@ class MadeState(NamedTuple):
 
 def made_states(document: Document) -> Iterator[MadeState]:
     """Yield the primitives whose targets have NORMAL by bake, with or without a skin."""
-    meshes = [noted_targets(mesh) for mesh in document.objects("meshes")]
+    meshes = [noted_targets(mesh.json) for mesh in document.asset.meshes]
     for source in document.asset.primitives:
         noted = meshes[source.mesh][source.primitive]
         if noted:
-            targets = entries_of(source.json.get("targets"))
+            targets = source.whole_targets
             with document.budget.passing():
                 changed = _digest(document, source, noted) != noted.digest
             yield MadeState(source, len(noted.normals), noted.frames, len(targets), changed)
@@ -51,7 +50,7 @@ def made_states(document: Document) -> Iterator[MadeState]:
 
 def _digest(document: Document, source: PrimitiveSource, noted: NotedTargets) -> str | None:
     """Return the digest of what was made for the targets of a primitive, None if it is not all there."""
-    targets = entries_of(source.json.get("targets"))
+    targets = source.whole_targets
     if any(not 0 <= number < len(targets) or "NORMAL" not in targets[number] for number in noted.normals):
         return None
     if any(name not in target for target in targets for name in noted.names):

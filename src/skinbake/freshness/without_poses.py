@@ -18,9 +18,8 @@ from skinbake.freshness.baked_views import BakedView
 from skinbake.freshness.expected import noted_kind, noted_poses, rest_primitives_of, surface_slots
 from skinbake.geometry.poses import is_fingerprint_of
 from skinbake.geometry.skinned import Float64Array
-from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.accessors import read_attribute
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import integer
 from skinbake.gltf.rigs import fitting_rig
 from skinbake.truth.areas import vertex_areas
 from skinbake.truth.operator import GradientOperator, true_operator
@@ -110,8 +109,7 @@ def _change(document: Document, view: BakedView) -> str | None:
         return f"The skeleton changed since the bake (its hierarchy or its bind pose): {BAKE_AGAIN}"
     attributes, place = view.source.attributes, view.source.place
     stored = {
-        name: read_accessor(document, integer(attributes, name, place), place).values
-        for name in slot_names(view.metadata)
+        name: read_attribute(document, attributes, name, place).values for name in slot_names(view.metadata)
     }
     noted = view.metadata.get(STORED_POSE) or view.metadata.get(POSES)
     if noted and slots_digest(stored) != noted["slots"]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -71,6 +72,14 @@ def read_accessor(document: Document, number: int, place: Place) -> StoredArray:
     if not values.flags.aligned:  # glTF forbids this, and compiled code cannot read it
         values = values.copy()
     return StoredArray(values, accessor.get("normalized") is True and dtype.kind != "f")
+
+
+def read_attribute(document: Document, attributes: Mapping[str, Any], name: str, place: Place) -> StoredArray:
+    """Return the elements of the accessor to which an object maps an attribute; InputError without one."""
+    number = index(attributes, name, len(document.objects("accessors")), place)
+    if number is None:
+        raise InputError(f"it has no {name}", place)
+    return read_accessor(document, number, place)
 
 
 def described(document: Document, number: int, place: Place) -> tuple[str, int]:

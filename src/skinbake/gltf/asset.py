@@ -17,7 +17,18 @@ import numpy as np
 
 from skinbake.errors import InputError, Place
 from skinbake.geometry.skinned import Float64Array
-from skinbake.gltf.json_access import JsonObject, index, is_number, joints_of, member, objects, text
+from skinbake.gltf.json_access import (
+    JsonObject,
+    entries_of,
+    index,
+    is_number,
+    joints_of,
+    member,
+    object_of,
+    objects,
+    reference,
+    text,
+)
 from skinbake.wording import counted
 
 SET = re.compile(r"(?:JOINTS|WEIGHTS)_(0|[1-9]\d{0,8})", re.ASCII)
@@ -182,6 +193,28 @@ class PrimitiveSource(NamedTuple):
         return member(self.json, "attributes", self.place)
 
     @property
+    def material(self) -> int | None:
+        """Its material, which may not be there."""
+        return reference(self.json.get("material"))
+
+    @property
+    def materials(self) -> list[int | None]:
+        """Its material, and those that KHR_materials_variants may give it."""
+        variants = object_of(object_of(self.json.get("extensions")).get("KHR_materials_variants"))
+        others = entries_of(variants.get("mappings"))
+        return [self.material, *(reference(one.get("material")) for one in others)]
+
+    @property
+    def has_targets(self) -> bool:
+        """Whether it has morph targets, of whatever kind."""
+        return "targets" in self.json
+
+    @property
+    def whole_targets(self) -> list[JsonObject]:
+        """Its morph targets that are objects, for what must not stop at a broken one."""
+        return entries_of(self.json.get("targets"))
+
+    @property
     def targets(self) -> list[JsonObject]:
         """Return its morph targets, which map attribute names to accessors; InputError if they are broken."""
         return objects(self.json, "targets", self.place)
@@ -259,6 +292,11 @@ class Asset:
     def primitives(self) -> tuple[PrimitiveSource, ...]:
         """The primitives of all meshes."""
         return tuple(primitive for mesh in self.meshes for primitive in mesh.primitives)
+
+    def accessor_of(self, source: PrimitiveSource, attribute: str) -> int | None:
+        """Return the accessor of an attribute, None if it has none or the file has no such accessor."""
+        number = reference(source.attributes.get(attribute))
+        return number if number is not None and 0 <= number < len(self.objects("accessors")) else None
 
     def counterpart(self, source: PrimitiveSource) -> PrimitiveSource:
         """Return the same primitive as in an earlier version of this document: it has other accessors."""

@@ -116,6 +116,11 @@ class Document:
         """Return a top-level array of objects (``accessors``, ``meshes`` …), empty where absent."""
         return self.asset.objects(key)
 
+    @property
+    def text(self) -> str:
+        """Its JSON on one line; ValueError if it holds numbers that are not finite."""
+        return json_text.written(self.json, indent=None, ascii_only=False)
+
     def buffer(self, index: int) -> memoryview:
         """Return the ``byteLength`` bytes of one buffer.
 

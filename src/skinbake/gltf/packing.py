@@ -12,8 +12,17 @@ from skinbake.files.bounds import OutsideError, RefusedError, is_relative
 from skinbake.gltf.budget import Work
 from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, integer, member
-from skinbake.gltf.resources import decode_data_uri, find, is_data_uri, listed, read_open_file, shortened
+from skinbake.gltf.json_access import JsonObject, integer, member, reference
+from skinbake.gltf.materials import texture_image
+from skinbake.gltf.resources import (
+    decode_data_uri,
+    find,
+    is_data_uri,
+    listed,
+    read_open_file,
+    read_resource,
+    shortened,
+)
 from skinbake.wording import one_or_many
 
 MIME_TYPES = {
@@ -216,10 +225,7 @@ def _with_images(
             try:
                 data = _bytes_at(uri, document)
                 # The MIME type by the bytes, else as the URI or the image tells.
-                head = bytes(data[:12])
-                found = next((kind for start, kind in MIME_TYPES.items() if head.startswith(start)), None)
-                if head[:4] == b"RIFF" and head[8:] == b"WEBP":
-                    found = "image/webp"
+                found = _mime_type(bytes(data[:12]))
                 declared = uri[len("data:") :].partition(",")[0].partition(";")[0] if is_data_uri(uri) else ""
                 told = image.get("mimeType")
                 kind = found or (declared if declared.startswith("image/") else told)
@@ -266,3 +272,60 @@ def _bytes_at(uri: str, document: Document) -> Bytes:
     except InputError as error:
         raise _StaysError("unreadable", error.message) from error
     return data
+
+
+def bytes_of_images(document: Document) -> int:
+    """Return the bytes that the images in a document take, as far as its JSON is sound."""
+    views, images = document.objects("bufferViews"), document.objects("images")
+    held = {reference(image.get("bufferView")) for image in images}
+    sizes = (reference(views[one].get("byteLength")) for one in held if one is not None and one < len(views))
+    return sum(size or 0 for size in sizes) + sum(len(str(image.get("uri", ""))) for image in images)
+
+
+def with_images_inside(document: Document) -> tuple[Document, list[str]]:
+    """Return a GLB with the images that it names in its BIN chunk, and reasons why some are missing.
+
+    What no browser reads is missing too. The document has a BIN chunk, and nothing else in files.
+    """
+    chunk = _Chunk(list(document.binary or ()))
+    views, images = list(document.objects("bufferViews")), list(document.objects("images"))
+    lost = []
+    for number in range(len(document.objects("textures"))):
+        try:
+            texture_image(document, number)
+        except InputError as error:
+            lost.append(error.message)
+    held: dict[str, JsonObject] = {}
+
+    def claim(size: int) -> None:
+        document.budget.claim(Work(bytes=size), "holding its images in a page", document.place)
+
+    for number, image in enumerate(images):
+        uri = image.get("uri")
+        if not isinstance(uri, str) or is_data_uri(uri):
+            continue
+        kept = {key: value for key, value in image.items() if key != "uri"}
+        if uri not in held:  # a thousand images may have one name
+            try:
+                data = read_resource(uri, document.folder, document.bounds, document.place, claim, of="image")
+            except InputError as error:
+                lost.append(error.message)
+                images[number] = kept
+                continue
+            views.append({"buffer": 0, "byteOffset": chunk.add(data), "byteLength": len(data)})
+            kind = _mime_type(bytes(data[:12])) or "image/png"
+            held[uri] = {"bufferView": len(views) - 1, "mimeType": kind}
+        images[number] = {**kept, **held[uri]}
+    if not images:
+        return document, lost
+    first, *others = document.objects("buffers")
+    buffers = [{**first, "byteLength": chunk.length}, *others]
+    root = {**document.json, "images": images, "bufferViews": views, "buffers": buffers}
+    return document.edited(json=root, binary=tuple(chunk.pieces)), lost
+
+
+def _mime_type(head: bytes) -> str | None:
+    """Return the format of an image by its first 12 bytes, None for others."""
+    if head[:4] == b"RIFF" and head[8:] == b"WEBP":
+        return "image/webp"
+    return next((kind for start, kind in MIME_TYPES.items() if head.startswith(start)), None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
@@ -14,18 +14,17 @@ from skinbake.geometry.triangles import TRIANGLE_FAN, TRIANGLES, unrolled
 from skinbake.gltf.accessors import StoredArray, element_count, read_accessor
 from skinbake.gltf.asset import PrimitiveSource as PrimitiveSource  # noqa: PLC0414  # others import it from here
 from skinbake.gltf.budget import Work
-from skinbake.gltf.codecs import draco
+from skinbake.gltf.codecs import draco, meshopt
 from skinbake.gltf.codecs.views import component_dtype
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import (
     LARGEST_INTEGER,
-    entries_of,
     index,
     integer,
-    listed,
     member,
-    object_of,
+    reference,
 )
+from skinbake.gltf.materials import UNLIT, material_of
 from skinbake.wording import counted, one_or_many
 
 FLOAT = ("f4", False)
@@ -52,8 +51,6 @@ EXPECTED = {
     "JOINTS": "joints must be unsigned bytes or shorts",
 }
 
-
-UNLIT = "KHR_materials_unlit"
 
 MOST_SETS = 64
 """The most influence sets of a primitive: each slot of a vertex is compared with all others of it."""
@@ -194,7 +191,9 @@ def reason_to_skip(document: Document, source: PrimitiveSource, *, generate_norm
         return skipped("no-surface", source.place, f"it draws {kind}, which have no surface")
     if "POSITION" not in source.attributes:
         return skipped("no-positions", source.place, "it has no POSITION")
-    unlit = is_unlit(document, source)
+    # KHR_materials_variants may give it several materials. A broken one counts as lit.
+    shown = [material_of(document, number) for number in source.materials]
+    unlit = all(material is not None and material.is_unlit for material in shown)
     if "NORMAL" not in source.attributes and not generate_normals and not unlit:
         reason = "it has no NORMAL; bake --generate-normals adds smooth ones"
         return skipped("no-normals", source.place, reason)
@@ -212,25 +211,6 @@ def has_surface(document: Document, source: PrimitiveSource) -> bool:
     return reason is None or reason.code == "unlit"
 
 
-def is_unlit(document: Document, source: PrimitiveSource) -> bool:
-    """Tell whether no light reaches a primitive in any of its materials. A broken material counts as lit.
-
-    KHR_materials_variants may give it several. The toon materials of VRM name KHR_materials_unlit for
-    viewers that do not know them, and are lit.
-    """
-    variants = object_of(object_of(source.json.get("extensions")).get("KHR_materials_variants"))
-    vrm = object_of(object_of(document.json.get("extensions")).get("VRM"))
-    for user in (source.json, *entries_of(variants.get("mappings"))):
-        number = user.get("material")
-        material = listed(document.json, "materials", number)
-        named = object_of((material or {}).get("extensions"))
-        if UNLIT not in named or "VRMC_materials_mtoon" in named:
-            return False
-        if (listed(vrm, "materialProperties", number) or {}).get("shader") == "VRM/MToon":
-            return False
-    return True
-
-
 def _triangle_count(document: Document, source: PrimitiveSource, mode: int) -> int:
     """Return the number of drawn triangles, from the number of indices or vertices alone."""
     number = index(source.json, "indices", len(document.objects("accessors")), source.place)
@@ -238,6 +218,29 @@ def _triangle_count(document: Document, source: PrimitiveSource, mode: int) -> i
         number = _accessor_index(document, source, "POSITION")
     count = element_count(document, number, source.place)
     return count // 3 if mode == TRIANGLES else max(count - 2, 0)
+
+
+def parts_not_plain(
+    document: Document, source: PrimitiveSource, whole: Container[str], floats: Container[str], *, moved: bool
+) -> set[str]:
+    """Return words for what a program cannot read that takes arrays as they lie in the file.
+
+    They are compressions, and attributes of those in ``whole`` and ``floats`` that sparse accessors replace;
+    those in ``floats`` that are not floats too. moved: its morph targets count. The primitive has been read.
+    """
+    accessors, views = document.objects("accessors"), document.objects("bufferViews")
+    found = set[str]() if draco.extension_of(source.json) is None else {draco.EXTENSION}
+    for attributes in (source.attributes, *(source.whole_targets if moved else ())):
+        for name, number in attributes.items():
+            if name not in whole and name not in floats:
+                continue
+            accessor = accessors[number]
+            view = reference(accessor.get("bufferView"))
+            found |= set() if view is None else {*meshopt.extensions_of(views[view], source.place)}
+            found |= {f"sparse {name}"} if "sparse" in accessor else set()
+            if name in floats and component_dtype(accessor) != np.float32:
+                found.add(f"quantised {name}")
+    return found
 
 
 def has_float_tangents(document: Document, source: PrimitiveSource) -> bool:

@@ -133,7 +133,7 @@ def judged_shares(
     notices = []
     # The numbers of the surfaces that the truths take as one, as ``whole_surfaces`` does.
     meshes = [surface.bakes[0].source.mesh for surface in surfaces]
-    morphed = [any("targets" in bake.source.json for bake in surface.bakes) for surface in surfaces]
+    morphed = [any(bake.source.has_targets for bake in surface.bakes) for surface in surfaces]
     plain = [mesh for mesh, morphs in zip(meshes, morphed, strict=True) if not morphs]
     groups = meshes_of_one_skin(document, plain) if len(plain) > 1 else [plain] if plain else []
     alone = [[number] for number, morphs in enumerate(morphed) if morphs]

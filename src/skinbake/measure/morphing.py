@@ -10,7 +10,6 @@ from skinbake.format.morph_targets import NotedTargets, noted_targets
 from skinbake.freshness.baked_views import BakedView
 from skinbake.geometry.morphs import MorphTargets
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import objects
 from skinbake.gltf.morphs import read_targets
 from skinbake.gltf.primitives import PrimitiveSource
 from skinbake.report.verify import MorphCount
@@ -67,7 +66,7 @@ def moving_targets(
 def noted_of(document: Document, sources: Sequence[PrimitiveSource]) -> list[NotedTargets]:
     """Return what bake has added to the targets of primitives."""
     meshes = {source.mesh for source in sources}
-    noted = {mesh: noted_targets(document.objects("meshes")[mesh]) for mesh in meshes}
+    noted = {mesh: noted_targets(document.asset.meshes[mesh].json) for mesh in meshes}
     return [noted[source.mesh][source.primitive] for source in sources]
 
 
@@ -89,7 +88,7 @@ def carrier(document: Document, views: Sequence[BakedView], *, numbers: bool) ->
     found = Morphs.NONE
     stored: set[int] = set()
     for view, noted in zip(views, noted_of(document, [view.source for view in views]), strict=True):
-        targets = objects(view.source.json, "targets", view.source.place)
+        targets = view.source.targets
         if targets:
             stored.add(noted.frames)
             found = Morphs.NORMAL if found is Morphs.NONE else found

@@ -26,7 +26,7 @@ from skinbake.freshness.baked_views import BakedView
 from skinbake.geometry.morphs import carried_by_normal
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import listed, object_of
+from skinbake.gltf.materials import material_of
 from skinbake.measure.scene import Draw
 from skinbake.measure.tally import ErrorTally
 from skinbake.report.verify import ErrorFigures, Normals, Reliefs, Worst
@@ -68,9 +68,8 @@ THIRDS = ("carried", "area")
 
 def has_normal_map(document: Document, view: BakedView) -> bool:
     """Tell whether the material of a primitive has a normal map, or one for its clear coat."""
-    material = listed(document.json, "materials", view.source.json.get("material")) or {}
-    coat = object_of(object_of(material.get("extensions")).get("KHR_materials_clearcoat"))
-    return "normalTexture" in material or "clearcoatNormalTexture" in coat
+    material = material_of(document, view.source.material)
+    return material is not None and material.has_normal_map
 
 
 class ReliefTallies:

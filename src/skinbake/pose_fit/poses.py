@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,12 +111,8 @@ class ClipFile:
 
 def _node_names(document: Document) -> dict[int, str]:
     """Return the names of the nodes that have a name for themselves."""
-    names = [node.get("name") for node in document.objects("nodes")]
-    counts: dict[str, int] = {}
-    for name in names:
-        if isinstance(name, str):
-            counts[name] = counts.get(name, 0) + 1
-    return {node: name for node, name in enumerate(names) if isinstance(name, str) and counts[name] == 1}
+    counts = Counter(node.name for node in document.asset.nodes)
+    return {node.number: node.name for node in document.asset.nodes if counts[node.name] == 1}
 
 
 PoseSource: TypeAlias = "str | ClipFile"

@@ -6,7 +6,7 @@ import io
 import warnings
 from collections.abc import Container, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -16,15 +16,16 @@ from skinbake.files import Bytes
 from skinbake.geometry.skinned import FloatArray
 from skinbake.gltf.budget import Cost, Work
 from skinbake.gltf.document import Document
-from skinbake.gltf.images import (
-    TRANSFORM,
+from skinbake.gltf.materials import (
+    Material as StoredMaterial,
+)
+from skinbake.gltf.materials import (
+    Texture,
     image_bytes,
-    shown_textures,
+    material_of,
     tell_images_missing,
-    texcoord_set,
     texture_image,
 )
-from skinbake.gltf.json_access import JsonObject, is_number, listed, object_of, reference
 
 if TYPE_CHECKING:
     from PIL.Image import Image as Picture
@@ -129,20 +130,19 @@ class Materials:
         self._images: dict[int, Levels | None] = {}
         self._lost: list[str] = []
 
-    def of(self, primitive: JsonObject, in_clay: bool, *, is_lit: bool = True) -> Material:
-        """Return a primitive's material. A missing or broken one is clay.
+    def of(self, number: int | None, in_clay: bool, *, is_lit: bool = True) -> Material:
+        """Return a material by its number. A missing or broken one is clay.
 
         In clay only its sides and its alpha count. Modes that show no light have no blending: there half of
         it counts as a hole.
         """
-        number = reference(primitive.get("material"))
-        content = listed(self._document.json, "materials", number)
-        if number is None or content is None:
+        stored = material_of(self._document, number)
+        if number is None or stored is None:
             return Material(is_plain=in_clay)
-        if in_clay and content.get("alphaMode") not in {"MASK", "BLEND"}:
-            return Material(is_double=content.get("doubleSided") is True, is_plain=True)
+        if in_clay and stored.mode not in {"MASK", "BLEND"}:
+            return Material(is_double=stored.is_double, is_plain=True)
         if number not in self._made:
-            self._made[number] = self._read(content)
+            self._made[number] = self._read(stored)
         found = self._made[number]
         if not in_clay:
             return found
@@ -168,30 +168,30 @@ class Materials:
         """Return a notice if images were left out."""
         tell_images_missing(self._document, self._lost, "picture")
 
-    def _read(self, content: dict[str, Any]) -> Material:
-        pbr = object_of(content.get("pbrMetallicRoughness"))
-        named = shown_textures(content)
-        images = {use: levels for use, info in named.items() if (levels := self._image(info)) is not None}
-        base = _numbers(pbr, "baseColorFactor", WHITE if "base" in images else CLAY)
-        emissive = _numbers(content, "emissiveFactor", BLACK)
-        mode = content.get("alphaMode")
+    def _read(self, stored: StoredMaterial) -> Material:
+        named = stored.textures
+        images = {use: levels for use, one in named.items() if (levels := self._image(one)) is not None}
+        base = stored.base or (WHITE if "base" in images else CLAY)
         return Material(
             # A factor that belongs to an image says little without it.
-            base=CLAY if named["base"] and "base" not in images else base,
-            emissive=BLACK if named["emissive"] and "emissive" not in images else emissive,
-            roughness=float(np.clip(_number(pbr, "roughnessFactor", 1.0), *ROUGHNESS)),
-            normal_scale=_number(named["normal"], "scale", 1.0),
-            cutoff={"MASK": _number(content, "alphaCutoff", 0.5), "BLEND": SOLID}.get(str(mode), 0.0),
-            is_blended=mode == "BLEND",
-            is_double=content.get("doubleSided") is True,
+            base=CLAY if "base" in named and "base" not in images else base,
+            emissive=BLACK if "emissive" in named and "emissive" not in images else stored.emissive or BLACK,
+            roughness=float(np.clip(stored.roughness, *ROUGHNESS)),
+            normal_scale=named["normal"].strength if "normal" in named else 1.0,
+            cutoff={"MASK": stored.cutoff, "BLEND": SOLID}.get(stored.mode, 0.0),
+            is_blended=stored.mode == "BLEND",
+            is_double=stored.is_double,
             images=images,
-            placements={use: _placement(named[use]) for use in images},
-            samplings={use: self._sampling(named[use]) for use in images},
+            placements={
+                use: Placement(named[use].texcoord, named[use].offset, named[use].rotation, named[use].scale)
+                for use in images
+            },
+            samplings={use: _sampling(named[use]) for use in images},
         )
 
-    def _image(self, info: dict[str, Any]) -> Levels | None:
-        """Return the image that a texture info names; None without one, or if it cannot be shown."""
-        texture = reference(info.get("index"))
+    def _image(self, named: Texture) -> Levels | None:
+        """Return the image that a texture names; None without one, or if it cannot be shown."""
+        texture = named.number
         if texture is None:
             return None
         if texture not in self._images:
@@ -204,24 +204,10 @@ class Materials:
                 self._lost.append(error.message)
         return self._images[texture]
 
-    def _sampling(self, info: dict[str, Any]) -> Sampling:
-        """Return how a texture info is read. A value that is not a glTF number counts as missing."""
-        texture = listed(self._document.json, "textures", info.get("index")) or {}
-        sampler = listed(self._document.json, "samplers", texture.get("sampler")) or {}
-        wrap_u, wrap_v = (WRAPS.get(reference(sampler.get(key)) or 0, "repeat") for key in ("wrapS", "wrapT"))
-        is_nearest = reference(sampler.get("magFilter")) == NEAREST
-        return Sampling((wrap_u, wrap_v), "nearest" if is_nearest else "linear")
 
-
-def _placement(info: dict[str, Any]) -> Placement:
-    """Return where a texture info puts its image. Values of other types are as if they were not there."""
-    told = object_of(object_of(info.get("extensions")).get(TRANSFORM))
-    return Placement(
-        texcoord=texcoord_set(info),
-        offset=_numbers(told, "offset", (0.0, 0.0)),
-        rotation=_number(told, "rotation", 0.0),
-        scale=_numbers(told, "scale", (1.0, 1.0)),
-    )
+def _sampling(texture: Texture) -> Sampling:
+    wrap_u, wrap_v = (WRAPS.get(code or 0, "repeat") for code in texture.wraps)
+    return Sampling((wrap_u, wrap_v), "nearest" if texture.magnified == NEAREST else "linear")
 
 
 def decoded(data: Bytes, document: Document) -> Levels:
@@ -300,15 +286,3 @@ def _shallow(image: Picture) -> Picture:
     grey = Image.fromarray(scaled[samples])
     alpha = Image.fromarray(np.where(samples == key, np.uint8(0), np.uint8(255)))
     return Image.merge("RGBA", (grey, grey, grey, alpha))
-
-
-def _number(parent: dict[str, Any], key: str, default: float) -> float:
-    value = parent.get(key, default)
-    return float(value) if is_number(value) else default
-
-
-def _numbers(parent: dict[str, Any], key: str, default: tuple[float, ...]) -> tuple[float, ...]:
-    value = parent.get(key)
-    if not isinstance(value, list) or len(value) != len(default) or not all(map(is_number, value)):
-        return default
-    return tuple(map(float, value))

@@ -27,7 +27,6 @@ from skinbake.gltf.animation import (
 )
 from skinbake.gltf.budget import Cost, Work
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import MOST
 from skinbake.wording import counted
 
 SHARED_SAMPLES = 60
@@ -96,14 +95,11 @@ def draws_of(document: Document, mesh: int, clips: Sequence[Clip]) -> list[tuple
     morphing = [channel for clip in clips for channel in clip.channels if channel.path == MORPH_WEIGHTS]
     animated = {channel.node for channel in morphing}.union(*{channel.nodes for channel in morphing})
     draws: dict[object, tuple[int, int | None]] = {}
-    for number, node in enumerate(document.objects("nodes")):
-        if node.get("mesh") == mesh and "skin" in node:
-            resting = (
-                number
-                if number in animated
-                else tuple(document.asset.nodes[number].resting_weights().tolist())
-            )
-            draws.setdefault((int(node["skin"]), resting), (int(node["skin"]), number))
+    for node, drawn, skin in document.asset.drawn:
+        if drawn == mesh:
+            weights = () if node in animated else document.asset.nodes[node].resting_weights().tolist()
+            resting = node if node in animated else tuple(weights)
+            draws.setdefault((skin, resting), (skin, node))
     return list(draws.values())
 
 
@@ -242,12 +238,8 @@ def planned_poses(document: Document, plan: PosePlan) -> PoseSet:
     budget.claim(at_a_time * plan.of_each, what, place, passing=True)
     a_pose = Cost.JOINT_MATRIX * len(skeleton.joints) + Cost.TARGET_WEIGHT * targets
     budget.claim(a_pose * plan.count, joints, place)
-    nodes = document.objects("nodes")
-    found = [nodes[skeleton.nodes[joint]].get("name") for joint in skeleton.joints]
-    names = tuple(
-        f'"{name}"' if name and isinstance(name, str) else f"joint {number}"
-        for number, name in enumerate(found)
-    )
+    found = [document.asset.nodes[skeleton.nodes[joint]].name for joint in skeleton.joints]
+    names = tuple(f'"{name}"' if name else f"joint {number}" for number, name in enumerate(found))
     with np.errstate(over="ignore", invalid="ignore"):  # the result is checked below
         if request.kind is PoseKind.REST:
             weights = None if plan.resting is None else plan.resting[None]
@@ -262,7 +254,7 @@ def planned_poses(document: Document, plan: PosePlan) -> PoseSet:
             called = tuple(f"random pose {number}" for number in range(plan.count))
             poses = PoseSet(names, matrices, called, (None,) * plan.count, weights)
     # Every renderer stores float32.
-    fits = (np.abs(poses.joint_matrices) <= MOST).all(axis=(2, 3))
+    fits = (np.abs(poses.joint_matrices) <= np.finfo(np.float32).max).all(axis=(2, 3))
     if not fits.all():
         pose, joint = np.argwhere(~fits)[0]
         message = (

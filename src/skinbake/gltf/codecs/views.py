@@ -12,6 +12,7 @@ from skinbake.gltf.budget import Work
 from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import Document, once_a_document
 from skinbake.gltf.json_access import JsonObject, index, integer, reference
+from skinbake.gltf.resources import is_data_uri
 
 
 def view_bytes(document: Document, view_index: int, place: Place) -> memoryview:
@@ -57,6 +58,18 @@ def stored_bytes(document: Document, holder: JsonObject, what: str, place: Place
             f"{what} ends at byte {start + length} of buffer {buffer_index}, which has {len(data)}", place
         )
     return data[start : start + length]
+
+
+def bytes_beside(document: Document) -> int:
+    """Return the bytes of the buffers that lie in files beside a document."""
+    beside = [
+        number
+        for number, buffer in enumerate(document.objects("buffers"))
+        if isinstance(uri := buffer.get("uri"), str)
+        and not is_data_uri(uri)
+        and not meshopt.is_fallback(buffer, document.place)
+    ]
+    return sum(len(document.buffer(number)) for number in beside)
 
 
 COMPONENT_TYPES: dict[int, np.dtype[np.generic]] = {
