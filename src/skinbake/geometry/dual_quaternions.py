@@ -80,27 +80,17 @@ def _scale_and_deviation(matrices: Float64Array, used: BoolArray) -> tuple[Float
     linear = np.where(finite[..., None, None], matrices[..., :3, :3], 0.0)
     # A mirrored matrix has a negative determinant, and one that is not finite 0: neither is rigid.
     determinant = np.linalg.det(linear)
-    scale = _common_scale(determinant, used)
-    by_pose = np.where(determinant > 0, _deviation(linear, scale), np.inf)
-    return scale, np.where(used, by_pose.max(axis=0, initial=0.0), 0.0)
-
-
-def _common_scale(determinant: Float64Array, used: BoolArray) -> Float64Array:
-    """Return the scale (P,) of most joints in use: the lower median of ∛det over positive determinants."""
+    # The scale of most joints: the lower median of ∛det over positive determinants.
     scale = np.ones(len(determinant))
     for pose, values in enumerate(determinant[:, used]):
         candidates = np.sort(np.cbrt(values[values > 0]))
         if candidates.size:
             scale[pose] = candidates[(candidates.size - 1) // 2]
-    return scale
-
-
-def _deviation(linear: Float64Array, scale: Float64Array) -> Float64Array:
-    """Return the largest entry of |MᵀM / s² − I|, (P, J), of linear parts (P, J, 3, 3)."""
+    # The largest entry of |MᵀM / s² − I|.
     unscaled = linear / scale[:, None, None, None]
     gram = np.swapaxes(unscaled, -1, -2) @ unscaled
-    largest: Float64Array = np.abs(gram - np.eye(3)).max(axis=(-1, -2))
-    return largest
+    by_pose = np.where(determinant > 0, np.abs(gram - np.eye(3)).max(axis=(-1, -2)), np.inf)
+    return scale, np.where(used, by_pose.max(axis=0, initial=0.0), 0.0)
 
 
 def quaternions_from_rotations(rotations: FloatArray) -> Float64Array:

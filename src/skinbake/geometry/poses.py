@@ -40,42 +40,34 @@ def interpolated(
     share = np.clip(share, 0.0, 1.0)
     # The values at these keys.
     left, right = (values.take(key, axis=-3 if method == CUBICSPLINE else -2) for key in (before, after))
+    s = share[:, None]
     if method == CUBICSPLINE:
-        result = _hermite(left, right, share[:, None], span[:, None])
+        # The Hermite spline of glTF 2.0, appendix C.5. Its tangents count per second.
+        s2, s3, seconds = s * s, s * s * s, span[:, None]
+        result = (
+            (2 * s3 - 3 * s2 + 1) * left[..., 1, :]
+            + seconds * (s3 - 2 * s2 + s) * left[..., 2, :]
+            + (3 * s2 - 2 * s3) * right[..., 1, :]
+            + seconds * (s3 - s2) * right[..., 0, :]
+        )
     elif method == STEP:
-        result = np.where((share >= 1.0)[:, None], right, left)
+        result = np.where(s >= 1.0, right, left)
     elif rotation:
-        return _slerp(left, right, share)
+        # Appendix C.4. q and −q are one rotation: the nearer one is taken.
+        left, right = normalised(left), normalised(right)
+        cosine = np.einsum("...c,...c->...", left, right)
+        right = np.where(cosine[..., None] < 0, -right, right)
+        angle = np.arccos(np.minimum(np.abs(cosine), 1.0))
+        sine = np.sin(angle)
+        # sin((1 − s) φ) / sin φ and sin(s φ) / sin φ, or their limits 1 − s and s.
+        short = sine < 1e-9
+        safe = np.where(short, 1.0, sine)
+        a = np.where(short, 1.0 - share, np.sin((1.0 - share) * angle) / safe)
+        b = np.where(short, share, np.sin(share * angle) / safe)
+        result = a[..., None] * left + b[..., None] * right
     else:
-        result = left * (1.0 - share[:, None]) + right * share[:, None]
+        result = left * (1.0 - s) + right * s
     return normalised(result) if rotation else result
-
-
-def _hermite(left: Float64Array, right: Float64Array, s: Float64Array, span: Float64Array) -> Float64Array:
-    """Return the cubic Hermite spline of glTF 2.0, appendix C.5; left and right (…, P, 3, M), s in 0 … 1."""
-    s2, s3 = s * s, s * s * s
-    return (
-        (2 * s3 - 3 * s2 + 1) * left[..., 1, :]
-        + span * (s3 - 2 * s2 + s) * left[..., 2, :]
-        + (3 * s2 - 2 * s3) * right[..., 1, :]
-        + span * (s3 - s2) * right[..., 0, :]
-    )
-
-
-def _slerp(first: Float64Array, second: Float64Array, share: Float64Array) -> Float64Array:
-    """Return quaternions (…, P, 4) on the shorter arc; linear if the arc is too short for its sine."""
-    first, second = normalised(first), normalised(second)
-    # q and −q are one rotation: the nearer one is taken.
-    cosine = np.einsum("...c,...c->...", first, second)
-    second = np.where(cosine[..., None] < 0, -second, second)
-    angle = np.arccos(np.minimum(np.abs(cosine), 1.0))
-    sine = np.sin(angle)
-    # sin((1 − s) φ) / sin φ and sin(s φ) / sin φ, or their limits 1 − s and s.
-    short = sine < 1e-9
-    safe = np.where(short, 1.0, sine)
-    a = np.where(short, 1.0 - share, np.sin((1.0 - share) * angle) / safe)
-    b = np.where(short, share, np.sin(share * angle) / safe)
-    return normalised(a[..., None] * first + b[..., None] * second)
 
 
 def normalised(quaternions: Float64Array) -> Float64Array:

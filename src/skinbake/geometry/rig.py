@@ -115,8 +115,19 @@ class Lineage:
         self.root = len(rig.parents)
         self.depths = np.append(rig.depths, -1)
         parents = np.append(np.where(rig.parents == NO_PARENT, self.root, rig.parents), self.root)
+        # The size of each span, from the leaves up: every joint comes after its parent in this order.
+        above, (first, *others) = parents.tolist(), np.argsort(self.depths, kind="stable").tolist()
+        sizes, free, starts = [1] * len(above), [0] * len(above), [0] * len(above)
+        for joint in reversed(others):
+            sizes[above[joint]] += sizes[joint]
+        # Then their places, from the root down: children one after the other, behind their parent.
+        free[first] = 1
+        for joint in others:
+            starts[joint] = free[above[joint]]
+            free[above[joint]] += sizes[joint]
+            free[joint] = starts[joint] + 1
         # The ends are one past the last place.
-        self._starts, self._ends = _spans(parents, np.argsort(self.depths, kind="stable"))
+        self._starts, self._ends = np.array(starts), np.array(starts) + np.array(sizes)
         # The joint 1, 2, 4, … steps up.
         self._steps = [parents]
         while (self._steps[-1] != self.root).any():
@@ -160,22 +171,3 @@ class Lineage:
         every, passed = (np.concatenate(pieces) for pieces in zip(*found, strict=True))
         order = np.argsort(every, kind="stable")
         return every[order], passed[order]
-
-
-def _spans(parents: IntArray, order: IntArray) -> tuple[IntArray, IntArray]:
-    """Return start and end of the span of each joint: it and all that it carries have start … end − 1.
-
-    order begins with the root, and has each joint after its parent.
-    """
-    above: list[int] = parents.tolist()
-    places: list[int] = order.tolist()
-    first, others = places[0], places[1:]
-    sizes, free = [1] * len(above), [0] * len(above)
-    for joint in reversed(others):
-        sizes[above[joint]] += sizes[joint]
-    starts, free[first] = [0] * len(above), 1
-    for joint in others:
-        starts[joint] = free[above[joint]]
-        free[above[joint]] += sizes[joint]
-        free[joint] = starts[joint] + 1
-    return np.array(starts), np.array(starts) + np.array(sizes)

@@ -43,22 +43,19 @@ def unrolled(indices: IntArray, mode: int) -> npt.NDArray[np.uint32]:
 
 def mark_proper(positions: FloatArray, triangles: IntArray) -> BoolArray:
     """Tell for each triangle (T, 3) whether it has an area: a mask (T,), see DEGENERATE_AREA."""
-    components = np.ascontiguousarray(positions.T, dtype=np.float64)
-    masks = [_proper(components, triangles[rows]) for rows in blocks(len(triangles), BLOCK)]
-    return np.concatenate([np.zeros(0, dtype=np.bool_), *masks])
-
-
-def _proper(components: Float64Array, triangles: IntArray) -> BoolArray:
-    """Return the mask of some triangles (T, 3), from positions by component (3, V)."""
-    i, j, k = np.ascontiguousarray(triangles.T)
-    x, y, z = components
-    # Two edges, the squares of all three lengths, and twice the area.
-    ax, ay, az = x[j] - x[i], y[j] - y[i], z[j] - z[i]
-    bx, by, bz = x[k] - x[i], y[k] - y[i], z[k] - z[i]
-    first, second = ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz
-    third = first + second - 2.0 * (ax * bx + ay * by + az * bz)
-    area = np.sqrt((ay * bz - az * by) ** 2 + (az * bx - ax * bz) ** 2 + (ax * by - ay * bx) ** 2)
-    return np.asarray(area > DEGENERATE_AREA * np.maximum(np.maximum(first, second), third), dtype=np.bool_)
+    x, y, z = np.ascontiguousarray(positions.T, dtype=np.float64)
+    found = np.zeros(len(triangles), dtype=np.bool_)
+    for rows in blocks(len(triangles), BLOCK):
+        i, j, k = np.ascontiguousarray(triangles[rows].T)
+        # Two edges, the squares of all three lengths, and twice the area.
+        ax, ay, az = x[j] - x[i], y[j] - y[i], z[j] - z[i]
+        bx, by, bz = x[k] - x[i], y[k] - y[i], z[k] - z[i]
+        first, second = ax * ax + ay * ay + az * az, bx * bx + by * by + bz * bz
+        third = first + second - 2.0 * (ax * bx + ay * by + az * bz)
+        area = np.sqrt((ay * bz - az * by) ** 2 + (az * bx - ax * bz) ** 2 + (ax * by - ay * bx) ** 2)
+        # A comparison with NaN is false: what is not finite has no area.
+        found[rows] = area > DEGENERATE_AREA * np.maximum(np.maximum(first, second), third)
+    return found
 
 
 def smooth_normals(positions: FloatArray, triangles: IntArray, groups: IntArray) -> Float64Array:
@@ -66,10 +63,14 @@ def smooth_normals(positions: FloatArray, triangles: IntArray, groups: IntArray)
 
     groups (V,) names the vertices that share one normal. A vertex without a proper triangle gets (0, 0, 1).
     """
+    points = positions.astype(np.float64, copy=False)
     total = np.zeros((int(groups.max(initial=-1)) + 1, 3))
     for turn in range(3):
+        # Both edges at a corner, and their cross product, which is 2 A n.
         corners = np.roll(triangles, -turn, axis=1)
-        first, second, cross = _edges(positions, corners)
+        origin, one, other = (points[column] for column in corners.T)
+        first, second = one - origin, other - origin
+        cross = cross_products(first, second)
         # n / (|e1|² |e2|²): Max's weight of the unit normal is the sine over both lengths.
         scale = _squared(first) * _squared(second)
         weighted = np.divide(cross, scale[:, None], out=np.zeros_like(cross), where=scale[:, None] > 0)
@@ -79,14 +80,6 @@ def smooth_normals(positions: FloatArray, triangles: IntArray, groups: IntArray)
     length = np.sqrt(_squared(total))[:, None]
     unit = np.divide(total, length, out=np.tile([0.0, 0.0, 1.0], (len(total), 1)), where=length > 0)
     return np.asarray(unit[groups])
-
-
-def _edges(positions: FloatArray, corners: IntArray) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Return both edges at the first corner and their cross product, each (T, 3) float64."""
-    points = positions.astype(np.float64, copy=False)
-    origin, one, other = (points[column] for column in corners.T)
-    first, second = one - origin, other - origin
-    return first, second, cross_products(first, second)
 
 
 def cross_products(first: Float64Array, second: Float64Array) -> Float64Array:
