@@ -29,7 +29,8 @@ from fixtures.make_fixtures import (
     tube_weights,
 )
 from skinbake.choices import USUAL_TRUTHS, Gradients
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_file
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.freshness.baked_views import baked_views, rest_primitive
 from skinbake.geometry.poses import composed, normalised
 from skinbake.geometry.rig import NO_PARENT, Rig
@@ -176,7 +177,7 @@ def tube(weights: Weights, columns: int, rows: int) -> tuple[SkinnedPrimitive, F
 def grown(weights: Weights, columns: int, rows: int, *, gradients: Gradients = Gradients.RIG) -> Errors:
     """Bake a tube and measure it."""
     primitive, theta, height = tube(weights, columns, rows)
-    settings = Baker().settings
+    settings = BakeOptions().settings
     ((baked, _),) = bake_primitives([primitive], settings, RIG if gradients is Gradients.RIG else None)
     frame, matrices = rest_frame(primitive, settings.frame), bends()
     rest = RestPrimitive(
@@ -196,7 +197,7 @@ def bent_tube(gradients: Gradients) -> Errors:
     """Bake the fixture and measure it in the poses that verify takes."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / BENT_TUBE.name
-        Baker(gradients=gradients).bake_file(str(BENT_TUBE), str(path))
+        bake_file(str(BENT_TUBE), str(path), BakeOptions(gradients=gradients))
         document = read_document(str(path))
     (view,) = baked_views(document, skinned_sources(document))
     matrices = pose_set(document, 0, read_clips(document), PoseRequest()).joint_matrices

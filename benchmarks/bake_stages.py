@@ -8,13 +8,13 @@ from __future__ import annotations
 import json
 import sys
 
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_file
 from skinbake.timing import recorded
 
 
 def main() -> None:
     with recorded() as timings:
-        Baker().bake_file(sys.argv[1], sys.argv[2])
+        bake_file(sys.argv[1], sys.argv[2])
     print(json.dumps(timings.seconds))
 
 

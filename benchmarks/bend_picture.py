@@ -19,7 +19,7 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from skinbake.choices import FrameChoice
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_document
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
@@ -73,7 +73,7 @@ class Bend:
 
 def strongest_bend() -> Bend:
     """Bake the fixture and pose it where standard lighting is worst."""
-    document = Baker().bake_document(read_document(str(MODEL))).document
+    document = bake_document(read_document(str(MODEL))).document
     source = skinned_sources(document)[0]
     primitive = read_primitive(document, source)
     frame = rest_frame(primitive, FrameChoice.AUTO)

@@ -23,7 +23,7 @@ from PIL import Image, ImageDraw
 
 from benchmarks.bend_picture import GREY, INK, MODEL, REPOSITORY, SCALE_TOP, STOPS, font, heat, unit
 from skinbake.choices import Language, Lighting
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_document
 from skinbake.freshness.baked_views import baked_views, rest_primitive
 from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
@@ -150,7 +150,7 @@ class Bend:
 
 def strongest_bend() -> Bend:
     """Bake the fixture and pose it where standard lighting is worst."""
-    document = Baker().bake_document(read_document(str(MODEL))).document
+    document = bake_document(read_document(str(MODEL))).document
     (view,) = baked_views(document, skinned_sources(document))
     rest, now = rest_primitive(view), view.now
     (clip,) = read_clips(document)

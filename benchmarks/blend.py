@@ -16,7 +16,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_file
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.commands.verify import verify_file
 from skinbake.format.blend_weights import GRADIENT
 from skinbake.measure.options import VerifyOptions
@@ -67,7 +68,7 @@ def errors(model: Path) -> tuple[float, float, float]:
     """Return the mean errors of a model: standard, without the gradient of its blend weights, accurate."""
     with TemporaryDirectory() as folder:
         given, baked = Path(folder) / "given.glb", Path(folder) / "baked.glb"
-        Baker(blend=NAME).bake_file(str(with_blend_weights(model, given)), str(baked))
+        bake_file(str(with_blend_weights(model, given)), str(baked), BakeOptions(blend=NAME))
         standard, accurate = _means(baked)
         file = Editable(baked)
         for number, primitive in enumerate(file.content["meshes"][0]["primitives"]):

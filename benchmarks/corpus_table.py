@@ -18,7 +18,8 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.marked import write_between
 from skinbake.choices import Baseline
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_file
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.errors import SkinbakeError
 from skinbake.jobs.file_work import FileWork
 from skinbake.jobs.verify import Verify
@@ -87,7 +88,7 @@ def measured(paths: list[Path]) -> Iterator[Model]:
         with TemporaryDirectory() as folder:
             target = str(Path(folder) / path.name)
             try:
-                result = Baker(generate_normals=True).bake_file(str(path), target)
+                result = bake_file(str(path), target, BakeOptions(generate_normals=True))
             except SkinbakeError as error:
                 print(f"  left out: {error.message}", file=sys.stderr)
                 continue

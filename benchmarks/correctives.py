@@ -21,7 +21,8 @@ from typing import Any
 
 from benchmarks.marked import write_between
 from skinbake.choices import Encoding, Gradients
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_file
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.commands.verify import verify_file
 from skinbake.errors import SkinbakeError
 from skinbake.measure.options import VerifyOptions
@@ -75,20 +76,16 @@ def main() -> int:
     write_between(options.output, START, END, "\n".join(table(rows)))
     character = next((path for path in paths if path.name == "CesiumMan.glb"), None)
     if character is not None:
-        shortest = [min(seconds(character, baker) for _ in range(5)) for baker in bakers()]
+        compared = BakeOptions(correctives="auto"), BakeOptions(gradients=Gradients.POSES)
+        shortest = [min(seconds(character, options) for _ in range(5)) for options in compared]
         print(f"CesiumMan: {shortest[0]:.2f} s, {shortest[0] / shortest[1]:.1f} times --gradients poses")
     return 0
 
 
-def bakers() -> tuple[Baker, Baker]:
-    """Return the bakers whose times are compared."""
-    return Baker(correctives="auto"), Baker(gradients=Gradients.POSES)
-
-
-def seconds(path: Path, baker: Baker) -> float:
+def seconds(path: Path, options: BakeOptions) -> float:
     """Return how long a bake takes that writes nothing."""
     start = time.perf_counter()
-    baker.bake_file(str(path), None)
+    bake_file(str(path), None, options)
     return time.perf_counter() - start
 
 
@@ -98,7 +95,7 @@ def measured(path: Path) -> Iterator[Row]:
         target, sizes = str(Path(folder) / "out.glb"), {}
         try:
             for encoding in (Encoding.PACKED8, Encoding.FLOAT32):
-                result = Baker(correctives="auto", encoding=encoding).bake_file(str(path), target)
+                result = bake_file(str(path), target, BakeOptions(correctives="auto", encoding=encoding))
                 if not result.correctives:
                     reasons = {notice.code for notice in result.notices} - {"nothing-baked"}
                     print(f"{path.name}: left out ({', '.join(sorted(reasons)) or result.status})")

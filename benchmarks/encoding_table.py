@@ -19,7 +19,8 @@ from tempfile import TemporaryDirectory
 from benchmarks.corpus_table import REPOSITORY, SUFFIXES, corpus_folders, told_apart
 from skinbake import __version__
 from skinbake.choices import Encoding
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_file
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.commands.verify import verify_file
 from skinbake.errors import SkinbakeError
 from skinbake.measure.options import VerifyOptions
@@ -98,9 +99,9 @@ def measured(path: Path, *, verified: bool) -> Row:
     with TemporaryDirectory() as folder:
         target = str(Path(folder) / path.name)
         for encoding in Encoding:
-            baker = Baker(generate_normals=True, encoding=encoding)
+            options = BakeOptions(generate_normals=True, encoding=encoding)
             try:
-                result = baker.bake_file(str(path), target)
+                result = bake_file(str(path), target, options)
             except SkinbakeError:
                 return {}
             if result.status != "baked":

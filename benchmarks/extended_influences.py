@@ -16,7 +16,8 @@ from pathlib import Path
 from benchmarks.corpus_table import REPOSITORY, corpus_folders
 from benchmarks.marked import write_between
 from skinbake.choices import Lighting, Method, Neighbours
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_document
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.commands.verify import verify_document
 from skinbake.gltf.document import read_document
 from skinbake.measure.options import VerifyOptions
@@ -53,8 +54,8 @@ def table(paths: list[Path]) -> Iterator[str]:
 
 def baked(path: Path, neighbours: Neighbours) -> tuple[float, float]:
     """Return the share of the gradient that a bake leaves out, and the mean error of LBS in degrees."""
-    baker = Baker(neighbours=neighbours, generate_normals=True)
-    result = baker.bake_document(read_document(str(path)))
+    options = BakeOptions(neighbours=neighbours, generate_normals=True)
+    result = bake_document(read_document(str(path)), options)
     normals = verify_document(result.document, VerifyOptions(methods=(Method.LBS,))).normals or {}
     counts = [count for _, count in result.primitives]
     lost = sum(count.lost_gradient * count.gradient for count in counts) / sum(c.gradient for c in counts)

@@ -26,7 +26,8 @@ from benchmarks.corpus_table import SUFFIXES, corpus_folders, told_apart
 from benchmarks.fitted_poses import BENDS, CLIPS, FEWEST, HELD_BACK, POSES
 from benchmarks.lit_errors import WITHOUT_NORMAL
 from skinbake.choices import Gradients, Neighbours
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_document
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.errors import SkinbakeError
 from skinbake.freshness.baked_views import (
     BakedView,
@@ -109,7 +110,9 @@ def models_of(paths: Sequence[Path]) -> Iterator[Model]:
 
 def lit_by_aims(path: Path, name: str, seen: set[tuple[int, float]]) -> Model | None:
     """Fit a model with every aim, and light it. None if it has a twin in ``seen``, or does not bend."""
-    made = Baker(gradients=Gradients.SURFACE, generate_normals=True).bake_document(read_document(str(path)))
+    made = bake_document(
+        read_document(str(path)), BakeOptions(gradients=Gradients.SURFACE, generate_normals=True)
+    )
     document, vertices = made.document, sum(counts.vertices for _, counts in made.primitives)
     if vertices < FEWEST:
         return None
@@ -148,7 +151,7 @@ Slots = dict[int, tuple[FloatArray, FloatArray]]
 def fitted(document: Document, views: Sequence[BakedView], constants: Mapping[str, float]) -> Slots:
     """Return the fit itself, which no bake has held to standard lighting yet, in the slots of the views."""
     found: Slots = {}
-    settings = Baker().settings._replace(neighbours=Neighbours.DROP)
+    settings = BakeOptions().settings._replace(neighbours=Neighbours.DROP)
     for surface in gathered_together(document, views):
         rig = fitting_rig(document, surface[0].source)
         with rules(constants):

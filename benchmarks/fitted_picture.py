@@ -21,7 +21,8 @@ from benchmarks.bend_picture import SCALE_TOP as FULL_HEAT
 from benchmarks.corpus_table import REPOSITORY, corpus_folders
 from benchmarks.lit_errors import error_fields
 from skinbake.choices import USUAL_TRUTHS, Gradients, PoseKind
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_document
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.freshness.baked_views import baked_views, rest_primitive
 from skinbake.geometry.skinned import IntArray
 from skinbake.gltf.animation import read_clips
@@ -55,8 +56,8 @@ def lit_both_ways(path: Path) -> Lit:
     """Bake a model both ways, and measure its first primitive over its clips."""
     found: dict[str, Array] = {}
     for gradients in (Gradients.SURFACE, Gradients.RIG):
-        baker = Baker(gradients=gradients, generate_normals=True)
-        document = baker.bake_document(read_document(str(path))).document
+        options = BakeOptions(gradients=gradients, generate_normals=True)
+        document = bake_document(read_document(str(path)), options).document
         view = baked_views(document, skinned_sources(document))[0]
         poses = pose_set(document, 0, read_clips(document), PoseRequest())
         fields = error_fields(document, [view], poses, "lbs")

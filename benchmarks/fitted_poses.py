@@ -21,7 +21,8 @@ from benchmarks.corpus_table import REPOSITORY, SUFFIXES, corpus_folders, told_a
 from benchmarks.lit_errors import Lit, measured
 from benchmarks.marked import write_between
 from skinbake.choices import USUAL_TRUTHS, Gradients, Neighbours, PoseKind, Truth
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_document
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.errors import SkinbakeError
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document, read_document
@@ -106,8 +107,8 @@ def lit_by_kinds(path: Path) -> Model | None:
     baked: dict[str, Document] = {}
     vertices = 0
     for kind, (gradients, neighbours) in KINDS.items():
-        baker = Baker(gradients=gradients, neighbours=neighbours, generate_normals=True)
-        made = baker.bake_document(read_document(str(path)))
+        options = BakeOptions(gradients=gradients, neighbours=neighbours, generate_normals=True)
+        made = bake_document(read_document(str(path)), options)
         baked[kind] = made.document
         vertices = sum(counts.vertices for _, counts in made.primitives)
     lit: dict[str, dict[str, Lit]] = {}

@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.marked import write_between
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_file
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.commands.verify import verify_file
 from skinbake.geometry.frames import frame_from_normal, unit_vectors
 from skinbake.geometry.morphs import Differences, MorphTargets
@@ -27,7 +28,7 @@ from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.additions import Additions
 from skinbake.gltf.document import read_document
-from skinbake.gltf.output import Writing, plan_output
+from skinbake.gltf.output import plan_output
 from skinbake.gltf.primitives import read_primitive, skinned_sources
 from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import FileVerdict
@@ -192,7 +193,7 @@ def character_table() -> Iterator[str]:
     for path in found:
         with TemporaryDirectory() as folder:
             target = Path(folder) / "baked" / f"{path.stem}.glb"
-            Baker(generate_normals=True).bake_file(str(path), str(target), Writing())
+            bake_file(str(path), str(target), BakeOptions(generate_normals=True))
             yield f"| {path.name} | none | {verdict_row(target)} |"
             for name, warp in (("wave", wave), ("bend", bend)):
                 moved = Path(folder) / f"{name}.glb"
@@ -212,7 +213,7 @@ def face_table() -> Iterator[str]:
     with TemporaryDirectory() as folder:
         for name, options in FACES.items():
             target = Path(folder) / "baked.glb"
-            Baker(**options).bake_file(str(path), str(target), Writing())
+            bake_file(str(path), str(target), BakeOptions(**options))
             rows = [verdict_row(target, poses).rsplit(" | ", 1)[0] for poses in ("animation", "random")]
             size = target.stat().st_size - path.stat().st_size
             yield f"| {name} | {size:,} | {' | '.join(rows)} |"

@@ -31,7 +31,8 @@ from benchmarks.marked import write_between
 from fixtures import skinned_normals_test as asset
 from fixtures.builder import pack_glb
 from fixtures.make_fixtures import FOLDER as FIXTURES
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_file
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.shaders.engines import engines_folder
 from tests.support import browser
 from tests.support.characters import angles
@@ -124,8 +125,8 @@ def main() -> None:
         models = {kind: folder / f"{kind}.glb" for kind in KINDS}
         models["stock"].write_bytes(packed())
         for kind in ("adapter", "correctives"):
-            baker = Baker(correctives="auto") if kind == "correctives" else Baker()
-            baker.bake_file(str(models["stock"]), str(models[kind]))
+            asked = BakeOptions(correctives="auto" if kind == "correctives" else None)
+            bake_file(str(models["stock"]), str(models[kind]), asked)
         if options.pictures:
             write_pictures(models["adapter"], options.pictures, folder)
             return

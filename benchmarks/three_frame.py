@@ -29,7 +29,7 @@ import numpy as np
 from benchmarks.results import processor
 from benchmarks.skinned_grid import grid_of, grid_vertices, write_grid
 from fixtures.make_fixtures import FOLDER
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_file
 from tests.support import browser
 from tests.support.node import package_folder
 
@@ -80,7 +80,7 @@ def baked_models(folder: Path, vertices: int) -> list[str]:
     write_grid(grid, grid_of(vertices))
     (folder / "models").mkdir()
     for source in (grid, FOLDER / "bent_tube.glb"):
-        Baker().bake_file(str(source), str(folder / "models" / source.name))
+        bake_file(str(source), str(folder / "models" / source.name))
     return ["/models/grid.glb", "/models/bent_tube.glb"]
 
 

@@ -19,7 +19,7 @@ from PIL import Image, ImageDraw
 
 from benchmarks.bend_picture import GREY, INK, MARGIN, REPOSITORY, Array, font
 from fixtures.make_fixtures import FOLDER
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_file
 from tests.support import browser
 from tests.support.node import package_folder
 
@@ -71,7 +71,7 @@ def main() -> None:
         folder = Path(scratch)
         for name in ("models", "profile"):
             (folder / name).mkdir()
-        Baker().bake_file(str(FOLDER / "bent_tube.glb"), str(folder / "models" / "bent_tube.glb"))
+        bake_file(str(FOLDER / "bent_tube.glb"), str(folder / "models" / "bent_tube.glb"))
         folders = {"models": folder / "models", "three": package_folder("three")}
         folders |= {"benchmarks": Path(__file__).parent, "package": REPOSITORY / "engines" / "three"}
         with browser.opened(PAGE, folders, folder / "profile") as page:

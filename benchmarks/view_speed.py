@@ -22,7 +22,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from benchmarks.skinned_grid import grid_of, grid_vertices, write_grid
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_file
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.commands.view import view_file
 from tests.support import browser
 from tests.support.node import package_folder
@@ -149,7 +150,7 @@ def measured(model: Path, rounds: int, count: int) -> dict[str, dict[str, float]
         folder = Path(name)
         baked = folder / "models" / "model.glb"
         baked.parent.mkdir()
-        Baker(generate_normals=True).bake_file(str(model), str(baked))
+        bake_file(str(model), str(baked), BakeOptions(generate_normals=True))
         pages = Pages(baked, folder)
         first: dict[str, list[float]] = {page: [] for page in FIRST}
         for _ in range(rounds):

@@ -17,7 +17,8 @@ from tempfile import TemporaryDirectory
 from benchmarks.corpus_table import REPOSITORY, corpus_folders
 from benchmarks.marked import write_between
 from skinbake.choices import Gradients, Lighting, Method, Weld
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_document
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.commands.verify import verify_document
 from skinbake.gltf.document import read_document
 from skinbake.measure.options import VerifyOptions
@@ -72,8 +73,8 @@ def cells(path: Path) -> Iterator[str]:
 
 def errors(path: Path, weld: Weld) -> str:
     """Return mean, p99 and maximum of the error of accurate LBS normals by tangents, in degrees."""
-    baker = Baker(gradients=Gradients.SURFACE, weld=weld, generate_normals=True)
-    document = baker.bake_document(read_document(str(path))).document
+    options = BakeOptions(gradients=Gradients.SURFACE, weld=weld, generate_normals=True)
+    document = bake_document(read_document(str(path)), options).document
     normals = verify_document(document, VerifyOptions(methods=(Method.LBS,))).normals or {}
     found = normals[Method.LBS][Lighting.ACCURATE]
     return f"{found.mean:.3f} / {found.p99:.1f} / {found.max:.0f}"

@@ -27,7 +27,7 @@ from fixtures.make_fixtures import FOLDER
 from skinbake import api
 from skinbake.choices import PoseKind
 from skinbake.cli import bake, verify
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.errors import Chosen, Place
 from skinbake.options import (
     BAKE,
@@ -267,8 +267,8 @@ def test_the_keywords_of_python_are_the_declared_options(name: str) -> None:
 
 def test_the_options_of_files_have_one_default() -> None:
     """The class of a bake's options, and click, take theirs from the declarations."""
-    baker = {entry.name: entry.default for entry in fields(Baker)}
-    assert baker == defaults(BAKE, By.OVERRIDE)
+    of_class = {entry.name: entry.default for entry in fields(BakeOptions)}
+    assert of_class == defaults(BAKE, By.OVERRIDE)
     for command, options in ((bake.command, BAKE), (verify.command, VERIFY)):
         wanted = defaults(options, By.OVERRIDE)
         given = command.make_context("skinbake", ["a.glb"], resilient_parsing=True).params
@@ -448,7 +448,7 @@ class TestModels:
     def test_a_model_without_a_skin_comes_back_as_it_was(self) -> None:
         model = pygltflib.GLTF2(asset=pygltflib.Asset(version="2.0"))
         assert skinbake.bake(model).to_json() == model.to_json()
-        with pytest.raises(skinbake.InputError, match="nothing in it can be baked"):
+        with pytest.raises(skinbake.InputError, match="nothing in it is skinned"):
             skinbake.bake(model, require_baked=True)
 
     def test_a_model_is_written_nowhere(self, tmp_path: Path) -> None:

@@ -17,7 +17,8 @@ from benchmarks.gpu.passes import compute_pass, parts_of_instances
 from benchmarks.gpu.records import ErrorRecord
 from benchmarks.gpu.variants import Variant
 from skinbake.choices import USUAL_TRUTHS, FrameChoice, Method, PoseKind, Truth
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_file
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.freshness.baked_views import baked_views, rest_primitive, whole_surfaces
 from skinbake.freshness.expected import true_operator_of
 from skinbake.geometry.dual_quaternions import rigid_motions
@@ -57,7 +58,8 @@ class Character:
         """
         with TemporaryDirectory() as folder:
             target = Path(folder) / f"{path.stem}.glb"
-            Baker(frame=FrameChoice.NORMAL, generate_normals=True).bake_file(str(path), str(target))
+            options = BakeOptions(frame=FrameChoice.NORMAL, generate_normals=True)
+            bake_file(str(path), str(target), options)
             document = read_document(str(target))
             views = baked_views(document, skinned_sources(document))
             ((view,),) = whole_surfaces(document, views)

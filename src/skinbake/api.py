@@ -171,7 +171,8 @@ def bake(
     ('baked', 1518)
 
     """
-    from skinbake.commands.bake import Baker
+    from skinbake.commands import bake_options
+    from skinbake.commands.bake import bake_file
     from skinbake.gltf.output import Writing
 
     for name in options.keys() - BakeOptions.__annotations__.keys():
@@ -180,7 +181,7 @@ def bake(
         raise TypeError(f"bake() got an unexpected keyword argument {name!r}{question}")
     given = {"allow_outside": allow_outside, "dry_run": dry_run, "pack": pack, "sync": sync}
     count = checked(BAKE, {**given, "threads": threads})["threads"]
-    baker = Baker(**options)  # type: ignore[arg-type]  # it takes the values of enumerations too
+    chosen = bake_options.BakeOptions(**options)  # type: ignore[arg-type]  # it takes the values of enumerations too
     with threads_limited(count):
         if not isinstance(source, str | os.PathLike):
             from skinbake.pygltflib_models import baked_model
@@ -189,7 +190,7 @@ def bake(
                 raise TypeError(
                     "bake() returns the new GLTF2: it takes no target, dry_run, pack or allow_outside"
                 )
-            return baked_model(source, baker)
+            return baked_model(source, chosen)
         if target is None:
             raise TypeError("bake() needs a target for a file")
         from skinbake.report.bake import file_json
@@ -197,7 +198,7 @@ def bake(
         writing = Writing(dry_run=dry_run, sync=sync, pack=pack)
         within = Within(_bounds(allow_outside))
         file = _source(source)
-        return file_json(baker.bake_file(file.given, _target(target, file), writing, within))
+        return file_json(bake_file(file.given, _target(target, file), chosen, writing, within))
 
 
 def verify(

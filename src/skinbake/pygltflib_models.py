@@ -9,21 +9,19 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from skinbake.commands.bake import rebaked
 from skinbake.errors import InputError, Place, warnings_in
-from skinbake.format.metadata import refuse_other_kind
-from skinbake.format.strip import stripped
-from skinbake.gltf.container import for_target
 from skinbake.gltf.document import Document, joined, parse_gltf
 
 if TYPE_CHECKING:
     from pygltflib import GLTF2
 
-    from skinbake.commands.bake import Baker
+    from skinbake.commands.bake_options import BakeOptions
 
 AS_GLB = "model.glb"
 
 
-def baked_model(model: GLTF2, baker: Baker) -> GLTF2:
+def baked_model(model: GLTF2, options: BakeOptions) -> GLTF2:
     """Return a new model with α and β. The given model stays as it is.
 
     Buffer 0 of the new model is its binary blob. URIs of other buffers and of images stay as they are, and
@@ -31,21 +29,14 @@ def baked_model(model: GLTF2, baker: Baker) -> GLTF2:
     that is not a model of pygltflib.
     """
     given = document_of(model)
-    refuse_other_kind(given, correctives=baker.correctives is not None)
-    original, _ = stripped(given)
-    prepared = for_target(original, AS_GLB)
-    made = baker.bake_document(prepared)
+    made = rebaked(given, AS_GLB, options)
+    warnings = list(map(str, warnings_in(given.notices)))
+    if options.warnings_as_errors and warnings:
+        raise InputError("; ".join(warnings) + " (warnings_as_errors)", given.place)
     if made.is_baked or made.left:
-        document = made.document
-    elif baker.require_baked:
-        raise InputError("nothing in it can be baked (require_baked)", prepared.place)
-    else:
-        with _of_pygltflib("cannot be copied", prepared.place):
-            return copy.deepcopy(model)
-    warnings = list(map(str, warnings_in(made.notices)))
-    if baker.warnings_as_errors and warnings:
-        raise InputError("; ".join(warnings) + " (warnings_as_errors)", prepared.place)
-    return model_of(document, model)
+        return model_of(made.document, model)
+    with _of_pygltflib("cannot be copied", given.place):
+        return copy.deepcopy(model)
 
 
 def document_of(model: GLTF2) -> Document:

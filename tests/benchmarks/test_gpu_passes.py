@@ -22,7 +22,8 @@ from benchmarks.gpu.meshes import Mesh, Palettes
 from benchmarks.gpu.records import COMPUTE, DRAWN, read_records
 from benchmarks.gpu.variants import BY_NAME, GATHER, SCATTER, VARIANTS, Counts, gradient_scale
 from skinbake.choices import Encoding, FrameChoice, PoseKind
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_file
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.commands.verify import verify_file
 from skinbake.format.encodings import rounded
 from skinbake.geometry import frames
@@ -217,7 +218,7 @@ def test_the_script_measures_and_writes(tmp_path: Path) -> None:
 
 def assert_like_verify(errors: list[dict[str, Any]], folder: Path) -> None:
     source, target = corpus.model("CesiumMan/CesiumMan.glb"), folder / "baked.glb"
-    Baker(frame=FrameChoice.NORMAL).bake_file(str(source), str(target))
+    bake_file(str(source), str(target), BakeOptions(frame=FrameChoice.NORMAL))
     verdict = verify_file(
         str(target), VerifyOptions(methods=("lbs", "dqs"), poses=PoseRequest(PoseKind.ANIMATION, SAMPLES))
     )

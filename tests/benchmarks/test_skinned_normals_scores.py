@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks import skinned_normals_scores as scores
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_file
 from tests.support.node import require_node
 
 pytestmark = pytest.mark.slow
@@ -21,7 +21,7 @@ def test_the_page_has_the_scores_of_three(kind: str, tmp_path: Path) -> None:
     path = tmp_path / "stock.glb"
     path.write_bytes(scores.packed())
     if kind == "adapter":
-        Baker().bake_file(str(path), str(tmp_path / "adapter.glb"))
+        bake_file(str(path), str(tmp_path / "adapter.glb"))
         path = tmp_path / "adapter.glb"
     found = scores.scores(engine, kind, path, tmp_path)
     lines = (scores.REPOSITORY / "docs" / "scores.md").read_text("utf-8").splitlines()

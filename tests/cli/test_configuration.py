@@ -23,7 +23,7 @@ from skinbake.cli.configuration import (
     read_configuration,
 )
 from skinbake.cli.main import COMMANDS, main
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.jobs.bake import Bake
 from skinbake.jobs.file_work import ByVariant, FileWork
 from skinbake.jobs.work import Job
@@ -558,7 +558,7 @@ class TestOverrides:
 
     def test_the_work_can_be_sent(self, tmp_path: Path) -> None:
         """A cluster pickles it; each job finds its options there."""
-        works = ByVariant((FileWork(Bake(Baker())), FileWork(Bake(Baker(encoding=Encoding.PACKED8)))))
+        works = ByVariant((FileWork(Bake()), FileWork(Bake(BakeOptions(encoding=Encoding.PACKED8)))))
         sent = pickle.loads(pickle.dumps(works))
         for variant, size in ((0, 24), (1, 8)):
             result = sent(Job(str(SEAM), str(tmp_path / "out.glb"), variant=variant))

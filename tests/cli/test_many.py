@@ -24,7 +24,7 @@ from skinbake import threads
 from skinbake.choices import PoseKind
 from skinbake.cli.console import Console
 from skinbake.cli.progress import Progress
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_file
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
 from skinbake.jobs import processes
 from skinbake.jobs.file_work import FileWork
@@ -290,13 +290,12 @@ class TestSummary:
 
     def test_the_summary_grows_with_each_file(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         summary, seen = tmp_path / "s.jsonl", []
-        original = Baker.bake_file
 
         def looking(*arguments: Any) -> Any:
             seen.append(summary.read_text(encoding="utf-8").count("\n"))
-            return original(*arguments)
+            return bake_file(*arguments)
 
-        monkeypatch.setattr(Baker, "bake_file", looking)
+        monkeypatch.setattr("skinbake.jobs.bake.bake_file", looking)
         models = [FOLDER / name for name in FIXTURES[:4]]
         invoke("bake", *models, "--dry-run", "--summary", summary)
         assert seen == [0, 1, 2, 3]
@@ -350,14 +349,12 @@ class TestTimings:
     def test_stages_are_those_that_were_recorded(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        original = Baker.bake_file
-
         def staged(*arguments: Any) -> Any:
             with stage("sleeping"):
                 time.sleep(0.03)
-            return original(*arguments)
+            return bake_file(*arguments)
 
-        monkeypatch.setattr(Baker, "bake_file", staged)
+        monkeypatch.setattr("skinbake.jobs.bake.bake_file", staged)
         models = [FOLDER / "seam.glb", FOLDER / "two_sets.glb"]
         result = invoke("bake", *models, "--out-dir", tmp_path, "--timings", "--json")
         for file in document(result)["files"]:

@@ -11,7 +11,8 @@ import pytest
 
 from fixtures.builder import JsonObject
 from skinbake.choices import Gradients
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_document
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.commands.remedies import worse_lighting
 from skinbake.errors import Place
 from skinbake.freshness.baked_views import sound_views
@@ -125,7 +126,7 @@ def measured(lbs: float, accurate: float, exact: float, *, p99: float = 9.0) -> 
 def told(verdict: FileVerdict, kind: Gradients = Gradients.RIG, fit: int = FIT) -> list[str]:
     """Return the messages for a verdict on a bake of some kind, by some version of the fit."""
     document = read_document(str(FOLDER / "bent_tube.glb"))
-    baked = Baker(gradients=kind).bake_document(document).document
+    baked = bake_document(document, BakeOptions(gradients=kind)).document
     [view] = sound_views(baked)
     view = replace(view, source=view.source._replace(place=HERE), metadata={**view.metadata, "fit": fit})
     return [notice.message for notice in worse_lighting([view], verdict)]

@@ -14,7 +14,8 @@ from typing import Any
 
 import pytest
 
-from skinbake.commands.bake import Baker
+from skinbake.commands import bake
+from skinbake.commands.bake import bake_document
 from skinbake.files import ahead
 from skinbake.files.folders import beneath
 from skinbake.gltf import output
@@ -53,22 +54,22 @@ def at_once(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 def seen(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[tuple[int, bytes]]:
     """Note the mode and the bytes of each temporary file in the folder when the kernel begins."""
     found: list[tuple[int, bytes]] = []
-    original, begin = Baker.bake_document, ahead.Ahead.begin
+    begin = ahead.Ahead.begin
     begun: list[ahead.Ahead] = []
 
     def noted(self: ahead.Ahead, *arguments: Any) -> None:
         begin(self, *arguments)
         begun.append(self)
 
-    def look(self: Baker, document: Any) -> Any:
+    def look(document: Any, options: Any) -> Any:
         for one in begun:
             one._thread.join()
         files = tmp_path.rglob(".skinbake-*.tmp")
         found.extend((stat.S_IMODE(path.stat().st_mode), path.read_bytes()) for path in files)
-        return original(self, document)
+        return bake_document(document, options)
 
     monkeypatch.setattr(ahead.Ahead, "begin", noted)
-    monkeypatch.setattr(Baker, "bake_document", look)
+    monkeypatch.setattr("skinbake.commands.bake.bake_document", look)
     return found
 
 
@@ -152,14 +153,14 @@ def test_a_private_file_is_private_from_the_first_byte_on(
 def test_a_file_in_place_is_what_it_was_until_the_end(
     at_once: bytes, seen: list[tuple[int, bytes]], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    path, looking = copied("seam.glb", tmp_path), Baker.bake_document
+    path, looking = copied("seam.glb", tmp_path), bake.bake_document
 
-    def look(self: Baker, document: Any) -> Any:
-        found = looking(self, document)
+    def look(document: Any, options: Any) -> Any:
+        found = looking(document, options)
         assert path.read_bytes() == SEAM.read_bytes()
         return found
 
-    monkeypatch.setattr(Baker, "bake_document", look)
+    monkeypatch.setattr("skinbake.commands.bake.bake_document", look)
     bake_file(path, path)
     assert len(seen) == 1
     assert path.read_bytes() == at_once
@@ -209,15 +210,15 @@ def test_a_system_that_takes_a_part_of_the_bytes_gets_the_rest_too(
 def test_a_folder_that_was_exchanged_meanwhile_gets_the_whole_file(
     at_once: bytes, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    original, folder = Baker.bake_document, tmp_path / "out"
+    folder = tmp_path / "out"
     folder.mkdir()
 
-    def exchange(self: Baker, document: Any) -> Any:
+    def exchange(document: Any, options: Any) -> Any:
         folder.rename(tmp_path / "former")
         folder.mkdir()
-        return original(self, document)
+        return bake_document(document, options)
 
-    monkeypatch.setattr(Baker, "bake_document", exchange)
+    monkeypatch.setattr("skinbake.commands.bake.bake_document", exchange)
     bake_file(SEAM, folder / "a.glb")
     assert (folder / "a.glb").read_bytes() == at_once
     assert list((tmp_path / "former").iterdir()) == []
@@ -227,12 +228,12 @@ def test_a_folder_that_was_exchanged_meanwhile_gets_the_whole_file(
 def test_of_a_bake_that_fails_nothing_is_left(
     error: type[BaseException], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def fail(self: Baker, document: Any) -> Any:
+    def fail(document: Any, options: Any) -> Any:
         assert len(temporaries(tmp_path)) == 1
         raise error
 
     path = copied("seam.glb", tmp_path)
-    monkeypatch.setattr(Baker, "bake_document", fail)
+    monkeypatch.setattr("skinbake.commands.bake.bake_document", fail)
     with pytest.raises(error):
         bake_file(path, path)
     assert [one.name for one in tmp_path.iterdir()] == ["seam.glb"]
@@ -254,13 +255,13 @@ STOPPED = """
 import os, sys
 from pathlib import Path
 from skinbake.cli.main import entry_point
-from skinbake.commands.bake import Baker
+from skinbake.commands import bake
 from skinbake.gltf import output
 path, number = Path(sys.argv[1]), int(sys.argv[2])
-def stop(self, document):
+def stop(document, options):
     print(len(list(path.parent.glob("*.tmp"))), flush=True)
     os.kill(os.getpid(), number)
-output.LARGE, Baker.bake_document = 1, stop
+output.LARGE, bake.bake_document = 1, stop
 sys.argv = ["skinbake", "bake", str(path), "--in-place", "--threads", "2", "-q"]
 entry_point()
 """

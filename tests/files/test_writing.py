@@ -470,14 +470,15 @@ class TestTaken:
 RACER = """
 import sys, time
 from pathlib import Path
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_file
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.gltf.output import Writing
 source, folder, rounds, encoding = sys.argv[1:]
-baker, how = Baker(encoding=encoding), Writing(sync=False)
+options, how = BakeOptions(encoding=encoding), Writing(sync=False)
 for number in range(int(rounds)):
     print(number, flush=True)
     sys.stdin.readline()  # the other one is ready too
-    baker.bake_file(source, str(Path(folder, str(number), "hero.gltf")), how)
+    bake_file(source, str(Path(folder, str(number), "hero.gltf")), options, how)
 """
 
 

@@ -18,7 +18,8 @@ import numpy.typing as npt
 import pytest
 
 from skinbake.choices import Gradients, PoseKind
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_file
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.commands.verify import verify_file
 from skinbake.measure.options import VerifyOptions
 from skinbake.truth.poses import PoseRequest
@@ -125,7 +126,7 @@ def judged(what: str, name: str, path: Path, original: Path | None, gradients: G
     A fresh bake of other poses is another one, so the original is the judge of these changes.
     """
     again = path.with_name(f"again-{path.name}")
-    result = Baker(gradients=gradients).bake_file(str(path), str(again))
+    result = bake_file(str(path), str(again), BakeOptions(gradients=gradients))
     assert result.status == "baked", (what, name, result.error)
     found = accurate_normals(path)
     poses_changed = gradients is Gradients.POSES and what in OTHER_POSES and original is not None

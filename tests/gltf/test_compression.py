@@ -17,7 +17,7 @@ import pytest
 
 from fixtures.builder import JsonObject
 from skinbake.choices import FrameChoice, Neighbours, PoseKind, Scheme
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.commands.inspect import inspect_file
 from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
@@ -531,7 +531,7 @@ class TestQuantising:
     def test_more_bits_than_a_float_has_are_refused(self) -> None:
         """At 30 Draco's tables took gigabytes and many seconds for any model."""
         with pytest.raises(ChoiceError, match=r"normal_bits=25: expected a whole number from 2 to 24"):
-            Baker(compress=Scheme.DRACO, position_bits=12, normal_bits=25)
+            BakeOptions(compress=Scheme.DRACO, position_bits=12, normal_bits=25)
 
     def test_the_gradients_fit_the_quantised_mesh(self, tmp_path: Path) -> None:
         """Of 8 bits something is to be seen; digests and verify's own gradients are those of the output."""

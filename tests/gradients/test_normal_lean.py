@@ -12,7 +12,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from skinbake.choices import PoseKind
-from skinbake.commands.bake import Baker
 from skinbake.commands.inspect import inspect_file
 from skinbake.commands.verify import verify_file
 from skinbake.errors import Notice, Place
@@ -282,7 +281,7 @@ def test_inspect_bake_and_verify_say_it(tmp_path: Path, degrees: int) -> None:
     [(code, count)] = codes(inspect_file(str(path)).notices)
     assert code == "normals-off-surface"
     assert count > 0.95 * len(normals)
-    result = Baker().bake_file(str(path), str(tmp_path / "baked.glb"))
+    result = bake_file(path, tmp_path / "baked.glb")
     assert codes(result.notices) == [(code, count)]
     assert codes(verify_file(str(tmp_path / "baked.glb"), FEW).notices) == [(code, count)]
     sound = baked(corpus.model(CESIUM_MAN), tmp_path)

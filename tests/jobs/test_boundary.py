@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_file
 from skinbake.commands.verify import verify_file
 from skinbake.errors import InputError, Notice, OutputError, Place, SkinbakeError, noticed
 from skinbake.jobs.bake import Bake
@@ -58,11 +58,11 @@ def test_an_interrupt_passes() -> None:
 def test_bake_and_verify_say_the_same_of_lacking_memory(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
     source = SEAM if where == "commands" else "memory://b/seam.glb"
     lacking = raising(MemoryError())
-    monkeypatch.setattr(Baker, "bake_file", lacking)
+    monkeypatch.setattr("skinbake.jobs.bake.bake_file", lacking)
     monkeypatch.setattr("skinbake.jobs.verify.verify_file", lacking)
     monkeypatch.setattr("skinbake.jobs.remote.storages.Storage.fetch_file", lacking)
     baked, verified = (
-        FileWork(Bake(Baker()))(Job(source)),
+        FileWork(Bake())(Job(source)),
         FileWork(Verify(VerifyOptions()))(Job(source)),
     )
     assert str(baked.error) == str(verified.error) == f"{source}: {MEMORY}"
@@ -72,12 +72,12 @@ def test_commands_raise(tmp_path: Path) -> None:
     broken = tmp_path / "broken.glb"
     broken.write_bytes(b"glTF")
     with pytest.raises(InputError, match=r"broken\.glb: ") as raised:
-        Baker().bake_file(str(broken), str(tmp_path / "out.glb"))
+        bake_file(str(broken), str(tmp_path / "out.glb"))
     assert raised.value.notices == ()
     with pytest.raises(InputError, match=r"broken\.glb: "):
         verify_file(str(broken), VerifyOptions())
     for result in (
-        FileWork(Bake(Baker()))(Job(str(broken), str(tmp_path / "out.glb"))),
+        FileWork(Bake())(Job(str(broken), str(tmp_path / "out.glb"))),
         FileWork(Verify(VerifyOptions()))(Job(str(broken))),
     ):
         assert str(result.error) == str(raised.value)
@@ -85,13 +85,13 @@ def test_commands_raise(tmp_path: Path) -> None:
 
 def test_an_error_in_writing_carries_what_was_noticed_before(tmp_path: Path) -> None:
     model = write_model(tmp_path / "a.glb", [sheet(WEIGHTS_0=np.full((20, 4), 0.5, np.float32))])
-    noticed_before = Baker().bake_file(str(model), None).notices
+    noticed_before = bake_file(str(model), None).notices
     assert [notice.code for notice in noticed_before] == ["weights-sum", "joints-repeated"]
     target = str(model / "b.glb")  # a file is not a folder
     with pytest.raises(OutputError) as raised:
-        Baker().bake_file(str(model), target)
+        bake_file(str(model), target)
     assert raised.value.notices == noticed_before
-    assert FileWork(Bake(Baker()))(Job(str(model), target)).notices == noticed_before
+    assert FileWork(Bake())(Job(str(model), target)).notices == noticed_before
     assert pickle.loads(pickle.dumps(raised.value)).notices == noticed_before
 
 

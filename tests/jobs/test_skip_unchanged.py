@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 import skinbake
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_file
 from skinbake.jobs import state
 from skinbake.jobs.state import HEADER, State
 from tests.support.command_line import LINUX, document, invoke, run
@@ -279,21 +279,18 @@ class TestInPlace:
         assert baking_in_place() == FIRST
 
 
-bake_file = Baker.bake_file
-
-
 class TestWhileItRuns:
     """A change by others, right after ``bake_file``."""
 
     @pytest.fixture
     def then(self, monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[str, str], object]], None]:
         def follow(what: Callable[[str, str], object]) -> None:
-            def both(baker: Baker, source: str, target: str, *rest: Any) -> Any:
-                result = bake_file(baker, source, target, *rest)
+            def both(source: str, target: str, *rest: Any) -> Any:
+                result = bake_file(source, target, *rest)
                 what(source, target)
                 return result
 
-            monkeypatch.setattr(Baker, "bake_file", both)
+            monkeypatch.setattr("skinbake.jobs.bake.bake_file", both)
 
         return follow
 
@@ -346,12 +343,12 @@ class TestWhileItRuns:
         assert "up-to-date" not in baking().values()
 
     def test_an_interrupt_keeps_what_was_done(self, baking: Baking, monkeypatch: pytest.MonkeyPatch) -> None:
-        def interrupted(baker: Baker, source: str, target: str, *rest: Any) -> Any:
+        def interrupted(source: str, target: str, *rest: Any) -> Any:
             if "seam" in source:
                 raise KeyboardInterrupt
-            return bake_file(baker, source, target, *rest)
+            return bake_file(source, target, *rest)
 
-        monkeypatch.setattr(Baker, "bake_file", interrupted)
+        monkeypatch.setattr("skinbake.jobs.bake.bake_file", interrupted)
         result = run_interrupted(baking)
         assert "interrupted after 2 of 4 files: 1 baked, 1 unchanged" in result
         monkeypatch.undo()

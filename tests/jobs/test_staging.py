@@ -13,7 +13,7 @@ import pytest
 
 from skinbake.choices import Encoding
 from skinbake.cli import exit_codes
-from skinbake.commands.bake import Baker
+from skinbake.commands import bake
 from skinbake.commands.verify import verify_file
 from skinbake.errors import InputError, OutputError
 from skinbake.files.bounds import OWN_FOLDERS, Bounds, Within
@@ -320,19 +320,21 @@ def test_uris_lead_out_of_neither_the_bucket_nor_the_private_folder(
     assert list(stored("s3://b")) == ["crate.gltf"]
 
 
-def test_in_place_a_file_that_was_saved_meanwhile_stays(tmp_path: Path) -> None:
+def test_in_place_a_file_that_was_saved_meanwhile_stays(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     name = write_library(tmp_path / "lib")[0]
     upload(tmp_path / "lib", "memory://saved/lib")
     url = f"memory://saved/lib/{name}"
     files, path = url_to_fs(url)
 
-    class Saving(Baker):
-        def bake_file(self, *arguments: Any) -> FileResult:
-            result = super().bake_file(*arguments)
-            files.pipe_file(path, b"saved by another program")
-            return result
+    def saving(*arguments: Any) -> FileResult:
+        result = bake.bake_file(*arguments)
+        files.pipe_file(path, b"saved by another program")
+        return result
 
-    result = FileWork(Bake(Saving()))(Job(url, url))
+    monkeypatch.setattr("skinbake.jobs.bake.bake_file", saving)
+    result = FileWork(Bake())(Job(url, url))
     assert isinstance(result.error, OutputError)
     assert "another program has saved it since it was read, so it is not replaced" in result.error.message
     assert stored("memory://saved/lib")[name] == b"saved by another program"

@@ -17,7 +17,7 @@ from skinbake.jobs.file_work import FileWork
 from skinbake.jobs.state import HEADER, NAME, Recipe, State, recipe
 from skinbake.jobs.work import Job
 from skinbake.options import STATE_NAME
-from tests.support.baking import bake_work, baker_of
+from tests.support.baking import bake_work, options_of
 from tests.support.models import copied
 
 KEY = b'{"key": "bake a.glb", '
@@ -98,7 +98,7 @@ class Forge:
         self.source = str(copied("seam.glb", folder / "in"))
         self.target = str(folder / "out" / "seam.glb")
         work = bake_work()
-        self.recipe: Recipe = recipe("bake", work.baker, str(folder / "out" / NAME))
+        self.recipe: Recipe = recipe("bake", work.options, str(folder / "out" / NAME))
         result = FileWork(work, self.recipe)(Job(self.source, self.target))
         assert result.record is not None
         self.note: Any = json.loads(result.record)
@@ -182,7 +182,7 @@ def test_files_below_the_folder_that_was_searched_are_the_run_s(forge: Forge, tm
     digest = state._digest(str(tmp_path / "tex" / "a.png"))
     more = {**forge.note["read"], "../tex/a.png": digest}
     assert not forge.holds(read=more)
-    forge.recipe = recipe("bake", baker_of(), str(tmp_path / "out" / NAME), [str(tmp_path)])
+    forge.recipe = recipe("bake", options_of(), str(tmp_path / "out" / NAME), [str(tmp_path)])
     assert forge.holds(read=more)
 
 

@@ -6,7 +6,8 @@ import math
 from pathlib import Path
 from typing import Any
 
-from skinbake.commands.bake import Baker
+from skinbake.commands import bake
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.files.bounds import OWN_FOLDERS, Within
 from skinbake.format.baked import AttributeNames
 from skinbake.format.layouts import GradientFormat
@@ -21,18 +22,18 @@ WRITING = {*Writing._fields}
 
 def bake_settings(**changes: Any) -> BakeSettings:
     """Return the settings of a bake without options, with some changed; crease_angle is in radians."""
-    return Baker().settings._replace(**changes)
+    return BakeOptions().settings._replace(**changes)
 
 
-def baker_of(
+def options_of(
     *,
     settings: BakeSettings | None = None,
     storage: GradientFormat | None = None,
     names: AttributeNames | None = None,
     compression: Compression | None = None,
     **options: Any,
-) -> Baker:
-    """Return what bakes so; options that the code under test holds together may be given together."""
+) -> BakeOptions:
+    """Return options of a bake; those that the code under test holds together may be given together."""
     if settings is not None:
         options |= {name: getattr(settings, name) for name in ("weighting", "neighbours", "frame")}
         options["crease_angle"] = math.degrees(settings.crease_angle)
@@ -46,19 +47,19 @@ def baker_of(
             f"{'texcoord' if name == 'TEXCOORD_0' else name.lower()}_bits": bits
             for name, bits in compression.bits.items()
         }
-    return Baker(**options)
+    return BakeOptions(**options)
 
 
 def bake_work(**options: Any) -> Bake:
-    """Return the work of baking a job so; options are those of ``baker_of`` and of ``Writing``."""
+    """Return the work of baking a job so; options are those of ``options_of`` and of ``Writing``."""
     how = {name: options.pop(name) for name in list(options) if name in WRITING}
-    return Bake(baker_of(**options), Writing(**how))
+    return Bake(options_of(**options), Writing(**how))
 
 
 def bake_file(
     source: str | Path, target: str | Path | None, *, within: Within = OWN_FOLDERS, **options: Any
 ) -> FileResult:
-    """Bake one file; options are those of ``baker_of`` and of ``Writing``."""
+    """Bake one file; options are those of ``options_of`` and of ``Writing``."""
     work = bake_work(**options)
     goal = None if target is None else str(target)
-    return work.baker.bake_file(str(source), goal, work.writing, within)
+    return bake.bake_file(str(source), goal, work.options, work.writing, within)

@@ -23,18 +23,18 @@ from skinbake.files.urls import STDIO, is_url, named_file
 from skinbake.options import BAKE, By, defaults
 
 if TYPE_CHECKING:
-    from skinbake.commands.bake import Baker
+    from skinbake.commands.bake_options import BakeOptions
     from skinbake.report.bake import FileResult
 
 LARGE = 100_000
 """The vertices of a primitive from which on the compiled loops are missed."""
 
 
-def baker_of(given: Mapping[str, Any]) -> Baker:
-    """Return a baker with the options of the command line. Raises ChoiceError if they contradict."""
-    from skinbake.commands.bake import Baker
+def options_of(given: Mapping[str, Any]) -> BakeOptions:
+    """Return the options of the command line. Raises ChoiceError if they contradict each other."""
+    from skinbake.commands.bake_options import BakeOptions
 
-    return Baker(**{name: given[name] for name in defaults(BAKE, By.OVERRIDE)})
+    return BakeOptions(**{name: given[name] for name in defaults(BAKE, By.OVERRIDE)})
 
 
 @click.command(
@@ -47,8 +47,8 @@ def baker_of(given: Mapping[str, Any]) -> Baker:
     ),
 )
 @click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")
-@planned(baker_of, for_many=True)
-def command(plan: Plan[Baker], *, require_tracked: bool) -> None:
+@planned(options_of, for_many=True)
+def command(plan: Plan[BakeOptions], *, require_tracked: bool) -> None:
     """Add α/β, the skin-weight gradients along tangent and bitangent, to every skinned primitive.
 
     INPUT is a .glb, .gltf or .vrm file, or - for a GLB on stdin; a folder, for all such files below it; or a
@@ -66,7 +66,7 @@ def command(plan: Plan[Baker], *, require_tracked: bool) -> None:
     with ended_by_errors(plan.say):
         also_read = clip_files_read(file.given for file in clip_files) if plan.depfile else []
     check_depfile(plan, also_read)
-    from skinbake.jobs.bake import Bake, BakeOptions
+    from skinbake.jobs.bake import Bake, BakeRecipe
     from skinbake.report.bake import (
         OUTCOMES,
         SCHEMA,
@@ -108,8 +108,8 @@ def command(plan: Plan[Baker], *, require_tracked: bool) -> None:
         document=partial(as_json, dry_run=plan.dry_run),
         write=write,
     )
-    commands = [Bake(baker, plan.writing) for baker in plan.options]
-    noted = [BakeOptions(baker, pack=plan.pack) for baker in plan.options]
+    commands = [Bake(one, plan.writing) for one in plan.options]
+    noted = [BakeRecipe(one, pack=plan.pack) for one in plan.options]
     sys.exit(work_through(plan, commands, reporting, noted))
 
 

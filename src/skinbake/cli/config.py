@@ -92,10 +92,10 @@ def _refuse_contradictions(
     contexts: Mapping[str, click.Context], by_command: Mapping[str, Configured | None], sources: Sequence[str]
 ) -> None:
     """Raise ConfigurationError if options contradict each other, in a table or for one of the sources."""
-    from skinbake.cli.bake import baker_of
+    from skinbake.cli.bake import options_of
     from skinbake.cli.shader import check_together
 
-    checks: dict[str, Callable[[Mapping[str, Any]], object]] = {"bake": baker_of, "shader": check_together}
+    checks: dict[str, Callable[[Mapping[str, Any]], object]] = {"bake": options_of, "shader": check_together}
     for name, check in checks.items():
         configured = by_command[name]
         if configured is None:

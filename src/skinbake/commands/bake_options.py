@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -20,6 +21,8 @@ from skinbake.choices import (
 )
 from skinbake.errors import ChoiceError, Chosen
 from skinbake.format.baked import AttributeNames
+from skinbake.gltf.json_access import JsonObject
+from skinbake.gradients.baker import BakeSettings
 from skinbake.options import BAKE, By, checked, defaults
 
 if TYPE_CHECKING:
@@ -30,8 +33,31 @@ USUAL = defaults(BAKE, By.OVERRIDE)
 HIGHEST_MESHOPT_LEVEL = 3
 
 
+ONLY_FOR_GRADIENTS = (
+    "layout",
+    "alpha_name",
+    "beta_name",
+    "limit_influences",
+    "morph_frames",
+    "blend",
+)
+"""The options that say how α and β are stored, or that belong to them."""
+
+NOT_WITH_CORRECTIVES = {
+    "generate_normals": ": correctives change the normals of a file, so store NORMAL in it first",
+    **dict.fromkeys(
+        ("compress", "compress_level", "position_bits", "normal_bits", "texcoord_bits"),
+        ": correctives keep the compression of a file, so change it first",
+    ),
+}
+"""Options that a bake of correctives refuses, and what to do."""
+
+ONLY_FOR_AIM = "gradients", "fit_poses", "weighting", "crease_angle", "weld", "neighbours"
+"""The options that say what α and β are. Correctives read them if they aim at α and β."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CheckedOptions:
+class BakeOptions:
     """The options of ``skinbake bake``, under the same names. They are checked when they are given.
 
     crease_angle is in degrees. Enumerations may be given by their values. fit_poses are ``animations``,
@@ -72,23 +98,16 @@ class CheckedOptions:
         given = {name: getattr(self, name) for name in USUAL if name != "fit_poses"}
         for name, value in checked(BAKE, given).items():
             object.__setattr__(self, name, value)
-        object.__setattr__(self, "fit_poses", _pose_sources(self))
-        _check_influences(self)
-        # Names of attributes, where the layout lets the user choose them.
-        for name, pattern in (("alpha_name", self.alpha_name), ("beta_name", self.beta_name)):
-            if pattern is None:
-                continue
-            if not pattern.startswith("_") or "{set}" not in pattern:
-                expected = "a name that begins with an underscore, as glTF wants, and contains {set}"
-                raise ChoiceError(name, pattern, expected)
-            if self.layout is not Layout.ATTRIBUTES:
-                needed = Chosen("layout", Layout.ATTRIBUTES)
-                raise ChoiceError(name, reason=(" needs ", needed, f"; {self.layout} has fixed names"))
-        if self.attribute_names.alpha == self.attribute_names.beta:
-            raise ChoiceError("alpha_name", reason=(" and ", Chosen("beta_name"), " must differ"))
-        if self.blend is not None and not self.blend.startswith("_"):
-            expected = "an attribute whose name begins with an underscore, as glTF wants"
-            raise ChoiceError("blend", self.blend, expected)
+        object.__setattr__(self, "fit_poses", self._pose_sources())
+        # Influences come in sets.
+        if self.limit_influences is not None and self.neighbours is Neighbours.EXTEND:
+            extend = Chosen("neighbours", Neighbours.EXTEND)
+            raise ChoiceError("limit_influences", reason=(" contradicts ", extend, ", which adds influences"))
+        if self.limit_influences is not None and self.limit_influences % SLOTS_PER_SET:
+            multiple = f"a multiple of {SLOTS_PER_SET}"
+            expected = f"{multiple}, because glTF stores influences in sets of {SLOTS_PER_SET}"
+            raise ChoiceError("limit_influences", self.limit_influences, expected)
+        self._check_names()
         # Bits, levels and layouts that the compression cannot use.
         for name in ("position_bits", "normal_bits", "texcoord_bits"):
             if getattr(self, name) is not None and self.compress is not Scheme.DRACO:
@@ -105,7 +124,56 @@ class CheckedOptions:
             why = f", not {self.encoding}: only float texture coordinates of glTF may be negative"
             needed = Chosen("encoding", Encoding.FLOAT32)
             raise ChoiceError("layout", self.layout, reason=(" needs ", needed, why))
-        _check_correctives(self)
+        self._check_correctives()
+
+    def _pose_sources(self) -> tuple[PoseSource, ...]:
+        """Return the sources of the poses, the file's own clips if none is named."""
+        given = self.fit_poses
+        if isinstance(given, str | bytes) or not isinstance(given, Collection):
+            raise ChoiceError("fit_poses", given, "a list of names")
+        if self.gradients is not Gradients.POSES:
+            if len(given):
+                raise ChoiceError("fit_poses", reason=(" needs ", Chosen("gradients", Gradients.POSES)))
+            return ()
+        from skinbake.pose_fit.poses import ANIMATIONS, pose_source  # it poses: half a second of imports
+
+        return tuple(map(pose_source, given)) or (ANIMATIONS,)
+
+    def _check_names(self) -> None:
+        """Refuse names of attributes that glTF or the layout does not allow."""
+        for name, pattern in (("alpha_name", self.alpha_name), ("beta_name", self.beta_name)):
+            if pattern is None:
+                continue
+            if not pattern.startswith("_") or "{set}" not in pattern:
+                expected = "a name that begins with an underscore, as glTF wants, and contains {set}"
+                raise ChoiceError(name, pattern, expected)
+            if self.layout is not Layout.ATTRIBUTES:
+                needed = Chosen("layout", Layout.ATTRIBUTES)
+                raise ChoiceError(name, reason=(" needs ", needed, f"; {self.layout} has fixed names"))
+        if self.attribute_names.alpha == self.attribute_names.beta:
+            raise ChoiceError("alpha_name", reason=(" and ", Chosen("beta_name"), " must differ"))
+        if self.blend is not None and not self.blend.startswith("_"):
+            expected = "an attribute whose name begins with an underscore, as glTF wants"
+            raise ChoiceError("blend", self.blend, expected)
+
+    def _check_correctives(self) -> None:
+        """Refuse options of correctives without them, and others that correctives do not read."""
+        if self.correctives is None:
+            self._refuse("clips", "corrective_aim", reason=(" needs ", Chosen("correctives", "auto")))
+            return
+        chosen = Chosen("correctives", self.correctives)
+        self._refuse(*ONLY_FOR_GRADIENTS, reason=(" contradicts ", chosen, ", which adds no α and β"))
+        for name, advice in NOT_WITH_CORRECTIVES.items():
+            self._refuse(name, reason=(" contradicts ", chosen, advice))
+        if self.corrective_aim is CorrectiveAim.TRUTHS:
+            needed = Chosen("corrective_aim", CorrectiveAim.GRADIENTS)
+            self._refuse(*ONLY_FOR_AIM, reason=(" with ", chosen, " needs ", needed))
+
+    def _refuse(self, *names: str, reason: tuple[str | Chosen, ...]) -> None:
+        """Raise ChoiceError for the first of these options that differs from its default."""
+        for name in names:
+            if getattr(self, name) != USUAL[name]:
+                raise ChoiceError(name, reason=reason)
 
     @property
     def attribute_names(self) -> AttributeNames:
@@ -113,72 +181,27 @@ class CheckedOptions:
         usual = AttributeNames()
         return AttributeNames(self.alpha_name or usual.alpha, self.beta_name or usual.beta)
 
+    @property
+    def settings(self) -> BakeSettings:
+        """Return the options of the gradients."""
+        return BakeSettings(self.weighting, math.radians(self.crease_angle), self.neighbours, self.frame)
 
-def _pose_sources(options: CheckedOptions) -> tuple[PoseSource, ...]:
-    """Return the sources of the poses, the file's own clips if none is named."""
-    given = options.fit_poses
-    if isinstance(given, str | bytes) or not isinstance(given, Collection):
-        raise ChoiceError("fit_poses", given, "a list of names")
-    if options.gradients is not Gradients.POSES:
-        if len(given):
-            raise ChoiceError("fit_poses", reason=(" needs ", Chosen("gradients", Gradients.POSES)))
-        return ()
-    from skinbake.pose_fit.poses import ANIMATIONS, pose_source  # it poses: half a second of imports
+    @property
+    def noted_settings(self) -> JsonObject:
+        """Return what the metadata says of the options of the gradients."""
+        return {
+            "weighting": str(self.weighting),
+            "creaseAngle": round(float(self.crease_angle), 6),
+            "neighbours": str(self.neighbours),
+            **({"weld": str(self.weld)} if self.weld is Weld.SKIN else {}),
+        }
 
-    return tuple(map(pose_source, given)) or (ANIMATIONS,)
-
-
-def _check_influences(options: CheckedOptions) -> None:
-    limit = options.limit_influences
-    if limit is None:
-        return
-    if options.neighbours is Neighbours.EXTEND:
-        extend = Chosen("neighbours", Neighbours.EXTEND)
-        raise ChoiceError("limit_influences", reason=(" contradicts ", extend, ", which adds influences"))
-    if limit % SLOTS_PER_SET:
-        expected = f"a multiple of {SLOTS_PER_SET}, because glTF stores influences in sets of {SLOTS_PER_SET}"
-        raise ChoiceError("limit_influences", limit, expected)
+    @property
+    def bits(self) -> dict[str, int]:
+        """Return the numbers of bits to which Draco quantises, by attribute."""
+        bits = {"POSITION": self.position_bits, "NORMAL": self.normal_bits, "TEXCOORD_0": self.texcoord_bits}
+        return {name: count for name, count in bits.items() if count is not None}
 
 
-ONLY_FOR_GRADIENTS = (
-    "layout",
-    "alpha_name",
-    "beta_name",
-    "limit_influences",
-    "morph_frames",
-    "blend",
-)
-"""The options that say how α and β are stored, or that belong to them."""
-
-NOT_WITH_CORRECTIVES = {
-    "generate_normals": ": correctives change the normals of a file, so store NORMAL in it first",
-    **dict.fromkeys(
-        ("compress", "compress_level", "position_bits", "normal_bits", "texcoord_bits"),
-        ": correctives keep the compression of a file, so change it first",
-    ),
-}
-"""Options that a bake of correctives refuses, and what to do."""
-
-ONLY_FOR_AIM = "gradients", "fit_poses", "weighting", "crease_angle", "weld", "neighbours"
-"""The options that say what α and β are. Correctives read them if they aim at α and β."""
-
-
-def _check_correctives(options: CheckedOptions) -> None:
-    """Raise ChoiceError for options of correctives without them, and for others that they do not read."""
-    if options.correctives is None:
-        for name in ("clips", "corrective_aim"):
-            if getattr(options, name) != USUAL[name]:
-                raise ChoiceError(name, reason=(" needs ", Chosen("correctives", "auto")))
-        return
-    chosen = Chosen("correctives", options.correctives)
-    for name in ONLY_FOR_GRADIENTS:
-        if getattr(options, name) != USUAL[name]:
-            raise ChoiceError(name, reason=(" contradicts ", chosen, ", which adds no α and β"))
-    for name, advice in NOT_WITH_CORRECTIVES.items():
-        if getattr(options, name) != USUAL[name]:
-            raise ChoiceError(name, reason=(" contradicts ", chosen, advice))
-    if options.corrective_aim is CorrectiveAim.TRUTHS:
-        for name in ONLY_FOR_AIM:
-            if getattr(options, name) != USUAL[name]:
-                needed = Chosen("corrective_aim", CorrectiveAim.GRADIENTS)
-                raise ChoiceError(name, reason=(" with ", chosen, " needs ", needed))
+DEFAULTS = BakeOptions()
+"""A bake without options."""

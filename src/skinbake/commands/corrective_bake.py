@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from skinbake.choices import CorrectiveAim, Encoding, FrameChoice, Gradients
-from skinbake.commands.surface_bake import FitTarget, SurfaceBake, unwritten
+from skinbake.commands.bake_options import BakeOptions
+from skinbake.commands.gradient_bake import BakedDocument, bake_gradients
+from skinbake.commands.surface_bake import SurfaceBake, bake_surfaces, unwritten
 from skinbake.correctives.fit import (
     LEAST_HELD_BACK,
     LEAST_KEYS,
@@ -22,6 +24,7 @@ from skinbake.correctives.fit import (
 )
 from skinbake.correctives.surface import TRUTHS, Surface, rest_of
 from skinbake.errors import InputError, Notice, Place, warnings_in
+from skinbake.format.baked import with_baked
 from skinbake.format.correctives import (
     ClipWeights,
     MeshCorrectives,
@@ -30,27 +33,27 @@ from skinbake.format.correctives import (
     with_mesh_correctives,
     with_plays,
 )
+from skinbake.format.layouts import GradientFormat
 from skinbake.format.strip import uncorrected
 from skinbake.freshness.corrective_freshness import PlayedClips, PlayedCorrectives
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.gltf.animation import (
     MORPH_WEIGHTS,
     Clip,
-    Skeleton,
     read_clips,
     read_skeleton,
 )
 from skinbake.gltf.budget import Budget, Cost
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject
+from skinbake.gltf.morphs import targets_without_normal
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive
 from skinbake.gltf.scenes import meshes_of_one_skin
 from skinbake.measure.corrected import corrected_lighting, worse_primitives
+from skinbake.measure.lighting import bakeable
 from skinbake.measure.morphing import moving_targets
 from skinbake.measure.options import VerifyOptions
-from skinbake.report.bake import CorrectiveCounts
+from skinbake.report.bake import CorrectiveCounts, MorphCounts
 from skinbake.report.verify import NEGLIGIBLE
-from skinbake.skinning.rest import RestPrimitive
 from skinbake.timing import stage
 from skinbake.truth.areas import RestAreas
 from skinbake.truth.morphing import Morphing
@@ -59,7 +62,6 @@ from skinbake.truth.poses import PosePlan, PoseRequest, pose_work
 from skinbake.wording import counted
 
 if TYPE_CHECKING:
-    from skinbake.commands.bake import Baker
     from skinbake.report.verify import FileVerdict
 
 FORMS = {
@@ -78,97 +80,107 @@ Unreal drops changes of 0.1 or less.
 UNIT_LENGTH = 1e-2
 """How far the length of a stored normal may be from 1 without a difference to its targets: bytes are."""
 
-
-class CorrectedDocument(NamedTuple):
-    """A document with correctives, the numbers of each mesh, notices, and the lighting if it has any."""
-
-    document: Document
-    counts: Sequence[tuple[Place, CorrectiveCounts]]
-    notices: Sequence[Notice]
-    verdict: FileVerdict | None
-
-    def lighting(self) -> FileVerdict:
-        """Measure the lighting, if that has not been done."""
-        return self.verdict or _lighting(self.document)
-
-    @property
-    def means(self) -> tuple[tuple[str, float, float], ...]:
-        """The mean errors in degrees by truth, without and with correctives; empty without any."""
-        by_truth = {} if self.verdict is None else self.verdict.by_truth
-        every = [(truth, figures["lbs"]) for truth, figures in by_truth.items() if figures]
-        return tuple((truth, one["standard"].mean, one["corrected"].mean) for truth, one in every)
+OF_SURFACE = BakeOptions(gradients=Gradients.SURFACE)
+"""The α and β that are made soonest, for what needs some only to measure or to weld."""
 
 
-def corrected_document(
-    document: Document, sources: Sequence[PrimitiveSource], baker: Baker
-) -> CorrectedDocument:
-    """Make the correctives of a document. Those that verify would find worse than none are left out.
+def bake_correctives(
+    document: Document, sources: Sequence[PrimitiveSource], options: BakeOptions
+) -> BakedDocument:
+    """Make the correctives of primitives. Those that verify would find worse than none are left out.
 
-    Raises InputError if clips, skins or targets of the file are broken, or a clip of ``--clips`` is missing.
+    They are made for the normals that morph targets have then. Raises InputError if clips, skins or targets
+    of the file are broken, or a clip of ``--clips`` is missing.
     """
+    what = f"baking {counted(len(sources), 'primitive')}"
+    document.budget.claim(Cost.BAKED_PRIMITIVE * len(sources), what, document.place)
+    morphs: list[tuple[Place, MorphCounts]] = []
+    if options.morph_normals or any(targets_without_normal(document, source) for source in sources):
+        from skinbake.commands.morph_bake import morph_bake  # few models have such targets
+
+        with document.notices.withheld():
+            surfaces = bake_surfaces(document, sources, OF_SURFACE)
+        made = morph_bake(document, [bake for surface in surfaces for bake in surface], options)
+        if made:
+            with stage("store"):
+                document, _, lengths = with_baked(
+                    document,
+                    [],
+                    options.attribute_names,
+                    GradientFormat(options.encoding, options.layout),
+                    made=[item for item, _ in made],
+                )
+            sources = [document.asset.counterpart(source) for source in sources]
+            morphs = [
+                (item.source.place, count._replace(added_bytes=length))
+                for (item, count), length in zip(made, lengths, strict=True)
+            ]
     clips = read_clips(document)
-    chosen = _chosen(document, clips, baker.clips)
-    plain = [
-        mesh
-        for mesh in dict.fromkeys(one.mesh for one in sources)
-        if not document.asset.meshes[mesh].target_count
-    ]
+    chosen = _chosen(document, clips, options.clips)
+    asset = document.asset.meshes
+    plain = [mesh for mesh in dict.fromkeys(one.mesh for one in sources) if not asset[mesh].target_count]
     morphing = [mesh for mesh in dict.fromkeys(one.mesh for one in sources) if mesh not in plain]
     found: list[tuple[Place, Correctives, MeshCorrectives | None]] = []
     for group in [*meshes_of_one_skin(document, plain), *([mesh] for mesh in morphing)]:
         of_group = [one for mesh in group for one in sources if one.mesh == mesh]
-        found += _fitted(document, of_group, clips, chosen, baker)
-    while True:
-        items = [item for _, _, item in found if item is not None]
-        notices = [_nothing(place, one) for place, one, item in found if item is None]
-        if not items:
-            return CorrectedDocument(document, [], notices, None)
+        found += _fitted(document, of_group, clips, chosen, options)
+    # What makes a primitive worse is left out, and the rest is measured again.
+    while items := [item for _, _, item in found if item is not None]:
         with stage("store"):
-            written, lengths = with_mesh_correctives(document, items, baker.encoding)
-            written = _with_plays(written, items)
+            written, lengths = with_mesh_correctives(document, items, options.encoding)
+            # What its clips play is noted: verify knows them again by it.
+            plays, played = {}, PlayedClips(written)
+            for item in items:
+                of_mesh = played.of_mesh(item.mesh, item.count)
+                plays[item.mesh] = [[*one.poses, *one.weights] for one in of_mesh if one.plays]
+            written = with_plays(written, plays)
         with stage("gain"):
             # As if the written file were read: a bake writes nothing that verify refuses.
             budget = document.budget
             backed = budget.backed + sum(lengths)
             fresh = Budget(limit=budget.limit, backed=backed, parts=budget.parts)
-            verdict = _lighting(written.edited(budget=fresh))
+            verdict = lighting_with_correctives(written.edited(budget=fresh))
         if broken := [one for one in verdict.notices if one.code == "animations-broken"]:
             raise InputError(broken[0].message.partition(": random poses")[0], broken[0].place)
         worse = {(place.mesh, place.primitive) for place in worse_primitives(verdict)}
         if not worse:
-            sizes = iter(lengths)
-            counts = [
-                (place, _counts(one, item, verdict, next(sizes)))
-                for place, one, item in found
-                if item is not None
-            ]
-            # What others have makes plain what the rest does not need.
-            return CorrectedDocument(written, counts, warnings_in(notices), verdict)
-        found = [(place, one, item and _without(item, worse)) for place, one, item in found]
+            break
+        for number, (place, one, own) in enumerate(found):
+            if own is not None:
+                kept = [
+                    np.zeros_like(targets) if (source.mesh, source.primitive) in worse else targets
+                    for source, targets in zip(own.sources, own.targets, strict=True)
+                ]
+                some = any(targets.any() for targets in kept)
+                found[number] = place, one, replace(own, targets=kept) if some else None
+    idle = [_nothing(place, one) for place, one, item in found if item is None]
+    if not items:
+        document.notices.tell(*idle)
+        return BakedDocument(document, morphs=morphs)
+    # What others have makes plain what the rest does not need.
+    document.notices.tell(*warnings_in(idle))
+    made_here = [(place, one, item) for place, one, item in found if item is not None]
+    return BakedDocument(
+        written,
+        morphs=morphs,
+        correctives=[
+            (place, _counts(one, item, verdict, length))
+            for (place, one, item), length in zip(made_here, lengths, strict=True)
+        ],
+        verdict=verdict,
+    )
 
 
-def _lighting(document: Document) -> FileVerdict:
+def lighting_with_correctives(document: Document) -> FileVerdict:
     """Measure the lighting of a document with correctives, beside that of α and β of the surface."""
-    from skinbake.commands.bake import Baker
-
     with document.notices.withheld(), stage("α and β"):
         plain, _ = uncorrected(document)
-        gradients = Baker(gradients=Gradients.SURFACE).bake_document(plain).document
+        gradients = bake_gradients(plain, bakeable(plain), OF_SURFACE).document
     return corrected_lighting(PlayedCorrectives(document), gradients, VerifyOptions())[0]
 
 
-def _without(
-    item: MeshCorrectives, worse: Container[tuple[int | None, int | None]]
-) -> MeshCorrectives | None:
-    """Return the correctives of a mesh without those of some primitives, None if none are left."""
-    kept = [
-        np.zeros_like(one) if (source.mesh, source.primitive) in worse else one
-        for source, one in zip(item.sources, item.targets, strict=True)
-    ]
-    return replace(item, targets=kept) if any(one.any() for one in kept) else None
-
-
 def _nothing(place: Place, correctives: Correctives) -> Notice:
+    """Return why a mesh gets no correctives."""
     if not correctives.tracks:
         message = "no correctives: no chosen clip moves its joints, and only clips play correctives"
         return Notice("no-clips", message, place)
@@ -206,25 +218,26 @@ def _fitted(
     sources: Sequence[PrimitiveSource],
     clips: Sequence[Clip],
     chosen: set[int],
-    baker: Baker,
+    options: BakeOptions,
 ) -> list[tuple[Place, Correctives, MeshCorrectives | None]]:
     """Return the correctives of the meshes of one surface, and what is to be written of each."""
     meshes = list(dict.fromkeys(source.mesh for source in sources))
     places = [next(s for s in sources if s.mesh == mesh).place._replace(primitive=None) for mesh in meshes]
     for mesh, place in zip(meshes, places, strict=True):
         check_targets(document, mesh, place)
+    accurate = options.corrective_aim is CorrectiveAim.GRADIENTS
     with stage("arrays"):
         primitives = [read_primitive(document, source) for source in sources]
-        rest = [rest_of(one, source.joint_count) for source, one in zip(sources, primitives, strict=True)]
-        if baker.corrective_aim is CorrectiveAim.GRADIENTS:
-            rest = _with_gradients(document, sources, baker)
-    nodes = _nodes(document, meshes, clips)
-    drawing = document.asset.nodes
-    plans = {
-        node: PosePlan.of(document, drawing[node].skin or 0, clips, PoseRequest(), node)
-        for of_mesh in nodes.values()
-        for node in of_mesh.values()
-    }
+        if accurate:
+            # With the α and β that a bake would give them.
+            surface = SurfaceBake.of(document, sources, replace(options, frame=FrameChoice.NORMAL))
+            rest = [bake.rest_primitive() for bake in unwritten(surface.plain(surface.primitives))]
+        else:
+            rest = [rest_of(one, src.joint_count) for src, one in zip(sources, primitives, strict=True)]
+    nodes, plans = _nodes(document, meshes, clips), dict[int, PosePlan]()
+    for node in (node for of_mesh in nodes.values() for node in of_mesh.values()):
+        skin = document.asset.nodes[node].skin or 0
+        plans[node] = PosePlan.of(document, skin, clips, PoseRequest(), node)
     moving = _moving_targets(plans.values())
     motions = [
         Motion(node, plan, clip, moving)
@@ -232,56 +245,57 @@ def _fitted(
         for clip in plan.sampled
         if clip.number in chosen
     ]
-    parts, start = [], 0
-    for mesh in meshes:
-        count = sum(source.mesh == mesh for source in sources)
-        parts.append(slice(start, start + count))
-        start += count
     if not motions:
         none = tuple(np.zeros((0, len(one.positions), 3)) for one in rest)
         nothing = Correctives(none, (), Figures((), ()), 1.0, 0)
         return [(place, nothing, None) for place in places]
     place = sources[0].place
-    poses = LEAST_KEYS + LEAST_HELD_BACK
     vertices = sum(len(one.positions) for one in rest)
-    work = Cost.FITTED_MOTION * len(motions) + Cost.FITTED_KEY * (vertices * LEAST_KEYS * len(motions))
-    for motion in motions:
-        work += pose_work(motion.plan.skeleton, [motion.clip], poses)
-    if moving:
-        of_pose = Cost.MEASURED_MORPH + Cost.MEASURED_TARGET * len(moving)
-        work += of_pose * (len(sources) * poses * len(motions))
-    fitting = (
-        f"fitting {counted(vertices, 'vertex', 'vertices')} to {counted(len(motions), 'clip')} of its skins"
-    )
-    document.budget.claim(work, f"{fitting} (--clips chooses some)", place)
+    _claim_fit(document, motions, len(sources), vertices, place)
     operator = true_operator(primitives, claim=document.budget.welding(place))
     areas = np.concatenate([RestAreas(document, motions[0].plan.skin).of(one) for one in primitives])
+    parts, start = [], 0
+    for mesh in meshes:
+        count = sum(source.mesh == mesh for source in sources)
+        parts.append(slice(start, start + count))
+        start += count
     with stage("fit"):
+        # Morph targets stand at the means of the weights that clips play.
+        morphing = None
+        if moving:
+            means = [one.weights(held_back_times(one.clip, len(motions))).mean(axis=0) for one in motions]
+            sizes = [len(one.positions) for one in rest]
+            targets, authored = moving_targets(document, sources, sizes, moving)
+            morphing = Morphing(targets, authored, np.mean(means, axis=0)[None])
         made = fitted(
-            Surface.of(operator, rest, _morphing(document, sources, rest, motions)),
+            Surface.of(operator, rest, morphing),
             parts,
             motions,
             areas,
-            None if baker.correctives == "auto" else baker.correctives,
-            FORMS[baker.encoding],
-            accurate=baker.corrective_aim is CorrectiveAim.GRADIENTS,
+            None if options.correctives == "auto" else options.correctives,
+            FORMS[options.encoding],
+            accurate=accurate,
             claim=lambda work: document.budget.claim(work, "fitting its correctives", place),
         )
+    idle = {
+        node: [clip for clip in plan.sampled if clip.number not in chosen] for node, plan in plans.items()
+    }
     found = []
     for mesh, here, part, one in zip(meshes, places, parts, made, strict=True):
         item = None
         if one.count:
-            idle = {
-                node: [clip for clip in plan.sampled if clip.number not in chosen]
-                for node, plan in plans.items()
-            }
             item = MeshCorrectives(
                 mesh=mesh,
                 sources=sources[part],
                 primitives=primitives[part],
                 targets=[_by_length(*pair) for pair in zip(one.targets, primitives[part], strict=True)],
                 clips=_weights(nodes[mesh], one, idle),
-                settings=_settings(one, baker),
+                settings={
+                    "aim": str(options.corrective_aim),
+                    "clips": list(
+                        dict.fromkeys(track.motion.clip.name for track in one.tracks if track.plays)
+                    ),
+                },
             )
         found.append((here, one, item))
     return found
@@ -309,20 +323,15 @@ def _nodes(document: Document, meshes: Sequence[int], clips: Sequence[Clip]) -> 
             if skin is None:
                 continue
             if skin not in bindings:
-                bindings[skin] = _binding(read_skeleton(document, skin))
+                skeleton = read_skeleton(document, skin)
+                joints = tuple(skeleton.nodes[joint] for joint in skeleton.joints)
+                bindings[skin] = joints, (skeleton.inverse_bind + 0.0).tobytes()
             weights: object = None
             if mesh in morphing:
-                weights = (
-                    tuple(document.asset.nodes[node].resting_weights().tolist()),
-                    tuple(played.get(node, ())),
-                )
+                resting = document.asset.nodes[node].resting_weights()
+                weights = tuple(resting.tolist()), tuple(played.get(node, ()))
             found[mesh][node] = first.setdefault((bindings[skin], weights), node)
     return found
-
-
-def _binding(skeleton: Skeleton) -> object:
-    """Return the identity of a skin: its joints, in order, and their inverse bind matrices."""
-    return tuple(skeleton.nodes[joint] for joint in skeleton.joints), (skeleton.inverse_bind + 0.0).tobytes()
 
 
 def _moving_targets(plans: Iterable[PosePlan]) -> list[int]:
@@ -340,30 +349,19 @@ def _moving_targets(plans: Iterable[PosePlan]) -> list[int]:
     return sorted(found)
 
 
-def _morphing(
-    document: Document,
-    sources: Sequence[PrimitiveSource],
-    rest: Sequence[RestPrimitive],
-    motions: Sequence[Motion],
-) -> Morphing | None:
-    """Return the morph targets of a surface, with the means of the weights that clips play."""
-    moving = list(motions[0].targets)
-    if not moving:
-        return None
-    means = [one.weights(held_back_times(one.clip, len(motions))).mean(axis=0) for one in motions]
-    counts = [len(one.positions) for one in rest]
-    targets, authored = moving_targets(document, sources, counts, moving)
-    return Morphing(targets, authored, np.mean(means, axis=0)[None])
-
-
-def _with_gradients(
-    document: Document, sources: Sequence[PrimitiveSource], baker: Baker
-) -> list[RestPrimitive]:
-    """Return the primitives of a surface with the α and β that a bake would give them."""
-    settings = baker.settings._replace(frame=FrameChoice.NORMAL)
-    target = FitTarget.of(document, sources, baker.gradients, baker.fit_poses)
-    bakes = SurfaceBake.of(document, sources, settings, target).plain()
-    return [bake.rest_primitive() for bake in unwritten(bakes)]
+def _claim_fit(
+    document: Document, motions: Sequence[Motion], primitives: int, vertices: int, place: Place
+) -> None:
+    """Count the work of fitting primitives of so many vertices to motions. Raises InputError."""
+    poses = LEAST_KEYS + LEAST_HELD_BACK
+    work = Cost.FITTED_KEY * (vertices * LEAST_KEYS * len(motions))
+    for motion in motions:
+        work += Cost.FITTED_MOTION + pose_work(motion.plan.skeleton, [motion.clip], poses)
+        if motion.targets:
+            of_pose = Cost.MEASURED_MORPH + Cost.MEASURED_TARGET * len(motion.targets)
+            work += of_pose * (primitives * poses)
+    what = f"{counted(vertices, 'vertex', 'vertices')} to {counted(len(motions), 'clip')}"
+    document.budget.claim(work, f"fitting {what} of its skins (--clips chooses some)", place)
 
 
 def _by_length(targets: Float64Array, primitive: SkinnedPrimitive) -> Float64Array:
@@ -388,23 +386,6 @@ def _weights(nodes: Mapping[int, int], made: Correctives, idle: dict[int, list[C
             zeros = np.zeros((len(ends), made.count), dtype=np.float32)
             found.append(ClipWeights(clip.number, alike, ends, zeros))
     return found
-
-
-def _with_plays(document: Document, items: Sequence[MeshCorrectives]) -> Document:
-    """Return the document with notes of what its clips play, by which ``verify`` knows them again."""
-    plays, clips = {}, PlayedClips(document)
-    for item in items:
-        played = clips.of_mesh(item.mesh, item.count)
-        plays[item.mesh] = [[*one.poses, *one.weights] for one in played if one.plays]
-    return with_plays(document, plays)
-
-
-def _settings(made: Correctives, baker: Baker) -> JsonObject:
-    """Return what the metadata says of a fit to clips."""
-    return {
-        "aim": str(baker.corrective_aim),
-        "clips": list(dict.fromkeys(track.motion.clip.name for track in made.tracks if track.plays)),
-    }
 
 
 def _counts(

@@ -8,24 +8,27 @@ weights: its numbers are stored beside each target.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 
 from skinbake.choices import Frame
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.commands.surface_bake import PrimitiveBake
-from skinbake.errors import InputError, Notice, Place
+from skinbake.errors import Chosen, InputError, Message, Notice
 from skinbake.format.morph_targets import MadeTargets, check_extras, morph_digest
 from skinbake.geometry.morphs import NO_DIFFERENCES, Differences
 from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray, SkinnedPrimitive
+from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document
 from skinbake.gltf.morphs import read_targets, targets_without_normal
 from skinbake.gltf.primitives import PrimitiveSource, plain_sources, read_primitive, reason_to_skip
 from skinbake.gradients import kernel
-from skinbake.gradients.baker import BakeSettings
-from skinbake.gradients.morph_gradients import BYTES_A_TRIANGLE, BYTES_A_VERTEX, MorphSurface
+from skinbake.gradients.morph_gradients import MorphSurface
 from skinbake.gradients.surface import WeightField
 from skinbake.gradients.tangents import frame_vectors
 from skinbake.gradients.weld import weld
@@ -41,138 +44,108 @@ TRIED = 8
 """The targets of a primitive whose normals are made where they are only told of."""
 
 
-class Wanted(NamedTuple):
-    """What is wanted of targets: NORMAL for those without it, the differential of all."""
-
-    normals: bool
-    frames: bool
-
-
-@dataclass(frozen=True, slots=True)
-class MorphBake:
-    """What is made for the targets of a document, its numbers, and notices."""
-
-    made: Sequence[MadeTargets] = ()
-    counts: Sequence[MorphCounts] = ()
-    notices: Sequence[Notice] = ()
-
-    def reported(self, lengths: Sequence[int]) -> tuple[tuple[Place, MorphCounts], ...]:
-        """Return the numbers of each primitive with its place. lengths are the added bytes."""
-        return tuple(
-            (item.source.place, count._replace(added_bytes=length))
-            for item, count, length in zip(self.made, self.counts, lengths, strict=True)
-        )
-
-
 @dataclass(frozen=True, slots=True)
 class _Part:
     """One primitive of a mesh with targets, with its weld classes (V,) and the kind of its frame.
 
-    wanted is what is made for it. without are the numbers of the targets without NORMAL.
+    ``normals`` and ``frames`` say whether its targets get NORMAL and the differential. ``without`` are the
+    numbers of the targets without NORMAL.
     """
 
     source: PrimitiveSource
     primitive: SkinnedPrimitive
     classes: IntArray
     frame: str
-    wanted: Wanted
     without: Sequence[int]
+    normals: bool
+    frames: bool = False
 
     @property
-    def targets(self) -> list[int]:
-        """The numbers of the targets for which anything is made."""
-        return list(range(len(self.source.targets))) if self.wanted.frames else self.lacking
-
-    @property
-    def lacking(self) -> list[int]:
+    def lacking(self) -> Sequence[int]:
         """The numbers of the targets that get NORMAL."""
-        return list(self.without) if self.wanted.normals else []
+        return self.without if self.normals else ()
+
+    @property
+    def targets(self) -> Sequence[int]:
+        """The numbers of the targets for which anything is made."""
+        return range(len(self.source.targets)) if self.frames else self.lacking
 
     @property
     def numbers(self) -> int:
         """How many numbers of the differential each target gets: four if all have NORMAL then, else six."""
-        if not self.wanted.frames:
+        if not self.frames:
             return 0
-        return 4 if self.wanted.normals or not self.without else 6
+        return 4 if self.normals or not self.without else 6
 
 
 def morph_bake(
-    document: Document, bakes: Sequence[PrimitiveBake], settings: BakeSettings, wanted: Wanted
-) -> MorphBake:
+    document: Document, bakes: Sequence[PrimitiveBake], options: BakeOptions
+) -> list[tuple[MadeTargets, MorphCounts]]:
     """Make NORMAL and the differential of targets. Raises InputError for targets that are broken.
 
-    bakes are those of the skinned primitives. If normals are not wanted, the notices say what these targets
+    bakes are those of the skinned primitives. If normals are not asked for, notices say what these targets
     would gain, by a few of them; meshes without a skin are not looked at then.
     """
     made: list[tuple[MadeTargets, MorphCounts]] = []
-    notices: list[Notice] = []
+    meshes: dict[int, list[PrimitiveBake]] = {}
+    for bake in bakes:
+        meshes.setdefault(bake.source.mesh, []).append(bake)
+
+    def skinned(own: Sequence[PrimitiveBake], *, normals: bool, frames: bool) -> list[_Part]:
+        """Return the primitives of a skinned mesh. Raises InputError for targets that are broken."""
+        without = [targets_without_normal(document, bake.source) for bake in own]
+        return [
+            _Part(bake.source, bake.primitive, bake.result.classes, bake.result.frame, one, normals, frames)
+            for bake, one in zip(own, without, strict=True)
+        ]
+
     with stage("morph targets"):
-        if wanted.normals:
-            plain, notices = _plain(document, settings)
-            for parts in plain:
-                made += _checked(document, parts, settings)
-        meshes: dict[int, list[PrimitiveBake]] = {}
-        for bake in bakes:
-            meshes.setdefault(bake.source.mesh, []).append(bake)
-        for own in meshes.values() if wanted.normals or wanted.frames else ():
-            parts = _skinned(document, own, wanted)
-            made += _checked(document, parts, settings) if any(one.targets for one in parts) else []
-        for own in () if wanted.normals else meshes.values():
+        plain = _plain(document, options.crease_angle) if options.morph_normals else ()
+        asked = {"normals": options.morph_normals, "frames": options.morph_frames}
+        wanted = meshes.values() if any(asked.values()) else ()
+        for parts in chain(plain, (skinned(own, **asked) for own in wanted)):
+            if any(part.targets for part in parts):
+                check_extras(document, parts[0].source.mesh, parts[0].source.place)
+                made += _made(document, parts, options, None)
+        for own in () if options.morph_normals else meshes.values():
             try:
-                parts = _skinned(document, own, Wanted(normals=True, frames=False))
-                told = list(_made(document, parts, settings, TRIED)) if any(p.targets for p in parts) else []
+                parts = skinned(own, normals=True, frames=False)
+                told = list(_made(document, parts, options, TRIED)) if any(p.targets for p in parts) else []
             except InputError:
                 continue  # a bake does not need its targets
-            notices += [_missing(*pair) for pair in told if pair[1].mean >= NEGLIGIBLE]
-    return MorphBake([item for item, _ in made], [count for _, count in made], notices)
+            for item, count in told:
+                if count.mean < NEGLIGIBLE:
+                    continue
+                lacking = count.normals
+                have, them = ("has", "it") if lacking == 1 else ("have", "them")
+                zeros = ", or only zeros in it" if any("NORMAL" in t for t in item.source.targets) else ""
+                message = (
+                    f"{counted(lacking, 'morph target')} of {count.targets:,} {have} no NORMAL{zeros}, so "
+                    f"engines light {them} as at rest. At weight 1 that is {count.mean:.1f}° off in the mean "
+                    "where normals turn: --morph-normals adds NORMAL"
+                )
+                document.notices.tell(Notice("morph-normals", message, item.source.place, lacking))
+    if not made and any(asked.values()):
+        option = Chosen("morph_frames" if options.morph_frames else "morph_normals")
+        lacked = "morph targets" if options.morph_frames else "a morph target without NORMAL"
+        message = Message(option, f" adds nothing: nothing here has {lacked} that it can add to")
+        document.notices.tell(Notice("no-targets", message, document.place))
+    return made
 
 
-def _skinned(document: Document, bakes: Sequence[PrimitiveBake], wanted: Wanted) -> list[_Part]:
-    """Return the skinned primitives of a mesh. Raises InputError for targets that are broken."""
-    return [
-        _Part(
-            bake.source,
-            bake.primitive,
-            bake.result.classes,
-            bake.result.frame,
-            wanted,
-            targets_without_normal(document, bake.source),
-        )
-        for bake in bakes
-    ]
+def _plain(document: Document, crease_angle: float) -> list[list[_Part]]:
+    """Return the meshes of primitives without a skin that have targets without NORMAL.
 
-
-def _checked(
-    document: Document, parts: Sequence[_Part], settings: BakeSettings
-) -> list[tuple[MadeTargets, MorphCounts]]:
-    """Return what is made for a mesh. Raises InputError if its extras have no place for metadata."""
-    check_extras(document, parts[0].source.mesh, parts[0].source.place)
-    return list(_made(document, parts, settings, None))
-
-
-def _missing(made: MadeTargets, count: MorphCounts) -> Notice:
-    lacking = count.normals
-    have, them = ("has", "it") if lacking == 1 else ("have", "them")
-    zeros = ", or only zeros in it" if any("NORMAL" in one for one in made.source.targets) else ""
-    message = (
-        f"{counted(lacking, 'morph target')} of {count.targets:,} {have} no NORMAL{zeros}, so engines light "
-        f"{them} as at rest. At weight 1 that is {count.mean:.1f}° off in the mean where normals turn: "
-        "--morph-normals adds NORMAL"
-    )
-    return Notice("morph-normals", message, made.source.place, lacking)
-
-
-def _plain(document: Document, settings: BakeSettings) -> tuple[list[list[_Part]], list[Notice]]:
-    """Return the meshes of primitives without a skin that have targets without NORMAL, and notices."""
+    crease_angle is in degrees. A notice tells of a primitive that has no NORMAL itself.
+    """
     meshes: dict[int, list[PrimitiveSource]] = {}
-    notices = []
     for source in plain_sources(document):
         reason = reason_to_skip(document, source, generate_normals=False)
         if reason is None:
             meshes.setdefault(source.mesh, []).append(source)
         elif reason.code == "no-normals" and targets_without_normal(document, source):
             message = "its morph targets get no NORMAL, because it has none itself, and is flat by glTF"
-            notices.append(Notice("no-normals", message, source.place))
+            document.notices.tell(Notice("no-normals", message, source.place))
     found = []
     for sources in meshes.values():
         without = [targets_without_normal(document, source) for source in sources]
@@ -186,15 +159,15 @@ def _plain(document: Document, settings: BakeSettings) -> tuple[list[list[_Part]
         alike = WeightField(
             np.zeros((count, 1), np.int32), np.ones((count, 1)), np.zeros((count, 1), np.bool_)
         )
-        classes = weld(positions, normals, alike, crease_angle=settings.crease_angle)
+        classes = weld(positions, normals, alike, crease_angle=math.radians(crease_angle))
         own = np.split(classes, np.cumsum([len(one.positions) for one in primitives])[:-1])
         found.append(
             [
-                _Part(source, primitive, part, str(Frame.NORMAL), Wanted(normals=True, frames=False), lacking)
+                _Part(source, primitive, part, str(Frame.NORMAL), lacking, normals=True)
                 for source, primitive, part, lacking in zip(sources, primitives, own, without, strict=True)
             ]
         )
-    return found, notices
+    return found
 
 
 class _Change(NamedTuple):
@@ -206,11 +179,11 @@ class _Change(NamedTuple):
 
 
 def _made(
-    document: Document, parts: Sequence[_Part], settings: BakeSettings, most: int | None
+    document: Document, parts: Sequence[_Part], options: BakeOptions, most: int | None
 ) -> Iterable[tuple[MadeTargets, MorphCounts]]:
     """Yield what is made for each primitive of a mesh, and its numbers, for ``most`` targets or all."""
     document.asset.meshes[parts[0].source.mesh].target_count  # noqa: B018  # refuses different numbers
-    surface, slices = _surface(document, parts, settings)
+    surface, slices = _surface(document, parts, options)
     wanted = sorted(set().union(*(part.targets for part in parts)))
     if most is not None:
         wanted = wanted[:: -(-len(wanted) // most)]
@@ -243,8 +216,13 @@ def _made(
         if not normals and not of_frames:
             continue
         moving = {t: moves[t][number] for t in of_frames or normals}
-        angles = [_degrees(part, one).tolist() for one in normals.values()]
-        every = [angle for target in angles for angle in target]
+        # The angles by which targets turn normals at weight 1, in degrees.
+        every: list[float] = []
+        for change in normals.values():
+            before = part.primitive.normals[change.rows].astype(np.float64)
+            after = before + change.values
+            sine = np.linalg.norm(np.cross(before, after), axis=1)
+            every += np.degrees(np.arctan2(sine, np.einsum("ri,ri->r", before, after))).tolist()
         yield (
             MadeTargets(part.source, normals, frames, morph_digest(part.primitive, moving)),
             MorphCounts(
@@ -258,7 +236,7 @@ def _made(
 
 
 def _surface(
-    document: Document, parts: Sequence[_Part], settings: BakeSettings
+    document: Document, parts: Sequence[_Part], options: BakeOptions
 ) -> tuple[MorphSurface, list[slice]]:
     """Return the mesh of some primitives as one surface, and the slice of each in it."""
     ends = np.cumsum([len(part.primitive.positions) for part in parts]).tolist()
@@ -266,8 +244,8 @@ def _surface(
     triangles = []
     for part, start in zip(parts, starts, strict=True):
         own = part.primitive.triangles
-        size = BYTES_A_TRIANGLE * len(own) + BYTES_A_VERTEX * len(part.primitive.positions)
-        document.budget.claim(size, "differentiating its morph targets", part.source.place)
+        work = Cost.MORPHED_TRIANGLE * len(own) + Cost.MORPHED_VERTEX * len(part.primitive.positions)
+        document.budget.claim(work, "differentiating its morph targets", part.source.place)
         triangles.append(own[kernel.mark_proper(part.primitive.positions, own)].astype(np.int64) + start)
     frames = [frame_vectors(part.primitive, part.frame) for part in parts]
     surface = MorphSurface.of(
@@ -276,7 +254,7 @@ def _surface(
         np.unique(np.concatenate([part.classes for part in parts]), return_inverse=True)[1],
         np.concatenate([part.primitive.normals for part in parts]),
         (np.concatenate([frame[0] for frame in frames]), np.concatenate([frame[1] for frame in frames])),
-        weighting=settings.weighting,
+        weighting=options.weighting,
     )
     return surface, [slice(*one) for one in zip(starts, ends, strict=True)]
 
@@ -319,11 +297,3 @@ def _kept(rows: IntArray, values: Float64Array, wanted: BoolArray) -> Difference
         stored = values.astype(np.float32)
     sound = np.asarray(wanted.any(axis=1)) & np.isfinite(stored).all(axis=1)
     return Differences(rows[sound], stored[sound])
-
-
-def _degrees(part: _Part, normals: Differences) -> Float64Array:
-    """Return the angles (R,) by which a target turns normals at weight 1."""
-    before = part.primitive.normals[normals.rows].astype(np.float64)
-    after = before + normals.values
-    sine = np.linalg.norm(np.cross(before, after), axis=1)
-    return np.asarray(np.degrees(np.arctan2(sine, np.einsum("ri,ri->r", before, after))))

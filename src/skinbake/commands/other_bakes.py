@@ -7,13 +7,18 @@ from dataclasses import replace
 from typing import Any
 
 from skinbake.choices import Encoding, Gradients
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_document
+from skinbake.commands.bake_options import DEFAULTS, BakeOptions
+from skinbake.commands.gradient_bake import bake_gradients
 from skinbake.errors import Notices, SkinbakeError
 from skinbake.format.metadata import corrective_notes, read_metadata
-from skinbake.format.strip import stripped
+from skinbake.format.strip import stripped, uncorrected
+from skinbake.freshness.corrective_freshness import PlayedCorrectives
 from skinbake.gltf.document import Document
 from skinbake.gltf.morphs import targets_without_normal
 from skinbake.gltf.primitives import PrimitiveSource, skinned_sources
+from skinbake.measure.corrected import corrected_lighting
+from skinbake.measure.lighting import bakeable, lighting_of
 from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import (
     CLEAR,
@@ -61,32 +66,35 @@ def _measured(
     """Yield the bakes of one kind that can be measured."""
     sources = skinned_sources(plain)
     lacking = any(_lacks_normals(plain, source) for source in sources)
-    ways: list[tuple[str, dict[str, Any]]] = []
-    if corrects:
-        from skinbake.commands.verify_correctives import corrected_verdict as measured
-
-        if plain.asset.animations and options.methods == ("lbs",):  # which correctives are for
-            ways.append(("--correctives auto", {"correctives": "auto"}))
-            both = {"correctives": "auto", "morph_normals": True}
-            ways += [("--correctives auto --morph-normals", both)] if lacking else []
-    else:
-        from skinbake.measure.lighting import lighting_of as measured
-
-        ways.append((_default(document, sources), {}))
-        if lacking:
-            ways.append(("--morph-normals", {"morph_normals": True}))
-        elif any(source.has_targets for source in sources):
-            ways.append(("--morph-frames", {"morph_frames": True}))
-        ways.append(("--neighbours extend", {"neighbours": "extend"}))
-        ways += [("--gradients poses", {"gradients": "poses"})] if plain.asset.animations else []
+    morphs, plays = any(one.has_targets for one in sources), bool(plain.asset.animations)
+    ways: list[tuple[str, dict[str, Any], bool]] = [
+        (_default(document, sources), {}, not corrects),
+        ("--morph-normals", {"morph_normals": True}, not corrects and lacking),
+        ("--morph-frames", {"morph_frames": True}, not corrects and morphs and not lacking),
+        ("--neighbours extend", {"neighbours": "extend"}, not corrects),
+        ("--gradients poses", {"gradients": "poses"}, not corrects and plays),
+    ]
+    corrects = corrects and plays and options.methods == ("lbs",)  # which correctives are for
+    auto = {"correctives": "auto"}
+    ways.append(("--correctives auto", auto, corrects))
+    ways.append(("--correctives auto --morph-normals", {**auto, "morph_normals": True}, corrects and lacking))
     overflows, is_corrected = True, bool(corrective_notes(document))
-    for words, chosen in ways:
-        if "neighbours" in chosen and not overflows:
+    for words, chosen, is_tried in ways:
+        if not is_tried or ("neighbours" in chosen and not overflows):
             continue
         held = plain.budget.held
         try:
-            made = Baker(**chosen).bake_document(plain)
-            figures = by_worse_truth(measured(made.document, options)) if made.is_baked else {}
+            made = bake_document(plain, BakeOptions(**chosen))
+            if not made.is_baked:
+                figures = {}
+            elif corrects:
+                uncovered, _ = uncorrected(made.document)
+                gradients = bake_gradients(uncovered, bakeable(uncovered), DEFAULTS).document
+                figures = by_worse_truth(
+                    corrected_lighting(PlayedCorrectives(made.document), gradients, options)[0]
+                )
+            else:
+                figures = by_worse_truth(lighting_of(made.document, options))
         except SkinbakeError:
             continue
         finally:

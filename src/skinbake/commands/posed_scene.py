@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from skinbake.choices import Truth
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_document
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.errors import BudgetError, ChoiceError, InputError, Notice, Skipped, printable
 from skinbake.format.strip import stripped, uncorrected
 from skinbake.freshness.baked_views import BakedView, is_baked, rest_primitive, whole_surfaces
@@ -375,9 +376,10 @@ def baked_in_memory(document: Document) -> Document:
         plain, _ = uncorrected(document)
         if plain is document or holds_bake(document):
             plain, _ = stripped(document)
-    made = Baker(generate_normals=True).bake_document(plain)
+    with document.notices.withheld() as told:
+        made = bake_document(plain, BakeOptions(generate_normals=True))
     if not made.primitives:
-        reasons = "; ".join(notice.reason for notice in made.notices if isinstance(notice, Skipped))
+        reasons = "; ".join(notice.reason for notice in told if isinstance(notice, Skipped))
         raise InputError(f"nothing in it can be shown: {reasons or why_nothing(document)}", document.place)
     tell, sources = document.notices.tell, skinned_sources(document)
     message = "its bake is damaged, and one made in memory is shown: skinbake verify says what is wrong"
@@ -389,7 +391,7 @@ def baked_in_memory(document: Document) -> Document:
     for one in sources:
         if "NORMAL" not in one.attributes and reason_to_skip(document, one, generate_normals=True) is None:
             tell(Notice("normals-generated", message, one.place))
-    tell(*(notice for notice in made.notices if notice.code not in OF_STORAGE))
+    tell(*(notice for notice in told if notice.code not in OF_STORAGE))
     return made.document
 
 

@@ -1,7 +1,8 @@
-"""The bake of one surface: the primitives whose gradients are computed together."""
+"""α and β of surfaces: primitives whose gradients are computed together."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -9,7 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from skinbake.choices import SLOTS_PER_SET, Encoding, Frame, FrameChoice, Gradients
+from skinbake.choices import SLOTS_PER_SET, Encoding, Frame, FrameChoice, Gradients, Neighbours, Weld
+from skinbake.commands.bake_options import BakeOptions
 from skinbake.errors import InputError, Notice
 from skinbake.format.baked import Baked
 from skinbake.format.blend_weights import BlendGradient, read_blend_weights
@@ -17,6 +19,7 @@ from skinbake.format.encodings import vertex_bytes
 from skinbake.format.metadata import KEPT, STORED_POSE, Digests, digests
 from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
+from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.primitives import PrimitiveSource, has_float_tangents, read_influences, read_primitive
@@ -27,6 +30,7 @@ from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_primitives
 from skinbake.gradients.kept import Slots, mixed, scaled
 from skinbake.gradients.tangents import frame_vectors, with_straight_tangents
 from skinbake.report.bake import BakedCounts, ExtensionCost, KeptCounts, LimitCost
+from skinbake.threads import Threads, thread_count
 from skinbake.timing import stage
 from skinbake.version import FIT
 
@@ -34,149 +38,188 @@ if TYPE_CHECKING:
     from skinbake.format.influences import Extended, Limited
     from skinbake.measure.guard import KeptShare
     from skinbake.measure.unwritten import UnwrittenBake
-    from skinbake.pose_fit.poses import FoundPoses, PoseSource
+    from skinbake.pose_fit.poses import FoundPoses
 
-BYTES_A_VERTEX, BYTES_A_SLOT, BYTES_A_TRIANGLE = 128, 48, 24
-"""The approximate memory of a bake, at most."""
-
-BYTES_A_CORNER = 256
-"""The approximate memory for the gradient of blend weights, at most."""
+LARGE = 1 << 17
+"""The vertices of a surface from which on the digests of its arrays are made beside the bake."""
 
 
-class FitTarget(NamedTuple):
-    """The rig and the poses to which a surface is fitted, None for none, and notices about them.
+def bake_surfaces(
+    document: Document, sources: Sequence[PrimitiveSource], options: BakeOptions
+) -> list[list[PrimitiveBake]]:
+    """Bake primitives, surface by surface. Notices tell which stay apart or unfitted.
 
-    asked is the kind of gradients that the user asked for. pose_names are the sources of the poses, as the
-    metadata names them.
+    All that is fitted to is read before the first surface is baked. Raises InputError if arrays cannot be
+    read, take too much memory, or lead to α or β that are not finite.
     """
+    by_mesh: dict[int, list[PrimitiveSource]] = defaultdict(list)
+    for source in sources:
+        by_mesh[source.mesh].append(source)
+    groups: Sequence[Sequence[int]] = [[mesh] for mesh in by_mesh]
+    if options.weld is Weld.SKIN:
+        from skinbake.gltf.scenes import meshes_of_one_skin, tell_meshes_apart
 
-    asked: Gradients = Gradients.SURFACE
-    rig: Rig | None = None
-    poses: FoundPoses | None = None
-    pose_names: Sequence[str] = ()
-    notices: Sequence[Notice] = ()
+        groups = meshes_of_one_skin(document, by_mesh)
+        tell_meshes_apart(document, by_mesh)
+    surfaces = [
+        SurfaceBake.of(document, [source for mesh in group for source in by_mesh[mesh]], options)
+        for group in groups
+    ]
+    made = [surface.baked(options) for surface in surfaces]
+    if options.gradients is Gradients.RIG:
+        # A surface that would be lit worse keeps only a share of its fit.
+        with stage("guard"):
+            from skinbake.measure.guard import Judged, judged_shares  # it poses: most kinds of bakes do not
 
-    @classmethod
-    def of(
-        cls,
-        document: Document,
-        sources: Sequence[PrimitiveSource],
-        kind: Gradients,
-        fit_poses: Sequence[PoseSource],
-    ) -> FitTarget:
-        """Return what the primitives of a surface are fitted to for a kind of gradients."""
-        if kind is Gradients.SURFACE:
-            return cls()
-        with document.notices.withheld() as told, stage("rig"):
-            rig = fitting_rig(document, sources[0])
-        notices = [*told]
-        if kind is Gradients.RIG:
-            return cls(kind, rig, notices=notices)
-        from skinbake.pose_fit.poses import poses_to_fit  # it poses: half a second of imports
-
-        with document.notices.withheld() as told, stage("poses"):
-            found = poses_to_fit(document, sources[0].mesh, fit_poses, sources[0].place)
-        names = [source if isinstance(source, str) else source.name for source in fit_poses]
-        return cls(kind, rig, found, names, [*notices, *told])
-
-    @property
-    def noted(self) -> JsonObject:
-        """Return what the metadata says of the fit."""
-        noted: JsonObject = {}
-        if self.rig is not None:
-            noted = {"gradients": "rig", "fit": FIT, "rig": self.rig.digest}
-            if self.rig.fingerprint is not None:
-                noted[STORED_POSE] = {"fingerprint": list(self.rig.fingerprint)}
-        if self.poses is not None:
-            noted |= {
-                "gradients": "poses",
-                "fit": FIT,
-                "poses": {"from": list(self.pose_names), "fingerprint": list(self.poses.fingerprint)},
-            }
-        return noted
+            judged = [Judged(unwritten(own), one.rig) for one, own in zip(surfaces, made, strict=True)]
+            shares, told = judged_shares(document, judged, options.settings)
+            document.notices.tell(*told)
+            kept = zip(surfaces, made, shares, strict=True)
+            made = [surface.keeping(bakes, own) for surface, bakes, own in kept]
+    if options.blend is not None and made:
+        made = [one.with_blend(own, options.blend) for one, own in zip(surfaces, made, strict=True)]
+        without = [bake for bakes in made for bake in bakes if bake.blend is None]
+        if len(without) == len(sources):
+            message = f"--blend {options.blend}: nothing that is baked has this attribute"
+            raise InputError(message, document.place)
+        message = f"it has no attribute {options.blend}, and is left to linear blend skinning"
+        document.notices.tell(*(Notice("no-blend", message, bake.source.place) for bake in without))
+    return made
 
 
 class SurfaceBake(NamedTuple):
-    """The primitives of one surface, with their arrays as they are baked, and the options of the gradients.
+    """The primitives of one surface, with their arrays as they are baked, and what α and β are fitted to.
 
-    digests return those of the arrays of each primitive. Each method returns the bakes of all primitives. It
-    raises InputError if α or β are not finite.
+    digests return those of the arrays of each primitive. ``rig`` and ``poses`` are None if there is no such
+    fit, and ``noted`` is what the metadata says of it. Each method returns the bakes of all primitives.
     """
 
     document: Document
     sources: Sequence[PrimitiveSource]
     primitives: Sequence[SkinnedPrimitive]
     settings: BakeSettings
-    target: FitTarget
     digests: Sequence[Digests]
+    asked: Gradients
+    rig: Rig | None
+    poses: FoundPoses | None
+    noted: JsonObject
 
     @classmethod
-    def of(
-        cls, document: Document, sources: Sequence[PrimitiveSource], settings: BakeSettings, target: FitTarget
-    ) -> SurfaceBake:
-        """Read the arrays of a surface. Raises InputError if they cannot be read, or take too much memory."""
+    def of(cls, document: Document, sources: Sequence[PrimitiveSource], options: BakeOptions) -> SurfaceBake:
+        """Read a surface. Raises InputError if it cannot be read, or takes too much memory."""
+        # The rig and the poses that α and β are fitted to.
+        rig, poses, noted = None, None, JsonObject()
+        if options.gradients is not Gradients.SURFACE:
+            with stage("rig"):
+                rig = fitting_rig(document, sources[0])
+            if rig is not None:
+                noted = {"gradients": "rig", "fit": FIT, "rig": rig.digest}
+                if rig.fingerprint is not None:
+                    noted[STORED_POSE] = {"fingerprint": list(rig.fingerprint)}
+        if options.gradients is Gradients.POSES:
+            from skinbake.pose_fit.poses import poses_to_fit  # it poses: half a second of imports
+
+            with stage("poses"):
+                poses = poses_to_fit(document, sources[0].mesh, options.fit_poses, sources[0].place)
+            names = [source if isinstance(source, str) else source.name for source in options.fit_poses]
+            found = {"from": names, "fingerprint": list(poses.fingerprint)}
+            noted |= {"gradients": "poses", "fit": FIT, "poses": found}
+        # The arrays. Each is read when the memory for the bake of those before has been claimed.
+        primitives: list[SkinnedPrimitive] = []
         with stage("arrays"):
-            primitives = _read(document, sources)
+            vertices, widest = 0, 0
+            for source in sources:
+                primitive = read_primitive(document, source)
+                primitives.append(primitive)
+                # All parts of one surface have as many slots as its widest primitive.
+                count, width = primitive.joints.shape
+                slots = max(width, widest) * (vertices + count) - widest * vertices
+                vertices, widest = vertices + count, max(width, widest)
+                work = Cost.BAKED_VERTEX * count + Cost.BAKED_SLOT * slots
+                work += Cost.BAKED_TRIANGLE * len(primitive.triangles)
+                document.budget.claim(work, "baking it", source.place)
             if not all(len(primitive.normals) for primitive in primitives):
                 from skinbake.gradients.normals import with_smooth_normals  # most files have normals
 
                 primitives = with_smooth_normals(primitives)
-            if settings.frame is not FrameChoice.NORMAL:
+            if options.frame is not FrameChoice.NORMAL:
                 # The tangents of few leaning vertices are straightened, if they are floats.
                 primitives = [
                     with_straight_tangents(primitive) if has_float_tangents(document, source) else primitive
                     for source, primitive in zip(sources, primitives, strict=True)
                 ]
-        frame = Frame.NORMAL if settings.frame is FrameChoice.NORMAL else Frame.TANGENT
-        found = [partial(digests, primitive, frame) for primitive in primitives]
-        return cls(document, sources, primitives, settings, target, found)
+        frame = Frame.NORMAL if options.frame is FrameChoice.NORMAL else Frame.TANGENT
+        of_arrays = [partial(digests, primitive, frame) for primitive in primitives]
+        return cls(
+            document,
+            sources,
+            primitives,
+            options.settings,
+            of_arrays,
+            options.gradients,
+            rig,
+            poses,
+            noted,
+        )
 
-    def plain(self) -> list[PrimitiveBake]:
-        """Bake with the influences of the file."""
-        return _finite(self._bakes(self.primitives))
+    def baked(self, options: BakeOptions) -> list[PrimitiveBake]:
+        """Bake with the influences of the file, with fewer, or with a set more where free slots are few."""
+        limit = options.limit_influences
+        # Welding and grouping leave a core idle.
+        is_large = sum(len(one.positions) for one in self.primitives) >= LARGE
+        with Threads(thread_count() if is_large else 1) as threads:
+            begun = self._replace(digests=[threads.begun(digests) for digests in self.digests])
+            if limit is not None:
+                from skinbake.format.influences import limited  # few bakes ask for it
 
-    def limited(self, count: int) -> list[PrimitiveBake]:
-        """Bake with at most ``count`` influences a vertex."""
-        from skinbake.format.influences import limited  # few bakes ask for it
+                pairs = zip(self.sources, self.primitives, strict=True)
+                with stage("limit"):
+                    fewer = [limited(self.document, *pair, limit) for pair in pairs]
+                bakes = begun.plain(_changed(self.primitives, fewer))
+                return [replace(bake, limited=part) for bake, part in zip(bakes, fewer, strict=True)]
+            if options.neighbours is Neighbours.EXTEND:
+                from skinbake.format.influences import extended  # few bakes ask for it
 
-        pairs = list(zip(self.sources, self.primitives, strict=True))
-        with stage("limit"):
-            parts = [limited(self.document, *pair, count) for pair in pairs]
-        bakes = _finite(self._bakes(self._changed(parts)))
-        return [replace(bake, limited=part) for bake, part in zip(bakes, parts, strict=True)]
+                tried = bake_primitives(self.primitives, self.settings)
+                more = [
+                    extended(one, read_influences(self.document, source, len(one.positions)), lacking)
+                    # A set more would close the gap before sets that are not read.
+                    if (lacking := found.overflowing_vertices) and not source.unread_sets
+                    else None
+                    for source, one, (_, found) in zip(self.sources, self.primitives, tried, strict=True)
+                ]
+                bakes = begun.plain(_changed(self.primitives, more))
+                return [replace(bake, extended=part) for bake, part in zip(bakes, more, strict=True)]
+            return begun.plain(self.primitives)
 
-    def extended(self) -> list[PrimitiveBake]:
-        """Bake with a further influence set where free slots are too few."""
-        from skinbake.format.influences import extended  # few bakes ask for it
-
-        tried = bake_primitives(self.primitives, self.settings)
-        parts = [
-            extended(
-                one, read_influences(self.document, source, len(one.positions)), found.overflowing_vertices
-            )
-            if found.overflowing_vertices and not source.unread_sets  # a set more would close the gap
-            else None
-            for source, one, (_, found) in zip(self.sources, self.primitives, tried, strict=True)
-        ]
-        bakes = _finite(self._bakes(self._changed(parts)))
-        return [replace(bake, extended=part) for bake, part in zip(bakes, parts, strict=True)]
-
-    def _changed(self, parts: Sequence[Limited | None] | Sequence[Extended | None]) -> list[SkinnedPrimitive]:
-        """Return the primitives with other influences, where a part has such."""
-        return [part.primitive if part else one for part, one in zip(parts, self.primitives, strict=True)]
-
-    def _bakes(self, primitives: Sequence[SkinnedPrimitive]) -> list[PrimitiveBake]:
-        outcomes = bake_primitives(primitives, self.settings, self.target.rig)
-        noted = self.target.noted
+    def plain(self, primitives: Sequence[SkinnedPrimitive]) -> list[PrimitiveBake]:
+        """Bake its primitives with these influences. Raises InputError if α or β are not finite."""
+        outcomes = bake_primitives(primitives, self.settings, self.rig)
         bakes = [
-            PrimitiveBake(source, primitive, *outcome, found, asked=self.target.asked, fitted=noted)
+            PrimitiveBake(source, primitive, *outcome, found, asked=self.asked, fitted=self.noted)
             for source, primitive, outcome, found in zip(
                 self.sources, primitives, outcomes, self.digests, strict=True
             )
         ]
-        return (
-            bakes if self.target.poses is None else _fitted_to_poses(self.document, bakes, self.target.poses)
-        )
+        if self.poses is not None:
+            from skinbake.pose_fit.fit import fit_size, fitted_to_poses
+            from skinbake.truth.operator import true_operator
+
+            for bake in bakes:
+                size = fit_size(*bake.primitive.joints.shape)
+                self.document.budget.claim(size, "fitting it", bake.source.place)
+            welding = self.document.budget.welding(bakes[0].source.place)
+            operator = true_operator(primitives, claim=welding)
+            rest = [bake.rest_primitive() for bake in unwritten(bakes)]
+            with stage("fit"):
+                slots = fitted_to_poses(operator, rest, self.poses.groups)
+            bakes = [
+                replace(bake, result=bake.result.with_slots(alpha, beta))
+                for bake, (alpha, beta) in zip(bakes, slots, strict=True)
+            ]
+        for bake in bakes:
+            check_finite(bake.primitive, bake.result, bake.source.place)
+        return bakes
 
     def with_blend(self, bakes: Sequence[PrimitiveBake], attribute: str) -> list[PrimitiveBake]:
         """Return the bakes with the gradient of the blend weights that an attribute holds.
@@ -202,8 +245,8 @@ class SurfaceBake(NamedTuple):
         from skinbake.gradients.weight_gradients import field_derivatives  # few bakes ask for it
 
         for one in primitives:
-            size = BYTES_A_CORNER * 3 * len(one.triangles)
-            self.document.budget.claim(size, "the gradient of blend weights", bakes[0].source.place)
+            work = Cost.BLENDED_CORNER * 3 * len(one.triangles)
+            self.document.budget.claim(work, "the gradient of blend weights", bakes[0].source.place)
         with stage("gradients"):
             ends = np.cumsum([len(one.positions) for one in primitives])
             triangles = [
@@ -320,7 +363,23 @@ class PrimitiveBake:
 
     def counts(self, encoding: Encoding, added_bytes: int) -> BakedCounts:
         """Return the numbers of the report."""
-        influences, part = self.primitive.joints.shape[1], self.limited
+        influences, part, extended = self.primitive.joints.shape[1], self.limited, None
+        if self.extended is not None:
+            # The price of an influence set more, of the types that it has with its adopted joints.
+            from skinbake.format.influences import with_adopted
+            from skinbake.skinning.algorithms import Algorithm
+            from skinbake.skinning.counting import multiply_adds
+
+            before = influences - SLOTS_PER_SET
+            added = with_adopted(self.extended.stored, self.result.adopting, self.result.adopted)[-1]
+            stored = SLOTS_PER_SET * (added.joints.values.itemsize + added.weights.values.itemsize)
+            work = [sum(multiply_adds(Algorithm.LBS_ACCURATE, one).values()) for one in (before, influences)]
+            extended = ExtensionCost(
+                influences=influences,
+                vertices=self.extended.vertices,
+                bytes=stored + vertex_bytes(encoding, influences) - vertex_bytes(encoding, before),
+                multiply_adds=work[1] - work[0],
+            )
         return BakedCounts(
             vertices=len(self.primitive.positions),
             triangles=len(self.primitive.triangles),
@@ -337,55 +396,8 @@ class PrimitiveBake:
             added_bytes=added_bytes,
             bytes_per_vertex=vertex_bytes(encoding, influences) + (8 if self.blend else 0),
             limited=None if part is None else LimitCost(influences, part.vertices, part.left_out),
-            extended=None if self.extended is None else _extension_cost(self.extended, self.result, encoding),
+            extended=extended,
         )
-
-
-def _fitted_to_poses(
-    document: Document, bakes: Sequence[PrimitiveBake], found: FoundPoses
-) -> list[PrimitiveBake]:
-    """Return the bakes of one surface with α and β fitted to poses."""
-    from skinbake.pose_fit.fit import fit_size, fitted_to_poses
-    from skinbake.truth.operator import true_operator
-
-    for bake in bakes:
-        document.budget.claim(fit_size(*bake.primitive.joints.shape), "fitting it", bake.source.place)
-    operator = true_operator(
-        [bake.primitive for bake in bakes],
-        claim=lambda size: document.budget.claim_welding(size, bakes[0].source.place),
-    )
-    surfaces = [bake.rest_primitive() for bake in unwritten(bakes)]
-    with stage("fit"):
-        slots = fitted_to_poses(operator, surfaces, found.groups)
-    return [
-        replace(bake, result=bake.result.with_slots(alpha, beta))
-        for bake, (alpha, beta) in zip(bakes, slots, strict=True)
-    ]
-
-
-def _extension_cost(part: Extended, result: BakedPrimitive, encoding: Encoding) -> ExtensionCost:
-    """Return the price of an influence set more, of the types that it has with its adopted joints."""
-    from skinbake.format.influences import with_adopted
-    from skinbake.skinning.algorithms import Algorithm
-    from skinbake.skinning.counting import multiply_adds
-
-    after = part.primitive.joints.shape[1]
-    before, added = after - SLOTS_PER_SET, with_adopted(part.stored, result.adopting, result.adopted)[-1]
-    stored = SLOTS_PER_SET * (added.joints.values.itemsize + added.weights.values.itemsize)
-    work = [sum(multiply_adds(Algorithm.LBS_ACCURATE, count).values()) for count in (before, after)]
-    return ExtensionCost(
-        influences=after,
-        vertices=part.vertices,
-        bytes=stored + vertex_bytes(encoding, after) - vertex_bytes(encoding, before),
-        multiply_adds=work[1] - work[0],
-    )
-
-
-def _finite(bakes: list[PrimitiveBake]) -> list[PrimitiveBake]:
-    """Return the bakes. Raises InputError if α or β of one are not finite."""
-    for bake in bakes:
-        check_finite(bake.primitive, bake.result, bake.source.place)
-    return bakes
 
 
 def unwritten(bakes: Sequence[PrimitiveBake]) -> list[UnwrittenBake]:
@@ -395,17 +407,8 @@ def unwritten(bakes: Sequence[PrimitiveBake]) -> list[UnwrittenBake]:
     return [UnwrittenBake(bake.source, bake.primitive, bake.result) for bake in bakes]
 
 
-def _read(document: Document, sources: Sequence[PrimitiveSource]) -> list[SkinnedPrimitive]:
-    """Return the arrays of primitives. First check for each that its bake does not take too much memory."""
-    found: list[SkinnedPrimitive] = []
-    vertices, widest = 0, 0
-    for source in sources:
-        primitive = read_primitive(document, source)
-        found.append(primitive)
-        # All parts of one surface have as many slots as its widest primitive.
-        count, width = primitive.joints.shape
-        slots = max(width, widest) * (vertices + count) - widest * vertices
-        vertices, widest = vertices + count, max(width, widest)
-        size = BYTES_A_VERTEX * count + BYTES_A_SLOT * slots + BYTES_A_TRIANGLE * len(primitive.triangles)
-        document.budget.claim(size, "baking it", source.place)
-    return found
+def _changed(
+    primitives: Sequence[SkinnedPrimitive], parts: Sequence[Limited | None] | Sequence[Extended | None]
+) -> list[SkinnedPrimitive]:
+    """Return the primitives with other influences, where a part has such."""
+    return [part.primitive if part else one for part, one in zip(parts, primitives, strict=True)]

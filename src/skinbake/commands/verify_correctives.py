@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from skinbake.choices import PoseKind
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake_options import DEFAULTS
+from skinbake.commands.gradient_bake import bake_gradients
 from skinbake.errors import Notice
 from skinbake.format.strip import uncorrected
 from skinbake.freshness.corrective_freshness import (
@@ -16,6 +17,7 @@ from skinbake.freshness.corrective_freshness import (
 from skinbake.gltf.document import Document
 from skinbake.gltf.primitives import skinned_sources, tell_half_skinned
 from skinbake.measure.corrected import WORSE, corrected_lighting, mixtures, worse_primitives
+from skinbake.measure.lighting import bakeable
 from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import Check, FileVerdict, Mixture
 from skinbake.timing import stage
@@ -40,7 +42,7 @@ def corrected_verdict(document: Document, options: VerifyOptions) -> FileVerdict
         fresh = corrective_freshness(document, sources)
     with document.notices.withheld(), stage("α and β"):
         plain, _ = uncorrected(document)
-        gradients = Baker().bake_document(plain).document
+        gradients = bake_gradients(plain, bakeable(plain), DEFAULTS).document
     played = PlayedCorrectives(document)
     verdict, drawn = corrected_lighting(played, gradients, options)
     if not drawn:

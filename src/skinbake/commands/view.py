@@ -170,13 +170,14 @@ def _other_gradients(
     """
     if not views:
         return
-    from skinbake.commands.bake import Baker  # a file without a bake needs no other
+    from skinbake.commands.bake import bake_document  # a file without a bake needs no other
+    from skinbake.commands.bake_options import BakeOptions
 
     kind, noted = Gradients.RIG, views[0].metadata
     if noted_kind(views[0]) is not Gradients.SURFACE:
         kind = Gradients.SURFACE
     known = noted.get("neighbours")
-    baker = Baker(
+    options = BakeOptions(
         gradients=kind,
         weighting=noted["weighting"],
         crease_angle=noted["creaseAngle"],
@@ -188,7 +189,7 @@ def _other_gradients(
     try:
         with document.notices.withheld():
             plain, _ = stripped(document)
-        made = baker.bake_document(plain)
+            made = bake_document(plain, options)
         others = {view.source.place: view for view in sound_views(made.document)}
     except InputError:
         return

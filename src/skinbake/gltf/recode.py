@@ -37,6 +37,7 @@ from skinbake.gltf.json_access import (
 )
 from skinbake.gltf.primitives import PrimitiveSource, check_format, read_indices
 from skinbake.gltf.references import uses_of_accessors
+from skinbake.wording import percent
 
 UNSIGNED_SHORT, UNSIGNED_INT = 5123, 5125
 SIGNED = (5120, 5122)
@@ -409,3 +410,44 @@ def _is_bound(noted: Any, bound: npt.NDArray[Any], dtype: np.dtype[Any]) -> bool
         return False
     numbers = [np.float32(number) for number in noted] if dtype.kind == "f" else noted
     return bool(numbers == bound.tolist())
+
+
+LARGER = 1.15
+"""The growth from which it is told as a factor: below it, "1.0 times" would say nothing."""
+
+
+def tell_draco_growth(before: Document, after: Document) -> None:
+    """Tell if a bake with ``--compress draco`` needs more bytes than its input.
+
+    An input that is in Draco already grows by α and β alone, and is not a case for a remedy. Nor is an output
+    that Draco could not take.
+    """
+
+    def is_in_draco(document: Document) -> bool:
+        return any(
+            draco.extension_of(primitive) is not None
+            for mesh in document.objects("meshes")
+            for primitive in objects(mesh, "primitives", document.place)
+        )
+
+    if is_in_draco(before) or not is_in_draco(after):
+        return
+    # The bytes of all buffers, without those that only stand for compressed ones.
+    first, last = (
+        sum(
+            integer(buffer, "byteLength", document.place)
+            for buffer in document.objects("buffers")
+            if not meshopt.is_fallback(buffer, document.place)
+        )
+        for document in (before, after)
+    )
+    if last <= first or not first:
+        return
+    growth = last / first
+    by = f"{growth:.2g} times as large" if growth >= LARGER else f"{percent(growth - 1.0, 1)} larger"
+    sizes = f"{by} ({first:,} to {last:,} bytes)"
+    message = (
+        f"--compress draco makes its buffers {sizes}, because floats stay exact: use --compress meshopt; "
+        "--position-bits 14 --normal-bits 10 helps less"
+    )
+    before.notices.tell(Notice("draco-larger", message, before.place))

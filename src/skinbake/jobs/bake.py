@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from skinbake.commands.bake import Baker
+from skinbake.commands.bake import bake_file
+from skinbake.commands.bake_options import DEFAULTS, BakeOptions
 from skinbake.errors import SkinbakeError
-from skinbake.files.bounds import Bounds
+from skinbake.files.bounds import Bounds, Within
 from skinbake.gltf.beside import files_read
 from skinbake.gltf.document import read_document
 from skinbake.gltf.output import AS_USUAL, Writing
@@ -20,10 +21,10 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class BakeOptions:
-    """The options that decide what a bake writes, for the recipe of a state file."""
+class BakeRecipe:
+    """What decides what a bake writes, for the recipe of a state file."""
 
-    baker: Baker
+    options: BakeOptions
     pack: bool = False
 
 
@@ -33,12 +34,12 @@ class Bake:
 
     undone: ClassVar[str] = "not baked"
     seconds: ClassVar[tuple[float, float]] = (5e-3, 1.8e-8)
-    baker: Baker
+    options: BakeOptions = DEFAULTS
     writing: Writing = AS_USUAL
 
     def result_of(self, job: Job, *, traced: bool) -> FileResult:
         """Bake the file. Raises SkinbakeError; then nothing has been written."""
-        return elsewhere.write(job, self.baker.bake_file, self.writing._replace(traced=traced))
+        return elsewhere.write(job, self._baked, self.writing._replace(traced=traced))
 
     def failed(self, job: Job, error: SkinbakeError) -> FileResult:
         """Return that the file failed."""
@@ -72,6 +73,9 @@ class Bake:
         after = self._made(job, written, before) if written else before.digests
         is_unharmed = bool(written) or before.still_there
         return (after, after) if after and is_unharmed else None
+
+    def _baked(self, source: str, target: str | None, how: Writing, within: Within) -> FileResult:
+        return bake_file(source, target, self.options, how, within)
 
     def _made(self, job: Job, written: dict[str, str], before: state.Seen) -> state.Digests | None:
         from skinbake.jobs import state  # only --skip-unchanged needs it

@@ -13,6 +13,9 @@ from skinbake.measure.options import VerifyOptions
 from skinbake.measure.scene import Scene
 from skinbake.report.verify import FileVerdict
 
+BY_LBS = VerifyOptions(methods=("lbs",))
+"""How the lighting of a bake is measured: by linear blend skinning, in the poses of the file."""
+
 
 def bakeable(document: Document) -> list[PrimitiveSource]:
     """Return the skinned primitives that can be baked as they are."""
@@ -20,7 +23,7 @@ def bakeable(document: Document) -> list[PrimitiveSource]:
     return [one for one in every if reason_to_skip(document, one, generate_normals=False) is None]
 
 
-def lighting_of(document: Document, options: VerifyOptions) -> FileVerdict:
+def lighting_of(document: Document, options: VerifyOptions = BY_LBS) -> FileVerdict:
     """Return the lighting of a document that has just been baked. Its freshness is not in question."""
     with document.notices.withheld():
         views = baked_views(document, bakeable(document))
