@@ -109,8 +109,18 @@ def decode(
             f"its Draco stream holds {3 * len(faces)} indices, but its accessor declares {corners}{REMEDY}",
             place,
         )
+    arrays: dict[int, npt.NDArray[Any]] = {}
+    for number, entry in attributes.items():
+        found = 0 if entry["data"] is None else len(entry["data"])
+        if found != vertices:  # pragma: no cover: no such stream is known
+            raise InputError(
+                f"its Draco stream holds {counted(found, 'element')} of attribute {number}, but its "
+                f"accessors declare {vertices:,}{REMEDY}",
+                place,
+            )
+        arrays[number] = np.asarray(entry["data"])
     return DracoMesh(
-        {number: _values(entry, number, vertices, place) for number, entry in attributes.items()},
+        arrays,
         faces,
         counts.method,
         {
@@ -119,18 +129,6 @@ def decode(
             if entry["data_type"] in INT_MAXIMA
         },
     )
-
-
-def _values(entry: Mapping[str, Any], number: int, vertices: int, place: Place) -> npt.NDArray[Any]:
-    values = entry["data"]
-    found = 0 if values is None else len(values)
-    if found != vertices:  # pragma: no cover: no such stream is known
-        raise InputError(
-            f"its Draco stream holds {counted(found, 'element')} of attribute {number}, but its accessors "
-            f"declare {vertices:,}{REMEDY}",
-            place,
-        )
-    return np.asarray(values)
 
 
 @contextmanager
@@ -272,7 +270,19 @@ def encode(
     Raises InputError if an attribute has another count than POSITION, or if a triangle names a missing
     vertex: the encoder would read foreign memory.
     """
-    _check_arrays(arrays, faces, place)
+    # What the encoder does not check.
+    count, components = arrays["POSITION"].shape
+    if components != 3:  # pragma: no cover: refused before: tests/gltf/test_draco.py
+        raise InputError(f"it has {counted(components, 'component')}, 3 are needed", place.at("POSITION"))
+    for name, values in arrays.items():
+        if len(values) != count:
+            raise InputError(
+                f"it has {counted(len(values), 'element')}, POSITION has {count:,}", place.at(name)
+            )
+    if faces.size and faces.max() >= count:  # pragma: no cover: refused before: tests/gltf/test_draco.py
+        vertices = counted(count, "vertex", "vertices")
+        raise InputError(f"index {faces.max()} is too large for {vertices}", place.at("indices"))
+    # A grid is a guess. Where the stream does not return the values exactly, they are stored as floats.
     wanted = {name: number for name, number in (bits or {}).items() if _is_quantisable(name, arrays)}
     grids = {
         name: grid
@@ -289,20 +299,6 @@ def encode(
             return result
         for name in inexact:
             del grids[name]
-
-
-def _check_arrays(arrays: Mapping[str, npt.NDArray[Any]], faces: npt.NDArray[Any], place: Place) -> None:
-    count, components = arrays["POSITION"].shape
-    if components != 3:  # pragma: no cover: refused before: tests/gltf/test_draco.py
-        raise InputError(f"it has {counted(components, 'component')}, 3 are needed", place.at("POSITION"))
-    for name, values in arrays.items():
-        if len(values) != count:
-            raise InputError(
-                f"it has {counted(len(values), 'element')}, POSITION has {count:,}", place.at(name)
-            )
-    if faces.size and faces.max() >= count:  # pragma: no cover: refused before: tests/gltf/test_draco.py
-        vertices = counted(count, "vertex", "vertices")
-        raise InputError(f"index {faces.max()} is too large for {vertices}", place.at("indices"))
 
 
 def reason_against_bits(name: str, values: npt.NDArray[Any]) -> str | None:
@@ -347,6 +343,7 @@ def _grid(name: str, values: npt.NDArray[Any]) -> _Grid | None:
         return None if number is None else _Grid(number)
     origin = values.min(axis=0)
     extent = np.float32((values.max(axis=0) - origin).max())
+    # The extent by units in the last place, the nearest first. The sample excludes most grids.
     for steps in (0, -1, 1, -2, 2, -3, 3):
         span = np.float32(extent + steps * np.spacing(extent))
         for number in GRID_BITS:

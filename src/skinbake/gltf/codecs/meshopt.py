@@ -89,6 +89,7 @@ def packing(view: JsonObject, name: str, what: str, place: Place) -> Packing:
     count = integer(extension, "count", place, minimum=1)
     stride = integer(extension, "byteStride", place, minimum=1)
     found = f"the {name} of {what} says mode {mode!r}, filter {chosen!r}, byteStride {stride}, count {count}"
+    # Filters belong to attributes alone; indices have the size of their type.
     if mode == ATTRIBUTES:
         allowed = STRIDES_OF_FILTERS.get(chosen, ())
     else:
@@ -151,6 +152,7 @@ def encoded(values: npt.NDArray[Any], mode: str, name: str, level: int) -> tuple
     data = np.ascontiguousarray(values)
     if mode == ATTRIBUTES:
         return bytes(meshopt.encode_vertex_buffer_level(data, level, CODEC_VERSIONS[name])), mode
+    # The codec of triangles may rotate the corners of a triangle: then another order would be stored.
     indices, size = data.reshape(-1), data.dtype.itemsize
     if len(indices) % 3 == 0:
         compressed = bytes(meshopt.encode_index_buffer(indices))

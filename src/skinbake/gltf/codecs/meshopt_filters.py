@@ -42,6 +42,7 @@ def _rounded(values: Values, dtype: np.dtype[Any]) -> Values:
 def _octahedral(stored: Values) -> Values:
     """Return unit vectors; x and y are on the octahedron, z is the value that means 1, w stays."""
     x, y, one = (stored[:, column].astype(np.float32) for column in range(3))
+    # |x| + |y| + |z| = 1 on the octahedron. Its lower half, with z < 0, is folded outward.
     z = one - np.abs(x) - np.abs(y)
     fold = np.minimum(z, np.float32(0))
     x, y = x + np.where(x >= 0, fold, -fold), y + np.where(y >= 0, fold, -fold)
@@ -56,6 +57,8 @@ def _octahedral(stored: Values) -> Values:
 def _quaternions(stored: Values) -> Values:
     """Return quaternions; the largest component is left out; w has its index and the value of 1 / √2."""
     x, y, z = (stored[:, column].astype(np.float32) for column in range(3))
+    # The two lowest bits of w are the index of the largest component. It follows from the unit length, and is
+    # positive: −q is the same rotation.
     one = (stored[:, 3] | 3).astype(np.float32)
     w = np.sqrt(np.maximum(one * one * TWO - x * x - y * y - z * z, np.float32(0)))
     scale = np.float32(32767.0) / np.sqrt(TWO) / one
@@ -72,8 +75,10 @@ def _colours(stored: Values) -> Values:
     unsigned = stored.view(f"<u{stored.dtype.itemsize}").astype(np.int64)
     luma, orange, green = unsigned[:, 0], stored[:, 1].astype(np.int64), stored[:, 2].astype(np.int64)
     alpha, one = unsigned[:, 3], unsigned[:, 3].copy()
+    # All bits below the highest one of alpha: the value that means 1.
     for shift in (1, 2, 4, 8):
         one |= one >> shift
+    # That bit is no part of alpha: the others move up, and the lowest one is there twice.
     parts = (
         luma + orange - green,
         luma + green,
