@@ -36,7 +36,7 @@ from skinbake.freshness.baked_views import BakedView, rest_primitive, sound_view
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.animation import RANDOM, Clip, Skeleton, random_clip, read_clips, rest_pose
-from skinbake.gltf.budget import Cost
+from skinbake.gltf.budget import LAYERS, Cost
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.output import refuse_own_input
 from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources
@@ -55,13 +55,6 @@ MOST = 1e15
 
 MOST_INFLUENCES = 64
 """The most influences of a vertex that are drawn. Drivers compile a shader of 256 for a minute."""
-
-LAYERS_FREE, LAYERS_A_BYTE = 24.0, 4e-6
-"""How often triangles may cover the picture, and how often more for each byte of the file.
-
-A software driver takes up to 0.07 s for each time. Of 60 characters none covers it more than 3 times, or 5
-close up.
-"""
 
 NEAREST = 1e-6
 """The least depth of a corner, in units of the scene. What lies behind the camera counts as far beside it."""
@@ -271,11 +264,11 @@ def _refuse_layers(
         corners = np.clip(at[:, :2] / np.maximum(at[:, 3:], NEAREST), -1.0, 1.0)[triangles]
         (x, y), (u, v) = np.moveaxis(corners[:, 1:] - corners[:, :1], 0, -1)
         layers += drawn * float(np.abs(x * v - y * u).sum()) / 2 / 4
-    most = LAYERS_FREE + LAYERS_A_BYTE * document.budget.backed
+    most = LAYERS.most(document.budget.backed)
     if layers > most:
         raise InputError(
             f"its triangles would cover the picture {layers:,.0f} times, one over the other, and a file of "
-            f"its size may at most {most:,.0f} times: look at it with skinbake view",
+            f"its size may at most {most:,} times: look at it with skinbake view",
             document.place,
         )
 

@@ -201,6 +201,13 @@ A mesh is measured once for each skin that draws it, and in at least three poses
 of one mesh of 3,000 vertices need 20 a byte, a character of a million vertices needs 0.5.
 """
 
+LAYERS = Limit(4e-6, 24)
+"""How often triangles may cover a picture.
+
+A software driver takes up to 0.07 s for each time. Of 60 characters none covers it more than 3 times, or 5
+close up.
+"""
+
 SHARE = 4
 """Without ``--max-memory`` a file may take the memory of the machine divided by this."""
 
