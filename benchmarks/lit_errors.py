@@ -12,7 +12,7 @@ from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document
 from skinbake.gltf.primitives import skinned_sources
 from skinbake.measure.angles import MeasuredBlock, lighting_errors, truths_at_rest
-from skinbake.measure.morphing import morphing_of
+from skinbake.measure.scene import Surface
 from skinbake.truth.areas import RestAreas
 from skinbake.truth.fine import FineMesh
 from skinbake.truth.operator import true_operator
@@ -74,7 +74,7 @@ def error_fields(
 
     rest = [rest_primitive(view) for view in views]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # as verify measures
-        morphing = morphing_of(document, views, poses)
+        morphing = Surface(document, views).morphing(poses.morph_weights)
         mesh = FineMesh.of(operator) if fine else None
         truths = truths_at_rest(operator, rest, len(poses.clips), morphing, fine=mesh)
         lighting_errors(

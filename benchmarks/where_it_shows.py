@@ -24,19 +24,12 @@ from scipy.sparse.csgraph import dijkstra
 from benchmarks.corpus_table import REPOSITORY, corpus_folders
 from skinbake.choices import Truth
 from skinbake.commands import where_it_shows as search
-from skinbake.commands.posed_scene import (
-    Draw,
-    PosedDraw,
-    baked_in_memory,
-    lighting_errors_of,
-    posed_draw,
-    posed_positions,
-    shown_draws,
-)
+from skinbake.commands.shown import baked_in_memory
 from skinbake.freshness.baked_views import sound_views
 from skinbake.geometry.skinned import IntArray
-from skinbake.gltf.animation import Clip, read_clips, rest_pose
+from skinbake.gltf.animation import Clip, read_clips
 from skinbake.gltf.document import Document, read_document
+from skinbake.measure.scene import Draw, Scene
 from tests.support.characters import Array
 
 MOMENTS = 49
@@ -59,9 +52,9 @@ class Model:
 
     def __init__(self, document: Document) -> None:
         self.document = document
-        self.draws: list[Draw] = list(shown_draws(document, sound_views(document)))
-        self.rest, self.starts = self._positions([PosedDraw(rest_pose(one.skeleton)) for one in self.draws])
-        views = [view for draw in self.draws for view in draw.views]
+        self.draws = Scene(document, sound_views(document)).shown()
+        self.rest, self.starts = self._positions(self.draws)
+        views = [view for draw in self.draws for view in draw.surface.views]
         firsts = np.cumsum([0, *(len(view.now.positions) for view in views)])
         self.triangles = np.concatenate(
             [view.now.triangles.astype(np.int64) + first for view, first in zip(views, firsts, strict=False)]
@@ -88,17 +81,14 @@ class Model:
             parts.append(csc_array(np.isfinite(near).T[self.place].astype(np.float32)))
         self.patches = csc_array(hstack(parts, format="csc"))
 
-    def _positions(self, posed: list[PosedDraw]) -> tuple[Array, IntArray]:
-        parts = [
-            np.concatenate([part[0] for part in posed_positions(draw, one)])
-            for draw, one in zip(self.draws, posed, strict=True)
-        ]
+    def _positions(self, posed: list[Draw]) -> tuple[Array, IntArray]:
+        parts = [np.concatenate([part[0] for part in draw.positions()]) for draw in posed]
         return np.concatenate(parts), np.cumsum([0, *map(len, parts)])
 
     def at(self, clip: Clip, moment: float) -> tuple[Array, Array]:
         """Return positions (V, 3) and improvements (V,), 0 where nothing is known."""
-        posed = [posed_draw(self.document, draw, clip, np.array([moment])) for draw in self.draws]
-        errors = lighting_errors_of(self.draws, posed, Truth.TANGENTS)
+        posed = [draw.at(clip, np.array([moment])) for draw in self.draws]
+        errors = [one for draw in posed for one in draw.errors(draw.truths((Truth.TANGENTS,)))]
         standard, accurate = (
             np.concatenate([one[name][0, 0] for one in errors]).astype(np.float64)
             for name in ("standard", "accurate")

@@ -17,7 +17,7 @@ import pytest
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.cli import exit_codes
-from skinbake.commands.posed_scene import baked_in_memory
+from skinbake.commands.shown import baked_in_memory
 from skinbake.commands.view import view_file
 from skinbake.errors import OutputError
 from skinbake.gltf.document import read_document

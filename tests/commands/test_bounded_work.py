@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skinbake.commands.posed_scene import posed_draw, shown_draws
 from skinbake.errors import InputError, Place
 from skinbake.format.morph_targets import NOTE
 from skinbake.format.strip import stripped
@@ -26,6 +25,7 @@ from skinbake.gltf.budget import Budget, Work
 from skinbake.gltf.document import read_document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.primitives import skinned_sources
+from skinbake.measure.scene import Scene
 from skinbake.truth.poses import pose_work
 from tests.support.command_line import invoke
 from tests.support.models import Change, Part, bake, sheet, write_model
@@ -380,20 +380,20 @@ def test_targets_of_a_draw_are_read_once_for_all_moments_of_a_search(tmp_path: P
     source = write_model(tmp_path / "in.glb", [sheet()], change=all_of(with_targets(3), with_clips(1)))
     bake(source, tmp_path / "baked.glb")
     document = read_document(str(tmp_path / "baked.glb"))
-    (draw,), (clip,) = list(shown_draws(document, sound_views(document))), read_clips(document)
-    first = posed_draw(document, draw, clip, np.array([0.0]))
+    (draw,), (clip,) = Scene(document, sound_views(document)).shown(), read_clips(document)
+    first = draw.at(clip, np.array([0.0])).morphing
     spent = document.budget.taken.bytes
-    second = posed_draw(document, draw, clip, np.array([0.0, 0.5]))
+    second = draw.at(clip, np.array([0.0, 0.5])).morphing
     assert document.budget.taken.bytes == spent
-    assert first.morphing is not None
-    assert second.morphing is not None
-    assert second.morphing.targets is first.morphing.targets
-    assert np.array_equal(second.morphing.weights, np.full((2, 3), 0.001))
+    assert first is not None
+    assert second is not None
+    assert second.targets is first.targets
+    assert np.array_equal(second.weights, np.full((2, 3), 0.001))
     assert draw.node is not None
     document.objects("nodes")[draw.node]["weights"] = [0, 0, 1]  # other targets move
-    third = posed_draw(document, draw, clip, np.array([0.0]))
-    assert third.morphing is not None
-    assert third.morphing.weights.tolist() == [[1.0]]
+    third = draw.at(clip, np.array([0.0])).morphing
+    assert third is not None
+    assert third.weights.tolist() == [[1.0]]
 
 
 def fan(count: int) -> Part:

@@ -19,12 +19,14 @@ from PIL import Image
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.cli import exit_codes
-from skinbake.commands import posed_scene, render
+from skinbake.commands import render
 from skinbake.errors import ChoiceError, InputError
+from skinbake.freshness.baked_views import sound_views
 from skinbake.gltf import budget
-from skinbake.gltf.animation import Skeleton, read_skeleton
-from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.document import read_document
 from skinbake.gltf.json_access import JsonObject
+from skinbake.measure import scene
+from skinbake.measure.scene import Scene, attachments
 from skinbake.render import studio
 from skinbake.render.studio import MODES, Look, Studio
 from skinbake.render.subject import YAW, Camera, Shot, Subject
@@ -333,7 +335,7 @@ def test_a_mesh_without_a_skin_that_is_broken_is_left_out(tmp_path: Path) -> Non
     ],
 )
 def test_the_scene_with_a_character_is_drawn(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scenes: dict[str, Any], drawn: list[int]
+    tmp_path: Path, scenes: dict[str, Any], drawn: list[int]
 ) -> None:
     """Node 0 draws a character with skin 0, node 5, a child of 6, with skin 1; the page chooses alike."""
     file = Editable(baked(TUBE, tmp_path))
@@ -342,15 +344,9 @@ def test_the_scene_with_a_character_is_drawn(
     for name in ("scene", "scenes"):
         del file.content[name]
     file.content.update(scenes)
-    found: list[int] = []
-
-    def kept(document: Document, skin: int) -> Skeleton:
-        found.append(skin)
-        return read_skeleton(document, skin)
-
-    monkeypatch.setattr(posed_scene, "read_skeleton", kept)
-    assert render.small_picture(read_document(str(file.write(tmp_path / "scenes.glb")))) is not None
-    assert found == drawn
+    document = read_document(str(file.write(tmp_path / "scenes.glb")))
+    assert render.small_picture(document) is not None
+    assert [draw.skin for draw in Scene(document, sound_views(document)).shown()] == drawn
 
 
 def test_the_help_tells_the_bounds_of_the_size() -> None:
@@ -521,11 +517,11 @@ def test_vertices_that_nodes_draw_without_a_skin_are_work_each_time(
     monkeypatch.setattr(budget.Cost, "DRAWN_PRIMITIVE", budget.Work())
     monkeypatch.setattr(budget.Cost, "SHOWN_CLIP", budget.Work())
     document = read_document(path)
-    assert len(posed_scene.attachments(document)) == times
+    assert len(attachments(document)) == times
     assert document.budget.taken.steps == times * vertices
     monkeypatch.setattr(budget, "STEPS", budget.Limit(1, times * vertices - 1 - document.budget.backed))
     with pytest.raises(InputError, match="once more would take"):
-        posed_scene.attachments(read_document(path))
+        attachments(read_document(path))
 
 
 @pytest.mark.parametrize("call", ["create_texture", "create_buffer_with_data"])
@@ -621,7 +617,7 @@ def test_slots_that_integer_weights_adopt_tear_no_surface_apart(
     def kept(operator: GradientOperator, *arguments: object, **others: object) -> None:
         operators.append(operator)
 
-    monkeypatch.setattr(posed_scene, "lighting_errors", kept)
+    monkeypatch.setattr(scene, "lighting_errors", kept)
     cut = cut_into_meshes(halved(FOLDER / name, tmp_path / "half.glb"), tmp_path / "cut.glb")
     with pytest.raises(InputError, match="enough"):
         measure_errors(cut, tmp_path, monkeypatch)

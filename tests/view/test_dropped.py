@@ -18,7 +18,7 @@ from skinbake.freshness.baked_views import baked_views, rest_primitive
 from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
 from skinbake.gltf.primitives import skinned_sources
-from skinbake.measure.morphing import morphing_of
+from skinbake.measure.scene import Surface
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.truth.poses import PoseRequest, draws_of, pose_set
 from tests.support import browser
@@ -160,7 +160,7 @@ def test_morph_targets_come_before_skinning(
     clips = read_clips(document)
     ((skin, node),) = draws_of(document, 0, clips)
     poses = pose_set(document, skin, clips, PoseRequest(samples=5), node)
-    morphing = morphing_of(document, views, poses)
+    morphing = Surface(document, views).morphing(poses.morph_weights)
     assert morphing is not None
     take(browsing, path)
     pose = 3

@@ -8,14 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skinbake.choices import USUAL_TRUTHS, Baseline, Method
-from skinbake.commands.posed_scene import (
-    Draw,
-    baked_in_memory,
-    claim_draws,
-    posed_draw,
-    shown_draws,
-    sound_correctives,
-)
+from skinbake.commands.shown import baked_in_memory
 from skinbake.commands.where_it_shows import telling_pose
 from skinbake.errors import InputError
 from skinbake.files.bounds import BESIDE, Bounds
@@ -27,12 +20,13 @@ from skinbake.gltf.animation import RANDOM, Clip
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.output import refuse_own_input
-from skinbake.measure.angles import INSIDE_OUT, METHODS, Corrections, truths_at_rest
+from skinbake.measure.angles import INSIDE_OUT, METHODS, Corrections
+from skinbake.measure.scene import Draw, Scene, claim_draws
 from skinbake.report.normals import PosedNormals, line
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.blended import BlendedSkinning
 from skinbake.skinning.components import Vector
-from skinbake.skinning.rest import Options
+from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.skinning.run import Skinning
 from skinbake.threads import Threads, thread_count
 from skinbake.truth.blending import sides_of
@@ -61,7 +55,7 @@ def posed_normals(document: Document, request: NormalsRequest) -> Iterator[Posed
     ChoiceError for a clip that does not exist, or a time outside it.
     """
     views = sound_views(document)
-    correctives = None if views else sound_correctives(document)
+    correctives = None if views else PlayedCorrectives.sound(document)
     if correctives:
         document = baked_in_memory(document)
         views = sound_views(document)
@@ -72,14 +66,14 @@ def posed_normals(document: Document, request: NormalsRequest) -> Iterator[Posed
         message = "no primitive of it has blend weights that a bake has read: run skinbake bake --blend"
         raise InputError(message, document.place)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no normal gets NaN
-        draws = list(shown_draws(document, views, correctives))
+        draws = Scene(document, views, correctives).shown()
         clip, moment, _ = telling_pose(document, draws, request.clip, request.time)
         claim_draws(document, draws, [clip], len(request.methods))
     for draw in draws:
         for method in request.methods:
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                options = Options(request.cap, request.baseline)
-                found = _of_draw(document, draw, clip, moment, method, options, correctives)
+                posed = draw.at(clip, np.array([moment]), turned=False)
+                found = _of_draw(posed, clip, moment, method, Options(request.cap, request.baseline))
             yield from found
 
 
@@ -107,35 +101,26 @@ def write_normals(
     return pose
 
 
-def _of_draw(
-    document: Document,
-    draw: Draw,
-    clip: Clip,
-    moment: float,
-    method: Method,
-    options: Options,
-    correctives: PlayedCorrectives | None,
-) -> list[PosedNormals]:
-    """Return the normals of the primitives of a draw at a moment of a clip."""
-    posed = posed_draw(document, draw, clip, np.array([moment]), turned=False)
-    truths = truths_at_rest(draw.operator(), draw.rest, 1, posed.morphing)
-    rest = draw.rest
-    if posed.morphing is not None:
-        rest, truths = posed.morphing.posed(rest, truths, 0)
+def _of_draw(draw: Draw, clip: Clip, moment: float, method: Method, options: Options) -> list[PosedNormals]:
+    """Return the normals of the primitives of a draw, which is posed at one moment of a clip."""
+    rest: Sequence[RestPrimitive] = draw.surface.rest
+    truths, morphing, own_weights = draw.truths(), draw.morphing, draw.poses.morph_weights
+    if morphing is not None:
+        rest, truths = morphing.posed(rest, truths, 0)
     skinned: Sequence[Skinning | BlendedSkinning] = (
-        BlendedSkinning.of_mesh(rest, posed.matrices, options)
+        BlendedSkinning.of_mesh(rest, draw.matrices, options)
         if method is Method.BLEND
-        else Skinning.of_mesh(rest, posed.matrices, options)
+        else Skinning.of_mesh(rest, draw.matrices, options)
         if method is Method.DQS
-        else [Skinning.of(one, posed.matrices, dual_quaternions=False, options=options) for one in rest]
+        else [Skinning.of(one, draw.matrices, dual_quaternions=False, options=options) for one in rest]
     )
     algorithms = {name: one for name, one in METHODS[method].items() if name != "direct"}
     # The positions, and the normals of each lighting, outside where joints mirror.
     count = len(truths.operator.positions)
     deformed = np.empty((3, count, 1))
-    names = [*algorithms, *(["corrected"] if posed.corrections and method is Method.LBS else [])]
+    names = [*algorithms, *(["corrected"] if draw.corrections and method is Method.LBS else [])]
     normals = {name: np.empty((count, 3)) for name in names}
-    sides = sides_of(rest, posed.matrices)
+    sides = sides_of(rest, draw.matrices)
     for block in truths.vertex_blocks:
         found = skinned[block.primitive].run(tuple(algorithms.values()), slice(0, 1), block.rows)
         deformed[:, block.part, 0] = _rows(found[0].position).T
@@ -144,14 +129,14 @@ def _of_draw(
             if sides is not None and name in INSIDE_OUT:
                 normals[name][block.part] *= sides[0, block.part, None]
     # Correctives change the normals that standard lighting skins.
-    played = posed.corrections or Corrections([], [np.zeros((1, 0))] * len(rest))
+    played = draw.corrections or Corrections([], [np.zeros((1, 0))] * len(rest))
     if "corrected" in normals:
         for own, part, targets, weights in zip(
             rest, truths.operator.slices, played.targets, played.weights, strict=True
         ):
             summed = own.summed_normals(slice(None)) + np.einsum("k,kvi->vi", weights[0], targets)
             changed = replace(own, normals=summed)
-            lit = Skinning.of(changed, posed.matrices, dual_quaternions=False, options=options)
+            lit = Skinning.of(changed, draw.matrices, dual_quaternions=False, options=options)
             (vertex,) = lit.run((Algorithm.LBS_STANDARD,), slice(0, 1), slice(0, len(own.positions)))
             normals["corrected"][part] = _rows(vertex.normal)
     for name, vectors in normals.items():
@@ -165,6 +150,7 @@ def _of_draw(
         expected, exist = surface.normals(block.number, None if sides is None else sides[:, block.part])
         for vectors, own, valid in zip(by_truth.values(), expected, exist, strict=True):
             vectors[block.part] = np.where(valid, own[..., 0].T, np.nan)
+    correctives, views = draw.surface.correctives, draw.surface.views
     return [
         PosedNormals(
             mesh=view.source.mesh,
@@ -179,11 +165,11 @@ def _of_draw(
             positions=deformed[:, part, 0].T,
             normals={name: vectors[part] for name, vectors in normals.items()},
             truths={name: vectors[part] for name, vectors in by_truth.items()},
-            joint_matrices=posed.matrices[0],
+            joint_matrices=draw.matrices[0],
             # Correctives are the last targets of a file.
-            morph_weights=np.append([] if posed.weights is None else posed.weights[0], weights[0]),
+            morph_weights=np.append([] if own_weights is None else own_weights[0], weights[0]),
         )
-        for view, part, weights in zip(draw.views, truths.operator.slices, played.weights, strict=True)
+        for view, part, weights in zip(views, truths.operator.slices, played.weights, strict=True)
     ]
 
 

@@ -4,43 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from skinbake.choices import Frame
-from skinbake.commands.posed_scene import (
-    LIGHTINGS,
-    Attachment,
-    Draw,
-    PosedDraw,
-    attachments,
-    baked_in_memory,
-    claim_draws,
-    lighting_errors_of,
-    posed_attachment,
-    posed_draw,
-    posed_positions,
-    posed_primitives,
-    shown_draws,
-    sound_correctives,
-    tell_unplaced,
-)
+from skinbake.commands.shown import baked_in_memory, tell_unplaced
 from skinbake.commands.where_it_shows import followed, in_degrees, in_words, telling_pose
 from skinbake.errors import ChoiceError, InputError, Notice, SkinbakeError
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.writing import write_file
-from skinbake.freshness.baked_views import BakedView, rest_primitive, sound_views
-from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
+from skinbake.freshness.baked_views import BakedView, sound_views
+from skinbake.freshness.corrective_freshness import PlayedCorrectives
+from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, IntArray
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.animation import RANDOM, Clip, Skeleton, random_clip, read_clips, rest_pose
 from skinbake.gltf.budget import LAYERS, Cost
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.output import refuse_own_input
 from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources
-from skinbake.render.materials import CLAY, WHITE, Material, Materials
+from skinbake.measure.scene import LIGHTINGS, Attachment, Draw, Scene, attachments, claim_draws
+from skinbake.render.materials import CLAY, WHITE, Materials
 from skinbake.render.pictures import MILLISECONDS, MOVING, captioned, encoded
 from skinbake.render.studio import Look, Picture, Studio, placed, require_packages
 from skinbake.render.subject import YAW, Shot, Subject
@@ -110,7 +94,7 @@ def render_file(
     document = read_document(source, bounds)
     refuse_own_input(document, source, target)
     views = sound_views(document)
-    correctives = None if views else sound_correctives(document)
+    correctives = None if views else PlayedCorrectives.sound(document)
     own = "corrected" if correctives else "accurate"
     sides = [side or own for side in options.sides]
     if "corrected" in sides and not correctives:
@@ -121,12 +105,19 @@ def render_file(
         views = sound_views(document)
     if not views:
         raise InputError("nothing in it is baked soundly: run skinbake verify", document.place)
-    _check_influences(views)
+    for view in views:
+        count = view.now.joints.shape[1]
+        if count > MOST_INFLUENCES:  # a shader would be compiled for long
+            raise InputError(
+                f"it has up to {count} influences for a vertex, and a picture draws {MOST_INFLUENCES}: "
+                "bake it with --limit-influences 8",
+                view.source.place,
+            )
     suffix = Path(target).suffix.lower()
     require_packages()
     # What is too large is refused, and what is not a number is not drawn.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        draws = list(shown_draws(document, views, correctives))
+        draws = Scene(document, views, correctives).shown()
         pictures, pose = _pictures(document, draws, sides, own, options, moves=suffix in MOVING)
     data = encoded(pictures, suffix)
     write_file([data], target, sync=sync)
@@ -135,18 +126,6 @@ def render_file(
         if reason is not None and reason.code == "unlit":  # no picture has it
             document.notices.tell(reason)
     return RenderResult(data, len(pictures), pose, was_baked, tuple(document.notices))
-
-
-def _check_influences(views: Sequence[BakedView]) -> None:
-    """Raise InputError for more influences than a shader is compiled for in some seconds."""
-    for view in views:
-        count = view.now.joints.shape[1]
-        if count > MOST_INFLUENCES:
-            raise InputError(
-                f"it has up to {count} influences for a vertex, and a picture draws {MOST_INFLUENCES}: "
-                "bake it with --limit-influences 8",
-                view.source.place,
-            )
 
 
 def _pictures(
@@ -167,30 +146,24 @@ def _pictures(
     work = (Cost.SAMPLED_PIXEL + Cost.DRAWN_PIXEL * len(times)) * pixels
     document.budget.claim(work, f"drawing {counted(len(times), 'picture')}", document.place)
     claim_draws(document, draws, [clip], len(times))
-    posed = [posed_draw(document, draw, clip, times) for draw in draws]
+    posed = [draw.at(clip, times) for draw in draws]
+    rigid = [one.at(document, clip, times) for one in attachments(document)]
+    # What is drawn of each primitive: those with skins come first.
     materials = Materials(document)
     is_lit = options.look.mode == "shaded"
     in_clay = options.in_clay or not is_lit
-    rigid = attachments(document)
-    held = [posed_attachment(document, one, clip, times) for one in rigid]
-    parts: list[tuple[int, BakedView | Attachment, Skeleton]] = [
-        (number, view, draw.skeleton) for number, draw in enumerate(draws) for view in draw.views
-    ]
-    parts += [(number, one, one.skeleton) for number, one in enumerate(rigid, len(draws))]
-    subjects = [
-        _subject(
-            document, number, drawn, skeleton, materials.of(drawn.source.material, in_clay, is_lit=is_lit)
-        )
-        for number, drawn, skeleton in parts
-    ]
-    some = [
-        part
-        for draw, one in zip(draws, posed, strict=True)
-        for part in posed_positions(draw, one.every(max(1, len(times) // 6)))
-    ]
+    subjects = _subjects(document, draws, rigid, materials, in_clay=in_clay, is_lit=is_lit)
+    # The camera sees the character in some of the poses, and what hangs on it: a stage does not.
+    step = max(1, len(times) // 6)
+    some = [part for draw in posed for part in draw.positions(step)]
     if not all((np.abs(part) < MOST).all() for part in some):
         raise InputError("its positions are too large for a renderer: scale the model down", document.place)
-    some += _hanging(some, rigid, [matrices[:: max(1, len(times) // 6)] for matrices in held])
+    every = np.concatenate([part.reshape(-1, 3) for part in some])
+    low, high = every.min(axis=0), every.max(axis=0)
+    for one in rigid:
+        points = np.stack([one.positions(pose) for pose in range(0, len(times), step)])
+        if (np.linalg.norm(points - (low + high) / 2, axis=-1) < NEAR * np.linalg.norm(high - low) / 2).all():
+            some.append(points)
     yaw = YAW if spot is None else float(np.arctan2(spot.towards[0], spot.towards[2]))
     yaws = list(map(float, np.linspace(yaw, yaw + 2 * np.pi, 12))) if options.turntable else [yaw]
     camera, words = placed(some, yaws), list(sides)
@@ -202,34 +175,19 @@ def _pictures(
             figures = {"standard": spot.standard, own: spot.baked}
             words = [f"{side}, {in_degrees(figures[side])}" for side in sides]
         # The camera stays with the place, which is the same as to move the scene.
-        (at,) = followed(
-            spot, draws[spot.draw], posed_draw(document, draws[spot.draw], clip, np.array([spot.time]))
-        )
+        (at,) = followed(spot, draws[spot.draw].at(clip, np.array([spot.time])))
         moves_by = np.zeros((len(times), 1, 4, 4))
-        moves_by[..., :3, 3] = [[at - now] for now in followed(spot, draws[spot.draw], posed[spot.draw])]
-        posed = [replace(one, matrices=one.matrices + moves_by) for one in posed]
-        held = [matrices + moves_by for matrices in held]
-    _refuse_layers(
-        document,
-        draws,
-        posed,
-        rigid,
-        held,
-        [1 + one.material.is_blended for one in subjects],
-        camera.projected(yaws[0], options.look.width / options.look.height),
-    )
+        moves_by[..., :3, 3] = [[at - now] for now in followed(spot, posed[spot.draw])]
+        posed = [draw.moved(moves_by) for draw in posed]
+        rigid = [replace(one, matrices=one.matrices + moves_by) for one in rigid]
+    layers = [1 + one.material.is_blended for one in subjects]
+    projected = camera.projected(yaws[0], options.look.width / options.look.height)
+    _refuse_layers(document, posed, rigid, layers, projected)
     studio = Studio(subjects, camera)
-    errors = lighting_errors_of(draws, posed) if options.look.mode == "error" else None
-    if errors:  # nothing is known of what has no skin
-        unknown = (np.zeros((2, len(times), len(one.rest.positions)), np.float32) for one in rigid)
-        errors += [dict.fromkeys(LIGHTINGS, nothing) for nothing in unknown]
-    shots = (
-        replace(shot, matrices=(*shot.matrices, *(matrices[number] for matrices in held)))
-        for number, shot in enumerate(_shots(draws, posed, errors, options, yaws[0], len(times)))
-    )
+    shots = _shots(posed, rigid, options, yaws[0])
     pictures = [captioned(studio.picture(shot, sides, options.look), words, options.look) for shot in shots]
     materials.tell_missing()
-    for view in () if in_clay else (view for draw in draws for view in draw.views):
+    for view in () if in_clay else (view for draw in draws for view in draw.surface.views):
         tell_unplaced(document, view, "picture")
     return pictures, pose
 
@@ -237,9 +195,7 @@ def _pictures(
 def _refuse_layers(
     document: Document,
     draws: Sequence[Draw],
-    posed: Sequence[PosedDraw],
     rigid: Sequence[Attachment],
-    held: Sequence[Float64Array],
     times: Sequence[int],
     projected: Float64Array,
 ) -> None:
@@ -249,12 +205,11 @@ def _refuse_layers(
     lies beside the picture counts as if it were at its edge.
     """
     found: list[tuple[Float64Array, IntArray]] = []
-    for draw, one in zip(draws, posed, strict=True):
-        first = islice(posed_positions(draw, one.every(len(one.matrices))), len(draw.views))
-        found += [(part[0], view.now.triangles) for part, view in zip(first, draw.views, strict=True)]
-    found += [
-        (one.positions(matrices[0, 0]), one.triangles) for one, matrices in zip(rigid, held, strict=True)
-    ]
+    for draw in draws:
+        first = draw.positions(len(draw.matrices))
+        views = draw.surface.views
+        found += [(part[0], view.now.triangles) for part, view in zip(first, views, strict=True)]
+    found += [(one.positions(0), one.triangles) for one in rigid]
     layers = 0.0
     count = sum(len(triangles) for _, triangles in found)
     what = f"the area of {counted(count, 'triangle')}"
@@ -273,47 +228,34 @@ def _refuse_layers(
         )
 
 
-def _hanging(
-    shown: Sequence[Float64Array], rigid: Sequence[Attachment], held: Sequence[Float64Array]
-) -> Iterator[Float64Array]:
-    """Yield positions of what hangs on the character, which is in the picture with it; a stage is not."""
-    every = np.concatenate([part.reshape(-1, 3) for part in shown])
-    low, high = every.min(axis=0), every.max(axis=0)
-    for one, matrices in zip(rigid, held, strict=True):
-        points = np.stack([one.positions(matrix) for (matrix,) in matrices])
-        if (np.linalg.norm(points - (low + high) / 2, axis=-1) < NEAR * np.linalg.norm(high - low) / 2).all():
-            yield points
-
-
 def small_picture(document: Document) -> bytes | None:
     """Return a PNG of a baked file in the middle of its first clip; None if nothing of it can be drawn.
 
     It needs no device and no extra.
     """
+    found = list[Posed]()
     try:
-        draws = list(shown_draws(document, sound_views(document)))
+        draws = Scene(document, sound_views(document)).shown()
         clip = next(iter(read_clips(document)), None) or random_clip(document)
         times = np.array([(clip.start + clip.duration) / 2])
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # only numbers are drawn
-            found = [part for draw in draws for part in _still(draw, posed_draw(document, draw, clip, times))]
+            for draw in draws:
+                primitives = draw.at(clip, times).primitives()
+                for view, (rest, matrices) in zip(draw.surface.views, primitives, strict=True):
+                    skinning = Skinning.of(rest, matrices, dual_quaternions=False, options=Options())
+                    every = slice(0, 1), slice(0, len(rest.positions))
+                    (lit,) = skinning.run((Algorithm.LBS_ACCURATE,), *every)
+                    positions, normals = (
+                        np.stack([np.asarray(axis, np.float64)[0] for axis in vector], axis=-1)
+                        for vector in (lit.position, lit.normal)
+                    )
+                    found.append(Posed(positions, normals, view.now.triangles))
     except SkinbakeError:
         return None
     sound = [part.positions[(np.abs(part.positions) < MOST).all(axis=1)] for part in found]
     if not sum(map(len, sound)):
         return None
     return thumbnail(found, placed(sound, [YAW]))
-
-
-def _still(draw: Draw, posed: PosedDraw) -> Iterator[Posed]:
-    """Yield the primitives of a draw in its only pose, with accurate normals."""
-    for view, (rest, matrices) in zip(draw.views, posed_primitives(draw, posed), strict=True):
-        skinning = Skinning.of(rest, matrices, dual_quaternions=False, options=Options())
-        (found,) = skinning.run((Algorithm.LBS_ACCURATE,), slice(0, 1), slice(0, len(rest.positions)))
-        positions, normals = (
-            np.stack([np.asarray(axis, np.float64)[0] for axis in vector], axis=-1)
-            for vector in (found.position, found.normal)
-        )
-        yield Posed(positions, normals, view.now.triangles)
 
 
 def _times(clip: Clip, moment: float, options: RenderOptions, *, moves: bool) -> tuple[Float64Array, str]:
@@ -326,48 +268,61 @@ def _times(clip: Clip, moment: float, options: RenderOptions, *, moves: bool) ->
     return np.full(count, moment), f"{at} at {moment:.2f} s"
 
 
-def _subject(
+def _subjects(
     document: Document,
-    number: int,
-    drawn: BakedView | Attachment,
-    skeleton: Skeleton,
-    material: Material,
-) -> Subject:
-    """Return what is drawn of a primitive, with the joint matrices of a number."""
-    at_rest = rest_pose(skeleton)[0, :, :3, :3]
-    if isinstance(drawn, Attachment):
-        rest, triangles, tangents, ours, frame = drawn.rest, drawn.triangles, drawn.tangents, set[str](), None
-    else:
-        rest, triangles, tangents = rest_primitive(drawn), drawn.now.triangles, drawn.now.tangents
-        ours = {
-            *drawn.metadata["alpha"],
-            *drawn.metadata["beta"],
-        }  # they may be stored as such sets
-        frame = drawn.metadata["frame"]
-    count = len(rest.positions)
-    # the texture coordinates (V, 2) of each image that lies on a set which the primitive has
-    texcoords: dict[str, FloatArray] = {}
-    for use, placement in material.placements.items():
-        name = f"TEXCOORD_{placement.texcoord}"
-        own = None if name in ours else _attribute(document, drawn.source, name, (2,), count)
-        if own is not None:
-            texcoords[use] = placement.placed(own)
-    material = material.with_images(texcoords)
-    colours = None if material.is_plain else _attribute(document, drawn.source, "COLOR_0", (3, 4), count)
-    if colours is not None and material.base == CLAY:
-        material = replace(material, base=WHITE)
-    return Subject(
-        rest=rest,
-        triangles=triangles,
-        pose_set=number,
-        material=material,
-        texcoords=texcoords,
-        colours=colours,
-        is_mirrored=bool((np.linalg.det(at_rest) < 0).any()),
-        tangents=tangents,
-        in_their_frame=frame == Frame.TANGENT,
-        is_rigid=frame is None,
-    )
+    draws: Sequence[Draw],
+    rigid: Sequence[Attachment],
+    materials: Materials,
+    *,
+    in_clay: bool,
+    is_lit: bool,
+) -> list[Subject]:
+    """Return what is drawn of each primitive, with the number of its draw or attachment."""
+    parts: list[tuple[int, Skeleton, RestPrimitive, BakedView | Attachment]] = [
+        (number, draw.skeleton, *part)
+        for number, draw in enumerate(draws)
+        for part in zip(draw.surface.rest, draw.surface.views, strict=True)
+    ]
+    parts += [(number, one.skeleton, one.rest, one) for number, one in enumerate(rigid, len(draws))]
+    found = []
+    for number, skeleton, rest, drawn in parts:
+        source, frame, ours = drawn.source, None, set[str]()
+        triangles, tangents = (
+            (drawn.triangles, drawn.tangents)
+            if isinstance(drawn, Attachment)
+            else (drawn.now.triangles, drawn.now.tangents)
+        )
+        if isinstance(drawn, BakedView):
+            frame = drawn.metadata["frame"]
+            ours = {*drawn.metadata["alpha"], *drawn.metadata["beta"]}  # they may be stored as such sets
+        material = materials.of(source.material, in_clay, is_lit=is_lit)
+        # The texture coordinates (V, 2) of each image that lies on a set which the primitive has.
+        count, texcoords = len(rest.positions), dict[str, FloatArray]()
+        for use, placement in material.placements.items():
+            name = f"TEXCOORD_{placement.texcoord}"
+            own = None if name in ours else _attribute(document, source, name, (2,), count)
+            if own is not None:
+                texcoords[use] = placement.placed(own)
+        material = material.with_images(texcoords)
+        colours = None if material.is_plain else _attribute(document, source, "COLOR_0", (3, 4), count)
+        if colours is not None and material.base == CLAY:
+            material = replace(material, base=WHITE)
+        at_rest = rest_pose(skeleton)[0, :, :3, :3]
+        found.append(
+            Subject(
+                rest=rest,
+                triangles=triangles,
+                pose_set=number,
+                material=material,
+                texcoords=texcoords,
+                colours=colours,
+                is_mirrored=bool((np.linalg.det(at_rest) < 0).any()),
+                tangents=tangents,
+                in_their_frame=frame == Frame.TANGENT,
+                is_rigid=frame is None,
+            )
+        )
+    return found
 
 
 def _attribute(
@@ -385,44 +340,37 @@ def _attribute(
 
 
 def _shots(
-    draws: Sequence[Draw],
-    posed: Sequence[PosedDraw],
-    errors: Sequence[Any] | None,
-    options: RenderOptions,
-    yaw: float,
-    count: int,
+    draws: Sequence[Draw], rigid: Sequence[Attachment], options: RenderOptions, yaw: float
 ) -> Iterator[Shot]:
+    """Yield a shot of each pose, with the errors of each primitive by lighting if they are shown."""
+    count = len(draws[0].matrices)
+    errors: list[dict[str, Float32Array]] = []
+    if options.look.mode == "error":
+        errors = [one for draw in draws for one in draw.errors()]
+        for one in rigid:  # nothing is known of what has no skin
+            nothing = np.zeros((2, count, len(one.rest.positions)), np.float32)
+            errors.append(dict.fromkeys(LIGHTINGS, nothing))
+    starts = np.cumsum([0, *(len(draw.surface.rest) for draw in draws)]).tolist()
+    morphings = [draw.morphing for draw in draws]
     for pose in range(count):
-        turned = 2 * np.pi * pose / count if options.turntable else 0.0
         told = {
-            name: tuple((own[name][0, pose], own[name][1, pose]) for own in errors or ())
+            name: tuple((own[name][0, pose], own[name][1, pose]) for own in errors)
             for name in (errors[0] if errors else ())
         }
-        yield Shot(
-            tuple(one.matrices[pose] for one in posed),
-            yaw + turned,
-            told,
-            _morphed(draws, posed, pose),
-        )
-
-
-def _morphed(
-    draws: Sequence[Draw], posed: Sequence[PosedDraw], pose: int
-) -> dict[str, dict[int, RestPrimitive]]:
-    """Return the primitives that targets move in a pose, by lighting and by their number among all."""
-    found: dict[str, dict[int, RestPrimitive]] = {"standard": {}, "accurate": {}, "corrected": {}}
-    first = 0
-    for draw, one in zip(draws, posed, strict=True):
-        standard = draw.rest
-        if one.morphing is not None:
-            standard = one.morphing.standard(draw.rest, pose)
-            for lighting in ("standard", "corrected"):
-                found[lighting].update(enumerate(standard, first))
-            found["accurate"].update(enumerate(one.morphing.accurate(draw.rest, pose), first))
-        if one.corrections is not None:
-            played = zip(standard, one.corrections.targets, one.corrections.weights, strict=True)
-            for number, (primitive, targets, weights) in enumerate(played, first):
-                change = np.einsum("k,kvi->vi", weights[pose], targets)
-                found["corrected"][number] = replace(primitive, normals=primitive.normals + change)
-        first += len(draw.rest)
-    return found
+        # What targets move in the pose, by lighting and by the number of the primitive among all.
+        moved: dict[str, dict[int, RestPrimitive]] = {name: {} for name in LIGHTINGS}
+        for draw, morphing, first in zip(draws, morphings, starts, strict=False):
+            standard: Sequence[RestPrimitive] = draw.surface.rest
+            if morphing is not None:
+                standard = morphing.standard(draw.surface.rest, pose)
+                for lighting in ("standard", "corrected"):
+                    moved[lighting].update(enumerate(standard, first))
+                moved["accurate"].update(enumerate(morphing.accurate(draw.surface.rest, pose), first))
+            if draw.corrections is not None:
+                played = zip(standard, draw.corrections.targets, draw.corrections.weights, strict=True)
+                for number, (primitive, targets, weights) in enumerate(played, first):
+                    change = np.einsum("k,kvi->vi", weights[pose], targets)
+                    moved["corrected"][number] = replace(primitive, normals=primitive.normals + change)
+        matrices = *(one.matrices[pose] for one in draws), *(one.matrices[pose] for one in rigid)
+        turned = 2 * np.pi * pose / count if options.turntable else 0.0
+        yield Shot(matrices, yaw + turned, told, moved)

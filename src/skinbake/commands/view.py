@@ -14,14 +14,8 @@ from urllib.parse import quote
 import numpy as np
 
 from skinbake.choices import FrameChoice, Gradients, Neighbours, Scheme, Weld
-from skinbake.commands.posed_scene import (
-    baked_in_memory,
-    holds_bake,
-    shown_draws,
-    sound_correctives,
-    tell_unplaced,
-)
 from skinbake.commands.render import small_picture
+from skinbake.commands.shown import baked_in_memory, holds_bake, tell_unplaced
 from skinbake.commands.verify import verify_document
 from skinbake.commands.where_it_shows import in_words, where_it_shows
 from skinbake.errors import InputError, Notice, Notices, SkinbakeError
@@ -44,6 +38,7 @@ from skinbake.gltf.packing import bytes_of_images, with_images_inside
 from skinbake.gltf.recode import Compression, recoded
 from skinbake.gltf.scenes import faces_backward
 from skinbake.measure.options import VerifyOptions
+from skinbake.measure.scene import Scene
 from skinbake.report.verify import FileVerdict, by_worse_truth, file_json, first_problem, gain, remarks
 from skinbake.timing import stage
 from skinbake.view.index import Listed, index, pages
@@ -77,7 +72,7 @@ def view_file(source: str, target: str | None = None, bounds: Bounds = BESIDE) -
         document = read_document(source, bounds)
     if target is not None:
         refuse_own_input(document, source, target)
-    corrected = document if sound_correctives(document) else None
+    corrected = document if PlayedCorrectives.sound(document) else None
     was_baked = bool(sound_views(document)) or corrected is not None
     notes: list[str] = []
     if not was_baked:
@@ -229,7 +224,8 @@ def _self_contained(document: Document) -> tuple[list[bytes | memoryview], int]:
 def _places(document: Document, views: Sequence[BakedView], corrected: Document | None) -> list[JsonObject]:
     """Return where the bake shows, the best first. The page opens on the first of them."""
     try:
-        draws = list(shown_draws(document, views, PlayedCorrectives(corrected) if corrected else None))
+        correctives = PlayedCorrectives(corrected) if corrected else None
+        draws = Scene(document, views, correctives).shown()
         if not draws:
             return []
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -276,7 +272,7 @@ def _findings(verdict: FileVerdict) -> dict[str, Any]:
 
 def _page(document: Document, verdict: FileVerdict, options: VerifyOptions) -> bytes:
     """Return the page of a file that was verified, with its verdict and limits."""
-    notes, corrected = [], document if sound_correctives(document) else None
+    notes, corrected = [], document if PlayedCorrectives.sound(document) else None
     if corrective_notes(document):
         notes = [] if corrected else [LEFT_OUT]
         with document.notices.withheld():

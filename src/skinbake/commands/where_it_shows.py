@@ -17,25 +17,14 @@ from typing import Any
 import numpy as np
 
 from skinbake.choices import Truth
-from skinbake.commands.posed_scene import (
-    Draw,
-    PosedDraw,
-    asked_clips,
-    attachments,
-    claim_draws,
-    lighting_errors_of,
-    measure_draw,
-    posed_attachment,
-    posed_draw,
-    posed_positions,
-    truths_of_draw,
-)
+from skinbake.commands.shown import asked_clips
 from skinbake.errors import ChoiceError, InputError, printable
 from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray
-from skinbake.gltf.animation import Clip, random_clip, read_clips, rest_pose
+from skinbake.gltf.animation import Clip, random_clip, read_clips
 from skinbake.gltf.budget import Work
 from skinbake.gltf.document import Document
 from skinbake.measure.angles import MeasuredBlock
+from skinbake.measure.scene import Draw, attachments, claim_draws
 from skinbake.report.verify import NEGLIGIBLE
 from skinbake.truth.areas import vertex_areas
 
@@ -89,7 +78,7 @@ class Spot:
     """A visible patch at a moment of a clip at which the bake improves the lighting.
 
     improvement is in degrees × squared units. standard and baked are the mean errors in degrees of the
-    visible vertices, weighted by area. middle (3,) and radius enclose them in the scene that ``posed_draw``
+    visible vertices, weighted by area. middle (3,) and radius enclose them in the scene that ``Draw.at``
     gives; towards (3,) leads from there to the camera. members are all vertices of the patch, numbered over
     the primitives of the draw of that number.
     """
@@ -113,15 +102,15 @@ class _Surface:
         from scipy.sparse import coo_array
 
         self.draw = draw
-        starts = np.cumsum([0, *(len(rest.positions) for rest in draw.rest)])
-        parts = [view.now.triangles + start for view, start in zip(draw.views, starts, strict=False)]
+        starts = np.cumsum([0, *(len(rest.positions) for rest in draw.surface.rest)])
+        parts = [view.now.triangles + start for view, start in zip(draw.surface.views, starts, strict=False)]
         self.triangles = np.concatenate(parts).astype(np.int64)
         self.starts = starts
-        rest = next(_posed(draw, PosedDraw(rest_pose(draw.skeleton))))
+        rest = next(_positions(draw))  # the draw is at rest
         self.areas = vertex_areas(rest, self.triangles)
         extent = np.abs(rest).max(initial=0.0)
         if not 1e-12 * extent**2 < self.areas.sum() < np.inf:  # joints that are scaled to 0 hide it at rest
-            rest = np.concatenate([one.positions for one in draw.rest]).astype(np.float64)
+            rest = np.concatenate([one.positions for one in draw.surface.rest]).astype(np.float64)
             self.areas = vertex_areas(rest, self.triangles)
         self.rest = rest
         # The edges between places, each once, with its length.
@@ -165,7 +154,7 @@ class _Moment:
 
     time: float
     pose: int
-    posed: list[PosedDraw]
+    posed: list[Draw]
     positions: Float64Array
     normals: Float64Array
     errors: dict[int, tuple[Float64Array, BoolArray]]
@@ -201,10 +190,11 @@ class _Search:
         """Tell whether no vertex moves over a clip, by some vertices and the joint that moves each most."""
         times = np.linspace(clip.start, clip.duration, EACH)
         for surface in self.surfaces:
-            posed = posed_draw(self.document, surface.draw, clip, times)
-            if posed.morphing is not None and np.ptp(posed.morphing.weights, axis=0).any():
+            posed = surface.draw.at(clip, times)
+            morphing = posed.morphing
+            if morphing is not None and np.ptp(morphing.weights, axis=0).any():
                 return False
-            for rest in surface.draw.rest:
+            for rest in surface.draw.surface.rest:
                 some = slice(0, None, max(1, len(rest.positions) // 200))
                 joints = rest.joints[some][
                     np.arange(len(rest.positions[some])), rest.weights[some].argmax(axis=1)
@@ -223,7 +213,7 @@ class _Search:
         """Return, by draw, the improvement (P, K) of each patch at each time, where it improves anything."""
         found = []
         for number, surface in enumerate(self.surfaces):
-            posed = posed_draw(self.document, surface.draw, clip, times)
+            posed = surface.draw.at(clip, times)
             improved = "corrected" if posed.corrections else "accurate"
             total = np.zeros((len(times), self.patches[number].shape[1]))
             before: list[MeasuredBlock] = []
@@ -245,27 +235,27 @@ class _Search:
                     poses = slice(block.pose, block.pose + len(gains))
                     total[poses] += np.maximum(gains, 0.0) @ self.patches[number][rows]
 
-            measure_draw(surface.draw, posed, record, Truth.TANGENTS, self._truths(number, posed))
+            posed.measure(record, self._truths(number, posed))
             found.append(total)
         return found
 
-    def _truths(self, number: int, posed: PosedDraw) -> Any:
+    def _truths(self, number: int, posed: Draw) -> Any:
         key = number, len(posed.matrices)
         if posed.morphing is not None:
-            return truths_of_draw(self.surfaces[number].draw, posed, Truth.TANGENTS)
+            return posed.truths((Truth.TANGENTS,))
         if key not in self.truths:
-            self.truths[key] = truths_of_draw(self.surfaces[number].draw, posed, Truth.TANGENTS)
+            self.truths[key] = posed.truths((Truth.TANGENTS,))
         return self.truths[key]
 
     def moments(self, clip: Clip, times: Float64Array) -> Iterator[_Moment]:
         """Yield all draws, posed at each time. Errors are measured when a draw is looked at."""
         errors = dict[int, tuple[Float64Array, BoolArray]]()
-        posed = [posed_draw(self.document, surface.draw, clip, times) for surface in self.surfaces]
-        held = [posed_attachment(self.document, one, clip, times) for one in self.rigid]
-        moving = [_posed(surface.draw, one) for surface, one in zip(self.surfaces, posed, strict=True)]
+        posed = [surface.draw.at(clip, times) for surface in self.surfaces]
+        held = [one.at(self.document, clip, times) for one in self.rigid]
+        moving = list(map(_positions, posed))
         for pose, time in enumerate(times):
             parts = [next(positions) for positions in moving]
-            parts += [one.positions(node[pose, 0]) for one, node in zip(self.rigid, held, strict=True)]
+            parts += [one.positions(pose) for one in held]
             every = np.concatenate(parts)
             first, second, third = (every[self.triangles[:, corner]] for corner in range(3))
             normals = (self.around @ np.cross(second - first, third - first))[self.places]
@@ -275,9 +265,9 @@ class _Search:
     def errors(self, moment: _Moment, draw: int) -> tuple[Float64Array, BoolArray]:
         """Return the errors (2, V) of a draw, standard and with the bake, and where they count (V,)."""
         if draw not in moment.errors:
-            own, posed = self.surfaces[draw].draw, moment.posed[draw]
+            posed = moment.posed[draw]
             improved = "corrected" if posed.corrections else "accurate"
-            known = lighting_errors_of([own], [posed], Truth.TANGENTS, [self._truths(draw, posed)])
+            known = posed.errors(self._truths(draw, posed))
             found = np.array(
                 [np.concatenate([one[name][0] for one in known], axis=1) for name in ("standard", improved)],
                 np.float64,
@@ -407,7 +397,7 @@ def where_it_shows(
     If no clips are asked for, they are all that do not stand still, or random poses if all do. What has
     nothing to correct is left out. Raises InputError if the work is too much.
     """
-    vertices = sum(len(rest.positions) for draw in draws for rest in draw.rest)
+    vertices = sum(len(rest.positions) for draw in draws for rest in draw.surface.rest)
     nodes = sum(len(draw.skeleton.nodes) + len(draw.skeleton.joints) for draw in draws)
     clips = read_clips(document) if asked is None else asked
     backed = document.budget.backed
@@ -533,16 +523,16 @@ def in_words(spot: Spot) -> str:
     return f"{in_degrees(spot.standard)} → {in_degrees(spot.baked)}"
 
 
-def followed(spot: Spot, draw: Draw, posed: PosedDraw) -> Iterator[Float64Array]:
+def followed(spot: Spot, draw: Draw) -> Iterator[Float64Array]:
     """Yield the mean (3,) of a spot's patch in each pose of its draw."""
-    return (positions[spot.members].mean(axis=0) for positions in _posed(draw, posed))
+    return (positions[spot.members].mean(axis=0) for positions in _positions(draw))
 
 
-def _posed(draw: Draw, posed: PosedDraw) -> Iterator[Float64Array]:
+def _positions(draw: Draw) -> Iterator[Float64Array]:
     """Yield the positions (V, 3) of all primitives of a draw, in each pose."""
-    primitives = posed_positions(draw, posed)
-    if posed.morphing is None:
+    primitives = draw.positions()
+    if draw.morphing is None:
         yield from map(np.concatenate, zip(*primitives, strict=True))
         return
-    for _ in posed.matrices:  # with morph targets, each pose gives its own arrays
-        yield np.concatenate([part[0] for part in islice(primitives, len(draw.rest))])
+    for _ in draw.matrices:  # with morph targets, each pose gives its own arrays
+        yield np.concatenate([part[0] for part in islice(primitives, len(draw.surface.rest))])

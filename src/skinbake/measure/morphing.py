@@ -1,8 +1,8 @@
-"""The morph targets of baked meshes that move in the measured poses of a file."""
+"""The morph targets of baked meshes, and what their frames follow."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from skinbake.choices import Frame, Morphs
@@ -12,32 +12,12 @@ from skinbake.geometry.morphs import MorphTargets
 from skinbake.gltf.document import Document
 from skinbake.gltf.morphs import read_targets
 from skinbake.gltf.primitives import PrimitiveSource
-from skinbake.report.verify import MorphCount
-from skinbake.truth.poses import PoseSet
 
 if TYPE_CHECKING:
-    from skinbake.truth.morphing import Morphing
+    pass
 
 NUMBERS = {6: Morphs.FRAMES, 4: Morphs.FRAMES_NORMAL}
 """What follows so many numbers of the differential."""
-
-
-def morphing_of(document: Document, views: Sequence[BakedView], poses: PoseSet) -> Morphing | None:
-    """Return the moving targets of the primitives of one mesh in these poses; None if no target moves.
-
-    Targets whose weight is 0 in every pose are not read. Raises InputError if one of the others is broken.
-    """
-    moving = poses.moving_targets
-    if poses.morph_weights is None or not moving:
-        return None
-    frames = [view.metadata["frame"] for view in views]
-    counts = [len(view.now.positions) for view in views]
-    from skinbake.truth.morphing import Morphing  # most models have no targets
-
-    return Morphing(
-        *moving_targets(document, [view.source for view in views], counts, moving, frames),
-        poses.morph_weights[:, moving],
-    )
 
 
 def moving_targets(
@@ -95,15 +75,3 @@ def carrier(document: Document, views: Sequence[BakedView], *, numbers: bool) ->
             if view.metadata["frame"] == Frame.TANGENT and any("TANGENT" in target for target in targets):
                 found = Morphs.TANGENT
     return NUMBERS.get(next(iter(stored)), found) if numbers and len(stored) == 1 else found
-
-
-def morph_count(document: Document, drawn: Iterable[tuple[int, PoseSet]]) -> MorphCount | None:
-    """Count the morph targets of meshes, and the targets that move in the poses of any node that draws them.
-
-    drawn are meshes with their poses. None if there are no targets.
-    """
-    moving: dict[int, set[int]] = {}
-    for mesh, poses in drawn:
-        moving.setdefault(mesh, set()).update(poses.moving_targets)
-    targets = sum(document.asset.meshes[mesh].target_count for mesh in moving)
-    return MorphCount(targets, sum(map(len, moving.values()))) if targets else None

@@ -11,8 +11,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import zip_longest
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -198,6 +197,10 @@ class Draw:
         played = (clip.name,) * count, tuple(times.tolist()), weights, (clip.number,) * count
         return self.posed(PoseSet((), matrices, *played))
 
+    def moved(self, by: Float64Array) -> Draw:
+        """Return the draw with matrices (P, 1, 4, 4) added to those of all joints."""
+        return replace(self, poses=self.poses._replace(joint_matrices=self.matrices + by))
+
     @property
     def matrices(self) -> Float64Array:
         """The joint matrices (P, J, 4, 4)."""
@@ -251,6 +254,28 @@ class Draw:
             corrections=self.corrections,
             direct=False,
         )
+
+    def errors(self, at_rest: Truths | None = None) -> list[dict[str, Float32Array]]:
+        """Return by primitive and lighting errors in degrees, and where they are known: (2, P, V).
+
+        The truth is the one in at_rest, by triangles without it.
+        """
+        count, names = len(self.matrices), LIGHTINGS if self.corrections else LIGHTINGS[:2]
+        found = [
+            {name: np.zeros((2, count, len(rest.positions)), np.float32) for name in names}
+            for rest in self.surface.rest
+        ]
+
+        def record(block: MeasuredBlock) -> None:
+            own = found[block.primitive].get(block.lighting)
+            if own is not None:
+                poses = slice(block.pose, block.pose + block.errors.shape[0])
+                rows = slice(block.vertex, block.vertex + block.errors.shape[1])
+                own[0, poses, rows] = np.where(block.valid, block.errors, 0.0)
+                own[1, poses, rows] = block.valid
+
+        self.measure(record, at_rest or self.truths((Truth.TRIANGLES,)))
+        return found
 
 
 class Scene:
@@ -463,50 +488,29 @@ def claim_draws(document: Document, draws: Sequence[Draw], clips: Sequence[Clip]
         document.budget.claim(work, drawn, document.place)
 
 
-def lighting_errors_of(
-    draws: Sequence[Draw], truth: Truth = Truth.TRIANGLES, at_rest: Sequence[Truths | None] = ()
-) -> list[dict[str, Float32Array]]:
-    """Return, for each primitive by lighting, errors in degrees and where they are known: (2, P, V)."""
-    found: list[dict[str, Float32Array]] = []
-    for draw, truths in zip_longest(draws, at_rest):
-        count = len(draw.matrices)
-        names = LIGHTINGS if draw.corrections else LIGHTINGS[:2]
-        own = [
-            {name: np.zeros((2, count, len(rest.positions)), np.float32) for name in names}
-            for rest in draw.surface.rest
-        ]
-
-        def record(block: MeasuredBlock, own: Any = own) -> None:
-            found = own[block.primitive].get(block.lighting)
-            if found is not None:
-                poses = slice(block.pose, block.pose + block.errors.shape[0])
-                rows = slice(block.vertex, block.vertex + block.errors.shape[1])
-                found[0, poses, rows] = np.where(block.valid, block.errors, 0.0)
-                found[1, poses, rows] = block.valid
-
-        draw.measure(record, truths or draw.truths((truth,)))
-        found += own
-    return found
-
-
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """A primitive that a node of the shown scene draws without a skin: a hat, a staff."""
+    """A primitive that a node of the shown scene draws without a skin: a hat, a staff.
+
+    matrices (P, 1, 4, 4) are those of its node in P poses, at rest until it is posed.
+    """
 
     source: PrimitiveSource
     rest: RestPrimitive
     triangles: IntArray
     tangents: FloatArray | None
     skeleton: Skeleton
+    matrices: Float64Array
 
-    def at(self, document: Document, clip: Clip, times: Float64Array) -> Float64Array:
-        """Return the matrix (P, 1, 4, 4) of its node at times (P,) of a clip. It faces along +Z."""
+    def at(self, document: Document, clip: Clip, times: Float64Array) -> Attachment:
+        """Return it at times (P,) of a clip. It faces along +Z."""
         turn = HALF_TURN if faces_backward(document) else np.eye(4)
-        return turn @ clip_poses(self.skeleton, clip, times)
+        return replace(self, matrices=turn @ clip_poses(self.skeleton, clip, times))
 
-    def positions(self, matrices: Float64Array) -> Float64Array:
-        """Return its positions (V, 3) under the node's matrix (4, 4)."""
-        return np.asarray(self.rest.positions @ matrices[:3, :3].T + matrices[:3, 3])
+    def positions(self, pose: int) -> Float64Array:
+        """Return its positions (V, 3) in a pose."""
+        matrix = self.matrices[pose, 0]
+        return np.asarray(self.rest.positions @ matrix[:3, :3].T + matrix[:3, 3])
 
 
 def attachments(document: Document) -> list[Attachment]:
@@ -537,7 +541,7 @@ def attachments(document: Document) -> list[Attachment]:
                 lost.add(source.mesh)
                 continue
             if one is not None:
-                found.append(Attachment(source, *one, skeleton))
+                found.append(Attachment(source, *one, skeleton, rest_pose(skeleton)))
     if lost:
         words = one_or_many(len(lost), "1 mesh without a skin", "{} meshes without a skin")
         message = f"{words} cannot be read: left out of the picture"

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from fixtures.builder import JsonObject
-from skinbake.commands.posed_scene import posed_draw, shown_draws
 from skinbake.commands.view import view_file
 from skinbake.freshness.baked_views import sound_views
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.animation import RANDOM, read_clips
 from skinbake.gltf.document import read_document
+from skinbake.measure.scene import Scene
 from tests.support.models import bake, edited
 
 TUBE = "bent_tube.glb"
@@ -95,8 +95,8 @@ def matrices_of(path: Path, folder: Path) -> Float64Array:
     """Return the joint matrices (J, 4, 4) of a file as it is drawn at the first key of its clip."""
     bake(path, folder / "baked.glb")
     document = read_document(str(folder / "baked.glb"))
-    (draw,), (clip,) = shown_draws(document, sound_views(document)), read_clips(document)
-    matrices: Float64Array = posed_draw(document, draw, clip, np.array([BENT])).matrices[0]
+    (draw,), (clip,) = Scene(document, sound_views(document)).shown(), read_clips(document)
+    matrices: Float64Array = draw.at(clip, np.array([BENT])).matrices[0]
     return matrices
 
 
@@ -153,6 +153,8 @@ def test_only_pairs_of_mesh_and_skin_that_the_shown_scene_has_are_drawn(
 
     bake(edited(TUBE, tmp_path, change), tmp_path / "baked.glb")
     document = read_document(str(tmp_path / "baked.glb"))
-    draws = shown_draws(document, sound_views(document))
-    drawn = {(view.source.mesh, int(draw.skeleton.joints[0])) for draw in draws for view in draw.views}
+    draws = Scene(document, sound_views(document)).shown()
+    drawn = {
+        (view.source.mesh, int(draw.skeleton.joints[0])) for draw in draws for view in draw.surface.views
+    }
     assert drawn == shown
