@@ -19,7 +19,7 @@ import numpy as np
 from skinbake.commands.bake import bake_file
 from skinbake.commands.bake_options import BakeOptions
 from skinbake.commands.verify import verify_file
-from skinbake.format.blend_weights import GRADIENT
+from skinbake.format.note import BLEND_GRADIENT
 from skinbake.measure.options import VerifyOptions
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import analytic, corpus
@@ -72,8 +72,8 @@ def errors(model: Path) -> tuple[float, float, float]:
         standard, accurate = _means(baked)
         file = Editable(baked)
         for number, primitive in enumerate(file.content["meshes"][0]["primitives"]):
-            if GRADIENT in primitive["attributes"]:
-                file.array(GRADIENT, number)[:] = 0.0
+            if BLEND_GRADIENT in primitive["attributes"]:
+                file.array(BLEND_GRADIENT, number)[:] = 0.0
         _, without = _means(file.write(baked))
     return standard, without, accurate
 

@@ -408,7 +408,7 @@ def _values(path: str) -> list[Find]:
     import numpy as np
 
     from skinbake.errors import SkinbakeError
-    from skinbake.format.metadata import read_metadata, slot_names
+    from skinbake.format.note import gradient_note
     from skinbake.gltf.accessors import read_accessor
     from skinbake.gltf.document import read_document
 
@@ -417,8 +417,8 @@ def _values(path: str) -> list[Find]:
         for mesh in document.objects("meshes"):
             primitives = mesh.get("primitives")
             for primitive in primitives if isinstance(primitives, list) else ():
-                note = read_metadata(document, primitive)
-                for name in [] if note is None else slot_names(note):
+                note = gradient_note(document, primitive)
+                for name in [] if note is None else note.slot_names:
                     number = primitive["attributes"].get(name)
                     if (
                         number is not None

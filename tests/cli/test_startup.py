@@ -15,7 +15,7 @@ import pytest
 
 import skinbake
 from skinbake.cli.main import COMMANDS
-from skinbake.format.metadata import VERSION
+from skinbake.format.note import VERSION
 from tests.support.command_line import LINUX, invoke, run
 from tests.support.models import FOLDER, edited
 from tests.support.signals import HEARING

@@ -11,7 +11,7 @@ import pytest
 from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Encoding
 from skinbake.commands import surface_bake
-from skinbake.format.layouts import GradientFormat
+from skinbake.format.encodings import GradientFormat
 from skinbake.gradients import baker
 from tests.support.baking import bake_file
 

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from skinbake.errors import InputError, Place
-from skinbake.format.morph_targets import NOTE
 from skinbake.format.strip import stripped
 from skinbake.freshness.baked_views import sound_views
 from skinbake.freshness.made_targets import made_states
@@ -287,8 +286,8 @@ def test_primitives_of_a_mesh_are_not_read_once_for_each_of_them(noted: bool, tm
     lists = [Counted(mesh["primitives"])]
     mesh["primitives"] = lists[0]
     if noted:
-        lists.append(Counted(mesh["extras"]["skinbake"][NOTE]))
-        mesh["extras"]["skinbake"][NOTE] = lists[1]
+        lists.append(Counted(mesh["extras"]["skinbake"]["morphTargets"]))
+        mesh["extras"]["skinbake"]["morphTargets"] = lists[1]
     assert stripped(document)[1] == (50 if noted else 0)
     assert len(list(made_states(document))) == (50 if noted else 0)
     assert max(one.reads for one in lists) < 50

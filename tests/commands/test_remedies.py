@@ -128,7 +128,7 @@ def told(verdict: FileVerdict, kind: Gradients = Gradients.RIG, fit: int = FIT) 
     document = read_document(str(FOLDER / "bent_tube.glb"))
     baked = bake_document(document, BakeOptions(gradients=kind)).document
     [view] = sound_views(baked)
-    view = replace(view, source=view.source._replace(place=HERE), metadata={**view.metadata, "fit": fit})
+    view = replace(view, source=view.source._replace(place=HERE), note=replace(view.note, fit=fit))
     return [notice.message for notice in worse_lighting([view], verdict)]
 
 

@@ -490,7 +490,7 @@ def test_two_runs_into_one_folder_cannot_exchange_their_bins(tmp_path: Path) -> 
         (tmp_path / str(number)).mkdir()
     wanted = {}
     for name, (source, encoding) in {"a": (SEAM, "float32"), "b": (TUBE, "packed8")}.items():
-        from skinbake.format.layouts import GradientFormat
+        from skinbake.format.encodings import GradientFormat
 
         alone = tmp_path / name / "hero.gltf"
         alone.parent.mkdir()

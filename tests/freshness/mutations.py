@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from skinbake.format.metadata import array_digest
+from skinbake.format.digests import array_digest
 from tests.support import gltf_reading
 from tests.support.baked_files import AnyArray, Editable, JsonObject
 

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from skinbake.format.digests import array_digest
 from skinbake.format.influences import with_adopted
-from skinbake.format.metadata import array_digest
 from skinbake.freshness.baked_views import baked_views
 from skinbake.freshness.expected import before_adoption, returned
 from skinbake.geometry.skinned import TINY_WEIGHT, UNIT
@@ -290,7 +290,7 @@ def test_float_weights_beside_integer_ones_come_back_as_they_were(tmp_path: Path
     written = baked(write_model(tmp_path / "two.glb", parts, joints=3), tmp_path / "baked")
     document = read_document(str(written))
     views = baked_views(document, skinned_sources(document))
-    assert not list(document.notices) and all("adopted" in view.metadata for view in views)
+    assert not list(document.notices) and all(view.note.adopted for view in views)
     found = [primitive.weights for primitive in before_adoption(document, views)]
     assert np.array_equal(found[0], kinds[0])
     assert np.array_equal(found[1], kinds[1] / 255.0)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from skinbake.choices import FrameChoice, PoseKind, Weighting
-from skinbake.format.metadata import array_digest
+from skinbake.format.digests import array_digest
 from skinbake.jobs.file_work import FileWork
 from skinbake.jobs.verify import Verify
 from skinbake.jobs.work import Job

@@ -15,7 +15,7 @@ import pytest
 
 from fixtures.make_fixtures import FOLDER as FIXTURES
 from skinbake.choices import Baseline, Encoding, Layout, Scheme
-from skinbake.format.layouts import GradientFormat
+from skinbake.format.encodings import GradientFormat
 from skinbake.shaders.engines import engines_folder
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import after_bake, corpus, gltf_reading

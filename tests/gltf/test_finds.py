@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fixtures.builder import AnyArray, JsonObject, pack_glb
-from skinbake.format.metadata import array_digest
+from skinbake.format.digests import array_digest
 from skinbake.geometry.frames import tangent_deviation
 from skinbake.geometry.rig import Rig
 from tests.support.command_line import invoke

@@ -19,7 +19,7 @@ import pytest
 
 from fixtures.make_fixtures import FOLDER as FIXTURES
 from skinbake.choices import Encoding, Frame, Layout
-from skinbake.format.layouts import GradientFormat
+from skinbake.format.encodings import GradientFormat
 from skinbake.shaders.engines import engines_folder
 from skinbake.skinning.algorithms import Algorithm
 from tests.godot.storage import as_stored

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from skinbake.choices import Encoding, Layout
-from skinbake.format.layouts import GradientFormat
+from skinbake.format.encodings import GradientFormat
 from tests.support.baked_files import CESIUM_MAN, Editable, JsonObject, source, verify
 from tests.support.models import FIXTURES, FOLDER, bake
 

@@ -194,7 +194,7 @@ def test_at_rest_every_lighting_gives_the_stored_normals(path: Path, tmp_path: P
                 expected = truths * sum(len(one.positions) for one in rest)
                 assert sum(block.errors.size for block in own) == expected
                 # Tangents of a file are at right angles to its normals to a tenth of a degree only.
-                exact = all(view.metadata["frame"] == "normal" for view in here) or name == "standard"
+                exact = all(view.note.frame == "normal" for view in here) or name == "standard"
                 for block in own:
                     assert block.errors[block.valid].max(initial=0.0) < (1e-4 if exact else 0.11)
 

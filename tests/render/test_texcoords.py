@@ -12,7 +12,7 @@ from PIL import Image
 from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Layout
 from skinbake.commands.shown import tell_unplaced
-from skinbake.format.layouts import GradientFormat
+from skinbake.format.encodings import GradientFormat
 from skinbake.freshness.baked_views import sound_views
 from skinbake.gltf.document import read_document
 from skinbake.render.materials import Materials, Placement, Sampling

@@ -288,7 +288,7 @@ class Character:
         views = baked_views(document, sources)
         assert not list(document.notices)
         view = views[0]
-        assert view.metadata["frame"] == self.frame
+        assert view.note.frame == self.frame
         rest = rest_primitive(view)
         assert rest.joints.shape[1] == self.influences
         skin = next(node["skin"] for node in document.objects("nodes") if "skin" in node)

@@ -17,7 +17,7 @@ import pytest
 from skinbake.choices import Encoding, Language, Layout, Lighting, Method
 from skinbake.commands.shader import shader
 from skinbake.errors import ChoiceError, InputError
-from skinbake.format.layouts import GradientFormat
+from skinbake.format.encodings import GradientFormat
 from skinbake.shaders import text as shader_texts
 from skinbake.shaders.choices import AttributeText, ShaderChoices, ShaderRequest
 from tests.support.baked_files import Editable

@@ -10,7 +10,7 @@ from skinbake.commands import bake
 from skinbake.commands.bake_options import BakeOptions
 from skinbake.files.bounds import OWN_FOLDERS, Within
 from skinbake.format.baked import AttributeNames
-from skinbake.format.layouts import GradientFormat
+from skinbake.format.encodings import GradientFormat
 from skinbake.gltf.output import Writing
 from skinbake.gltf.recode import Compression
 from skinbake.gradients.baker import BakeSettings

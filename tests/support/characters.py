@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.choices import Baseline, Frame
-from skinbake.format.layouts import GradientFormat
+from skinbake.format.encodings import GradientFormat
 from skinbake.geometry import frames
 from skinbake.geometry.poses import random_rotations
 from skinbake.gltf.animation import clip_poses, random_poses, read_clips, read_skeleton

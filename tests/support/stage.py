@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from skinbake.format.layouts import GradientFormat
+from skinbake.format.encodings import GradientFormat
 from tests.support import browser
 from tests.support.characters import AS_USUAL, Character, Placement, Pose, baked
 from tests.support.node import SUPPORT

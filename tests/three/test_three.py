@@ -22,7 +22,7 @@ from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method
 from skinbake.commands.shader import shader
 from skinbake.errors import ChoiceError
-from skinbake.format.layouts import GradientFormat
+from skinbake.format.encodings import GradientFormat
 from skinbake.shaders.choices import ShaderChoices, ShaderRequest
 from skinbake.skinning.algorithms import Algorithm
 from tests.support import browser, corpus

@@ -13,7 +13,7 @@ import pytest
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Encoding, Layout
-from skinbake.format.layouts import GradientFormat
+from skinbake.format.encodings import GradientFormat
 from skinbake.freshness.baked_views import baked_views, rest_primitive
 from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document

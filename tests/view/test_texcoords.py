@@ -11,7 +11,7 @@ import pytest
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Layout
-from skinbake.format.layouts import GradientFormat
+from skinbake.format.encodings import GradientFormat
 from tests.support import browser, corpus, textured
 from tests.support.baked_files import Editable
 from tests.support.baking import bake_file

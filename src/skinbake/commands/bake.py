@@ -14,7 +14,8 @@ from skinbake.files.ahead import Ahead
 from skinbake.files.bounds import OWN_FOLDERS, Within
 from skinbake.files.urls import STDIO
 from skinbake.files.versions import digests_of, version_of
-from skinbake.format.metadata import refuse_other_kind, with_left
+from skinbake.format.note import Left as LeftNote
+from skinbake.format.note import refuse_other_kind, with_left
 from skinbake.format.strip import stripped
 from skinbake.gltf.beside import files_read
 from skinbake.gltf.container import for_target
@@ -175,7 +176,10 @@ def bake_document(document: Document, options: BakeOptions = DEFAULTS) -> BakedD
             made = bake_correctives(document, sources, options)
         made = made._replace(skipped=left_out)
         left = _left(made, options, told)
-    noted = None if left is None else with_left(document, left.note)
+    noted = None
+    if left is not None:
+        note = LeftNote(gain=left.gain, standard_error=left.standard_error, under=left.under)
+        noted = with_left(document, note)
     if noted is None:
         document.notices.tell(*told)
         return made

@@ -21,7 +21,7 @@ from skinbake.choices import (
 )
 from skinbake.errors import ChoiceError, Chosen
 from skinbake.format.baked import AttributeNames
-from skinbake.gltf.json_access import JsonObject
+from skinbake.format.note import GradientNote
 from skinbake.gradients.baker import BakeSettings
 from skinbake.options import BAKE, By, checked, defaults
 
@@ -187,14 +187,14 @@ class BakeOptions:
         return BakeSettings(self.weighting, math.radians(self.crease_angle), self.neighbours, self.frame)
 
     @property
-    def noted_settings(self) -> JsonObject:
-        """Return what the metadata says of the options of the gradients."""
-        return {
-            "weighting": str(self.weighting),
-            "creaseAngle": round(float(self.crease_angle), 6),
-            "neighbours": str(self.neighbours),
-            **({"weld": str(self.weld)} if self.weld is Weld.SKIN else {}),
-        }
+    def note(self) -> GradientNote:
+        """What the note of a primitive says of the options."""
+        return GradientNote(
+            weighting=self.weighting,
+            crease_angle=round(float(self.crease_angle), 6),
+            neighbours=self.neighbours,
+            weld=self.weld,
+        )
 
     @property
     def bits(self) -> dict[str, int]:

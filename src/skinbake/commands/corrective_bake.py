@@ -33,7 +33,7 @@ from skinbake.format.correctives import (
     with_mesh_correctives,
     with_plays,
 )
-from skinbake.format.layouts import GradientFormat
+from skinbake.format.encodings import GradientFormat
 from skinbake.format.strip import uncorrected
 from skinbake.freshness.corrective_freshness import PlayedClips, PlayedCorrectives
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
@@ -132,7 +132,7 @@ def bake_correctives(
             plays, played = {}, PlayedClips(written)
             for item in items:
                 of_mesh = played.of_mesh(item.mesh, item.count)
-                plays[item.mesh] = [[*one.poses, *one.weights] for one in of_mesh if one.plays]
+                plays[item.mesh] = [(*one.poses, *one.weights) for one in of_mesh if one.plays]
             written = with_plays(written, plays)
         with stage("gain"):
             # As if the written file were read: a bake writes nothing that verify refuses.
@@ -290,12 +290,8 @@ def _fitted(
                 primitives=primitives[part],
                 targets=[_by_length(*pair) for pair in zip(one.targets, primitives[part], strict=True)],
                 clips=_weights(nodes[mesh], one, idle),
-                settings={
-                    "aim": str(options.corrective_aim),
-                    "clips": list(
-                        dict.fromkeys(track.motion.clip.name for track in one.tracks if track.plays)
-                    ),
-                },
+                aim=options.corrective_aim,
+                playing=list(dict.fromkeys(track.motion.clip.name for track in one.tracks if track.plays)),
             )
         found.append((here, one, item))
     return found

@@ -13,7 +13,7 @@ from skinbake.commands.surface_bake import PrimitiveBake, bake_surfaces, unwritt
 from skinbake.errors import Chosen, InputError, Message, Notice, Place
 from skinbake.format.attribute_store import tell_level_ignored, tell_stored_otherwise
 from skinbake.format.baked import with_baked
-from skinbake.format.layouts import GradientFormat
+from skinbake.format.encodings import GradientFormat
 from skinbake.gltf.budget import WELDING, Budget, Cost
 from skinbake.gltf.document import Document
 from skinbake.gltf.primitives import PrimitiveSource
@@ -109,7 +109,7 @@ def bake_gradients(
         ]
         storage = storage._replace(scale=bearing_scale(spreads, storage.encoding))
     with stage("store"):
-        to_store = [bake.to_store(options.noted_settings) for bake in bakes]
+        to_store = [bake.to_store for bake in bakes]
         names, level = options.attribute_names, options.compress_level
         written, lengths, made_lengths = with_baked(
             document, to_store, names, storage, level=level, made=[item for item, _ in made]

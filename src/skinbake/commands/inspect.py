@@ -6,14 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from skinbake.choices import FrameChoice
+from skinbake.choices import Encoding, FrameChoice, Layout
 from skinbake.errors import Notice
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.format.attribute_store import compression_of
-from skinbake.format.blend_weights import blend_names
-from skinbake.format.metadata import changed_arrays, corrective_notes, read_left, read_metadata, slot_names
-from skinbake.format.stored_slots import NO_METADATA
-from skinbake.freshness.baked_views import is_baked, other_version
+from skinbake.format.digests import changed_arrays
+from skinbake.format.note import NO_METADATA, corrective_notes, file_left, gradient_note
+from skinbake.freshness.baked_views import is_baked
 from skinbake.freshness.corrective_freshness import changed_since
 from skinbake.freshness.made_targets import made_states
 from skinbake.geometry.skinned import SkinnedPrimitive
@@ -87,7 +86,7 @@ def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
         animations=len(document.asset.animations),
         primitives=tuple(primitives),
         notices=tuple(notices),
-        left=read_left(document) is not None,
+        left=file_left(document) is not None,
         morphs=tuple(
             MorphSummary(one.source.place, one.of, one.targets, one.frames, one.changed) for one in made
         ),
@@ -112,14 +111,19 @@ def _summary(document: Document, source: PrimitiveSource, primitive: SkinnedPrim
     _, defects = weight_field(primitive)
     sums = primitive.weights.astype(np.float64).sum(axis=1)
     attributes = [_attribute(document, source, name) for name in source.attributes]
-    metadata = read_metadata(document, source.json)
+    note = gradient_note(document, source.json)
     bake = None
-    if metadata is not None:
-        names = {*slot_names(metadata), *blend_names(metadata)}
+    if note is not None:
+        names = {*note.slot_names, *note.blend_names}
         gone = sorted(names - source.attributes.keys())
-        changed = (*changed_arrays(metadata, primitive), *gone)
+        changed = (*changed_arrays(note.digest, note.frame, primitive), *gone)
         size = sum(attribute.byte_length for attribute in attributes if attribute.name in names)
-        bake = BakeSummary(metadata, changed, size, other_version(metadata))
+        how = f"gradients {note.gradients}, frame from {note.frame}, weighting {note.weighting}"
+        words = [f"by {note.generator}, {how}, neighbours {note.neighbours}"]
+        words += [f"encoding {note.encoding}"] if note.encoding != Encoding.FLOAT32 else []
+        words += [f"layout {note.layout}"] if note.layout != Layout.ATTRIBUTES else []
+        words += [f"blend weights {note.blend.weights}"] if note.blend else []
+        bake = BakeSummary(note.json, ", ".join(words), changed, size, note.other_version)
     return PrimitiveSummary(
         place=source.place,
         vertices=len(primitive.positions),
@@ -146,15 +150,8 @@ def _correctives(
     if note is None:
         return None
     changed, fit = changed_since(document, source, primitive, note)
-    clips = note.get("clips")
-    named = [clip for clip in clips if isinstance(clip, str)] if isinstance(clips, list) else []
-    generator = note.get("generator")
-    return CorrectiveSummary(
-        generator if isinstance(generator, str) else "skinbake",
-        int(note["targets"]),
-        tuple(named),
-        () if fit else changed or ("targets",),
-    )
+    still_fit = () if fit else changed or ("targets",)
+    return CorrectiveSummary(note.generator, note.targets, note.clips, still_fit)
 
 
 def _frame(document: Document, source: PrimitiveSource, primitive: SkinnedPrimitive) -> str:

@@ -11,7 +11,7 @@ from skinbake.commands.bake import bake_document
 from skinbake.commands.bake_options import DEFAULTS, BakeOptions
 from skinbake.commands.gradient_bake import bake_gradients
 from skinbake.errors import Notices, SkinbakeError
-from skinbake.format.metadata import corrective_notes, read_metadata
+from skinbake.format.note import corrective_notes, gradient_note
 from skinbake.format.strip import stripped, uncorrected
 from skinbake.freshness.corrective_freshness import PlayedCorrectives
 from skinbake.gltf.document import Document
@@ -115,11 +115,11 @@ def _lacks_normals(document: Document, source: PrimitiveSource) -> bool:
 
 def _default(document: Document, sources: list[PrimitiveSource]) -> str:
     """Return what the default bake has that the bake of a file lacks."""
-    notes = [read_metadata(document, document.asset.counterpart(one).json) for one in sources]
+    notes = [gradient_note(document, document.asset.counterpart(one).json) for one in sources]
     held = [note for note in notes if note is not None]
     found = []
-    if any(note.get("gradients") != Gradients.RIG for note in held):
+    if any(note.gradients != Gradients.RIG for note in held):
         found.append("--gradients rig")
-    if any(note.get("encoding", Encoding.FLOAT32) != Encoding.FLOAT32 for note in held):
+    if any(note.encoding != Encoding.FLOAT32 for note in held):
         found.append("--encoding float32")
     return " ".join(found) or "the defaults"

@@ -9,7 +9,6 @@ from typing import NamedTuple
 from skinbake.choices import Gradients
 from skinbake.errors import Chosen, Message, Notice, Place
 from skinbake.freshness.baked_views import BakedView
-from skinbake.freshness.expected import noted_kind
 from skinbake.freshness.without_poses import has_older_fit
 from skinbake.measure.guard import UNSEEN
 from skinbake.report.verify import FileVerdict, Normals, gain
@@ -49,7 +48,7 @@ def worse_lighting(
 
 def _is_guarded(view: BakedView) -> bool:
     """Tell whether the bake compared its lighting with standard lighting, as this version does."""
-    return noted_kind(view) is Gradients.RIG and not has_older_fit(view)
+    return view.kind is Gradients.RIG and not has_older_fit(view)
 
 
 class _Gains(NamedTuple):

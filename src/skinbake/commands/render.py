@@ -293,8 +293,8 @@ def _subjects(
             else (drawn.now.triangles, drawn.now.tangents)
         )
         if isinstance(drawn, BakedView):
-            frame = drawn.metadata["frame"]
-            ours = {*drawn.metadata["alpha"], *drawn.metadata["beta"]}  # they may be stored as such sets
+            frame = drawn.note.frame
+            ours = {*drawn.note.alpha, *drawn.note.beta}  # they may be stored as such sets
         material = materials.of(source.material, in_clay, is_lit=is_lit)
         # The texture coordinates (V, 2) of each image that lies on a set which the primitive has.
         count, texcoords = len(rest.positions), dict[str, FloatArray]()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
-from typing import Any
 
 import numpy as np
 
@@ -14,9 +13,7 @@ from skinbake.errors import ChoiceError, InputError, Notice, Place
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.urls import STDIO
 from skinbake.files.writing import write_file, write_stdout
-from skinbake.format import blend_weights
-from skinbake.format.metadata import corrective_notes, slot_names
-from skinbake.format.morph_targets import IN_PLANE, UPWARD
+from skinbake.format.note import IN_PLANE, UPWARD, corrective_notes
 from skinbake.freshness.baked_views import BakedView, baked_views, is_baked, rest_primitive
 from skinbake.freshness.staleness import claim_freshness, refuse_stale
 from skinbake.geometry.dual_quaternions import RIGID_TOLERANCE
@@ -33,8 +30,8 @@ from skinbake.shaders.text import shader_made
 from skinbake.truth.poses import PoseRequest, PoseSet, pose_set
 from skinbake.wording import counted
 
-DEFAULTS = {"encoding": Encoding.FLOAT32, "layout": Layout.ATTRIBUTES}
-"""The meaning of metadata that do not say how α and β are stored."""
+STORAGE = ("encoding", "layout")
+"""The members of a note that say how α and β are stored, and the options that choose it."""
 ALIKE = {"frame": "frame", "influences": "limit-influences", "encoding": "encoding", "layout": "layout"}
 """What the primitives of one text have in common, by metadata, and the options of bake that make it so."""
 
@@ -103,10 +100,10 @@ def _choices_of_file(document: Document, request: ShaderRequest) -> ShaderChoice
         serving = _in_one_place(_with_enough(serving, request.influences))
     _refuse_several_kinds(document, serving, request)
     choices = request.decided(
-        frame=Frame(_noted(serving[0], "frame")),
-        influences=int(_noted(serving[0], "influences")),
-        encoding=Encoding(_noted(serving[0], "encoding")),
-        layout=Layout(_noted(serving[0], "layout")),
+        frame=Frame(serving[0].note.frame),
+        influences=serving[0].note.influences,
+        encoding=Encoding(serving[0].note.encoding),
+        layout=Layout(serving[0].note.layout),
     )
     choices = _with_names(document, serving, choices)
     if request.morphs is None:
@@ -136,13 +133,13 @@ def _choices_at_run_time(
 
     A primitive that needs more influences than were asked for gets a notice.
     """
-    influences = request.influences or max(int(view.metadata["influences"]) for view in views)
+    influences = request.influences or max(view.note.influences for view in views)
     serving = _with_enough(views, influences)
-    choices = request.decided(frame=Frame(views[0].metadata["frame"]), influences=influences)
+    choices = request.decided(frame=Frame(views[0].note.frame), influences=influences)
     for view in _others(views, serving):
         message = (
             f"this module does not fit it: its vertices use more than {influences} of its "
-            f"{view.metadata['influences']} influences. Bake it with --limit-influences {influences}"
+            f"{view.note.influences} influences. Bake it with --limit-influences {influences}"
         )
         document.notices.tell(Notice("shader-not-for", message, view.source.place))
     _tell_unread_numbers(document, serving, choices)
@@ -181,22 +178,22 @@ def _with_names(document: Document, views: Sequence[BakedView], choices: ShaderC
     Other names are the same for all of a bake. Raises InputError if they are not, or if scales differ.
     """
     sets = choices.influence_sets
-    names = {tuple(tuple(view.metadata[kind][:sets]) for kind in ("alpha", "beta")) for view in views}
+    names = {(view.note.alpha[:sets], view.note.beta[:sets]) for view in views}
     if len(names) > 1 and choices.layout != Layout.TEXCOORD:
         found = " and ".join(sorted(", ".join(alpha) for alpha, _ in names))
         raise InputError(
             f"its primitives have different names for alpha ({found}): bake it again", document.place
         )
-    scales = {view.metadata.get("scale") for view in views}
+    scales = {view.note.scale for view in views}
     if len(scales) > 1:
         found = " and ".join(sorted(f"{scale:.9g}" for scale in scales))
         raise InputError(f"its primitives have different scales ({found}): bake it again", document.place)
-    first = views[0].metadata
-    blend = first[blend_weights.NOTE]["weights"] if choices.method is Method.BLEND else None
-    text = AttributeText(PurePath(document.name).name, tuple(first["alpha"]), tuple(first["beta"]), blend)
+    first = views[0].note
+    blend = first.blend.weights if first.blend and choices.method is Method.BLEND else None
+    text = AttributeText(PurePath(document.name).name, first.alpha, first.beta, blend)
     for view in views:
-        if choices.layout == Layout.TEXCOORD and view.metadata["alpha"] != first["alpha"]:
-            own = slot_names(view.metadata)
+        if choices.layout == Layout.TEXCOORD and view.note.alpha != first.alpha:
+            own = view.note.slot_names
             message = f"its α and β are in {own[0]} to {own[-1]}: pass these attributes to the same functions"
             document.notices.tell(Notice("texcoords-differ", message, view.source.place))
     return replace(choices, attributes=text, scale=scales.pop() if choices.decodes else None)
@@ -205,7 +202,7 @@ def _with_names(document: Document, views: Sequence[BakedView], choices: ShaderC
 def _tell_not_plain(document: Document, view: BakedView, choices: ShaderChoices) -> None:
     """Tell if a compute pass cannot read the bytes of a primitive as they are in the file."""
     whole = {f"{name}_{n}" for name in ("JOINTS", "WEIGHTS") for n in range(choices.influence_sets)}
-    whole |= set(slot_names(view.metadata)) if choices.decodes else set()
+    whole |= set(view.note.slot_names) if choices.decodes else set()
     floats = {
         "POSITION",
         "NORMAL",
@@ -213,7 +210,7 @@ def _tell_not_plain(document: Document, view: BakedView, choices: ShaderChoices)
         UPWARD,
         *(["TANGENT"] if choices.frame == Frame.TANGENT else []),
     }
-    floats |= set() if choices.decodes else set(slot_names(view.metadata))
+    floats |= set() if choices.decodes else set(view.note.slot_names)
     packed = parts_not_plain(document, view.source, whole, floats, moved=choices.morphs is not Morphs.NONE)
     if packed:
         message = (
@@ -260,28 +257,24 @@ def _views(document: Document) -> list[BakedView]:
 
 
 def _serves(view: BakedView, request: ShaderRequest) -> bool:
-    fits = request.frame in (None, view.metadata["frame"]) and all(
-        getattr(request, member) in (None, _noted(view, member)) for member in DEFAULTS
+    fits = request.frame in (None, view.note.frame) and all(
+        getattr(request, member) in (None, getattr(view.note, member)) for member in STORAGE
     )
     fits &= request.method is not Method.BLEND or view.blend is not None
-    return fits and (request.influences or 0) <= int(view.metadata["influences"])
-
-
-def _noted(view: BakedView, member: str) -> Any:
-    return view.metadata.get(member, DEFAULTS.get(member))
+    return fits and (request.influences or 0) <= view.note.influences
 
 
 def _why_none(views: Sequence[BakedView], request: ShaderRequest) -> str:
     if request.method is Method.BLEND and all(view.blend is None for view in views):
         return "this file does not fit --method blend: it is baked without --blend"
-    frames = " and ".join(sorted({str(view.metadata["frame"]) for view in views}))
-    slots = max(int(view.metadata["influences"]) for view in views)
+    frames = " and ".join(sorted({str(view.note.frame) for view in views}))
+    slots = max(view.note.influences for view in views)
     asked = [f"--frame {request.frame}"] if request.frame else []
     asked += [f"--influences {request.influences}"] if request.influences else []
-    asked += [f"--{member} {getattr(request, member)}" for member in DEFAULTS if getattr(request, member)]
+    asked += [f"--{member} {getattr(request, member)}" for member in STORAGE if getattr(request, member)]
     stored = "".join(
-        f", {member} {' and '.join(sorted({str(_noted(view, member)) for view in views}))}"
-        for member in DEFAULTS
+        f", {member} {' and '.join(sorted({str(getattr(view.note, member)) for view in views}))}"
+        for member in STORAGE
         if getattr(request, member)
     )
     return (
@@ -294,7 +287,7 @@ def _refuse_several_kinds(document: Document, views: Sequence[BakedView], reques
     """Raise InputError, with a bake that makes them alike, if one text cannot serve all primitives."""
     asked = {"influences"} if request.influences else set()
     kinds = {
-        member: {_noted(view, member): view.source.place.within_file for view in reversed(views)}
+        member: {getattr(view.note, member): view.source.place.within_file for view in reversed(views)}
         for member in ALIKE
         if member not in asked
     }
@@ -322,7 +315,7 @@ def _with_enough(views: Sequence[BakedView], influences: int) -> list[BakedView]
     enough = [view for view, count in zip(views, over, strict=True) if count == 0]
     if enough:
         return enough
-    slots = int(views[0].metadata["influences"])
+    slots = views[0].note.influences
     raise InputError(
         f"{counted(over[0], 'vertex uses', 'vertices use')} more than {influences} of its {slots} "
         f"influences, adopted joints included: use --influences {slots}",
@@ -335,12 +328,8 @@ def _in_one_place(views: Sequence[BakedView]) -> list[BakedView]:
 
     In the texcoord layout the number of stored slots decides where α and β are. There all have the fewest.
     """
-    fewest = min(int(view.metadata["influences"]) for view in views)
-    return [
-        view
-        for view in views
-        if _noted(view, "layout") != Layout.TEXCOORD or view.metadata["influences"] == fewest
-    ]
+    fewest = min(view.note.influences for view in views)
+    return [view for view in views if view.note.layout != Layout.TEXCOORD or view.note.influences == fewest]
 
 
 def _vertices_over(view: BakedView, influences: int) -> int:
@@ -391,11 +380,11 @@ def _tell_not_for(document: Document, view: BakedView, request: ShaderRequest) -
         message = "this shader does not fit it: it is baked without --blend. Light it by --method lbs"
         document.notices.tell(Notice("shader-not-for", message, view.source.place))
         return
-    storage = {member: str(_noted(view, member)) for member in DEFAULTS}
+    storage = {member: str(getattr(view.note, member)) for member in STORAGE}
     others = {
         member: kind for member, kind in storage.items() if getattr(request, member) not in (None, kind)
     }
-    frame, influences = view.metadata["frame"], view.metadata["influences"]
+    frame, influences = view.note.frame, view.note.influences
     stored = "".join(f", {member} {kind}" for member, kind in others.items())
     options = "".join(f" --{member} {kind}" for member, kind in others.items())
     message = (

@@ -62,7 +62,7 @@ def holds_bake(document: Document) -> bool:
 
 def tell_unplaced(document: Document, view: BakedView, made: str) -> None:
     """Tell if an image of a primitive has no texture coordinates there."""
-    ours = {*view.metadata["alpha"], *view.metadata["beta"]}  # they may be stored as such sets
+    ours = {*view.note.alpha, *view.note.beta}  # they may be stored as such sets
     tell_images_unplaced(document, view.source, set(view.source.attributes) - ours, made)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -14,14 +14,14 @@ from skinbake.choices import SLOTS_PER_SET, Encoding, Frame, FrameChoice, Gradie
 from skinbake.commands.bake_options import BakeOptions
 from skinbake.errors import InputError, Notice
 from skinbake.format.baked import Baked
-from skinbake.format.blend_weights import BlendGradient, read_blend_weights
+from skinbake.format.digests import Digests, digests
 from skinbake.format.encodings import vertex_bytes
-from skinbake.format.metadata import KEPT, STORED_POSE, Digests, digests
+from skinbake.format.note import FitPoses, GradientNote, Kept
+from skinbake.format.stored_slots import BlendGradient, read_blend_weights
 from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.primitives import PrimitiveSource, has_float_tangents, read_influences, read_primitive
 from skinbake.gltf.rigs import fitting_rig
 from skinbake.gradients import kernel
@@ -91,7 +91,7 @@ class SurfaceBake(NamedTuple):
     """The primitives of one surface, with their arrays as they are baked, and what α and β are fitted to.
 
     digests return those of the arrays of each primitive. ``rig`` and ``poses`` are None if there is no such
-    fit, and ``noted`` is what the metadata says of it. Each method returns the bakes of all primitives.
+    fit, and ``note`` says that, with the options. Each method returns the bakes of all primitives.
     """
 
     document: Document
@@ -102,28 +102,28 @@ class SurfaceBake(NamedTuple):
     asked: Gradients
     rig: Rig | None
     poses: FoundPoses | None
-    noted: JsonObject
+    note: GradientNote
 
     @classmethod
     def of(cls, document: Document, sources: Sequence[PrimitiveSource], options: BakeOptions) -> SurfaceBake:
         """Read a surface. Raises InputError if it cannot be read, or takes too much memory."""
         # The rig and the poses that α and β are fitted to.
-        rig, poses, noted = None, None, JsonObject()
+        rig, poses, note = None, None, options.note
         if options.gradients is not Gradients.SURFACE:
             with stage("rig"):
                 rig = fitting_rig(document, sources[0])
             if rig is not None:
-                noted = {"gradients": "rig", "fit": FIT, "rig": rig.digest}
+                note = replace(note, gradients=Gradients.RIG, fit=FIT, rig=rig.digest)
                 if rig.fingerprint is not None:
-                    noted[STORED_POSE] = {"fingerprint": list(rig.fingerprint)}
+                    note = replace(note, stored_pose=FitPoses(fingerprint=tuple(rig.fingerprint)))
         if options.gradients is Gradients.POSES:
             from skinbake.pose_fit.poses import poses_to_fit  # it poses: half a second of imports
 
             with stage("poses"):
                 poses = poses_to_fit(document, sources[0].mesh, options.fit_poses, sources[0].place)
-            names = [source if isinstance(source, str) else source.name for source in options.fit_poses]
-            found = {"from": names, "fingerprint": list(poses.fingerprint)}
-            noted |= {"gradients": "poses", "fit": FIT, "poses": found}
+            names = (source if isinstance(source, str) else source.name for source in options.fit_poses)
+            found = FitPoses(sources=tuple(names), fingerprint=tuple(poses.fingerprint))
+            note = replace(note, gradients=Gradients.POSES, fit=FIT, poses=found)
         # The arrays. Each is read when the memory for the bake of those before has been claimed.
         primitives: list[SkinnedPrimitive] = []
         with stage("arrays"):
@@ -159,7 +159,7 @@ class SurfaceBake(NamedTuple):
             options.gradients,
             rig,
             poses,
-            noted,
+            note,
         )
 
     def baked(self, options: BakeOptions) -> list[PrimitiveBake]:
@@ -196,7 +196,7 @@ class SurfaceBake(NamedTuple):
         """Bake its primitives with these influences. Raises InputError if α or β are not finite."""
         outcomes = bake_primitives(primitives, self.settings, self.rig)
         bakes = [
-            PrimitiveBake(source, primitive, *outcome, found, asked=self.asked, fitted=self.noted)
+            PrimitiveBake(source, primitive, *outcome, found, self.note, asked=self.asked)
             for source, primitive, outcome, found in zip(
                 self.sources, primitives, outcomes, self.digests, strict=True
             )
@@ -321,10 +321,9 @@ class SurfaceBake(NamedTuple):
 class PrimitiveBake:
     """One primitive: the arrays that were baked, the result, the findings, and the loss by a limit.
 
-    digests returns those of the arrays before any limit or extension.
-    asked is the kind of gradients that the user asked for. fitted is what the metadata says of the fit,
-    nothing for the gradients of the surface. share is how much of it is kept, None for all. blend is the
-    gradient of its blend weights, if it has any.
+    digests returns those of the arrays before any limit or extension. note says what α and β are made by, and
+    asked which kind of gradients the user asked for. share is how much of a fit is kept, None for all. blend
+    is the gradient of its blend weights, if it has any.
     """
 
     source: PrimitiveSource
@@ -332,9 +331,9 @@ class PrimitiveBake:
     result: BakedPrimitive
     findings: BakeFindings
     digests: Digests
+    note: GradientNote
     limited: Limited | None = None
     asked: Gradients = Gradients.SURFACE
-    fitted: JsonObject = field(default_factory=dict)
     extended: Extended | None = None
     share: KeptShare | None = None
     blend: BlendGradient | None = None
@@ -350,16 +349,16 @@ class PrimitiveBake:
             source.joint_count,
             source.place,
             asked=self.asked,
-            fitted=bool(self.fitted),
+            fitted=self.note.gradients != Gradients.SURFACE,
         )
 
-    def to_store(self, settings: JsonObject) -> Baked:
-        """Return the data to write. settings is noted in the metadata."""
+    @property
+    def to_store(self) -> Baked:
+        """The data to write."""
         changed = self.limited or self.extended
         influences = changed.stored if changed else None
-        kept = {} if self.share is None else {KEPT: {"fit": self.share.fit}}
-        noted = {**settings, **self.fitted, **kept}
-        return Baked(self.source, self.primitive, self.result, self.digests, noted, influences, self.blend)
+        note = replace(self.note, kept=None if self.share is None else Kept(fit=self.share.fit))
+        return Baked(self.source, self.primitive, self.result, self.digests, note, influences, self.blend)
 
     def counts(self, encoding: Encoding, added_bytes: int) -> BakedCounts:
         """Return the numbers of the report."""
@@ -385,7 +384,7 @@ class PrimitiveBake:
             triangles=len(self.primitive.triangles),
             degenerate_triangles=self.findings.degenerate_triangles,
             influences=influences,
-            gradients=self.fitted.get("gradients", str(Gradients.SURFACE)),
+            gradients=str(self.note.gradients),
             kept=None if self.share is None else KeptCounts(self.share.fit, self.share.mean),
             frame=str(self.result.frame),
             generated_normals="NORMAL" not in self.source.attributes,

@@ -8,12 +8,11 @@ from dataclasses import replace
 from skinbake.commands.remedies import worse_lighting
 from skinbake.errors import Notice, Skipped, warnings_in
 from skinbake.files.bounds import BESIDE, Bounds
-from skinbake.format.metadata import corrective_notes, read_left, read_metadata
+from skinbake.format.note import Left, corrective_notes, file_left, gradient_note
 from skinbake.freshness.baked_views import BakedView, baked_views, gathered_together, is_baked
 from skinbake.freshness.made_targets import made_states
 from skinbake.freshness.staleness import claim_freshness, fits_begun, freshness_check, surface_operator
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources, tell_half_skinned
 from skinbake.gradients.influences import weight_sum_notices
 from skinbake.gradients.normals import lean_notices
@@ -129,7 +128,7 @@ def _has_metadata(document: Document, notice: Notice) -> bool:
     if mesh is None or primitive is None:
         return False
     found = document.asset.meshes[mesh].primitives[primitive]
-    return read_metadata(document, found.json) is not None
+    return gradient_note(document, found.json) is not None
 
 
 def _lost(notice: Skipped) -> Notice:
@@ -147,7 +146,7 @@ def _unbaked(
     command = "skinbake bake" if wanted else ""
     if not wanted and any(notice.code == "no-normals" for notice in notices):
         command = "skinbake bake --generate-normals"
-    left = read_left(document)
+    left = file_left(document)
     if left is not None and command:  # what has no NORMAL was left, too, by a bake that generates them
         return _left(document, left, [notice for notice in notices if notice.code != "no-normals"])
     if options.require_baked:
@@ -165,11 +164,10 @@ def _unbaked(
     return FileVerdict(document.name, (check,), notices=(*notices, missing), command=command)
 
 
-def _left(document: Document, left: JsonObject, notices: list[Notice]) -> FileVerdict:
+def _left(document: Document, left: Left, notices: list[Notice]) -> FileVerdict:
     """Return the verdict for a file that bake has left on purpose. It passes, whatever limits there are."""
-    gain, error = left.get("gain"), left.get("standardError")
-    found = [f"gain {gain:.15g}"] if isinstance(gain, int | float) else []
-    found += [f"standard lighting {error:.15g}° off"] if isinstance(error, int | float) else []
+    found = [] if left.gain is None else [f"gain {left.gain:.15g}"]
+    found += [] if left.standard_error is None else [f"standard lighting {left.standard_error:.15g}° off"]
     remark = f"left unbaked by bake --leave-under: {', '.join(found) or 'little to win'}"
     check = Check("structure", "skipped", (), remark)
     return FileVerdict(document.name, (check,), notices=tuple(notices), left=True)

@@ -13,7 +13,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from skinbake.choices import FrameChoice, Gradients, Neighbours, Scheme, Weld
+from skinbake.choices import FrameChoice, Gradients, Neighbours, Scheme, Weighting, Weld
 from skinbake.commands.render import small_picture
 from skinbake.commands.shown import baked_in_memory, holds_bake, tell_unplaced
 from skinbake.commands.verify import verify_document
@@ -22,11 +22,10 @@ from skinbake.errors import InputError, Notice, Notices, SkinbakeError
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.urls import STDIO
 from skinbake.files.writing import write_file, write_files, write_stdout
-from skinbake.format.metadata import corrective_notes
+from skinbake.format.note import corrective_notes
 from skinbake.format.strip import stripped
 from skinbake.freshness.baked_views import BakedView, sound_views
 from skinbake.freshness.corrective_freshness import PlayedCorrectives
-from skinbake.freshness.expected import noted_kind
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.container import for_target
 from skinbake.gltf.document import Document, read_document
@@ -105,7 +104,7 @@ def page_of(
         views = sound_views(document)
         others = list(_other_gradients(document, views, is_shown=corrected is None))
         if corrected:
-            others += [_with_influences(view, noted_kind(view)) for view in views]
+            others += [_with_influences(view, view.kind) for view in views]
             notes = [*notes, COMPARED]
     with stage("page"):
         glb, images = _self_contained(corrected or document)
@@ -168,17 +167,17 @@ def _other_gradients(
     from skinbake.commands.bake import bake_document  # a file without a bake needs no other
     from skinbake.commands.bake_options import BakeOptions
 
-    kind, noted = Gradients.RIG, views[0].metadata
-    if noted_kind(views[0]) is not Gradients.SURFACE:
+    kind, noted = Gradients.RIG, views[0].note
+    if views[0].kind is not Gradients.SURFACE:
         kind = Gradients.SURFACE
-    known = noted.get("neighbours")
+    known = noted.neighbours
     options = BakeOptions(
         gradients=kind,
-        weighting=noted["weighting"],
-        crease_angle=noted["creaseAngle"],
+        weighting=Weighting(noted.weighting),
+        crease_angle=noted.crease_angle,
         neighbours=Neighbours(known) if known in list(Neighbours) else Neighbours.ADOPT,
-        frame=FrameChoice(noted["frame"]),
-        weld=noted.get("weld", Weld.MESH),
+        frame=FrameChoice(noted.frame),
+        weld=Weld(noted.weld),
         generate_normals=True,  # strip takes generated ones away
     )
     try:
@@ -190,7 +189,7 @@ def _other_gradients(
         return
     for view in views:
         other = others.get(view.source.place)
-        if other is None or noted_kind(other) is not kind or other.alpha.shape != view.alpha.shape:
+        if other is None or other.kind is not kind or other.alpha.shape != view.alpha.shape:
             continue
         found = _with_influences(other, kind)
         same = is_shown and np.array_equal(other.now.joints, view.now.joints)
@@ -204,7 +203,7 @@ def _with_influences(view: BakedView, kind: Gradients) -> OtherGradients:
         kind=str(kind),
         mesh=place.mesh or 0,
         primitive=place.primitive or 0,
-        frame=str(view.metadata["frame"]),
+        frame=view.note.frame,
         alpha=view.alpha,
         beta=view.beta,
         joints=view.now.joints,

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.errors import Notice
-from skinbake.format.former import note_former_stream
+from skinbake.format.note import StreamNote, with_note
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.additions import Additions, Packed
 from skinbake.gltf.budget import Cost
@@ -201,8 +201,8 @@ class _DracoStore:
             view, inside = self._encoded(names)
         elif not left:
             return primitive
-        extras = note_former_stream(self._before, left)
-        extension = {**self._before, "bufferView": view, "attributes": inside, "extras": extras}
+        extension = {**self._before, "bufferView": view, "attributes": inside}
+        extension = with_note(extension, StreamNote(before=self._before, accessors=left))
         return {**primitive, "extensions": {**primitive["extensions"], draco.EXTENSION: extension}}
 
     def _encoded(self, names: list[str]) -> tuple[int, dict[str, int]]:

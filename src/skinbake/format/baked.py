@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -10,15 +11,26 @@ import numpy.typing as npt
 
 from skinbake.choices import Frame, Layout
 from skinbake.errors import Chosen, InputError, Message
-from skinbake.format import blend_weights, metadata
 from skinbake.format.attribute_store import AttributeStore, store_for
-from skinbake.format.blend_weights import BlendGradient
-from skinbake.format.encodings import encoded, shortened
+from skinbake.format.digests import INFLUENCE_TYPES, Digests, array_digest, influence_digests, slots_digest
+from skinbake.format.encodings import CUSTOM_NAMES, GradientFormat, encoded, free_texcoords, shortened
 from skinbake.format.influences import with_adopted
-from skinbake.format.layouts import CUSTOM_NAMES, GradientFormat, free_texcoords, of_alpha_and_beta, paired
-from skinbake.format.metadata import KEY, Digests
 from skinbake.format.morph_targets import MadeTargets, add_made
-from skinbake.format.stored_slots import NO_METADATA
+from skinbake.format.note import (
+    BLEND_GRADIENT,
+    GENERATOR,
+    KEY,
+    NO_METADATA,
+    VERSION,
+    Blend,
+    GradientNote,
+    Positions,
+    Straightened,
+    as_json,
+    has_place,
+    with_note,
+)
+from skinbake.format.stored_slots import BlendGradient
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive, blocks
 from skinbake.geometry.triangles import TRIANGLES
 from skinbake.gltf.accessors import element_count, read_accessor
@@ -27,7 +39,6 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, is_number
 from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, read_influences, side_by_side
 from skinbake.timing import stage
-from skinbake.version import __version__
 
 FLOAT = 5126
 
@@ -51,19 +62,18 @@ class AttributeNames(NamedTuple):
 
 
 class Baked(NamedTuple):
-    """One primitive to write: its place, its input arrays, the result, and the settings.
+    """One primitive to write: its place, its input arrays, the result, and the note of its settings.
 
-    digests returns those of the arrays in the file, with that of any TANGENT. The metadata holds the settings
-    as they are. replaced_sets are the influence sets that replace those of the file, if the bake has fewer or
-    more of them. The arrays of the primitive then belong to them. blend is the gradient of its blend weights,
-    if it has any.
+    digests returns those of the arrays in the file, with that of any TANGENT. replaced_sets are
+    the influence sets that replace those of the file, if the bake has fewer or more of them. The arrays of
+    the primitive then belong to them. blend is the gradient of its blend weights, if it has any.
     """
 
     source: PrimitiveSource
     primitive: SkinnedPrimitive
     result: BakedPrimitive
     digests: Digests
-    settings: JsonObject
+    note: GradientNote
     replaced_sets: Sequence[StoredInfluences] | None = None
     blend: BlendGradient | None = None
 
@@ -106,100 +116,82 @@ def _written(
 ) -> JsonObject:
     """Return the JSON of the primitive with all additions of bake.
 
-    The functions that it calls change ``attributes`` and ``note``, which is the metadata. The note goes into
-    the extras of the primitive. If another program's data is there, it goes into those of the first accessor
-    of α and β.
+    The note goes into the extras of the primitive. If another program's data is there, it goes into those of
+    the first accessor of α and β.
     """
-    attributes = dict(item.source.attributes)
-    note: JsonObject = {
-        "version": metadata.VERSION,
-        "generator": f"skinbake {__version__}",
-        "frame": item.result.frame,
-        "influences": item.primitive.joints.shape[1],
-        **item.settings,
-    }
+    source, attributes = item.source, dict(item.source.attributes)
     # A primitive without a NORMAL gets the generated one.
-    if "NORMAL" not in attributes:
+    generated = () if "NORMAL" in attributes else ("NORMAL",)
+    if generated:
         attributes["NORMAL"] = store.add("NORMAL", item.primitive.normals.astype(np.float32))
-        note["generated"] = ["NORMAL"]
-    _add_tangent(document, store, item, attributes, note)
+    # The TANGENT of which the bake straightened some vectors replaces the former one.
+    straightened, found, tangents = None, item.primitive.straightened, item.primitive.tangents
+    if found and found.vertices and tangents is not None:
+        former = int(attributes["TANGENT"])
+        before = read_accessor(document, former, source.place.at("TANGENT")).decoded()
+        straightened = Straightened(tangent=former, digest=array_digest(before, "<f4"))
+        attributes["TANGENT"] = store.add("TANGENT", tangents)
     with stage("digests"):
         digests = dict(item.digests())
-    stored = _add_influences(document, store, item, attributes, note, digests)
-    if stored is not item.primitive:
+    note = replace(
+        item.note,
+        version=VERSION,
+        generator=GENERATOR,
+        frame=item.result.frame,
+        influences=item.primitive.joints.shape[1],
+        generated=generated,
+        straightened=straightened,
+    )
+    stored = item.primitive
+    if item.replaced_sets is not None or item.result.adopts:
+        stored, adopted = _replace_influences(document, store, item, attributes)
+        note = replace(
+            note,
+            former_attributes=None if item.replaced_sets is None else tuple(source.attributes),
+            former_digest={name: digests[name] for name in INFLUENCE_TYPES},
+            adopted=adopted,
+        )
         with stage("digests"):
-            digests |= metadata.influence_digests(stored.joints, stored.weights)
+            digests |= influence_digests(stored.joints, stored.weights)
     if item.result.frame != Frame.TANGENT:
         digests.pop("TANGENT", None)
-    note["digest"] = digests
-    note["alpha"], note["beta"], gradients = _stored(item, names, storage)
-    note[metadata.POSITIONS] = _noted_positions(document, item, stored)
-    note |= storage.noted
-    for member in (metadata.STORED_POSE, metadata.POSES):
-        if member in note:
-            note[member] = {**note[member], "slots": metadata.slots_digest(dict(gradients))}
-    if item.source.json.get("extras") == {}:
-        note["keepExtras"] = True
-    # The metadata stands in the extras, unless another program's data is there.
-    primitive = item.source.json
-    extras = primitive.get("extras", {})
-    beside = not isinstance(extras, dict) or KEY in extras
-    holder: JsonObject | None = {KEY: note} if beside else None  # of the first accessor of α and β
+    alpha, beta, gradients = _stored(item, names, storage)
+    slots = slots_digest(dict(gradients)) if note.stored_pose or note.poses else ""
+    note = replace(
+        note,
+        stored_pose=note.stored_pose and replace(note.stored_pose, slots=slots),
+        poses=note.poses and replace(note.poses, slots=slots),
+        digest=digests,
+        alpha=tuple(alpha),
+        beta=tuple(beta),
+        positions=_noted_positions(document, item, stored),
+        layout=storage.layout,
+        encoding=storage.encoding,
+        scale=storage.scale if storage.encoding.is_scaled else None,
+        blend=item.blend and Blend(weights=item.blend.weights, gradient=BLEND_GRADIENT),
+    )
+    # The note stands in the extras, unless another program's data is there.
+    is_beside = not has_place(source.json)
+    holder = {KEY: as_json(note)} if is_beside else None  # of the first accessor of α and β
     if storage.layout is not Layout.CUSTOM and all(name in attributes for name, _ in gradients):
-        raise InputError(NO_METADATA, item.source.place)
+        raise InputError(NO_METADATA, source.place)
     for name, values in gradients:
         if name in attributes:
             choice = "--layout" if storage.layout is Layout.CUSTOM else "--alpha-name and --beta-name"
-            raise InputError(
-                f"it already has an attribute {name}: choose other names with {choice}, or remove it",
-                item.source.place,
-            )
+            message = f"it already has an attribute {name}: choose other names with {choice}, or remove it"
+            raise InputError(message, source.place)
         attributes[name] = store.add(name, values, normalized=storage.encoding.is_scaled, extras=holder)
         holder = None
     if item.blend is not None:
-        name = blend_weights.GRADIENT
-        if name in attributes:
-            message = f"it already has an attribute {name}: remove it, or bake without --blend"
-            raise InputError(message, item.source.place)
-        note[blend_weights.NOTE] = {"weights": item.blend.weights, "gradient": name}
-        attributes[name] = store.add(name, item.blend.gradient)
-    written = {**item.source.json, "attributes": attributes}
-    return written if beside else {**written, "extras": {**written.get("extras", {}), KEY: note}}
+        if BLEND_GRADIENT in attributes:
+            message = f"it already has an attribute {BLEND_GRADIENT}: remove it, or bake without --blend"
+            raise InputError(message, source.place)
+        attributes[BLEND_GRADIENT] = store.add(BLEND_GRADIENT, item.blend.gradient)
+    written = {**source.json, "attributes": attributes}
+    return written if is_beside else with_note(written, note)
 
 
-def _add_tangent(
-    document: Document, store: AttributeStore, item: Baked, attributes: dict[str, Any], note: JsonObject
-) -> None:
-    """Replace a TANGENT of which the bake straightened some vectors, and note the former one."""
-    straightened, tangents = item.primitive.straightened, item.primitive.tangents
-    if not straightened or not straightened.vertices or tangents is None:
-        return
-    former = int(attributes["TANGENT"])
-    before = read_accessor(document, former, item.source.place.at("TANGENT")).decoded()
-    note[metadata.STRAIGHTENED] = {"TANGENT": former, "digest": metadata.tangent_digest(before)}
-    attributes["TANGENT"] = store.add("TANGENT", tangents)
-
-
-def _add_influences(
-    document: Document,
-    store: AttributeStore,
-    item: Baked,
-    attributes: dict[str, Any],
-    note: JsonObject,
-    former: Mapping[str, str],
-) -> SkinnedPrimitive:
-    """Store the influences of the bake if they are not those of the file, of which former are the digests.
-
-    Return the arrays as stored.
-    """
-    if item.replaced_sets is not None:
-        note[metadata.FORMER_ATTRIBUTES] = list(item.source.attributes)
-    elif not item.result.adopts:
-        return item.primitive
-    return _replace_influences(document, store, item, attributes, note, former)
-
-
-def _noted_positions(document: Document, item: Baked, stored: SkinnedPrimitive) -> JsonObject:
+def _noted_positions(document: Document, item: Baked, stored: SkinnedPrimitive) -> Positions:
     """Return what a tool changes that spoils α and β, and what an engine can read at next to no cost.
 
     That is the type of POSITION, its bounds, how many corners are drawn, and a sum over them of hashes of the
@@ -210,10 +202,10 @@ def _noted_positions(document: Document, item: Baked, stored: SkinnedPrimitive) 
     source = item.source
     number = int(source.attributes["POSITION"])
     accessor = document.objects("accessors")[number]
-    noted: JsonObject = {"componentType": accessor["componentType"]}
+    noted = Positions(component_type=accessor["componentType"])
     if source.json.get("mode", TRIANGLES) == TRIANGLES:
         corners = int(source.json.get("indices", number))
-        noted["corners"] = element_count(document, corners, source.place.at("indices"))
+        noted = replace(noted, corners=element_count(document, corners, source.place.at("indices")))
     # FNV-1a of each vertex's joints, slot by slot, in uint32: sums and products wrap.
     hashes = np.full(len(stored.joints), 0x811C9DC5, np.uint32)
     for column in stored.joints.T:
@@ -224,8 +216,8 @@ def _noted_positions(document: Document, item: Baked, stored: SkinnedPrimitive) 
         vertices = indices[rows].astype(np.intp)
         used[vertices] = True
         joints += int(hashes[vertices].sum(dtype=np.uint32))
-    if "corners" in noted:
-        noted["joints"] = joints % 2**32
+    if noted.corners is not None:
+        noted = replace(noted, joints=joints % 2**32)
     if accessor["componentType"] != FLOAT or not used.any():
         return noted
     positions = item.primitive.positions if used.all() else item.primitive.positions[used]
@@ -236,7 +228,7 @@ def _noted_positions(document: Document, item: Baked, stored: SkinnedPrimitive) 
     if all(isinstance(row, list) and len(row) == 3 and all(map(is_number, row)) for row in told):
         allowed = SAME_BOUNDS * float(np.linalg.norm(bounds[1] - bounds[0]))
         if np.abs(np.array(told, dtype=np.float64) - bounds).max() <= allowed:
-            noted |= {"min": bounds[0].tolist(), "max": bounds[1].tolist()}
+            noted = replace(noted, min=tuple(bounds[0].tolist()), max=tuple(bounds[1].tolist()))
     return noted
 
 
@@ -247,8 +239,10 @@ def _stored(
     result = item.result
     if storage.layout is Layout.TEXCOORD:
         chosen = free_texcoords(item.source.attributes, result.alpha.shape[1])
-        arrays = list(zip(chosen, paired(result.alpha, result.beta), strict=True))
-        return *of_alpha_and_beta(chosen), arrays
+        # All numbers of α, then all of β, two in each set: the middle set holds both.
+        numbers, half = np.concatenate([result.alpha, result.beta], axis=1), len(chosen) // 2
+        sets = [numbers[:, start : start + 2] for start in range(0, numbers.shape[1], 2)]
+        return chosen[: half + 1], chosen[half:], list(zip(chosen, sets, strict=True))
     kept = result.alpha, result.beta
     if storage.encoding.is_scaled:
         kept = shortened(*kept, storage.scale)
@@ -275,14 +269,9 @@ def _stored(
 
 
 def _replace_influences(
-    document: Document,
-    store: AttributeStore,
-    item: Baked,
-    attributes: dict[str, Any],
-    note: JsonObject,
-    former_digests: Mapping[str, str],
-) -> SkinnedPrimitive:
-    """Let the attributes name the influences of the bake, note the former ones, and return stored arrays.
+    document: Document, store: AttributeStore, item: Baked, attributes: dict[str, Any]
+) -> tuple[SkinnedPrimitive, dict[str, int]]:
+    """Let ``attributes`` name the influences of the bake. Return the stored arrays, and former accessors.
 
     Attributes of sets that a limit leaves out are removed. Those of further sets are added.
     """
@@ -303,6 +292,4 @@ def _replace_influences(
         attributes[f"WEIGHTS_{number}"] = store.add(
             f"WEIGHTS_{number}", new.weights.values, normalized=new.weights.normalized
         )
-    note["formerDigest"] = {name: former_digests[name] for name in metadata.INFLUENCE_TYPES}
-    note["adopted"] = former
-    return item.primitive.with_influences(*side_by_side(after))
+    return item.primitive.with_influences(*side_by_side(after)), former

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from skinbake.errors import BudgetError, InputError, Notice, Place, UnsupportedFeatureError
+from skinbake.errors import BudgetError, InputError, Notice, Place
 from skinbake.format.correctives import QUANTIZATION, TARGET_NAMES, nodes_with
-from skinbake.format.metadata import KEY, VERSION, corrective_note
-from skinbake.format.morph_targets import NOTE
+from skinbake.format.note import KEY, CorrectiveNote, MorphNote, as_json, corrective_notes, refuse_later
 from skinbake.geometry import poses
 from skinbake.geometry.skinned import FloatArray
 from skinbake.gltf.accessors import element_count, read_accessor
@@ -48,20 +46,14 @@ def without_correctives(document: Document) -> tuple[JsonObject, list[Narrowed]]
     UnsupportedFeatureError if a later version of skinbake has made the correctives.
     """
     meshes, nodes = list(document.objects("meshes")), list(document.objects("nodes"))
-    notes = {number: note for number, mesh in enumerate(meshes) if (note := corrective_note(mesh))}
+    notes = corrective_notes(document)
     root = dict(document.json)
     kept: dict[int, int] = {}
     for number, note in notes.items():
         mesh = meshes[number]
-        if int(note["version"]) > VERSION:
-            place = Place(document.name, number, text(mesh, "name", document.place))
-            message = (
-                f"its metadata has version {note['version']}, this skinbake reads {VERSION}: update skinbake"
-            )
-            raise UnsupportedFeatureError(message, place)
-        added = int(note["targets"])
+        refuse_later(note.version, Place(document.name, number, text(mesh, "name", document.place)))
         counts = [len(entries_of(one.get("targets"))) for one in entries_of(mesh.get("primitives"))]
-        kept[number] = max(0, max(counts, default=0) - added)
+        kept[number] = max(0, max(counts, default=0) - note.targets)
         meshes[number] = _former_mesh(document, mesh, note, kept[number])
         for node in nodes_with(document, number):
             weights = nodes[node].get("weights")
@@ -70,7 +62,7 @@ def without_correctives(document: Document) -> tuple[JsonObject, list[Narrowed]]
                 if not kept[number]:  # written by another tool: no bake adds them
                     del nodes[node]["weights"]
     root["meshes"] = meshes
-    added_to = {key for note in notes.values() for key in note.get("required", [])}
+    added_to = {key for note in notes.values() for key in note.required or ()}
     for key in () if _needs_quantisation(document, meshes) else ("extensionsUsed", "extensionsRequired"):
         named = root.get(key)
         if key in added_to and isinstance(named, list) and QUANTIZATION in named:
@@ -103,18 +95,11 @@ def _needs_quantisation(document: Document, meshes: Sequence[JsonObject]) -> boo
     return False
 
 
-def _former_mesh(document: Document, mesh: JsonObject, note: JsonObject, kept: int) -> JsonObject:
+def _former_mesh(document: Document, mesh: JsonObject, note: CorrectiveNote, kept: int) -> JsonObject:
     """Return the JSON of a mesh with the first ``kept`` targets alone, and without our metadata."""
     primitives = []
-    noted = note.get("primitives")
-    entries = noted if isinstance(noted, list) else []
     for number, primitive in enumerate(entries_of(mesh.get("primitives"))):
-        entry = object_of(entries[number]) if number < len(entries) else {}
-        filled = {
-            name: {position for position in noted if isinstance(position, int)}
-            for name, noted in object_of(entry.get("filled")).items()
-            if isinstance(noted, list)
-        }
+        filled = note.primitives[number].filled if number < len(note.primitives) else {}
         targets = [
             {
                 name: one
@@ -129,37 +114,45 @@ def _former_mesh(document: Document, mesh: JsonObject, note: JsonObject, kept: i
         else:
             changed.pop("targets", None)
         primitives.append(changed)
-    former = note.get("former")
-    former = former if isinstance(former, list) else []
     found = {**mesh, "primitives": primitives}
     weights = mesh.get("weights")
-    if isinstance(weights, list) and ("weights" in former or any(weights[:kept])):
+    if isinstance(weights, list) and ("weights" in note.former or any(weights[:kept])):
         found["weights"] = weights[:kept]
     else:
         found.pop("weights", None)
     extras = {key: value for key, value in object_of(mesh.get("extras")).items() if key != KEY}
     names = extras.get(TARGET_NAMES)
-    if "formerNames" in note:
-        extras[TARGET_NAMES] = note["formerNames"]
-    elif not kept and not note.get("names"):
+    if note.former_names is not None:
+        extras[TARGET_NAMES] = note.former_names
+    elif not kept and not note.names:
         extras.pop(TARGET_NAMES, None)
-    elif isinstance(names, list) and len(names) == kept + int(note["targets"]):
+    elif isinstance(names, list) and len(names) == kept + note.targets:
         extras[TARGET_NAMES] = names[:kept]
-    members = ("version", "generator", "keepExtras", NOTE)
-    extras |= {KEY: {name: note[name] for name in members if name in note}} if NOTE in note else {}
+    if note.morph_targets:  # what was made for the file's own targets stays
+        extras[KEY] = as_json(
+            MorphNote(
+                version=note.version,
+                generator=note.generator,
+                keep_extras=note.keep_extras,
+                morph_targets=note.morph_targets,
+            )
+        )
     found["extras"] = extras
-    if not extras and "extras" not in former:
+    if not extras and "extras" not in note.former:
         del found["extras"]
     return found
 
 
 def _former_animations(
-    document: Document, notes: dict[int, JsonObject], kept: dict[int, int]
+    document: Document, notes: dict[int, CorrectiveNote], kept: dict[int, int]
 ) -> tuple[list[JsonObject], list[Narrowed]]:
     """Return the animations before the bake, and the channels whose former samplers are gone."""
     animations = [dict(one) for one in document.objects("animations")]
     of_node = {node: mesh for mesh in notes for node in nodes_with(document, mesh)}
-    former, counts = _noted_channels(notes.values())
+    changed = (one for note in notes.values() for one in note.channels)
+    former = {(number, position): sampler for number, position, sampler in changed}
+    samplers_before = (one for note in notes.values() for one in note.samplers)
+    counts = dict(sorted(samplers_before, reverse=True))  # the least of each animation comes last
     narrowed, found = [], []
     for number, animation in enumerate(animations):
         channels, samplers = entries_of(animation.get("channels")), entries_of(animation.get("samplers"))
@@ -185,7 +178,7 @@ def _former_animations(
                     narrowed.append(Narrowed(number, len(left), kept[mesh]))
                     left.append(channel)
             else:
-                before_it = samplers[int(before)] if int(before) < len(samplers) else {}
+                before_it = samplers[before] if before < len(samplers) else {}
                 now = listed(animation, "samplers", channel.get("sampler")) or {}
                 if _still_plays(document, now, before_it, kept[mesh]):
                     left.append({**channel, "sampler": before})
@@ -214,29 +207,6 @@ def _moved_weights(channel: JsonObject, of_node: Mapping[int, int]) -> tuple[int
     number = int(found[2])
     mesh = number if found[1] == "meshes" else of_node.get(number, -1)
     return mesh, None if found[3] is None else int(found[3])
-
-
-def _noted_channels(notes: Iterable[JsonObject]) -> tuple[dict[tuple[int, int], Any], dict[int, int]]:
-    """Return the former sampler of each noted channel, None for an added one, and the counts of samplers.
-
-    Channels are named by animation and number. What is damaged in the notes is left out.
-    """
-    former: dict[tuple[int, int], Any] = {}
-    counts: dict[int, int] = {}
-    for note in notes:
-        for one in _lists(note.get("channels"), 3):
-            if reference(one[0]) is not None and reference(one[1]) is not None:
-                former[one[0], one[1]] = None if reference(one[2]) is None else one[2]
-        for number, count in _lists(note.get("samplers"), 2):
-            if reference(number) is not None and (found := reference(count)) is not None:
-                counts[number] = min(found, counts.get(number, found))
-    return former, counts
-
-
-def _lists(value: object, length: int) -> list[list[Any]]:
-    """Return the entries of a list that are lists of a length."""
-    entries = value if isinstance(value, list) else []
-    return [one for one in entries if isinstance(one, list) and len(one) == length]
 
 
 def _is_zeros(document: Document, value: object) -> bool:

@@ -8,24 +8,35 @@ What engines need of a file that has them (docs/correctives.md):
 - All primitives of a mesh have the same number of targets, also those that are not corrected.
 - The targets and weights that are there come first, and keep their values.
 - A clip that moves the skin and has no correctives plays zeros, because players keep the last value.
+- One sampler holds the weights of all targets of a node (glTF 2.0, §3.11). So what a file animates already
+  and the correctives get keys at the union of their times (``with_correctives``).
 
-The metadata ``extras.skinbake`` of the mesh says what was added, so that ``strip`` takes it out again.
+The note of the mesh says what was added, so that ``strip`` takes it out again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.choices import Encoding
+from skinbake.choices import CorrectiveAim, Encoding, Frame
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
-from skinbake.format.corrective_channels import Keys, with_correctives
-from skinbake.format.metadata import KEY, VERSION, digests, unordered_digest
-from skinbake.format.morph_targets import NOTE, add_differences, add_zeros
+from skinbake.format.digests import digests, unordered_digest
+from skinbake.format.morph_targets import add_differences, add_zeros
+from skinbake.format.note import (
+    GENERATOR,
+    KEY,
+    VERSION,
+    CorrectedPrimitive,
+    CorrectiveNote,
+    as_json,
+    corrective_notes,
+    morph_note,
+)
 from skinbake.geometry import poses
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.accessors import element_count, read_accessor
@@ -46,7 +57,6 @@ from skinbake.gltf.json_access import (
     reference,
 )
 from skinbake.gltf.primitives import PrimitiveSource
-from skinbake.version import __version__
 
 QUANTIZATION = "KHR_mesh_quantization"
 
@@ -76,7 +86,8 @@ class ClipWeights:
 class MeshCorrectives:
     """The correctives of one mesh: targets (K, V, 3) of the normals of each of its sources, and clips.
 
-    primitives are the arrays of the sources, for their digests. settings go into the metadata as they are.
+    primitives are the arrays of the sources, for their digests. aim is what they were fitted to, playing are
+    the names of the clips that play them: people read both in the note.
     """
 
     mesh: int
@@ -84,22 +95,13 @@ class MeshCorrectives:
     primitives: Sequence[SkinnedPrimitive]
     targets: Sequence[Float64Array]
     clips: Sequence[ClipWeights]
-    settings: JsonObject
+    aim: CorrectiveAim
+    playing: Sequence[str]
 
     @property
     def count(self) -> int:
         """The number of targets."""
         return len(self.targets[0])
-
-
-def with_plays(document: Document, plays: Mapping[int, list[list[float]]]) -> Document:
-    """Return the document with the numbers of what its clips play in the metadata of its correctives."""
-    meshes = list(document.objects("meshes"))
-    for number, rows in plays.items():
-        mesh = meshes[number]
-        note = {**mesh["extras"][KEY], "plays": rows}
-        meshes[number] = {**mesh, "extras": {**mesh["extras"], KEY: note}}
-    return document.edited(json={**document.json, "meshes": meshes})
 
 
 def nodes_with(document: Document, mesh: int, skin: int | None = None) -> list[int]:
@@ -187,14 +189,17 @@ def with_mesh_correctives(
     lengths = []
     for item in items:
         before = additions.byte_length
-        note: JsonObject = {
-            "version": VERSION,
-            "generator": f"skinbake {__version__}",
-            "targets": item.count,
-            **item.settings,
-        }
         there = document.asset.meshes[item.mesh].target_count
-        note |= _add_clips(document, additions, item, animations, there)
+        channels, samplers = _add_clips(document, additions, item, animations, there)
+        note = CorrectiveNote(
+            version=VERSION,
+            generator=GENERATOR,
+            targets=item.count,
+            aim=item.aim,
+            clips=tuple(item.playing),
+            channels=channels,
+            samplers=samplers,
+        )
         meshes[item.mesh] = _with_targets(document, additions, item, there, encoding, note)
         for number in nodes_with(document, item.mesh):
             if nodes[number].get("weights") is not None:
@@ -215,7 +220,7 @@ def _with_targets(
     item: MeshCorrectives,
     there: int,
     encoding: Encoding,
-    note: JsonObject,
+    note: CorrectiveNote,
 ) -> JsonObject:
     """Return the JSON of a mesh with targets, weights, names of targets, and the metadata."""
     mesh = document.objects("meshes")[item.mesh]
@@ -226,34 +231,49 @@ def _with_targets(
         number = of_sources.get(position)
         own = None if number is None else item.targets[number]
         changed, filled = _with_own(document, additions, primitive, (there, item.count), own, encoding)
-        entry: JsonObject = {"filled": filled} if filled else {}
+        entry = CorrectedPrimitive(filled=filled)
         if number is not None and own is not None:
             stored = item.primitives[number]
             decoded = decoded_targets(own, encoding)
-            entry |= {"digest": digests(stored, "normal"), "targets": corrective_digest(stored, decoded)}
+            targets = corrective_digest(stored, decoded)
+            entry = replace(entry, digest=digests(stored, Frame.NORMAL), targets=targets)
         primitives.append(changed)
         noted.append(entry)
-    note["primitives"] = noted
     names = object_of(mesh.get("extras")).get(TARGET_NAMES)
     extras = dict(object_of(mesh.get("extras")))
     if there == 0 or (isinstance(names, list) and len(names) == there):
         ours = [f"corrective normal {number + 1}" for number in range(item.count)]
         extras[TARGET_NAMES] = [*(names if isinstance(names, list) and there else []), *ours]
-    note["former"] = [key for key in ("weights", "extras") if key in mesh]
-    note["names"] = TARGET_NAMES in object_of(mesh.get("extras"))
-    if there == 0 and names is not None:
-        note["formerNames"] = names
-    if encoding.is_scaled:
-        note["encoding"] = str(encoding)
-        note["required"] = [
-            key
-            for key in ("extensionsUsed", "extensionsRequired")
-            if QUANTIZATION not in document.json.get(key, [])
-        ]
-    made = object_of(extras.get(KEY))  # what bake has made for the file's own targets
-    extras[KEY] = {**note, **{name: made[name] for name in (NOTE, "keepExtras") if name in made}}
+    added_to = [
+        key
+        for key in ("extensionsUsed", "extensionsRequired")
+        if QUANTIZATION not in document.json.get(key, [])
+    ]
+    made = morph_note(mesh)  # what bake has made for the file's own targets
+    note = replace(
+        note,
+        primitives=tuple(noted),
+        former=tuple(key for key in ("weights", "extras") if key in mesh),
+        names=TARGET_NAMES in object_of(mesh.get("extras")),
+        former_names=names if there == 0 else None,
+        encoding=encoding,
+        required=tuple(added_to) if encoding.is_scaled else None,
+        morph_targets=made.morph_targets if made else (),
+        keep_extras=bool(made and made.keep_extras),
+    )
     weights = [*mesh.get("weights", [0] * there), *[0] * item.count]
+    extras[KEY] = as_json(note)
     return {**mesh, "primitives": primitives, "weights": weights, "extras": extras}
+
+
+def with_plays(document: Document, plays: Mapping[int, Sequence[tuple[float, ...]]]) -> Document:
+    """Return the document with notes of what clips play, by mesh, by which ``verify`` knows them again."""
+    meshes = list(document.objects("meshes"))
+    for number, rows in plays.items():
+        mesh, note = meshes[number], corrective_notes(document)[number]
+        extras = {**mesh["extras"], KEY: as_json(replace(note, plays=tuple(rows)))}
+        meshes[number] = {**mesh, "extras": extras}
+    return document.edited(json={**document.json, "meshes": meshes})
 
 
 def decoded_targets(targets: Float64Array, encoding: Encoding) -> FloatArray:
@@ -289,7 +309,7 @@ def _with_own(
     counts: tuple[int, int],
     targets: Float64Array | None,
     encoding: Encoding,
-) -> tuple[JsonObject, dict[str, list[int]]]:
+) -> tuple[JsonObject, dict[str, tuple[int, ...]]]:
     """Return the JSON of a primitive with targets behind its own, and what its own ones were filled with.
 
     counts are the targets of the mesh before, and the added ones. Zeros are added wherever a target lacks
@@ -328,7 +348,7 @@ def _with_own(
         if stored is not None and stored[number].any():
             normal["NORMAL"] = add_differences(additions, stored[number], normalized=encoding.is_scaled)
         complete.append({**zeros(name for name in names if name not in normal), **normal})
-    return {**primitive, "targets": complete}, filled
+    return {**primitive, "targets": complete}, {name: tuple(numbers) for name, numbers in filled.items()}
 
 
 def _add_clips(
@@ -337,15 +357,13 @@ def _add_clips(
     item: MeshCorrectives,
     animations: list[JsonObject],
     there: int,
-) -> JsonObject:
-    """Add the weights of a mesh's targets to animations, and return what the metadata says of them.
+) -> tuple[tuple[tuple[int, int, int | None], ...], tuple[tuple[int, int], ...]]:
+    """Add the weights of a mesh's targets to animations; return channels and samplers of ``CorrectiveNote``.
 
-    A channel of weights that is there gets a sampler with more weights; otherwise one is added. ``channels``
-    of the metadata are the animation, the channel, and its former sampler, or null for an added one.
-    ``samplers`` are the numbers of samplers before.
+    A channel of weights that is there gets a sampler with more weights; otherwise one is added.
     """
     place = item.sources[0].place
-    changed: list[list[Any]] = []
+    changed: list[tuple[int, int, int | None]] = []
     before: dict[int, int] = {}
     moved = _moved_weights(document).channels
     of_clip = {(clip.animation, node): clip for clip in item.clips for node in clip.nodes}
@@ -372,15 +390,15 @@ def _add_clips(
                 samplers.append(_add_keys(additions, keys))
                 shared[skin] = sampler
             if position is None:
-                changed.append([number, len(channels), None])
+                changed.append((number, len(channels), None))
                 channels.append({"sampler": sampler, "target": {"node": node, "path": MORPH_WEIGHTS}})
             else:
-                changed.append([number, position, channels[position]["sampler"]])
+                changed.append((number, position, channels[position]["sampler"]))
                 channels[position] = {**channels[position], "sampler": sampler}
         if len(samplers) > count:
             before[number] = count
             animations[number] = {**animation, "channels": channels, "samplers": samplers}
-    return {"channels": changed, "samplers": [list(one) for one in before.items()]}
+    return tuple(changed), tuple(before.items())
 
 
 def _keys(
@@ -445,3 +463,65 @@ def _add_keys(additions: Additions, keys: Keys) -> JsonObject:
     )
     source, output = numbers
     return {"input": source, "output": output, "interpolation": keys.method}
+
+
+@dataclass(frozen=True, slots=True)
+class Keys:
+    """The keys of a sampler: times (N,), values (N, T), or (N, 3, T) for CUBICSPLINE, and the method."""
+
+    times: Float32Array
+    values: Float32Array
+    method: str
+
+
+def with_correctives(there: Keys, times: Float32Array, weights: Float32Array) -> Keys:
+    """Return keys for all targets: those that are there, then correctives of weights (M, K) at times (M,).
+
+    LINEAR stays LINEAR: the values between two keys are the same with further keys on the line. CUBICSPLINE
+    stays CUBICSPLINE: a cubic piece is cut into two with the same values and slopes, and each straight piece
+    of the correctives is a cubic piece with one slope. STEP becomes LINEAR, with the former value held until
+    the last float before each key. Where there are no correctives before their first or after their last key,
+    the value stays.
+    """
+    own, kept = there.times.astype(np.float64), np.append(np.diff(there.times) > 0, True)
+    union = np.union1d(there.times, times).astype(np.float32)
+    if there.method == poses.STEP:
+        held = np.nextafter(there.times[1:], np.float32(-np.inf))
+        union = np.union1d(union, held[held >= there.times[0]]).astype(np.float32)
+    at = union.astype(np.float64)
+    straight = [np.interp(at, times, column) for column in weights.T.astype(np.float64)]
+    ours = np.stack(straight, axis=1).astype(np.float32)
+    former = there.values.astype(np.float64)
+    if there.method != poses.CUBICSPLINE:
+        found = poses.interpolated(own, former, at, method=there.method, rotation=False).astype(np.float32)
+        # Keys that are there keep their bits. Of two at one time, the last counts from there on.
+        found[np.searchsorted(union, there.times[kept])] = there.values[kept]
+        return Keys(union, np.concatenate([found, ours], axis=1), poses.LINEAR)
+    cubic = np.zeros((len(union), 3, former.shape[2] + ours.shape[1]), dtype=np.float32)
+    cubic[:, 1, former.shape[2] :] = ours
+    slopes = np.diff(ours, axis=0) / np.diff(at)[:, None]
+    cubic[1:, 0, former.shape[2] :] = slopes
+    cubic[:-1, 2, former.shape[2] :] = slopes
+    values = poses.interpolated(own, former, at, method=there.method, rotation=False)
+    # The derivatives (P, T) of a spline of values (N, 3, T), 0 outside its keys.
+    before = np.clip(np.searchsorted(own, at, side="right") - 1, 0, max(len(own) - 2, 0))
+    after = np.minimum(before + 1, len(own) - 1)
+    span = own[after] - own[before]
+    inside = (at >= own[0]) & (at <= own[-1]) & (span > 0)
+    span = np.where(span > 0, span, 1.0)
+    s = ((at - own[before]) / span)[:, None]
+    left, right = former[before], former[after]
+    slope = (
+        (6 * s * s - 6 * s) * (left[:, 1] - right[:, 1]) / span[:, None]
+        + (3 * s * s - 4 * s + 1) * left[:, 2]
+        + (3 * s * s - 2 * s) * right[:, 0]
+    )
+    slope = np.where(inside[:, None], slope, 0.0)
+    cubic[:, :, : former.shape[2]] = np.stack([slope, values, slope], axis=1)
+    cubic[np.searchsorted(union, there.times[kept]), :, : former.shape[2]] = there.values[kept]
+    # Before the first and after the last key that were there, the value stays.
+    if union[0] < there.times[0]:
+        cubic[np.searchsorted(union, there.times[0]), 0, : former.shape[2]] = 0.0
+    if union[-1] > there.times[-1]:
+        cubic[np.searchsorted(union, there.times[-1]), 2, : former.shape[2]] = 0.0
+    return Keys(union, cubic, poses.CUBICSPLINE)

@@ -1,4 +1,7 @@
-"""Encode α and β in fewer bytes: normalised integers relative to a scale of each vertex.
+"""How α and β are stored: by an encoding, and in the attributes of a layout.
+
+An encoding takes fewer bytes: normalised integers relative to a scale of each vertex. A layout holds both in
+attributes of their own, or in texture coordinates with two numbers each.
 
 The format is in docs/reference/file-format.md.
 
@@ -10,13 +13,14 @@ bear. Then the scale of the file is less than the largest value, and the vertice
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.choices import Encoding
+from skinbake.choices import Encoding, Layout
+from skinbake.format.note import TEXCOORD, GradientNote
 from skinbake.geometry.skinned import Float64Array, FloatArray
 
 CANDIDATES = 8
@@ -188,3 +192,30 @@ def decoded(sets: Sequence[npt.NDArray[Any]], encoding: Encoding, scale: float) 
     own = parts[0][:, 3] ** 2 * scale
     relative = np.concatenate([parts[0][:, :3], *parts[1:]], axis=1)
     return DecodedSlots((own[:, None] * relative).astype(np.float32), own / (2 * limit))
+
+
+CUSTOM_NAMES = (("_CUSTOM0", "_CUSTOM1"), ("_CUSTOM2", "_CUSTOM3"))
+"""α and β by influence set, as CUSTOM0 … CUSTOM3 of Godot after 4.6 (godotengine/godot#120040)."""
+
+
+class GradientFormat(NamedTuple):
+    """The storage of α and β in one file; scale is the encoding's, in 1 / length unit of POSITION."""
+
+    encoding: Encoding = Encoding.FLOAT32
+    layout: Layout = Layout.ATTRIBUTES
+    scale: float = 0.0
+
+
+def noted_format(note: GradientNote) -> GradientFormat:
+    """Return the storage in a note; ValueError if a name is unknown."""
+    return GradientFormat(Encoding(note.encoding), Layout(note.layout), note.scale or 0.0)
+
+
+def free_texcoords(attributes: Iterable[str], count: int) -> list[str]:
+    """Return the names of ``count`` texture coordinate sets after the existing ones.
+
+    glTF numbers them without a gap, so the new ones begin after the last.
+    """
+    taken = (int(found[1]) for name in attributes if (found := TEXCOORD.fullmatch(name)))
+    first = max(taken, default=-1) + 1
+    return [f"TEXCOORD_{number}" for number in range(first, first + count)]

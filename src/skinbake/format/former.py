@@ -11,32 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.errors import BudgetError, InputError, Place
-from skinbake.format.metadata import (
-    FORMER_ATTRIBUTES,
-    INFLUENCE_TYPES,
-    KEY,
-    STRAIGHTENED,
-    array_digest,
-    influence_digests,
-    noted_names,
-)
+from skinbake.format.digests import INFLUENCE_TYPES, array_digest, influence_digests
+from skinbake.format.note import GradientNote, stream_note
 from skinbake.gltf.accessors import StoredArray, read_accessor
 from skinbake.gltf.budget import ELEMENTS, Cost
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, index, integer, reference
-
-BEFORE, ACCESSORS = "before", "accessors"
-
-
-def note_former_stream(former: JsonObject, accessors: JsonObject) -> JsonObject:
-    """Return the ``extras`` of a new Draco extension: the former ``extras``, with the former extension noted.
-
-    accessors has, by name, the accessors of the attributes that the new stream replaces or leaves out.
-    """
-    extras = former.get("extras")
-    note = {BEFORE: former, **({ACCESSORS: accessors} if accessors else {})}
-    return {**(extras if isinstance(extras, dict) else {}), KEY: note}
+from skinbake.gltf.json_access import JsonObject, index, integer
 
 
 def with_former_stream(primitive: JsonObject) -> JsonObject | None:
@@ -44,31 +25,25 @@ def with_former_stream(primitive: JsonObject) -> JsonObject | None:
 
     Its attributes are the present ones, except the ones that adoption replaced.
     """
-    extension = draco.extension_of(primitive) or {}
-    extras = extension.get("extras")
-    note = extras.get(KEY) if isinstance(extras, dict) else None
-    before = note.get(BEFORE) if isinstance(note, dict) else None
-    if not isinstance(note, dict) or not isinstance(before, dict):
+    note = stream_note(draco.extension_of(primitive) or {})
+    attributes = primitive.get("attributes")
+    if note is None or not isinstance(attributes, dict):
         return None
-    attributes, former = primitive.get("attributes"), note.get(ACCESSORS, {})
-    if not isinstance(attributes, dict) or not isinstance(former, dict):
-        return None
-    extensions = {**primitive["extensions"], draco.EXTENSION: before}
-    return {**primitive, "attributes": {**attributes, **former}, "extensions": extensions}
+    extensions = {**primitive["extensions"], draco.EXTENSION: note.before}
+    return {**primitive, "attributes": {**attributes, **note.accessors}, "extensions": extensions}
 
 
 def former_attributes(
-    document: Document, attributes: JsonObject, note: JsonObject, place: Place
+    document: Document, attributes: JsonObject, note: GradientNote, place: Place
 ) -> dict[str, int] | None:
     """Return the accessors to restore if bake adopted joints, empty if it adopted none.
 
     None if they must not be restored: the accessors in the metadata no longer hold the former influences, or
     the adopted ones have been edited since and the edits would be lost.
     """
-    former, digest = note.get("adopted"), note.get("digest")
-    if former is None and FORMER_ATTRIBUTES not in note:
+    if note.adopted is None and note.former_attributes is None:
         return {}
-    if not isinstance(former, dict) or not isinstance(digest, dict):
+    if note.adopted is None:
         return None
     try:
         draco.add_former_streams(document, with_former_stream)
@@ -77,7 +52,7 @@ def former_attributes(
         raise
     except InputError:
         return None
-    if now != {name: digest.get(name) for name in now}:
+    if now != {name: note.digest.get(name) for name in now}:
         return None
     for find in (_as_noted, _found_again):
         try:
@@ -88,42 +63,38 @@ def former_attributes(
             raise
         except InputError:
             continue
-        if before == note.get("formerDigest") and found.keys() <= _digested(restored):
+        if before == note.former_digest and found.keys() <= _digested(restored):
             return found
     return None
 
 
-def _as_noted(document: Document, attributes: JsonObject, note: JsonObject, place: Place) -> dict[str, int]:
+def _as_noted(document: Document, attributes: JsonObject, note: GradientNote, place: Place) -> dict[str, int]:
     """Return the former accessors of JOINTS and WEIGHTS by the numbers in the metadata."""
-    former, count = note["adopted"], len(document.objects("accessors"))
-    numbers = {name: index(former, name, count, place.at(name)) for name in former}
-    return {name: number for name, number in numbers.items() if number is not None}
+    count = len(document.objects("accessors"))
+    return {name: number for name, number in (note.adopted or {}).items() if 0 <= number < count}
 
 
 def _found_again(
-    document: Document, attributes: JsonObject, note: JsonObject, place: Place
+    document: Document, attributes: JsonObject, note: GradientNote, place: Place
 ) -> dict[str, int]:
     """Return the accessors of any numbers that hold the former JOINTS_0 and WEIGHTS_0.
 
     The digests of several sets are digests of all sets together. So they do not find one of them.
     """
-    noted = note.get("formerDigest")
-    if not isinstance(noted, dict):
-        return {}
     numbers = {
-        name: _with_digest(document, attributes, name, noted.get(name.removesuffix("_0")), place)
-        for name in note["adopted"]
+        name: _with_digest(document, attributes, name, note.former_digest.get(name.removesuffix("_0")), place)
+        for name in note.adopted or ()
     }
     return {name: number for name, number in numbers.items() if number is not None}
 
 
 def _with_digest(
-    document: Document, attributes: JsonObject, name: str, digest: object, place: Place
+    document: Document, attributes: JsonObject, name: str, digest: str | None, place: Place
 ) -> int | None:
     """Return an accessor that has a digest, and as many rows of four numbers as that of an attribute."""
     accessors = document.objects("accessors")
     number = index(attributes, name, len(accessors), place)
-    if number is None or not isinstance(digest, str):
+    if number is None or digest is None:
         return None
     count = integer(accessors[number], "count", place, minimum=1)
     known: dict[int, dict[str | None, int]] = document.derived.setdefault("accessors by digest", {})
@@ -174,17 +145,15 @@ def _read(document: Document, number: int, place: Place) -> StoredArray:
 
 
 def former_tangent(
-    document: Document, attributes: JsonObject, note: JsonObject, place: Place
+    document: Document, attributes: JsonObject, note: GradientNote, place: Place
 ) -> dict[str, int] | None:
     """Return the accessor of TANGENT to restore if bake straightened it, empty if it did not.
 
     None if it must not be restored: the former accessor has other content now, or TANGENT has been edited.
     """
-    noted, digest = note.get(STRAIGHTENED), note.get("digest")
-    if noted is None:
+    if note.straightened is None:
         return {}
-    before = noted.get("digest") if isinstance(noted, dict) else None
-    after = digest.get("TANGENT") if isinstance(digest, dict) else None
+    before, after = note.straightened.digest, note.digest.get("TANGENT")
     if before is None or after is None:  # so is the digest of an accessor that cannot be read
         return None
     where = place.at("TANGENT")
@@ -194,7 +163,7 @@ def former_tangent(
         now = index(attributes, "TANGENT", count, where)
         if now is None or _digest(document, now, where) != after:
             return None
-        former = reference(noted.get("TANGENT"))
+        former = note.straightened.tangent
         if former is not None and 0 <= former < count and _digest(document, former, where) == before:
             return {"TANGENT": former}
         again = _with_digest(document, attributes, "TANGENT", before, where)
@@ -205,15 +174,14 @@ def former_tangent(
     return None if again is None else {"TANGENT": again}
 
 
-def former_sets(attributes: JsonObject, note: JsonObject) -> JsonObject:
+def former_sets(attributes: JsonObject, note: GradientNote) -> JsonObject:
     """Return the attributes without the influence sets that bake added."""
-    if FORMER_ATTRIBUTES not in note:
+    if note.former_attributes is None:
         return attributes
-    noted = set(noted_names(note, FORMER_ATTRIBUTES))
     return {
         name: number
         for name, number in attributes.items()
-        if name in noted or not name.startswith(("JOINTS_", "WEIGHTS_"))
+        if name in note.former_attributes or not name.startswith(("JOINTS_", "WEIGHTS_"))
     }
 
 

@@ -9,6 +9,7 @@ buffer view: zeros, without a byte. The metadata ``extras.skinbake`` of the mesh
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,27 +17,34 @@ import numpy.typing as npt
 
 from skinbake.errors import BudgetError, InputError, Place, UnsupportedFeatureError
 from skinbake.format.attribute_store import meshopt_packing
-from skinbake.format.metadata import DEEPEST_NOTE, KEY, VERSION, unordered_digest
+from skinbake.format.digests import unordered_digest
+from skinbake.format.note import (
+    GENERATOR,
+    IN_PLANE,
+    UPWARD,
+    VERSION,
+    MorphNote,
+    MorphTargets,
+    has_place,
+    morph_note,
+    noted_targets,
+    with_note,
+    without_note,
+)
 from skinbake.geometry.morphs import COMPONENTS, Differences
 from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive
 from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.additions import Additions, Packed
 from skinbake.gltf.codecs.views import COMPONENT_CODES, TYPES
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, entries_of, is_deeper, object_of, reference, with_integers
+from skinbake.gltf.json_access import JsonObject, entries_of, object_of, reference
 from skinbake.gltf.primitives import PrimitiveSource
-from skinbake.version import __version__
 
-NOTE = "morphTargets"
-"""The member of a mesh's note that tells, by primitive, what bake added to targets."""
-
-IN_PLANE, UPWARD = "_SKINBAKE_MORPH", "_SKINBAKE_MORPH_UP"
-"""The attributes of the differential of a target: VEC4 along t0 and b0, and VEC2 along n0.
+FRAMES = (IN_PLANE, UPWARD)
+"""The attributes of the differential of a target.
 
 glTF wants an attribute of that name in the primitive too. There it is zeros, without a byte.
 """
-
-FRAMES = (IN_PLANE, UPWARD)
 
 
 class MadeTargets(NamedTuple):
@@ -104,8 +112,7 @@ def morph_digest(primitive: SkinnedPrimitive, targets: Mapping[int, Differences]
 
 def check_extras(document: Document, mesh: int, place: Place) -> None:
     """Raise UnsupportedFeatureError if the extras of a mesh have no place for metadata."""
-    extras = document.objects("meshes")[mesh].get("extras", {})
-    if not isinstance(extras, dict) or KEY in extras:
+    if not has_place(document.objects("meshes")[mesh]):
         message = '"extras" of its mesh leave no place for the metadata of morph targets'
         raise UnsupportedFeatureError(message, place)
 
@@ -131,7 +138,7 @@ def add_made(
         count = int(accessors[int(item.source.attributes["POSITION"])]["count"])
         packed = meshopt_packing(document, item.source, level)
         targets = list(item.source.json["targets"])
-        zeros = [[one, targets[one]["NORMAL"]] for one in item.normals if "NORMAL" in targets[one]]
+        zeros = tuple((one, targets[one]["NORMAL"]) for one in item.normals if "NORMAL" in targets[one])
         attributes = dict(primitives[number]["attributes"])
         parts = {"NORMAL": (item.normals, 3)}
         parts |= {
@@ -153,95 +160,21 @@ def add_made(
                     accessor = add_zeros(additions, count, TYPES[components], bounded=False)
                 targets[target] = {**targets[target], name: accessor}
         primitives[number] = {**primitives[number], "attributes": attributes, "targets": targets}
-        meshes[item.source.mesh] = _noted({**mesh, "primitives": primitives}, item, zeros)
+        # The note of the mesh, which an earlier primitive of it may have begun.
+        note = morph_note(mesh) or MorphNote(version=VERSION, generator=GENERATOR)
+        entries = list(note.morph_targets or [MorphTargets()] * len(primitives))
+        kinds = ("in_plane", "upward")[: len(item.frames)]
+        entries[number] = MorphTargets(
+            targets=len(targets),
+            normals=tuple(sorted(item.normals)),
+            zeros=zeros,
+            frames=sum(COMPONENTS[kind] for kind in kinds),
+            digest=item.digest,
+        )
+        note = replace(note, morph_targets=tuple(entries))
+        meshes[item.source.mesh] = with_note({**mesh, "primitives": primitives}, note)
         lengths.append(additions.byte_length - before)
     return lengths
-
-
-def _noted(mesh: JsonObject, item: MadeTargets, zeros: list[list[int]]) -> JsonObject:
-    """Return the JSON of a mesh with the note that tells what was added to a primitive.
-
-    ``zeros`` are targets, and their former accessors of NORMAL, which held zeros.
-    """
-    extras = object_of(mesh.get("extras"))
-    note = dict(object_of(extras.get(KEY)))
-    if not note:
-        note = {"version": VERSION, "generator": f"skinbake {__version__}"}
-        note |= {"keepExtras": True} if mesh.get("extras") == {} else {}
-    entries = [dict(one) for one in note.get(NOTE, [{} for _ in mesh["primitives"]])]
-    numbers = sum(COMPONENTS[kind] for kind, _ in zip(("in_plane", "upward"), item.frames, strict=False))
-    entries[item.source.primitive] = {
-        "targets": len(item.source.json["targets"]),
-        **({"normals": sorted(item.normals)} if item.normals else {}),
-        **({"zeros": zeros} if zeros else {}),
-        **({"frames": numbers} if numbers else {}),
-        "digest": item.digest,
-    }
-    return {**mesh, "extras": {**extras, KEY: {**note, NOTE: entries}}}
-
-
-def morph_note(mesh: JsonObject) -> JsonObject | None:
-    """Return the note of a mesh whose targets bake has changed, None without a sound one."""
-    note = object_of(mesh.get("extras")).get(KEY)
-    if not isinstance(note, dict) or is_deeper(note, DEEPEST_NOTE) or not isinstance(note.get(NOTE), list):
-        return None
-    note = with_integers(note)  # some tools write all numbers anew, 1 as 1.0
-    version = reference(note.get("version"))
-    return None if version is None else {**note, "version": version}
-
-
-class NotedTargets(NamedTuple):
-    """What the note of a mesh says of a primitive: the targets with NORMAL by bake, and their digest.
-
-    frames is how many numbers of the differential each target has: 6, 4 or 0. zeros are the accessors of
-    zeros that targets had as NORMAL.
-    """
-
-    normals: tuple[int, ...] = ()
-    frames: int = 0
-    digest: object = None
-    zeros: Mapping[int, int] = {}
-
-    def __bool__(self) -> bool:
-        """Tell whether bake has added anything to its targets."""
-        return bool(self.normals or self.frames)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The attributes of the differential."""
-        return FRAMES[: 2 if self.frames > COMPONENTS["in_plane"] else bool(self.frames)]
-
-
-def noted_targets(mesh: JsonObject) -> list[NotedTargets]:
-    """Return what the note of a mesh says of each of its primitives.
-
-    What is damaged in it counts as absent. So does an entry if another tool has removed or added targets:
-    then the numbers may be those of others.
-    """
-    note = morph_note(mesh)
-    entries = note[NOTE] if note else []
-    added = reference((note or {}).get("targets")) or 0  # correctives, which are the last ones
-    found = []
-    for number, primitive in enumerate(entries_of(mesh.get("primitives"))):
-        entry = object_of(entries[number]) if number < len(entries) else {}
-        targets = primitive.get("targets")
-        if not isinstance(targets, list) or len(targets) - added != entry.get("targets"):
-            found.append(NotedTargets())
-            continue
-        numbers, frames = entry.get("normals"), entry.get("frames")
-        normals = numbers if isinstance(numbers, list) else []
-        zeros = entry.get("zeros")
-        pairs = [one for one in (zeros if isinstance(zeros, list) else []) if isinstance(one, list)]
-        whole = [one for one in pairs if len(one) == 2 and None not in map(reference, one)]
-        found.append(
-            NotedTargets(
-                tuple(number for number in normals if reference(number) is not None),
-                frames if frames in (4, 6) else 0,
-                entry.get("digest"),
-                {target: accessor for target, accessor in whole if target in normals},
-            )
-        )
-    return found
 
 
 def former_targets(document: Document, mesh: JsonObject) -> JsonObject:
@@ -249,8 +182,7 @@ def former_targets(document: Document, mesh: JsonObject) -> JsonObject:
 
     A NORMAL of zeros that another tool has taken away or renumbered stays away: it counts as absent.
     """
-    note = morph_note(mesh)
-    if note is None:
+    if morph_note(mesh) is None:
         return mesh
     primitives = []
     for primitive, noted in zip(entries_of(mesh.get("primitives")), noted_targets(mesh), strict=False):
@@ -261,7 +193,11 @@ def former_targets(document: Document, mesh: JsonObject) -> JsonObject:
                 name: one for name, one in primitive["attributes"].items() if name not in noted.names
             }
         if noted and isinstance(targets, list):
-            zeros = {one: at for one, at in noted.zeros.items() if _is_zeros(document, at, primitive)}
+            zeros = {
+                one: at
+                for one, at in noted.zeros
+                if one in noted.normals and _is_zeros(document, at, primitive)
+            }
             changed["targets"] = [
                 {
                     name: zeros.get(position, one) if name == "NORMAL" else one
@@ -272,11 +208,7 @@ def former_targets(document: Document, mesh: JsonObject) -> JsonObject:
                 for position, target in enumerate(targets)
             ]
         primitives.append(changed)
-    extras = {key: one for key, one in mesh["extras"].items() if key != KEY}
-    found = {**mesh, "primitives": primitives, "extras": extras}
-    if not extras and not note.get("keepExtras"):
-        del found["extras"]
-    return found
+    return without_note({**mesh, "primitives": primitives})
 
 
 def _is_zeros(document: Document, accessor: int, primitive: JsonObject) -> bool:

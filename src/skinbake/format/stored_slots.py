@@ -1,32 +1,29 @@
-"""The stored α and β of one primitive, decoded by its metadata, or the problem with them."""
+"""What a bake has stored for a primitive, decoded by its note, or the problem with it: α, β and the blend.
+
+The blend weight b of a vertex is in an attribute that the user names: 0 is linear blend skinning, 1 dual
+quaternion skinning (``skinning.blended``). Its gradient is stored as ∂b/∂t0 and ∂b/∂b0, in the frame of α, β.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from skinbake.choices import Encoding, Layout
-from skinbake.errors import Notice, Place
-from skinbake.format.encodings import DTYPES, decoded
-from skinbake.format.layouts import GradientFormat, noted_format, unpaired
-from skinbake.format.metadata import slot_names
-from skinbake.geometry.skinned import Float64Array, FloatArray
-from skinbake.gltf import json_access
-from skinbake.gltf.accessors import StoredArray, read_accessor
+from skinbake.errors import BudgetError, InputError, Notice
+from skinbake.format.encodings import DTYPES, decoded, noted_format
+from skinbake.format.note import BAKE, BLEND_GRADIENT, GradientNote
+from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray
+from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.budget import Work
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, index
-from skinbake.gltf.primitives import PrimitiveSource
+from skinbake.gltf.json_access import index
+from skinbake.gltf.primitives import FLOAT, Formats, PrimitiveSource, check_format, refuse_not_finite
 from skinbake.wording import counted
 
-BAKE = "run skinbake bake"
-
-NO_METADATA = (
-    "it has α/β but no metadata that can be read (another tool may have dropped the extras), so a bake would "
-    f"take adopted joints for its own: {BAKE} on its source"
-)
 COMPONENT_TYPES = {Encoding.FLOAT32: "FLOAT", Encoding.SNORM16: "SHORT", Encoding.PACKED8: "BYTE"}
 
 
@@ -41,64 +38,33 @@ class StoredSlots(NamedTuple):
     rounding: Float64Array
 
 
-def wrong_storage(metadata: JsonObject, influence_sets: int) -> Iterator[str]:
-    """Yield the defects of the metadata's members about the storage of α and β."""
-    layout, encoding, scale = (metadata.get(key) for key in ("layout", "encoding", "scale"))
-    for key, value, known in (("layout", layout, [*Layout]), ("encoding", encoding, [*Encoding])):
-        if key in metadata and value not in known:
-            yield f'"{key}" is {shown(value)}'
-    if encoding in (Encoding.SNORM16, Encoding.PACKED8) and not (json_access.is_number(scale) and scale >= 0):
-        yield f'"scale" is {shown(scale)}'
-    count = 2 * influence_sets if layout == Layout.TEXCOORD else influence_sets
-    for key in ("alpha", "beta"):
-        names = metadata.get(key)
-        if not isinstance(names, list) or not (
-            len(names) == count and all(isinstance(value, str) for value in names)
-        ):
-            yield f'"{key}" is {shown(names)}, not an attribute for each influence set'
-            return
-    if layout == Layout.TEXCOORD and len(slot_names(metadata)) != 4 * influence_sets - 1:
-        yield (f'"alpha" and "beta" are {shown(slot_names(metadata))}: the set that both share is missing')
-
-
-def shown(value: object) -> str:
-    """Return a value of the metadata for a message, shortened."""
-    if value is None:
-        return "missing"
-    return json_access.shown(value)
-
-
 def read_slots(
-    document: Document, source: PrimitiveSource, metadata: JsonObject, count: int
+    document: Document, source: PrimitiveSource, note: GradientNote, count: int
 ) -> StoredSlots | Notice:
     """Return α and β of a primitive with ``count`` vertices, or the problem with them.
 
-    ``wrong_storage`` must have found no defect in the metadata.
+    The note must have no ``damage``.
     """
-    storage = noted_format(metadata)
+    storage = noted_format(note)
+    is_texcoord = storage.layout is Layout.TEXCOORD
     arrays: dict[str, npt.NDArray[Any]] = {}
-    for name in slot_names(metadata):
-        first = name in (metadata["alpha"][0], metadata["beta"][0])
-        found = read_array(document, source, name, _shape(storage, count, first=first), storage.encoding)
+    for name in note.slot_names:
+        # Set 0 holds slots 1 to 3, and perhaps the scale of the vertex.
+        is_first = name in (note.alpha[0], note.beta[0])
+        width = 2 if is_texcoord else 3 if is_first and not storage.encoding.is_scaled else 4
+        found = read_array(document, source, name, (count, width), storage.encoding)
         if isinstance(found, Notice):
             return found
         arrays[name] = found
-    if storage.layout is Layout.TEXCOORD:
-        alpha, beta = unpaired(list(arrays.values()))
-        return StoredSlots(alpha, beta, np.zeros((count, 2)))
+    if is_texcoord:  # all numbers of α, then all of β, two in each set
+        numbers = np.concatenate(list(arrays.values()), axis=1)
+        return StoredSlots(numbers[:, : len(arrays)], numbers[:, len(arrays) :], np.zeros((count, 2)))
     of_alpha, of_beta = (
-        decoded([arrays[name] for name in metadata[key]], storage.encoding, storage.scale)
-        for key in ("alpha", "beta")
+        decoded([arrays[name] for name in names], storage.encoding, storage.scale)
+        for names in (note.alpha, note.beta)
     )
     rounding = np.column_stack([of_alpha.rounding, of_beta.rounding])
     return StoredSlots(of_alpha.values, of_beta.values, rounding)
-
-
-def _shape(storage: GradientFormat, count: int, *, first: bool) -> tuple[int, int]:
-    """Return the shape of an attribute that holds slots; ``first`` tells whether it belongs to set 0."""
-    if storage.layout is Layout.TEXCOORD:
-        return count, 2
-    return count, 3 if first and not storage.encoding.is_scaled else 4
 
 
 def read_array(
@@ -111,27 +77,13 @@ def read_array(
         message = f"its metadata names this attribute, but the attribute was removed or renamed: {BAKE}"
         return Notice("attribute-missing", message, place)
     stored = read_accessor(document, accessor, place)
-    problem = _format_problem(stored, shape, encoding, place)
-    if problem is not None:
-        return problem
     values: npt.NDArray[Any] = stored.values
-    broken = int(np.count_nonzero(~np.isfinite(values).all(axis=1)))
-    if broken:
-        message = f"at {counted(broken, 'vertex', 'vertices')} it is not a finite number: {BAKE}"
-        return Notice("attribute-not-finite", message, place, broken)
-    return values
-
-
-def _format_problem(
-    stored: StoredArray, shape: Sequence[int], encoding: Encoding, place: Place
-) -> Notice | None:
-    values = stored.values
     if values.dtype != DTYPES[encoding] or stored.normalized != encoding.is_scaled:
-        found = f"{'normalised ' if stored.normalized else ''}{values.dtype.name}"
+        kind = f"{'normalised ' if stored.normalized else ''}{values.dtype.name}"
         wanted = f"{'normalised ' if encoding.is_scaled else ''}{COMPONENT_TYPES[encoding]}"
         done = "dequantised" if values.dtype.kind == "f" else "quantised"
         message = (
-            f"it is stored as {found}, expected {wanted}: another tool has probably {done} it "
+            f"it is stored as {kind}, expected {wanted}: another tool has probably {done} it "
             f"after the bake. Bake last: {BAKE} on the output of the last tool, or keep the tool "
             "off this attribute"
         )
@@ -142,4 +94,79 @@ def _format_problem(
             f"{shape[0]:,} of {shape[1]}: {BAKE}"
         )
         return Notice("attribute-format", message, place)
-    return None
+    broken = int(np.count_nonzero(~np.isfinite(values).all(axis=1)))
+    if broken:
+        message = f"at {counted(broken, 'vertex', 'vertices')} it is not a finite number: {BAKE}"
+        return Notice("attribute-not-finite", message, place, broken)
+    return values
+
+
+SLACK = 1e-4
+"""By so much a weight may lie outside 0 to 1: what rounding and interpolation leave."""
+
+# An attribute whose name begins with an underscore has the family "".
+_FORMATS: Formats = {"": (FLOAT, ("u1", True), ("u2", True))}
+_EXPECTED = {"": "blend weights must be floats, or normalised unsigned bytes or shorts"}
+
+
+class BlendGradient(NamedTuple):
+    """The name of the attribute with b, and the gradient (V, 2) of b along t0 and b0."""
+
+    weights: str
+    gradient: Float32Array
+
+
+def read_blend_weights(
+    document: Document, source: PrimitiveSource, name: str, count: int
+) -> FloatArray | None:
+    """Return b (V,) of a primitive with ``count`` vertices, None if it has no attribute of that name.
+
+    Raises InputError if these are not numbers from 0 to 1, one for each vertex.
+    """
+    place = source.place.at(name)
+    number = index(source.attributes, name, len(document.objects("accessors")), place)
+    if number is None:
+        return None
+    stored = read_accessor(document, number, place)
+    if len(stored.values) != count:
+        raise InputError(f"it has {counted(len(stored.values), 'element')}, POSITION has {count:,}", place)
+    check_format(stored, name, 1, place, formats=_FORMATS, expected=_EXPECTED)
+    document.budget.claim(Work(bytes=stored.decoded_size), "its decoded values", place)
+    weights = stored.decoded()
+    refuse_not_finite(weights, "blend weights", place)
+    outside = np.flatnonzero((weights[:, 0] < -SLACK) | (weights[:, 0] > 1.0 + SLACK))
+    if len(outside):
+        message = (
+            f"it is {weights[outside[0], 0]:.6g} at vertex {outside[0]}, expected 0 (linear blend skinning) "
+            f"to 1 (dual quaternions). The number of such vertices is {len(outside):,}"
+        )
+        raise InputError(message, place)
+    return weights[:, 0]
+
+
+def read_blend(
+    document: Document, source: PrimitiveSource, note: GradientNote, count: int
+) -> Float64Array | Notice | None:
+    """Return b, ∂b/∂t0 and ∂b/∂b0 (V, 3) of a baked primitive, None without a blend, or the problem.
+
+    The note must have no ``damage``.
+    """
+    if note.blend is None:
+        return None
+    name = note.blend.weights
+    gradient = read_array(document, source, BLEND_GRADIENT, (count, 2), Encoding.FLOAT32)
+    if isinstance(gradient, Notice):
+        return gradient
+    try:
+        weights = read_blend_weights(document, source, name, count)
+    except BudgetError:
+        raise
+    except InputError as error:
+        return Notice("attribute-format", error.message, error.place or source.place)
+    if weights is None:
+        message = (
+            f"the bake read its blend weights from {name}, which was removed or renamed: run skinbake bake "
+            "on a file that has it"
+        )
+        return Notice("attribute-missing", message, source.place.at(name))
+    return np.column_stack([weights, gradient]).astype(np.float64)

@@ -7,23 +7,24 @@ from collections.abc import Collection, Iterable, Iterator, Set
 from typing import NamedTuple
 
 from skinbake.choices import Layout
-from skinbake.errors import Notice, Place, UnsupportedFeatureError
-from skinbake.format.blend_weights import blend_names
+from skinbake.errors import Notice, Place
 from skinbake.format.former import former_attributes, former_sets, former_tangent, with_former_stream
-from skinbake.format.layouts import added_slot_names
-from skinbake.format.metadata import (
-    FORMER_ATTRIBUTES,
-    KEY,
-    VERSION,
+from skinbake.format.morph_targets import former_targets
+from skinbake.format.note import (
+    BufferNote,
+    GradientNote,
+    buffer_note,
     corrective_note,
-    noted_names,
-    read_metadata,
+    gradient_note,
+    left_note,
+    morph_note,
+    noted_targets,
+    refuse_later,
     without_left,
+    without_note,
 )
-from skinbake.format.morph_targets import former_targets, morph_note, noted_targets
 from skinbake.gltf import json_access
 from skinbake.gltf.accessors import described
-from skinbake.gltf.additions import BUFFER_ADDED, BUFFER_LENGTH, FALLBACK_ADDED
 from skinbake.gltf.codecs import draco, meshopt
 from skinbake.gltf.document import Document, joined
 from skinbake.gltf.json_access import (
@@ -32,7 +33,6 @@ from skinbake.gltf.json_access import (
     integer,
     object_of,
     objects,
-    reference,
     text,
 )
 from skinbake.gltf.references import buffers_in_use, uses_of_accessors, views_in_use
@@ -57,27 +57,28 @@ def stripped(document: Document) -> tuple[Document, int]:
         place = Place(document.name, number, text(mesh, "name", document.place))
         of_targets = morph_note(mesh)
         if of_targets is not None:
-            _refuse_later_version(of_targets, place)
+            refuse_later(of_targets.version, place)
         morphing = former_targets(document, mesh)
         restored = []
         pairs = zip(objects(mesh, "primitives", place), objects(morphing, "primitives", place), strict=True)
         for position, ((given, primitive), noted) in enumerate(zip(pairs, noted_targets(mesh), strict=False)):
             here = Place(place.file, place.mesh, place.mesh_name, position)
-            note = read_metadata(document, primitive)
+            note = gradient_note(document, primitive)
             if note is None:
-                restored.append(primitive)
+                restored.append(without_note(primitive) if left_note(primitive) else primitive)
                 changed += [(given, primitive)] if noted else []
                 count += bool(noted) and number not in corrected
                 continue
-            _refuse_later_version(note, here)
+            refuse_later(note.version, here)
             written = _restored(document, primitive, note, here)
             restored.append(written)
             changed.append((given, written))
             count += 1
         meshes.append({**morphing, "primitives": restored} if restored else morphing)
-    if not changed and meshes == document.objects("meshes"):
-        return document, count
     root = {**document.json, "meshes": meshes}
+    if not changed:
+        is_same = meshes == document.objects("meshes")
+        return document if is_same else document.edited(json=root), count
     removed = set[int]().union(
         *(_accessors_of_vertices(old) - _accessors_of_vertices(new) for old, new in changed)
     )
@@ -110,14 +111,6 @@ def uncorrected(document: Document) -> tuple[Document, Collection[int]]:
     return narrowed(_without(document, root, unused, set(), set()), to_narrow), corrected
 
 
-def _refuse_later_version(note: JsonObject, place: Place) -> None:
-    if note["version"] > VERSION:
-        message = (
-            f"its metadata has version {note['version']}, this skinbake reads {VERSION}: update skinbake"
-        )
-        raise UnsupportedFeatureError(message, place)
-
-
 def _stream_views(primitives: Iterable[JsonObject]) -> set[int]:
     """Return the buffer views of the Draco streams of some primitives."""
     return _numbers((draco.extension_of(primitive) or {}).get("bufferView") for primitive in primitives)
@@ -139,7 +132,7 @@ def _numbers(values: Iterable[object]) -> set[int]:
     return {number for value in values if (number := json_access.reference(value)) is not None}
 
 
-def _restored(document: Document, primitive: JsonObject, note: JsonObject, place: Place) -> JsonObject:
+def _restored(document: Document, primitive: JsonObject, note: GradientNote, place: Place) -> JsonObject:
     """Return the JSON of the primitive without bake's attributes and metadata, with its own influences."""
     attributes = dict(json_access.member(primitive, "attributes", place))
     _remove(document, attributes, note, place)
@@ -160,22 +153,17 @@ def _restored(document: Document, primitive: JsonObject, note: JsonObject, place
     ours = json_access.member(primitive, "attributes", place).keys() - attributes.keys()
     # The former order of the attributes, if bake removed some and noted it.
     attributes = {**attributes, **(former or {}), **(tangent or {})}
-    noted = noted_names(note, FORMER_ATTRIBUTES)
+    noted = note.former_attributes or ()
     order = [*(name for name in noted if name in attributes), *attributes]
     attributes = {name: attributes[name] for name in order}
     written = {**primitive, "attributes": attributes} if "attributes" in primitive else dict(primitive)
     if draco.extension_of(primitive) is not None:
         kept = before if former is not None and tangent is not None else None
         written["extensions"] = _extensions_before(primitive, kept, ours, place)
-    extras = primitive.get("extras")
-    if isinstance(extras, dict) and extras.get(KEY) == note:  # else it is that of an accessor
-        left = {key: value for key, value in extras.items() if key != KEY}
-        written["extras"] = left
-        if not left and not note.get("keepExtras"):
-            del written["extras"]
+    written = without_note(written)  # unless it is that of an accessor
     if former is None:
         message = "another tool has removed or edited the influences from before the bake: "
-        if FORMER_ATTRIBUTES in note:
+        if note.former_attributes is not None:
             code, is_extended = "limited-kept", former_sets(attributes, note) != attributes
             option = "--neighbours extend added" if is_extended else "--limit-influences left"
             message += f"the influences that {option} stay, with adopted joints among them"
@@ -195,25 +183,25 @@ def _set_number(name: str) -> int:
     return int(number) if number != name and number.isdecimal() and len(number) < 9 else -1
 
 
-def _remove(document: Document, attributes: JsonObject, note: JsonObject, place: Place) -> None:
+def _remove(document: Document, attributes: JsonObject, note: GradientNote, place: Place) -> None:
     """Remove bake's additions from the attributes; tell if some can no longer be recognised.
 
     A damaged note may name any attribute. One that no bake adds stays. So does what later attributes need: a
     NORMAL before a TANGENT, and texture coordinates before others, which would leave a gap.
     """
-    names = added_slot_names(note)
+    names, is_texcoord = note.added_slot_names, note.layout == Layout.TEXCOORD
     missing = [name for name in names if name not in attributes]
-    doubtful = note.get("layout") == Layout.TEXCOORD and missing and len(missing) < len(names)
-    generated = [name for name in noted_names(note, "generated") if name == "NORMAL"]
+    doubtful = is_texcoord and missing and len(missing) < len(names)
+    generated = [name for name in note.generated if name == "NORMAL"]
     order = list(attributes)
     if "TANGENT" in order and "NORMAL" in order and order.index("TANGENT") > order.index("NORMAL"):
         generated = []  # a tool has added TANGENT since the bake
     last = max((_set_number(name) for name in names), default=-1)
-    if note.get("layout") == Layout.TEXCOORD and any(_set_number(name) > last for name in attributes):
+    if is_texcoord and any(_set_number(name) > last for name in attributes):
         message = f"another tool has added texture coordinates behind {names[-1]}: α and β stay before them"
         document.notices.tell(Notice("texcoords-kept", message, place, len(names) - len(missing)))
         return
-    for name in [*(() if doubtful else names), *blend_names(note), *generated]:
+    for name in [*(() if doubtful else names), *note.blend_names, *generated]:
         attributes.pop(name, None)
     if doubtful:
         message = (
@@ -236,12 +224,7 @@ def _extensions_before(
     extension = dict(draco.extension_of(primitive) or {})
     inside = json_access.member(extension, "attributes", place)
     extension["attributes"] = {name: number for name, number in inside.items() if name not in ours}
-    extras = extension.get("extras")
-    if isinstance(extras, dict) and KEY in extras:
-        extension["extras"] = {key: value for key, value in extras.items() if key != KEY}
-        if not extension["extras"]:
-            del extension["extras"]
-    return {**extensions, draco.EXTENSION: extension}
+    return {**extensions, draco.EXTENSION: without_note(extension)}
 
 
 def _without(
@@ -266,12 +249,12 @@ def _without(
     # The document with the buffers as they were before the bake.
     buffers = list(document.objects("buffers"))
     buffers = buffers[: len(buffers) - tail.fallbacks]
-    if tail.undo.get(BUFFER_ADDED):
+    if tail.undo.added:
         uri = buffers.pop().get("uri")
         _put_back(root, "buffers", buffers)
         new_files = {name: pieces for name, pieces in document.new_files.items() if name != uri}
         return document.edited(json=root, new_files=new_files)
-    root["buffers"] = [{**buffers[0], "byteLength": reference(tail.undo[BUFFER_LENGTH])}, *buffers[1:]]
+    root["buffers"] = [{**buffers[0], "byteLength": tail.undo.byte_length}, *buffers[1:]]
     binary = memoryview(joined(document.binary or ()))
     return document.edited(json=root, binary=(binary[: tail.start],))
 
@@ -306,7 +289,7 @@ class _Tail(NamedTuple):
     """
 
     first_view: int
-    undo: JsonObject
+    undo: BufferNote
     start: int
     fallbacks: int
 
@@ -326,15 +309,14 @@ def _tail_of_bake(document: Document, root: JsonObject, removed: Set[int], strea
     first = len(views) - len(ours)
     if not ours or ours != set(range(first, len(views))):
         return None
-    extras = views[first].get("extras")
-    undo = extras.get(KEY) if isinstance(extras, dict) else None
+    undo = buffer_note(views[first])
     rest = {**root, "accessors": accessors[:kept], "bufferViews": views[:first]}
-    if not isinstance(undo, dict) or not ours.isdisjoint(views_in_use(rest)):
+    if undo is None or not ours.isdisjoint(views_in_use(rest)):
         return None
     return _at_the_end(document, rest, undo)
 
 
-def _at_the_end(document: Document, rest: JsonObject, undo: JsonObject) -> _Tail | None:
+def _at_the_end(document: Document, rest: JsonObject, undo: BufferNote) -> _Tail | None:
     """Return the tail if the buffers, or the part of one, to be cut off hold no other data.
 
     rest is the JSON without the bake.
@@ -342,14 +324,14 @@ def _at_the_end(document: Document, rest: JsonObject, undo: JsonObject) -> _Tail
     views, buffers = document.objects("bufferViews"), document.objects("buffers")
     first = len(rest["bufferViews"])
     added = [data for view in views[first:] for data in _stored_ranges(view, document.place)]
-    fallbacks = 1 if undo.get(FALLBACK_ADDED) else 0
+    fallbacks = 1 if undo.fallback_added else 0
     last = len(buffers) - fallbacks
-    whole = last - 1 if undo.get(BUFFER_ADDED) else last  # buffers from here on are removed
+    whole = last - 1 if undo.added else last  # buffers from here on are removed
     if any(whole <= buffer < len(buffers) for buffer in buffers_in_use(rest)):
         return None
-    if undo.get(BUFFER_ADDED):
+    if undo.added:
         return _Tail(first, undo, 0, fallbacks) if all(buffer >= whole for buffer, _, _ in added) else None
-    length = reference(undo.get(BUFFER_LENGTH))
+    length = undo.byte_length
     starts = [begin for buffer, begin, _ in added if buffer == 0]
     if not starts or any(0 < buffer < last for buffer, _, _ in added) or not document.has_binary_buffer:
         return None

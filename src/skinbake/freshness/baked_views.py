@@ -2,31 +2,27 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeGuard
 
 import numpy as np
 
-from skinbake.choices import Frame, FrameChoice, Gradients, Weighting, Weld
+from skinbake.choices import Frame, FrameChoice, Gradients, Weld
 from skinbake.errors import Chosen, Message, Notice
-from skinbake.format.blend_weights import read_blend, wrong_blend
-from skinbake.format.metadata import KEPT, POSES, STORED_POSE, VERSION, changed_arrays, read_metadata
-from skinbake.format.stored_slots import BAKE, NO_METADATA, read_slots, shown, wrong_storage
+from skinbake.format.digests import changed_arrays
+from skinbake.format.note import BAKE, NO_METADATA, GradientNote, gradient_note
+from skinbake.format.stored_slots import read_blend, read_slots
 from skinbake.geometry import frames
 from skinbake.geometry.frames import unit_normals
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, is_number
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive, reason_to_skip, skinned_sources
 from skinbake.gltf.scenes import meshes_of_one_skin
 from skinbake.gradients.tangents import TANGENT_TOLERANCE, frame_vectors
 from skinbake.skinning.rest import RestPrimitive
 from skinbake.timing import stage
 from skinbake.truth.mesh import normalised_weights
-from skinbake.version import FIT
 from skinbake.wording import counted
 
 
@@ -35,13 +31,13 @@ class BakedView:
     """One baked primitive as the file stores it.
 
     now holds its arrays. alpha, beta are (V, K − 1). tangents, bitangents (V, 3) are the frame that the
-    metadata names. changed are the digests that no longer hold. rounding (V, 2) is the largest change that an
+    note names. changed are the digests that no longer hold. rounding (V, 2) is the largest change that an
     encoding may have made to a value of α, and to a value of β. blend (V, 3) are the blend weight and its
     derivatives along the frame, None without them.
     """
 
     source: PrimitiveSource
-    metadata: JsonObject
+    note: GradientNote
     now: SkinnedPrimitive
     alpha: FloatArray
     beta: FloatArray
@@ -51,10 +47,15 @@ class BakedView:
     rounding: Float64Array
     blend: Float64Array | None = None
 
+    @property
+    def kind(self) -> Gradients:
+        """The kind of α and β."""
+        return Gradients(self.note.gradients)
+
 
 def is_baked(document: Document, source: PrimitiveSource) -> bool:
-    """Tell whether a primitive has the metadata of a bake, or attributes of the usual names."""
-    return read_metadata(document, source.json) is not None or any(
+    """Tell whether a primitive has the note of a bake, or attributes of the usual names."""
+    return gradient_note(document, source.json) is not None or any(
         name.startswith("_SKINBAKE_") for name in source.attributes
     )
 
@@ -92,7 +93,7 @@ def gathered_together(document: Document, views: Sequence[BakedView]) -> list[li
     """
     meshes = list(dict.fromkeys(view.source.mesh for view in views))
     groups = [[mesh] for mesh in meshes]
-    if any(_weld(view) == "skin" for view in views):
+    if any(view.note.weld == Weld.SKIN for view in views):
         groups = meshes_of_one_skin(document, meshes)
     return [[view for view in views if view.source.mesh in group] for group in groups]
 
@@ -110,124 +111,43 @@ def whole_surfaces(document: Document, views: Sequence[BakedView]) -> list[list[
     return [[view for view in views if view.source.mesh in group] for group in groups]
 
 
-def _weld(view: BakedView) -> str:
-    return str(view.metadata.get("weld", Weld.MESH))
-
-
 def _view(  # noqa: PLR0911  # one for each problem
     document: Document, source: PrimitiveSource
 ) -> BakedView | Notice:
-    metadata = read_metadata(document, source.json)
-    if metadata is None:
+    note = gradient_note(document, source.json)
+    if note is None:
         message = NO_METADATA if is_baked(document, source) else f"it is not baked: {BAKE}"
         return Notice("metadata-missing", message, source.place)
-    other = other_version(metadata)
-    if other is not None:
-        return Notice("version", other, source.place)
-    wrong = next(_wrong_members(metadata, source), None)
+    if note.other_version is not None:
+        return Notice("version", note.other_version, source.place)
+    wrong = next(note.damage(source.influence_sets), None)
     if wrong is not None:
         return Notice("metadata-broken", f"its metadata is damaged: {wrong}; {BAKE}", source.place)
     now = read_primitive(document, source)
     work = Cost.COMPARED_VERTEX * len(now.positions) + Cost.COMPARED_SLOT * now.joints.size
     work += Cost.COMPARED_TRIANGLE * len(now.triangles)
     document.budget.claim(work, "measuring it", source.place)
-    slots = read_slots(document, source, metadata, len(now.positions))
+    slots = read_slots(document, source, note, len(now.positions))
     if isinstance(slots, Notice):
         return slots
-    blend = read_blend(document, source, metadata, len(now.positions))
+    blend = read_blend(document, source, note, len(now.positions))
     if isinstance(blend, Notice):
         return blend
-    frame = _rest_frame(now, metadata["frame"])
-    if frame is None:
+    if note.frame == Frame.TANGENT and now.tangents is None:
         message = (
             "it was baked for TANGENT, which was removed since (some tools do where no material needs it). "
             f"Bake last: {BAKE} on the file that the last tool wrote"
         )
         return Notice("frame", message, source.place)
     with stage("digests"):
-        changed = changed_arrays(metadata, now)
-    found = slots.alpha, slots.beta, *frame, changed, slots.rounding
-    return BakedView(source, metadata, now, *found, blend)
-
-
-def other_version(metadata: JsonObject) -> str | None:
-    """Return which version of the metadata or of a fit cannot be read, and what to do; None if none is."""
-    version, fit = metadata["version"], metadata.get("fit")  # ``read_metadata`` finds none without an integer
-    if isinstance(version, bool) or version != VERSION:
-        remedy = "update skinbake" if version > VERSION else BAKE
-        return f"its metadata has version {shown(version)}, this skinbake reads {VERSION}: {remedy}"
-    if metadata.get("gradients", Gradients.SURFACE) == Gradients.SURFACE:
-        return None
-    remedy = BAKE
-    if isinstance(fit, int) and not isinstance(fit, bool) and fit > 0:
-        if fit <= FIT:
-            return None
-        remedy = "update skinbake"
-    return f"its α/β come from version {shown(fit)} of the fit, this skinbake has {FIT}: {remedy}"
-
-
-def _wrong_members(metadata: JsonObject, source: PrimitiveSource) -> Iterator[str]:
-    """Yield each defect of a member of the metadata (docs/reference/file-format.md)."""
-    usual = {"weld": Weld.MESH, "gradients": Gradients.SURFACE}
-    names = {"frame": Frame, "weighting": Weighting, "weld": Weld, "gradients": Gradients}
-    for name, known in names.items():
-        if metadata.get(name, usual.get(name)) not in list(known):
-            yield f'"{name}" is {shown(metadata.get(name))}'
-    if metadata.get("gradients") == Gradients.POSES and not _names_poses(metadata.get(POSES)):
-        yield f'"{POSES}" is {shown(metadata.get(POSES))}'
-    for name, is_complete in ((STORED_POSE, _has_fingerprint), (KEPT, _tells_fit)):
-        if name in metadata and not is_complete(metadata[name]):
-            yield f'"{name}" is {shown(metadata[name])}'
-    angle = metadata.get("creaseAngle")
-    if isinstance(angle, bool) or not isinstance(angle, int | float) or not 0 <= angle <= 180:
-        yield f'"creaseAngle" is {shown(angle)}'
-    slots, now = metadata.get("influences"), 4 * source.influence_sets
-    if isinstance(slots, bool) or slots != now:
-        yield f'"influences" is {shown(slots)}, and it has {now} a vertex'
-    yield from wrong_storage(metadata, source.influence_sets)
-    yield from wrong_blend(metadata)
-    digest = metadata.get("digest")
-    if not isinstance(digest, dict) or not digest:
-        yield f'"digest" is {shown(digest)}'
-        return
-    wanted = ["POSITION", "NORMAL", "JOINTS", "WEIGHTS", "indices"]
-    if metadata.get("frame") == Frame.TANGENT:
-        wanted.append("TANGENT")
-    for name in wanted:
-        if not isinstance(digest.get(name), str):
-            yield f'"digest" of {name} is {shown(digest.get(name))}'
-
-
-def _names_poses(noted: object) -> bool:
-    """Tell whether the member about the poses of a fit is complete."""
-    if not _has_fingerprint(noted) or not isinstance(noted.get("from"), list):
-        return False
-    return all(isinstance(one, str) for one in noted["from"])
-
-
-def _has_fingerprint(noted: object) -> TypeGuard[JsonObject]:
-    """Tell whether a member has a fingerprint of poses, and the digest of α and β."""
-    if not isinstance(noted, dict) or not isinstance(noted.get("slots"), str):
-        return False
-    numbers = noted.get("fingerprint")
-    return isinstance(numbers, list) and all(map(is_number, numbers))
-
-
-def _tells_fit(noted: object) -> bool:
-    """Tell whether a member has the share of a fit that was kept."""
-    return isinstance(noted, dict) and is_number(noted.get("fit")) and 0 <= noted["fit"] <= 1
-
-
-def _rest_frame(primitive: SkinnedPrimitive, kind: str) -> tuple[FloatArray, FloatArray] | None:
-    """Return (t0, b0) of the frame that the metadata names, or None if its TANGENT is gone."""
-    if kind == Frame.TANGENT and primitive.tangents is None:
-        return None
-    return frame_vectors(primitive, kind)
+        changed = changed_arrays(note.digest, note.frame, now)
+    found = slots.alpha, slots.beta, *frame_vectors(now, note.frame), changed, slots.rounding
+    return BakedView(source, note, now, *found, blend)
 
 
 def _skewed(view: BakedView) -> Iterator[Notice]:
     """Yield a problem if the normal of the rest frame is not the stored one."""
-    if view.metadata["frame"] != Frame.TANGENT or view.now.tangents is None or "TANGENT" in view.changed:
+    if view.note.frame != Frame.TANGENT or view.now.tangents is None or "TANGENT" in view.changed:
         return
     used = np.unique(view.now.triangles)
     normals = frames.unit_normals(view.now.normals[used])
@@ -250,26 +170,10 @@ def _contradictions(document: Document, views: Sequence[BakedView]) -> Iterator[
     """
     for group in gathered_together(document, views):
         other = group[0]
-        theirs = _gathering(other)
         for view in group[1:]:
-            for key, ours in _gathering(view).items():
-                if ours != theirs[key] and not (key == "creaseAngle" and math.isclose(ours, theirs[key])):
-                    message = (
-                        f'its metadata is damaged: "{key}" is {shown(ours)}, and {shown(theirs[key])} in '
-                        f"{other.source.place.within_file}, which it was gathered with; {BAKE}"
-                    )
-                    yield Notice("metadata-broken", message, view.source.place)
-
-
-def _gathering(view: BakedView) -> dict[str, Any]:
-    """Return the settings that all primitives of one surface share."""
-    kind = view.metadata.get("gradients", Gradients.SURFACE)
-    return {
-        "weld": _weld(view),
-        "gradients": kind,
-        STORED_POSE: view.metadata.get(STORED_POSE, {}).get("fingerprint"),
-        **{key: view.metadata[key] for key in ("weighting", "creaseAngle")},
-    }
+            for wrong in view.note.differences(other.note, other.source.place.within_file):
+                message = f"its metadata is damaged: {wrong}, which it was gathered with; {BAKE}"
+                yield Notice("metadata-broken", message, view.source.place)
 
 
 def rest_primitive(view: BakedView) -> RestPrimitive:

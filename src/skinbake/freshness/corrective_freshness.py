@@ -8,9 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from skinbake.choices import Frame
 from skinbake.errors import InputError, Notice
 from skinbake.format.correctives import corrective_digest, nodes_with
-from skinbake.format.metadata import VERSION, changed_arrays, corrective_notes, read_metadata
+from skinbake.format.digests import changed_arrays
+from skinbake.format.note import VERSION, CorrectiveNote, corrective_notes, gradient_note
 from skinbake.freshness.baked_views import BakedView
 from skinbake.freshness.made_targets import made_states
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
@@ -27,7 +29,6 @@ from skinbake.gltf.animation import (
 )
 from skinbake.gltf.budget import Cost, Work
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, entries_of, is_number, object_of
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive
 from skinbake.report.verify import Check
 from skinbake.truth.poses import joint_clips, pose_work
@@ -48,14 +49,14 @@ def damaged_correctives(document: Document) -> Iterator[Notice]:
     """Yield a problem for each mesh whose targets or metadata are not those of a bake."""
     for number, note in corrective_notes(document).items():
         place, primitives = document.asset.meshes[number].place, document.asset.meshes[number].primitives
-        if note["version"] != VERSION:
-            message = f"its metadata has version {note['version']}, this skinbake reads {VERSION}"
+        if note.version != VERSION:
+            message = f"its metadata has version {note.version}, this skinbake reads {VERSION}"
             yield Notice("version", f"{message}: update skinbake", place)
-        elif any(read_metadata(document, one.json) for one in primitives):
+        elif any(gradient_note(document, one.json) for one in primitives):
             yield Notice("both-bakes", f"it has α/β and correctives, which correct it twice: {BAKE}", place)
-        elif any(len(one.whole_targets) < int(note["targets"]) for one in primitives):
+        elif any(len(one.whole_targets) < note.targets for one in primitives):
             yield Notice("targets-missing", f"its morph targets were removed since the bake: {BAKE}", place)
-        elif len(entries_of(note.get("primitives"))) != len(primitives):
+        elif len(note.primitives) != len(primitives):
             yield Notice("metadata-broken", f'its metadata is damaged: "primitives"; {BAKE}', place)
 
 
@@ -72,19 +73,18 @@ def corrective_targets(document: Document, source: PrimitiveSource, added: int, 
 
 
 def changed_since(
-    document: Document, source: PrimitiveSource, primitive: SkinnedPrimitive, note: JsonObject
+    document: Document, source: PrimitiveSource, primitive: SkinnedPrimitive, note: CorrectiveNote
 ) -> tuple[tuple[str, ...], bool]:
     """Return the arrays of a primitive that changed since its bake, and whether its correctives still fit.
 
     They fit if each vertex has what it had, in whatever order. Raises InputError if a target is broken.
     """
-    entries = note.get("primitives", [])
-    entry = object_of(entries[source.primitive]) if source.primitive < len(entries) else {}
-    if "digest" not in entry:
+    noted = note.primitives[source.primitive] if source.primitive < len(note.primitives) else None
+    if noted is None or not noted.digest:
         return (), True
-    targets = corrective_targets(document, source, int(note["targets"]), len(primitive.positions))
-    fit = entry.get("targets") == corrective_digest(primitive, targets)
-    return changed_arrays({**entry, "frame": "normal"}, primitive), fit
+    targets = corrective_targets(document, source, note.targets, len(primitive.positions))
+    fit = noted.targets == corrective_digest(primitive, targets)
+    return changed_arrays(noted.digest, Frame.NORMAL, primitive), fit
 
 
 class PlayedCorrectives:
@@ -92,7 +92,7 @@ class PlayedCorrectives:
 
     def __init__(self, document: Document) -> None:
         self.document = document
-        self.targets = {mesh: int(note["targets"]) for mesh, note in corrective_notes(document).items()}
+        self.targets = {mesh: note.targets for mesh, note in corrective_notes(document).items()}
 
     @classmethod
     def sound(cls, document: Document) -> PlayedCorrectives | None:
@@ -263,24 +263,21 @@ def corrective_freshness(document: Document, sources: Sequence[PrimitiveSource])
     clips = PlayedClips(document)
     for number, note in corrective_notes(document).items():
         place = document.asset.meshes[number].place
-        found = clips.of_mesh(number, int(note["targets"]))
+        found = clips.of_mesh(number, note.targets)
         stale = dict.fromkeys(_stale_clips(document, found, note))
         problems += [Notice("stale-clips", f"{message}: {BAKE}", place) for message in stale]
     remark = f"{', '.join(moved)} changed since the bake, and the correctives still fit" if moved else ""
     return Check("freshness", "failed" if problems else "passed", tuple(problems), remark)
 
 
-def _stale_clips(document: Document, found: Sequence[PlayedClip], note: JsonObject) -> Iterator[str]:
+def _stale_clips(document: Document, found: Sequence[PlayedClip], note: CorrectiveNote) -> Iterator[str]:
     """Yield what is wrong if clips play correctives of a mesh in other poses than those of the bake.
 
     Names, numbers and the order of clips do not count, nor do clips that are gone.
     """
-    rows = note.get("plays")
-    rows = [one for one in rows if isinstance(one, list)] if isinstance(rows, list) else []
     width = 2 * NUMBERS
-    noted = np.array(
-        [one for one in rows if len(one) == width and all(map(is_number, one))], dtype=np.float64
-    ).reshape(-1, width)
+    rows = [one for one in note.plays or () if len(one) == width]
+    noted = np.array(rows, dtype=np.float64).reshape(-1, width)
     if not any(one.plays for one in found):
         yield "no clip plays its correctives any more"
     steps = 1 + noted.size // 1000

@@ -13,7 +13,6 @@ from skinbake.errors import Place
 from skinbake.format.encodings import shortened
 from skinbake.format.former import former_attributes, former_sets
 from skinbake.format.influences import with_limit
-from skinbake.format.metadata import FORMER_ATTRIBUTES, KEPT, POSES, STORED_POSE
 from skinbake.freshness.baked_views import BakedView, rest_primitive
 from skinbake.geometry.skinned import TINY_WEIGHT, UNIT, Float64Array, FloatArray, IntArray, SkinnedPrimitive
 from skinbake.gltf.accessors import read_attribute
@@ -53,7 +52,7 @@ def expected_slots(
     The gradients of a surface come from the operator, which shares no code with bake. Fitted gradients come
     from bake's own loops: how good they are is measured against the true normals, not here.
     """
-    kind = noted_kind(views[0])
+    kind = views[0].kind
     if kind is Gradients.SURFACE:
         slots = surface_slots(views, operator)
     else:
@@ -64,7 +63,7 @@ def expected_slots(
     # An encoding has shortened what is beyond its scale.
     found: Expected = []
     for pair, view in zip(slots, views, strict=True):
-        alpha, beta = shortened(*pair, view.metadata.get("scale", np.inf))
+        alpha, beta = shortened(*pair, np.inf if view.note.scale is None else view.note.scale)
         found.append((alpha.astype(np.float64, copy=False), beta.astype(np.float64, copy=False)))
     return found
 
@@ -76,7 +75,7 @@ def given_weights(document: Document, view: BakedView) -> Float64Array:
     free too if its weight moves nothing. Where weights sum to little, what it was given is a large share.
     """
     weights = np.asarray(view.now.weights, dtype=np.float64)
-    if "adopted" not in view.metadata:
+    if view.note.adopted is None:
         return np.zeros(weights.shape)
     given = (weights == TINY_WEIGHT) | (np.abs(weights * UNIT - 1.0) < ROUNDING)
     before = former_weights(document, view)
@@ -91,16 +90,16 @@ def former_weights(document: Document, view: BakedView) -> FloatArray | None:
     They are the noted ones, or what a limit makes of these. None if they are gone.
     """
     attributes, place = view.source.attributes, view.source.place
-    former = former_attributes(document, attributes, view.metadata, place)
+    former = former_attributes(document, attributes, view.note, place)
     if former is None:
         return None
-    before = former_sets({**attributes, **former}, view.metadata)
+    before = former_sets({**attributes, **former}, view.note)
     count = view.now.weights.shape[1] // SLOTS_PER_SET
     names = [name for name in (f"WEIGHTS_{number}" for number in range(count)) if name in before]
     if not names:
         return None
     # A limit takes sets away. So if none was added, the noted ones are from before a limit.
-    if FORMER_ATTRIBUTES in view.metadata and len(names) == count:
+    if view.note.former_attributes is not None and len(names) == count:
         limited: dict[Place, FloatArray] = document.derived.setdefault("limited weights", {})
         if place not in limited:
             limited[place] = _limited_weights(document, view, before)
@@ -131,11 +130,6 @@ def _without_given_weights(document: Document, view: BakedView) -> SkinnedPrimit
     return view.now.with_influences(view.now.joints, weights)
 
 
-def noted_kind(view: BakedView) -> Gradients:
-    """Return the kind of α and β. Files of older versions do not name it."""
-    return Gradients(view.metadata.get("gradients", Gradients.SURFACE))
-
-
 def surface_slots(views: Sequence[BakedView], operator: GradientOperator) -> Expected:
     """Return the gradients of the surface of each view, (V, K − 1)."""
     expected = expected_alpha_beta(
@@ -156,14 +150,14 @@ def prepared_rig_fit(document: Document, views: Sequence[BakedView], weighting: 
         rig = fitting_rig(document, views[0].source)
     if rig is None:
         return None
-    if STORED_POSE not in views[0].metadata:
+    if views[0].note.stored_pose is None:
         rig = replace(rig, stored=None)
-    crease_angle = float(np.radians(views[0].metadata["creaseAngle"]))
+    crease_angle = float(np.radians(views[0].note.crease_angle))
     primitives = [_without_given_weights(document, view) for view in views]
     tangents = np.concatenate([np.asarray(view.tangents, dtype=np.float64) for view in views])
     bitangents = np.concatenate([np.asarray(view.bitangents, dtype=np.float64) for view in views])
     # Bakes that keep all of their fit note nothing.
-    kept = [view.metadata[KEPT]["fit"] if KEPT in view.metadata else None for view in views]
+    kept = [None if view.note.kept is None else view.note.kept.fit for view in views]
 
     def fit() -> Expected:
         slots = slots_of_surface(
@@ -175,7 +169,7 @@ def prepared_rig_fit(document: Document, views: Sequence[BakedView], weighting: 
             kept=kept,
             stored=[(view.alpha, view.beta) for view in views],
             # At a scale of 0 nothing was shortened: nothing was there.
-            scale=min(view.metadata.get("scale") or np.inf for view in views),
+            scale=min(view.note.scale or np.inf for view in views),
         )
         return [(alpha.astype(np.float64), beta.astype(np.float64)) for alpha, beta in slots]
 
@@ -216,7 +210,7 @@ def noted_sources(view: BakedView) -> tuple[str, ...]:
     """Return the sources of the poses that the metadata names, without files."""
     from skinbake.pose_fit.poses import ANIMATIONS, is_random
 
-    named = view.metadata.get(POSES, {}).get("from", ())
+    named = (view.note.poses and view.note.poses.sources) or ()
     return tuple(source for source in named if source == ANIMATIONS or is_random(source))
 
 

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from skinbake.errors import BudgetError, InputError, Notice
-from skinbake.format.morph_targets import NotedTargets, morph_digest, noted_targets
+from skinbake.format.morph_targets import morph_digest
+from skinbake.format.note import MorphTargets, noted_targets
 from skinbake.gltf.document import Document
 from skinbake.gltf.morphs import read_targets
 from skinbake.gltf.primitives import PrimitiveSource, read_primitive
@@ -48,7 +49,7 @@ def made_states(document: Document) -> Iterator[MadeState]:
             yield MadeState(source, len(noted.normals), noted.frames, len(targets), changed)
 
 
-def _digest(document: Document, source: PrimitiveSource, noted: NotedTargets) -> str | None:
+def _digest(document: Document, source: PrimitiveSource, noted: MorphTargets) -> str | None:
     """Return the digest of what was made for the targets of a primitive, None if it is not all there."""
     targets = source.whole_targets
     if any(not 0 <= number < len(targets) or "NORMAL" not in targets[number] for number in noted.normals):

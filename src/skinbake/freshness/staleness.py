@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from skinbake.choices import Gradients
+from skinbake.choices import Gradients, Weighting, Weld
 from skinbake.errors import InputError, Notice
-from skinbake.format import blend_weights
 from skinbake.freshness import comparison
 from skinbake.freshness.baked_views import BakedView, gathered_together
 from skinbake.freshness.expected import (
@@ -20,7 +18,6 @@ from skinbake.freshness.expected import (
     expected_slots,
     former_weights,
     given_weights,
-    noted_kind,
     paid_share,
     prepared_rig_fit,
     weights_before,
@@ -53,11 +50,11 @@ NAMED = 16
 
 def surface_operator(document: Document, views: Sequence[BakedView]) -> GradientOperator:
     """Return the gradient operator of one surface, weighted as its metadata says."""
-    noted: dict[str, Any] = views[0].metadata
+    note = views[0].note
     return gradient_operator(
         [view.now for view in views],
-        weighting=noted["weighting"],
-        crease_angle_degrees=float(noted["creaseAngle"]),
+        weighting=Weighting(note.weighting),
+        crease_angle_degrees=float(note.crease_angle),
         claim=document.budget.welding(views[0].source.place),
     )
 
@@ -68,8 +65,8 @@ def fits_begun(
     """Begin the fits of surfaces to their rigs that ``freshness_check`` needs, beside other work."""
     fits: list[Fit | None] = []
     for views in surfaces:
-        is_fitted = noted_kind(views[0]) is Gradients.RIG
-        fit = prepared_rig_fit(document, views, views[0].metadata["weighting"]) if is_fitted else None
+        is_fitted = views[0].kind is Gradients.RIG
+        fit = prepared_rig_fit(document, views, Weighting(views[0].note.weighting)) if is_fitted else None
         fits.append(threads.begun(fit) if fit else None)
     return fits
 
@@ -143,8 +140,8 @@ def _stale_blends(
             again = compared(surface_operator(document, before))
         found = [min(pair, key=lambda one: one.differing) for pair in zip(found, again, strict=True)]
     for view, one in zip(views, found, strict=True):
-        if view.blend is not None and not one.agrees:
-            name = view.metadata[blend_weights.NOTE]["weights"]
+        if view.note.blend is not None and not one.agrees:
+            name = view.note.blend.weights
             vertices = counted(one.count, "vertex", "vertices")
             message = (
                 f"the gradient of its blend weights {name} is wrong at {one.differing:,} of {vertices}, most "
@@ -292,7 +289,7 @@ def _staleness_notice(
         welded = _listed([*neighbours[:NAMED], *more])
         message += f". It is welded with {welded}, which changed: {BAKE_AGAIN}"
     else:
-        is_skin = view.metadata.get("weld") == "skin"
+        is_skin = view.note.weld == Weld.SKIN
         other = ", but perhaps the meshes that its skin draws" if is_skin else ""
         message += f". No array of it changed since its bake{other}: {BAKE_AGAIN}"
     return Notice("stale", message, view.source.place, found.differing)

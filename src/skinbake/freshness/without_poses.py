@@ -13,9 +13,9 @@ import numpy as np
 
 from skinbake.choices import Gradients
 from skinbake.errors import Notice
-from skinbake.format.metadata import KEPT, POSES, STORED_POSE, slot_names, slots_digest
+from skinbake.format.digests import slots_digest
 from skinbake.freshness.baked_views import BakedView
-from skinbake.freshness.expected import noted_kind, noted_poses, rest_primitives_of, surface_slots
+from skinbake.freshness.expected import noted_poses, rest_primitives_of, surface_slots
 from skinbake.geometry.poses import is_fingerprint_of
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.accessors import read_attribute
@@ -53,34 +53,34 @@ MANY_TIMES = 1000
 
 def has_poses(document: Document, view: BakedView) -> bool:
     """Tell whether the poses of a fit follow from the file as it is now."""
-    if noted_kind(view) is not Gradients.POSES:
+    if view.kind is not Gradients.POSES or view.note.poses is None:
         return True
-    return noted_poses(document, view).are(view.metadata[POSES]["fingerprint"])
+    return noted_poses(document, view).are(view.note.poses.fingerprint)
 
 
 def is_stored_as_noted(document: Document, view: BakedView) -> bool:
     """Tell whether the nodes are stored in the pose to which α and β are fitted, if there is one."""
-    if noted_kind(view) is Gradients.SURFACE or STORED_POSE not in view.metadata:
+    if view.kind is Gradients.SURFACE or view.note.stored_pose is None:
         return True
     with document.notices.withheld():
         rig = fitting_rig(document, view.source)
     if rig is None or rig.fingerprint is None:
         return False
-    return is_fingerprint_of(rig.fingerprint, view.metadata[STORED_POSE]["fingerprint"])
+    return is_fingerprint_of(rig.fingerprint, view.note.stored_pose.fingerprint)
 
 
 def has_older_fit(view: BakedView) -> bool:
     """Tell whether an older version of the fit made α and β."""
-    return noted_kind(view) is not Gradients.SURFACE and int(view.metadata["fit"]) < FIT
+    return view.kind is not Gradients.SURFACE and (view.note.fit or 0) < FIT
 
 
 def rig_changed(document: Document, view: BakedView) -> bool:
     """Tell whether the rig is another one than the noted one, or is gone."""
-    if noted_kind(view) is Gradients.SURFACE or "rig" not in view.metadata:
+    if view.kind is Gradients.SURFACE or view.note.rig is None:
         return False
     with document.notices.withheld():
         rig = fitting_rig(document, view.source)
-    return rig is None or rig.digest != view.metadata.get("rig")
+    return rig is None or rig.digest != view.note.rig
 
 
 def problems_without_poses(
@@ -102,17 +102,15 @@ def _change(document: Document, view: BakedView) -> str | None:
     elif not has_poses(document, view):
         gone = "the poses that α/β were fitted to are not in the file"
     else:
-        gone = f"version {view.metadata['fit']} of the fit made them, this skinbake has {FIT}"
+        gone = f"version {view.note.fit} of the fit made them, this skinbake has {FIT}"
     if view.changed:
         return f"{', '.join(view.changed)} changed since its bake, and {gone}: {BAKE_AGAIN}"
     if rig_changed(document, view):
         return f"The skeleton changed since the bake (its hierarchy or its bind pose): {BAKE_AGAIN}"
     attributes, place = view.source.attributes, view.source.place
-    stored = {
-        name: read_attribute(document, attributes, name, place).values for name in slot_names(view.metadata)
-    }
-    noted = view.metadata.get(STORED_POSE) or view.metadata.get(POSES)
-    if noted and slots_digest(stored) != noted["slots"]:
+    stored = {name: read_attribute(document, attributes, name, place).values for name in view.note.slot_names}
+    noted = view.note.stored_pose or view.note.poses
+    if noted and slots_digest(stored) != noted.slots:
         return f"α/β changed since its bake, and {gone}: {BAKE_AGAIN}"
     return None
 
@@ -133,15 +131,15 @@ def _without_effect(
     plain = rest_primitives_of(document, views, surface_slots(views, operator))
     both = [tilts(true, surfaces, groups) for surfaces in (stored, plain)]
     none: list[Float64Array] = []
-    if any(KEPT in view.metadata for view in views):
+    if any(view.note.kept for view in views):
         none = tilts(
             true, [replace(one, alpha=0.0 * one.alpha, beta=0.0 * one.beta) for one in stored], groups
         )
-    what = "poses" if noted_kind(views[0]) is Gradients.POSES else "the rig"
+    what = "poses" if views[0].kind is Gradients.POSES else "the rig"
     for number, view in enumerate(views):
         areas = vertex_areas(view.now.positions, view.now.triangles)
         fitted, usual = (float(np.nansum(areas * found[number])) for found in both)
-        if KEPT in view.metadata:  # without any α and β, light may have been better at the bake
+        if view.note.kept:  # without any α and β, light may have been better at the bake
             usual = max(usual, float(np.nansum(areas * none[number])))
         if fitted > NO_BETTER * usual:
             yield (

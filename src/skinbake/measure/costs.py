@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skinbake.format.encodings import rounded, shortened
-from skinbake.format.layouts import GradientFormat
+from skinbake.format.encodings import GradientFormat, rounded, shortened
 from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document

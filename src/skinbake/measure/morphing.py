@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from skinbake.choices import Frame, Morphs
-from skinbake.format.morph_targets import NotedTargets, noted_targets
+from skinbake.format.note import MorphTargets as MadeTargets
+from skinbake.format.note import noted_targets
 from skinbake.freshness.baked_views import BakedView
 from skinbake.geometry.morphs import MorphTargets
 from skinbake.gltf.document import Document
@@ -43,14 +44,14 @@ def moving_targets(
     return targets, tuple(_is_authored(*pair, moving) for pair in zip(targets, made, strict=True))
 
 
-def noted_of(document: Document, sources: Sequence[PrimitiveSource]) -> list[NotedTargets]:
+def noted_of(document: Document, sources: Sequence[PrimitiveSource]) -> list[MadeTargets]:
     """Return what bake has added to the targets of primitives."""
     meshes = {source.mesh for source in sources}
     noted = {mesh: noted_targets(document.asset.meshes[mesh].json) for mesh in meshes}
     return [noted[source.mesh][source.primitive] for source in sources]
 
 
-def _is_authored(targets: MorphTargets | None, noted: NotedTargets, moving: Sequence[int]) -> bool:
+def _is_authored(targets: MorphTargets | None, noted: MadeTargets, moving: Sequence[int]) -> bool:
     """Tell whether all of these targets that move a primitive turn its normals too, and none by bake."""
     return targets is None or all(
         len(target.normals.rows) and number not in noted.normals
@@ -72,6 +73,6 @@ def carrier(document: Document, views: Sequence[BakedView], *, numbers: bool) ->
         if targets:
             stored.add(noted.frames)
             found = Morphs.NORMAL if found is Morphs.NONE else found
-            if view.metadata["frame"] == Frame.TANGENT and any("TANGENT" in target for target in targets):
+            if view.note.frame == Frame.TANGENT and any("TANGENT" in target for target in targets):
                 found = Morphs.TANGENT
     return NUMBERS.get(next(iter(stored)), found) if numbers and len(stored) == 1 else found

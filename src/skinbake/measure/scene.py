@@ -109,8 +109,8 @@ class Surface:
     @cached_property
     def operator(self) -> GradientOperator:
         """The operator of the truths over all primitives. Raises InputError if it takes too much memory."""
-        noted = self.views[0].metadata
-        usual = noted["weighting"] == TRUE_WEIGHTING and math.isclose(noted["creaseAngle"], TRUE_CREASE_ANGLE)
+        noted = self.views[0].note
+        usual = noted.weighting == TRUE_WEIGHTING and math.isclose(noted.crease_angle, TRUE_CREASE_ANGLE)
         if self._bake_operator is not None and usual:
             return self._bake_operator
         return true_operator_of(self.document, self.views)
@@ -142,7 +142,7 @@ class Surface:
             from skinbake.truth.morphing import Morphing  # most models have no targets
 
             counts = [len(view.now.positions) for view in self.views]
-            frames = [view.metadata["frame"] for view in self.views]
+            frames = [view.note.frame for view in self.views]
             sources = [view.source for view in self.views]
             read = moving_targets(self.document, sources, counts, moving, frames)
             self._targets = moving, Morphing(*read, weights[:, moving])

@@ -162,12 +162,6 @@ class Left(NamedTuple):
     under: float
     reason: str = ""
 
-    @property
-    def note(self) -> dict[str, float]:
-        """Return the note for the file, rounded: it must not change with the order of sums."""
-        found = {"gain": self.gain, "standardError": self.standard_error, "under": self.under}
-        return {name: float(f"{value:.4g}") for name, value in found.items() if value is not None}
-
 
 @dataclass(frozen=True, slots=True)
 class FileResult:

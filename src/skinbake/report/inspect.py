@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from skinbake.choices import Gradients
 from skinbake.errors import Notice, Place, SkinbakeError, printable
 from skinbake.report.totals import (
     Totals,
@@ -46,12 +45,13 @@ LEFT = "left unbaked by bake --leave-under"
 
 @dataclass(frozen=True, slots=True)
 class BakeSummary:
-    """The metadata of a bake, the arrays that changed since, and the size of α and β.
+    """The note of a bake, also in words, the arrays that changed since, and the size of α and β.
 
     other tells which version of it this skinbake does not read, and what to do.
     """
 
     metadata: dict[str, Any]
+    words: str
     changed: tuple[str, ...]
     byte_length: int
     other: str | None = None
@@ -230,21 +230,8 @@ def _state(changed: Sequence[str]) -> str:
 def _bake_text(bake: BakeSummary | None) -> str:
     if bake is None:
         return "no"
-    noted = bake.metadata
     state = f"but {bake.other}" if bake.other else _state(bake.changed)
-    return printable(
-        f"by {noted.get('generator', 'skinbake')}, gradients {noted.get('gradients', Gradients.SURFACE)}, "
-        f"frame from {noted.get('frame')}, weighting {noted.get('weighting')}, "
-        f"neighbours {noted.get('neighbours')}, {_storage(noted)}{counted(bake.byte_length, 'byte')}, {state}"
-    )
-
-
-def _storage(noted: dict[str, Any]) -> str:
-    """Return the storage of α and β, if it is not the default, and the attribute of blend weights."""
-    blend = noted.get("blend")
-    words = [f"{key} {noted[key]}" for key in ("encoding", "layout") if key in noted]
-    words += [f"blend weights {blend.get('weights')}"] if isinstance(blend, dict) else []
-    return "".join(f"{one}, " for one in words)
+    return printable(f"{bake.words}, {counted(bake.byte_length, 'byte')}, {state}")
 
 
 def as_json(result: InspectResult) -> dict[str, Any]:

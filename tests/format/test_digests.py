@@ -12,7 +12,7 @@ import pytest
 
 from fixtures.builder import JsonObject
 from skinbake.commands.inspect import inspect_file
-from skinbake.format.metadata import read_metadata
+from skinbake.format.note import gradient_note
 from skinbake.gltf.document import read_document
 from skinbake.threads import threads_limited
 from tests.support.gltf_reading import GltfFile
@@ -50,7 +50,7 @@ def test_digests_are_those_of_the_arrays_in_the_written_file(name: str, tmp_path
 def test_digests_are_the_same_by_several_threads(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("skinbake.format.metadata.LARGE", 1)
+    monkeypatch.setattr("skinbake.format.digests.LARGE", 1)
     notes = []
     for count in (1, 2, 3, 8):
         with threads_limited(count):
@@ -136,10 +136,10 @@ def test_a_note_beside_odd_extras_is_found(tmp_path: Path) -> None:
     document = read_document(str(tmp_path / SHARED))
     first, second = document.objects("meshes")[0]["primitives"]
     assert isinstance(first["extras"], list)
-    found = read_metadata(document, first)
-    assert found is not None
-    assert found["alpha"] == ["_SKINBAKE_ALPHA_0"]
-    assert read_metadata(document, second) == second["extras"]["skinbake"]
+    beside, inside = gradient_note(document, first), gradient_note(document, second)
+    assert beside is not None and inside is not None
+    assert beside.alpha == ("_SKINBAKE_ALPHA_0",)
+    assert inside.json == second["extras"]["skinbake"]
 
 
 HOSTILE: list[tuple[str, Callable[[JsonObject], Any]]] = [
@@ -156,4 +156,4 @@ def test_what_is_no_note_of_ours_is_not_taken_for_one(
     model = baked(FOLDER / "seam.glb", tmp_path / "baked.glb")
     change(model.primitive(0)["extras"])
     document = read_document(str(rewritten(model, tmp_path / "odd.glb")))
-    assert read_metadata(document, model.primitive(0)) is None, what
+    assert gradient_note(document, model.primitive(0)) is None, what

@@ -19,7 +19,7 @@ from skinbake.commands.inspect import inspect_file
 from skinbake.commands.strip import strip_file
 from skinbake.errors import InputError
 from skinbake.format.baked import AttributeNames
-from skinbake.format.layouts import GradientFormat
+from skinbake.format.encodings import GradientFormat
 from tests.support.baking import bake_file, bake_settings
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from pathlib import Path
 from typing import Any
@@ -10,11 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fixtures.builder import JsonObject
 from skinbake.choices import Encoding, Layout
 from skinbake.commands.strip import strip_file
 from skinbake.errors import InputError
-from skinbake.format.layouts import GradientFormat, free_texcoords, noted_format
+from skinbake.format.encodings import GradientFormat, free_texcoords
 from tests.support import khronos
 from tests.support.baking import bake_file
 from tests.support.gltf_reading import GltfFile, read
@@ -185,12 +183,6 @@ def test_the_validator_finds_nothing(tmp_path: Path) -> None:
     reports = khronos.validate_many([*(FOLDER / name for name in FIXTURES), *written])
     for path in written:
         assert not khronos.new_findings(reports[FOLDER / path.name], reports[path])
-
-
-def test_what_is_noted_is_read_back() -> None:
-    for storage in (GradientFormat(), TEXCOORD, GradientFormat(Encoding.SNORM16, Layout.CUSTOM, 2.5)):
-        found: JsonObject = json.loads(json.dumps(storage.noted))
-        assert noted_format(found) == storage
 
 
 def test_two_bakes_of_one_file_differ_in_additions_only(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from fixtures.builder import AnyArray, JsonObject
 from skinbake.choices import Encoding, FrameChoice, Layout, Neighbours, Scheme, Weighting
 from skinbake.errors import InputError, Place
 from skinbake.format.baked import AttributeNames
-from skinbake.format.layouts import GradientFormat
+from skinbake.format.encodings import GradientFormat
 from skinbake.gltf import additions
 from skinbake.gltf.additions import Additions, Packed
 from skinbake.gltf.codecs.views import view_bytes

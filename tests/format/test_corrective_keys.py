@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skinbake.format.corrective_channels import Keys, with_correctives
+from skinbake.format.correctives import Keys, with_correctives
 from tests.correctives.models import SHEET, rewritten
 from tests.support.baked_files import Editable
 from tests.support.command_line import invoke

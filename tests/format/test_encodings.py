@@ -14,13 +14,13 @@ from skinbake.choices import Encoding
 from skinbake.format.encodings import (
     CANDIDATES,
     LARGEST,
+    GradientFormat,
     common_scale,
     decoded,
     encoded,
     shortened,
     vertex_bytes,
 )
-from skinbake.format.layouts import GradientFormat
 from tests.support import khronos
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import FIXTURES, FOLDER, bake, baked, note, primitives, sheet, write_model
