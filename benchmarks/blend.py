@@ -16,6 +16,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from skinbake.choices import Truth
 from skinbake.commands.bake import bake_file
 from skinbake.commands.bake_options import BakeOptions
 from skinbake.commands.verify import verify_file
@@ -80,8 +81,7 @@ def errors(model: Path) -> tuple[float, float, float]:
 
 def _means(path: Path) -> tuple[float, float]:
     verdict = verify_file(str(path), VerifyOptions(methods=("blend",)))
-    assert verdict.normals is not None
-    figures = verdict.normals["blend"]
+    figures = verdict.by_truth[Truth.TANGENTS]["blend"]
     return figures["standard"].mean, figures["accurate"].mean
 
 

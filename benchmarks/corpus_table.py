@@ -17,7 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.marked import write_between
-from skinbake.choices import Baseline
+from skinbake.choices import Baseline, Truth
 from skinbake.commands.bake import bake_file
 from skinbake.commands.bake_options import BakeOptions
 from skinbake.errors import SkinbakeError
@@ -98,13 +98,13 @@ def measured(paths: list[Path]) -> Iterator[Model]:
             verdict = verified(target, VerifyOptions(("lbs",)))
             other = verified(target, VerifyOptions(("lbs",), baseline=Baseline.INVERSE_TRANSPOSE))
         vertices = sum(counts.vertices for _, counts in result.primitives)
-        lbs = (verdict.normals or {}).get("lbs", {})
+        lbs = verdict.by_truth.get(Truth.TANGENTS, {}).get("lbs", {})
         if verdict.passed and (vertices < FEWEST or gain(lbs) is None):
             continue
         key = vertices, round(lbs["standard"].mean, 2) if lbs else None
         if key not in seen:
             seen.add(key)
-            yield Model(name, vertices, verdict, gain((other.normals or {}).get("lbs", {})))
+            yield Model(name, vertices, verdict, gain(other.by_truth.get(Truth.TANGENTS, {}).get("lbs", {})))
 
 
 def told_apart(paths: list[Path]) -> list[str]:
@@ -127,7 +127,7 @@ def table(models: Iterable[Model]) -> Iterator[str]:
 def row(model: Model) -> Iterator[str]:
     """Yield the cells of one model."""
     lbs, by_triangles = (
-        (figures or {}).get("lbs", {}) for figures in (model.verdict.normals, model.verdict.by_triangles)
+        model.verdict.by_truth.get(truth, {}).get("lbs", {}) for truth in (Truth.TANGENTS, Truth.TRIANGLES)
     )
     yield (
         model.name

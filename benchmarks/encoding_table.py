@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 
 from benchmarks.corpus_table import REPOSITORY, SUFFIXES, corpus_folders, told_apart
 from skinbake import __version__
-from skinbake.choices import Encoding
+from skinbake.choices import Encoding, Truth
 from skinbake.commands.bake import bake_file
 from skinbake.commands.bake_options import BakeOptions
 from skinbake.commands.verify import verify_file
@@ -127,7 +127,7 @@ def mean_error(target: str) -> float | None:
         verdict = verify_file(target, VerifyOptions(methods=("lbs",)))
     except SkinbakeError:
         return None
-    figures = (verdict.normals or {}).get("lbs", {}).get("accurate")
+    figures = verdict.by_truth.get(Truth.TANGENTS, {}).get("lbs", {}).get("accurate")
     return figures.mean if figures and verdict.passed else None
 
 

@@ -56,7 +56,8 @@ def baked(path: Path, neighbours: Neighbours) -> tuple[float, float]:
     """Return the share of the gradient that a bake leaves out, and the mean error of LBS in degrees."""
     options = BakeOptions(neighbours=neighbours, generate_normals=True)
     result = bake_document(read_document(str(path)), options)
-    normals = verify_document(result.document, VerifyOptions(methods=(Method.LBS,))).normals or {}
+    verdict = verify_document(result.document, VerifyOptions(methods=(Method.LBS,)))
+    normals = verdict.by_truth.get("tangents", {})
     counts = [count for _, count in result.primitives]
     lost = sum(count.lost_gradient * count.gradient for count in counts) / sum(c.gradient for c in counts)
     return lost, normals[Method.LBS][Lighting.ACCURATE].mean

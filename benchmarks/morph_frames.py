@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.marked import write_between
+from skinbake.choices import Truth
 from skinbake.commands.bake import bake_file
 from skinbake.commands.bake_options import BakeOptions
 from skinbake.commands.verify import verify_file
@@ -230,7 +231,7 @@ FACES: dict[str, dict[str, Any]] = {
 def verdict_row(path: Path, poses: str = "animation") -> str:
     """Return the cells of one verdict."""
     verdict: FileVerdict = verify_file(str(path), VerifyOptions.of(methods=("lbs",), poses=poses))
-    lbs = (verdict.normals or {})["lbs"]
+    lbs = verdict.by_truth[Truth.TANGENTS]["lbs"]
     standard, accurate = lbs["standard"], lbs["accurate"]
     return f"{standard.mean:.2f} | {accurate.mean:.2f} | {standard.mean / accurate.mean:.1f}"
 

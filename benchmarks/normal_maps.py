@@ -20,6 +20,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from skinbake.choices import Truth
 from skinbake.freshness.baked_views import sound_views
 from skinbake.freshness.expected import true_operator_of
 from skinbake.gltf.document import read_document
@@ -83,12 +84,12 @@ def rows(path: Path, folder: Path) -> Iterator[tuple[str, float]]:
         print(f"{path.name}: {result.status}", file=sys.stderr)
         return
     verdict: FileVerdict = FileWork(Verify(VerifyOptions.of()))(Job(str(target)))
-    for method, figures in ({} if verdict.reliefs is None else verdict.reliefs.figures).items():
+    for method, figures in ({} if verdict.reliefs is None else verdict.reliefs.by_normal.whole).items():
         assert verdict.reliefs is not None
-        assert verdict.normals is not None
         best = "exact" if "exact" in figures else "accurate"
         shown = [figures[name].mean for name in ("standard", "engine_frame", best)]
-        shown += [verdict.reliefs.by_area[method][best].mean, verdict.normals[method][best].mean]
+        plain = verdict.by_truth[Truth.TANGENTS][method][best].mean
+        shown += [verdict.reliefs.by_area.whole[method][best].mean, plain]
         ratio = shown[2] / shown[1] if shown[1] > 0 else 0.0
         numbers = " | ".join(f"{value:.2f}" for value in shown)
         # What does not bend has nothing but rounding.

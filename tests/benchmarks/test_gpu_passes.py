@@ -227,8 +227,8 @@ def assert_like_verify(errors: list[dict[str, Any]], folder: Path) -> None:
         for entry in errors
         if entry["character"] == source.parent.name
     }
-    for truth, figures in (("tangents", verdict.normals), ("triangles", verdict.by_triangles)):
-        assert figures is not None
+    assert set(verdict.by_truth) == {"tangents", "triangles"}
+    for truth, figures in verdict.by_truth.items():
         for lighting, name in (("standard", "LBS standard"), ("accurate", "LBS accurate, float32")):
             assert means[name, truth] == pytest.approx(figures["lbs"][lighting].mean, abs=1e-3)
         assert means["DQS exact", truth] == pytest.approx(figures["dqs"]["exact"].mean, abs=1e-3)

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from fixtures.builder import JsonObject
-from skinbake.choices import Gradients
+from skinbake.choices import USUAL_TRUTHS, Gradients, Truth
 from skinbake.commands.bake import bake_document
 from skinbake.commands.bake_options import BakeOptions
 from skinbake.commands.remedies import worse_lighting
 from skinbake.errors import Place
 from skinbake.freshness.baked_views import sound_views
 from skinbake.gltf.document import read_document
-from skinbake.report.verify import ErrorFigures, FileVerdict, Worst
+from skinbake.report.verify import ErrorFigures, Figures, FileVerdict, Worst
 from skinbake.version import FIT
 from tests.support import corpus
 from tests.support.baked_files import CESIUM_MAN, Answer, verify
@@ -120,7 +120,7 @@ def measured(lbs: float, accurate: float, exact: float, *, p99: float = 9.0) -> 
         "lbs": figures(standard=1.0, accurate=lbs),
         "dqs": figures(standard=1.0, accurate=accurate, exact=exact),
     }
-    return FileVerdict("hero.glb", primitives=((HERE, there),), primitives_by_triangles=((HERE, there),))
+    return FileVerdict("hero.glb", figures=dict.fromkeys(USUAL_TRUTHS, Figures(there, ((HERE, there),))))
 
 
 def told(verdict: FileVerdict, kind: Gradients = Gradients.RIG, fit: int = FIT) -> list[str]:
@@ -176,7 +176,7 @@ def test_lighting_that_errs_where_standard_lighting_is_right_is_worse() -> None:
     right = ErrorFigures(0.0, 0.0, 0.0, 0.0, Worst(HERE, 0, "walk", 0.0))
     wrong = replace(right, mean=1.0, p99=2.0, max=3.0)
     normals = {"lbs": {"standard": right, "accurate": wrong}}
-    verdict = FileVerdict("hero.glb", normals=normals, primitives=((HERE, normals),))
+    verdict = FileVerdict("hero.glb", figures={Truth.TANGENTS: Figures(normals, ((HERE, normals),))})
     assert told(verdict) == [f"α/β make its lighting worse: the LBS gain is 0.00. Light {STANDARD}"]
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from fixtures import builder, make_fixtures
 from fixtures.builder import JsonObject
-from skinbake.choices import FrameChoice
+from skinbake.choices import FrameChoice, Truth
 from skinbake.commands.inspect import inspect_file
 from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
@@ -286,7 +286,7 @@ def test_a_character_is_lit_as_if_its_tangent_were_sound(degrees: float, tmp_pat
     for path in ("sound.glb", "baked.glb"):
         verdict = verify_file(str(tmp_path / path), options)
         assert verdict.passed
-        means.append((verdict.normals or {})["lbs"]["accurate"].mean)
+        means.append(verdict.by_truth[Truth.TANGENTS]["lbs"]["accurate"].mean)
     assert means[1] == pytest.approx(means[0], abs=1e-6)
 
 

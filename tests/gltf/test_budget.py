@@ -338,7 +338,7 @@ def test_the_truth_fine_claims_its_memory_and_its_work(
     path = str(tmp_path / "out.glb")
     baked(write_model(tmp_path / "in.glb", [sheet()]), tmp_path / "out.glb")
     options = VerifyOptions(truth=Truth.FINE)
-    assert verify_file(path, options).fine
+    assert verify_file(path, options).by_truth["fine"]
     monkeypatch.setattr(scene, "SAMPLES", Limit(0, math.ceil((20 + 2 * 43) / 8) * 3 - 1))
     with pytest.raises(InputError, match="42 vertices times poses"):
         verify_file(path, options)

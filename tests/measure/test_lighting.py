@@ -241,11 +241,12 @@ def test_every_animated_model_passes(path: Path, tmp_path: Path) -> None:
     assert verdict.passed, [problem.message for check in verdict.checks for problem in check.problems]
     outcomes = {check.name: check.outcome for check in verdict.checks}
     # One file's inverse bind matrices are noise, which leaves no surface to measure.
-    measured_or_not = {"lighting": "skipped"} if not verdict.normals else {"identity": "passed"}
+    measured_or_not = {"lighting": "skipped"} if not verdict.by_truth else {"identity": "passed"}
     assert outcomes == {"structure": "passed", "freshness": "passed", **measured_or_not}
-    assert bool(verdict.normals) == (path.name != "unassigned-skeleton.gltf")
-    assert verdict.normals is not None
-    for figure in (one for method in verdict.normals.values() for one in method.values()):
+    assert bool(verdict.by_truth) == (path.name != "unassigned-skeleton.gltf")
+    for figure in (
+        one for method in verdict.by_truth.get("tangents", {}).values() for one in method.values()
+    ):
         assert np.isfinite([figure.mean, figure.p95, figure.p99, figure.max]).all()
         assert 0 <= figure.mean <= figure.max <= 180
 
@@ -301,8 +302,7 @@ def test_a_figure_is_told_with_the_decimals_that_show_which_side_of_its_limit_it
     tmp_path: Path,
 ) -> None:
     path = baked(source("bent_tube.glb"), tmp_path, gradients="surface")
-    figures = measured(path).by_triangles
-    assert figures is not None
+    figures = measured(path).by_truth["triangles"]
     lbs = figures["lbs"]
     mean, gain = lbs["accurate"].mean, lbs["standard"].mean / lbs["accurate"].mean
     for options in ({"min_gain": gain + 1e-6}, {"max_mean_error": mean - 1e-6}):
@@ -601,13 +601,11 @@ def test_the_figures_do_not_depend_on_blocks(
     monkeypatch.setattr(blending, "BLOCK_SAMPLES", 300)
     monkeypatch.setattr(normals, "CLASS_CORNERS", 200)
     pieces = measured(path, poses=request)
-    assert whole.normals is not None
-    assert pieces.normals is not None
-    assert set(whole.normals) == {"lbs", "dqs"}
+    assert set(whole.by_truth["tangents"]) == {"lbs", "dqs"}
     for (place, one), (there, other) in zip(whole.primitives, pieces.primitives, strict=True):
         assert place == there
         assert_alike(one, other)
-    assert_alike(whole.normals, pieces.normals)
+    assert_alike(whole.by_truth["tangents"], pieces.by_truth["tangents"])
 
 
 def assert_alike(one: Normals, other: Normals) -> None:

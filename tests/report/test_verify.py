@@ -7,11 +7,13 @@ from xml.etree import ElementTree
 import jsonschema
 import pytest
 
+from skinbake.choices import Truth
 from skinbake.cli.terminal import with_colours
 from skinbake.errors import Chosen, InputError, Message, Notice, Place
 from skinbake.report.verify import (
     Check,
     ErrorFigures,
+    Figures,
     FileVerdict,
     MorphCount,
     Normals,
@@ -55,14 +57,19 @@ def without_direct(normals: Normals) -> Normals:
     }
 
 
+def by_truths(*normals: Normals) -> dict[Truth, Figures]:
+    """Return figures by tangents, triangles and the fine mesh, of a file that is one primitive."""
+    return {
+        truth: Figures(one, ((PLACE, one),))
+        for truth, one in zip((Truth.TANGENTS, Truth.TRIANGLES, Truth.FINE), normals, strict=False)
+    }
+
+
 PASSED = FileVerdict(
     "hero.glb",
     (Check("structure", "passed", (), "1 baked primitive, 9 vertices"), Check("freshness", "passed")),
-    lit(),
-    ((PLACE, lit()),),
+    by_truths(lit(), without_direct(lit(5.0, 2.0))),
     "60 poses of 3 clips (12 s)",
-    by_triangles=without_direct(lit(5.0, 2.0)),
-    primitives_by_triangles=((PLACE, without_direct(lit(5.0, 2.0))),),
 )
 STALE = Notice("stale", "POSITION changed since its bake. Bake last", PLACE, 5)
 FAILED = FileVerdict(
@@ -78,7 +85,11 @@ UNREADABLE = FileVerdict("no.glb", error=InputError("cannot be read", Place("no.
 
 
 FINE = replace(
-    PASSED, fine=without_direct(lit(6.0, 5.5)), primitives_fine=((PLACE, without_direct(lit(7.0))),)
+    PASSED,
+    figures={
+        **PASSED.figures,
+        Truth.FINE: Figures(without_direct(lit(6.0, 5.5)), ((PLACE, without_direct(lit(7.0))),)),
+    },
 )
 
 
@@ -128,7 +139,7 @@ def test_json_is_as_the_schema_has_it() -> None:
 )
 def test_a_loss_never_reads_as_a_gain_of_one(factor: float, shown: str, colour: str) -> None:
     figures = {"lbs": lit(factor)["lbs"]}
-    text = with_colours(as_text(replace(PASSED, normals=figures, by_triangles=None)))
+    text = with_colours(as_text(replace(PASSED, figures=by_truths(figures))))
     assert f"{colour}{shown}\x1b[0m by tangents" in text
     assert f"Little to win: {shown[:-1]} times nearer" in text or factor > 2.0
 
@@ -174,7 +185,7 @@ def test_gain_is_a_ratio_of_means_unless_the_error_is_rounding() -> None:
     assert gain(lit()["lbs"]) == 4.0
     assert gain(lit(accurate=1e-6)["lbs"]) is None
     assert gain({}) is None
-    exact = replace(PASSED, normals=lit(accurate=1e-6), by_triangles=lit(accurate=1e-6))
+    exact = replace(PASSED, figures=by_truths(lit(accurate=1e-6), lit(accurate=1e-6)))
     assert "LBS gain" not in as_text(exact)
 
 
@@ -210,7 +221,7 @@ def test_a_verdict_ends_in_a_conclusion_and_the_next_step(
     tangents: tuple[float, float], triangles: tuple[float, float], line: str
 ) -> None:
     """The thresholds leave no gap: 0.3° of standard lighting, gains of 1.2 and 2 by the worse truth."""
-    found = replace(PASSED, normals=lit(*tangents), by_triangles=without_direct(lit(*triangles)))
+    found = replace(PASSED, figures=by_truths(lit(*tangents), without_direct(lit(*triangles))))
     for text in (as_brief(found), as_text(found)):
         assert text.splitlines()[-1] == f"  {line}"
 
@@ -266,13 +277,13 @@ def test_a_verdict_without_figures_has_a_next_step_too(verdict: FileVerdict, lin
 def test_the_truth_with_the_smaller_gain_counts(
     tangents: tuple[float, float], triangles: tuple[float, float], worse: float
 ) -> None:
-    found = replace(PASSED, normals=lit(*tangents), by_triangles=without_direct(lit(*triangles)))
+    found = replace(PASSED, figures=by_truths(lit(*tangents), without_direct(lit(*triangles))))
     assert by_worse_truth(found)["standard"].mean == worse
-    assert by_worse_truth(replace(PASSED, normals=None, by_triangles=None)) == {}
+    assert by_worse_truth(replace(PASSED, figures={})) == {}
 
 
 def test_little_to_win_is_not_said_of_an_unsound_bake_or_beside_other_advice() -> None:
-    little = replace(PASSED, normals=lit(4.0, 3.9), by_triangles=without_direct(lit(4.0, 3.9)))
+    little = replace(PASSED, figures=by_truths(lit(4.0, 3.9), without_direct(lit(4.0, 3.9))))
     stale = replace(little, checks=(Check("freshness", "failed"),))
     so = Message("With ", Chosen("gradients", "rig"), " it is 1.50: bake so")
     advised = replace(little, notices=(Notice("lighting-worse", so, PLACE),))
@@ -291,7 +302,7 @@ OTHERS = (OtherBake("--gradients poses", 0.8), OtherBake("--correctives auto", 0
 
 @pytest.mark.parametrize("accurate", [3.9, 2.5, 1.0])
 def test_bakes_that_are_better_are_named_in_words_and_in_json(accurate: float) -> None:
-    found = replace(PASSED, normals=lit(4.0, accurate), by_triangles=None, others=OTHERS)
+    found = replace(PASSED, figures=by_truths(lit(4.0, accurate)), others=OTHERS)
     told = f"0.80° with --gradients poses, 0.50° with --correctives auto, {accurate:.2f}° with this one."
     step = "Next: bake with --gradients poses or --correctives auto"
     for text_of in (as_text, as_brief):
@@ -308,7 +319,7 @@ def test_bakes_that_are_better_are_named_in_words_and_in_json(accurate: float) -
 
 
 def test_a_missed_limit_that_no_other_bake_meets_is_to_be_changed() -> None:
-    small = replace(PASSED, normals=lit(4.0, 2.5), by_triangles=None, checks=(Check("limits", "failed"),))
+    small = replace(PASSED, figures=by_truths(lit(4.0, 2.5)), checks=(Check("limits", "failed"),))
     assert as_brief(small).endswith("Next: change the limit.")
 
 
@@ -367,12 +378,12 @@ def test_a_failed_file_says_so_first() -> None:
         ),
         (FileVerdict("a.glb", up_to_date=True), "a.glb: passed before, up to date"),
         (
-            replace(PASSED, normals=lit(4.0, 3.9), by_triangles=None),
+            replace(PASSED, figures=by_truths(lit(4.0, 3.9))),
             "hero.glb: passed, LBS gain 1.03x by tangents, mean error 4.00° -> 3.90°, "
             "little to win: leave it unbaked",
         ),
         (
-            replace(PASSED, normals=lit(1e-6, 1e-6), by_triangles=None),
+            replace(PASSED, figures=by_truths(lit(1e-6, 1e-6))),
             "hero.glb: passed, mean error 0.00° -> 0.00°, nothing to correct: leave it unbaked",
         ),
     ],
@@ -382,7 +393,7 @@ def test_a_file_among_many_has_one_line(verdict: FileVerdict, line: str) -> None
 
 
 def test_the_gain_in_a_line_has_a_colour() -> None:
-    worse = as_line(replace(PASSED, normals=lit(1.0, 2.0)))
+    worse = as_line(replace(PASSED, figures=by_truths(lit(1.0, 2.0), without_direct(lit(5.0, 2.0)))))
     assert f"LBS gain {RED}0.50x" in with_colours(worse)
     assert f": {GREEN}passed" in with_colours(worse)
 

@@ -86,9 +86,8 @@ def test_a_mesh_in_other_units_counts_as_much(tmp_path: Path) -> None:
     )
     assert_alike(one, other, 1e-4)
     (_, bends), (_, follows) = one.primitives
-    assert one.normals is not None
     half = 0.5 * (bends["lbs"]["standard"].mean + follows["lbs"]["standard"].mean)
-    assert one.normals["lbs"]["standard"].mean == pytest.approx(half, rel=1e-6)
+    assert one.by_truth["tangents"]["lbs"]["standard"].mean == pytest.approx(half, rel=1e-6)
     assert bends["lbs"]["standard"].mean > 100 * follows["lbs"]["standard"].mean
 
 

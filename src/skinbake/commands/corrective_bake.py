@@ -395,8 +395,9 @@ def _counts(
         for targets in (made.targets, item.targets)
     )
     means: dict[str, dict[str, float]] = {"standard": {}, "corrected": {}}
-    for truth, primitives in zip(TRUTHS, (verdict.primitives, verdict.primitives_by_triangles), strict=True):
-        of_mesh = [figures["lbs"] for place, figures in primitives if place.mesh == item.mesh and figures]
+    for truth in TRUTHS:
+        measured = verdict.figures[truth].primitives if truth in verdict.figures else ()
+        of_mesh = [figures["lbs"] for place, figures in measured if place.mesh == item.mesh and figures]
         for lighting, by_truth in means.items():
             own = [figures[lighting] for figures in of_mesh]
             weight = sum(one.weight for one in own)

@@ -42,7 +42,7 @@ def other_bakes(document: Document, verdict: FileVerdict, options: VerifyOptions
     verdict ``leaves_room``.
     """
     figures = by_worse_truth(verdict)
-    method = next(iter(verdict.normals or verdict.by_triangles or {"lbs": {}}))
+    method = next(iter(next(iter(verdict.by_truth.values()), {"lbs": {}})))
     asked = replace(options, methods=(method,), max_mean_error=None, max_p95_error=None, min_gain=None)
     own = baked_lighting(figures)
     standard, nearest = figures["standard"].mean, figures[own].mean

@@ -85,7 +85,7 @@ class _Gains(NamedTuple):
 def _gains(verdict: FileVerdict, methods: Sequence[str]) -> dict[Place, _Gains]:
     """Return the gains of the primitives that have any by the methods."""
     found: dict[Place, _Gains] = {}
-    for place, normals in (*verdict.primitives, *verdict.primitives_by_triangles):
+    for place, normals in verdict.primitives:
         asked = {method: figures for method, figures in normals.items() if method in methods}
         found.setdefault(place, _Gains({})).add(asked)
     return {place: gains for place, gains in found.items() if gains.by_lighting}

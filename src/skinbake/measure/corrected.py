@@ -174,7 +174,7 @@ def _limb(skeleton: Skeleton) -> int | None:
 def worse_primitives(verdict: FileVerdict) -> dict[Place, tuple[float, float]]:
     """Return the primitives that correctives make worse by a truth, with the means before and after."""
     found: dict[Place, tuple[float, float]] = {}
-    for place, normals in (*verdict.primitives, *verdict.primitives_by_triangles):
+    for place, normals in verdict.primitives:
         figures = normals.get("lbs", {})
         if "corrected" in figures:
             before, after = figures["standard"].mean, figures["corrected"].mean

@@ -28,7 +28,7 @@ from skinbake.measure.options import VerifyOptions, limits_check
 from skinbake.measure.reliefs import ReliefTallies
 from skinbake.measure.scene import Draw, Scene
 from skinbake.measure.tally import ErrorTally
-from skinbake.report.verify import Check, ErrorFigures, FileVerdict, MorphCount, Normals, Worst
+from skinbake.report.verify import Check, ErrorFigures, Figures, FileVerdict, MorphCount, Normals, Worst
 from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.skinning.run import joints_in_use
 from skinbake.timing import stage, tell_steps
@@ -173,7 +173,7 @@ class Measurement:
         by_truth = {truth: self._tallies.figures(truth) for truth in self._options.truths}
         reliefs = self._reliefs.reliefs()
         if Truth.RELIEF in by_truth:
-            by_truth[Truth.RELIEF] = {} if reliefs is None else reliefs.figures
+            by_truth[Truth.RELIEF] = {} if reliefs is None else reliefs.by_normal.whole
         # Products of numbers near the largest float may overflow.
         found = [
             figures
@@ -187,19 +187,17 @@ class Measurement:
                 "scale the model down",
                 self._document.place,
             )
-        primitives = {truth: self._tallies.figures_of_primitives(truth) for truth in by_truth}
         seconds = sum(clip.duration - clip.start for clip in self._clips)
         return FileVerdict(
             self._document.name,
             tuple(self._checks(by_truth, drawn)),
-            by_truth[Truth.TANGENTS],
-            primitives[Truth.TANGENTS],
+            {
+                truth: Figures(found, self._tallies.figures_of_primitives(truth))
+                for truth, found in by_truth.items()
+                if truth is not Truth.RELIEF
+            },
             described(self._options.poses, [draw.poses for draw in drawn], seconds),
             scaled,
-            by_triangles=by_truth[Truth.TRIANGLES],
-            primitives_by_triangles=primitives[Truth.TRIANGLES],
-            fine=by_truth.get(Truth.FINE),
-            primitives_fine=primitives.get(Truth.FINE, ()),
             reliefs=reliefs,
         )
 

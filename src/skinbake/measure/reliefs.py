@@ -29,7 +29,7 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.materials import material_of
 from skinbake.measure.scene import Draw
 from skinbake.measure.tally import ErrorTally
-from skinbake.report.verify import ErrorFigures, Normals, Reliefs, Worst
+from skinbake.report.verify import ErrorFigures, Figures, Normals, Reliefs, Worst
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Vector, cross, dot, plus_scaled, scaled
 from skinbake.skinning.normal_maps import engine_mapped_normal, in_frame, mapped_normal
@@ -126,12 +126,14 @@ class ReliefTallies:
         """Return the figures of what was measured; None if no primitive has a normal map with TANGENT."""
         if not self._tallies:
             return None
-        of_places = {
-            kind: tuple((place, self._normals(kind, place)) for place in self._places) for kind in THIRDS
-        }
-        carried, area = THIRDS
         return Reliefs(
-            self._normals(carried, None), self._normals(area, None), of_places[carried], of_places[area]
+            *(
+                Figures(
+                    self._normals(kind, None),
+                    tuple((place, self._normals(kind, place)) for place in self._places),
+                )
+                for kind in THIRDS
+            )
         )
 
     def _normals(self, wanted: str, key: Place | None) -> Normals:

@@ -6,10 +6,10 @@ import math
 import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 
-from skinbake.choices import Truth
+from skinbake.choices import USUAL_TRUTHS, Truth
 from skinbake.errors import Message, Notice, Place, SkinbakeError, printable, warnings_in
 from skinbake.report.totals import (
     Totals,
@@ -32,6 +32,13 @@ Outcome = Literal["passed", "failed", "skipped"]
 
 SHOWN_LIGHTINGS = ("standard", "accurate", "exact", "corrected")
 """The rows of the table, by name. Direct lighting equals accurate lighting up to its sign in folds."""
+
+MEMBERS = {
+    Truth.TANGENTS: "normals",
+    Truth.TRIANGLES: "normals_by_triangles",
+    Truth.FINE: "normals_fine",
+}
+"""The member of JSON that has the figures by a truth."""
 
 ROUNDING = 1e-4
 """Below this angle in degrees, a mean error is float32 rounding, and dividing by it is meaningless."""
@@ -92,17 +99,23 @@ Normals = dict[str, dict[str, ErrorFigures]]
 
 
 @dataclass(frozen=True, slots=True)
-class Reliefs:
-    """Figures of mapped normals by method and lighting: of the file, and of each primitive that has a map.
+class Figures:
+    """Figures by one truth: of the whole file, and of each primitive."""
 
-    ``engine_frame`` is accurate lighting under an engine's own frame, rebuilt from n' and t'. figures and
-    primitives have T n0 as third column of the truth, by_area and primitives_by_area F n0.
+    whole: Normals
+    primitives: tuple[tuple[Place, Normals], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Reliefs:
+    """Figures of mapped normals: of the file, and of each primitive that has a map.
+
+    ``engine_frame`` is accurate lighting under an engine's own frame, rebuilt from n' and t'. by_normal has
+    T n0 as third column of the truth, by_area F n0.
     """
 
-    figures: Normals
-    by_area: Normals
-    primitives: tuple[tuple[Place, Normals], ...]
-    primitives_by_area: tuple[tuple[Place, Normals], ...]
+    by_normal: Figures
+    by_area: Figures
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,10 +165,9 @@ class FileVerdict:
     poses describes the poses of the lighting figures. scaled_joints are the names of joints that dual
     quaternions take with scale or shear. morphs is None if no baked mesh has morph targets. up_to_date: the
     file was not verified again, because it has passed and is unchanged. record is the entry for a state file.
-    timings are seconds by stage, None if they were not requested. normals and primitives have the figures by
-    tangents, by_triangles and primitives_by_triangles those by triangles, fine and primitives_fine those of
-    the fine mesh if they were asked for. All are of the same places. reliefs are of mapped normals, None if
-    no primitive has a normal map and TANGENT.
+    timings are seconds by stage, None if they were not requested. figures are those by each truth that was
+    measured, all of the same places. reliefs are of mapped normals, None if no primitive has a normal map and
+    TANGENT.
     left: a bake has left the file unbaked on purpose, and noted it. mixtures are further poses of a file with
     correctives. others are bakes that light the file better, the one to choose first. command is what bakes a
     file without a bake, empty if nothing in it can be baked.
@@ -163,8 +175,7 @@ class FileVerdict:
 
     input: str
     checks: tuple[Check, ...] = ()
-    normals: Normals | None = None
-    primitives: tuple[tuple[Place, Normals], ...] = ()
+    figures: Mapping[Truth, Figures] = field(default_factory=dict)
     poses: str = ""
     scaled_joints: tuple[str, ...] = ()
     morphs: MorphCount | None = None
@@ -173,10 +184,6 @@ class FileVerdict:
     up_to_date: bool = False
     record: bytes | None = None
     timings: dict[str, float] | None = None
-    by_triangles: Normals | None = None
-    primitives_by_triangles: tuple[tuple[Place, Normals], ...] = ()
-    fine: Normals | None = None
-    primitives_fine: tuple[tuple[Place, Normals], ...] = ()
     reliefs: Reliefs | None = None
     left: bool = False
     mixtures: tuple[Mixture, ...] = ()
@@ -186,8 +193,13 @@ class FileVerdict:
     @property
     def by_truth(self) -> dict[str, Normals]:
         """Return the figures of the whole file by each truth; a truth that has none is left out."""
-        found = {Truth.TANGENTS: self.normals, Truth.TRIANGLES: self.by_triangles, Truth.FINE: self.fine}
-        return {truth: normals for truth, normals in found.items() if normals}
+        return {truth: found.whole for truth, found in self.figures.items() if found.whole}
+
+    @property
+    def primitives(self) -> list[tuple[Place, Normals]]:
+        """Return the figures of each primitive by each of the usual truths."""
+        usual = [found.primitives for truth, found in self.figures.items() if truth in USUAL_TRUTHS]
+        return [one for primitives in usual for one in primitives]
 
     @property
     def passed(self) -> bool:
@@ -232,7 +244,7 @@ def by_worse_truth(verdict: FileVerdict) -> dict[str, ErrorFigures]:
 
 def _worse(verdict: FileVerdict) -> tuple[str, str, dict[str, ErrorFigures]] | None:
     """Return the truth with the smaller gain, the first method and its figures; None without figures."""
-    every = [(truth, *next(iter(normals.items()))) for truth, normals in verdict.by_truth.items() if normals]
+    every = [(truth, *next(iter(normals.items()))) for truth, normals in verdict.by_truth.items()]
     return min(every, key=lambda found: gain(found[2]) or math.inf, default=None)
 
 
@@ -278,8 +290,8 @@ def as_text(verdict: FileVerdict) -> str:
     if verdict.up_to_date:
         return _head(verdict)
     lines = [_head(verdict), *_check_lines(verdict.checks)]
-    if verdict.normals:
-        lines += _table(verdict.normals, verdict.by_triangles or {}, verdict.fine)
+    if Truth.TANGENTS in verdict.by_truth:
+        lines += _table(verdict.figures)
         morphs = f"; {verdict.morphs.words}" if verdict.morphs else ""
         over = f"{verdict.poses}{morphs}"
         lines.append(f"  Angle in degrees between each method's normals and the true ones, over {over}.")
@@ -330,12 +342,12 @@ def as_line(verdict: FileVerdict) -> str:
 
 def _relief_lines(reliefs: Reliefs | None) -> Iterator[str]:
     """Yield a line for each method on the mean errors of mapped normals."""
-    for method, figures in ({} if reliefs is None else reliefs.figures).items():
+    for method, figures in ({} if reliefs is None else reliefs.by_normal.whole).items():
         assert reliefs is not None
         best = "exact" if "exact" in figures else "accurate"
         shown = {"standard": "standard", "engine_frame": f"{best} in an engine's frame", best: best}
         words = ", ".join(f"{words} {figures[name].mean:.2f}°" for name, words in shown.items())
-        other = reliefs.by_area[method][best].mean
+        other = reliefs.by_area.whole[method][best].mean
         yield f"  {method.upper()} error of normal maps: {words} ({other:.2f}° if area lifts the relief)"
 
 
@@ -452,14 +464,14 @@ def _on_gain(figures: Mapping[str, ErrorFigures], look: str, *, advised: bool) -
     return Conclusion(f"Little to win: {told}.", "leave the file unbaked", "little to win", leave=True)
 
 
-def _table(normals: Normals, by_triangles: Normals, fine: Normals | None) -> Iterator[str]:
+def _table(by_truth: Mapping[Truth, Figures]) -> Iterator[str]:
     """Yield the table's lines: figures by tangents, then mean and 95th percentile by the other truths."""
-    more = {Truth.TRIANGLES: by_triangles, **({} if fine is None else {Truth.FINE: fine})}
+    more = {truth: found.whole for truth, found in by_truth.items() if truth is not Truth.TANGENTS}
     heads = "".join(f"{f'by {truth}' if truth is Truth.TRIANGLES else truth:>18}" for truth in more)
     yield f"  {'':<16}{'    by tangents':<32}{heads}"
     numbers = f"{'mean':>10}{'p95':>8}" * len(more)
     yield f"  {'':<16}{'mean':>8}{'p95':>8}{'p99':>8}{'max':>8}{numbers}  worst at"
-    for method, figures in normals.items():
+    for method, figures in by_truth[Truth.TANGENTS].whole.items():
         for lighting in SHOWN_LIGHTINGS:
             if lighting in figures:
                 error = figures[lighting]
@@ -470,8 +482,7 @@ def _table(normals: Normals, by_triangles: Normals, fine: Normals | None) -> Ite
                         f"{'—':>10}{'—':>8}" if other is None else f"{other.mean:10.2f}{other.p95:8.2f}"
                     )
                 yield f"  {method.upper() + ' ' + lighting:<16}{numbers}  {_worst_in_words(error.worst)}"
-        factors = {truth: gain(found.get(method, {})) for truth, found in more.items()}
-        factors = {Truth.TANGENTS: gain(figures), **factors}
+        factors = {str(truth): gain(found.whole.get(method, {})) for truth, found in by_truth.items()}
         told = [
             f"{gain_in_words(factor)}x by {truth}" for truth, factor in factors.items() if factor is not None
         ]
@@ -498,9 +509,10 @@ def as_json(
 
 def file_json(verdict: FileVerdict) -> dict[str, Any]:
     """Return the result of verify for one file as a JSON object."""
-    by_triangles, fine = dict(verdict.primitives_by_triangles), dict(verdict.primitives_fine)
-    mapped = dict(verdict.reliefs.primitives) if verdict.reliefs else {}
-    mapped_by_area = dict(verdict.reliefs.primitives_by_area) if verdict.reliefs else {}
+    reliefs = verdict.reliefs
+    mapped = dict(reliefs.by_normal.primitives) if reliefs else {}
+    mapped_by_area = dict(reliefs.by_area.primitives) if reliefs else {}
+    places = {truth: dict(found.primitives) for truth, found in verdict.figures.items()}
     return {
         "input": verdict.input,
         "passed": verdict.passed,
@@ -521,21 +533,23 @@ def file_json(verdict: FileVerdict) -> dict[str, Any]:
         "morphs": None
         if verdict.morphs is None
         else {"targets": verdict.morphs.targets, "moving": verdict.morphs.moving},
-        "normals": None if verdict.normals is None else _normals_json(verdict.normals),
-        "normals_by_triangles": None if verdict.by_triangles is None else _normals_json(verdict.by_triangles),
-        "normals_fine": None if verdict.fine is None else _normals_json(verdict.fine),
-        "reliefs": None
-        if (reliefs := verdict.reliefs) is None
-        else _relief_json(reliefs.figures, reliefs.by_area),
+        **{
+            member: _normals_json(verdict.figures[truth].whole) if truth in verdict.figures else None
+            for truth, member in MEMBERS.items()
+        },
+        "reliefs": None if reliefs is None else _relief_json(reliefs.by_normal.whole, reliefs.by_area.whole),
         "primitives": [
             {
                 **place_fields(place),
-                "normals": _normals_json(normals),
-                "normals_by_triangles": _normals_json(by_triangles.get(place, {})),
-                "normals_fine": None if verdict.fine is None else _normals_json(fine.get(place, {})),
+                **{
+                    member: None
+                    if truth not in {*USUAL_TRUTHS, *places}
+                    else _normals_json(places.get(truth, {}).get(place, {}))
+                    for truth, member in MEMBERS.items()
+                },
                 "reliefs": _relief_json(mapped[place], mapped_by_area[place]) if place in mapped else None,
             }
-            for place, normals in verdict.primitives
+            for place in places.get(Truth.TANGENTS, {})
         ],
         "scaled_joints": list(verdict.scaled_joints),
         "mixtures": [asdict(mixture) for mixture in verdict.mixtures],
