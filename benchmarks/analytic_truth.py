@@ -35,9 +35,9 @@ from skinbake.freshness.baked_views import baked_views, rest_primitive
 from skinbake.geometry.poses import composed, normalised
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray, SkinnedPrimitive
-from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
-from skinbake.gltf.primitives import skinned_sources
+from skinbake.gltf.reading.clips import read_clips
+from skinbake.gltf.reading.meshes import skinned_sources
 from skinbake.gradients.baker import bake_primitives
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.rest import RestPrimitive

@@ -20,10 +20,11 @@ from PIL import Image, ImageDraw, ImageFont
 
 from skinbake.choices import FrameChoice
 from skinbake.commands.bake import bake_document
-from skinbake.gltf.accessors import read_accessor
-from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
-from skinbake.gltf.primitives import read_primitive, skinned_sources
+from skinbake.gltf.reading.accessors import read_accessor
+from skinbake.gltf.reading.clips import clip_poses, read_clips
+from skinbake.gltf.reading.meshes import read_primitive, skinned_sources
+from skinbake.gltf.reading.skins import read_skeleton
 from skinbake.measure.tally import ErrorSummary
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.rest import RestPrimitive

@@ -25,9 +25,10 @@ from benchmarks.bend_picture import GREY, INK, MODEL, REPOSITORY, SCALE_TOP, STO
 from skinbake.choices import Language, Lighting
 from skinbake.commands.bake import bake_document
 from skinbake.freshness.baked_views import baked_views, rest_primitive
-from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
-from skinbake.gltf.primitives import skinned_sources
+from skinbake.gltf.reading.clips import clip_poses, read_clips
+from skinbake.gltf.reading.meshes import skinned_sources
+from skinbake.gltf.reading.skins import read_skeleton
 from skinbake.measure.tally import ErrorSummary
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.skinning.algorithms import Algorithm

@@ -37,10 +37,10 @@ from skinbake.freshness.baked_views import (
     whole_surfaces,
 )
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
-from skinbake.gltf.animation import Clip, read_clips
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.primitives import skinned_sources
-from skinbake.gltf.rigs import fitting_rig
+from skinbake.gltf.reading.clips import Clip, read_clips
+from skinbake.gltf.reading.meshes import skinned_sources
+from skinbake.gltf.reading.skins import fitting_rig
 from skinbake.gradients import by_loops
 from skinbake.gradients.baker import bake_primitives
 from skinbake.skinning.algorithms import Algorithm

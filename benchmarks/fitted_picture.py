@@ -25,9 +25,9 @@ from skinbake.commands.bake import bake_document
 from skinbake.commands.bake_options import BakeOptions
 from skinbake.freshness.baked_views import baked_views, rest_primitive
 from skinbake.geometry.skinned import IntArray
-from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
-from skinbake.gltf.primitives import skinned_sources
+from skinbake.gltf.reading.clips import read_clips
+from skinbake.gltf.reading.meshes import skinned_sources
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.truth.areas import vertex_areas
 from skinbake.truth.poses import PoseRequest, pose_set

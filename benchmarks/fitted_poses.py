@@ -24,8 +24,8 @@ from skinbake.choices import USUAL_TRUTHS, Gradients, Neighbours, PoseKind, Trut
 from skinbake.commands.bake import bake_document
 from skinbake.commands.bake_options import BakeOptions
 from skinbake.errors import SkinbakeError
-from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.reading.clips import read_clips
 from skinbake.truth.poses import PoseRequest
 
 DEFAULT_OUTPUT = REPOSITORY / "docs" / "fitted.md"

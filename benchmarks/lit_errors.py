@@ -8,9 +8,9 @@ import numpy as np
 
 from skinbake.freshness.baked_views import BakedView, baked_views, rest_primitive, whole_surfaces
 from skinbake.geometry.skinned import BoolArray, Float64Array
-from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document
-from skinbake.gltf.primitives import skinned_sources
+from skinbake.gltf.reading.clips import read_clips
+from skinbake.gltf.reading.meshes import skinned_sources
 from skinbake.measure.angles import MeasuredBlock, lighting_errors, truths_at_rest
 from skinbake.measure.scene import Surface
 from skinbake.truth.areas import RestAreas

@@ -26,11 +26,11 @@ from skinbake.commands.verify import verify_file
 from skinbake.geometry.frames import frame_from_normal, unit_vectors
 from skinbake.geometry.morphs import Differences, MorphTargets
 from skinbake.geometry.skinned import Float64Array
-from skinbake.gltf.accessors import read_accessor
-from skinbake.gltf.additions import Additions
 from skinbake.gltf.document import read_document
-from skinbake.gltf.output import plan_output
-from skinbake.gltf.primitives import read_primitive, skinned_sources
+from skinbake.gltf.reading.accessors import read_accessor
+from skinbake.gltf.reading.meshes import read_primitive, skinned_sources
+from skinbake.gltf.writing.additions import Additions
+from skinbake.gltf.writing.output import plan_output
 from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import FileVerdict
 from skinbake.skinning.algorithms import Algorithm

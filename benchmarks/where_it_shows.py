@@ -27,8 +27,8 @@ from skinbake.commands import where_it_shows as search
 from skinbake.commands.shown import baked_in_memory
 from skinbake.freshness.baked_views import sound_views
 from skinbake.geometry.skinned import IntArray
-from skinbake.gltf.animation import Clip, read_clips
 from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.reading.clips import Clip, read_clips
 from skinbake.measure.scene import Draw, Scene
 from tests.support.characters import Array
 

@@ -409,8 +409,8 @@ def _values(path: str) -> list[Find]:
 
     from skinbake.errors import SkinbakeError
     from skinbake.format.note import gradient_note
-    from skinbake.gltf.accessors import read_accessor
     from skinbake.gltf.document import read_document
+    from skinbake.gltf.reading.accessors import read_accessor
 
     try:
         document = read_document(path)

@@ -13,8 +13,8 @@ def load() -> Callable[[bytes], object]:
     from pathlib import Path
 
     from skinbake.errors import SkinbakeError
-    from skinbake.gltf.accessors import described, read_accessor
     from skinbake.gltf.document import parse_gltf
+    from skinbake.gltf.reading.accessors import described, read_accessor
 
     def target(data: bytes) -> None:
         document = parse_gltf(data, "fuzz.gltf", Path("nowhere"))

@@ -24,7 +24,7 @@ from skinbake.commands.inspect import inspect_file
 from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
 from skinbake.errors import InputError, SkinbakeError
-from skinbake.gltf.copies import NAME as NOTES
+from skinbake.gltf.writing.copies import NAME as NOTES
 from skinbake.measure.options import VerifyOptions
 from skinbake.report.bake import FileResult
 from tests.support import corpus, khronos

@@ -22,9 +22,9 @@ from skinbake.commands.bake_options import BakeOptions
 from skinbake.freshness.baked_views import baked_views, rest_primitive, whole_surfaces
 from skinbake.freshness.expected import true_operator_of
 from skinbake.geometry.dual_quaternions import rigid_motions
-from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
-from skinbake.gltf.primitives import skinned_sources
+from skinbake.gltf.reading.clips import read_clips
+from skinbake.gltf.reading.meshes import skinned_sources
 from skinbake.measure.angles import truths_at_rest
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.rest import RestPrimitive

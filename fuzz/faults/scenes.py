@@ -10,7 +10,7 @@ from pathlib import Path
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.gltf.glb import join_glb
-from skinbake.gltf.output import LARGE
+from skinbake.gltf.writing.output import LARGE
 
 Tree = Mapping[str, bytes]
 """Files below a folder, by path."""

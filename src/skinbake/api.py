@@ -173,7 +173,7 @@ def bake(
     """
     from skinbake.commands import bake_options
     from skinbake.commands.bake import bake_file
-    from skinbake.gltf.output import Writing
+    from skinbake.gltf.writing.output import Writing
 
     for name in options.keys() - BakeOptions.__annotations__.keys():
         meant = did_you_mean(name, BakeOptions.__annotations__)
@@ -617,7 +617,7 @@ def _surface(
     tangents: npt.ArrayLike | None,
 ) -> SkinnedPrimitive:
     """Return the arrays as a primitive. Raises ValueError if they do not fit together."""
-    from skinbake.gltf.primitives import MOST_SETS
+    from skinbake.gltf.reading.meshes import MOST_SETS
 
     most = SLOTS_PER_SET * MOST_SETS
     points = _floats("positions", positions, (None, 3))

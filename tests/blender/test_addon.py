@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 import skinbake
 from skinbake.gltf.document import read_document
-from skinbake.gltf.primitives import read_primitive, skinned_sources
+from skinbake.gltf.reading.meshes import read_primitive, skinned_sources
 from skinbake.skinning.algorithms import Algorithm
 from tests.blender.running import Session
 from tests.support import corpus, gltf_reading

@@ -205,7 +205,7 @@ class TestStrip:
             path.write_bytes(path.read_bytes() + bytes(4 + time.time_ns() % 4))
             prepare(*arguments, **options)
 
-        monkeypatch.setattr("skinbake.gltf.output.write_files", save_first)
+        monkeypatch.setattr("skinbake.gltf.writing.output.write_files", save_first)
         result = invoke("strip", path, "--in-place")
         assert result.exit_code == 4
         assert path.read_bytes()[:4] == b"glTF"

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from skinbake.errors import OutputError
-from skinbake.gltf.copies import NAME as NOTES
+from skinbake.gltf.writing.copies import NAME as NOTES
 from tests.support.command_line import invoke
 from tests.support.models import FOLDER, bake
 

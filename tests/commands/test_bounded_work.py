@@ -19,11 +19,12 @@ from skinbake.format.strip import stripped
 from skinbake.freshness.baked_views import sound_views
 from skinbake.freshness.made_targets import made_states
 from skinbake.gltf import budget as budgets
-from skinbake.gltf.animation import read_clips, read_skeleton
 from skinbake.gltf.budget import Budget, Work
 from skinbake.gltf.document import read_document
 from skinbake.gltf.json_access import JsonObject
-from skinbake.gltf.primitives import skinned_sources
+from skinbake.gltf.reading.clips import read_clips
+from skinbake.gltf.reading.meshes import skinned_sources
+from skinbake.gltf.reading.skins import read_skeleton
 from skinbake.measure.scene import Scene
 from skinbake.truth.poses import pose_work
 from tests.support.command_line import invoke

@@ -14,7 +14,7 @@ import numpy as np
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.gltf.document import read_document
-from skinbake.gltf.primitives import read_primitive, skinned_sources
+from skinbake.gltf.reading.meshes import read_primitive, skinned_sources
 from tests.support import gltf_reading
 from tests.support.characters import Array, angles, unit
 from tests.support.played import drawn

@@ -18,7 +18,7 @@ from skinbake.commands import bake
 from skinbake.commands.bake import bake_document
 from skinbake.files import ahead
 from skinbake.files.folders import beneath
-from skinbake.gltf import output
+from skinbake.gltf.writing import output
 from skinbake.threads import threads_limited
 from tests.support import khronos
 from tests.support.baking import bake_file
@@ -256,7 +256,7 @@ import os, sys
 from pathlib import Path
 from skinbake.cli.main import entry_point
 from skinbake.commands import bake
-from skinbake.gltf import output
+from skinbake.gltf.writing import output
 path, number = Path(sys.argv[1]), int(sys.argv[2])
 def stop(document, options):
     print(len(list(path.parent.glob("*.tmp"))), flush=True)

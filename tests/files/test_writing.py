@@ -23,9 +23,9 @@ from skinbake.files import folders, replacing, temporary, versions, writing
 from skinbake.files.temporary import temporary_name
 from skinbake.files.versions import signature_of, version_of
 from skinbake.files.writing import TakenError, write_file, write_files
-from skinbake.gltf import output
 from skinbake.gltf.document import read_document
-from skinbake.gltf.output import plan_output
+from skinbake.gltf.writing import output
+from skinbake.gltf.writing.output import plan_output
 from skinbake.signals import interrupts_put_off
 from tests.support.baking import bake_file
 from tests.support.command_line import invoke
@@ -449,7 +449,7 @@ class TestTaken:
 
     @staticmethod
     def planned(source: Path, target: Path) -> Any:
-        from skinbake.gltf.container import for_target
+        from skinbake.gltf.writing.container import for_target
 
         return plan_output(for_target(read_document(str(source)), str(target)), str(target))
 
@@ -462,7 +462,7 @@ class TestTaken:
         def taken(*arguments: object, **options: object) -> None:
             raise TakenError("cannot be written: it is taken")
 
-        monkeypatch.setattr("skinbake.gltf.output.write_files", taken)
+        monkeypatch.setattr("skinbake.gltf.writing.output.write_files", taken)
         with pytest.raises(OutputError, match="keep changing"):
             planned.write()
 
@@ -472,7 +472,7 @@ import sys, time
 from pathlib import Path
 from skinbake.commands.bake import bake_file
 from skinbake.commands.bake_options import BakeOptions
-from skinbake.gltf.output import Writing
+from skinbake.gltf.writing.output import Writing
 source, folder, rounds, encoding = sys.argv[1:]
 options, how = BakeOptions(encoding=encoding), Writing(sync=False)
 for number in range(int(rounds)):

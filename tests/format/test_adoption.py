@@ -12,10 +12,10 @@ import pytest
 from skinbake.choices import Neighbours
 from skinbake.format.influences import with_adopted
 from skinbake.geometry.skinned import TINY_WEIGHT, UNIT, Float64Array
-from skinbake.gltf.accessors import StoredArray
-from skinbake.gltf.animation import random_poses, read_skeleton
 from skinbake.gltf.document import read_document
-from skinbake.gltf.primitives import StoredInfluences
+from skinbake.gltf.reading.accessors import StoredArray
+from skinbake.gltf.reading.meshes import StoredInfluences
+from skinbake.gltf.reading.skins import random_poses, read_skeleton
 from tests.support import khronos
 from tests.support.baked_arrays import (
     AFRAME_HAND,

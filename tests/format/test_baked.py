@@ -21,13 +21,13 @@ from skinbake.choices import Encoding, FrameChoice, Layout, Neighbours, Scheme, 
 from skinbake.errors import InputError, Place
 from skinbake.format.baked import AttributeNames
 from skinbake.format.encodings import GradientFormat
-from skinbake.gltf import additions
-from skinbake.gltf.additions import Additions, Packed
 from skinbake.gltf.codecs.views import view_bytes
-from skinbake.gltf.copies import NAME as NOTES
 from skinbake.gltf.document import read_document
-from skinbake.gltf.recode import Compression
 from skinbake.gltf.resources import encode_data_uri
+from skinbake.gltf.writing import additions
+from skinbake.gltf.writing.additions import Additions, Packed
+from skinbake.gltf.writing.copies import NAME as NOTES
+from skinbake.gltf.writing.recode import Compression
 from skinbake.version import FIT
 from tests.support.baked_files import verify
 from tests.support.baking import bake_file, bake_settings

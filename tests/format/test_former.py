@@ -16,9 +16,9 @@ from skinbake.commands.strip import strip_file
 from skinbake.errors import InputError, Place
 from skinbake.format.strip import stripped
 from skinbake.gltf import json_access
-from skinbake.gltf.accessors import StoredArray, read_accessor
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.reading.accessors import StoredArray, read_accessor
 from tests.support import gltf_transform
 from tests.support.baking import bake_file
 from tests.support.compressed import draco_twin

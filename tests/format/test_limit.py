@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from skinbake.format.influences import common_unit, with_limit
-from skinbake.gltf.accessors import StoredArray
-from skinbake.gltf.primitives import StoredInfluences
+from skinbake.gltf.reading.accessors import StoredArray
+from skinbake.gltf.reading.meshes import StoredInfluences
 
 
 def influences(joints: object, weights: object, joint_type: str, weight_type: str) -> StoredInfluences:

@@ -15,9 +15,9 @@ from skinbake.format.influences import with_adopted
 from skinbake.freshness.baked_views import baked_views
 from skinbake.freshness.expected import before_adoption, returned
 from skinbake.geometry.skinned import TINY_WEIGHT, UNIT
-from skinbake.gltf.accessors import StoredArray
 from skinbake.gltf.document import read_document
-from skinbake.gltf.primitives import StoredInfluences, skinned_sources
+from skinbake.gltf.reading.accessors import StoredArray
+from skinbake.gltf.reading.meshes import StoredInfluences, skinned_sources
 from tests.support.baked_files import Editable, baked, source, verify
 from tests.support.models import sheet, write_model
 

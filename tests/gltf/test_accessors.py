@@ -16,8 +16,8 @@ import pytest
 
 from fixtures.builder import JsonObject
 from skinbake.errors import InputError, Place
-from skinbake.gltf.accessors import StoredArray, described, element_count, read_accessor
 from skinbake.gltf.document import Document, parse_gltf
+from skinbake.gltf.reading.accessors import StoredArray, described, element_count, read_accessor
 from tests.support.gltf_reading import GltfFile
 
 HERE = Place("made.gltf", 0, "body", 0, "POSITION")

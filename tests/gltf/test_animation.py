@@ -13,16 +13,9 @@ from scipy.spatial.transform import Rotation, Slerp
 from fixtures.make_fixtures import FOLDER
 from skinbake.errors import InputError
 from skinbake.geometry.skinned import Float64Array
-from skinbake.gltf.animation import (
-    clip_poses,
-    clip_weights,
-    random_poses,
-    read_clips,
-    read_skeleton,
-    rest_pose,
-)
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.rigs import rig_of_mesh
+from skinbake.gltf.reading.clips import clip_poses, clip_weights, read_clips
+from skinbake.gltf.reading.skins import random_poses, read_skeleton, rest_pose, rig_of_mesh
 from tests.support import corpus, models
 from tests.support.baked_files import Editable, verify
 from tests.support.command_line import invoke

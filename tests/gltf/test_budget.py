@@ -20,13 +20,13 @@ from skinbake.choices import Truth
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.format.strip import stripped
 from skinbake.gltf import budget as budgets
-from skinbake.gltf.animation import read_clips
 from skinbake.gltf.budget import Budget, Limit, Work, memory_limited, shown
 from skinbake.gltf.codecs import draco
-from skinbake.gltf.compaction import _Shifts
 from skinbake.gltf.document import Document, parse_glb, parse_gltf, read_document
 from skinbake.gltf.json_access import JsonObject
-from skinbake.gltf.primitives import MOST_SETS, read_indices, read_primitive, skinned_sources
+from skinbake.gltf.reading.clips import read_clips
+from skinbake.gltf.reading.meshes import MOST_SETS, read_indices, read_primitive, skinned_sources
+from skinbake.gltf.writing.compaction import _Shifts
 from tests.support.corpus import require_corpus
 from tests.support.models import FOLDER, baked, crowd, edited, sheet, write_model
 
@@ -349,7 +349,7 @@ def test_the_truth_fine_claims_its_memory_and_its_work(
 
 def test_targets_that_are_sparse_alone_are_read(tmp_path: Path) -> None:
     """Two hundred targets of 20,000 vertices claim 48 MB of zeros, of a file of 1 MB."""
-    from skinbake.gltf.morphs import read_targets
+    from skinbake.gltf.reading.morphs import read_targets
 
     source = crowd(tmp_path / "in.gltf", 141, 1)
     root = json.loads(source.read_text())

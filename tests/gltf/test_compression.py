@@ -23,10 +23,10 @@ from skinbake.commands.strip import strip_file
 from skinbake.commands.verify import verify_file
 from skinbake.errors import ChoiceError, InputError
 from skinbake.gltf.budget import Limit
-from skinbake.gltf.compaction import compacted
 from skinbake.gltf.document import read_document
-from skinbake.gltf.primitives import skinned_sources
-from skinbake.gltf.recode import Compression, recoded
+from skinbake.gltf.reading.meshes import skinned_sources
+from skinbake.gltf.writing.compaction import compacted
+from skinbake.gltf.writing.recode import Compression, recoded
 from skinbake.measure.options import VerifyOptions
 from skinbake.truth.poses import PoseRequest
 from tests.support import corpus, khronos

@@ -18,8 +18,8 @@ import pytest
 from fixtures.builder import JsonObject, pack_glb
 from skinbake.commands.strip import strip_file
 from skinbake.errors import OutputError
-from skinbake.gltf.beside import files_of_extensions
-from skinbake.gltf.copies import NAME as NOTES
+from skinbake.gltf.writing.beside import files_of_extensions
+from skinbake.gltf.writing.copies import NAME as NOTES
 from tests.support.baking import bake_file
 from tests.support.command_line import invoke
 from tests.support.gltf_reading import GltfFile, read

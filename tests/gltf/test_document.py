@@ -15,7 +15,7 @@ from fixtures.builder import pack_glb
 from skinbake import strip
 from skinbake.errors import InputError, UnsupportedFeatureError, printable
 from skinbake.gltf.document import Document, parse_glb, parse_gltf, read_document
-from skinbake.gltf.output import plan_output
+from skinbake.gltf.writing.output import plan_output
 from tests.support.models import FOLDER, KEY, SHARED, bake, copied, edited
 
 ASSET = '"asset": {"version": "2.0"}'

@@ -17,10 +17,10 @@ import pytest
 
 from fixtures.builder import JsonObject
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
-from skinbake.gltf.accessors import read_accessor
 from skinbake.gltf.codecs import draco_stream
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.primitives import read_primitive, reason_to_skip, skinned_sources
+from skinbake.gltf.reading.accessors import read_accessor
+from skinbake.gltf.reading.meshes import read_primitive, reason_to_skip, skinned_sources
 from tests.support import corpus, gltf_transform
 from tests.support.baking import bake_file
 from tests.support.compressed import draco_stream as encoded

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from skinbake import strip
 from skinbake.gltf import json_text
 from skinbake.gltf.glb import join_glb
-from skinbake.gltf.json_rewriting import FormerText, rewritten
+from skinbake.gltf.writing.rewriting import FormerText, rewritten
 from tests.support.gltf_reading import read
 from tests.support.models import FOLDER, SHARED, bake, copied
 

@@ -18,7 +18,7 @@ from skinbake.gltf.codecs import meshopt as codec
 from skinbake.gltf.codecs.meshopt_filters import unfiltered
 from skinbake.gltf.codecs.views import view_bytes
 from skinbake.gltf.document import read_document
-from skinbake.gltf.primitives import read_primitive, skinned_sources
+from skinbake.gltf.reading.meshes import read_primitive, skinned_sources
 from tests.support import corpus
 from tests.support.command_line import invoke
 from tests.support.compressed import EXT, KHR, meshopt_twin

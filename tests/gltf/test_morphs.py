@@ -14,9 +14,9 @@ from skinbake.errors import InputError
 from skinbake.geometry.morphs import Differences, MorphTargets
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf import asset
-from skinbake.gltf.animation import clip_weights, read_clips
-from skinbake.gltf.morphs import read_targets
-from skinbake.gltf.primitives import skinned_sources
+from skinbake.gltf.reading.clips import clip_weights, read_clips
+from skinbake.gltf.reading.meshes import skinned_sources
+from skinbake.gltf.reading.morphs import read_targets
 from tests.support.calls import count_calls
 from tests.support.gltf_reading import JsonObject
 from tests.support.small_documents import Builder, animate

@@ -21,9 +21,9 @@ from skinbake.errors import InputError, OutputError
 from skinbake.files import Bytes, folders, replacing
 from skinbake.files.bounds import BoundedPath
 from skinbake.files.writing import has_content
-from skinbake.gltf import beside
 from skinbake.gltf.document import read_document
-from skinbake.gltf.output import plan_output
+from skinbake.gltf.writing import beside
+from skinbake.gltf.writing.output import plan_output
 from tests.support.baking import bake_file
 from tests.support.command_line import LINUX
 from tests.support.gltf_reading import read

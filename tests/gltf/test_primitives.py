@@ -13,14 +13,9 @@ import pytest
 from fixtures.builder import AnyArray, JsonObject
 from skinbake.errors import InputError
 from skinbake.geometry.skinned import SkinnedPrimitive
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.primitives import (
-    PrimitiveSource,
-    read_primitive,
-    reason_to_skip,
-    skinned_sources,
-    tell_half_skinned,
-)
+from skinbake.gltf.reading.meshes import read_primitive, reason_to_skip, skinned_sources, tell_half_skinned
 from skinbake.gltf.resources import encode_data_uri
 from tests.support.gltf_reading import GltfFile, read
 from tests.support.models import SHARED, Change, Part, copied, edited, rewritten, sheet, write_model

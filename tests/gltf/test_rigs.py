@@ -10,7 +10,7 @@ import pytest
 from fixtures.builder import JsonObject
 from skinbake.geometry.rig import Rig
 from skinbake.gltf.document import read_document
-from skinbake.gltf.rigs import rig_of_mesh
+from skinbake.gltf.reading.skins import rig_of_mesh
 from tests.support.models import edited
 
 MODEL = "bent_tube.glb"

@@ -11,7 +11,7 @@ import pytest
 from fixtures.builder import JsonObject
 from skinbake.errors import InputError
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.scenes import meshes_of_one_skin, tell_meshes_apart
+from skinbake.gltf.reading.scenes import meshes_of_one_skin, tell_meshes_apart
 from tests.support.cutting import cut_into_meshes
 from tests.support.gltf_reading import read
 from tests.support.models import FOLDER, edited, rewritten

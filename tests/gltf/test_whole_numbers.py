@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from skinbake.choices import Gradients, Scheme
-from skinbake.gltf.recode import Compression
+from skinbake.gltf.writing.recode import Compression
 from tests.support.baked_files import Editable, verify
 from tests.support.gltf_reading import read
 from tests.support.models import FIXTURES, FOLDER, SHARED, baked, edited, rewritten, stripped

@@ -10,8 +10,9 @@ import pytest
 from skinbake.choices import Neighbours, Weighting
 from skinbake.geometry.frames import unit_normals
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
-from skinbake.gltf.animation import clip_poses, random_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
+from skinbake.gltf.reading.clips import clip_poses, read_clips
+from skinbake.gltf.reading.skins import random_poses, read_skeleton
 from skinbake.gradients.baker import BakeSettings, bake_primitives
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.rest import RestPrimitive

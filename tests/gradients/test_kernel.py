@@ -21,7 +21,7 @@ from skinbake.errors import ChoiceError
 from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import BakedPrimitive, Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.document import read_document
-from skinbake.gltf.rigs import rig_of_mesh
+from skinbake.gltf.reading.skins import rig_of_mesh
 from skinbake.gradients import by_numpy, kernel
 from skinbake.gradients.baker import BakeFindings, bake_primitives
 from skinbake.gradients.influences import weight_field

@@ -17,7 +17,7 @@ from skinbake.commands.verify import verify_file
 from skinbake.errors import Notice, Place
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.document import read_document
-from skinbake.gltf.primitives import read_primitive, skinned_sources
+from skinbake.gltf.reading.meshes import read_primitive, skinned_sources
 from skinbake.gradients import kernel
 from skinbake.gradients.normals import (
     SAMPLED_VERTICES,

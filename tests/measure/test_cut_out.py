@@ -7,7 +7,7 @@ import numpy as np
 from skinbake.choices import Frame
 from skinbake.errors import Place
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
-from skinbake.gltf.primitives import PrimitiveSource
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.measure.unwritten import UnwrittenBake, cut_out
 
 COUNT = 400

@@ -19,7 +19,7 @@ from skinbake.freshness.baked_views import baked_views
 from skinbake.freshness.staleness import surface_operator
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.document import read_document
-from skinbake.gltf.primitives import skinned_sources
+from skinbake.gltf.reading.meshes import skinned_sources
 from skinbake.gradients.baker import BakeSettings, bake_primitives
 from skinbake.measure import angles
 from skinbake.measure import angles as lighting

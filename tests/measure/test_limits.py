@@ -7,8 +7,8 @@ import pytest
 
 from skinbake.format.influences import common_unit, with_limit
 from skinbake.geometry.skinned import SkinnedPrimitive
-from skinbake.gltf.accessors import StoredArray
-from skinbake.gltf.primitives import StoredInfluences
+from skinbake.gltf.reading.accessors import StoredArray
+from skinbake.gltf.reading.meshes import StoredInfluences
 from skinbake.gradients.influences import limited_slots
 from skinbake.truth.mesh import normalised_weights
 from tests.measure.limited import limited_primitive

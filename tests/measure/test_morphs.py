@@ -12,8 +12,8 @@ import pytest
 
 from skinbake.choices import FrameChoice, PoseKind
 from skinbake.errors import InputError
-from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
+from skinbake.gltf.reading.clips import read_clips
 from skinbake.measure import measured
 from skinbake.skinning.rest import RestPrimitive
 from skinbake.truth.poses import PoseRequest, draws_of, pose_set

@@ -14,8 +14,8 @@ from fixtures.builder import JsonObject
 from skinbake.commands.view import view_file
 from skinbake.freshness.baked_views import sound_views
 from skinbake.geometry.skinned import Float64Array
-from skinbake.gltf.animation import RANDOM, read_clips
 from skinbake.gltf.document import read_document
+from skinbake.gltf.reading.clips import RANDOM, read_clips
 from skinbake.measure.scene import Scene
 from tests.support.models import bake, edited
 

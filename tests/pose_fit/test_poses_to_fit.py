@@ -10,8 +10,8 @@ import pytest
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.errors import Place
-from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.reading.clips import read_clips
 from skinbake.pose_fit.poses import ANIMATIONS, BETWEEN, CLIP_POSES, poses_to_fit
 from skinbake.truth.poses import PoseRequest, joint_clips, pose_set
 from tests.support.baked_files import Editable

@@ -16,9 +16,9 @@ from skinbake.choices import SLOTS_PER_SET, Frame, Method, PoseKind
 from skinbake.freshness.baked_views import baked_views, rest_primitive
 from skinbake.geometry import frames
 from skinbake.geometry.dual_quaternions import RigidMotions, rigid_motions, scaled_motions
-from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import read_document
-from skinbake.gltf.primitives import skinned_sources
+from skinbake.gltf.reading.clips import read_clips
+from skinbake.gltf.reading.meshes import skinned_sources
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import PosedVertex

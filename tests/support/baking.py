@@ -11,8 +11,8 @@ from skinbake.commands.bake_options import BakeOptions
 from skinbake.files.bounds import OWN_FOLDERS, Within
 from skinbake.format.baked import AttributeNames
 from skinbake.format.encodings import GradientFormat
-from skinbake.gltf.output import Writing
-from skinbake.gltf.recode import Compression
+from skinbake.gltf.writing.output import Writing
+from skinbake.gltf.writing.recode import Compression
 from skinbake.gradients.baker import BakeSettings
 from skinbake.jobs.bake import Bake
 from skinbake.report.bake import FileResult

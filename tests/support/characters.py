@@ -17,8 +17,9 @@ from skinbake.choices import Baseline, Frame
 from skinbake.format.encodings import GradientFormat
 from skinbake.geometry import frames
 from skinbake.geometry.poses import random_rotations
-from skinbake.gltf.animation import clip_poses, random_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
+from skinbake.gltf.reading.clips import clip_poses, read_clips
+from skinbake.gltf.reading.skins import random_poses, read_skeleton
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.rest import RestPrimitive
 from tests.support import gltf_reading

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
+from skinbake.gltf.reading.clips import clip_poses, read_clips
+from skinbake.gltf.reading.skins import read_skeleton
 from tests.support import gltf_reading
 from tests.support.characters import Array, unit
 

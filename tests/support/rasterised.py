@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from skinbake.freshness.baked_views import baked_views, rest_primitive
-from skinbake.gltf.animation import clip_poses, random_clip, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
-from skinbake.gltf.primitives import skinned_sources
+from skinbake.gltf.reading.clips import clip_poses, random_clip, read_clips
+from skinbake.gltf.reading.meshes import skinned_sources
+from skinbake.gltf.reading.skins import read_skeleton
 from skinbake.skinning.algorithms import Algorithm
 from tests.support.characters import Array, unit
 from tests.support.replay import replay

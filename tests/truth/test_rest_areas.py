@@ -11,7 +11,7 @@ import pytest
 from skinbake.choices import PoseKind
 from skinbake.commands.verify import verify_file
 from skinbake.gltf.document import read_document
-from skinbake.gltf.primitives import read_primitive, skinned_sources
+from skinbake.gltf.reading.meshes import read_primitive, skinned_sources
 from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import FileVerdict
 from skinbake.truth.areas import RestAreas

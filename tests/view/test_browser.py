@@ -12,9 +12,10 @@ import pytest
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.freshness.baked_views import baked_views, rest_primitive
-from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
-from skinbake.gltf.primitives import skinned_sources
+from skinbake.gltf.reading.clips import clip_poses, read_clips
+from skinbake.gltf.reading.meshes import skinned_sources
+from skinbake.gltf.reading.skins import read_skeleton
 from skinbake.measure.angles import MeasuredBlock, lighting_errors, truths_at_rest
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.truth.operator import gradient_operator

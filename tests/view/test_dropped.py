@@ -15,9 +15,10 @@ from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Encoding, Layout
 from skinbake.format.encodings import GradientFormat
 from skinbake.freshness.baked_views import baked_views, rest_primitive
-from skinbake.gltf.animation import clip_poses, read_clips, read_skeleton
 from skinbake.gltf.document import read_document
-from skinbake.gltf.primitives import skinned_sources
+from skinbake.gltf.reading.clips import clip_poses, read_clips
+from skinbake.gltf.reading.meshes import skinned_sources
+from skinbake.gltf.reading.skins import read_skeleton
 from skinbake.measure.scene import Surface
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.truth.poses import PoseRequest, draws_of, pose_set

@@ -117,8 +117,8 @@ def _untracked_code(results: Sequence[FileResult], say: Console) -> int:
     """Print an error for each output that names a file which git does not track; return the exit code."""
     import subprocess
 
-    from skinbake.gltf.beside import named_paths
     from skinbake.gltf.document import read_document
+    from skinbake.gltf.writing.beside import named_paths
 
     code = exit_codes.OK
     for result in results:

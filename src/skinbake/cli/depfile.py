@@ -78,8 +78,8 @@ def write_depfile(
 
 def clip_files_read(paths: Iterable[str]) -> list[str]:
     """Return the files of poses, and the buffers beside them. Raises OutputError, see ``prerequisites``."""
-    from skinbake.gltf.beside import files_read
     from skinbake.gltf.document import read_document
+    from skinbake.gltf.writing.beside import files_read
     from skinbake.report.depfile import prerequisites
 
     found = []

@@ -23,7 +23,7 @@ from skinbake.files.urls import STDIO, File, named_file, on_disk
 from skinbake.options import OPTIONS, STATE_NAME, By, on_command_line
 
 if TYPE_CHECKING:
-    from skinbake.gltf.output import Writing
+    from skinbake.gltf.writing.output import Writing
 
 OptionsT = TypeVar("OptionsT")
 
@@ -85,7 +85,7 @@ class Plan(Generic[OptionsT]):
     @property
     def writing(self) -> Writing:
         """Return how outputs are written."""
-        from skinbake.gltf.output import Writing
+        from skinbake.gltf.writing.output import Writing
 
         return Writing(
             dry_run=self.dry_run, sync=not self.no_sync, pack=self.pack, lists_read=bool(self.depfile)

@@ -17,23 +17,18 @@ from skinbake.files.versions import digests_of, version_of
 from skinbake.format.note import Left as LeftNote
 from skinbake.format.note import refuse_other_kind, with_left
 from skinbake.format.strip import stripped
-from skinbake.gltf.beside import files_read
-from skinbake.gltf.container import for_target
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.output import (
+from skinbake.gltf.reading.meshes import reason_to_skip, skinned_sources, tell_half_skinned, why_nothing
+from skinbake.gltf.writing.beside import files_read
+from skinbake.gltf.writing.container import for_target
+from skinbake.gltf.writing.output import (
     AS_USUAL,
     Writing,
     plan_output,
     refuse_own_input,
     tell_other_names,
     write_ahead,
-)
-from skinbake.gltf.primitives import (
-    PrimitiveSource,
-    reason_to_skip,
-    skinned_sources,
-    tell_half_skinned,
-    why_nothing,
 )
 from skinbake.report.bake import FileResult, Left
 from skinbake.timing import stage

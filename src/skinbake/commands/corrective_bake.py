@@ -37,17 +37,14 @@ from skinbake.format.encodings import GradientFormat
 from skinbake.format.strip import uncorrected
 from skinbake.freshness.corrective_freshness import PlayedClips, PlayedCorrectives
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
-from skinbake.gltf.animation import (
-    MORPH_WEIGHTS,
-    Clip,
-    read_clips,
-    read_skeleton,
-)
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Budget, Cost
 from skinbake.gltf.document import Document
-from skinbake.gltf.morphs import targets_without_normal
-from skinbake.gltf.primitives import PrimitiveSource, read_primitive
-from skinbake.gltf.scenes import meshes_of_one_skin
+from skinbake.gltf.reading.clips import MORPH_WEIGHTS, Clip, read_clips
+from skinbake.gltf.reading.meshes import read_primitive
+from skinbake.gltf.reading.morphs import targets_without_normal
+from skinbake.gltf.reading.scenes import meshes_of_one_skin
+from skinbake.gltf.reading.skins import read_skeleton
 from skinbake.measure.corrected import corrected_lighting, worse_primitives
 from skinbake.measure.lighting import bakeable
 from skinbake.measure.morphing import moving_targets

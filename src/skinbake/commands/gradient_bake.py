@@ -14,9 +14,9 @@ from skinbake.errors import Chosen, InputError, Message, Notice, Place
 from skinbake.format.attribute_store import tell_level_ignored, tell_stored_otherwise
 from skinbake.format.baked import with_baked
 from skinbake.format.encodings import GradientFormat
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import WELDING, Budget, Cost
 from skinbake.gltf.document import Document
-from skinbake.gltf.primitives import PrimitiveSource
 from skinbake.gradients.normals import lean_notices
 from skinbake.report.bake import BakedCounts, CorrectiveCounts, EncodingCost, Left, MorphCounts
 from skinbake.timing import stage
@@ -76,7 +76,7 @@ def bake_gradients(
     document.budget.claim(Cost.BAKED_PRIMITIVE * len(sources), what, document.place)
     given = document
     if options.compress is not Scheme.KEEP:
-        from skinbake.gltf.recode import Compression, recoded
+        from skinbake.gltf.writing.recode import Compression, recoded
 
         with stage("compress"):
             compression = Compression(options.compress, options.compress_level, options.bits)
@@ -131,7 +131,7 @@ def bake_gradients(
                 lambda other: with_baked(document, to_store, names, other)[0],
             )
     if options.compress is Scheme.DRACO:
-        from skinbake.gltf.recode import tell_draco_growth
+        from skinbake.gltf.writing.recode import tell_draco_growth
 
         tell_draco_growth(given, written)
     return BakedDocument(

@@ -16,12 +16,12 @@ from skinbake.freshness.baked_views import is_baked
 from skinbake.freshness.corrective_freshness import changed_since
 from skinbake.freshness.made_targets import made_states
 from skinbake.geometry.skinned import SkinnedPrimitive
-from skinbake.gltf.accessors import described
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.codecs.views import bytes_beside
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.primitives import (
-    PrimitiveSource,
+from skinbake.gltf.reading.accessors import described
+from skinbake.gltf.reading.meshes import (
     has_float_tangents,
     read_primitive,
     reason_to_skip,

@@ -23,10 +23,11 @@ from skinbake.errors import Chosen, InputError, Message, Notice
 from skinbake.format.morph_targets import MadeTargets, check_extras, morph_digest
 from skinbake.geometry.morphs import NO_DIFFERENCES, Differences
 from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray, SkinnedPrimitive
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document
-from skinbake.gltf.morphs import read_targets, targets_without_normal
-from skinbake.gltf.primitives import PrimitiveSource, plain_sources, read_primitive, reason_to_skip
+from skinbake.gltf.reading.meshes import plain_sources, read_primitive, reason_to_skip
+from skinbake.gltf.reading.morphs import read_targets, targets_without_normal
 from skinbake.gradients import kernel
 from skinbake.gradients.morph_gradients import MorphSurface
 from skinbake.gradients.surface import WeightField

@@ -16,10 +16,10 @@ from skinbake.files.writing import write_file
 from skinbake.freshness.baked_views import sound_views
 from skinbake.freshness.corrective_freshness import PlayedCorrectives
 from skinbake.geometry.skinned import Float64Array
-from skinbake.gltf.animation import RANDOM, Clip
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.output import refuse_own_input
+from skinbake.gltf.reading.clips import RANDOM, Clip
+from skinbake.gltf.writing.output import refuse_own_input
 from skinbake.measure.angles import INSIDE_OUT, METHODS, Corrections
 from skinbake.measure.scene import Draw, Scene, claim_draws
 from skinbake.report.normals import PosedNormals, line

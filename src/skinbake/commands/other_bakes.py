@@ -14,9 +14,10 @@ from skinbake.errors import Notices, SkinbakeError
 from skinbake.format.note import corrective_notes, gradient_note
 from skinbake.format.strip import stripped, uncorrected
 from skinbake.freshness.corrective_freshness import PlayedCorrectives
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.document import Document
-from skinbake.gltf.morphs import targets_without_normal
-from skinbake.gltf.primitives import PrimitiveSource, skinned_sources
+from skinbake.gltf.reading.meshes import skinned_sources
+from skinbake.gltf.reading.morphs import targets_without_normal
 from skinbake.measure.corrected import corrected_lighting
 from skinbake.measure.lighting import bakeable, lighting_of
 from skinbake.measure.options import VerifyOptions

@@ -17,12 +17,14 @@ from skinbake.files.writing import write_file
 from skinbake.freshness.baked_views import BakedView, sound_views
 from skinbake.freshness.corrective_freshness import PlayedCorrectives
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, IntArray
-from skinbake.gltf.accessors import read_accessor
-from skinbake.gltf.animation import RANDOM, Clip, Skeleton, random_clip, read_clips, rest_pose
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import LAYERS, Cost
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.output import refuse_own_input
-from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources
+from skinbake.gltf.reading.accessors import read_accessor
+from skinbake.gltf.reading.clips import RANDOM, Clip, random_clip, read_clips
+from skinbake.gltf.reading.meshes import reason_to_skip, skinned_sources
+from skinbake.gltf.reading.skins import Skeleton, rest_pose
+from skinbake.gltf.writing.output import refuse_own_input
 from skinbake.measure.scene import LIGHTINGS, Attachment, Draw, Scene, attachments, claim_draws
 from skinbake.render.materials import CLAY, WHITE, Materials
 from skinbake.render.pictures import MILLISECONDS, MOVING, captioned, encoded

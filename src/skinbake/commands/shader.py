@@ -17,10 +17,10 @@ from skinbake.format.note import IN_PLANE, UPWARD, corrective_notes
 from skinbake.freshness.baked_views import BakedView, baked_views, is_baked, rest_primitive
 from skinbake.freshness.staleness import claim_freshness, refuse_stale
 from skinbake.geometry.dual_quaternions import RIGID_TOLERANCE
-from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.output import refuse_own_input
-from skinbake.gltf.primitives import parts_not_plain, reason_to_skip, skinned_sources, why_nothing
+from skinbake.gltf.reading.clips import read_clips
+from skinbake.gltf.reading.meshes import parts_not_plain, reason_to_skip, skinned_sources, why_nothing
+from skinbake.gltf.writing.output import refuse_own_input
 from skinbake.gradients.influences import weight_sum_notices
 from skinbake.measure.measured import scaled_joints
 from skinbake.measure.morphing import NUMBERS, carrier, noted_of

@@ -10,11 +10,11 @@ from skinbake.errors import ChoiceError, InputError, Notice, Skipped, printable
 from skinbake.format.strip import stripped, uncorrected
 from skinbake.freshness.baked_views import BakedView, is_baked
 from skinbake.freshness.corrective_freshness import damaged_correctives
-from skinbake.gltf.animation import Clip, read_clips
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document
-from skinbake.gltf.materials import tell_images_unplaced
-from skinbake.gltf.primitives import reason_to_skip, skinned_sources, why_nothing
+from skinbake.gltf.reading.clips import Clip, read_clips
+from skinbake.gltf.reading.materials import tell_images_unplaced
+from skinbake.gltf.reading.meshes import reason_to_skip, skinned_sources, why_nothing
 from skinbake.wording import counted
 
 LISTED = 20

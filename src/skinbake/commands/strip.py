@@ -9,10 +9,10 @@ from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.urls import STDIO
 from skinbake.files.versions import version_of
 from skinbake.format.strip import has_lost_metadata, stripped
-from skinbake.gltf.beside import files_read
-from skinbake.gltf.container import for_target
 from skinbake.gltf.document import read_document
-from skinbake.gltf.output import plan_output, refuse_own_input, tell_other_names
+from skinbake.gltf.writing.beside import files_read
+from skinbake.gltf.writing.container import for_target
+from skinbake.gltf.writing.output import plan_output, refuse_own_input, tell_other_names
 from skinbake.report.depfile import prerequisites
 from skinbake.report.strip import StripResult
 from skinbake.timing import stage

@@ -20,10 +20,11 @@ from skinbake.format.note import FitPoses, GradientNote, Kept
 from skinbake.format.stored_slots import BlendGradient, read_blend_weights
 from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document
-from skinbake.gltf.primitives import PrimitiveSource, has_float_tangents, read_influences, read_primitive
-from skinbake.gltf.rigs import fitting_rig
+from skinbake.gltf.reading.meshes import has_float_tangents, read_influences, read_primitive
+from skinbake.gltf.reading.skins import fitting_rig
 from skinbake.gradients import kernel
 from skinbake.gradients.assumptions import assumptions, check_finite
 from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_primitives, slots_of_surface
@@ -57,7 +58,7 @@ def bake_surfaces(
         by_mesh[source.mesh].append(source)
     groups: Sequence[Sequence[int]] = [[mesh] for mesh in by_mesh]
     if options.weld is Weld.SKIN:
-        from skinbake.gltf.scenes import meshes_of_one_skin, tell_meshes_apart
+        from skinbake.gltf.reading.scenes import meshes_of_one_skin, tell_meshes_apart
 
         groups = meshes_of_one_skin(document, by_mesh)
         tell_meshes_apart(document, by_mesh)

@@ -12,8 +12,9 @@ from skinbake.format.note import Left, corrective_notes, file_left, gradient_not
 from skinbake.freshness.baked_views import BakedView, baked_views, gathered_together, is_baked
 from skinbake.freshness.made_targets import made_states
 from skinbake.freshness.staleness import claim_freshness, fits_begun, freshness_check, surface_operator
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources, tell_half_skinned
+from skinbake.gltf.reading.meshes import reason_to_skip, skinned_sources, tell_half_skinned
 from skinbake.gradients.influences import weight_sum_notices
 from skinbake.gradients.normals import lean_notices
 from skinbake.measure.measured import Measurement

@@ -15,7 +15,7 @@ from skinbake.freshness.corrective_freshness import (
     damaged_correctives,
 )
 from skinbake.gltf.document import Document
-from skinbake.gltf.primitives import skinned_sources, tell_half_skinned
+from skinbake.gltf.reading.meshes import skinned_sources, tell_half_skinned
 from skinbake.measure.corrected import WORSE, corrected_lighting, mixtures, worse_primitives
 from skinbake.measure.lighting import bakeable
 from skinbake.measure.options import VerifyOptions

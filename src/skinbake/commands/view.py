@@ -27,15 +27,15 @@ from skinbake.format.strip import stripped
 from skinbake.freshness.baked_views import BakedView, sound_views
 from skinbake.freshness.corrective_freshness import PlayedCorrectives
 from skinbake.gltf.budget import Cost
-from skinbake.gltf.container import for_target
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.glb import STDIN
 from skinbake.gltf.json_access import JsonObject
-from skinbake.gltf.materials import tell_images_missing
-from skinbake.gltf.output import plan_output, refuse_own_input
-from skinbake.gltf.packing import bytes_of_images, with_images_inside
-from skinbake.gltf.recode import Compression, recoded
-from skinbake.gltf.scenes import faces_backward
+from skinbake.gltf.reading.materials import tell_images_missing
+from skinbake.gltf.reading.scenes import faces_backward
+from skinbake.gltf.writing.container import for_target
+from skinbake.gltf.writing.output import plan_output, refuse_own_input
+from skinbake.gltf.writing.packing import bytes_of_images, with_images_inside
+from skinbake.gltf.writing.recode import Compression, recoded
 from skinbake.measure.options import VerifyOptions
 from skinbake.measure.scene import Scene
 from skinbake.report.verify import FileVerdict, by_worse_truth, file_json, first_problem, gain, remarks

@@ -20,9 +20,9 @@ from skinbake.choices import Truth
 from skinbake.commands.shown import asked_clips
 from skinbake.errors import ChoiceError, InputError, printable
 from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray
-from skinbake.gltf.animation import Clip, random_clip, read_clips
 from skinbake.gltf.budget import Work
 from skinbake.gltf.document import Document
+from skinbake.gltf.reading.clips import Clip, random_clip, read_clips
 from skinbake.measure.angles import MeasuredBlock
 from skinbake.measure.scene import Draw, attachments, claim_draws
 from skinbake.report.verify import NEGLIGIBLE

@@ -19,8 +19,8 @@ import numpy as np
 from skinbake.correctives.principal import gram, leading, refined, scaled_to
 from skinbake.correctives.surface import TRUTHS, Surface
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
-from skinbake.gltf.animation import Clip, clip_poses, clip_weights
 from skinbake.gltf.budget import Cost, Work
+from skinbake.gltf.reading.clips import Clip, clip_poses, clip_weights
 from skinbake.skinning.rest import RestPrimitive
 from skinbake.truth.poses import PosePlan
 

@@ -10,13 +10,13 @@ import numpy.typing as npt
 
 from skinbake.errors import Notice
 from skinbake.format.note import StreamNote, with_note
-from skinbake.gltf.accessors import read_accessor
-from skinbake.gltf.additions import Additions, Packed
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.codecs import draco, meshopt
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, member
-from skinbake.gltf.primitives import PrimitiveSource
+from skinbake.gltf.reading.accessors import read_accessor
+from skinbake.gltf.writing.additions import Additions, Packed
 
 Values = npt.NDArray[Any]
 
@@ -91,7 +91,7 @@ def tell_stored_otherwise(document: Document, sources: Sequence[PrimitiveSource]
             continue
         inside = member(before, "attributes", source.place).keys() - extension.get("attributes", {}).keys()
         if beside := sorted(inside & after.attributes.keys()):
-            from skinbake.gltf.recode import reason_against_new_stream
+            from skinbake.gltf.writing.recode import reason_against_new_stream
 
             message = (
                 f"its new {' and '.join(beside)} are stored beside its Draco stream, not in it: "
@@ -166,7 +166,7 @@ class _DracoStore:
     """
 
     def __init__(self, document: Document, additions: Additions, source: PrimitiveSource, level: int) -> None:
-        from skinbake.gltf.recode import reason_against_new_stream
+        from skinbake.gltf.writing.recode import reason_against_new_stream
 
         self._document, self._additions, self._source, self._level = document, additions, source, level
         self._before = draco.extension_of(source.json) or {}

@@ -33,11 +33,12 @@ from skinbake.format.note import (
 from skinbake.format.stored_slots import BlendGradient
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive, blocks
 from skinbake.geometry.triangles import TRIANGLES
-from skinbake.gltf.accessors import element_count, read_accessor
-from skinbake.gltf.additions import Additions
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, is_number
-from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, read_influences, side_by_side
+from skinbake.gltf.reading.accessors import element_count, read_accessor
+from skinbake.gltf.reading.meshes import StoredInfluences, read_influences, side_by_side
+from skinbake.gltf.writing.additions import Additions
 from skinbake.timing import stage
 
 FLOAT = 5126

@@ -13,12 +13,12 @@ from skinbake.format.correctives import QUANTIZATION, TARGET_NAMES, nodes_with
 from skinbake.format.note import KEY, CorrectiveNote, MorphNote, as_json, corrective_notes, refuse_later
 from skinbake.geometry import poses
 from skinbake.geometry.skinned import FloatArray
-from skinbake.gltf.accessors import element_count, read_accessor
-from skinbake.gltf.additions import Additions
-from skinbake.gltf.animation import MORPH_WEIGHTS, POINTER_EXTENSION
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, entries_of, listed, object_of, reference, text
+from skinbake.gltf.reading.accessors import element_count, read_accessor
+from skinbake.gltf.reading.clips import MORPH_WEIGHTS, POINTER_EXTENSION
+from skinbake.gltf.writing.additions import Additions
 
 FLOAT, UNSIGNED = 5126, (5121, 5123)
 

@@ -39,16 +39,7 @@ from skinbake.format.note import (
 )
 from skinbake.geometry import poses
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, SkinnedPrimitive
-from skinbake.gltf.accessors import element_count, read_accessor
-from skinbake.gltf.additions import Additions
-from skinbake.gltf.animation import (
-    MESH_POINTER,
-    MORPH_WEIGHTS,
-    POINTER,
-    POINTER_EXTENSION,
-    clip_weights,
-    read_clips,
-)
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import (
     JsonObject,
@@ -56,7 +47,16 @@ from skinbake.gltf.json_access import (
     objects,
     reference,
 )
-from skinbake.gltf.primitives import PrimitiveSource
+from skinbake.gltf.reading.accessors import element_count, read_accessor
+from skinbake.gltf.reading.clips import (
+    MESH_POINTER,
+    MORPH_WEIGHTS,
+    POINTER,
+    POINTER_EXTENSION,
+    clip_weights,
+    read_clips,
+)
+from skinbake.gltf.writing.additions import Additions
 
 QUANTIZATION = "KHR_mesh_quantization"
 

@@ -13,11 +13,11 @@ import numpy.typing as npt
 from skinbake.errors import BudgetError, InputError, Place
 from skinbake.format.digests import INFLUENCE_TYPES, array_digest, influence_digests
 from skinbake.format.note import GradientNote, stream_note
-from skinbake.gltf.accessors import StoredArray, read_accessor
 from skinbake.gltf.budget import ELEMENTS, Cost
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, integer
+from skinbake.gltf.reading.accessors import StoredArray, read_accessor
 
 
 def with_former_stream(primitive: JsonObject) -> JsonObject | None:

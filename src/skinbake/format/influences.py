@@ -15,9 +15,10 @@ import numpy.typing as npt
 
 from skinbake.choices import SLOTS_PER_SET
 from skinbake.geometry.skinned import TINY_WEIGHT, UNIT, BoolArray, Float64Array, IntArray, SkinnedPrimitive
-from skinbake.gltf.accessors import StoredArray
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.document import Document
-from skinbake.gltf.primitives import PrimitiveSource, StoredInfluences, joints_of_skin, read_influences
+from skinbake.gltf.reading.accessors import StoredArray
+from skinbake.gltf.reading.meshes import StoredInfluences, joints_of_skin, read_influences
 from skinbake.gradients.influences import limited_slots
 
 

@@ -33,12 +33,12 @@ from skinbake.format.note import (
 )
 from skinbake.geometry.morphs import COMPONENTS, Differences
 from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive
-from skinbake.gltf.accessors import read_accessor
-from skinbake.gltf.additions import Additions, Packed
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.codecs.views import COMPONENT_CODES, TYPES
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, entries_of, object_of, reference
-from skinbake.gltf.primitives import PrimitiveSource
+from skinbake.gltf.reading.accessors import read_accessor
+from skinbake.gltf.writing.additions import Additions, Packed
 
 FRAMES = (IN_PLANE, UPWARD)
 """The attributes of the differential of a target.

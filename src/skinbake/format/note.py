@@ -20,7 +20,6 @@ from typing import Any, NamedTuple, TypeVar
 from skinbake.choices import Encoding, Frame, Gradients, Layout, Weighting, Weld
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.geometry.morphs import COMPONENTS
-from skinbake.gltf.additions import BUFFER_ADDED, BUFFER_LENGTH, FALLBACK_ADDED
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import (
@@ -34,6 +33,7 @@ from skinbake.gltf.json_access import (
     shown,
     with_integers,
 )
+from skinbake.gltf.writing.additions import BUFFER_ADDED, BUFFER_LENGTH, FALLBACK_ADDED
 from skinbake.options import MOST_CORRECTIVES
 from skinbake.version import FILE_FORMAT, FIT, __version__
 

@@ -17,11 +17,12 @@ from skinbake.errors import BudgetError, InputError, Notice
 from skinbake.format.encodings import DTYPES, decoded, noted_format
 from skinbake.format.note import BAKE, BLEND_GRADIENT, GradientNote
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray
-from skinbake.gltf.accessors import read_accessor
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Work
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import index
-from skinbake.gltf.primitives import FLOAT, Formats, PrimitiveSource, check_format, refuse_not_finite
+from skinbake.gltf.reading.accessors import read_accessor
+from skinbake.gltf.reading.meshes import FLOAT, Formats, check_format, refuse_not_finite
 from skinbake.wording import counted
 
 COMPONENT_TYPES = {Encoding.FLOAT32: "FLOAT", Encoding.SNORM16: "SHORT", Encoding.PACKED8: "BYTE"}

@@ -24,7 +24,6 @@ from skinbake.format.note import (
     without_note,
 )
 from skinbake.gltf import json_access
-from skinbake.gltf.accessors import described
 from skinbake.gltf.codecs import draco, meshopt
 from skinbake.gltf.document import Document, joined
 from skinbake.gltf.json_access import (
@@ -35,7 +34,8 @@ from skinbake.gltf.json_access import (
     objects,
     text,
 )
-from skinbake.gltf.references import buffers_in_use, uses_of_accessors, views_in_use
+from skinbake.gltf.reading.accessors import described
+from skinbake.gltf.writing.references import buffers_in_use, uses_of_accessors, views_in_use
 
 
 def stripped(document: Document) -> tuple[Document, int]:

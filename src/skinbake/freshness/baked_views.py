@@ -15,10 +15,11 @@ from skinbake.format.stored_slots import read_blend, read_slots
 from skinbake.geometry import frames
 from skinbake.geometry.frames import unit_normals
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document
-from skinbake.gltf.primitives import PrimitiveSource, read_primitive, reason_to_skip, skinned_sources
-from skinbake.gltf.scenes import meshes_of_one_skin
+from skinbake.gltf.reading.meshes import read_primitive, reason_to_skip, skinned_sources
+from skinbake.gltf.reading.scenes import meshes_of_one_skin
 from skinbake.gradients.tangents import TANGENT_TOLERANCE, frame_vectors
 from skinbake.skinning.rest import RestPrimitive
 from skinbake.timing import stage

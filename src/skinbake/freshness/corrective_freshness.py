@@ -16,20 +16,13 @@ from skinbake.format.note import VERSION, CorrectiveNote, corrective_notes, grad
 from skinbake.freshness.baked_views import BakedView
 from skinbake.freshness.made_targets import made_states
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
-from skinbake.gltf.accessors import read_attribute
-from skinbake.gltf.animation import (
-    MORPH_WEIGHTS,
-    Channel,
-    Clip,
-    Skeleton,
-    clip_poses,
-    clip_weights,
-    read_clips,
-    read_skeleton,
-)
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Cost, Work
 from skinbake.gltf.document import Document
-from skinbake.gltf.primitives import PrimitiveSource, read_primitive
+from skinbake.gltf.reading.accessors import read_attribute
+from skinbake.gltf.reading.clips import MORPH_WEIGHTS, Channel, Clip, clip_poses, clip_weights, read_clips
+from skinbake.gltf.reading.meshes import read_primitive
+from skinbake.gltf.reading.skins import Skeleton, read_skeleton
 from skinbake.report.verify import Check
 from skinbake.truth.poses import joint_clips, pose_work
 

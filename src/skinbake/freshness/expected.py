@@ -15,11 +15,11 @@ from skinbake.format.former import former_attributes, former_sets
 from skinbake.format.influences import with_limit
 from skinbake.freshness.baked_views import BakedView, rest_primitive
 from skinbake.geometry.skinned import TINY_WEIGHT, UNIT, Float64Array, FloatArray, IntArray, SkinnedPrimitive
-from skinbake.gltf.accessors import read_attribute
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject
-from skinbake.gltf.primitives import StoredInfluences, joints_of_skin, side_by_side
-from skinbake.gltf.rigs import fitting_rig
+from skinbake.gltf.reading.accessors import read_attribute
+from skinbake.gltf.reading.meshes import StoredInfluences, joints_of_skin, side_by_side
+from skinbake.gltf.reading.skins import fitting_rig
 from skinbake.gradients.baker import slots_of_surface
 from skinbake.gradients.influences import limited_slots
 from skinbake.skinning.rest import RestPrimitive

@@ -8,9 +8,10 @@ from typing import NamedTuple
 from skinbake.errors import BudgetError, InputError, Notice
 from skinbake.format.morph_targets import morph_digest
 from skinbake.format.note import MorphTargets, noted_targets
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.document import Document
-from skinbake.gltf.morphs import read_targets
-from skinbake.gltf.primitives import PrimitiveSource, read_primitive
+from skinbake.gltf.reading.meshes import read_primitive
+from skinbake.gltf.reading.morphs import read_targets
 
 
 class MadeState(NamedTuple):

@@ -18,9 +18,9 @@ from skinbake.freshness.baked_views import BakedView
 from skinbake.freshness.expected import noted_poses, rest_primitives_of, surface_slots
 from skinbake.geometry.poses import is_fingerprint_of
 from skinbake.geometry.skinned import Float64Array
-from skinbake.gltf.accessors import read_attribute
 from skinbake.gltf.document import Document
-from skinbake.gltf.rigs import fitting_rig
+from skinbake.gltf.reading.accessors import read_attribute
+from skinbake.gltf.reading.skins import fitting_rig
 from skinbake.truth.areas import vertex_areas
 from skinbake.truth.operator import GradientOperator, true_operator
 from skinbake.version import FIT

@@ -9,9 +9,9 @@ from skinbake.commands.bake import bake_file
 from skinbake.commands.bake_options import DEFAULTS, BakeOptions
 from skinbake.errors import SkinbakeError
 from skinbake.files.bounds import Bounds, Within
-from skinbake.gltf.beside import files_read
 from skinbake.gltf.document import read_document
-from skinbake.gltf.output import AS_USUAL, Writing
+from skinbake.gltf.writing.beside import files_read
+from skinbake.gltf.writing.output import AS_USUAL, Writing
 from skinbake.jobs import elsewhere
 from skinbake.jobs.work import Job
 from skinbake.report.bake import FileResult

@@ -14,7 +14,7 @@ from skinbake.files.bounds import Bounds
 from skinbake.files.urls import is_url
 
 if TYPE_CHECKING:
-    from skinbake.gltf.output import Writing
+    from skinbake.gltf.writing.output import Writing
     from skinbake.jobs.remote.dask_runner import DaskRunner
     from skinbake.jobs.work import Job, Makes, ResultT, T
 

@@ -34,10 +34,10 @@ from skinbake.files.bounds import (
 from skinbake.files.folders import flush, open_beneath, open_regular
 from skinbake.files.versions import DIGITS, digest_of
 from skinbake.files.writing import write_file
-from skinbake.gltf.beside import named_files
 from skinbake.gltf.budget import fits_memory
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.resources import FileContent
+from skinbake.gltf.writing.beside import named_files
 from skinbake.gradients import kernel
 from skinbake.version import __version__
 

@@ -8,7 +8,7 @@ from typing import ClassVar
 from skinbake.commands.strip import strip_file
 from skinbake.errors import SkinbakeError
 from skinbake.files.bounds import Within
-from skinbake.gltf.output import AS_USUAL, Writing
+from skinbake.gltf.writing.output import AS_USUAL, Writing
 from skinbake.jobs import elsewhere
 from skinbake.jobs.work import Job
 from skinbake.report.strip import StripResult

@@ -11,7 +11,7 @@ from skinbake.errors import InputError, Notice, Place, SkinbakeError, defect, pr
 from skinbake.files.bounds import OWN_FOLDERS, Within
 
 if TYPE_CHECKING:
-    from skinbake.gltf.output import Writing
+    from skinbake.gltf.writing.output import Writing
 
 
 class Job(NamedTuple):

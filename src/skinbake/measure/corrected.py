@@ -12,15 +12,9 @@ from skinbake.freshness.baked_views import baked_views
 from skinbake.freshness.corrective_freshness import PlayedCorrectives
 from skinbake.geometry.poses import normalised
 from skinbake.geometry.skinned import Float64Array
-from skinbake.gltf.animation import (
-    MORPH_WEIGHTS,
-    PATHS,
-    Clip,
-    Skeleton,
-    clip_values,
-    clip_weights,
-)
 from skinbake.gltf.document import Document
+from skinbake.gltf.reading.clips import MORPH_WEIGHTS, Clip, clip_values, clip_weights
+from skinbake.gltf.reading.skins import PATHS, Skeleton
 from skinbake.measure.angles import MeasuredBlock
 from skinbake.measure.lighting import bakeable
 from skinbake.measure.measured import Measurement

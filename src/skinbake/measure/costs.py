@@ -9,8 +9,8 @@ import numpy as np
 
 from skinbake.format.encodings import GradientFormat, rounded, shortened
 from skinbake.geometry.skinned import Float64Array, FloatArray
-from skinbake.gltf.animation import read_clips
 from skinbake.gltf.document import Document
+from skinbake.gltf.reading.clips import read_clips
 from skinbake.measure.tally import ErrorTally
 from skinbake.measure.unwritten import UnwrittenBake
 from skinbake.skinning.algorithms import Algorithm

@@ -18,10 +18,11 @@ from skinbake.choices import USUAL_TRUTHS, PoseKind
 from skinbake.errors import InputError, Notice
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
-from skinbake.gltf.animation import animations_of, read_clips, read_skeleton
 from skinbake.gltf.budget import Cost, shown
 from skinbake.gltf.document import Document
-from skinbake.gltf.scenes import meshes_of_one_skin
+from skinbake.gltf.reading.clips import animations_of, read_clips
+from skinbake.gltf.reading.scenes import meshes_of_one_skin
+from skinbake.gltf.reading.skins import read_skeleton
 from skinbake.gradients.baker import BakeSettings, bake_primitives
 from skinbake.gradients.kept import EIGHTHS
 from skinbake.measure.unwritten import UnwrittenBake, cut_out, joined

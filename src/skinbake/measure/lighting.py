@@ -5,9 +5,10 @@ from __future__ import annotations
 from skinbake.errors import BudgetError, InputError
 from skinbake.freshness.baked_views import baked_views
 from skinbake.freshness.staleness import claim_freshness
-from skinbake.gltf.animation import read_clips
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.document import Document
-from skinbake.gltf.primitives import PrimitiveSource, reason_to_skip, skinned_sources
+from skinbake.gltf.reading.clips import read_clips
+from skinbake.gltf.reading.meshes import reason_to_skip, skinned_sources
 from skinbake.measure.measured import Measurement
 from skinbake.measure.options import VerifyOptions
 from skinbake.measure.scene import Scene

@@ -13,7 +13,7 @@ import numpy as np
 from skinbake.choices import USUAL_TRUTHS, PoseKind, Truth
 from skinbake.errors import BudgetError, InputError, Notice, Place
 from skinbake.geometry.skinned import BoolArray
-from skinbake.gltf.animation import Clip, read_clips
+from skinbake.gltf.reading.clips import Clip, read_clips
 from skinbake.measure.angles import (
     IDENTITY_TOLERANCE,
     METHODS,

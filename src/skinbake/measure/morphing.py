@@ -10,9 +10,9 @@ from skinbake.format.note import MorphTargets as MadeTargets
 from skinbake.format.note import noted_targets
 from skinbake.freshness.baked_views import BakedView
 from skinbake.geometry.morphs import MorphTargets
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.document import Document
-from skinbake.gltf.morphs import read_targets
-from skinbake.gltf.primitives import PrimitiveSource
+from skinbake.gltf.reading.morphs import read_targets
 
 if TYPE_CHECKING:
     pass

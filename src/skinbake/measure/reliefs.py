@@ -26,7 +26,7 @@ from skinbake.freshness.baked_views import BakedView
 from skinbake.geometry.morphs import carried_by_normal
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.gltf.document import Document
-from skinbake.gltf.materials import material_of
+from skinbake.gltf.reading.materials import material_of
 from skinbake.measure.scene import Draw
 from skinbake.measure.tally import ErrorTally
 from skinbake.report.verify import ErrorFigures, Figures, Normals, Reliefs, Worst

@@ -22,20 +22,13 @@ from skinbake.freshness.expected import true_operator_of
 from skinbake.freshness.staleness import surface_operator
 from skinbake.geometry.frames import frame_from_normal, unit_normals
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, IntArray
-from skinbake.gltf.animation import (
-    Clip,
-    Skeleton,
-    clip_poses,
-    clip_weights,
-    read_clips,
-    read_node,
-    read_skeleton,
-    rest_pose,
-)
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import SAMPLES, Cost, Work
 from skinbake.gltf.document import Document
-from skinbake.gltf.primitives import PrimitiveSource, has_surface, plain_sources, read_primitive
-from skinbake.gltf.scenes import faces_backward, shown_nodes
+from skinbake.gltf.reading.clips import Clip, clip_poses, clip_weights, read_clips
+from skinbake.gltf.reading.meshes import has_surface, plain_sources, read_primitive
+from skinbake.gltf.reading.scenes import faces_backward, shown_nodes
+from skinbake.gltf.reading.skins import Skeleton, read_node, read_skeleton, rest_pose
 from skinbake.measure.angles import Corrections, MeasuredBlock, lighting_errors, truths_at_rest
 from skinbake.measure.morphing import moving_targets
 from skinbake.skinning.rest import Options, RestPrimitive

@@ -17,7 +17,7 @@ from skinbake.geometry.skinned import (
     SkinnedPrimitive,
     blocks,
 )
-from skinbake.gltf.primitives import PrimitiveSource
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gradients import kernel
 from skinbake.gradients.surface import bit_patterns
 from skinbake.gradients.tangents import frame_vectors

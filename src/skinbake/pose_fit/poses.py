@@ -14,9 +14,9 @@ import numpy as np
 from skinbake.choices import PoseKind
 from skinbake.errors import ChoiceError, InputError, Notice, Place
 from skinbake.geometry.poses import fingerprint, is_fingerprint_of
-from skinbake.gltf.animation import MORPH_WEIGHTS, Clip, read_clips
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.reading.clips import MORPH_WEIGHTS, Clip, read_clips
 from skinbake.pose_fit.fit import FitPoses
 from skinbake.truth.poses import PoseRequest, PoseSet, joint_clips, pose_set
 from skinbake.wording import counted

@@ -16,10 +16,8 @@ from skinbake.files import Bytes
 from skinbake.geometry.skinned import FloatArray
 from skinbake.gltf.budget import Cost, Work
 from skinbake.gltf.document import Document
-from skinbake.gltf.materials import (
-    Material as StoredMaterial,
-)
-from skinbake.gltf.materials import (
+from skinbake.gltf.reading.materials import Material as StoredMaterial
+from skinbake.gltf.reading.materials import (
     Texture,
     image_bytes,
     material_of,

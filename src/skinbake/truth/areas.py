@@ -14,8 +14,8 @@ from skinbake.geometry.skinned import (
     SkinnedPrimitive,
     blocks,
 )
-from skinbake.gltf.animation import Skeleton, read_skeleton, rest_pose
 from skinbake.gltf.document import Document
+from skinbake.gltf.reading.skins import Skeleton, read_skeleton, rest_pose
 from skinbake.skinning.components import Vector, cross, dot, minus
 from skinbake.truth.mesh import normalised_weights
 

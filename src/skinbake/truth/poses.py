@@ -15,18 +15,10 @@ from skinbake.choices import PoseKind
 from skinbake.errors import InputError
 from skinbake.geometry.poses import random_weights
 from skinbake.geometry.skinned import Float64Array
-from skinbake.gltf.animation import (
-    MORPH_WEIGHTS,
-    Clip,
-    Skeleton,
-    clip_poses,
-    clip_weights,
-    random_poses,
-    read_skeleton,
-    rest_pose,
-)
 from skinbake.gltf.budget import Cost, Work
 from skinbake.gltf.document import Document
+from skinbake.gltf.reading.clips import MORPH_WEIGHTS, Clip, clip_poses, clip_weights
+from skinbake.gltf.reading.skins import Skeleton, random_poses, read_skeleton, rest_pose
 from skinbake.wording import counted
 
 SHARED_SAMPLES = 60

@@ -22,15 +22,15 @@ from skinbake.errors import InputError, Message, OutputError, Place, SkinbakeErr
 from skinbake.files.bounds import BESIDE, Bounds, RefusedError, Within, is_relative, leads_up, relative_names
 from skinbake.files.urls import STDIO, is_url, on_disk
 from skinbake.files.writing import SAVED_ANEW
-from skinbake.gltf.beside import NamedFile, named_files
 from skinbake.gltf.document import GLB_SUFFIXES, read_document
 from skinbake.gltf.resources import is_there
+from skinbake.gltf.writing.beside import NamedFile, named_files
 from skinbake.jobs.remote.storages import Storage, reading, reason, storage_of, writing
 from skinbake.jobs.work import Makes, ResultT
 from skinbake.timing import stage
 
 if TYPE_CHECKING:
-    from skinbake.gltf.output import Writing
+    from skinbake.gltf.writing.output import Writing
 
 T = TypeVar("T")
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterable
 
 from skinbake.errors import Chosen, Message, Notice
-from skinbake.gltf.animation import read_skeleton
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import entries_of, object_of, reference
+from skinbake.gltf.reading.skins import read_skeleton
 
 
 def shown_nodes(document: Document) -> set[int]:

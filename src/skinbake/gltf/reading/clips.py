@@ -1,33 +1,24 @@
-"""Joint matrices and morph weights: from animations, random, or at rest (glTF 2.0, §3.7.3, §3.11)."""
+"""Clips: the animations of a file, and what they move at any time (glTF 2.0, §3.11)."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Container, Sequence
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from skinbake.errors import InputError, Place
+from skinbake.errors import InputError
 from skinbake.geometry import poses
 from skinbake.geometry.skinned import Float64Array
-from skinbake.gltf.accessors import read_accessor
-from skinbake.gltf.budget import Cost, Work
 from skinbake.gltf.document import Document, once_a_document
-from skinbake.gltf.json_access import (
-    JsonObject,
-    index,
-    member,
-    objects,
-    text,
-)
+from skinbake.gltf.json_access import JsonObject, index, member, objects, text
+from skinbake.gltf.reading.accessors import read_wide
+from skinbake.gltf.reading.skins import PATHS, TURN, Skeleton
 from skinbake.wording import counted
 
-PATHS = {"translation": 3, "rotation": 4, "scale": 3}
-MORPH_WEIGHTS, TURN = "weights", "turn"
-"""A path that is no transform of a node, and one of our own: a rotation after the transform of a node."""
+MORPH_WEIGHTS = "weights"
+"""The path of a channel that moves no transform of a node."""
 
 RANDOM, RANDOM_POSES, RANDOM_ANGLE = -1, 8, np.pi / 6
 """The number of ``random_clip``, its poses, and the largest turn of a joint in radians, as on the page."""
@@ -77,68 +68,6 @@ class Clip(NamedTuple):
     channels: tuple[Channel, ...]
     start: float = 0.0
     number: int = 0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Skeleton:
-    """The joints of a skin and all their ancestors, parents before children.
-
-    nodes (N,) are indices in the document. parents (N,) are positions in this list, or −1. translations,
-    rotations (w first) and scales belong to the nodes at rest, each (N, 3 or 4). matrices holds, by
-    position, the nodes that have a matrix instead. joints (J,) are positions of the joints of the skin,
-    inverse_bind (J, 4, 4) their matrices.
-    """
-
-    nodes: tuple[int, ...]
-    parents: tuple[int, ...]
-    translations: Float64Array
-    rotations: Float64Array
-    scales: Float64Array
-    joints: npt.NDArray[np.int64]
-    inverse_bind: Float64Array
-    matrices: dict[int, Float64Array] = field(default_factory=dict)
-
-    def joint_matrices(
-        self, animated: dict[tuple[int, str], Float64Array], turned: Float64Array | None, count: int
-    ) -> Float64Array:
-        """Return joint matrices (P, J, 4, 4): global transform × inverse bind matrix.
-
-        animated maps (node of the document, path) to its values in P poses. turned (J, P, 4) are rotations to
-        add to those of the joints, or None. The transform of the node that draws the mesh has no effect.
-        """
-        # The transforms (N, P, 4, 4) of nodes relative to their parents.
-        parts = []
-        for path, rest in zip(PATHS, (self.translations, self.rotations, self.scales), strict=True):
-            values = np.repeat(rest[:, None], count, axis=1)
-            for position, node in enumerate(self.nodes):
-                if (node, path) in animated:
-                    values[position] = animated[node, path]
-            parts.append(values)
-        local = poses.composed(*parts)
-        for position, matrix in self.matrices.items():
-            local[position] = matrix
-        turning = [position for position, node in enumerate(self.nodes) if (node, TURN) in animated]
-        if turning:
-            turns = np.stack([animated[self.nodes[position], TURN] for position in turning])
-            local[turning, :, :3, :3] = local[turning, :, :3, :3] @ poses.rotation_matrices(turns)
-        if turned is not None:
-            extra = np.zeros((*turned.shape[:2], 4, 4))
-            extra[..., :3, :3] = poses.rotation_matrices(turned)
-            extra[..., 3, 3] = 1.0
-            local[self.joints] = local[self.joints] @ extra
-        joints = poses.global_transforms(local, self.parents)[self.joints]
-        return np.ascontiguousarray(np.swapaxes(joints @ self.inverse_bind[:, None], 0, 1))
-
-
-def rest_pose(skeleton: Skeleton) -> Float64Array:
-    """Return the joint matrices (1, J, 4, 4) of the nodes as stored in the file."""
-    return skeleton.joint_matrices({}, None, 1)
-
-
-def random_poses(skeleton: Skeleton, count: int, *, angle: float, seed: int) -> Float64Array:
-    """Return joint matrices (P, J, 4, 4) with every joint turned at random by up to ``angle`` radians."""
-    turned = poses.random_rotations((len(skeleton.joints), count), angle, seed)
-    return skeleton.joint_matrices({}, turned, count)
 
 
 def random_clip(document: Document) -> Clip:
@@ -212,87 +141,6 @@ def _at(channel: Channel, at: Float64Array) -> Float64Array:
     )
 
 
-def read_skeleton(document: Document, skin: int) -> Skeleton:
-    """Return the joints of a skin with their ancestors. Skins that say the same share them.
-
-    Raises InputError if the hierarchy or the matrices are broken. A broken skin too is read only once.
-    """
-    found = _skeleton_or_fault(document, skin)
-    if isinstance(found, InputError):
-        raise found.with_traceback(None)
-    return found
-
-
-@once_a_document
-def _skeleton_or_fault(document: Document, number: int) -> Skeleton | InputError:
-    skin = document.asset.skins[number]
-    try:
-        alike, key = _alike(document), (tuple(skin.joints), skin.inverse_bind)
-        if key not in alike:
-            alike[key] = _read_skeleton(document, f"skin {number}", *key)
-        return alike[key]
-    except InputError as error:
-        return error
-
-
-@once_a_document
-def _alike(document: Document) -> dict[tuple[tuple[int, ...], int | None], Skeleton]:
-    """Return the skeletons that were read, by joints and inverse bind matrices."""
-    return {}
-
-
-def read_node(document: Document, node: int) -> Skeleton:
-    """Return a node with its ancestors as a skeleton of one joint, in the space of the node."""
-    return _read_skeleton(document, f"node {node}", [node], None)
-
-
-def _read_skeleton(
-    document: Document, owner: str, joints: Sequence[int], matrices_in: int | None
-) -> Skeleton:
-    nodes, parents = document.asset.nodes, document.asset.parents
-    # The joints and the nodes above them, parents first.
-    order: dict[int, None] = {}
-    for joint in joints:
-        chain: dict[int, None] = {}
-        node: int | None = joint
-        while node is not None and node not in order:
-            if node in chain:
-                raise InputError(f"node {node} is its own ancestor", document.place)
-            chain[node] = None
-            node = parents.get(node)
-        order.update(dict.fromkeys(reversed(chain)))
-    what = f"the joints of {owner} and those above"
-    document.budget.claim(Cost.NODE * len(order), what, document.place)
-    where = {node: position for position, node in enumerate(order)}
-    matrices = {
-        position: nodes[node].stored("matrix").reshape(4, 4).T
-        for position, node in enumerate(order)
-        if nodes[node].has_matrix
-    }
-    rotations = np.stack([nodes[node].stored("rotation") for node in order])
-    return Skeleton(
-        nodes=tuple(order),
-        parents=tuple(where[parents[node]] if node in parents else -1 for node in order),
-        translations=np.stack([nodes[node].stored("translation") for node in order]),
-        rotations=poses.normalised(rotations[:, [3, 0, 1, 2]]),
-        scales=np.stack([nodes[node].stored("scale") for node in order]),
-        joints=np.array([where[joint] for joint in joints]),
-        inverse_bind=_inverse_bind(document, matrices_in, len(joints)),
-        matrices=matrices,
-    )
-
-
-def _inverse_bind(document: Document, number: int | None, count: int) -> Float64Array:
-    """Return the inverse bind matrices (J, 4, 4) in an accessor."""
-    place = document.place
-    if number is None:
-        return np.broadcast_to(np.eye(4), (count, 4, 4))
-    values = _wide(document, number, place)
-    if values.shape[1] != 16 or len(values) < count or not np.isfinite(values[:count]).all():
-        raise InputError(f"inverseBindMatrices must be {count} finite 4 × 4 matrices", place)
-    return np.swapaxes(values[:count].reshape(-1, 4, 4), 1, 2)
-
-
 def animations_of(document: Document, nodes: Container[int]) -> list[int]:
     """Return the numbers of the animations that move, turn or scale any of some nodes. Keys are not read.
 
@@ -362,7 +210,7 @@ def _channel(
         return None
     components = PATHS.get(path)
     if path == MORPH_WEIGHTS:
-        from skinbake.gltf.morphs import skinned_target_count  # a bake reads skeletons without it
+        from skinbake.gltf.reading.morphs import skinned_target_count  # a bake reads skeletons without it
 
         components = skinned_target_count(document, node)
         if components and one is not None:
@@ -379,7 +227,7 @@ def _channel(
     if source is None or output is None:
         raise _refused(document, clip, node, "its sampler lacks its input or output")
     if source not in known:
-        stored = _wide(document, source, place)
+        stored = read_wide(document, source, place)
         fault = _time_fault(stored)
         if fault is not None:
             raise _refused(document, clip, node, fault)
@@ -392,7 +240,7 @@ def _channel(
     each = 3 if method == poses.CUBICSPLINE else 1
     use = (output, path, each * len(times), components)
     if use not in outputs:
-        values = _wide(document, output, place)
+        values = read_wide(document, output, place)
         fault = _fault(values, each * len(times), components, path)
         if fault is not None:
             raise _refused(document, clip, node, fault)
@@ -426,15 +274,6 @@ def _target(
     mesh = index({"mesh": int(found[1])}, "mesh", meshes, place, owner=owner, kind="mesh")
     nodes = document.asset.takers_of_weights.get(mesh or 0, frozenset())
     return min(nodes, default=None), MORPH_WEIGHTS, nodes, int(found[2]) if found[2] else None
-
-
-def _wide(document: Document, number: int, place: Place) -> Float64Array:
-    """Return the decoded values of an accessor as float64."""
-    stored = read_accessor(document, number, place)
-    # The decoded values, the widened ones, and the same again if components change places.
-    size = stored.decoded_size + 16 * stored.values.size
-    document.budget.claim(Work(bytes=size), f"accessor {number} of an animation or skin", place)
-    return stored.wide()
 
 
 def _refused(document: Document, clip: str, node: int, fault: str) -> InputError:

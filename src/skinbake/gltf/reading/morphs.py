@@ -13,18 +13,12 @@ from skinbake.geometry.morphs import (
     MorphTarget,
     MorphTargets,
 )
-from skinbake.gltf.accessors import element_count, read_accessor
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Work
 from skinbake.gltf.document import Document, once_a_document
 from skinbake.gltf.json_access import JsonObject, index
-from skinbake.gltf.primitives import (
-    FLOAT,
-    NORMALISED_SIGNED,
-    Formats,
-    PrimitiveSource,
-    check_format,
-    refuse_not_finite,
-)
+from skinbake.gltf.reading.accessors import element_count, read_accessor
+from skinbake.gltf.reading.meshes import FLOAT, NORMALISED_SIGNED, Formats, check_format, refuse_not_finite
 from skinbake.wording import counted
 
 FORMATS: Formats = {

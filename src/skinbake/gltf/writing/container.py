@@ -11,10 +11,10 @@ from skinbake.files import Bytes
 from skinbake.files.bounds import RefusedError, is_relative, path_uri, relative_names
 from skinbake.files.urls import STDIO
 from skinbake.gltf import resources
-from skinbake.gltf.beside import files_of_extensions, is_elsewhere
 from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import GLB_SUFFIXES, Document
 from skinbake.gltf.json_access import JsonObject
+from skinbake.gltf.writing.beside import files_of_extensions, is_elsewhere
 from skinbake.wording import counted, one_or_many
 
 
@@ -37,7 +37,10 @@ def for_target(document: Document, target: str, *, pack: bool = False) -> Docume
     if is_glb_name(target):
         unpacked: Collection[Notice] = ()
         if pack or not document.is_glb:
-            from skinbake.gltf.packing import packed, packed_with_files  # most files are GLBs, and stay so
+            from skinbake.gltf.writing.packing import (  # most files are GLBs, and stay so
+                packed,
+                packed_with_files,
+            )
 
             converted = document if document.is_glb else _as_glb(document)
             if pack:

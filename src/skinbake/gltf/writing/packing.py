@@ -13,7 +13,7 @@ from skinbake.gltf.budget import Work
 from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, integer, member, reference
-from skinbake.gltf.materials import texture_image
+from skinbake.gltf.reading.materials import texture_image
 from skinbake.gltf.resources import (
     decode_data_uri,
     find,

@@ -16,8 +16,7 @@ import numpy.typing as npt
 from skinbake.choices import Scheme
 from skinbake.errors import InputError, Notice, Place
 from skinbake.geometry.triangles import TRIANGLES
-from skinbake.gltf.accessors import is_small_matrix, read_accessor
-from skinbake.gltf.additions import Additions, Packed
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.codecs import draco, meshopt
 from skinbake.gltf.codecs.views import view_bytes
@@ -35,8 +34,10 @@ from skinbake.gltf.json_access import (
     reference,
     text,
 )
-from skinbake.gltf.primitives import PrimitiveSource, check_format, read_indices
-from skinbake.gltf.references import uses_of_accessors
+from skinbake.gltf.reading.accessors import is_small_matrix, read_accessor
+from skinbake.gltf.reading.meshes import check_format, read_indices
+from skinbake.gltf.writing.additions import Additions, Packed
+from skinbake.gltf.writing.references import uses_of_accessors
 from skinbake.wording import percent
 
 UNSIGNED_SHORT, UNSIGNED_INT = 5123, 5125
@@ -129,7 +130,7 @@ class _Recoder:
             return self.document
         changes = {"accessors": self.accessors, "bufferViews": self.views, "meshes": self.meshes}
         applied = self.additions.applied({key: value for key, value in changes.items() if value})
-        from skinbake.gltf.compaction import compacted
+        from skinbake.gltf.writing.compaction import compacted
 
         result = compacted(self.document, applied)
         # The JSON with its compressions in extensionsUsed and extensionsRequired.

@@ -11,8 +11,7 @@ import numpy.typing as npt
 from skinbake.errors import InputError, Notice, Place, Skipped, UnsupportedFeatureError, skipped
 from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive, not_finite
 from skinbake.geometry.triangles import TRIANGLE_FAN, TRIANGLES, unrolled
-from skinbake.gltf.accessors import StoredArray, element_count, read_accessor
-from skinbake.gltf.asset import PrimitiveSource as PrimitiveSource  # noqa: PLC0414  # others import it from here
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Work
 from skinbake.gltf.codecs import draco, meshopt
 from skinbake.gltf.codecs.views import component_dtype
@@ -24,7 +23,8 @@ from skinbake.gltf.json_access import (
     member,
     reference,
 )
-from skinbake.gltf.materials import UNLIT, material_of
+from skinbake.gltf.reading.accessors import StoredArray, element_count, read_accessor
+from skinbake.gltf.reading.materials import UNLIT, material_of
 from skinbake.wording import counted, one_or_many
 
 FLOAT = ("f4", False)

@@ -17,12 +17,12 @@ from skinbake.files.urls import STDIO
 from skinbake.files.versions import Signature, Version
 from skinbake.files.writing import TakenError, check_target, write_files, write_stdout
 from skinbake.gltf import json_text
-from skinbake.gltf.beside import Beside, named_files, named_paths
-from skinbake.gltf.copies import Copies
 from skinbake.gltf.document import Document, refuse_buffers_outside
 from skinbake.gltf.glb import binary_offset, join_glb
-from skinbake.gltf.json_rewriting import FormerText, rewritten
 from skinbake.gltf.resources import find
+from skinbake.gltf.writing.beside import Beside, named_files, named_paths
+from skinbake.gltf.writing.copies import Copies
+from skinbake.gltf.writing.rewriting import FormerText, rewritten
 from skinbake.threads import thread_count
 from skinbake.timing import tell_written
 from skinbake.wording import one_or_many

@@ -16,7 +16,7 @@ from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.codecs.views import COMPONENT_CODES, TYPES
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, integer
-from skinbake.gltf.references import check_views, refuse_dangling
+from skinbake.gltf.writing.references import check_views, refuse_dangling
 
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 

@@ -74,6 +74,15 @@ def read_accessor(document: Document, number: int, place: Place) -> StoredArray:
     return StoredArray(values, accessor.get("normalized") is True and dtype.kind != "f")
 
 
+def read_wide(document: Document, number: int, place: Place) -> Float64Array:
+    """Return the decoded values of an accessor of an animation or skin as float64; InputError as above."""
+    stored = read_accessor(document, number, place)
+    # The decoded values, the widened ones, and the same again if components change places.
+    size = stored.decoded_size + 16 * stored.values.size
+    document.budget.claim(Work(bytes=size), f"accessor {number} of an animation or skin", place)
+    return stored.wide()
+
+
 def read_attribute(document: Document, attributes: Mapping[str, Any], name: str, place: Place) -> StoredArray:
     """Return the elements of the accessor to which an object maps an attribute; InputError without one."""
     number = index(attributes, name, len(document.objects("accessors")), place)

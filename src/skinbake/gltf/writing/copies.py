@@ -34,10 +34,10 @@ from skinbake.files.bounds import below, bounded_path
 from skinbake.files.folders import Folder, beneath, open_beneath, open_regular
 from skinbake.files.versions import DIGITS, Signature, signature_of
 from skinbake.files.writing import locked, write_files
-from skinbake.gltf.additions import content_digest
 from skinbake.gltf.budget import fits_memory
 from skinbake.gltf.document import GLTF_SUFFIX
 from skinbake.gltf.resources import BLOCK, FileContent
+from skinbake.gltf.writing.additions import content_digest
 
 NAME = ".skinbake-copies.json"
 """The name of the notes. A file of this name that does not begin like notes is left untouched."""

@@ -25,11 +25,11 @@ from skinbake.files.bounds import (
 from skinbake.files.folders import open_beneath
 from skinbake.files.versions import Signature, signature_of
 from skinbake.files.writing import has_content
-from skinbake.gltf.additions import content_digest
-from skinbake.gltf.copies import GRADIENTS, Copies, gradients_name
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.resources import FileContent, find, is_data_uri, listed, outside, shortened
+from skinbake.gltf.writing.additions import content_digest
+from skinbake.gltf.writing.copies import GRADIENTS, Copies, gradients_name
 from skinbake.wording import one_or_many
 
 

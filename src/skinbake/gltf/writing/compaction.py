@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 from skinbake.errors import InputError, Place
 from skinbake.files import Bytes
 from skinbake.gltf import resources
-from skinbake.gltf.additions import content_digest
 from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, integer, names, reference
-from skinbake.gltf.references import views_in_use
+from skinbake.gltf.writing.additions import content_digest
+from skinbake.gltf.writing.references import views_in_use
 
 Range = tuple[int, int]
 

@@ -1,0 +1,1 @@
+"""Changed documents as bytes: untouched parts stay as they were read."""
