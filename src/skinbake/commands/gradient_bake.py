@@ -157,36 +157,25 @@ def _refuse_unverifiable(
     """
     fresh = Budget(limit=given.budget.limit, backed=given.budget.backed, parts=given.budget.parts)
     joints = max((given.asset.skins[one.skin].joint_count for one in given.asset.drawn), default=0)
-    steps = (Cost.VERIFIED_JOINT * joints).steps
-    most = 0
+    steps, copied = (Cost.VERIFIED_JOINT * joints).steps, 0
     for surface in surfaces:
         for bake in surface:
             steps += (Cost.VERIFIED_PRIMITIVE + Cost.VERIFIED_TARGET * len(bake.source.targets)).steps
-        # Each copy of a vertex has the corners of all its copies: at most as often as the class with most.
-        every = np.concatenate([bake.result.classes for bake in surface])
-        if int(every.max(initial=-1)) + 1 < len(every):  # else no vertex has a copy
-            corners = sum(bake.primitive.triangles.size for bake in surface)
-            most += (int(np.bincount(every).max()) - 1) * corners
-    bound = WELDING.ratio * fresh.backed // Cost.COPIED_CORNER.bytes
-    if steps <= fresh.steps_left and (
-        Cost.COPIED_CORNER.bytes * most <= bound
-        or Cost.COPIED_CORNER.bytes * sum(map(_copied_corners, surfaces)) <= bound
-    ):
+        # Each copy of a vertex has the corners of all its copies, besides its own.
+        classes = [bake.result.classes for bake in surface]
+        every = np.concatenate(classes)
+        count = int(every.max(initial=-1)) + 1
+        if count < len(every):  # else no vertex has a copy
+            used = [own[bake.primitive.triangles].ravel() for own, bake in zip(classes, surface, strict=True)]
+            corners = np.bincount(np.concatenate(used), minlength=count)
+            copied += int(corners[every].sum() - corners.sum())
+    if steps <= fresh.steps_left and Cost.COPIED_CORNER.bytes * copied <= WELDING.ratio * fresh.backed:
         return
     from skinbake.measure.lighting import claim_verification  # few files come near
 
     sizes = [len(one.text) for one in (given, baked)]
     fresh.backed += added + sizes[1] - sizes[0]
     claim_verification(baked.edited(budget=fresh))
-
-
-def _copied_corners(surface: Sequence[PrimitiveBake]) -> int:
-    """Count the corners that copies of vertices have besides their own."""
-    classes = [bake.result.classes for bake in surface]
-    every = np.concatenate(classes)
-    used = [own[bake.primitive.triangles].ravel() for own, bake in zip(classes, surface, strict=True)]
-    corners = np.bincount(np.concatenate(used), minlength=int(every.max(initial=-1)) + 1)
-    return int(corners[every].sum() - corners.sum())
 
 
 def _encoding_cost(

@@ -8,8 +8,8 @@ from dataclasses import replace
 from skinbake.commands.remedies import worse_lighting
 from skinbake.errors import Notice, Skipped, warnings_in
 from skinbake.files.bounds import BESIDE, Bounds
-from skinbake.format.note import Left, corrective_notes, file_left, gradient_note
-from skinbake.freshness.baked_views import BakedView, baked_views, gathered_together, is_baked
+from skinbake.format.note import corrective_notes, file_left, gradient_note
+from skinbake.freshness.baked_views import baked_views, gathered_together, is_baked
 from skinbake.freshness.made_targets import made_states
 from skinbake.freshness.staleness import claim_freshness, fits_begun, freshness_check, surface_operator
 from skinbake.gltf.asset import PrimitiveSource
@@ -23,7 +23,6 @@ from skinbake.measure.scene import Scene
 from skinbake.report.verify import Check, FileVerdict, leaves_room
 from skinbake.threads import Threads, thread_count
 from skinbake.timing import stage
-from skinbake.truth.operator import GradientOperator
 from skinbake.wording import counted
 
 
@@ -49,28 +48,37 @@ def verify_document(
         from skinbake.commands.verify_correctives import corrected_verdict  # most files have α and β
 
         return _beside_others(document, corrected_verdict(document, options), options, looks_further)
-    with stage("read"):
-        wanted, lost, notices = _sorted_out(document)
+    with document.notices.withheld() as told, stage("read"):
+        wanted, problems = _sorted_out(document)
         stale = [state.notice for state in made_states(document) if state.changed]
-    if not lost and not any(is_baked(document, entry) for entry in wanted):
-        notices += stale
-        return _unbaked(document, options, notices, wanted)
+    notices = [*told]
+    if not problems and not any(is_baked(document, entry) for entry in wanted):
+        return _unbaked(document, options, [*notices, *stale], wanted)
     claim_freshness(document, len(wanted))
     with document.notices.withheld() as damaged, stage("read"):
         views = baked_views(document, wanted)
-    problems = [*lost, *damaged]
+    problems += damaged
     if problems:
         structure = Check("structure", "failed", tuple(problems))
         rest = [Check(name, "skipped", (), "structure failed") for name in ("freshness", "lighting")]
         return FileVerdict(document.name, (structure, *rest), notices=tuple(notices))
-    structure = Check("structure", "passed", (), _counted(views))
+    vertices = counted(sum(len(view.now.positions) for view in views), "vertex", "vertices")
+    structure = Check("structure", "passed", (), f"{counted(len(views), 'baked primitive')}, {vertices}")
     for view in views:
         notices += weight_sum_notices(view.now, view.source.place)
     notices += lean_notices((view.now, view.source.place) for view in views)
+    # Whether a bake of the file as it is now would light it in the same way.
     surfaces = gathered_together(document, views)
-    operators, fresh = _operators_and_freshness(document, surfaces)
+    with Threads(thread_count()) as threads:
+        with stage("freshness"):
+            fits = fits_begun(document, surfaces, threads)
+        with stage("gradient operator"):
+            operators = [surface_operator(document, surface) for surface in surfaces]
+        with stage("freshness"):
+            fresh = freshness_check(document, surfaces, operators, fits)
     if stale:
         fresh = replace(fresh, outcome="failed", problems=(*fresh.problems, *stale), remark="")
+    # How it is lit, and whether another bake would light it better.
     verdict = Measurement(Scene.of_bakes(document, views, operators), options).verdict()
     if fresh.outcome == "passed":
         verdict = _beside_others(document, verdict, options, looks_further)
@@ -90,51 +98,31 @@ def _beside_others(
     return replace(verdict, others=other_bakes(document, verdict, options))
 
 
-def _operators_and_freshness(
-    document: Document, surfaces: Sequence[Sequence[BakedView]]
-) -> tuple[list[GradientOperator], Check]:
-    with Threads(thread_count()) as threads:
-        with stage("freshness"):
-            fits = fits_begun(document, surfaces, threads)
-        with stage("gradient operator"):
-            operators = [surface_operator(document, surface) for surface in surfaces]
-        with stage("freshness"):
-            return operators, freshness_check(document, surfaces, operators, fits)
-
-
-def _sorted_out(document: Document) -> tuple[list[PrimitiveSource], list[Notice], list[Notice]]:
-    """Return the skinned primitives that can be baked, problems, and notices on the primitives left out.
+def _sorted_out(document: Document) -> tuple[list[PrimitiveSource], list[Notice]]:
+    """Return the skinned primitives that can be baked, and problems. Tell of those that are left out.
 
     A primitive that is baked, but can no longer be baked, is a problem, unless no light reaches it.
     """
-    with document.notices.withheld() as half_skinned:
-        tell_half_skinned(document)
-    notices = list(half_skinned)
     wanted: list[PrimitiveSource] = []
-    unread = [notice for notice in notices if isinstance(notice, Skipped) and notice.code == "no-joints"]
-    for entry in skinned_sources(document):
-        reason = reason_to_skip(document, entry, generate_normals=False)
-        if reason is None:
-            wanted.append(entry)
-        else:
-            notices.append(reason)
-            unread += [] if reason.code == "unlit" else [reason]
-    lost = [_lost(notice) for notice in unread if _has_metadata(document, notice)]
-    baked_ones = {(notice.code, notice.place) for notice in lost}
-    return wanted, lost, [notice for notice in notices if (notice.code, notice.place) not in baked_ones]
-
-
-def _has_metadata(document: Document, notice: Notice) -> bool:
-    mesh, primitive = notice.place.mesh, notice.place.primitive
-    if mesh is None or primitive is None:
-        return False
-    found = document.asset.meshes[mesh].primitives[primitive]
-    return gradient_note(document, found.json) is not None
-
-
-def _lost(notice: Skipped) -> Notice:
-    message = f"it is baked, but it has lost data that α/β need ({notice.reason}): run skinbake bake"
-    return Notice(notice.code, message, notice.place)
+    problems: list[Notice] = []
+    with document.notices.withheld() as told:
+        tell_half_skinned(document)
+        for entry in skinned_sources(document):
+            reason = reason_to_skip(document, entry, generate_normals=False)
+            if reason is None:
+                wanted.append(entry)
+            else:
+                document.notices.tell(reason)
+    for notice in told:
+        mesh, primitive = notice.place.mesh, notice.place.primitive
+        if isinstance(notice, Skipped) and notice.code not in {"no-skin", "unlit"}:
+            source = document.asset.meshes[mesh or 0].primitives[primitive or 0]
+            if gradient_note(document, source.json) is not None:
+                lost = f"it is baked, but it has lost data that α/β need ({notice.reason})"
+                problems.append(Notice(notice.code, f"{lost}: run skinbake bake", notice.place))
+                continue
+        document.notices.tell(notice)
+    return wanted, problems
 
 
 def _unbaked(
@@ -148,8 +136,15 @@ def _unbaked(
     if not wanted and any(notice.code == "no-normals" for notice in notices):
         command = "skinbake bake --generate-normals"
     left = file_left(document)
-    if left is not None and command:  # what has no NORMAL was left, too, by a bake that generates them
-        return _left(document, left, [notice for notice in notices if notice.code != "no-normals"])
+    if left is not None and command:
+        # Bake has left it on purpose: it passes, whatever limits there are. What has no NORMAL was left, too,
+        # by a bake that generates them.
+        found = [] if left.gain is None else [f"gain {left.gain:.15g}"]
+        found += [] if left.standard_error is None else [f"standard lighting {left.standard_error:.15g}° off"]
+        remark = f"left unbaked by bake --leave-under: {', '.join(found) or 'little to win'}"
+        check = Check("structure", "skipped", (), remark)
+        rest = tuple(notice for notice in notices if notice.code != "no-normals")
+        return FileVerdict(document.name, (check,), notices=rest, left=True)
     if options.require_baked:
         advice = (
             f"run {command}" if command else "nothing in it can be baked; --require-baked is for characters"
@@ -163,17 +158,3 @@ def _unbaked(
         failed = Check("limits", "failed", (replace(missing, message=message),), message)
         return FileVerdict(document.name, (check, failed), notices=tuple(notices))
     return FileVerdict(document.name, (check,), notices=(*notices, missing), command=command)
-
-
-def _left(document: Document, left: Left, notices: list[Notice]) -> FileVerdict:
-    """Return the verdict for a file that bake has left on purpose. It passes, whatever limits there are."""
-    found = [] if left.gain is None else [f"gain {left.gain:.15g}"]
-    found += [] if left.standard_error is None else [f"standard lighting {left.standard_error:.15g}° off"]
-    remark = f"left unbaked by bake --leave-under: {', '.join(found) or 'little to win'}"
-    check = Check("structure", "skipped", (), remark)
-    return FileVerdict(document.name, (check,), notices=tuple(notices), left=True)
-
-
-def _counted(views: Sequence[BakedView]) -> str:
-    vertices = sum(len(view.now.positions) for view in views)
-    return f"{counted(len(views), 'baked primitive')}, {counted(vertices, 'vertex', 'vertices')}"

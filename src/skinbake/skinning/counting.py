@@ -17,9 +17,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 
-from skinbake.skinning.algorithms import SCALED_STEPS, STEPS, Algorithm
+from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import RestVertex, Rows, Vector
 from skinbake.skinning.rest import Options
+from skinbake.skinning.run import SCALED_STEPS, STEPS
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from skinbake.geometry.dual_quaternions import RIGID_TOLERANCE, rigid_motions, scaled_motions
 from skinbake.geometry.skinned import BoolArray, FloatArray
-from skinbake.skinning import dqs, dqs_scaled
-from skinbake.skinning.algorithms import SCALED_STEPS, STEPS, Algorithm
-from skinbake.skinning.components import PosedVertex, RestVertex, Rows, Vector
+from skinbake.skinning import dqs, dqs_scaled, lbs
+from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.components import LineMark, PosedVertex, RestVertex, Rows, Vector
 from skinbake.skinning.rest import Options, RestPrimitive
 
 # From this number of poses on, components are stored pose by pose; with fewer poses rows are too short.
@@ -20,6 +21,26 @@ _ROWS = 16
 
 SCALED = 20
 """The numbers of a joint that ``scaled_motions`` gives."""
+
+
+# The second argument has an entry for each slot: Rows for 1–3, dual quaternions for 4–6; Rows also for
+# joints that scale.
+Steps: TypeAlias = Callable[[RestVertex, Sequence[Any], Options, LineMark], PosedVertex]
+
+STEPS: dict[Algorithm, Steps] = {
+    Algorithm.LBS_STANDARD: lbs.standard,
+    Algorithm.LBS_DIRECT: lbs.direct,
+    Algorithm.LBS_ACCURATE: lbs.accurate,
+    Algorithm.DQS_STANDARD: dqs.standard,
+    Algorithm.DQS_ACCURATE: dqs.accurate,
+    Algorithm.DQS_EXACT: dqs.exact,
+}
+
+SCALED_STEPS: dict[Algorithm, Steps] = {
+    Algorithm.DQS_STANDARD: dqs_scaled.standard,
+    Algorithm.DQS_ACCURATE: dqs_scaled.accurate,
+    Algorithm.DQS_EXACT: dqs_scaled.exact,
+}
 
 
 @dataclass(frozen=True, slots=True)
