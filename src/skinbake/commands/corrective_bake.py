@@ -38,7 +38,7 @@ from skinbake.format.strip import uncorrected
 from skinbake.freshness.corrective_freshness import PlayedClips, PlayedCorrectives
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.gltf.asset import PrimitiveSource
-from skinbake.gltf.budget import Budget, Cost
+from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document
 from skinbake.gltf.reading.clips import MORPH_WEIGHTS, Clip, read_clips
 from skinbake.gltf.reading.meshes import read_primitive
@@ -133,9 +133,7 @@ def bake_correctives(
             written = with_plays(written, plays)
         with stage("gain"):
             # As if the written file were read: a bake writes nothing that verify refuses.
-            budget = document.budget
-            backed = budget.backed + sum(lengths)
-            fresh = Budget(limit=budget.limit, backed=backed, parts=budget.parts)
+            fresh = document.budget.afresh(sum(lengths))
             verdict = lighting_with_correctives(written.edited(budget=fresh))
         if broken := [one for one in verdict.notices if one.code == "animations-broken"]:
             raise InputError(broken[0].message.partition(": random poses")[0], broken[0].place)

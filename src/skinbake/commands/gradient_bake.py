@@ -15,7 +15,7 @@ from skinbake.format.attribute_store import tell_level_ignored, tell_stored_othe
 from skinbake.format.baked import with_baked
 from skinbake.format.encodings import GradientFormat
 from skinbake.gltf.asset import PrimitiveSource
-from skinbake.gltf.budget import WELDING, Budget, Cost
+from skinbake.gltf.budget import WELDING, Cost
 from skinbake.gltf.document import Document
 from skinbake.gradients.normals import lean_notices
 from skinbake.report.bake import BakedCounts, CorrectiveCounts, EncodingCost, Left, MorphCounts
@@ -155,7 +155,7 @@ def _refuse_unverifiable(
 
     Nobody could tell whether such a bake is fresh.
     """
-    fresh = Budget(limit=given.budget.limit, backed=given.budget.backed, parts=given.budget.parts)
+    fresh = given.budget.afresh()
     joints = max((given.asset.skins[one.skin].joint_count for one in given.asset.drawn), default=0)
     steps, copied = (Cost.VERIFIED_JOINT * joints).steps, 0
     for surface in surfaces:

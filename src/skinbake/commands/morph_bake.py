@@ -24,7 +24,7 @@ from skinbake.format.morph_targets import MadeTargets, check_extras, morph_diges
 from skinbake.geometry.morphs import NO_DIFFERENCES, Differences
 from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray, SkinnedPrimitive
 from skinbake.gltf.asset import PrimitiveSource
-from skinbake.gltf.budget import Cost
+from skinbake.gltf.budget import Cost, Work
 from skinbake.gltf.document import Document
 from skinbake.gltf.reading.meshes import plain_sources, read_primitive, reason_to_skip
 from skinbake.gltf.reading.morphs import read_targets, targets_without_normal
@@ -204,7 +204,9 @@ def _made(
         if key not in known:
             known[key] = _changes(surface, slices, parts, move)
             size = sum(one.rows.nbytes + one.values.nbytes for own in known[key] for one in own)
-            document.budget.claim(size, "what it makes for its morph targets", parts[0].source.place)
+            document.budget.claim(
+                Work(bytes=size), "what it makes for its morph targets", parts[0].source.place
+            )
         changes[target] = known[key]
     for number, part in enumerate(parts):
         normals = {t: changes[t][number].normals for t in part.lacking if t in changes}

@@ -83,23 +83,21 @@ def _measured(
     for words, chosen, is_tried in ways:
         if not is_tried or ("neighbours" in chosen and not overflows):
             continue
-        held = plain.budget.held
         try:
-            made = bake_document(plain, BakeOptions(**chosen))
-            if not made.is_baked:
-                figures = {}
-            elif corrects:
-                uncovered, _ = uncorrected(made.document)
-                gradients = bake_gradients(uncovered, bakeable(uncovered), DEFAULTS).document
-                figures = by_worse_truth(
-                    corrected_lighting(PlayedCorrectives(made.document), gradients, options)[0]
-                )
-            else:
-                figures = by_worse_truth(lighting_of(made.document, options))
+            with plain.budget.passing():  # of one at a time
+                made = bake_document(plain, BakeOptions(**chosen))
+                if not made.is_baked:
+                    figures = {}
+                elif corrects:
+                    uncovered, _ = uncorrected(made.document)
+                    gradients = bake_gradients(uncovered, bakeable(uncovered), DEFAULTS).document
+                    figures = by_worse_truth(
+                        corrected_lighting(PlayedCorrectives(made.document), gradients, options)[0]
+                    )
+                else:
+                    figures = by_worse_truth(lighting_of(made.document, options))
         except SkinbakeError:
             continue
-        finally:
-            plain.budget.held = held  # of one at a time
         if not chosen:
             overflows = any(count.overflowing_vertices for _, count in made.primitives)
         if figures:

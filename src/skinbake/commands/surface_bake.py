@@ -203,12 +203,12 @@ class SurfaceBake(NamedTuple):
             )
         ]
         if self.poses is not None:
-            from skinbake.pose_fit.fit import fit_size, fitted_to_poses
+            from skinbake.pose_fit.fit import fit_work, fitted_to_poses
             from skinbake.truth.operator import true_operator
 
             for bake in bakes:
-                size = fit_size(*bake.primitive.joints.shape)
-                self.document.budget.claim(size, "fitting it", bake.source.place)
+                work = fit_work(*bake.primitive.joints.shape)
+                self.document.budget.claim(work, "fitting it", bake.source.place)
             welding = self.document.budget.welding(bakes[0].source.place)
             operator = true_operator(primitives, claim=welding)
             rest = [bake.rest_primitive() for bake in unwritten(bakes)]

@@ -298,13 +298,12 @@ class Budget:
         self._hold(size, what, place)
         self.backed += size
 
-    def claim(self, work: Work | int, what: str, place: Place, *, passing: bool = False) -> None:
+    def claim(self, work: Work, what: str, place: Place, *, passing: bool = False) -> None:
         """Count work before it is done for ``what``. Raises BudgetError if it is too much.
 
         What is refused does not count. passing: the memory is released at once, and only counts as spent.
         The message begins with ``what``, and goes on with ``would take``.
         """
-        work = Work(bytes=work) if isinstance(work, int) else work
         taken, of_file = self.taken + work, f"A file of {shown(self.backed)}"
         if work.zeros and taken.zeros > (most := ZEROS.most(self.backed)):
             message = (
@@ -351,17 +350,17 @@ class Budget:
         self.claim(Work(bytes=size, zeros=size if is_new else 0), f"accessor {accessor}", place)
         self._zeros_of.add(accessor)
 
-    def claim_steps(self, count: int, what: str, place: Place) -> None:
-        """Claim steps. Goes with its last caller."""
-        self.claim(Work(steps=count), what, place)
-
-    def claim_welding(self, size: int, place: Place) -> None:
-        """Claim the bytes of welding. Goes with its last caller."""
-        self.claim(Work(bytes=size, welded=size), "welding it", place)
+    def claiming(self, what: str, place: Place) -> Callable[[int], None]:
+        """Return what claims so many bytes for ``what``: for a reader that finds the size of a file."""
+        return lambda size: self.claim(Work(bytes=size), what, place)
 
     def welding(self, place: Place) -> Callable[[int], None]:
         """Return what claims the bytes by which welding makes a surface larger."""
         return lambda size: self.claim(Work(bytes=size, welded=size), "welding it", place)
+
+    def afresh(self, added: int = 0) -> Budget:
+        """Return the budget of the document as if it were read anew, with so many bytes more."""
+        return Budget(limit=self.limit, backed=self.backed + added, parts=self.parts)
 
     def _hold(self, size: int, what: str, place: Place) -> None:
         held = self.held + size
@@ -398,5 +397,7 @@ class Budget:
     def passing(self) -> Iterator[None]:
         """Release at the end of the block all that is claimed in it."""
         held = self.held
-        yield
-        self.held = held
+        try:
+            yield
+        finally:
+            self.held = held

@@ -17,9 +17,6 @@ from skinbake.geometry.morphs import Differences
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
 from skinbake.gradients.weight_gradients import WEIGHTINGS, Corners, corners_of, summed_rows
 
-BYTES_A_TRIANGLE, BYTES_A_VERTEX = 768, 256
-"""The approximate memory of a surface and of the work on one target, at most."""
-
 FLAT = 1e-6
 """The sine between two tangents below which they have no normal. float32 positions leave no exact digit."""
 

@@ -28,6 +28,7 @@ import numpy as np
 
 from skinbake.choices import Truth
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray, blocks
+from skinbake.gltf.budget import Work
 from skinbake.gradients.fit_rules import EVEN, UNFELT
 from skinbake.gradients.rig_fit import bounded
 from skinbake.gradients.surface import WeightField
@@ -74,9 +75,9 @@ class FitPoses:
     share: float
 
 
-def fit_size(vertices: int, influences: int) -> int:
-    """Return the bytes that the least squares of so many vertices take."""
-    return 8 * vertices * influences * (5 * influences + 10)
+def fit_work(vertices: int, influences: int) -> Work:
+    """Return the memory that the least squares of so many vertices take."""
+    return Work(bytes=8 * vertices * influences * (5 * influences + 10))
 
 
 def fitted_to_poses(

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from skinbake.errors import InputError, Notice
 from skinbake.files import Bytes
 from skinbake.gltf.asset import PrimitiveSource
-from skinbake.gltf.budget import Work
 from skinbake.gltf.codecs.views import view_bytes
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import (
@@ -175,9 +174,7 @@ def image_bytes(document: Document, image: int) -> Bytes:
     if uri is None:
         raise InputError(f"image {image} names neither a buffer view nor a file", document.place)
 
-    def claim(size: int) -> None:
-        document.budget.claim(Work(bytes=size), f"image {image}", document.place)
-
+    claim = document.budget.claiming(f"image {image}", document.place)
     if is_data_uri(uri):
         claim(2 * len(uri))
         return decode_data_uri(uri, document.place)

@@ -248,9 +248,7 @@ def _bytes_at(uri: str, document: Document) -> Bytes:
     """Return the bytes of an image. Raises _StaysError, or InputError if a file is too large."""
     if not is_data_uri(uri):
         # The bytes of an image's file, within the bounds of the document.
-        def claim(size: int) -> None:
-            document.budget.claim(Work(bytes=size), f'image "{shortened(uri)}"', document.place)
-
+        claim = document.budget.claiming(f'image "{shortened(uri)}"', document.place)
         try:
             descriptor = find(uri, document.folder, document.bounds)[1]
             try:
@@ -297,9 +295,7 @@ def with_images_inside(document: Document) -> tuple[Document, list[str]]:
             lost.append(error.message)
     held: dict[str, JsonObject] = {}
 
-    def claim(size: int) -> None:
-        document.budget.claim(Work(bytes=size), "holding its images in a page", document.place)
-
+    claim = document.budget.claiming("holding its images in a page", document.place)
     for number, image in enumerate(images):
         uri = image.get("uri")
         if not isinstance(uri, str) or is_data_uri(uri):
