@@ -157,7 +157,7 @@ def test_small_files_take_no_long_work(
     source = write_model(tmp_path / "source.glb", [sheet()], change=FAMILIES[family])
     assert source.stat().st_size < 1_300_000
     with monkeypatch.context() as unbounded:  # bake writes nothing that verify refuses
-        unbounded.setattr("skinbake.measure.lighting.claim_verification", lambda document: None)
+        unbounded.setattr("skinbake.measure.measured.claim_verification", lambda document: None)
         bake(source, tmp_path / "baked.glb")
     arguments = map(str, COMMANDS[command](source, tmp_path))
     done = subprocess.run(

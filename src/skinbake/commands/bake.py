@@ -192,7 +192,7 @@ def _left(made: BakedDocument, options: BakeOptions, told: Collection[Notice]) -
     limit, corrects = options.leave_under, options.correctives is not None
     if limit is None or not (corrects or made.primitives):
         return None
-    from skinbake.measure.lighting import lighting_of
+    from skinbake.measure.measured import lighting_of
     from skinbake.report.verify import NEGLIGIBLE, by_worse_truth, gain
 
     measured = made.document

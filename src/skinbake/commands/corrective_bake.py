@@ -46,7 +46,7 @@ from skinbake.gltf.reading.morphs import targets_without_normal
 from skinbake.gltf.reading.scenes import meshes_of_one_skin
 from skinbake.gltf.reading.skins import read_skeleton
 from skinbake.measure.corrected import corrected_lighting, worse_primitives
-from skinbake.measure.lighting import bakeable
+from skinbake.measure.measured import bakeable
 from skinbake.measure.morphing import moving_targets
 from skinbake.measure.options import VerifyOptions
 from skinbake.report.bake import CorrectiveCounts, MorphCounts

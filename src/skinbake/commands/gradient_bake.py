@@ -171,7 +171,7 @@ def _refuse_unverifiable(
             copied += int(corners[every].sum() - corners.sum())
     if steps <= fresh.steps_left and Cost.COPIED_CORNER.bytes * copied <= WELDING.ratio * fresh.backed:
         return
-    from skinbake.measure.lighting import claim_verification  # few files come near
+    from skinbake.measure.measured import claim_verification  # few files come near
 
     sizes = [len(one.text) for one in (given, baked)]
     fresh.backed += added + sizes[1] - sizes[0]
@@ -196,7 +196,7 @@ def _encoding_cost(
     try:
         added = added_by_encoding(document, unwritten(bakes), storage)
         if added is not None and added.mean > SUSPECT * added.effect:
-            from skinbake.measure.lighting import lighting_of  # few encodings lose so much
+            from skinbake.measure.measured import lighting_of  # few encodings lose so much
 
             with document.budget.passing():
                 plain = stored(storage._replace(encoding=Encoding.FLOAT32))

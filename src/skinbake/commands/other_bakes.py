@@ -19,7 +19,7 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.reading.meshes import skinned_sources
 from skinbake.gltf.reading.morphs import targets_without_normal
 from skinbake.measure.corrected import corrected_lighting
-from skinbake.measure.lighting import bakeable, lighting_of
+from skinbake.measure.measured import bakeable, lighting_of
 from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import (
     CLEAR,

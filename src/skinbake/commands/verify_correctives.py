@@ -17,7 +17,7 @@ from skinbake.freshness.corrective_freshness import (
 from skinbake.gltf.document import Document
 from skinbake.gltf.reading.meshes import skinned_sources, tell_half_skinned
 from skinbake.measure.corrected import WORSE, corrected_lighting, mixtures, worse_primitives
-from skinbake.measure.lighting import bakeable
+from skinbake.measure.measured import bakeable
 from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import Check, FileVerdict, Mixture
 from skinbake.timing import stage

@@ -16,8 +16,7 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.reading.clips import MORPH_WEIGHTS, Clip, clip_values, clip_weights
 from skinbake.gltf.reading.skins import PATHS, Skeleton
 from skinbake.measure.angles import MeasuredBlock
-from skinbake.measure.lighting import bakeable
-from skinbake.measure.measured import Measurement
+from skinbake.measure.measured import Measurement, bakeable
 from skinbake.measure.options import VerifyOptions
 from skinbake.measure.scene import Draw, Scene
 from skinbake.report.verify import Check, FileVerdict, Mixture

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from skinbake.choices import USUAL_TRUTHS, PoseKind, Truth
 from skinbake.errors import BudgetError, InputError, Notice, Place
+from skinbake.freshness.baked_views import baked_views
+from skinbake.freshness.staleness import claim_freshness
 from skinbake.geometry.skinned import BoolArray
+from skinbake.gltf.asset import PrimitiveSource
+from skinbake.gltf.document import Document
 from skinbake.gltf.reading.clips import Clip, read_clips
+from skinbake.gltf.reading.meshes import reason_to_skip, skinned_sources
 from skinbake.measure.angles import (
     IDENTITY_TOLERANCE,
     METHODS,
@@ -45,6 +49,9 @@ MORPHED_BYTES = 64 << 20
 
 MANY_VERTICES = 1 << 18
 """From so many vertices on, freed memory is given back before a measurement. It takes some milliseconds."""
+
+BY_LBS = VerifyOptions(methods=("lbs",))
+"""How the lighting of a bake is measured: by linear blend skinning, in the poses of the file."""
 
 
 class Measurement:
@@ -158,10 +165,8 @@ class Measurement:
         if self._at_rest is None or self._at_rest[0] != key:
             self._at_rest = None  # two at a time would take twice the memory
             fine = draw.surface.fine if Truth.FINE in self._options.truths else None
-            self._at_rest = (
-                key,
-                truths_at_rest(draw.surface.operator, draw.surface.rest, key[1], morphing, fine=fine),
-            )
+            of_surface = draw.surface.operator, draw.surface.rest
+            self._at_rest = key, truths_at_rest(*of_surface, key[1], morphing, fine=fine)
         return self._at_rest[1]
 
     def _advance(self, poses: float) -> None:
@@ -187,10 +192,23 @@ class Measurement:
                 "scale the model down",
                 self._document.place,
             )
+        # The checks of the lighting. One that does not apply is left out.
+        checks, normals = list[Check](), by_truth[Truth.TANGENTS]
+        if "lbs" in normals:
+            if self._options.cap is None:
+                checks.append(identity_check(self._identity, drawn, self._document.place))
+            else:  # a cap bounds algorithm 3 alone
+                checks.append(Check("identity", "skipped", (), "--cap bounds one of both algorithms"))
+        if not normals:
+            nothing = "there is no true normal at any vertex in these poses"
+            checks.append(Check("lighting", "skipped", (), nothing))
+        if self._options.limits:
+            held = {truth: found for truth, found in by_truth.items() if self._options.truth in {None, truth}}
+            checks.append(limits_check(held, self._options, self._document.place))
         seconds = sum(clip.duration - clip.start for clip in self._clips)
         return FileVerdict(
             self._document.name,
-            tuple(self._checks(by_truth, drawn)),
+            tuple(checks),
             {
                 truth: Figures(found, self._tallies.figures_of_primitives(truth))
                 for truth, found in by_truth.items()
@@ -200,28 +218,6 @@ class Measurement:
             scaled,
             reliefs=reliefs,
         )
-
-    def _checks(self, by_truth: Mapping[Truth, Normals], drawn: Sequence[Draw]) -> Iterator[Check]:
-        """Yield the checks of the lighting. One that does not apply is left out."""
-        normals = by_truth[Truth.TANGENTS]
-        if "lbs" in normals:
-            if self._options.cap is None:
-                yield identity_check(self._identity, drawn, self._document.place)
-            else:  # a cap bounds algorithm 3 alone
-                yield Check("identity", "skipped", (), "--cap bounds one of both algorithms")
-        if not normals:
-            yield Check("lighting", "skipped", (), "there is no true normal at any vertex in these poses")
-        if self._options.limits:
-            held = {truth: found for truth, found in by_truth.items() if self._options.truth in {None, truth}}
-            yield limits_check(held, self._options, self._document.place)
-
-
-@dataclass(frozen=True, slots=True)
-class _Segment:
-    """One primitive under one skin: its place and its poses."""
-
-    place: Place
-    poses: PoseSet
 
 
 _Tallies = dict[tuple[str, str], dict[str, ErrorTally]]
@@ -233,7 +229,7 @@ class FileTallies:
 
     def __init__(self, truths: Sequence[Truth] = USUAL_TRUTHS) -> None:
         self._truths = truths
-        self._segments: list[_Segment] = []
+        self._segments: list[tuple[Place, PoseSet]] = []  # of one primitive under one skin
         self._whole: _Tallies = {}
         self._by_place: dict[Place, _Tallies] = {}
 
@@ -256,27 +252,26 @@ class FileTallies:
 
         Several threads may count. One thread adds, in the order of the blocks.
         """
-        first = len(self._segments)
-        draw.areas  # noqa: B018  # they are made by one thread
-        self._segments += [_Segment(view.source.place, draw.poses) for view in draw.surface.views]
-        return partial(self._count, method, draw, first)
+        first, all_areas = len(self._segments), draw.areas
+        self._segments += [(view.source.place, draw.poses) for view in draw.surface.views]
 
-    def _count(self, method: str, draw: Draw, first: int, block: MeasuredBlock) -> Callable[[], None]:
-        """Count a block of a draw whose segments begin with ``first``. Return what adds it to its tallies."""
-        areas = draw.areas[block.primitive][block.vertex : block.vertex + block.errors.shape[1]]
-        start = first + block.primitive, block.pose, block.vertex
-        by_place = self._by_place[draw.surface.views[block.primitive].source.place]
-        whole, own = (tallies[block.truth, method][block.lighting] for tallies in (self._whole, by_place))
-        tallies = [whole] if own is whole else [whole, own]
-        with stage("figures"):
-            counted = kernel.count_errors(block.errors, areas, block.valid)
-
-        def add() -> None:
+        def count(block: MeasuredBlock) -> Callable[[], None]:
+            areas = all_areas[block.primitive][block.vertex : block.vertex + block.errors.shape[1]]
+            start = first + block.primitive, block.pose, block.vertex
+            by_place = self._by_place[draw.surface.views[block.primitive].source.place]
+            whole, own = (one[block.truth, method][block.lighting] for one in (self._whole, by_place))
+            tallies = [whole] if own is whole else [whole, own]
             with stage("figures"):
-                for tally in tallies:
-                    tally.take(counted, start)
+                counted = kernel.count_errors(block.errors, areas, block.valid)
 
-        return add
+            def add() -> None:
+                with stage("figures"):
+                    for tally in tallies:
+                        tally.take(counted, start)
+
+            return add
+
+        return count
 
     def figures(self, truth: Truth) -> Normals:
         """Return the figures of the whole file by one truth."""
@@ -293,9 +288,9 @@ class FileTallies:
             for lighting, tally in lightings.items() if of == truth else ():
                 summary = tally.summary()
                 if summary is not None:
-                    segment, pose = self._segments[summary.worst_part], summary.worst_pose
-                    clip, time = segment.poses.clips[pose], segment.poses.times[pose]
-                    worst = Worst(segment.place, summary.worst_vertex, clip, time)
+                    (place, poses), pose = self._segments[summary.worst_part], summary.worst_pose
+                    clip, time = poses.clips[pose], poses.times[pose]
+                    worst = Worst(place, summary.worst_vertex, clip, time)
                     result.setdefault(method, {})[lighting] = ErrorFigures(
                         summary.mean, summary.p95, summary.p99, summary.max, worst, summary.weight
                     )
@@ -400,3 +395,33 @@ def give_back_freed_memory() -> None:
     except (AttributeError, OSError, TypeError):
         return
     trim(0)
+
+
+def bakeable(document: Document) -> list[PrimitiveSource]:
+    """Return the skinned primitives that can be baked as they are."""
+    every = skinned_sources(document)
+    return [one for one in every if reason_to_skip(document, one, generate_normals=False) is None]
+
+
+def lighting_of(document: Document, options: VerifyOptions = BY_LBS) -> FileVerdict:
+    """Return the lighting of a document that has just been baked. Its freshness is not in question."""
+    with document.notices.withheld():
+        views = baked_views(document, bakeable(document))
+    return Measurement(Scene.of_bakes(document, views), options).verdict()
+
+
+def claim_verification(document: Document) -> None:
+    """Count the work of verifying a document that has just been baked. Raises InputError if it is too much.
+
+    Other faults of the document raise nothing: verify says them.
+    """
+    wanted = bakeable(document)
+    claim_freshness(document, len(wanted))
+    try:
+        with document.notices.withheld():
+            views = baked_views(document, wanted)
+        Scene.of_bakes(document, views).measured(read_clips(document), VerifyOptions().poses)
+    except BudgetError:
+        raise
+    except InputError:
+        pass
