@@ -107,7 +107,12 @@ def page_of(
             others += [_with_influences(view, view.kind) for view in views]
             notes = [*notes, COMPARED]
     with stage("page"):
-        glb, images = _self_contained(corrected or document)
+        # A GLB without compression that holds all, which browsers read.
+        with document.notices.withheld():
+            packed = for_target(recoded(corrected or document, [], Compression(Scheme.NONE)), STDIO)
+        packed, lost = with_images_inside(packed)
+        tell_images_missing(document, lost, "page")
+        glb = list(plan_output(packed, STDIO).files.popitem()[1])
         size = sum(map(len, glb))
         document.budget.claim(Cost.PAGE_BYTE * size, f"a page of {counted(size, 'byte')}", document.place)
         for view in views:
@@ -119,7 +124,10 @@ def page_of(
                 "has its figures only. Bake it with --limit-influences 8, or draw it by skinbake render"
             )
             document.notices.tell(Notice("influences-not-drawn", message, document.place))
-        told = [*notes, *remarks(verdict), *map(_sentence, (*document.notices, *verdict.notices))]
+        told = [*notes, *remarks(verdict)]
+        for notice in (*document.notices, *verdict.notices):
+            where = notice.place.within_file
+            told.append(f"{notice.message} ({where})" if where else notice.message)
         name = "stdin" if document.place.file == STDIN else PurePath(document.name).name
         findings = {
             **_findings(verdict),
@@ -129,17 +137,13 @@ def page_of(
         }
         made = page(Shown(name=name, glb=glb, others=others, findings=findings))
         if len(made) > LARGE_PAGE:
+            images = f"{bytes_of_images(packed) / 1e6:.0f} MB are images"
             message = (
                 f"the page has {len(made) / 1e6:.0f} MB, because the model has {size / 1e6:.0f} MB, of which "
-                f"{images / 1e6:.0f} MB are images: show a copy with smaller images or fewer clips"
+                f"{images}: show a copy with smaller images or fewer clips"
             )
             document.notices.tell(Notice("page-large", message, document.place, len(made)))
         return made
-
-
-def _sentence(notice: Notice) -> str:
-    where = notice.place.within_file
-    return f"{notice.message} ({where})" if where else notice.message
 
 
 LEFT_OUT = "The correctives of the file are damaged. The page draws what α and β would give in place of them."
@@ -209,15 +213,6 @@ def _with_influences(view: BakedView, kind: Gradients) -> OtherGradients:
         joints=view.now.joints,
         weights=view.now.weights,
     )
-
-
-def _self_contained(document: Document) -> tuple[list[bytes | memoryview], int]:
-    """Return the pieces of a GLB without compression that holds all, and the bytes of its images."""
-    with document.notices.withheld():
-        packed = for_target(recoded(document, [], Compression(Scheme.NONE)), STDIO)
-    packed, lost = with_images_inside(packed)
-    tell_images_missing(document, lost, "page")
-    return list(plan_output(packed, STDIO).files.popitem()[1]), bytes_of_images(packed)
 
 
 def _places(document: Document, views: Sequence[BakedView], corrected: Document | None) -> list[JsonObject]:
@@ -319,46 +314,39 @@ def write_report(
                 notices.tell(*document.notices)
                 link = f"{quote(folder.name)}/{path.name}"
         listed.append(_listed(verdict, link, picture))
+    # A sentence on the limits of all files.
     limits = [limits_in_words(options[verdict.input]) for verdict in verdicts]
-    write_file([index(listed, _limits_of_all(limits))], target, sync=sync)
+    common = [limit for limit in limits[0] if all(limit in others for others in limits)]
+    if any(len(own) > len(common) for own in limits):
+        common.append("others that differ between files, on their pages")
+    sentence = f"Limits: {', '.join(common)}." if common else "No limits were asked for."
+    write_file([index(listed, sentence)], target, sync=sync)
     return folder, failed
 
 
 def _listed(verdict: FileVerdict, link: str | None, picture: bytes | None) -> Listed:
-    """Return the entry of a file in the index."""
+    """Return the entry of a file in the index, with why it failed, or why it has no figures."""
     figures = by_worse_truth(verdict)
+    skipped = [check.remark for check in verdict.checks if check.outcome == "skipped"]
+    if verdict.error is not None:
+        where = verdict.error.place.within_file if verdict.error.place else ""
+        remark = f"{where}: {verdict.error.message}" if where else verdict.error.message
+    elif verdict.up_to_date:
+        remark = "before, up to date"  # after the outcome: passed
+    elif not verdict.passed:
+        remark = first_problem(verdict)
+    else:
+        remark = "" if verdict.found_no_bake else "; ".join(skipped)
     return Listed(
         name=verdict.input,
         link=link,
         picture=picture,
         outcome=verdict.outcome,
-        remark=_remark(verdict),
+        remark=remark,
         standard=figures["standard"].mean if figures else None,
         accurate=figures["accurate"].mean if figures else None,
         gain=gain(figures) if figures else None,
     )
-
-
-def _remark(verdict: FileVerdict) -> str:
-    """Return why a file failed, or why it has no figures."""
-    if verdict.error is not None:
-        where = verdict.error.place.within_file if verdict.error.place else ""
-        return f"{where}: {verdict.error.message}" if where else verdict.error.message
-    if verdict.up_to_date:
-        return "before, up to date"  # after the outcome: passed
-    if not verdict.passed:
-        return first_problem(verdict)
-    skipped = [check.remark for check in verdict.checks if check.outcome == "skipped"]
-    return "" if verdict.found_no_bake else "; ".join(skipped)
-
-
-def _limits_of_all(limits: Sequence[Sequence[str]]) -> str:
-    """Return a sentence on the limits of all files, each in words."""
-    common = [limit for limit in limits[0] if all(limit in others for others in limits)]
-    if any(len(own) > len(common) for own in limits):
-        words = [*common, "others that differ between files, on their pages"]
-        return f"Limits: {', '.join(words)}."
-    return f"Limits: {', '.join(common)}." if common else "No limits were asked for."
 
 
 def limits_in_words(options: VerifyOptions) -> list[str]:
