@@ -12,7 +12,7 @@ import pytest
 
 from fixtures.builder import JsonObject
 from skinbake.commands.inspect import inspect_file
-from skinbake.format.note import gradient_note
+from skinbake.format.note import gradient_note_in
 from skinbake.gltf.document import read_document
 from skinbake.threads import threads_limited
 from tests.support.gltf_reading import GltfFile
@@ -136,7 +136,7 @@ def test_a_note_beside_odd_extras_is_found(tmp_path: Path) -> None:
     document = read_document(str(tmp_path / SHARED))
     first, second = document.objects("meshes")[0]["primitives"]
     assert isinstance(first["extras"], list)
-    beside, inside = gradient_note(document, first), gradient_note(document, second)
+    beside, inside = gradient_note_in(document, first), gradient_note_in(document, second)
     assert beside is not None and inside is not None
     assert beside.alpha == ("_SKINBAKE_ALPHA_0",)
     assert inside.json == second["extras"]["skinbake"]
@@ -156,4 +156,4 @@ def test_what_is_no_note_of_ours_is_not_taken_for_one(
     model = baked(FOLDER / "seam.glb", tmp_path / "baked.glb")
     change(model.primitive(0)["extras"])
     document = read_document(str(rewritten(model, tmp_path / "odd.glb")))
-    assert gradient_note(document, model.primitive(0)) is None, what
+    assert gradient_note_in(document, model.primitive(0)) is None, what

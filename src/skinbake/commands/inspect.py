@@ -111,7 +111,7 @@ def _summary(document: Document, source: PrimitiveSource, primitive: SkinnedPrim
     _, defects = weight_field(primitive)
     sums = primitive.weights.astype(np.float64).sum(axis=1)
     attributes = [_attribute(document, source, name) for name in source.attributes]
-    note = gradient_note(document, source.json)
+    note = gradient_note(document, source)
     bake = None
     if note is not None:
         names = {*note.slot_names, *note.blend_names}

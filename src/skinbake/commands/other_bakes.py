@@ -114,7 +114,7 @@ def _lacks_normals(document: Document, source: PrimitiveSource) -> bool:
 
 def _default(document: Document, sources: list[PrimitiveSource]) -> str:
     """Return what the default bake has that the bake of a file lacks."""
-    notes = [gradient_note(document, document.asset.counterpart(one).json) for one in sources]
+    notes = [gradient_note(document, document.asset.counterpart(one)) for one in sources]
     held = [note for note in notes if note is not None]
     found = []
     if any(note.gradients != Gradients.RIG for note in held):

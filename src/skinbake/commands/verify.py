@@ -117,7 +117,7 @@ def _sorted_out(document: Document) -> tuple[list[PrimitiveSource], list[Notice]
         mesh, primitive = notice.place.mesh, notice.place.primitive
         if isinstance(notice, Skipped) and notice.code not in {"no-skin", "unlit"}:
             source = document.asset.meshes[mesh or 0].primitives[primitive or 0]
-            if gradient_note(document, source.json) is not None:
+            if gradient_note(document, source) is not None:
                 lost = f"it is baked, but it has lost data that α/β need ({notice.reason})"
                 problems.append(Notice(notice.code, f"{lost}: run skinbake bake", notice.place))
                 continue

@@ -29,7 +29,6 @@ from skinbake.freshness.corrective_freshness import PlayedCorrectives
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.glb import STDIN
-from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.reading.materials import tell_images_missing
 from skinbake.gltf.reading.scenes import faces_backward
 from skinbake.gltf.writing.container import for_target
@@ -215,7 +214,9 @@ def _with_influences(view: BakedView, kind: Gradients) -> OtherGradients:
     )
 
 
-def _places(document: Document, views: Sequence[BakedView], corrected: Document | None) -> list[JsonObject]:
+def _places(
+    document: Document, views: Sequence[BakedView], corrected: Document | None
+) -> list[dict[str, Any]]:
     """Return where the bake shows, the best first. The page opens on the first of them."""
     try:
         correctives = PlayedCorrectives(corrected) if corrected else None

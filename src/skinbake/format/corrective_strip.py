@@ -14,7 +14,7 @@ from skinbake.format.note import KEY, CorrectiveNote, MorphNote, as_json, correc
 from skinbake.geometry import poses
 from skinbake.geometry.skinned import FloatArray
 from skinbake.gltf.budget import Cost
-from skinbake.gltf.document import Document
+from skinbake.gltf.document import Document, once_a_document
 from skinbake.gltf.json_access import JsonObject, entries_of, listed, object_of, reference, text
 from skinbake.gltf.reading.accessors import element_count, read_accessor
 from skinbake.gltf.reading.clips import MORPH_WEIGHTS, POINTER_EXTENSION
@@ -241,15 +241,16 @@ def _still_plays(document: Document, now: JsonObject, before: JsonObject, target
     """
     methods = [sampler.get("interpolation") == poses.CUBICSPLINE for sampler in (now, before)]
     numbers = [reference(sampler.get(key)) for sampler in (now, before) for key in ("input", "output")]
-    accessors, known = document.objects("accessors"), document.derived.setdefault("still plays", {})
+    accessors = document.objects("accessors")
     if methods[0] != methods[1] or any(one is None or not 0 <= one < len(accessors) for one in numbers):
         return False
-    key = (*numbers, methods[0], targets)
-    if key not in known:
-        known[key] = _agree(
-            [_read(document, int(one or 0)) for one in numbers], 3 if methods[0] else 1, targets
-        )
-    return bool(known[key])
+    return _stored_agree(document, tuple(numbers), 3 if methods[0] else 1, targets)
+
+
+@once_a_document
+def _stored_agree(document: Document, numbers: tuple[int | None, ...], each: int, targets: int) -> bool:
+    """Tell whether accessors of the times and values of two samplers agree, as ``_agree``."""
+    return _agree([_read(document, number or 0) for number in numbers], each, targets)
 
 
 def _moves(document: Document, sampler: JsonObject | None, targets: int) -> bool:

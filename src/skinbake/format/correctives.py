@@ -40,7 +40,7 @@ from skinbake.format.note import (
 from skinbake.geometry import poses
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, SkinnedPrimitive
 from skinbake.gltf.asset import PrimitiveSource
-from skinbake.gltf.document import Document
+from skinbake.gltf.document import Document, once_a_document
 from skinbake.gltf.json_access import (
     JsonObject,
     object_of,
@@ -106,15 +106,19 @@ class MeshCorrectives:
 
 def nodes_with(document: Document, mesh: int, skin: int | None = None) -> list[int]:
     """Return the nodes that draw a mesh: all, or those with a skin. All nodes are read once."""
-    known: dict[object, list[int]] | None = document.derived.get("nodes by mesh")
-    if known is None:
-        known = document.derived["nodes by mesh"] = {}
-        for number, node in enumerate(document.objects("nodes")):
-            drawn = reference(node.get("mesh"))
-            if drawn is not None:
-                known.setdefault(drawn, []).append(number)
-                known.setdefault((drawn, reference(node.get("skin"))), []).append(number)
-    return known.get(mesh if skin is None else (mesh, skin), [])
+    return _nodes_by_mesh(document).get(mesh if skin is None else (mesh, skin), [])
+
+
+@once_a_document
+def _nodes_by_mesh(document: Document) -> dict[object, list[int]]:
+    """Return the nodes by the mesh that they draw, and by mesh and skin."""
+    found: dict[object, list[int]] = {}
+    for number, node in enumerate(document.objects("nodes")):
+        drawn = reference(node.get("mesh"))
+        if drawn is not None:
+            found.setdefault(drawn, []).append(number)
+            found.setdefault((drawn, reference(node.get("skin"))), []).append(number)
+    return found
 
 
 def check_targets(document: Document, mesh: int, place: Place) -> None:
@@ -152,11 +156,9 @@ class _MovedWeights(NamedTuple):
     meshes: set[int]
 
 
+@once_a_document
 def _moved_weights(document: Document) -> _MovedWeights:
-    known: dict[str, _MovedWeights] = document.derived.setdefault("moved weights", {})
-    if known:
-        return known[""]
-    found = known[""] = _MovedWeights([], {}, set(), set())
+    found = _MovedWeights([], {}, set(), set())
     for number, animation in enumerate(document.objects("animations")):
         channels: dict[int, int] = {}
         for position, channel in enumerate(objects(animation, "channels", document.place)):

@@ -5,6 +5,7 @@ They are known again by their content, since other tools renumber accessors.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from skinbake.format.digests import INFLUENCE_TYPES, array_digest, influence_dig
 from skinbake.format.note import GradientNote, stream_note
 from skinbake.gltf.budget import ELEMENTS, Cost
 from skinbake.gltf.codecs import draco
-from skinbake.gltf.document import Document
+from skinbake.gltf.document import Document, once_a_document
 from skinbake.gltf.json_access import JsonObject, index, integer
 from skinbake.gltf.reading.accessors import StoredArray, read_accessor
 
@@ -97,30 +98,38 @@ def _with_digest(
     if number is None or digest is None:
         return None
     count = integer(accessors[number], "count", place, minimum=1)
-    known: dict[int, dict[str | None, int]] = document.derived.setdefault("accessors by digest", {})
-    if count not in known:
-        alike = _of_fours(document, count)
-        known[count] = {_digest(document, other, place): other for other in reversed(alike)}
-    return known[count].get(digest)
+    return _by_digest(document, count).get(digest)
 
 
-def _of_fours(document: Document, count: int) -> list[int]:
-    """Return the accessors of so many rows of four numbers, or some of them if there are too many.
+@once_a_document
+def _by_digest(document: Document, count: int) -> dict[str | None, int]:
+    """Return the accessors of so many rows of four numbers by digest, or some of them if there are too many.
 
     All accessors that are looked at have room in the document, unless many share their bytes.
     """
-    known: dict[float, list[int]] | None = document.derived.get("fours by count")
-    if known is None:
-        known = document.derived["fours by count"] = {}
-        for number, accessor in enumerate(document.objects("accessors")):
-            size = accessor.get("count")
-            if isinstance(size, int | float) and accessor.get("type") == "VEC4" and "bufferView" in accessor:
-                known.setdefault(size, []).append(number)  # 4.0 is the same key as 4
-    looked_at: dict[str, int] = document.derived.setdefault("rows looked at", {"all": 0})
-    room = max(document.budget.backed, ELEMENTS.free) - looked_at["all"]
-    found = known.get(count, [])[: room // count]
-    looked_at["all"] += count * len(found)
-    return found
+    fours = _fours_of(document)
+    room = max(document.budget.backed, ELEMENTS.free) - fours.looked_at
+    some = fours.by_count.get(count, [])[: room // count]
+    fours.looked_at += count * len(some)
+    return {_digest(document, number, document.place): number for number in reversed(some)}
+
+
+@dataclass
+class _Fours:
+    """The accessors of rows of four numbers by their number of rows, and the rows that were looked at."""
+
+    by_count: dict[float, list[int]]
+    looked_at: int = 0
+
+
+@once_a_document
+def _fours_of(document: Document) -> _Fours:
+    found: dict[float, list[int]] = {}
+    for number, accessor in enumerate(document.objects("accessors")):
+        size = accessor.get("count")
+        if isinstance(size, int | float) and accessor.get("type") == "VEC4" and "bufferView" in accessor:
+            found.setdefault(size, []).append(number)  # 4.0 is the same key as 4
+    return _Fours(found)
 
 
 def _digest(document: Document, number: int, place: Place) -> str | None:

@@ -20,8 +20,9 @@ from typing import Any, NamedTuple, TypeVar
 from skinbake.choices import Encoding, Frame, Gradients, Layout, Weighting, Weld
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.geometry.morphs import COMPONENTS
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Cost
-from skinbake.gltf.document import Document
+from skinbake.gltf.document import Document, once_a_document
 from skinbake.gltf.json_access import (
     JsonObject,
     entries_inside,
@@ -445,8 +446,13 @@ class BufferNote:
     fallback_added: bool = _member(bool, False, key=FALLBACK_ADDED)
 
 
-def gradient_note(document: Document, primitive: JsonObject) -> GradientNote | None:
-    """Return the note of a primitive with α and β, None if it is not baked.
+def gradient_note(document: Document, source: PrimitiveSource) -> GradientNote | None:
+    """Return the note of a primitive with α and β, None if it is not baked, as ``gradient_note_in``."""
+    return gradient_note_in(document, source.json)
+
+
+def gradient_note_in(document: Document, primitive: JsonObject) -> GradientNote | None:
+    """Return the note in the JSON of a primitive with α and β, None if it is not baked.
 
     It is in the ``extras`` of the primitive. If these are not an object, it is in the ``extras`` of its first
     α accessor. Raises InputError if primitives share the note of an accessor so often that reading it would
@@ -459,16 +465,19 @@ def gradient_note(document: Document, primitive: JsonObject) -> GradientNote | N
     for value in attributes.values() if isinstance(attributes, dict) else ():
         number = reference(value)
         if number is not None and 0 <= number < len(accessors):
-            known: dict[int, tuple[GradientNote | None, int]] = document.derived.setdefault("notes", {})
-            if number not in known:
-                found = _stored(accessors[number])
-                known[number] = None if found is None else _read(GradientNote, found), entries_inside(found)
-            note, entries = known[number]
+            note, entries = _note_of_accessor(document, number)
             if note is not None:
                 what = f"reading the metadata of accessor {number}"
                 document.budget.claim(Cost.NOTE_ENTRY * entries, what, document.place, passing=True)
                 return note
     return None
+
+
+@once_a_document
+def _note_of_accessor(document: Document, number: int) -> tuple[GradientNote | None, int]:
+    """Return the note in the extras of an accessor, and the number of its entries."""
+    found = _stored(document.objects("accessors")[number])
+    return None if found is None else _read(GradientNote, found), entries_inside(found)
 
 
 def corrective_note(mesh: JsonObject) -> CorrectiveNote | None:
@@ -478,19 +487,23 @@ def corrective_note(mesh: JsonObject) -> CorrectiveNote | None:
     return note if note is not None and 0 < note.targets <= MOST_CORRECTIVES else None
 
 
+@once_a_document
 def corrective_notes(document: Document) -> dict[int, CorrectiveNote]:
     """Return the notes of correctives by mesh. They are read once: each lists all primitives."""
-    known: dict[str, dict[int, CorrectiveNote]] = document.derived.setdefault("corrective notes", {})
-    if not known:
-        notes = ((number, corrective_note(mesh)) for number, mesh in enumerate(document.objects("meshes")))
-        known[""] = {number: note for number, note in notes if note is not None}
-    return known[""]
+    notes = ((number, corrective_note(mesh)) for number, mesh in enumerate(document.objects("meshes")))
+    return {number: note for number, note in notes if note is not None}
 
 
 def morph_note(mesh: JsonObject) -> MorphNote | None:
     """Return the note of a mesh whose targets bake has changed, None without a sound one."""
     found = _stored(mesh, whole=True)
     return _read(MorphNote, found) if found and isinstance(found.get("morphTargets"), list) else None
+
+
+@once_a_document
+def made_targets(document: Document, mesh: int) -> list[MorphTargets]:
+    """Return what bake has made for the targets of each primitive of a mesh."""
+    return noted_targets(document.objects("meshes")[mesh])
 
 
 def noted_targets(mesh: JsonObject) -> list[MorphTargets]:
@@ -604,7 +617,7 @@ def refuse_other_kind(document: Document, *, correctives: bool) -> None:
     """Raise InputError if a document has the other kind of bake: α/β for correctives, and the reverse."""
     for number, mesh in enumerate(document.objects("meshes")):
         if correctives:
-            is_other = any(gradient_note(document, one) for one in entries_of(mesh.get("primitives")))
+            is_other = any(gradient_note_in(document, one) for one in entries_of(mesh.get("primitives")))
         else:
             is_other = corrective_note(mesh) is not None
         if is_other:

@@ -15,7 +15,7 @@ from skinbake.format.note import (
     GradientNote,
     buffer_note,
     corrective_note,
-    gradient_note,
+    gradient_note_in,
     left_note,
     morph_note,
     noted_targets,
@@ -63,7 +63,7 @@ def stripped(document: Document) -> tuple[Document, int]:
         pairs = zip(objects(mesh, "primitives", place), objects(morphing, "primitives", place), strict=True)
         for position, ((given, primitive), noted) in enumerate(zip(pairs, noted_targets(mesh), strict=False)):
             here = Place(place.file, place.mesh, place.mesh_name, position)
-            note = gradient_note(document, primitive)
+            note = gradient_note_in(document, primitive)
             if note is None:
                 restored.append(without_note(primitive) if left_note(primitive) else primitive)
                 changed += [(given, primitive)] if noted else []

@@ -56,7 +56,7 @@ class BakedView:
 
 def is_baked(document: Document, source: PrimitiveSource) -> bool:
     """Tell whether a primitive has the note of a bake, or attributes of the usual names."""
-    return gradient_note(document, source.json) is not None or any(
+    return gradient_note(document, source) is not None or any(
         name.startswith("_SKINBAKE_") for name in source.attributes
     )
 
@@ -115,7 +115,7 @@ def whole_surfaces(document: Document, views: Sequence[BakedView]) -> list[list[
 def _view(  # noqa: PLR0911  # one for each problem
     document: Document, source: PrimitiveSource
 ) -> BakedView | Notice:
-    note = gradient_note(document, source.json)
+    note = gradient_note(document, source)
     if note is None:
         message = NO_METADATA if is_baked(document, source) else f"it is not baked: {BAKE}"
         return Notice("metadata-missing", message, source.place)

@@ -45,7 +45,7 @@ def damaged_correctives(document: Document) -> Iterator[Notice]:
         if note.version != VERSION:
             message = f"its metadata has version {note.version}, this skinbake reads {VERSION}"
             yield Notice("version", f"{message}: update skinbake", place)
-        elif any(gradient_note(document, one.json) for one in primitives):
+        elif any(gradient_note(document, one) for one in primitives):
             yield Notice("both-bakes", f"it has α/β and correctives, which correct it twice: {BAKE}", place)
         elif any(len(one.whole_targets) < note.targets for one in primitives):
             yield Notice("targets-missing", f"its morph targets were removed since the bake: {BAKE}", place)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,8 +15,7 @@ from skinbake.format.former import former_attributes, former_sets
 from skinbake.format.influences import with_limit
 from skinbake.freshness.baked_views import BakedView, rest_primitive
 from skinbake.geometry.skinned import TINY_WEIGHT, UNIT, Float64Array, FloatArray, IntArray, SkinnedPrimitive
-from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject
+from skinbake.gltf.document import Document, once_a_document
 from skinbake.gltf.reading.accessors import read_attribute
 from skinbake.gltf.reading.meshes import StoredInfluences, joints_of_skin, side_by_side
 from skinbake.gltf.reading.skins import fitting_rig
@@ -100,7 +99,7 @@ def former_weights(document: Document, view: BakedView) -> FloatArray | None:
         return None
     # A limit takes sets away. So if none was added, the noted ones are from before a limit.
     if view.note.former_attributes is not None and len(names) == count:
-        limited: dict[Place, FloatArray] = document.derived.setdefault("limited weights", {})
+        limited = _limited(document)
         if place not in limited:
             limited[place] = _limited_weights(document, view, before)
         return limited[place]
@@ -109,7 +108,13 @@ def former_weights(document: Document, view: BakedView) -> FloatArray | None:
     return np.pad(weights, ((0, 0), (0, view.now.weights.shape[1] - weights.shape[1])))
 
 
-def _limited_weights(document: Document, view: BakedView, before: JsonObject) -> FloatArray:
+@once_a_document
+def _limited(document: Document) -> dict[Place, FloatArray]:
+    """Return what a limit made of the noted weights, by primitive."""
+    return {}
+
+
+def _limited_weights(document: Document, view: BakedView, before: Mapping[str, Any]) -> FloatArray:
     """Return the weights (V, K) that a limit to K influences leaves of the sets before it."""
     sets: list[StoredInfluences] = []
     while f"JOINTS_{len(sets)}" in before:

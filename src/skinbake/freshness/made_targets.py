@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from skinbake.errors import BudgetError, InputError, Notice
 from skinbake.format.morph_targets import morph_digest
-from skinbake.format.note import MorphTargets, noted_targets
+from skinbake.format.note import MorphTargets, made_targets
 from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.document import Document
 from skinbake.gltf.reading.meshes import read_primitive
@@ -40,7 +40,7 @@ class MadeState(NamedTuple):
 
 def made_states(document: Document) -> Iterator[MadeState]:
     """Yield the primitives whose targets have NORMAL by bake, with or without a skin."""
-    meshes = [noted_targets(mesh.json) for mesh in document.asset.meshes]
+    meshes = [made_targets(document, mesh.number) for mesh in document.asset.meshes]
     for source in document.asset.primitives:
         noted = meshes[source.mesh][source.primitive]
         if noted:

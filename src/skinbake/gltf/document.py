@@ -85,7 +85,6 @@ class Document:
     escaped: bool = False
     former: tuple[Bytes, json_access.JsonObject] | None = field(default=None, repr=False, compare=False)
     raw: Bytes | None = None
-    derived: dict[str, dict[Any, Any]] = field(default_factory=dict, repr=False)
     budget: Budget = field(default_factory=Budget, repr=False, compare=False)
     notices: Notices = field(default_factory=Notices, repr=False, compare=False)
     _files: dict[str, Bytes] = field(default_factory=dict, repr=False)
@@ -105,7 +104,7 @@ class Document:
 
     def edited(self, **changes: Any) -> Document:
         """Return a copy with fields replaced, which no longer has the bytes that were read."""
-        return replace(self, raw=None, derived={}, **changes)
+        return replace(self, raw=None, **changes)
 
     @cached_property
     def asset(self) -> Asset:

@@ -19,7 +19,7 @@ from skinbake.errors import InputError, Notice
 from skinbake.geometry.rig import NO_PARENT, Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 from skinbake.gltf.budget import Cost, shown
-from skinbake.gltf.document import Document
+from skinbake.gltf.document import Document, once_a_document
 from skinbake.gltf.reading.clips import animations_of, read_clips
 from skinbake.gltf.reading.scenes import meshes_of_one_skin
 from skinbake.gltf.reading.skins import read_skeleton
@@ -267,23 +267,22 @@ def _poses(document: Document, mesh: int, vertices: int, look: _Look) -> list[tu
     count = min(max(SAMPLES // vertices, LEAST_POSES), look.poses)
     skins = list({id(read_skeleton(document, skin)): skin for skin in document.asset.skins_of(mesh)}.values())
     skins = skins[: count // LEAST_POSES]
-    each, known = count // len(skins), document.derived.setdefault("poses to judge", {})
-    for skin in skins:
-        if (skin, each) not in known:
-            numbers = animations_of(document, set(read_skeleton(document, skin).nodes))
-            some = min(len(numbers), each)
-            clips = read_clips(document, [numbers[place * len(numbers) // some] for place in range(some)])
-            samples = max(1, each // max(1, len(clips)))
-            # The moments of verify, if there are as many as it takes at least.
-            requests = [PoseRequest(samples=samples, offset=None if samples >= LEAST_SAMPLES else 0.5)]
-            if not clips:
-                seeds = range(max(1, each // FALLBACK_POSES))
-                requests = [
-                    PoseRequest(PoseKind.RANDOM, min(each, FALLBACK_POSES), seed=seed) for seed in seeds
-                ]
-            sets = [pose_set(document, skin, clips, request).joint_matrices for request in requests]
-            known[skin, each] = [(skin, matrices) for matrices in sets]
-    return [entry for skin in skins for entry in known[skin, each]]
+    return [entry for skin in skins for entry in _poses_of_skin(document, skin, count // len(skins))]
+
+
+@once_a_document
+def _poses_of_skin(document: Document, skin: int, each: int) -> list[tuple[int, Float64Array]]:
+    """Return sets of about ``each`` joint matrices (P, J, 4, 4) of a skin, each with its number."""
+    numbers = animations_of(document, set(read_skeleton(document, skin).nodes))
+    some = min(len(numbers), each)
+    clips = read_clips(document, [numbers[place * len(numbers) // some] for place in range(some)])
+    samples = max(1, each // max(1, len(clips)))
+    # The moments of verify, if there are as many as it takes at least.
+    requests = [PoseRequest(samples=samples, offset=None if samples >= LEAST_SAMPLES else 0.5)]
+    if not clips:
+        seeds = range(max(1, each // FALLBACK_POSES))
+        requests = [PoseRequest(PoseKind.RANDOM, min(each, FALLBACK_POSES), seed=seed) for seed in seeds]
+    return [(skin, pose_set(document, skin, clips, request).joint_matrices) for request in requests]
 
 
 class _Light(NamedTuple):

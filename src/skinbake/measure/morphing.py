@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from skinbake.choices import Frame, Morphs
 from skinbake.format.note import MorphTargets as MadeTargets
-from skinbake.format.note import noted_targets
+from skinbake.format.note import made_targets
 from skinbake.freshness.baked_views import BakedView
 from skinbake.geometry.morphs import MorphTargets
 from skinbake.gltf.asset import PrimitiveSource
@@ -47,7 +47,7 @@ def moving_targets(
 def noted_of(document: Document, sources: Sequence[PrimitiveSource]) -> list[MadeTargets]:
     """Return what bake has added to the targets of primitives."""
     meshes = {source.mesh for source in sources}
-    noted = {mesh: noted_targets(document.asset.meshes[mesh].json) for mesh in meshes}
+    noted = {mesh: made_targets(document, mesh) for mesh in meshes}
     return [noted[source.mesh][source.primitive] for source in sources]
 
 

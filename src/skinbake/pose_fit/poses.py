@@ -15,7 +15,7 @@ from skinbake.choices import PoseKind
 from skinbake.errors import ChoiceError, InputError, Notice, Place
 from skinbake.geometry.poses import fingerprint, is_fingerprint_of
 from skinbake.gltf.budget import Cost
-from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.document import Document, once_a_document, read_document
 from skinbake.gltf.reading.clips import MORPH_WEIGHTS, Clip, read_clips
 from skinbake.pose_fit.fit import FitPoses
 from skinbake.truth.poses import PoseRequest, PoseSet, joint_clips, pose_set
@@ -175,7 +175,7 @@ def poses_to_fit(document: Document, mesh: int, sources: Sequence[PoseSource], p
                 message = f"{source.name} moves {nodes} by name; {here} of them {are} in this file"
                 document.notices.tell(Notice("fit-poses-unmatched", message, place, moved - here))
     skins = document.asset.skins_of(mesh)
-    known: dict[object, _Poses] = document.derived.setdefault("poses to fit", {})
+    known = _known_poses(document)
     key = tuple(skins), tuple(map(str, sources))
     if key not in known:
         known[key] = _Poses.of(document, skins, clips, sources)
@@ -199,6 +199,12 @@ def _own_clips(document: Document, skins: Sequence[int], sources: Sequence[PoseS
     except InputError:  # broken clips that nobody asked for
         return ""
     return f"; --fit-poses {ANIMATIONS} takes its own clips" if is_moved else ""
+
+
+@once_a_document
+def _known_poses(document: Document) -> dict[object, _Poses]:
+    """Return the poses that were made, by the skins and where they come from."""
+    return {}
 
 
 @dataclass(frozen=True, slots=True)
