@@ -90,6 +90,17 @@ def compute_context(
         given[0] = "morphed_position"
     if choices.lighting == "direct" and choices.language is Language.HLSL:
         given[-1] = "a"
+    # The sums over morph targets that the frame of the choices needs, and that of the position.
+    sums = [Sum("position", "vec3", "morphed_position", "position")]
+    if choices.morphs is not Morphs.FRAMES:
+        sums.append(Sum("normal", "vec3", "morphed_normal", "normal"))
+    if choices.morphs is Morphs.TANGENT:
+        sums.append(Sum("tangent", "vec3", "morphed_tangent", "tangent.xyz"))
+    zeros = {Language.GLSL: "vec%d(0.0)", Language.WGSL: "vec%d<f32>()", Language.HLSL: "0.0"}
+    numbers = [("morph", 4)] if choices.morphs.moves_frame else []
+    numbers += [("morph_up", 2)] if choices.morphs is Morphs.FRAMES else []
+    for name, size in numbers:
+        sums.append(Sum(name, f"vec{size}", name, zeros[choices.language].replace("%d", str(size))))
     return {
         "absent": ABSENT,
         "draw_members": [
@@ -105,24 +116,9 @@ def compute_context(
         "scales_joints": choices.method is Method.DQS and not choices.scaled_joints,
         "is_bound": " || ".join(POSITIVE[choices.language].format(f"weights_{number}") for number in sets),
         "slot_joints": [f"joints_{slot // 4}.{'xyzw'[slot % 4]}" for slot in range(choices.influences)],
-        "morphed": _sums(choices),
+        "morphed": sums,
         "arguments_of_compute": given,
     }
-
-
-def _sums(choices: ShaderChoices) -> list[Sum]:
-    """Return the sums that the frame of the choices needs, and that of the position."""
-    found = [Sum("position", "vec3", "morphed_position", "position")]
-    if choices.morphs is not Morphs.FRAMES:
-        found.append(Sum("normal", "vec3", "morphed_normal", "normal"))
-    if choices.morphs is Morphs.TANGENT:
-        found.append(Sum("tangent", "vec3", "morphed_tangent", "tangent.xyz"))
-    zeros = {Language.GLSL: "vec%d(0.0)", Language.WGSL: "vec%d<f32>()", Language.HLSL: "0.0"}
-    numbers = [("morph", 4)] if choices.morphs.moves_frame else []
-    numbers += [("morph_up", 2)] if choices.morphs is Morphs.FRAMES else []
-    for name, size in numbers:
-        found.append(Sum(name, f"vec{size}", name, zeros[choices.language].replace("%d", str(size))))
-    return found
 
 
 def _read(name: str, kind: str, function: str = "") -> Read:

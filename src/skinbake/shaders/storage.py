@@ -64,6 +64,17 @@ def storage_parts(choices: ShaderChoices) -> list[str]:
 def storage_context(choices: ShaderChoices) -> dict[str, Any]:
     """Return the values of encodings and layouts for the templates."""
     assembled = _assembled(choices) if choices.assembles else []
+    # The lines before the example call, each of which makes α or β of one influence set.
+    preparations = [
+        Preparation(part.name, part.type, f"skinbake_{part.name}({', '.join(part.names).lower()})")
+        for part in assembled
+    ]
+    for kind in KINDS if choices.decodes and not choices.assembles else ():
+        first = f"stored_{kind}_0"
+        preparations.append(Preparation(f"{kind}_0", "vec3", f"skinbake_decoded({first}, scale)"))
+        for number in range(1, choices.influence_sets):
+            call = f"skinbake_decoded_further(stored_{kind}_{number}, {first}, scale)"
+            preparations.append(Preparation(f"{kind}_{number}", "vec4", call))
     # What each pair holds, of those that some part reads.
     pairs = []
     if choices.assembles:
@@ -84,7 +95,7 @@ def storage_context(choices: ShaderChoices) -> dict[str, Any]:
         "scale": "" if choices.scale is None else float32_literal(choices.scale),
         "pairs": pairs,
         "assembled": assembled,
-        "preparations": _preparations(choices, assembled),
+        "preparations": preparations,
     }
 
 
@@ -116,24 +127,6 @@ def _assembled(choices: ShaderChoices) -> list[Assembled]:
                     components=tuple(f"pair_{pair + 1}.{'xy'[place]}" for pair, place in places),
                 )
             )
-    return found
-
-
-def _preparations(choices: ShaderChoices, assembled: list[Assembled]) -> list[Preparation]:
-    if choices.assembles:
-        return [
-            Preparation(part.name, part.type, f"skinbake_{part.name}({', '.join(part.names).lower()})")
-            for part in assembled
-        ]
-    if not choices.decodes:
-        return []
-    found = []
-    for kind in KINDS:
-        first = f"stored_{kind}_0"
-        found.append(Preparation(f"{kind}_0", "vec3", f"skinbake_decoded({first}, scale)"))
-        for number in range(1, choices.influence_sets):
-            call = f"skinbake_decoded_further(stored_{kind}_{number}, {first}, scale)"
-            found.append(Preparation(f"{kind}_{number}", "vec4", call))
     return found
 
 

@@ -124,7 +124,14 @@ def shader_made(choices: ShaderChoices, *, package: bool = False) -> tuple[str, 
         kinds = {name: ENUMERATIONS[name](word) for name, word in changes.items() if name in ENUMERATIONS}
         return _text_for(replace(made, **{**changes, **kinds}), reads, also)
 
-    template = _target_file(choices)
+    languages = targets().get(choices.target, ())
+    if choices.language not in languages:
+        needed = Chosen("language", " or ".join(languages) or "none")
+        raise ChoiceError("target", choices.target, reason=(" needs ", needed, f", not {choices.language}"))
+    # The one template of the target in this language, perhaps with a further suffix.
+    pattern = f"{choices.target}.{choices.language}"
+    names = [path.name for path in (TEMPLATES / "targets").iterdir()]
+    template = "targets/" + next(one for one in names if one == pattern or one.startswith(f"{pattern}."))
     rendered = _rendered(template, {**_context(choices), "text_for": text_for})
     text = "".join(f"{line.rstrip()}\n" for line in rendered.splitlines())
     if template.endswith(".js") and not package:
@@ -209,17 +216,6 @@ def _environment() -> jinja2.Environment:
     )
 
 
-def _target_file(choices: ShaderChoices) -> str:
-    languages = targets().get(choices.target, ())
-    if choices.language not in languages:
-        legal = " or ".join(languages) or "none"
-        needed = Chosen("language", legal)
-        raise ChoiceError("target", choices.target, reason=(" needs ", needed, f", not {choices.language}"))
-    pattern = f"{choices.target}.{choices.language}"
-    names = [path.name for path in (TEMPLATES / "targets").iterdir()]
-    return "targets/" + next(name for name in names if name == pattern or name.startswith(f"{pattern}."))
-
-
 def _broken(line: str) -> str:
     """Break a line of code at the end of a term or an argument: its length follows the influences."""
     stripped = line.lstrip()
@@ -237,7 +233,13 @@ def _broken(line: str) -> str:
 
 def _context(choices: ShaderChoices) -> dict[str, Any]:
     """Return all values for the templates."""
-    slots = [_slot(index) for index in range(choices.influences)]
+    slots = []
+    for index in range(choices.influences):
+        number, component = divmod(index, SLOTS_PER_SET)
+        letter = "xyzw"[component]
+        gradient = letter if number else " xyz"[component]  # slot 0 has no α and no β
+        names = f"weights_{number}.{letter}", f"alpha_{number}.{gradient}", f"beta_{number}.{gradient}"
+        slots.append(Slot(index, *names))
     others = slots[1:]
     sets = _sets(choices)
     types = TYPES[choices.language]
@@ -248,8 +250,16 @@ def _context(choices: ShaderChoices) -> dict[str, Any]:
         for s in sets
         if choices.influences > 1
     ]
-
-    arguments, stored = _arguments(choices, weights, gradients), storage_context(choices)
+    # The arguments of the example call.
+    given = [name for _, name in gradients]
+    if not choices.reads_gradients and choices.lighting != "direct":
+        given = []
+    if choices.lighting == "direct":
+        given = [f"skinbake_gradients({', '.join(['frame', *given])})"]
+    motions = {Method.LBS: ["M"], Method.DQS: ["Q"], Method.BLEND: ["M", "Q"]}[choices.method]
+    blend = ["blend" if choices.is_corrected else "blend.x"] if choices.method is Method.BLEND else []
+    arguments = ["position", "frame", *motions, *(name for _, name in weights), *given, *blend]
+    stored = storage_context(choices)
 
     def corrected(base: str, correction: str) -> str:
         if not others:
@@ -346,15 +356,6 @@ def command_line(choices: ShaderChoices) -> str:
     return " ".join(words)
 
 
-def _slot(index: int) -> Slot:
-    number, component = divmod(index, SLOTS_PER_SET)
-    letter = "xyzw"[component]
-    gradient = letter if number else " xyz"[component]
-    return Slot(
-        index, f"weights_{number}.{letter}", f"alpha_{number}.{gradient}", f"beta_{number}.{gradient}"
-    )
-
-
 def _sets(choices: ShaderChoices) -> list[InfluenceSet]:
     found = []
     for number in range(choices.influence_sets):
@@ -431,21 +432,6 @@ def _params(language: Language, pairs: Iterable[tuple[str, str]]) -> str:
     if language is Language.WGSL:
         return "".join(f", {name}: {kind}" for kind, name in pairs)
     return "".join(f", {kind} {name}" for kind, name in pairs)
-
-
-def _arguments(
-    choices: ShaderChoices, weights: Sequence[tuple[str, str]], gradients: Sequence[tuple[str, str]]
-) -> list[str]:
-    """Return the arguments of the example call."""
-    names = [name for _, name in weights]
-    given = [name for _, name in gradients]
-    motions = {Method.LBS: ["M"], Method.DQS: ["Q"], Method.BLEND: ["M", "Q"]}[choices.method]
-    blend = ["blend" if choices.is_corrected else "blend.x"] if choices.method is Method.BLEND else []
-    if not choices.reads_gradients and choices.lighting != "direct":
-        given = []
-    if choices.lighting == "direct":
-        given = [f"skinbake_gradients({', '.join(['frame', *given])})"]
-    return ["position", "frame", *motions, *names, *given, *blend]
 
 
 def _sum(kind: str, pattern: str, slots: Sequence[Slot]) -> str:
