@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import click
@@ -52,17 +52,14 @@ def command(plan: Plan[Any], inputs: tuple[str, ...], *, changed: bool) -> None:
         if entry.missing is not None:
             plan.say.error(InputError(entry.missing, Place(entry.source)))
             code = exit_codes.INPUT
-    result = _result(click.get_current_context(), [entry.source for entry in found if entry.missing is None])
-    if plan.as_json:
-        plan.say.document(as_json(result, only_changed=changed))
-    else:
-        plan.say.result(as_text(result, only_changed=changed))
-    sys.exit(code)
-
-
-def _result(ctx: click.Context, sources: Sequence[str]) -> ConfigResult:
-    configured = configured_in(ctx)
-    contexts = {str(one.command.name): one for one in _contexts(ctx)}
+    ctx, sources = click.get_current_context(), [one.source for one in found if one.missing is None]
+    configured, top = configured_in(ctx), ctx.find_root()
+    # A context for each command, without any option of this run.
+    group, contexts = top.command, dict[str, click.Context]()
+    assert isinstance(group, click.Group)
+    for name in group.list_commands(top):
+        if (one := group.get_command(top, name)) is not None:
+            contexts[name] = click.Context(one, click.Context(group), info_name=name)
     by_command: dict[str, Configured | None] = {
         name: None if configured is None else configured_options(configured.configuration, one)
         for name, one in contexts.items()
@@ -80,12 +77,17 @@ def _result(ctx: click.Context, sources: Sequence[str]) -> ConfigResult:
                 settings[option] = setting._replace(pattern=pattern)
         return _options(contexts[name], chosen, settings)
 
-    return ConfigResult(
+    result = ConfigResult(
         None if configured is None else configured.configuration.name,
         (folders[0], folders[-1]),
         {name: options(name, None) for name in contexts},
         {source: {name: options(name, source) for name in PER_FILE} for source in sources},
     )
+    if plan.as_json:
+        plan.say.document(as_json(result, only_changed=changed))
+    else:
+        plan.say.result(as_text(result, only_changed=changed))
+    sys.exit(code)
 
 
 def _refuse_contradictions(
@@ -130,17 +132,6 @@ def _refusal(
     except ChoiceError as error:
         return error
     return None
-
-
-def _contexts(ctx: click.Context) -> Iterator[click.Context]:
-    """Yield a context for each command, without any option of this run."""
-    top = ctx.find_root()
-    group = top.command
-    if not isinstance(group, click.Group):
-        return
-    for name in group.list_commands(top):
-        if (found := group.get_command(top, name)) is not None:
-            yield click.Context(found, click.Context(group), info_name=name)
 
 
 def _options(ctx: click.Context, configured: Configured | None, settings: Settings) -> Options:

@@ -58,7 +58,9 @@ class Console(NamedTuple):
     def document(self, content: Any) -> None:
         """Print a JSON document at any verbosity, because it is the result that scripts asked for."""
         text = json_text(content, indent=2)
-        if not _encodable(text):
+        try:
+            text.encode(sys.stdout.encoding or "utf-8")
+        except (UnicodeEncodeError, AttributeError):  # stdout's encoding cannot represent it
             text = json.dumps(content, indent=2)
         _echo(text, err=False, color=self.color)
 
@@ -135,15 +137,6 @@ def json_text(content: Any, *, indent: int | None = None) -> str:
     return NOT_ASCII.sub(
         lambda found: found[0] if found[0].isprintable() else json.dumps(found[0])[1:-1], text
     )
-
-
-def _encodable(text: str) -> bool:
-    """Tell whether stdout's encoding can represent the text."""
-    try:
-        text.encode(sys.stdout.encoding or "utf-8")
-    except (UnicodeEncodeError, AttributeError):
-        return False
-    return True
 
 
 def _echo(text: str, *, err: bool, color: bool | None) -> None:

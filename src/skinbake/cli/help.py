@@ -66,9 +66,17 @@ class Helpful(click.Command):
         try:
             left = super().parse_args(ctx, args)
         except click.NoSuchOption as error:
-            dashed = self._dashed(given, error.option_name)
-            if dashed is not None:
-                ctx.fail(f"{error.message} A name that begins with - is written ./{dashed}")
+            # ``-hero.glb`` is read as the options -h, -e … ``-ohero.glb`` is -o and its value.
+            valued = {
+                name
+                for param in self.params
+                if isinstance(param, click.Option) and not param.is_flag and not param.count
+                for name in param.opts
+            }
+            for name in given:
+                is_meant = name[:2] not in valued and error.option_name.strip("-") in name
+                if name.startswith("-") and name.lower().endswith(SUFFIXES) and is_meant:
+                    ctx.fail(f"{error.message} A name that begins with - is written ./{name}")
             raise
         ctx.allow_extra_args = False
         if not ctx.resilient_parsing:
@@ -84,33 +92,11 @@ class Helpful(click.Command):
                     why = "was taken for the name of a file, because it stands after --"
                     ctx.fail(f"{name} {why}. Write options before --")
             if left:
-                ctx.fail(self._unexpected(left))
+                message = f"unexpected {'argument' if len(left) == 1 else 'arguments'} {' '.join(left)}"
+                option, suffixes = self._second or ("", ())
+                is_second = len(left) == 1 and left[0].lower().endswith(suffixes)
+                ctx.fail(f"{message}; write {option} {left[0]}" if is_second else message)
         return left
-
-    def _dashed(self, given: list[str], unknown: str) -> str | None:
-        """Return the name of a model that was read as the unknown option, or None if there is none.
-
-        ``-hero.glb`` is read as the options -h, -e … ``-ohero.glb`` is -o and its value.
-        """
-        valued = {
-            name
-            for param in self.params
-            if isinstance(param, click.Option) and not param.is_flag and not param.count
-            for name in param.opts
-        }
-        for name in given:
-            is_meant = name[:2] not in valued and unknown.strip("-") in name
-            if name.startswith("-") and name.lower().endswith(SUFFIXES) and is_meant:
-                return name
-        return None
-
-    def _unexpected(self, names: list[str]) -> str:
-        """Return the message for names that the command does not take."""
-        message = f"unexpected {'argument' if len(names) == 1 else 'arguments'} {' '.join(names)}"
-        if self._second is None or len(names) > 1:
-            return message
-        option, suffixes = self._second
-        return f"{message}; write {option} {names[0]}" if names[0].lower().endswith(suffixes) else message
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command. -v and errors tell of the options that come from a configuration file."""

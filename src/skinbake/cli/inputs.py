@@ -158,7 +158,7 @@ class _Search:
 
     def _found(self, argument: str, folder: str, pattern: Sequence[str], nothing: str) -> list[Input]:
         self._closed.clear()
-        paths = sorted(set(self._files(folder or os.curdir, pattern)), key=_by_parts)
+        paths = sorted(set(self._files(folder or os.curdir, pattern)), key=lambda path: path.split(os.sep))
         within = folder or os.curdir
         entries = [self._input(os.path.join(folder, path), path, None, within) for path in paths]
         entries += self._closed
@@ -170,9 +170,14 @@ class _Search:
         if head == ANY_FOLDERS:
             yield from self._files(folder, rest or ("*",))
         elif not rest:
-            for entry in self._entries(folder):
-                if _matches(entry.name, head) and entry.name.lower().endswith(SUFFIXES) and _is_file(entry):
-                    yield entry.name
+            found = (one for one in self._entries(folder) if one.name.lower().endswith(SUFFIXES))
+            fits = (one for one in found if _matches(one.name, head))
+            # A user misses the file of a broken link.
+            yield from (
+                one.name
+                for one in fits
+                if one.is_file() or (one.is_symlink() and not os.path.exists(one.path))
+            )
             return
         elif MAGIC.isdisjoint(head):
             inside = os.path.join(folder, head)
@@ -180,7 +185,8 @@ class _Search:
                 yield from (os.path.join(head, path) for path in self._files(inside, rest))
             return
         for entry in self._entries(folder):
-            if not self._is_folder(entry):
+            is_folder = entry.is_dir(follow_symlinks=False)
+            if not is_folder or (self._left_out and self._identity(entry.path) == self._left_out):
                 continue
             if head == ANY_FOLDERS:
                 inner: Sequence[str] = () if entry.name.startswith(".") else pattern
@@ -203,11 +209,6 @@ class _Search:
                 self._closed.append(closed)
             return []
 
-    def _is_folder(self, entry: os.DirEntry[str]) -> bool:
-        if not entry.is_dir(follow_symlinks=False):
-            return False
-        return self._left_out is None or self._identity(entry.path) != self._left_out
-
     def _input(
         self, source: str, kept: str, missing: str | None = None, searched: str | None = None
     ) -> Input:
@@ -215,11 +216,6 @@ class _Search:
 
     def _identity(self, folder: str) -> tuple[int, int] | None:
         return named_file(folder, self._folders).identity
-
-
-def _is_file(entry: os.DirEntry[str]) -> bool:
-    """Tell whether an entry is a file, or a broken link, because a user misses the file of a broken link."""
-    return entry.is_file() or (entry.is_symlink() and not os.path.exists(entry.path))
 
 
 def _split(argument: str) -> tuple[str, tuple[str, ...]]:
@@ -232,7 +228,3 @@ def _split(argument: str) -> tuple[str, tuple[str, ...]]:
 def _matches(name: str, pattern: str) -> bool:
     """Tell whether a name matches. A hidden name matches only if the pattern begins with a dot too."""
     return fnmatch.fnmatch(name, pattern) and (not name.startswith(".") or pattern.startswith("."))
-
-
-def _by_parts(path: str) -> list[str]:
-    return path.split(os.sep)

@@ -140,12 +140,14 @@ def entry_point() -> None:
         received.append(signum)
         raise _Stopped
 
-    if current_thread() is main_thread():
-        for number in ENDING:
-            if signal.getsignal(number) in {signal.SIG_DFL, signal.default_int_handler}:
-                signal.signal(number, note)  # otherwise the signal is to be ignored
+    for number in ENDING if current_thread() is main_thread() else ():
+        if signal.getsignal(number) in {signal.SIG_DFL, signal.default_int_handler}:
+            signal.signal(number, note)  # otherwise the signal is to be ignored
     code = _code(received)
-    _end_at_once_by_signals()
+    # Further signals end the process without a word: nothing is left to undo.
+    for number in ENDING if current_thread() is main_thread() else ():
+        if signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, signal.SIG_DFL)
     for stream in (sys.stdout, sys.stderr):
         if not _settled(stream):
             code = exit_codes.READER_GONE
@@ -173,8 +175,11 @@ def _failed(error: Exception) -> int:
     """Report an error, which may be a defect of skinbake, and return the exit code."""
     if isinstance(error, SkinbakeError):
         return _said(f"error: {error}", exit_codes.of_error(error))
-    if isinstance(error, FileNotFoundError) and _is_nowhere():
-        return _said("error: the current folder was deleted: change to another one", exit_codes.INPUT)
+    if isinstance(error, FileNotFoundError):
+        try:
+            Path.cwd()
+        except OSError:  # no relative path has a meaning
+            return _said("error: the current folder was deleted: change to another one", exit_codes.INPUT)
     import logging  # it takes a sixth of the time of --help
 
     logging.getLogger(__name__).debug("where it failed", exc_info=True)
@@ -183,15 +188,6 @@ def _failed(error: Exception) -> int:
         "Please report it with the file that caused it; -vv shows where.",
         exit_codes.INPUT,
     )
-
-
-def _is_nowhere() -> bool:
-    """Tell whether the current folder was deleted, so that no relative path has a meaning."""
-    try:
-        Path.cwd()
-    except OSError:
-        return True
-    return False
 
 
 def _said(text: str, code: int) -> int:
@@ -205,14 +201,6 @@ def _said(text: str, code: int) -> int:
 
 class _Stopped(KeyboardInterrupt):
     """A signal of ``ENDING``. KeyboardInterrupt itself kills Python once it left an exec, even if caught."""
-
-
-def _end_at_once_by_signals() -> None:
-    """Have further signals end the process without a word. At exit nothing is left to undo."""
-    if current_thread() is main_thread():
-        for number in ENDING:
-            if signal.getsignal(number) != signal.SIG_IGN:
-                signal.signal(number, signal.SIG_DFL)
 
 
 def _settled(stream: object) -> bool:

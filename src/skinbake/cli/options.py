@@ -108,18 +108,15 @@ class DeclaredOption(click.Option):
         else:
             attributes |= {"type": _type_of(declared, words), "multiple": declared.is_many}
             if declared.default is not None and not declared.is_many:
-                attributes |= {"default": _plain(declared.default), "show_default": declared.shown}
+                # click has a word in place of a member.
+                plain = str(declared.default) if isinstance(declared.default, StrEnum) else declared.default
+                attributes |= {"default": plain, "show_default": declared.shown}
             elif isinstance(declared.shown, str):
                 attributes["show_default"] = declared.shown
         if declared.bare is not None:
             attributes |= {"is_flag": False, "flag_value": declared.bare}
         spellings = [*(declared.flags or (declared.flag,)), declared.name]
         super().__init__(spellings, required=declared.is_required, **attributes)
-
-
-def _plain(value: Any) -> Any:
-    """Return the default of an option as click has it: a word instead of a member."""
-    return str(value) if isinstance(value, StrEnum) else value
 
 
 def _type_of(declared: Option, words: Sequence[str] | None) -> click.ParamType:  # type: ignore[type-arg]  # likewise

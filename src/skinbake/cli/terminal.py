@@ -37,11 +37,11 @@ def stdout_told() -> Iterator[None]:
 def with_colours(verdict: str) -> str:
     """Return the text of a verdict with colours: green for passed and gains, red for failed and losses."""
     coloured = VERDICT.sub(lambda found: found[1] + click.style(found[2], fg=COLOURS[found[2]]), verdict)
-    return GAIN.sub(lambda line: FACTOR.sub(_factor, line[0]), coloured)
 
+    def factor(found: re.Match[str]) -> str:
+        return click.style(found[0], fg="green" if float(found[1]) >= 1.0 else "red")
 
-def _factor(found: re.Match[str]) -> str:
-    return click.style(found[0], fg="green" if float(found[1]) >= 1.0 else "red")
+    return GAIN.sub(lambda line: FACTOR.sub(factor, line[0]), coloured)
 
 
 def fitted(text: str, width: int | None) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar, runtime_checkable
 
@@ -93,39 +94,28 @@ class FileWork(Generic[ResultT]):
         return survived(lambda: self._result(job), lambda error: self.failed(job, error), job.source)
 
     def _result(self, job: Job) -> ResultT:
+        """Return the result of the file, with its record if a state file can hold the outcome."""
         if job.missing is not None:
             raise InputError(job.missing, Place(job.source))
         command, recipe = self.command, self.recipe
         if recipe is None or STDIO in {job.source, job.target} or not isinstance(command, NotedCommand):
             return command.result_of(job, traced=False)
-        return self._noted(command, recipe, job)
-
-    def _noted(self, command: NotedCommand[ResultT], recipe: state.Recipe, job: Job) -> ResultT:
-        """Return the result of the file, with its record for the state file."""
-        if not command.is_noted(job):
-            return command.result_of(job, traced=False)
+        noted: NotedCommand[ResultT] = command
+        if not noted.is_noted(job):
+            return noted.result_of(job, traced=False)
         from skinbake.jobs import state  # only --skip-unchanged needs it
 
         with stage("state"):
             if job.known is not None and recipe.still_holds(job.known, job.source, job.target, job.within):
-                return command.up_to_date(job)
+                return noted.up_to_date(job)
             before = state.seen(job.source, job.within.bounds)
-        result = command.result_of(job, traced=True)
-        if before is None:
-            return result
-        with stage("state"):
-            return changed(result, record=_record(command, recipe, job, result, before))
-
-
-def _record(
-    command: NotedCommand[ResultT], recipe: state.Recipe, job: Job, result: ResultT, before: state.Seen
-) -> bytes | None:
-    """Return the record of a file that was just done, or None if anything is in doubt."""
-    try:
-        found = command.evidence(job, result, before)
-        return None if found is None else recipe.record(job.source, job.target, *found, job.within)
-    except (OSError, ValueError):
-        return None
+        result = noted.result_of(job, traced=True)
+        with stage("state"), suppress(OSError, ValueError):  # if anything is in doubt, there is no record
+            found = None if before is None else noted.evidence(job, result, before)
+            if found is not None:
+                record = recipe.record(job.source, job.target, *found, job.within)
+                return changed(result, record=record)
+        return result
 
 
 @dataclass(frozen=True, slots=True)

@@ -145,13 +145,11 @@ class Recipe:
             roots += [] if within.output is None else [os.path.realpath(within.output)]
             found = {**made, **read}
             return all(found[path] == digest for path, digest in made.items()) and all(
-                self._is_so(path, digest, roots) for path, digest in found.items()
+                _has_digest(os.path.normpath(os.path.join(self.folder, path)), digest, roots)
+                for path, digest in found.items()
             )
         except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
             return False
-
-    def _is_so(self, path: str, digest: str | None, roots: Iterable[str]) -> bool:
-        return _has_digest(os.path.normpath(os.path.join(self.folder, path)), digest, roots)
 
     def record(
         self,

@@ -25,20 +25,21 @@ class Strip:
 
     def result_of(self, job: Job, *, traced: bool) -> StripResult:
         """Strip the file. Raises SkinbakeError; then nothing has been written. Nothing is traced."""
-        return elsewhere.write(job, self._stripped, self.writing)
+
+        def stripped(source: str, target: str | None, how: Writing, within: Within) -> StripResult:
+            return strip_file(
+                source,
+                str(target),
+                warnings_as_errors=self.warnings_as_errors,
+                sync=how.sync,
+                bounds=within.bounds,
+                root=within.output,
+                lists_read=how.lists_read,
+                keeps_notes=how.keeps_notes,
+            )
+
+        return elsewhere.write(job, stripped, self.writing)
 
     def failed(self, job: Job, error: SkinbakeError) -> StripResult:
         """Return that the file failed."""
         return StripResult(job.source, str(job.target), 0, error.notices, error)
-
-    def _stripped(self, source: str, target: str | None, how: Writing, within: Within) -> StripResult:
-        return strip_file(
-            source,
-            str(target),
-            warnings_as_errors=self.warnings_as_errors,
-            sync=how.sync,
-            bounds=within.bounds,
-            root=within.output,
-            lists_read=how.lists_read,
-            keeps_notes=how.keeps_notes,
-        )

@@ -268,7 +268,9 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
             f"{counted(overflowing, 'vertex', 'vertices')} left out some joints of their neighbours "
             f"({percent(_lost(counts), 2)} of the gradient{_remedy(counts)})"
         )
-    parts += _held_back(counts)
+    if kept := sum(count.kept is not None for count in counts):
+        they = "it" if kept == 1 else "them"
+        parts.append(f"{counted(kept, 'primitive')} held back (all of the fit would light {they} worse)")
     degenerate = sum(count.degenerate_triangles for count in counts)
     if degenerate:
         parts.append(f"{counted(degenerate, 'triangle')} without area ignored")
@@ -294,14 +296,17 @@ def detail_lines(result: FileResult) -> Iterator[str]:
             f"{found.frames} numbers of the differential for each, {counted(found.added_bytes, 'byte')}"
         )
     for place, count in result.primitives:
-        lost = percent(count.lost_gradient, 2)
+        lost, kept = percent(count.lost_gradient, 2), ""
+        if count.kept is not None:
+            share = percent(count.kept.fit, 1), percent(count.kept.gradients, 1)
+            kept = ", keeping {} of the fit and {} of α/β".format(*share)
         yield (
             f"{place}: {counted(count.vertices, 'vertex', 'vertices')}, "
             f"{counted(count.triangles, 'triangle')}, {counted(count.influences, 'slot')}, "
             f"frame from {count.frame}, "
             f"{counted(count.adopting_vertices, 'vertex', 'vertices')} adopting, "
             f"{count.overflowing_vertices:,} leaving joints out ({lost} of the gradient), "
-            f"{counted(count.added_bytes, 'byte')}{_kept(count.kept)}"
+            f"{counted(count.added_bytes, 'byte')}{kept}"
         )
 
 
@@ -333,20 +338,6 @@ def _morphs(counts: Sequence[MorphCounts]) -> Iterator[str]:
         made.append(f"{numbers} numbers of the differential for {targets}")
     if made:
         yield f"{' and '.join(made)} ({counted(sum(count.added_bytes for count in counts), 'byte')})"
-
-
-def _held_back(counts: Sequence[BakedCounts]) -> Iterator[str]:
-    """Yield how many primitives keep only a part of their fit."""
-    kept = sum(count.kept is not None for count in counts)
-    if kept:
-        they = "it" if kept == 1 else "them"
-        yield f"{counted(kept, 'primitive')} held back (all of the fit would light {they} worse)"
-
-
-def _kept(share: KeptCounts | None) -> str:
-    if share is None:
-        return ""
-    return f", keeping {percent(share.fit, 1)} of the fit and {percent(share.gradients, 1)} of α/β"
 
 
 def _baked(counts: Sequence[BakedCounts]) -> str:
@@ -435,7 +426,12 @@ def file_json(result: FileResult) -> dict[str, Any]:
         "correctives": [{**place_fields(place), **_as_object(one)} for place, one in result.correctives],
         "morphs": [{**place_fields(place), **_as_object(one)} for place, one in result.morphs],
         "warnings": notice_list(result.notices),
-        "encoding": None if result.encoding is None else _encoding_json(result.encoding),
+        "encoding": None
+        if (encoding := result.encoding) is None
+        else {
+            "name": encoding.name,
+            "added_error": None if encoding.mean is None else {"mean": encoding.mean, "p99": encoding.p99},
+        },
         "left": None if result.left is None else _as_object(result.left),
         "error": error_fields(result.error),
         **timing_fields(result.timings),
@@ -447,12 +443,4 @@ def _as_object(record: Any) -> dict[str, Any]:
     return {
         name: _as_object(value) if hasattr(value, "_asdict") else value
         for name, value in record._asdict().items()
-    }
-
-
-def _encoding_json(encoding: EncodingCost) -> dict[str, Any]:
-    measured = encoding.mean is not None
-    return {
-        "name": encoding.name,
-        "added_error": {"mean": encoding.mean, "p99": encoding.p99} if measured else None,
     }

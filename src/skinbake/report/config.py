@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -46,39 +46,30 @@ class ConfigResult:
 
 def as_text(result: ConfigResult, *, only_changed: bool) -> str:
     """Return the options, one a line, below the name of their command."""
-    return "\n\n".join(_paragraphs(result, only_changed=only_changed))
-
-
-def _paragraphs(result: ConfigResult, *, only_changed: bool) -> Iterator[str]:
-    if result.file is None:
-        first, last = map(printable, result.searched)
-        where = f"in {first}" if first == last else f"from {first} up to {last}"
-        yield f"no configuration file {where}"
-    else:
-        yield f"options from {printable(result.file)}"
+    first, last = map(printable, result.searched)
+    where = f"in {first}" if first == last else f"from {first} up to {last}"
+    found = (
+        f"no configuration file {where}" if result.file is None else f"options from {printable(result.file)}"
+    )
+    paragraphs = [found]
     titled = dict(result.commands)
     for source, commands in result.files.items():
         titled |= {f"{printable(source)}: {name}": options for name, options in commands.items()}
     for title, options in titled.items():
-        lines = [
-            f"  {name:<20} {_value(one.value):<16} {_origin(one)}"
-            for name, one in options.items()
-            if one.origin != DEFAULT or not only_changed
-        ]
-        if lines:
-            yield "\n".join([title, *lines])
-
-
-def _value(value: Any) -> str:
-    """Return a value as TOML writes it, or a dash for none."""
-    return "-" if value is None else printable(json.dumps(value, ensure_ascii=False))
-
-
-def _origin(one: OptionValue) -> str:
-    place = "" if one.place is None else printable(one.place)
-    if one.origin == "environment":
-        return f"environment: {place}"
-    return f"{place}, for {printable(one.pattern)}" if one.pattern else place or one.origin
+        lines = [title]
+        for name, one in options.items():
+            if one.origin == DEFAULT and only_changed:
+                continue
+            # A value stands as TOML writes it, or as a dash for none.
+            value = "-" if one.value is None else printable(json.dumps(one.value, ensure_ascii=False))
+            place = "" if one.place is None else printable(one.place)
+            origin = f"{place}, for {printable(one.pattern)}" if one.pattern else place or one.origin
+            if one.origin == "environment":
+                origin = f"environment: {place}"
+            lines.append(f"  {name:<20} {value:<16} {origin}")
+        if lines[1:]:
+            paragraphs.append("\n".join(lines))
+    return "\n\n".join(paragraphs)
 
 
 def as_json(result: ConfigResult, *, only_changed: bool) -> dict[str, Any]:

@@ -413,7 +413,11 @@ def conclusion(verdict: FileVerdict) -> Conclusion | None:
             for notice in verdict.notices
         )
         if verdict.others:
-            judged = _on_others(verdict.others, found[2])
+            now = found[2][baked_lighting(found[2])].mean
+            told = ", ".join(f"{one.error:.2f}° with {one.options}" for one in verdict.others)
+            better = " or ".join(one.options for one in verdict.others)
+            sentence = f"Another bake is better: {told}, {now:.2f}° with this one."
+            judged = Conclusion(sentence, f"bake with {better}", f"better with {better}")
             meet = f"{judged.step}, or "
         else:
             judged = _on_gain(found[2], f"skinbake view {name}", advised=advised)
@@ -429,16 +433,6 @@ def conclusion(verdict: FileVerdict) -> Conclusion | None:
     )
     step = "do what the warning says" if verdict.notices else again
     return Conclusion("No light was measured in these poses.", step)
-
-
-def _on_others(others: Sequence[OtherBake], figures: Mapping[str, ErrorFigures]) -> Conclusion:
-    """Return what figures come to if other bakes are better."""
-    now = figures[baked_lighting(figures)].mean
-    told = ", ".join(f"{one.error:.2f}° with {one.options}" for one in others)
-    step = "bake with " + " or ".join(one.options for one in others)
-    return Conclusion(
-        f"Another bake is better: {told}, {now:.2f}° with this one.", step, step.replace("bake", "better", 1)
-    )
 
 
 def _on_gain(figures: Mapping[str, ErrorFigures], look: str, *, advised: bool) -> Conclusion:
@@ -481,7 +475,11 @@ def _table(by_truth: Mapping[Truth, Figures]) -> Iterator[str]:
                     numbers += (
                         f"{'—':>10}{'—':>8}" if other is None else f"{other.mean:10.2f}{other.p95:8.2f}"
                     )
-                yield f"  {method.upper() + ' ' + lighting:<16}{numbers}  {_worst_in_words(error.worst)}"
+                worst, when = error.worst, printable(error.worst.clip)
+                if worst.time is not None:
+                    when = f'clip "{when}" at {worst.time:.2f} s'
+                where = f"{worst.place.within_file}, vertex {worst.vertex}, {when}"
+                yield f"  {method.upper() + ' ' + lighting:<16}{numbers}  {where}"
         factors = {str(truth): gain(found.whole.get(method, {})) for truth, found in by_truth.items()}
         told = [
             f"{gain_in_words(factor)}x by {truth}" for truth, factor in factors.items() if factor is not None
@@ -489,12 +487,6 @@ def _table(by_truth: Mapping[Truth, Figures]) -> Iterator[str]:
         if told:
             ratio = f"(standard mean / {baked_lighting(figures)} mean)"
             yield f"  {method.upper() + ' gain':<16}  {', '.join(told)}  {ratio}"
-
-
-def _worst_in_words(worst: Worst) -> str:
-    pose = printable(worst.clip)
-    when = pose if worst.time is None else f'clip "{pose}" at {worst.time:.2f} s'
-    return f"{worst.place.within_file}, vertex {worst.vertex}, {when}"
 
 
 def as_json(
@@ -562,28 +554,27 @@ def file_json(verdict: FileVerdict) -> dict[str, Any]:
 def _normals_json(normals: Normals) -> dict[str, Any]:
     result: dict[str, Any] = {}
     for method, figures in normals.items():
-        result[method] = {lighting: _figures_json(error) for lighting, error in figures.items()}
+        result[method] = {
+            lighting: {
+                "mean": error.mean,
+                "p95": error.p95,
+                "p99": error.p99,
+                "max": error.max,
+                "worst": {
+                    **place_fields(error.worst.place),
+                    "vertex": error.worst.vertex,
+                    "clip": error.worst.clip,
+                    "time": error.worst.time,
+                },
+            }
+            for lighting, error in figures.items()
+        }
         result[method]["gain"] = gain(figures)
     return result
 
 
 def _relief_json(normals: Normals, by_area: Normals) -> dict[str, Any]:
     return {"normals": _normals_json(normals), "normals_by_area": _normals_json(by_area)}
-
-
-def _figures_json(error: ErrorFigures) -> dict[str, Any]:
-    return {
-        "mean": error.mean,
-        "p95": error.p95,
-        "p99": error.p99,
-        "max": error.max,
-        "worst": {
-            **place_fields(error.worst.place),
-            "vertex": error.worst.vertex,
-            "clip": error.worst.clip,
-            "time": error.worst.time,
-        },
-    }
 
 
 def as_junit(verdicts: Sequence[FileVerdict]) -> str:
