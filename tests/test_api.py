@@ -450,6 +450,8 @@ class TestModels:
         assert skinbake.bake(model).to_json() == model.to_json()
         with pytest.raises(skinbake.InputError, match="nothing in it is skinned"):
             skinbake.bake(model, require_baked=True)
+        with pytest.raises(skinbake.InputError, match="passed through unchanged: nothing in it is skinned"):
+            skinbake.bake(model, warnings_as_errors=True)
 
     def test_a_model_is_written_nowhere(self, tmp_path: Path) -> None:
         model = pygltflib.GLTF2().load(TUBE)

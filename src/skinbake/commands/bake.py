@@ -48,12 +48,14 @@ def bake_file(
 
     Raises SkinbakeError, and then nothing has been written. Its notices are those found before the error.
     """
+    # A file in its own place is replaced only if nobody has written it since.
     replaced = version_of(source) if target == source != STDIO else None
     with stage("read"):
         document = read_document(source, within.bounds)
     if target is not None:
         refuse_own_input(document, source, target)
     with noticed(document.notices), Ahead(is_itself=replaced is not None) as ahead:
+        # The waits for the disk are the longest of a large file, so it begins to be written beside the bake.
         begin = None
         if target is not None and writing.sync and not writing.dry_run:
             begin = partial(write_ahead, ahead, target=target, root=within.output)
@@ -76,6 +78,7 @@ def bake_file(
                 )
             if target == source:
                 tell_other_names(document, source)
+        # All that can be told has been told, and nothing is written yet.
         if options.warnings_as_errors and warnings_in(document.notices):
             raise InputError("not written: there are warnings (--warnings-as-errors)", document.place)
         if planned is not None and not writing.dry_run:
@@ -113,6 +116,7 @@ def rebaked(
     """
     refuse_other_kind(document, correctives=options.correctives is not None)
     with document.notices.withheld() as before:
+        # A bake is made of the file as it was before an earlier one: two bakes give what one gives.
         with stage("strip"):
             original, _ = stripped(document)
             prepared = original if target is None else for_target(original, target, pack=pack)

@@ -36,7 +36,6 @@ from skinbake.format.correctives import (
 from skinbake.format.encodings import GradientFormat
 from skinbake.format.strip import uncorrected
 from skinbake.freshness.corrective_freshness import PlayedClips, PlayedCorrectives
-from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document
@@ -91,6 +90,7 @@ def bake_correctives(
     """
     what = f"baking {counted(len(sources), 'primitive')}"
     document.budget.claim(Cost.BAKED_PRIMITIVE * len(sources), what, document.place)
+    # Engines add the normals of morph targets first: those that lack NORMAL get it before any fit.
     morphs: list[tuple[Place, MorphCounts]] = []
     if options.morph_normals or any(targets_without_normal(document, source) for source in sources):
         from skinbake.commands.morph_bake import morph_bake  # few models have such targets
@@ -114,6 +114,8 @@ def bake_correctives(
             ]
     clips = read_clips(document)
     chosen = _chosen(document, clips, options.clips)
+    # Meshes that one skin draws are fitted as one surface, so that no seam shows. A mesh with morph targets
+    # is by itself: each node has its own weights for them.
     asset = document.asset.meshes
     plain = [mesh for mesh in dict.fromkeys(one.mesh for one in sources) if not asset[mesh].target_count]
     morphing = [mesh for mesh in dict.fromkeys(one.mesh for one in sources) if mesh not in plain]
@@ -154,16 +156,11 @@ def bake_correctives(
         return BakedDocument(document, morphs=morphs)
     # What others have makes plain what the rest does not need.
     document.notices.tell(*warnings_in(idle))
-    made_here = [(place, one, item) for place, one, item in found if item is not None]
-    return BakedDocument(
-        written,
-        morphs=morphs,
-        correctives=[
-            (place, _counts(one, item, verdict, length))
-            for (place, one, item), length in zip(made_here, lengths, strict=True)
-        ],
-        verdict=verdict,
-    )
+    sizes = iter(lengths)
+    counts = [
+        (place, _counts(one, item, verdict, next(sizes))) for place, one, item in found if item is not None
+    ]
+    return BakedDocument(written, morphs=morphs, correctives=counts, verdict=verdict)
 
 
 def lighting_with_correctives(document: Document) -> FileVerdict:
@@ -229,6 +226,7 @@ def _fitted(
             rest = [bake.rest_primitive() for bake in unwritten(surface.plain(surface.primitives))]
         else:
             rest = [rest_of(one, src.joint_count) for src, one in zip(sources, primitives, strict=True)]
+    # A motion is a chosen clip at a node. Nodes that draw alike have one.
     nodes, plans = _nodes(document, meshes, clips), dict[int, PosePlan]()
     for node in (node for of_mesh in nodes.values() for node in of_mesh.values()):
         skin = document.asset.nodes[node].skin or 0
@@ -249,6 +247,7 @@ def _fitted(
     _claim_fit(document, motions, len(sources), vertices, place)
     operator = true_operator(primitives, claim=document.budget.welding(place))
     areas = np.concatenate([RestAreas(document, motions[0].plan.skin).of(one) for one in primitives])
+    # The primitives of each mesh, which is given its own targets and weights.
     parts, start = [], 0
     for mesh in meshes:
         count = sum(source.mesh == mesh for source in sources)
@@ -272,9 +271,16 @@ def _fitted(
             accurate=accurate,
             claim=lambda work: document.budget.claim(work, "fitting its correctives", place),
         )
+    # A clip that was not chosen plays zeros: else its weights would stay those of the clip before it.
     idle = {
         node: [clip for clip in plan.sampled if clip.number not in chosen] for node, plan in plans.items()
     }
+    # Targets are added to the normals as stored, whose lengths are not quite 1, or not at all.
+    lengths = []
+    for primitive in primitives:
+        own = np.sqrt(np.square(primitive.normals.astype(np.float64)).sum(axis=1))
+        is_unit = np.abs(own - 1.0) < UNIT_LENGTH
+        lengths.append(np.where(is_unit | ~np.isfinite(own), 1.0, own)[:, None])
     found = []
     for mesh, here, part, one in zip(meshes, places, parts, made, strict=True):
         item = None
@@ -283,7 +289,7 @@ def _fitted(
                 mesh=mesh,
                 sources=sources[part],
                 primitives=primitives[part],
-                targets=[_by_length(*pair) for pair in zip(one.targets, primitives[part], strict=True)],
+                targets=[own * size for own, size in zip(one.targets, lengths[part], strict=True)],
                 clips=_weights(nodes[mesh], one, idle),
                 aim=options.corrective_aim,
                 playing=list(dict.fromkeys(track.motion.clip.name for track in one.tracks if track.plays)),
@@ -353,13 +359,6 @@ def _claim_fit(
             work += of_pose * (primitives * poses)
     what = f"{counted(vertices, 'vertex', 'vertices')} to {counted(len(motions), 'clip')}"
     document.budget.claim(work, f"fitting {what} of its skins (--clips chooses some)", place)
-
-
-def _by_length(targets: Float64Array, primitive: SkinnedPrimitive) -> Float64Array:
-    """Return targets for the normals as stored, whose lengths are not quite 1, or not at all."""
-    lengths = np.sqrt(np.square(primitive.normals.astype(np.float64)).sum(axis=1))
-    is_unit = np.abs(lengths - 1.0) < UNIT_LENGTH
-    return np.asarray(targets * np.where(is_unit | ~np.isfinite(lengths), 1.0, lengths)[:, None])
 
 
 def _weights(nodes: Mapping[int, int], made: Correctives, idle: dict[int, list[Clip]]) -> list[ClipWeights]:

@@ -188,6 +188,7 @@ def _made(
     wanted = sorted(set().union(*(part.targets for part in parts)))
     if most is not None:
         wanted = wanted[:: -(-len(wanted) // most)]
+    # By target, how the points of each primitive move.
     read = [
         read_targets(document, part.source, wanted, count=len(part.primitive.positions), tangents=False)
         for part in parts
@@ -208,6 +209,7 @@ def _made(
                 Work(bytes=size), "what it makes for its morph targets", parts[0].source.place
             )
         changes[target] = known[key]
+    # The same by primitive, as it is stored: NORMAL where it lacks, the differential for every target.
     for number, part in enumerate(parts):
         normals = {t: changes[t][number].normals for t in part.lacking if t in changes}
         # Zeros that are right stay.
@@ -246,6 +248,7 @@ def _surface(
     starts = [0, *ends[:-1]]
     triangles = []
     for part, start in zip(parts, starts, strict=True):
+        # Triangles without an area have no gradient.
         own = part.primitive.triangles
         work = Cost.MORPHED_TRIANGLE * len(own) + Cost.MORPHED_VERTEX * len(part.primitive.positions)
         document.budget.claim(work, "differentiating its morph targets", part.source.place)
@@ -272,6 +275,7 @@ def _changes(
     )
     if not len(whole.rows):
         return [_Change() for _ in parts]
+    # The change of the normal at weight 1, and the numbers by which the frame moves, linear in the weight.
     change = surface.differential(whole)
     normals = surface.normals_at(change)
     turned = np.linalg.norm(normals - surface.normals[change.rows], axis=1) >= LEAST
