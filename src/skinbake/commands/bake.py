@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 from skinbake.choices import FrameChoice, Scheme
 from skinbake.commands.bake_options import DEFAULTS, BakeOptions
@@ -15,7 +16,7 @@ from skinbake.files.bounds import OWN_FOLDERS, Within
 from skinbake.files.urls import STDIO
 from skinbake.files.versions import digests_of, version_of
 from skinbake.format.note import Left as LeftNote
-from skinbake.format.note import refuse_other_kind, with_left
+from skinbake.format.note import refuse_other_kind, with_left, with_left_primitives
 from skinbake.format.strip import stripped
 from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.document import Document, read_document
@@ -142,27 +143,52 @@ def rebaked(
     return made._replace(document=result)
 
 
-def bake_document(document: Document, options: BakeOptions = DEFAULTS) -> BakedDocument:
-    """Bake every skinned primitive of a document that holds no earlier bake (``stripped``).
+class LeftOut(NamedTuple):
+    """What a choice leaves out: the option as it is typed, and what is to be told of it."""
 
-    Raises InputError.
+    option: str
+    notices: Sequence[Notice] = ()
+
+
+def left_by_choice(options: BakeOptions, source: PrimitiveSource) -> LeftOut | None:
+    """Return which option leaves out a primitive that could be baked, None if none does.
+
+    Every such choice belongs here. The bake notes it in the file, and so ``verify`` takes the primitive for
+    left on purpose, not for forgotten.
     """
-    # What can be baked, and why the rest cannot.
+    if options.frame is FrameChoice.TANGENT:
+        lacking = next((name for name in ("NORMAL", "TANGENT") if name not in source.attributes), None)
+        if lacking is not None:
+            auto = Chosen("frame", FrameChoice.AUTO)
+            words = f"it has no {lacking}; ", auto, " takes the frame from NORMAL"
+            return LeftOut("--frame tangent", [skipped("no-tangents", source.place, *words)])
+    return None
+
+
+def bake_document(
+    document: Document,
+    options: BakeOptions = DEFAULTS,
+    leaves: Callable[[BakeOptions, PrimitiveSource], LeftOut | None] = left_by_choice,
+) -> BakedDocument:
+    """Bake the skinned primitives of a document that holds no earlier bake (``stripped``).
+
+    Those that a choice ``leaves`` out are noted as such. Raises InputError.
+    """
+    # What is baked, what a choice leaves out, and why the rest cannot be baked.
     sources: list[PrimitiveSource] = []
+    left_by: list[tuple[PrimitiveSource, str]] = []
     every = skinned_sources(document)
     tell_half_skinned(document)
     for source in every:
         reason = reason_to_skip(document, source, generate_normals=options.generate_normals)
-        if reason is None and options.frame is FrameChoice.TANGENT:
-            lacking = next((name for name in ("NORMAL", "TANGENT") if name not in source.attributes), None)
-            if lacking is not None:
-                auto = Chosen("frame", FrameChoice.AUTO)
-                words = f"it has no {lacking}; ", auto, " takes the frame from NORMAL"
-                reason = skipped("no-tangents", source.place, *words)
-        if reason is None:
-            sources.append(source)
-        else:
+        choice = leaves(options, source) if reason is None else None
+        if reason is not None:
             document.notices.tell(reason)
+        elif choice is not None:
+            left_by.append((source, choice.option))
+            document.notices.tell(*choice.notices)
+        else:
+            sources.append(source)
     left_out = len(every) - len(sources)
     if not sources and not options.morph_normals:
         return BakedDocument(document, skipped=left_out)
@@ -181,7 +207,9 @@ def bake_document(document: Document, options: BakeOptions = DEFAULTS) -> BakedD
         noted = with_left(document, note)
     if noted is None:
         document.notices.tell(*told)
-        return made
+        if not made.is_baked:
+            return made
+        return made._replace(document=with_left_primitives(made.document, left_by))
     # Of a bake that is not written, only its advice counts.
     document.notices.tell(*(one for one in told if one.is_advice and options.correctives is None))
     return BakedDocument(noted, skipped=left_out, left=left)

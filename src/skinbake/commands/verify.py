@@ -9,7 +9,7 @@ from skinbake.commands.remedies import worse_lighting
 from skinbake.errors import Notice, Skipped, warnings_in
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.format.note import corrective_notes, file_left, gradient_note
-from skinbake.freshness.baked_views import baked_views, gathered_together, is_baked
+from skinbake.freshness.baked_views import baked_views, gathered_together, is_baked, left_on_purpose
 from skinbake.freshness.made_targets import made_states
 from skinbake.freshness.staleness import claim_freshness, fits_begun, freshness_check, surface_operator
 from skinbake.gltf.asset import PrimitiveSource
@@ -63,7 +63,8 @@ def verify_document(
         rest = [Check(name, "skipped", (), "structure failed") for name in ("freshness", "lighting")]
         return FileVerdict(document.name, (structure, *rest), notices=tuple(notices))
     vertices = counted(sum(len(view.now.positions) for view in views), "vertex", "vertices")
-    structure = Check("structure", "passed", (), f"{counted(len(views), 'baked primitive')}, {vertices}")
+    found = [f"{counted(len(views), 'baked primitive')}, {vertices}", *left_on_purpose(document).values()]
+    structure = Check("structure", "passed", (), "; ".join(found))
     for view in views:
         notices += weight_sum_notices(view.now, view.source.place)
     notices += lean_notices((view.now, view.source.place) for view in views)
@@ -101,13 +102,17 @@ def _beside_others(
 def _sorted_out(document: Document) -> tuple[list[PrimitiveSource], list[Notice]]:
     """Return the skinned primitives that can be baked, and problems. Tell of those that are left out.
 
-    A primitive that is baked, but can no longer be baked, is a problem, unless no light reaches it.
+    What a bake has left on purpose is none of them. A primitive that is baked, but can no longer be baked, is
+    a problem, unless no light reaches it.
     """
     wanted: list[PrimitiveSource] = []
     problems: list[Notice] = []
     with document.notices.withheld() as told:
         tell_half_skinned(document)
+        left = left_on_purpose(document)
         for entry in skinned_sources(document):
+            if entry.place in left:
+                continue
             reason = reason_to_skip(document, entry, generate_normals=False)
             if reason is None:
                 wanted.append(entry)

@@ -9,6 +9,7 @@ from skinbake.commands.bake_options import DEFAULTS
 from skinbake.commands.gradient_bake import bake_gradients
 from skinbake.errors import Notice
 from skinbake.format.strip import uncorrected
+from skinbake.freshness.baked_views import left_on_purpose
 from skinbake.freshness.corrective_freshness import (
     PlayedCorrectives,
     corrective_freshness,
@@ -50,6 +51,7 @@ def corrected_verdict(document: Document, options: VerifyOptions) -> FileVerdict
     targets = played.targets
     meshes = counted(len(targets), "mesh", "meshes")
     told = f"{counted(sum(targets.values()), 'corrective normal')} of {meshes}"
+    told = "; ".join([told, *left_on_purpose(document).values()])
     structure = Check("structure", "passed", (), told)
     # That algorithms 2 and 3 agree says nothing of correctives.
     checks = [check for check in verdict.checks if check.name != "identity"]

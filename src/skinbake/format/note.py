@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from functools import cache
@@ -584,6 +584,26 @@ def without_note(holder: JsonObject) -> JsonObject:
     return found
 
 
+def with_left_primitives(document: Document, left: Sequence[tuple[PrimitiveSource, str]]) -> Document:
+    """Return the document with notes of the primitives that were left, each by the options that left it.
+
+    Raises UnsupportedFeatureError if other extras of a primitive leave no place.
+    """
+    if not left:
+        return document
+    meshes = list(document.objects("meshes"))
+    for source, by in left:
+        primitives = list(meshes[source.mesh]["primitives"])
+        primitive = primitives[source.primitive]
+        if not has_place(primitive):
+            message = f'its "extras" leave no place for the note that {by} left it out'
+            raise UnsupportedFeatureError(message, source.place)
+        note = LeftNote(version=VERSION, left=Left(by=by))
+        primitives[source.primitive] = with_note(primitive, note)
+        meshes[source.mesh] = {**meshes[source.mesh], "primitives": primitives}
+    return document.edited(json={**document.json, "meshes": meshes})
+
+
 def with_left(document: Document, left: Left) -> Document | None:
     """Return the document with a note that it was left; None where other extras of the asset leave no place.
 
@@ -607,10 +627,17 @@ def with_left(document: Document, left: Left) -> Document | None:
 
 
 def without_left(document: Document) -> Document:
-    """Return the document as it was before the note that it was left."""
-    if file_left(document) is None:
-        return document
-    return document.edited(json={**document.json, "asset": without_note(document.json["asset"])})
+    """Return the document as it was before the notes that it, or any of its primitives, was left."""
+    root = dict(document.json)
+    if file_left(document) is not None:
+        root["asset"] = without_note(root["asset"])
+    for number, mesh in enumerate(document.objects("meshes")):
+        if any(map(left_note, entries_of(mesh.get("primitives")))):
+            root["meshes"] = list(root["meshes"])
+            primitives = [without_note(one) if left_note(one) else one for one in mesh["primitives"]]
+            root["meshes"][number] = {**mesh, "primitives": primitives}
+    is_same = all(root[key] is value for key, value in document.json.items())
+    return document if is_same else document.edited(json=root)
 
 
 def refuse_other_kind(document: Document, *, correctives: bool) -> None:

@@ -16,7 +16,6 @@ from skinbake.format.note import (
     buffer_note,
     corrective_note,
     gradient_note_in,
-    left_note,
     morph_note,
     noted_targets,
     refuse_later,
@@ -49,7 +48,7 @@ def stripped(document: Document) -> tuple[Document, int]:
     version of skinbake has baked it: what its metadata means is unknown. The note of a bake that has left the
     file unbaked is removed, too.
     """
-    document, corrected = uncorrected(without_left(document))
+    document, corrected = uncorrected(document)
     count = len(corrected)
     meshes: list[JsonObject] = []
     changed: list[tuple[JsonObject, JsonObject]] = []
@@ -65,7 +64,7 @@ def stripped(document: Document) -> tuple[Document, int]:
             here = Place(place.file, place.mesh, place.mesh_name, position)
             note = gradient_note_in(document, primitive)
             if note is None:
-                restored.append(without_note(primitive) if left_note(primitive) else primitive)
+                restored.append(primitive)
                 changed += [(given, primitive)] if noted else []
                 count += bool(noted) and number not in corrected
                 continue
@@ -75,10 +74,9 @@ def stripped(document: Document) -> tuple[Document, int]:
             changed.append((given, written))
             count += 1
         meshes.append({**morphing, "primitives": restored} if restored else morphing)
+    if not changed and meshes == document.objects("meshes"):
+        return document, count
     root = {**document.json, "meshes": meshes}
-    if not changed:
-        is_same = meshes == document.objects("meshes")
-        return document if is_same else document.edited(json=root), count
     removed = set[int]().union(
         *(_accessors_of_vertices(old) - _accessors_of_vertices(new) for old, new in changed)
     )
@@ -99,8 +97,9 @@ def has_lost_metadata(document: Document) -> bool:
 def uncorrected(document: Document) -> tuple[Document, Collection[int]]:
     """Return the document without correctives alone, and the meshes that had any; tell as ``stripped``.
 
-    What a bake has made for the file's own morph targets stays.
+    What a bake has made for the file's own morph targets stays. Notes on what it left are gone.
     """
+    document = without_left(document)
     corrected = {number for number, mesh in enumerate(document.objects("meshes")) if corrective_note(mesh)}
     if not corrected:
         return document, ()

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from skinbake.choices import Frame, FrameChoice, Gradients, Weld
-from skinbake.errors import Chosen, Message, Notice
+from skinbake.errors import Chosen, Message, Notice, Place
 from skinbake.format.digests import changed_arrays
-from skinbake.format.note import BAKE, NO_METADATA, GradientNote, gradient_note
+from skinbake.format.note import BAKE, NO_METADATA, GradientNote, gradient_note, left_note
 from skinbake.format.stored_slots import read_blend, read_slots
 from skinbake.geometry import frames
 from skinbake.geometry.frames import unit_normals
@@ -59,6 +59,12 @@ def is_baked(document: Document, source: PrimitiveSource) -> bool:
     return gradient_note(document, source) is not None or any(
         name.startswith("_SKINBAKE_") for name in source.attributes
     )
+
+
+def left_on_purpose(document: Document) -> dict[Place, str]:
+    """Return the skinned primitives that a bake has left out by a choice, with the words of that."""
+    noted = ((source.place, left_note(source.json)) for source in skinned_sources(document))
+    return {place: f"left by bake {one.by}: {place.within_file}" for place, one in noted if one is not None}
 
 
 def baked_views(document: Document, sources: Sequence[PrimitiveSource]) -> list[BakedView]:
