@@ -17,7 +17,7 @@ import pytest
 from fixtures.builder import JsonObject
 from skinbake.errors import InputError, Place
 from skinbake.gltf.document import Document, parse_gltf
-from skinbake.gltf.reading.accessors import StoredArray, described, element_count, read_accessor
+from skinbake.gltf.reading.accessors import StoredArray, read_accessor
 from tests.support.gltf_reading import GltfFile
 
 HERE = Place("made.gltf", 0, "body", 0, "POSITION")
@@ -105,7 +105,7 @@ def test_a_format_is_told_with_its_bytes(
 ) -> None:
     accessor = {"type": kind, "componentType": component, "normalized": normalized, "count": 5}
     made = document(content(b"", accessor, []))
-    assert described(made, 0, HERE) == (expected[0], 5 * expected[1])
+    assert made.asset.accessors[0].described(HERE) == (expected[0], 5 * expected[1])
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ def test_a_format_is_told_with_its_bytes(
 def test_a_format_that_the_standard_does_not_define_is_no_format(kind: object, component: object) -> None:
     made = document(content(b"", {"type": kind, "componentType": component, "count": 5}, []))
     with pytest.raises(InputError, match="glTF does not define"):
-        described(made, 0, HERE)
+        made.asset.accessors[0].described(HERE)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -209,7 +209,7 @@ def test_whole_floats_count_as_integers() -> None:
 
 def test_the_declared_count_needs_no_data() -> None:
     made = content(b"\0", {"bufferView": 7, "componentType": 5126, "count": 10**12, "type": "VEC3"}, [])
-    assert element_count(document(made), 0, HERE) == 10**12
+    assert document(made).asset.accessors[0].count(HERE) == 10**12
 
 
 def plain() -> JsonObject:

@@ -20,7 +20,6 @@ from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.codecs.views import bytes_beside
 from skinbake.gltf.document import Document, read_document
-from skinbake.gltf.reading.accessors import described
 from skinbake.gltf.reading.meshes import (
     has_float_tangents,
     read_primitive,
@@ -165,5 +164,5 @@ def _frame(document: Document, source: PrimitiveSource, primitive: SkinnedPrimit
 
 def _attribute(document: Document, source: PrimitiveSource, name: str) -> AttributeSummary:
     place = source.place.at(name)
-    stored, size = described(document, document.asset.accessor_of(source, name) or 0, place)
+    stored, size = document.asset.accessors[document.asset.accessor_of(source, name) or 0].described(place)
     return AttributeSummary(name, stored, size)

@@ -36,7 +36,7 @@ from skinbake.geometry.triangles import TRIANGLES
 from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, is_number
-from skinbake.gltf.reading.accessors import element_count, read_accessor
+from skinbake.gltf.reading.accessors import read_accessor
 from skinbake.gltf.reading.meshes import StoredInfluences, read_influences, side_by_side
 from skinbake.gltf.writing.additions import Additions
 from skinbake.timing import stage
@@ -206,7 +206,7 @@ def _noted_positions(document: Document, item: Baked, stored: SkinnedPrimitive) 
     noted = Positions(component_type=accessor["componentType"])
     if source.json.get("mode", TRIANGLES) == TRIANGLES:
         corners = int(source.json.get("indices", number))
-        noted = replace(noted, corners=element_count(document, corners, source.place.at("indices")))
+        noted = replace(noted, corners=document.asset.accessors[corners].count(source.place.at("indices")))
     # FNV-1a of each vertex's joints, slot by slot, in uint32: sums and products wrap.
     hashes = np.full(len(stored.joints), 0x811C9DC5, np.uint32)
     for column in stored.joints.T:

@@ -16,7 +16,7 @@ from skinbake.geometry.skinned import FloatArray
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document, once_a_document
 from skinbake.gltf.json_access import JsonObject, entries_of, listed, object_of, reference, text
-from skinbake.gltf.reading.accessors import element_count, read_accessor
+from skinbake.gltf.reading.accessors import read_accessor
 from skinbake.gltf.reading.clips import MORPH_WEIGHTS, POINTER_EXTENSION
 from skinbake.gltf.writing.additions import Additions
 
@@ -223,7 +223,7 @@ def _is_zeros(document: Document, value: object) -> bool:
 def _read(document: Document, number: int) -> FloatArray | None:
     """Return the values of an accessor, None if they cannot be read, and count the work."""
     try:
-        count = element_count(document, number, document.place)
+        count = document.asset.accessors[number].count(document.place)
         document.budget.claim(Cost.UNDONE_NUMBER * count, "undoing its bake", document.place)
         with document.budget.passing():
             # As correctives are made and stored, also where the weights of a file are integers.
@@ -293,7 +293,7 @@ def narrowed(document: Document, channels: Sequence[Narrowed]) -> Document:
         animation = animations[one.animation]
         moving, samplers = list(animation["channels"]), list(animation["samplers"])
         sampler = samplers[int(moving[one.channel]["sampler"])]
-        keys = element_count(document, int(sampler["input"]), document.place)
+        keys = document.asset.accessors[int(sampler["input"])].count(document.place)
         each = 3 if sampler.get("interpolation") == poses.CUBICSPLINE else 1
         values = read_accessor(document, int(sampler["output"]), document.place).decoded()
         few = np.ascontiguousarray(values.reshape(keys * each, -1)[:, : one.targets], dtype="<f4")

@@ -47,7 +47,7 @@ from skinbake.gltf.json_access import (
     objects,
     reference,
 )
-from skinbake.gltf.reading.accessors import element_count, read_accessor
+from skinbake.gltf.reading.accessors import read_accessor
 from skinbake.gltf.reading.clips import (
     MESH_POINTER,
     MORPH_WEIGHTS,
@@ -323,7 +323,7 @@ def _with_own(
     base = reference(attributes.get("POSITION"))
     if base is None:
         raise InputError("one of its primitives has no POSITION, so it cannot have morph targets", place)
-    count = element_count(document, base, place)
+    count = document.asset.accessors[base].count(place)
     own = objects(primitive, "targets", place)
     if len(own) != there:  # a mesh of which some primitives have no targets
         own = [{} for _ in range(there)]

@@ -33,8 +33,7 @@ from skinbake.format.note import (
 )
 from skinbake.geometry.morphs import COMPONENTS, Differences
 from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive
-from skinbake.gltf.asset import PrimitiveSource
-from skinbake.gltf.codecs.views import COMPONENT_CODES, TYPES
+from skinbake.gltf.asset import COMPONENT_CODES, TYPES, PrimitiveSource
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, entries_of, object_of, reference
 from skinbake.gltf.reading.accessors import read_accessor

@@ -33,7 +33,6 @@ from skinbake.gltf.json_access import (
     objects,
     text,
 )
-from skinbake.gltf.reading.accessors import described
 from skinbake.gltf.writing.references import buffers_in_use, uses_of_accessors, views_in_use
 
 
@@ -273,7 +272,7 @@ def _with_own_views(document: Document, root: JsonObject, numbers: Set[int]) -> 
             continue
         start = integer(views[at], "byteOffset", place, default=0)
         start += integer(accessor, "byteOffset", place, default=0)
-        size = described(document, number, place)[1]
+        size = document.asset.accessors[number].described(place)[1]
         views.append({"buffer": views[at]["buffer"], "byteOffset": start, "byteLength": size})
         kept = {key: value for key, value in accessor.items() if key != "byteOffset"}
         accessors[number] = {**kept, "bufferView": len(views) - 1}

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -21,12 +21,14 @@ from skinbake.gltf.json_access import (
     JsonObject,
     entries_of,
     index,
+    integer,
     is_number,
     joints_of,
     member,
     object_of,
     objects,
     reference,
+    shown,
     text,
 )
 from skinbake.wording import counted
@@ -41,6 +43,115 @@ REST = {
     "matrix": np.eye(4).ravel(),
 }
 """The transform of a node that stores none. glTF has x of a rotation first, and matrices by columns."""
+
+
+COMPONENT_TYPES: dict[int, np.dtype[np.generic]] = {
+    5120: np.dtype("<i1"),
+    5121: np.dtype("<u1"),
+    5122: np.dtype("<i2"),
+    5123: np.dtype("<u2"),
+    5125: np.dtype("<u4"),
+    5126: np.dtype("<f4"),
+}
+COMPONENT_CODES = {dtype: code for code, dtype in COMPONENT_TYPES.items()}
+COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+TYPES = {count: name for name, count in COMPONENTS.items()}
+
+COMPONENT_NAMES = {
+    5120: "BYTE",
+    5121: "UNSIGNED_BYTE",
+    5122: "SHORT",
+    5123: "UNSIGNED_SHORT",
+    5125: "UNSIGNED_INT",
+    5126: "FLOAT",
+}
+MATRIX_ROWS = {"MAT2": 2, "MAT3": 3, "MAT4": 4}
+
+
+def component_dtype(holder: JsonObject) -> np.dtype[np.generic] | None:
+    """Return the dtype of an object's ``componentType``, None if glTF does not define it."""
+    code = reference(holder.get("componentType"))
+    return None if code is None else COMPONENT_TYPES.get(code)
+
+
+Shape: TypeAlias = tuple[np.dtype[np.generic], int, int]
+"""The dtype, components and count of an accessor."""
+
+
+@dataclass(frozen=True, slots=True)
+class Accessor:
+    """An accessor. The place that its methods take, for messages, is that of what names it."""
+
+    number: int
+    json: JsonObject
+
+    @property
+    def dtype(self) -> np.dtype[np.generic] | None:
+        """The dtype of its components, None if glTF does not define it."""
+        return component_dtype(self.json)
+
+    @property
+    def components(self) -> int | None:
+        """The components of an element, None if its type is not one that is read."""
+        kind = self.json.get("type")
+        return COMPONENTS.get(kind) if isinstance(kind, str) else None
+
+    @property
+    def is_small_matrix(self) -> bool:
+        """Whether it has the type of matrices that are not read: MAT2 or MAT3, with columns of 4 bytes each.
+
+        Only attributes of applications have it.
+        """
+        return self.components is None and self._rows is not None
+
+    @property
+    def _rows(self) -> int | None:
+        kind = self.json.get("type")
+        return MATRIX_ROWS.get(kind) if isinstance(kind, str) else None
+
+    @property
+    def is_normalized(self) -> bool:
+        """Whether its integers stand for fractions of the largest."""
+        return self.json.get("normalized") is True
+
+    def count(self, place: Place) -> int:
+        """Return the declared number of its elements; InputError if that is no such number."""
+        return integer(self.json, "count", place, minimum=1)
+
+    def shape(self, place: Place) -> Shape:
+        """Return what it declares; InputError if glTF does not define it, or not here."""
+        dtype, components = self.dtype, self.components
+        if dtype is None or components is None:
+            raise self._unknown_format(place)
+        return dtype, components, self.count(place)
+
+    def described(self, place: Place) -> tuple[str, int]:
+        """Return its format, like ``VEC3 FLOAT``, and its size in bytes when tightly packed.
+
+        Raises InputError if glTF does not allow its type or count.
+        """
+        dtype, rows = self.dtype, self._rows
+        components = self.components if rows is None else rows
+        if dtype is None or components is None:
+            raise self._unknown_format(place)
+        column = components * dtype.itemsize
+        size = (
+            column if rows is None else rows * (column + -column % 4)
+        )  # glTF aligns the columns of matrices
+        name = COMPONENT_NAMES[self.json["componentType"]]
+        suffix = " normalised" if self.is_normalized else ""
+        return f"{self.json['type']} {name}{suffix}", size * self.count(place)
+
+    def _unknown_format(self, place: Place) -> InputError:
+        missing = [f'"{key}"' for key in ("type", "componentType") if key not in self.json]
+        if missing:
+            return InputError(f"accessor {self.number} has no {' and no '.join(missing)}", place)
+        known = self._rows is not None and self.dtype is not None
+        verdict = "is not allowed here" if known else "glTF does not define"
+        kind, code = shown(self.json.get("type")), shown(self.json.get("componentType"))
+        return InputError(
+            f"accessor {self.number} has type {kind} of component type {code}, which {verdict}", place
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,6 +383,19 @@ class Asset:
         if key not in self._lists:
             self._lists[key] = objects(self.json, key, self.place)
         return self._lists[key]
+
+    @cached_property
+    def accessors(self) -> tuple[Accessor, ...]:
+        """All accessors."""
+        return tuple(Accessor(number, content) for number, content in enumerate(self.objects("accessors")))
+
+    def accessor(self, holder: Mapping[str, Any], key: str, place: Place) -> Accessor | None:
+        """Return the accessor that an object names by a key, None if it has no such key.
+
+        Raises InputError if the file has no such accessor.
+        """
+        number = index(holder, key, len(self.objects("accessors")), place)
+        return None if number is None else self.accessors[number]
 
     @cached_property
     def nodes(self) -> tuple[Node, ...]:

@@ -17,8 +17,9 @@ import numpy.typing as npt
 
 from skinbake.errors import BudgetError, InputError, Place, UnsupportedFeatureError
 from skinbake.geometry.triangles import TRIANGLES
+from skinbake.gltf.asset import Shape
 from skinbake.gltf.budget import Work
-from skinbake.gltf.codecs.views import COMPONENTS, component_dtype, view_bytes
+from skinbake.gltf.codecs.views import view_bytes
 from skinbake.gltf.document import Document, once_a_document
 from skinbake.gltf.json_access import JsonObject, entries_of, index, integer, member, reference
 from skinbake.wording import counted
@@ -32,8 +33,6 @@ USUAL_LEVEL = 7
 
 MOST_ATTRIBUTES = 127
 """The most attributes of one stream: DracoPy numbers them with signed bytes."""
-
-Shape = tuple[np.dtype[np.generic], int, int]
 
 
 class Claim(NamedTuple):
@@ -110,14 +109,12 @@ def _equal(one: npt.NDArray[np.generic], other: npt.NDArray[np.generic]) -> bool
 
 
 def _shape(document: Document, number: int, place: Place) -> Shape:
-    accessors = document.objects("accessors")
+    accessors = document.asset.accessors
     if not 0 <= number < len(accessors):
         raise InputError(f"it refers to accessor {number} of an array of {len(accessors)}", place)
-    accessor = accessors[number]
-    dtype, kind = component_dtype(accessor), accessor.get("type")
-    if dtype is None or not isinstance(kind, str) or kind not in COMPONENTS:
+    if accessors[number].dtype is None or accessors[number].components is None:
         raise InputError(f"accessor {number} has a type that a Draco stream cannot hold", place)
-    return dtype, COMPONENTS[kind], integer(accessor, "count", place, minimum=1)
+    return accessors[number].shape(place)
 
 
 @dataclass
@@ -266,14 +263,13 @@ def declared(
 
     Raises InputError if the attributes ``inside`` the stream have different counts or no accessor.
     """
-    accessors = document.objects("accessors")
-    attributes = member(primitive, "attributes", place)
+    asset, attributes = document.asset, member(primitive, "attributes", place)
     vertices, size = 0, 0
     for name in inside:
-        number = index(attributes, name, len(accessors), place.at(name))
-        if number is None:
+        accessor = asset.accessor(attributes, name, place.at(name))
+        if accessor is None:
             raise InputError(f"its {EXTENSION} has {name}, but the primitive does not", place)
-        count = integer(accessors[number], "count", place.at(name), minimum=1)
+        count = accessor.count(place.at(name))
         if vertices not in {0, count}:
             from skinbake.gltf.codecs.draco_stream import REMEDY
 
@@ -282,12 +278,10 @@ def declared(
                 f"{vertices:,}{REMEDY}",
                 place,
             )
-        accessor = accessors[number]
-        kind, dtype = accessor.get("type"), component_dtype(accessor)
-        components = COMPONENTS.get(kind, 0) if isinstance(kind, str) else 0
-        vertices, size = count, size + count * (components * (dtype.itemsize if dtype is not None else 0))
-    corners = index(primitive, "indices", len(accessors), place.at("indices"))
+        itemsize = 0 if accessor.dtype is None else accessor.dtype.itemsize
+        vertices, size = count, size + count * (accessor.components or 0) * itemsize
+    corners = asset.accessor(primitive, "indices", place.at("indices"))
     if vertices == 0 or corners is None:
         raise InputError(f"its {EXTENSION} has no attributes, or the primitive has no indices", place)
-    count = integer(accessors[corners], "count", place.at("indices"), minimum=1)
+    count = corners.count(place.at("indices"))
     return vertices, count, size + 4 * count

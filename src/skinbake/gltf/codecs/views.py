@@ -1,17 +1,15 @@
-"""The bytes of buffer views, decompressed if meshopt compressed them, and the types of accessors.
+"""The bytes of buffer views, decompressed if meshopt compressed them.
 
 Source: glTF 2.0, §3.6.2.
 """
 
 from __future__ import annotations
 
-import numpy as np
-
 from skinbake.errors import InputError, Place
 from skinbake.gltf.budget import Work
 from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import Document, once_a_document
-from skinbake.gltf.json_access import JsonObject, index, integer, reference
+from skinbake.gltf.json_access import JsonObject, index, integer
 from skinbake.gltf.resources import is_data_uri
 
 
@@ -70,32 +68,3 @@ def bytes_beside(document: Document) -> int:
         and not meshopt.is_fallback(buffer, document.place)
     ]
     return sum(len(document.buffer(number)) for number in beside)
-
-
-COMPONENT_TYPES: dict[int, np.dtype[np.generic]] = {
-    5120: np.dtype("<i1"),
-    5121: np.dtype("<u1"),
-    5122: np.dtype("<i2"),
-    5123: np.dtype("<u2"),
-    5125: np.dtype("<u4"),
-    5126: np.dtype("<f4"),
-}
-COMPONENT_CODES = {dtype: code for code, dtype in COMPONENT_TYPES.items()}
-COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-TYPES = {count: name for name, count in COMPONENTS.items()}
-
-COMPONENT_NAMES = {
-    5120: "BYTE",
-    5121: "UNSIGNED_BYTE",
-    5122: "SHORT",
-    5123: "UNSIGNED_SHORT",
-    5125: "UNSIGNED_INT",
-    5126: "FLOAT",
-}
-MATRIX_ROWS = {"MAT2": 2, "MAT3": 3, "MAT4": 4}
-
-
-def component_dtype(holder: JsonObject) -> np.dtype[np.generic] | None:
-    """Return the dtype of an object's ``componentType``, None if glTF does not define it."""
-    code = reference(holder.get("componentType"))
-    return None if code is None else COMPONENT_TYPES.get(code)

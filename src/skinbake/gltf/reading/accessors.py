@@ -10,11 +10,12 @@ import numpy.typing as npt
 
 from skinbake.errors import InputError, Place
 from skinbake.geometry.skinned import Float64Array, FloatArray
+from skinbake.gltf.asset import Shape, component_dtype
 from skinbake.gltf.budget import Work
 from skinbake.gltf.codecs import draco
-from skinbake.gltf.codecs.views import COMPONENT_NAMES, COMPONENTS, MATRIX_ROWS, component_dtype, view_bytes
+from skinbake.gltf.codecs.views import view_bytes
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, index, integer, member, shown
+from skinbake.gltf.json_access import JsonObject, index, integer, member
 from skinbake.wording import counted, one_or_many
 
 
@@ -57,21 +58,22 @@ def read_accessor(document: Document, number: int, place: Place) -> StoredArray:
     not align them. Raises InputError if the accessor, its buffer view, its buffer and the bytes contradict
     each other.
     """
-    accessor = document.objects("accessors")[number]
-    dtype = component_dtype(accessor)
-    kind = accessor.get("type")
-    components = COMPONENTS.get(kind) if isinstance(kind, str) else None
-    if dtype is None or components is None:
-        raise _unknown_format(accessor, number, place)
-    count = integer(accessor, "count", place, minimum=1)
-    values = draco.decoded_accessor(document, number, (dtype, components, count), place)
+    accessor = document.asset.accessors[number]
+    dtype, components, count = shape = accessor.shape(place)
+    values = draco.decoded_accessor(document, number, shape, place)
     if values is None:
-        values = _dense(document, number, (dtype, components, count), place)
-    if "sparse" in accessor:
-        values = _substituted(document, member(accessor, "sparse", place), values, place)
+        view = index(accessor.json, "bufferView", len(document.objects("bufferViews")), place)
+        if view is not None:
+            offset = integer(accessor.json, "byteOffset", place, default=0)
+            values = _view_array(document, view, offset, shape, place)
+        else:
+            document.budget.claim_zeros(count * components * dtype.itemsize, number, place)
+            values = np.zeros((count, components), dtype)
+    if "sparse" in accessor.json:
+        values = _substituted(document, member(accessor.json, "sparse", place), values, place)
     if not values.flags.aligned:  # glTF forbids this, and compiled code cannot read it
         values = values.copy()
-    return StoredArray(values, accessor.get("normalized") is True and dtype.kind != "f")
+    return StoredArray(values, accessor.is_normalized and dtype.kind != "f")
 
 
 def read_wide(document: Document, number: int, place: Place) -> Float64Array:
@@ -85,77 +87,17 @@ def read_wide(document: Document, number: int, place: Place) -> Float64Array:
 
 def read_attribute(document: Document, attributes: Mapping[str, Any], name: str, place: Place) -> StoredArray:
     """Return the elements of the accessor to which an object maps an attribute; InputError without one."""
-    number = index(attributes, name, len(document.objects("accessors")), place)
-    if number is None:
+    accessor = document.asset.accessor(attributes, name, place)
+    if accessor is None:
         raise InputError(f"it has no {name}", place)
-    return read_accessor(document, number, place)
-
-
-def described(document: Document, number: int, place: Place) -> tuple[str, int]:
-    """Return the format of an accessor, like ``VEC3 FLOAT``, and its size in bytes when tightly packed.
-
-    Does not read the data. Raises InputError if glTF does not allow its type or count.
-    """
-    accessor = document.objects("accessors")[number]
-    kind, dtype = accessor.get("type"), component_dtype(accessor)
-    rows = MATRIX_ROWS.get(kind) if isinstance(kind, str) else None
-    components = COMPONENTS.get(kind) if isinstance(kind, str) and rows is None else rows
-    if dtype is None or components is None:
-        raise _unknown_format(accessor, number, place)
-    column = components * dtype.itemsize
-    size = column if rows is None else rows * (column + -column % 4)  # glTF aligns the columns of matrices
-    name = COMPONENT_NAMES[accessor["componentType"]]
-    suffix = " normalised" if accessor.get("normalized") is True else ""
-    return f"{kind} {name}{suffix}", size * integer(accessor, "count", place, minimum=1)
-
-
-def is_small_matrix(accessor: JsonObject) -> bool:
-    """Tell whether an accessor has the type of matrices that are not read: MAT2 or MAT3.
-
-    Only attributes of applications have it. The columns are aligned to 4 bytes.
-    """
-    kind = accessor.get("type")
-    return isinstance(kind, str) and kind in MATRIX_ROWS and kind not in COMPONENTS
-
-
-def element_count(document: Document, number: int, place: Place) -> int:
-    """Return the declared number of elements of an accessor, without reading its data."""
-    return integer(document.objects("accessors")[number], "count", place, minimum=1)
-
-
-def _unknown_format(accessor: JsonObject, number: int, place: Place) -> InputError:
-    kind, code = accessor.get("type"), accessor.get("componentType")
-    missing = [f'"{key}"' for key in ("type", "componentType") if key not in accessor]
-    if missing:
-        return InputError(f"accessor {number} has no {' and no '.join(missing)}", place)
-    known = isinstance(kind, str) and kind in MATRIX_ROWS and component_dtype(accessor) is not None
-    verdict = "is not allowed here" if known else "glTF does not define"
-    return InputError(
-        f"accessor {number} has type {shown(kind)} of component type {shown(code)}, which {verdict}", place
-    )
-
-
-def _dense(
-    document: Document,
-    number: int,
-    shape: tuple[np.dtype[np.generic], int, int],
-    place: Place,
-) -> npt.NDArray[np.generic]:
-    dtype, components, count = shape
-    accessor, views = document.objects("accessors")[number], document.objects("bufferViews")
-    view_index = index(accessor, "bufferView", len(views), place)
-    if view_index is not None:
-        offset = integer(accessor, "byteOffset", place, default=0)
-        return _view_array(document, view_index, offset, shape, place)
-    document.budget.claim_zeros(count * components * dtype.itemsize, number, place)
-    return np.zeros((count, components), dtype)
+    return read_accessor(document, accessor.number, place)
 
 
 def _view_array(
     document: Document,
     view_index: int,
     offset: int,
-    shape: tuple[np.dtype[np.generic], int, int],
+    shape: Shape,
     place: Place,
 ) -> npt.NDArray[np.generic]:
     dtype, components, count = shape
@@ -189,11 +131,8 @@ def _substituted(
     dtype = component_dtype(where)
     if dtype is None or dtype.kind != "u":
         raise InputError("the indices of a sparse accessor are not unsigned integers", place)
-    views = document.objects("bufferViews")
-    index_view, value_view = (
-        index(where, "bufferView", len(views), place),
-        index(what, "bufferView", len(views), place),
-    )
+    count_of_views = len(document.objects("bufferViews"))
+    index_view, value_view = (index(holder, "bufferView", count_of_views, place) for holder in (where, what))
     if index_view is None or value_view is None:
         raise InputError("a sparse accessor names no buffer view for its indices or values", place)
     offsets = integer(where, "byteOffset", place, default=0), integer(what, "byteOffset", place, default=0)

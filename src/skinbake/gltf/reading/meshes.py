@@ -11,19 +11,17 @@ import numpy.typing as npt
 from skinbake.errors import InputError, Notice, Place, Skipped, UnsupportedFeatureError, skipped
 from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive, not_finite
 from skinbake.geometry.triangles import TRIANGLE_FAN, TRIANGLES, unrolled
-from skinbake.gltf.asset import PrimitiveSource
+from skinbake.gltf.asset import Accessor, PrimitiveSource
 from skinbake.gltf.budget import Work
 from skinbake.gltf.codecs import draco, meshopt
-from skinbake.gltf.codecs.views import component_dtype
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import (
     LARGEST_INTEGER,
-    index,
     integer,
     member,
     reference,
 )
-from skinbake.gltf.reading.accessors import StoredArray, element_count, read_accessor
+from skinbake.gltf.reading.accessors import StoredArray, read_accessor
 from skinbake.gltf.reading.materials import UNLIT, material_of
 from skinbake.wording import counted, one_or_many
 
@@ -178,10 +176,10 @@ def reason_to_skip(document: Document, source: PrimitiveSource, *, generate_norm
 
     Raises InputError if its JSON refers to missing accessors, or is not valid glTF.
     """
-    count = len(document.objects("accessors"))
+    asset = document.asset
     for name in source.attributes:
-        index(source.attributes, name, count, source.place)
-    index(source.json, "indices", count, source.place)
+        asset.accessor(source.attributes, name, source.place)
+    corners = asset.accessor(source.json, "indices", source.place)
     member(member(source.json, "extensions", source.place), draco.EXTENSION, source.place)
     mode = integer(source.json, "mode", source.place, default=TRIANGLES)
     if mode > TRIANGLE_FAN:
@@ -197,7 +195,8 @@ def reason_to_skip(document: Document, source: PrimitiveSource, *, generate_norm
     if "NORMAL" not in source.attributes and not generate_normals and not unlit:
         reason = "it has no NORMAL; bake --generate-normals adds smooth ones"
         return skipped("no-normals", source.place, reason)
-    if _triangle_count(document, source, mode) == 0:
+    corners = corners or asset.accessor(source.attributes, "POSITION", source.place.at("POSITION"))
+    if corners is None or corners.count(source.place) < 3:
         return skipped("no-triangles", source.place, "it has no whole triangle")
     if unlit:
         reason = f"no light reaches it, because its material is unlit ({UNLIT})"
@@ -211,15 +210,6 @@ def has_surface(document: Document, source: PrimitiveSource) -> bool:
     return reason is None or reason.code == "unlit"
 
 
-def _triangle_count(document: Document, source: PrimitiveSource, mode: int) -> int:
-    """Return the number of drawn triangles, from the number of indices or vertices alone."""
-    number = index(source.json, "indices", len(document.objects("accessors")), source.place)
-    if number is None:
-        number = _accessor_index(document, source, "POSITION")
-    count = element_count(document, number, source.place)
-    return count // 3 if mode == TRIANGLES else max(count - 2, 0)
-
-
 def parts_not_plain(
     document: Document, source: PrimitiveSource, whole: Container[str], floats: Container[str], *, moved: bool
 ) -> set[str]:
@@ -228,28 +218,25 @@ def parts_not_plain(
     They are compressions, and attributes of those in ``whole`` and ``floats`` that sparse accessors replace;
     those in ``floats`` that are not floats too. moved: its morph targets count. The primitive has been read.
     """
-    accessors, views = document.objects("accessors"), document.objects("bufferViews")
+    accessors, views = document.asset.accessors, document.objects("bufferViews")
     found = set[str]() if draco.extension_of(source.json) is None else {draco.EXTENSION}
     for attributes in (source.attributes, *(source.whole_targets if moved else ())):
         for name, number in attributes.items():
             if name not in whole and name not in floats:
                 continue
             accessor = accessors[number]
-            view = reference(accessor.get("bufferView"))
+            view = reference(accessor.json.get("bufferView"))
             found |= set() if view is None else {*meshopt.extensions_of(views[view], source.place)}
-            found |= {f"sparse {name}"} if "sparse" in accessor else set()
-            if name in floats and component_dtype(accessor) != np.float32:
+            found |= {f"sparse {name}"} if "sparse" in accessor.json else set()
+            if name in floats and accessor.dtype != np.float32:
                 found.add(f"quantised {name}")
     return found
 
 
 def has_float_tangents(document: Document, source: PrimitiveSource) -> bool:
     """Tell whether a primitive stores TANGENT as floats; InputError if it names no accessor."""
-    accessors = document.objects("accessors")
-    number = index(source.attributes, "TANGENT", len(accessors), source.place)
-    if number is None:
-        return False
-    return component_dtype(accessors[number]) == np.float32
+    accessor = document.asset.accessor(source.attributes, "TANGENT", source.place)
+    return accessor is not None and accessor.dtype == np.float32
 
 
 def read_primitive(document: Document, source: PrimitiveSource) -> SkinnedPrimitive:
@@ -334,14 +321,12 @@ def read_triangles(document: Document, source: PrimitiveSource) -> npt.NDArray[n
 def read_indices(document: Document, source: PrimitiveSource) -> IntArray:
     """Return the indices (N,) of the primitive, 0 … V − 1 without any; InputError for an index ≥ V."""
     place = source.place.at("indices")
-    count = element_count(
-        document, _accessor_index(document, source, "POSITION"), source.place.at("POSITION")
-    )
-    number = index(source.json, "indices", len(document.objects("accessors")), place)
-    if number is None:
+    count = _accessor(document, source, "POSITION").count(source.place.at("POSITION"))
+    corners = document.asset.accessor(source.json, "indices", place)
+    if corners is None:
         document.budget.claim(Work(bytes=4 * count), "its indices", place)
         return np.arange(count, dtype=np.uint32)
-    stored = read_accessor(document, number, place).values
+    stored = read_accessor(document, corners.number, place).values
     if stored.dtype.kind != "u" or stored.shape[1] != 1:
         raise InputError("indices must be scalars of an unsigned integer type", place)
     indices: IntArray = stored[:, 0]  # type: ignore[assignment]  # unsigned: checked above
@@ -352,23 +337,22 @@ def read_indices(document: Document, source: PrimitiveSource) -> IntArray:
     return indices
 
 
-def _accessor_index(document: Document, source: PrimitiveSource, attribute: str) -> int:
-    place = source.place.at(attribute)
-    number = index(source.attributes, attribute, len(document.objects("accessors")), place)
-    if number is None:  # pragma: no cover: refused before
+def _accessor(document: Document, source: PrimitiveSource, attribute: str) -> Accessor:
+    accessor = document.asset.accessor(source.attributes, attribute, source.place.at(attribute))
+    if accessor is None:  # pragma: no cover: refused before
         raise InputError(f"it has no {attribute}", source.place)
-    return number
+    return accessor
 
 
 def _stored(
     document: Document, source: PrimitiveSource, attribute: str, components: int, count: int | None = None
 ) -> StoredArray:
     place = source.place.at(attribute)
-    number = _accessor_index(document, source, attribute)
-    declared = element_count(document, number, place)
+    accessor = _accessor(document, source, attribute)
+    declared = accessor.count(place)
     if count is not None and declared != count:
         raise InputError(f"it has {counted(declared, 'element')}, POSITION has {count:,}", place)
-    stored = read_accessor(document, number, place)
+    stored = read_accessor(document, accessor.number, place)
     check_format(stored, attribute, components, place)
     return stored
 

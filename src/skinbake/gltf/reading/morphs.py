@@ -16,8 +16,8 @@ from skinbake.geometry.morphs import (
 from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Work
 from skinbake.gltf.document import Document, once_a_document
-from skinbake.gltf.json_access import JsonObject, index
-from skinbake.gltf.reading.accessors import element_count, read_accessor
+from skinbake.gltf.json_access import JsonObject
+from skinbake.gltf.reading.accessors import read_accessor
 from skinbake.gltf.reading.meshes import FLOAT, NORMALISED_SIGNED, Formats, check_format, refuse_not_finite
 from skinbake.wording import counted
 
@@ -58,16 +58,17 @@ def targets_without_normal(document: Document, source: PrimitiveSource) -> list[
 
 def _moves(document: Document, source: PrimitiveSource, number: int, name: str) -> bool:
     """Tell whether a target changes an attribute at any vertex. Each accessor is read once for it."""
-    targets, accessors, known = source.targets, document.objects("accessors"), _known_to_move(document)
+    targets, asset, known = source.targets, document.asset, _known_to_move(document)
     place = source.place.at(f"{name} of morph target {number}")
-    accessor = index(targets[number], name, len(accessors), place)
-    if (name, accessor) not in known:
-        vertices = index(source.attributes, "POSITION", len(accessors), place)
-        count = 0 if vertices is None else element_count(document, vertices, place)
+    accessor = asset.accessor(targets[number], name, place)
+    key = name, None if accessor is None else accessor.number
+    if key not in known:
+        vertices = asset.accessor(source.attributes, "POSITION", place)
+        count = 0 if vertices is None else vertices.count(place)
         with document.budget.passing():
             found = _differences(document, source, (number, name, 3), targets, count, {})
-        known[name, accessor] = len(found.rows) > 0
-    return known[name, accessor]
+        known[key] = len(found.rows) > 0
+    return known[key]
 
 
 @once_a_document
@@ -126,21 +127,22 @@ def _differences(
     """Return one attribute of one target; ``read`` caches the results by accessor."""
     number, name, components = which
     place = source.place.at(f"{name} of morph target {number}")
-    accessor = index(targets[number], name, len(document.objects("accessors")), place)
+    accessor = document.asset.accessor(targets[number], name, place)
     if accessor is None:
         return NO_DIFFERENCES
-    if (name, accessor) not in read:
-        declared = element_count(document, accessor, place)
+    key = name, accessor.number
+    if key not in read:
+        declared = accessor.count(place)
         if declared != count:
             raise InputError(f"it has {counted(declared, 'element')}, POSITION has {count:,}", place)
         with document.budget.passing():
-            stored = read_accessor(document, accessor, place)
+            stored = read_accessor(document, accessor.number, place)
             check_format(stored, name, components, place, formats=FORMATS, expected=EXPECTED)
             document.budget.claim(Work(bytes=stored.decoded_size), "its decoded values", place)
             values = stored.decoded()
             if name == "POSITION":
                 refuse_not_finite(values, "values", place)
-            read[name, accessor] = Differences.of(values)
-        kept = read[name, accessor]
+            read[key] = Differences.of(values)
+        kept = read[key]
         document.budget.claim(Work(bytes=kept.rows.nbytes + kept.values.nbytes), "its differences", place)
-    return read[name, accessor]
+    return read[key]

@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from skinbake.files import Bytes
 from skinbake.gltf import resources
+from skinbake.gltf.asset import COMPONENT_CODES, TYPES
 from skinbake.gltf.codecs import meshopt
-from skinbake.gltf.codecs.views import COMPONENT_CODES, TYPES
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, integer
 from skinbake.gltf.writing.references import check_views, refuse_dangling

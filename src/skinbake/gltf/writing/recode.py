@@ -34,7 +34,7 @@ from skinbake.gltf.json_access import (
     reference,
     text,
 )
-from skinbake.gltf.reading.accessors import is_small_matrix, read_accessor
+from skinbake.gltf.reading.accessors import read_accessor
 from skinbake.gltf.reading.meshes import check_format, read_indices
 from skinbake.gltf.writing.additions import Additions, Packed
 from skinbake.gltf.writing.references import uses_of_accessors
@@ -168,12 +168,12 @@ def _decompress(recoder: _Recoder) -> None:
         others = {key: value for key, value in view["extensions"].items() if key not in names}
         recoder.set_view(number, {**kept, **data, **({"extensions": others} if others else {})})
         opened.add(number)
-    for number, accessor in enumerate(document.objects("accessors")):
-        if number in done or is_small_matrix(accessor):
+    for number, accessor in enumerate(document.asset.accessors):
+        if number in done or accessor.is_small_matrix:
             continue
-        if reference(accessor.get("bufferView")) in opened and "min" in accessor:
+        if reference(accessor.json.get("bufferView")) in opened and "min" in accessor.json:
             values = read_accessor(document, number, document.place).values
-            recoder.accessors[number] = {**accessor, **_bounds(accessor, values)}
+            recoder.accessors[number] = {**accessor.json, **_bounds(accessor.json, values)}
 
 
 def _draco_primitives(document: Document) -> Iterator[tuple[Place, JsonObject]]:
@@ -223,7 +223,7 @@ def _into_meshopt(recoder: _Recoder, sources: list[PrimitiveSource], compression
             recoder.require(name)
             _leave_draco(recoder, source.place, source.json, packed, done)
         for number, is_index in _accessors_of(document, source):
-            stays = not is_index and is_small_matrix(recoder.accessors[number])
+            stays = not is_index and document.asset.accessors[number].is_small_matrix
             if number not in done and not stays and not _is_packed(document, number, source.place):
                 recoder.require(name)
                 members: JsonObject = {}
@@ -238,12 +238,11 @@ def _into_meshopt(recoder: _Recoder, sources: list[PrimitiveSource], compression
 
 def _accessors_of(document: Document, source: PrimitiveSource) -> Iterator[tuple[int, bool]]:
     """Yield the accessors of a primitive's attributes, then of its indices, and whether it is the indices."""
-    count = len(document.objects("accessors"))
     for holder, keys in ((source.attributes, tuple(source.attributes)), (source.json, ("indices",))):
         for key in keys:
-            number = index(holder, key, count, source.place)
-            if number is not None:
-                yield number, holder is source.json
+            accessor = document.asset.accessor(holder, key, source.place)
+            if accessor is not None:
+                yield accessor.number, holder is source.json
 
 
 def _is_packed(document: Document, number: int, place: Place) -> bool:
@@ -307,23 +306,18 @@ def _reason_against_draco(
         return "it has no POSITION"
     if len(chosen) > draco.MOST_ATTRIBUTES:
         return f"it has {len(chosen)} attributes"
-    accessors = document.objects("accessors")
     for name in chosen:
-        number = index(source.attributes, name, len(accessors), source.place)
-        reason = None if number is None else _reason_against_type(name, accessors[number])
-        if reason is not None:
-            return reason
-    return None
-
-
-def _reason_against_type(name: str, accessor: JsonObject) -> str | None:
-    """Return the reason why an attribute cannot be written to Draco because of its type, None if it can."""
-    if is_small_matrix(accessor):
-        return f"its {name} has the type {accessor['type']}, which is not stored in Draco"
-    if accessor.get("componentType") in SIGNED and name != "POSITION":
-        return f"its {name} are signed integers, which the encoder cannot store"
-    if accessor.get("componentType") == UNSIGNED_INT:
-        return f"its {name} has 32-bit integers, for which Draco would need gigabytes of memory"
+        accessor = document.asset.accessor(source.attributes, name, source.place)
+        kind = None if accessor is None else accessor.json.get("componentType")
+        reason = ""
+        if accessor is not None and accessor.is_small_matrix:
+            reason = f"has the type {accessor.json['type']}, which is not stored in Draco"
+        elif kind in SIGNED and name != "POSITION":
+            reason = "are signed integers, which the encoder cannot store"
+        elif kind == UNSIGNED_INT:
+            reason = "has 32-bit integers, for which Draco would need gigabytes of memory"
+        if reason:
+            return f"its {name} {reason}"
     return None
 
 
