@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skinbake.choices import USUAL_TRUTHS, PoseKind, Truth
+from skinbake.choices import PoseKind, Truth
 from skinbake.errors import BudgetError, InputError, Notice, Place
 from skinbake.freshness.baked_views import baked_views
 from skinbake.freshness.staleness import claim_freshness
@@ -20,8 +20,6 @@ from skinbake.gltf.reading.clips import Clip, read_clips
 from skinbake.gltf.reading.meshes import reason_to_skip, skinned_sources
 from skinbake.measure.angles import (
     IDENTITY_TOLERANCE,
-    METHODS,
-    NOT_MEASURED,
     MeasuredBlock,
     lighting_errors,
     not_rigid_joints,
@@ -31,8 +29,8 @@ from skinbake.measure.float32 import Rounding, rounding_of
 from skinbake.measure.options import VerifyOptions, limits_check
 from skinbake.measure.reliefs import ReliefTallies
 from skinbake.measure.scene import Draw, Scene
-from skinbake.measure.tally import ErrorTally
-from skinbake.report.verify import Check, ErrorFigures, Figures, FileVerdict, MorphCount, Normals, Worst
+from skinbake.measure.tally import Tallies
+from skinbake.report.verify import Check, Figures, FileVerdict, MorphCount, Normals
 from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.skinning.run import joints_in_use
 from skinbake.timing import stage, tell_steps
@@ -65,7 +63,7 @@ class Measurement:
         self.drawn: list[Draw] = []
         self._clips: Sequence[Clip] = ()
         self._done, self._total, self._identity = 0.0, 0, 0.0
-        self._tallies = FileTallies(options.truths)
+        self._tallies = Tallies(())
         self._at_rest: tuple[tuple[int, int, bool], Truths] | None = None
         self._morphed: dict[int, Morphing] = {}
         self._room = MORPHED_BYTES
@@ -101,11 +99,11 @@ class Measurement:
             name for draw in drawn for name in scaled_joints(draw.surface.rest, draw.poses)
         )
         self._total = sum(len(draw.poses.clips) for draw in drawn) * len(methods)
+        self._tallies = Tallies(view.source.place for draw in drawn for view in draw.surface.views)
         self._reliefs.expect(drawn)
         # The figures are checked to be finite.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             for method in methods:
-                self._tallies.expect(method, drawn)
                 for draw in drawn:
                     self._measure(method, draw, again=method != methods[-1])
             rounded = list(_rounded(drawn)) if "lbs" in methods else []
@@ -126,13 +124,31 @@ class Measurement:
             give_back_freed_memory()
         morphing = self._morphing(draw, again=again)
         truths = self._truths(draw, morphing)
+        poses, all_areas = draw.poses, draw.areas
+        places = (view.source.place for view in draw.surface.views)
+        first = self._tallies.begin(places, poses.clips, poses.times)
+
+        def counted(block: MeasuredBlock) -> Callable[[], None]:
+            """Count a block on one of several threads. Return what adds it on one thread, in their order."""
+            areas = all_areas[block.primitive][block.vertex : block.vertex + block.errors.shape[1]]
+            with stage("figures"):
+                found = kernel.count_errors(block.errors, areas, block.valid)
+            key = block.truth, method, block.lighting
+            start = first + block.primitive, block.pose, block.vertex
+
+            def add() -> None:
+                with stage("figures"):
+                    self._tallies.take(key, found, start)
+
+            return add
+
         identity = lighting_errors(
             draw.surface.operator,
             draw.surface.rest,
             draw.poses.joint_matrices,
             method,
             lambda add: add(),  # what the tallies return for a block
-            count=self._tallies.counting(method, draw),
+            count=counted,
             options=Options(self._options.cap, self._options.baseline),
             morphing=morphing,
             at_rest=truths,
@@ -175,18 +191,20 @@ class Measurement:
             tell_steps(round(self._done), self._total)
 
     def _verdict(self, drawn: Sequence[Draw], scaled: tuple[str, ...]) -> FileVerdict:
-        by_truth = {truth: self._tallies.figures(truth) for truth in self._options.truths}
+        measured = [truth for truth in self._options.truths if truth is not Truth.RELIEF]
+        figures: dict[Truth, Figures] = {truth: self._tallies.figures(truth) for truth in measured}
+        by_truth: dict[Truth, Normals] = {truth: one.whole for truth, one in figures.items()}
         reliefs = self._reliefs.reliefs()
-        if Truth.RELIEF in by_truth:
+        if Truth.RELIEF in self._options.truths:
             by_truth[Truth.RELIEF] = {} if reliefs is None else reliefs.by_normal.whole
         # Products of numbers near the largest float may overflow.
         found = [
-            figures
+            one
             for by_method in by_truth.values()
             for lightings in by_method.values()
-            for figures in lightings.values()
+            for one in lightings.values()
         ]
-        if not all(math.isfinite(figures.mean) and math.isfinite(figures.max) for figures in found):
+        if not all(math.isfinite(one.mean) and math.isfinite(one.max) for one in found):
             raise InputError(
                 "its positions, gradients and joint matrices are so large that their products overflow: "
                 "scale the model down",
@@ -209,92 +227,11 @@ class Measurement:
         return FileVerdict(
             self._document.name,
             tuple(checks),
-            {
-                truth: Figures(found, self._tallies.figures_of_primitives(truth))
-                for truth, found in by_truth.items()
-                if truth is not Truth.RELIEF
-            },
+            figures,
             described(self._options.poses, [draw.poses for draw in drawn], seconds),
             scaled,
             reliefs=reliefs,
         )
-
-
-_Tallies = dict[tuple[str, str], dict[str, ErrorTally]]
-"""Tallies by truth and method, then by lighting."""
-
-
-class FileTallies:
-    """Tallies of a file by truth, method and lighting: of the whole file, and of each primitive."""
-
-    def __init__(self, truths: Sequence[Truth] = USUAL_TRUTHS) -> None:
-        self._truths = truths
-        self._segments: list[tuple[Place, PoseSet]] = []  # of one primitive under one skin
-        self._whole: _Tallies = {}
-        self._by_place: dict[Place, _Tallies] = {}
-
-    def expect(self, method: str, drawn: Sequence[Draw]) -> None:
-        """Prepare to count the results of a method."""
-        places = dict.fromkeys(view.source.place for draw in drawn for view in draw.surface.views)
-        for truth in self._truths:
-            lightings = [one for one in METHODS[method] if (truth, one) not in NOT_MEASURED]
-            if method == "lbs" and any(draw.corrections for draw in drawn):
-                lightings.append("corrected")
-            self._whole[truth, method] = {one: ErrorTally() for one in lightings}
-            for place in places:
-                # A single primitive has the figures of the whole, so nothing is counted twice.
-                own = {one: ErrorTally() for one in lightings}
-                tallies = self._whole[truth, method] if len(places) == 1 else own
-                self._by_place.setdefault(place, {})[truth, method] = tallies
-
-    def counting(self, method: str, draw: Draw) -> Callable[[MeasuredBlock], Callable[[], None]]:
-        """Return what counts a block of a draw by a method. It returns what adds the count to the tallies.
-
-        Several threads may count. One thread adds, in the order of the blocks.
-        """
-        first, all_areas = len(self._segments), draw.areas
-        self._segments += [(view.source.place, draw.poses) for view in draw.surface.views]
-
-        def count(block: MeasuredBlock) -> Callable[[], None]:
-            areas = all_areas[block.primitive][block.vertex : block.vertex + block.errors.shape[1]]
-            start = first + block.primitive, block.pose, block.vertex
-            by_place = self._by_place[draw.surface.views[block.primitive].source.place]
-            whole, own = (one[block.truth, method][block.lighting] for one in (self._whole, by_place))
-            tallies = [whole] if own is whole else [whole, own]
-            with stage("figures"):
-                counted = kernel.count_errors(block.errors, areas, block.valid)
-
-            def add() -> None:
-                with stage("figures"):
-                    for tally in tallies:
-                        tally.take(counted, start)
-
-            return add
-
-        return count
-
-    def figures(self, truth: Truth) -> Normals:
-        """Return the figures of the whole file by one truth."""
-        return self._figures(self._whole, truth)
-
-    def figures_of_primitives(self, truth: Truth) -> tuple[tuple[Place, Normals], ...]:
-        """Return the figures of each primitive by one truth."""
-        return tuple((place, self._figures(tallies, truth)) for place, tallies in self._by_place.items())
-
-    def _figures(self, tallies: _Tallies, truth: str) -> Normals:
-        """Return the figures by one truth, by method and lighting. All poses weigh the same."""
-        result: Normals = {}
-        for (of, method), lightings in tallies.items():
-            for lighting, tally in lightings.items() if of == truth else ():
-                summary = tally.summary()
-                if summary is not None:
-                    (place, poses), pose = self._segments[summary.worst_part], summary.worst_pose
-                    clip, time = poses.clips[pose], poses.times[pose]
-                    worst = Worst(place, summary.worst_vertex, clip, time)
-                    result.setdefault(method, {})[lighting] = ErrorFigures(
-                        summary.mean, summary.p95, summary.p99, summary.max, worst, summary.weight
-                    )
-        return result
 
 
 def mirrored(drawn: Sequence[Draw]) -> Iterator[Notice]:

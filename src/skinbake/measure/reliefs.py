@@ -21,15 +21,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skinbake.choices import Baseline
-from skinbake.errors import Place
 from skinbake.freshness.baked_views import BakedView
 from skinbake.geometry.morphs import carried_by_normal
-from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
 from skinbake.gltf.document import Document
 from skinbake.gltf.reading.materials import material_of
 from skinbake.measure.scene import Draw
-from skinbake.measure.tally import ErrorTally
-from skinbake.report.verify import ErrorFigures, Figures, Normals, Reliefs, Worst
+from skinbake.measure.tally import Tallies
+from skinbake.report.verify import Reliefs
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Vector, cross, dot, plus_scaled, scaled
 from skinbake.skinning.normal_maps import engine_mapped_normal, in_frame, mapped_normal
@@ -77,13 +76,11 @@ class ReliefTallies:
 
     def __init__(self, document: Document, options: Options) -> None:
         self._document, self._options = document, options
-        self._places: dict[Place, None] = {}
-        self._tallies: dict[tuple[str, str, str], dict[Place | None, ErrorTally]] = {}
-        self._worst: list[tuple[Place, Draw, IntArray]] = []
+        self._tallies, self._is_measured = Tallies(()), False
 
     def expect(self, drawn: Sequence[Draw]) -> None:
         """Take the draws of the file."""
-        self._places = dict.fromkeys(
+        self._tallies = Tallies(
             draw.surface.views[number].source.place for draw in drawn for number in self._mapped(draw)
         )
 
@@ -102,8 +99,12 @@ class ReliefTallies:
         if not samples:
             return
         chosen = np.arange(0, len(draw.poses.clips), -(-samples // RELIEF_SAMPLES))
-        first = len(self._worst)
-        self._worst += [(view.source.place, draw, chosen) for view in draw.surface.views]
+        first = self._tallies.begin(
+            (view.source.place for view in draw.surface.views),
+            [draw.poses.clips[pose] for pose in chosen],
+            [draw.poses.times[pose] for pose in chosen],
+        )
+        self._is_measured = True
         size = max(1, min(CHUNK_POSES, CHUNK_SAMPLES // len(draw.surface.operator.positions)))
         size = 1 if morphing is not None else size
         for start in range(0, len(chosen), size):
@@ -116,38 +117,13 @@ class ReliefTallies:
                 view, areas = draw.surface.views[block.primitive], draw.areas[block.primitive][block.rows]
                 texel = _texels(view, draw.surface.rest[block.primitive], block.rows)
                 for kind, lighting, errors, valid in posed.errors(truths, block, texel):
-                    tallies = self._tallies.setdefault((kind, method, lighting), {})
                     counted = kernel.count_errors(errors, areas, valid)
-                    for key in (None, view.source.place):
-                        where = first + block.primitive, start, block.rows.start
-                        tallies.setdefault(key, ErrorTally()).take(counted, where)
+                    where = first + block.primitive, start, block.rows.start
+                    self._tallies.take((kind, method, lighting), counted, where)
 
     def reliefs(self) -> Reliefs | None:
         """Return the figures of what was measured; None if no primitive has a normal map with TANGENT."""
-        if not self._tallies:
-            return None
-        return Reliefs(
-            *(
-                Figures(
-                    self._normals(kind, None),
-                    tuple((place, self._normals(kind, place)) for place in self._places),
-                )
-                for kind in THIRDS
-            )
-        )
-
-    def _normals(self, wanted: str, key: Place | None) -> Normals:
-        result: Normals = {}
-        for (kind, method, lighting), tallies in self._tallies.items():
-            summary = tallies[key].summary() if kind == wanted and key in tallies else None
-            if summary is not None:
-                place, draw, chosen = self._worst[summary.worst_part]
-                pose = int(chosen[summary.worst_pose])
-                worst = Worst(place, summary.worst_vertex, draw.poses.clips[pose], draw.poses.times[pose])
-                result.setdefault(method, {})[lighting] = ErrorFigures(
-                    summary.mean, summary.p95, summary.p99, summary.max, worst
-                )
-        return result
+        return Reliefs(*map(self._tallies.figures, THIRDS)) if self._is_measured else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from skinbake.errors import Place
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
+from skinbake.report.verify import ErrorFigures, Figures, Normals, Worst
 from skinbake.truth import kernel
 from skinbake.truth.values import BINS_OF_OCTAVE, CountedErrors, end_of_bin
 
@@ -96,3 +99,47 @@ class ErrorTally:
             weight=self._weight,
             worst_part=part,
         )
+
+
+class Tallies:
+    """The errors of normals by truth, method and lighting: of a file, and of each of its primitives.
+
+    places are those of the primitives. Each is counted in parts: a primitive in the poses of one skin.
+    """
+
+    def __init__(self, places: Iterable[Place]) -> None:
+        self._places = tuple(dict.fromkeys(places))
+        self._parts: list[tuple[Place, Sequence[str], Sequence[float | None]]] = []
+        self._tallies: dict[tuple[str, str, str], dict[Place | None, ErrorTally]] = {}
+
+    def begin(self, places: Iterable[Place], clips: Sequence[str], times: Sequence[float | None]) -> int:
+        """Begin a part for each of the places, in poses of clips at times. Return the first part's number."""
+        first = len(self._parts)
+        self._parts += [(place, clips, times) for place in places]
+        return first
+
+    def take(self, key: tuple[str, str, str], counted: CountedErrors, start: tuple[int, int, int]) -> None:
+        """Add a counted block of a truth, a method and a lighting; start is that of ``ErrorTally.take``."""
+        tallies = self._tallies.setdefault(key, {})
+        # A single primitive has the figures of the whole, so nothing is counted twice.
+        places = [None, self._parts[start[0]][0]] if len(self._places) > 1 else [None]
+        for place in places:
+            tallies.setdefault(place, ErrorTally()).take(counted, start)
+
+    def figures(self, truth: str) -> Figures:
+        """Return the figures by one truth. All poses weigh the same."""
+        of_places: dict[Place | None, Normals] = {place: {} for place in (None, *self._places)}
+        for (of, method, lighting), tallies in self._tallies.items():
+            for place, tally in tallies.items() if of == truth else ():
+                summary = tally.summary()
+                if summary is not None:
+                    at, clips, times = self._parts[summary.worst_part]
+                    pose = summary.worst_pose
+                    worst = Worst(at, summary.worst_vertex, clips[pose], times[pose])
+                    of_places[place].setdefault(method, {})[lighting] = ErrorFigures(
+                        summary.mean, summary.p95, summary.p99, summary.max, worst, summary.weight
+                    )
+        whole = of_places.pop(None)
+        if len(self._places) == 1:
+            return Figures(whole, ((self._places[0], whole),))
+        return Figures(whole, tuple((place, of_places[place]) for place in self._places))
