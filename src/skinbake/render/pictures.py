@@ -62,19 +62,15 @@ def captioned(picture: Picture, sides: Sequence[str], look: Look) -> Picture:
         for number, lighting in enumerate(sides):
             draw.text((number * width + size, edge), lighting, INK, font, anchor="ls", **outlined)
     if has_scale:
-        last, bar = f"{look.legend:g}°", _bar(4 * size, size // 2)
+        # The colours of errors from the least to the largest.
+        places = np.linspace(0.0, len(STOPS) - 1.0, 4 * size)
+        channels = [np.interp(places, range(len(STOPS)), channel) for channel in np.array(STOPS).T]
+        colours: npt.NDArray[np.float64] = np.stack(channels, axis=1)
+        bar = np.tile(colours.round().astype(np.uint8), (size // 2, 1, 1))
+        last = f"{look.legend:g}°"
         right = len(sides) * width - size
         draw.text((right, edge), last, INK, font, anchor="rs", **outlined)
         left = right - round(draw.textlength(last, font)) - size // 2 - bar.shape[1]
         image.paste(Image.fromarray(bar), (left, edge - bar.shape[0] - size // 8))
         draw.text((left - size // 2, edge), "0°", INK, font, anchor="rs", **outlined)
     return np.asarray(image)
-
-
-def _bar(width: int, height: int) -> Picture:
-    """Return the colours of errors from the least to the largest, (H, W, 3)."""
-    places = np.linspace(0.0, len(STOPS) - 1.0, width)
-    colours: npt.NDArray[np.float64] = np.stack(
-        [np.interp(places, range(len(STOPS)), channel) for channel in np.array(STOPS).T], axis=1
-    )
-    return np.tile(colours.round().astype(np.uint8), (height, 1, 1))

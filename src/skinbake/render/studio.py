@@ -123,8 +123,22 @@ class Studio:
                 "depth_store_op": "discard",
             },
         )
-        for number, blends in self._passes(shot):
-            self._draw(step, number, shot, lighting, look, blends=blends)
+        # What blends is drawn after all others, the farthest first: what is solid of it, then the rest, which
+        # hides nothing.
+        blended = [number for number, one in enumerate(self._subjects) if one.material.is_blended]
+        if len(blended) > 1:
+            towards, nearness = self._camera.axes(shot.yaw)[2], {}
+            for number in blended:
+                subject = self._subjects[number]
+                moved = shot.morphed.get("standard", {}).get(number, subject.rest)
+                posed = BlendedPrimitive(moved, shot.matrices[subject.pose_set][None], Options())
+                places = posed.positions(slice(0, 1), slice(0, len(moved.positions)))[..., 0]
+                nearness[number] = float((places.min(axis=1) + places.max(axis=1)) / 2 @ towards)
+            blended.sort(key=nearness.__getitem__)
+        for number in [number for number in range(len(self._subjects)) if number not in blended] + blended:
+            self._draw(step, number, shot, lighting, look, blends=False)
+        for number in blended:
+            self._draw(step, number, shot, lighting, look, blends=True)
         step.end()
         self._device.queue.submit([encoder.finish()])
         data = self._device.queue.read_texture(
@@ -135,27 +149,6 @@ class Studio:
         )
         means: npt.NDArray[np.float32] = samples[..., :3].astype(np.float32).mean(axis=(1, 3))
         return means.round().astype(np.uint8)
-
-    def _passes(self, shot: Shot) -> list[tuple[int, bool]]:
-        """Return the numbers of the subjects as they are drawn, and whether what is not solid of each is.
-
-        What blends is drawn after all others, the farthest first: what is solid of it, then the rest, which
-        hides nothing.
-        """
-        blended = [number for number, one in enumerate(self._subjects) if one.material.is_blended]
-        if len(blended) > 1:
-            towards = self._camera.axes(shot.yaw)[2]
-            blended.sort(key=lambda number: float(self._middle(number, shot) @ towards))
-        solid = [number for number in range(len(self._subjects)) if number not in blended]
-        return [(number, False) for number in (*solid, *blended)] + [(number, True) for number in blended]
-
-    def _middle(self, number: int, shot: Shot) -> Float64Array:
-        """Return the middle (3,) of a subject in a pose."""
-        subject = self._subjects[number]
-        moved = shot.morphed.get("standard", {}).get(number, subject.rest)
-        posed = BlendedPrimitive(moved, shot.matrices[subject.pose_set][None], Options())
-        (positions,) = posed.positions(slice(0, 1), slice(0, len(moved.positions))).transpose(2, 1, 0)
-        return np.asarray((positions.min(axis=0) + positions.max(axis=0)) / 2)
 
     def _draw(self, step: Any, number: int, shot: Shot, lighting: str, look: Look, *, blends: bool) -> None:
         subject = self._subjects[number]
@@ -171,7 +164,9 @@ class Studio:
         views = (self._image(material.images.get(use), use).create_view() for use in IMAGES)
         bound = [*({"buffer": buffer} for buffer in buffers), *samplers, *views]
         step.set_index_buffer(self._indices[number], "uint32")
-        for culled in _culled(subject):
+        # The faces that each time are not drawn. Backs that blend are drawn first, as by three.js.
+        both = ["front", "back"] if blends else ["none"]
+        for culled in both if material.is_double or subject.is_mirrored else ["back"]:
             pipeline = self._pipeline(subject, lighting, culled)
             step.set_pipeline(pipeline)
             group = self._device.create_bind_group(
@@ -377,8 +372,14 @@ def shader(lighting: str, slots: int, mirrored: bool, frame: Frame = Frame.TANGE
     if not choices.normal_map:  # as in engines, standard lighting keeps no lengths
         columns = ["v.tangent", "v.bitangent"]
         if not is_own:
+            # What it makes of a vector at rest, from what it makes of the frame.
             across = "(tangent.w * cross(rest.normal, tangent.xyz))"
-            columns = [_of_frame(one) for one in ("tangent.xyz", across)]
+            columns = [
+                " + ".join(
+                    f"dot({vector}, rest.{name}) * v.{name}" for name in ("tangent", "bitangent", "normal")
+                )
+                for vector in ("tangent.xyz", across)
+            ]
         relief = [f"vec4<f32>(normalize({column}), 1.0)" for column in columns]
     words = {
         "row[TANGENT]": f"row[{first + 4 * len(sets)}]",
@@ -395,20 +396,6 @@ def shader(lighting: str, slots: int, mirrored: bool, frame: Frame = Frame.TANGE
     for word, value in words.items():
         scene = scene.replace(word, value)
     return shader_made(choices)[0] + scene
-
-
-def _of_frame(vector: str) -> str:
-    """Return what standard lighting makes of a vector at rest, from what it makes of the frame."""
-    parts = (f"dot({vector}, rest.{name}) * v.{name}" for name in ("tangent", "bitangent", "normal"))
-    return " + ".join(parts)
-
-
-def _culled(subject: Subject) -> list[str]:
-    """Return the faces that each time are not drawn. Backs that blend are drawn first, as by three.js."""
-    material = subject.material
-    if not material.is_double and not subject.is_mirrored:
-        return ["back"]
-    return ["front", "back"] if material.is_blended else ["none"]
 
 
 def _rows(subject: Subject, rest: RestPrimitive, errors: tuple[Any, Any] | None) -> npt.NDArray[np.float32]:

@@ -36,7 +36,8 @@ def thumbnail(surfaces: list[Posed], camera: Camera) -> bytes:
     matrix = camera.projected(YAW, width / height)
     grey = np.zeros(width * height)
     depths = np.full(width * height, np.inf)
-    towards = camera.axes(YAW)[2]
+    towards, light = camera.axes(YAW)[2], LIGHT / np.linalg.norm(LIGHT)
+    half = (light + towards) / np.linalg.norm(light + towards)
     # Positions may be of any size; what overflows lies outside the picture.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for surface in surfaces:
@@ -44,8 +45,14 @@ def thumbnail(surfaces: list[Posed], camera: Camera) -> bytes:
             clip = np.column_stack([surface.positions, np.ones(len(surface.positions))]) @ matrix.T
             places = (clip[:, :3] / clip[:, 3:] * [1, -1, 1] * 0.5 + 0.5) * [width, height, 1.0]
             for pixels, depth, triangles, shares in _fragments(places, surface.triangles, (width, height)):
-                normals = np.einsum("fk,fki->fi", shares, surface.normals[surface.triangles[triangles]])
-                shades = _shaded(normals, towards)
+                # Clay from 0 to 1: ambient, from above, diffuse and a highlight (Blinn 1977). A surface seen
+                # from behind is lit like its front.
+                n = np.einsum("fk,fki->fi", shares, surface.normals[surface.triangles[triangles]])
+                n /= np.linalg.norm(n, axis=1, keepdims=True)
+                n = np.where((n @ towards)[:, None] < 0, -n, n)
+                lit = 0.30 + 0.16 * n[:, 1] + 0.52 * np.maximum(n @ light, 0)
+                lit += 0.25 * np.maximum(n @ half, 0) ** 40
+                shades = np.clip(lit, 0, 1) ** (1 / 1.4)
                 sound = np.isfinite(shades) & np.isfinite(depth)
                 order = np.flatnonzero(sound)[np.argsort(-depth[sound], kind="stable")]
                 order = order[depth[order] < depths[pixels[order]]]
@@ -76,36 +83,21 @@ def _fragments(
         chosen = np.flatnonzero(seen & (extents > smallest) & (extents <= extent))
         step = max(1, AT_ONCE // extent**2)
         for start in range(0, len(chosen), step):
-            yield _covered(corners, chosen[start : start + step], low, extent, size)
+            some = chosen[start : start + step]
+            # All pixels of a square of this extent, and their places in the triangle: shares of the corners
+            # by the areas opposite to them. A pixel is inside where no share is negative.
+            y, x = (axis.ravel() for axis in np.mgrid[:extent, :extent])
+            px, py = low[some, 0, None] + x, low[some, 1, None] + y
+            (x0, y0), (x1, y1), (x2, y2) = (corners[some, corner, :2].T[..., None] for corner in range(3))
+            area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+            b1 = ((px + 0.5 - x0) * (y2 - y0) - (x2 - x0) * (py + 0.5 - y0)) / area
+            b2 = ((x1 - x0) * (py + 0.5 - y0) - (px + 0.5 - x0) * (y1 - y0)) / area
+            shares = np.stack([1 - b1 - b2, b1, b2], axis=-1)
+            inside = (shares >= 0).all(axis=-1) & (px < size[0]) & (py < size[1])
+            owners, kept = some[np.nonzero(inside)[0]], shares[inside]
+            depth = np.einsum("fk,fk->f", kept, corners[owners, :, 2])
+            yield (py[inside] * size[0] + px[inside]).astype(np.intp), depth, owners, kept
         smallest, extent = extent, 2 * extent
-
-
-def _covered(
-    corners: Float64Array, chosen: IntArray, low: Float64Array, extent: int, size: tuple[int, int]
-) -> tuple[IntArray, Float64Array, IntArray, Float64Array]:
-    """Return the fragments of triangles that fit into a square of this many pixels."""
-    y, x = (axis.ravel() for axis in np.mgrid[:extent, :extent])
-    px, py = low[chosen, 0, None] + x, low[chosen, 1, None] + y
-    (x0, y0), (x1, y1), (x2, y2) = (corners[chosen, corner, :2].T[..., None] for corner in range(3))
-    area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
-    b1 = ((px + 0.5 - x0) * (y2 - y0) - (x2 - x0) * (py + 0.5 - y0)) / area
-    b2 = ((x1 - x0) * (py + 0.5 - y0) - (px + 0.5 - x0) * (y1 - y0)) / area
-    shares = np.stack([1 - b1 - b2, b1, b2], axis=-1)
-    inside = (shares >= 0).all(axis=-1) & (px < size[0]) & (py < size[1])
-    owners, _ = np.nonzero(inside)
-    kept = shares[inside]
-    depth = np.einsum("fk,fk->f", kept, corners[chosen[owners], :, 2])
-    return (py[inside] * size[0] + px[inside]).astype(np.intp), depth, chosen[owners], kept
-
-
-def _shaded(normals: Float64Array, towards: Float64Array) -> Float64Array:
-    """Return shades (F,) from 0 to 1 of clay; a surface seen from behind is lit like its front."""
-    n = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    n = np.where((n @ towards)[:, None] < 0, -n, n)
-    light = LIGHT / np.linalg.norm(LIGHT)
-    half = (light + towards) / np.linalg.norm(light + towards)
-    lit = 0.30 + 0.16 * n[:, 1] + 0.52 * np.maximum(n @ light, 0) + 0.25 * np.maximum(n @ half, 0) ** 40
-    return np.asarray(np.clip(lit, 0, 1) ** (1 / 1.4))
 
 
 def png(pixels: npt.NDArray[np.uint8]) -> bytes:
