@@ -1,101 +1,73 @@
-"""The clip and the moment on which pictures and pages open, and the side from which they show a character."""
+"""What a scene draws: its surfaces, the skins that draw them, and their poses, alike for all who ask."""
 
 from __future__ import annotations
 
-import copy
-import re
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fixtures.builder import JsonObject
-from skinbake.commands.view import view_file
 from skinbake.freshness.baked_views import sound_views
+from skinbake.freshness.staleness import surface_operator
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.document import read_document
-from skinbake.gltf.reading.clips import RANDOM, read_clips
+from skinbake.gltf.reading.clips import read_clips
 from skinbake.measure.scene import Scene
+from skinbake.truth.poses import PoseRequest
 from tests.support.models import bake, edited
 
 TUBE = "bent_tube.glb"
-STRAIGHT, BENT = 0.0, 0.5
-"""Times of the clip "bend": at 0.5 s it bends the tube by 90°, its most."""
+BENT = 0.5
+"""The time of the clip "bend" at which it bends the tube by 90°, its most."""
 
 
-def opened(path: Path) -> tuple[int, float]:
-    """Return the number of the animation and the time on which the page of a file opens."""
-    given = re.search(rb'"places":\[\{"clip":(-?\d+),"time":([\d.e-]+)', view_file(str(path)).page)
-    assert given is not None
-    return int(given[1]), float(given[2])
+def scene_of(path: Path, folder: Path, **options: object) -> Scene:
+    """Bake a file, and return its scene with the operators of the bake."""
+    bake(path, folder / "baked.glb", **options)
+    document = read_document(str(folder / "baked.glb"))
+    return Scene.of_bakes(document, sound_views(document))
 
 
-def held(time: float, name: str = "RESET") -> Callable[[JsonObject], JsonObject]:
-    """Return a function that makes a clip which holds the pose of a time of the clip "bend"."""
-
-    def made(content: JsonObject) -> JsonObject:
-        clip = copy.deepcopy(content["animations"][-1])
-        for sampler in clip["samplers"]:
-            key = round(time * 24)
-            for member, size in (("input", 4), ("output", 16)):
-                accessor = copy.deepcopy(content["accessors"][sampler[member]])
-                accessor["count"] = 1
-                accessor.pop("min", None), accessor.pop("max", None)
-                accessor["byteOffset"] = accessor.get("byteOffset", 0) + size * key
-                sampler[member] = len(content["accessors"])
-                if member == "input":
-                    accessor |= {"min": [key / 24], "max": [key / 24]}
-                content["accessors"].append(accessor)
-        return {**clip, "name": name}
-
-    return made
+def test_a_draw_has_the_same_pose_measured_and_shown(tmp_path: Path) -> None:
+    scene = scene_of(edited(TUBE, tmp_path, lambda content: None), tmp_path)
+    clips = read_clips(scene.document)
+    (measured,), (shown,) = scene.measured(clips, PoseRequest(samples=5)), scene.shown()
+    times = np.array(measured.poses.times, dtype=np.float64)
+    assert len(np.unique(times)) == 5
+    assert np.array_equal(shown.at(clips[0], times).matrices, measured.matrices)
+    assert shown.matrices.shape == (1, *measured.matrices.shape[1:])  # at rest
 
 
-def empty(content: JsonObject) -> JsonObject:
-    return {"name": "empty", "channels": [], "samplers": []}
+def test_all_skins_draw_the_arrays_of_one_surface(tmp_path: Path) -> None:
+    def change(content: JsonObject) -> None:
+        [skin] = content["skins"]
+        content["skins"].append({**skin, "joints": skin["joints"][::-1]})
+        content["nodes"].append({"mesh": 0, "skin": 1})
+        content["scenes"][0]["nodes"].append(len(content["nodes"]) - 1)
+
+    scene = scene_of(edited(TUBE, tmp_path, change), tmp_path)
+    for draws in (scene.measured(read_clips(scene.document), PoseRequest()), scene.shown()):
+        assert [draw.skin for draw in draws] == [0, 1]
+        assert draws[0].surface is draws[1].surface
 
 
-@pytest.mark.parametrize(
-    "first", [[held(STRAIGHT)], [empty, held(STRAIGHT)], [held(STRAIGHT, f"{n}") for n in range(45)], []]
-)
-def test_the_clip_that_bends_is_shown_where_it_bends_most(
-    tmp_path: Path, first: list[Callable[[JsonObject], JsonObject]]
+@pytest.mark.parametrize(("crease", "serves"), [(15.0, True), (60.0, False)])
+def test_an_operator_of_a_bake_serves_again_with_the_settings_of_the_truths(
+    tmp_path: Path, crease: float, serves: bool
 ) -> None:
-    def change(content: JsonObject) -> None:
-        content["animations"] = [*(clip(content) for clip in first), *content["animations"]]
-
-    number, time = opened(edited(TUBE, tmp_path, change))
-    assert number == len(first)
-    assert abs(time - BENT) < 0.08  # it may show more a little before or after, seen from elsewhere
-
-
-@pytest.mark.parametrize(("more", "number"), [([], RANDOM), ([held(BENT)], RANDOM), ([empty, None], 3)])
-def test_random_poses_are_shown_if_all_clips_stand_still(
-    tmp_path: Path, more: list[Callable[[JsonObject], JsonObject] | None], number: int
-) -> None:
-    """The clip of None is the one that moves."""
-
-    def change(content: JsonObject) -> None:
-        clips = [held(STRAIGHT)(content), held(BENT)(content)]
-        (moving,) = content["animations"]
-        content["animations"] = [*clips, *(moving if one is None else one(content) for one in more)]
-
-    assert opened(edited(TUBE, tmp_path, change))[0] == number
-
-
-def test_of_equal_clips_the_first_is_shown(tmp_path: Path) -> None:
-    def change(content: JsonObject) -> None:
-        content["animations"] *= 3
-
-    assert opened(edited(TUBE, tmp_path, change))[0] == 0
+    bake(edited(TUBE, tmp_path, lambda content: None), tmp_path / "baked.glb", crease_angle=crease)
+    document = read_document(str(tmp_path / "baked.glb"))
+    views = sound_views(document)
+    operator = surface_operator(document, views)
+    (surface,) = Scene.of_bakes(document, views, [operator]).surfaces
+    assert (surface.operator is operator) is serves
 
 
 def matrices_of(path: Path, folder: Path) -> Float64Array:
     """Return the joint matrices (J, 4, 4) of a file as it is drawn at the first key of its clip."""
-    bake(path, folder / "baked.glb")
-    document = read_document(str(folder / "baked.glb"))
-    (draw,), (clip,) = Scene(document, sound_views(document)).shown(), read_clips(document)
+    scene = scene_of(path, folder)
+    (draw,), (clip,) = scene.shown(), read_clips(scene.document)
     matrices: Float64Array = draw.at(clip, np.array([BENT])).matrices[0]
     return matrices
 
@@ -151,9 +123,7 @@ def test_only_pairs_of_mesh_and_skin_that_the_shown_scene_has_are_drawn(
             content["scenes"].append({"nodes": [*roots, *range(first, first + len(pairs))]})
         content["scene"] = 1
 
-    bake(edited(TUBE, tmp_path, change), tmp_path / "baked.glb")
-    document = read_document(str(tmp_path / "baked.glb"))
-    draws = Scene(document, sound_views(document)).shown()
+    draws = scene_of(edited(TUBE, tmp_path, change), tmp_path).shown()
     drawn = {
         (view.source.mesh, int(draw.skeleton.joints[0])) for draw in draws for view in draw.surface.views
     }
