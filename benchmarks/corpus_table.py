@@ -77,7 +77,7 @@ def corpus_folders() -> list[Path]:
 
 def verified(target: str, options: VerifyOptions) -> FileVerdict:
     """Return the verdict on a file, with an error where it cannot be verified."""
-    return FileWork(Verify(options))(Job(target))
+    return FileWork((Verify(options),))(Job(target))
 
 
 def measured(paths: list[Path]) -> Iterator[Model]:

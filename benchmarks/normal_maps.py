@@ -83,7 +83,7 @@ def rows(path: Path, folder: Path) -> Iterator[tuple[str, float]]:
     if result.status != "baked":
         print(f"{path.name}: {result.status}", file=sys.stderr)
         return
-    verdict: FileVerdict = FileWork(Verify(VerifyOptions.of()))(Job(str(target)))
+    verdict: FileVerdict = FileWork((Verify(VerifyOptions.of()),))(Job(str(target)))
     for method, figures in ({} if verdict.reliefs is None else verdict.reliefs.by_normal.whole).items():
         assert verdict.reliefs is not None
         best = "exact" if "exact" in figures else "accurate"

@@ -25,7 +25,7 @@ from skinbake.cli.configuration import (
 from skinbake.cli.main import COMMANDS, main
 from skinbake.commands.bake_options import BakeOptions
 from skinbake.jobs.bake import Bake
-from skinbake.jobs.file_work import ByVariant, FileWork
+from skinbake.jobs.file_work import FileWork
 from skinbake.jobs.work import Job
 from skinbake.options import By
 from tests.support.command_line import document, invoke, run
@@ -558,7 +558,7 @@ class TestOverrides:
 
     def test_the_work_can_be_sent(self, tmp_path: Path) -> None:
         """A cluster pickles it; each job finds its options there."""
-        works = ByVariant((FileWork(Bake()), FileWork(Bake(BakeOptions(encoding=Encoding.PACKED8)))))
+        works = FileWork((Bake(), Bake(BakeOptions(encoding=Encoding.PACKED8))))
         sent = pickle.loads(pickle.dumps(works))
         for variant, size in ((0, 24), (1, 8)):
             result = sent(Job(str(SEAM), str(tmp_path / "out.glb"), variant=variant))

@@ -137,8 +137,8 @@ def test_errors_survive_the_way_between_processes(error: SkinbakeError) -> None:
 
 
 def test_results_and_verdicts_survive_it(mixed: Path, tmp_path: Path) -> None:
-    bake = FileWork(bake_work(), is_timed=True)
-    verify = FileWork(Verify(VerifyOptions(poses=PoseRequest(PoseKind.RANDOM, 1))), is_timed=True)
+    bake = FileWork((bake_work(),), is_timed=True)
+    verify = FileWork((Verify(VerifyOptions(poses=PoseRequest(PoseKind.RANDOM, 1))),), is_timed=True)
     for path in sorted(mixed.glob("*.gl*")):
         result = bake(Job(str(path), str(tmp_path / "out" / path.name)))
         verdict = verify(Job(str(tmp_path / "out" / path.name)))

@@ -647,7 +647,7 @@ def test_metadata_of_odd_types_is_told_in_a_sentence(
         model = Editable(bakes("foreign_joints.glb"))
         model.metadata()[key] = value
         path = model.write(tmp_path / f"{number}.glb")
-        verdict = FileWork(Verify(options))(Job(str(path)))
+        verdict = FileWork((Verify(options),))(Job(str(path)))
         if key == "creaseAngle" and value in (0, 1.5) and value is not True:
             continue  # an angle as good as any
         if key in NEEDED:

@@ -20,12 +20,12 @@ from tests.support.baking import bake_work
 
 def baking(**options: Any) -> FileWork[FileResult]:
     """Return the work that bakes."""
-    return FileWork(bake_work(**options))
+    return FileWork((bake_work(**options),))
 
 
 def verifying(options: VerifyOptions | None = None) -> FileWork[FileVerdict]:
     """Return the work that verifies."""
-    return FileWork(verify.Verify(options or VerifyOptions()))
+    return FileWork((verify.Verify(options or VerifyOptions()),))
 
 
 @dataclass(frozen=True)

@@ -62,8 +62,8 @@ def test_bake_and_verify_say_the_same_of_lacking_memory(where: str, monkeypatch:
     monkeypatch.setattr("skinbake.jobs.verify.verify_file", lacking)
     monkeypatch.setattr("skinbake.jobs.remote.storages.Storage.fetch_file", lacking)
     baked, verified = (
-        FileWork(Bake())(Job(source)),
-        FileWork(Verify(VerifyOptions()))(Job(source)),
+        FileWork((Bake(),))(Job(source)),
+        FileWork((Verify(VerifyOptions()),))(Job(source)),
     )
     assert str(baked.error) == str(verified.error) == f"{source}: {MEMORY}"
 
@@ -77,8 +77,8 @@ def test_commands_raise(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"broken\.glb: "):
         verify_file(str(broken), VerifyOptions())
     for result in (
-        FileWork(Bake())(Job(str(broken), str(tmp_path / "out.glb"))),
-        FileWork(Verify(VerifyOptions()))(Job(str(broken))),
+        FileWork((Bake(),))(Job(str(broken), str(tmp_path / "out.glb"))),
+        FileWork((Verify(VerifyOptions()),))(Job(str(broken))),
     ):
         assert str(result.error) == str(raised.value)
 
@@ -91,7 +91,7 @@ def test_an_error_in_writing_carries_what_was_noticed_before(tmp_path: Path) -> 
     with pytest.raises(OutputError) as raised:
         bake_file(str(model), target)
     assert raised.value.notices == noticed_before
-    assert FileWork(Bake())(Job(str(model), target)).notices == noticed_before
+    assert FileWork((Bake(),))(Job(str(model), target)).notices == noticed_before
     assert pickle.loads(pickle.dumps(raised.value)).notices == noticed_before
 
 

@@ -50,7 +50,7 @@ def test_a_worker_is_killed_midway(tmp_path: Path) -> None:
     results: dict[int, Any] = {}
     with cluster(tmp_path / "cluster", options=["--no-nanny"]) as found, observer(found.address) as client:
         wait_for_workers(client, 2)
-        with DaskRunner(found.address) as runner:
+        with closing(DaskRunner(found.address)) as runner:
             assert runner.connect() == []
             held: tuple[str, ...] = ()
             for number, result in runner.run(baking(), jobs):
@@ -96,7 +96,7 @@ def test_a_file_that_kills_its_workers_harms_no_other_file(tmp_path: Path) -> No
     with cluster(tmp_path / "cluster", allowed_failures=0) as found:
         with observer(found.address) as client:
             wait_for_workers(client, 2)
-        with DaskRunner(found.address) as runner:
+        with closing(DaskRunner(found.address)) as runner:
             results = dict(runner.run(work, jobs))
     assert sorted(results) == list(range(25))
     failed = [number for number, result in results.items() if result.error is not None]
@@ -135,7 +135,7 @@ def test_a_cluster_in_which_nobody_dies(
 
 def _verdicts_are_those_of_this_process(address: str, baked: list[Job]) -> None:
     jobs = [Job(job.target or "") for job in baked[:4]]
-    with DaskRunner(address) as runner:
+    with closing(DaskRunner(address)) as runner:
         verdicts = dict(runner.run(verifying(), jobs))
     assert verdicts == {number: verifying()(job) for number, job in enumerate(jobs)}
     assert all(verdict.passed for verdict in verdicts.values())
@@ -158,7 +158,7 @@ def _a_worker_with_another_disk_says_so(address: str, folder: Path, monkeypatch:
         Job(str(shared), str(own / "baked.glb")),
         Job(str(shared), str(folder / "away" / "shared.glb")),
     ]
-    with monkeypatch.context() as patch, DaskRunner(address) as runner:
+    with monkeypatch.context() as patch, closing(DaskRunner(address)) as runner:
         patch.chdir(here)
         results = dict(runner.run(baking(), jobs))
     assert [results[number].status for number in range(4)] == ["failed", "failed", "failed", "baked"]
@@ -206,7 +206,7 @@ def _jobs_are_sent_in_a_bounded_number(
 ) -> None:
     jobs = jobs_of(folder / "bounded", sources)
     most = 0
-    with monkeypatch.context() as patch, DaskRunner(address) as runner:
+    with monkeypatch.context() as patch, closing(DaskRunner(address)) as runner:
         patch.setattr(dask_runner, "LEAST_WINDOW", 2)
         patch.setattr(dask_runner, "WINDOW_PER_THREAD", 3)
         for _ in runner.run(baking(), jobs):
@@ -234,7 +234,7 @@ def _closing_forgets_what_has_not_begun(address: str, client: Any, folder: Path,
 
 
 def _work_that_raises_loses_its_job(address: str, jobs: list[Job]) -> None:
-    with DaskRunner(address) as runner:
+    with closing(DaskRunner(address)) as runner:
         results = dict(runner.run(Raise(), jobs))
     assert [message_of(results[number]) for number in range(2)] == [
         "not baked: its worker failed: RuntimeError: on purpose"
@@ -250,7 +250,7 @@ def _another_version_is_refused(address: str, monkeypatch: pytest.MonkeyPatch, j
         assert raised.value.place is not None
         assert raised.value.place.file == address
     # All is well at first; then a worker of another version comes.
-    with DaskRunner(address) as runner, monkeypatch.context() as patch:
+    with closing(DaskRunner(address)) as runner, monkeypatch.context() as patch:
         assert runner.connect() == []
         patch.setattr("skinbake.jobs.remote.dask_runner.__version__", "9.9.9")
         results = dict(runner.run(baking(), jobs))
@@ -262,7 +262,7 @@ def _another_version_is_refused(address: str, monkeypatch: pytest.MonkeyPatch, j
             DaskRunner(address).connect()
     with monkeypatch.context() as patch:
         patch.setattr("platform.python_version", lambda: "3.99.0")
-        with DaskRunner(address) as other:
+        with closing(DaskRunner(address)) as other:
             (notice,) = other.connect()
     assert (notice.code, notice.place.file) == ("worker-versions", address)
     assert "this is Python 3.99.0" in notice.message
@@ -272,7 +272,7 @@ def _without_workers_jobs_are_lost(found: Any, client: Any, jobs: list[Job]) -> 
     found.workers[0].kill()
     while client.nthreads():
         time.sleep(0.05)
-    with DaskRunner(found.address, patience=1.0) as runner:
+    with closing(DaskRunner(found.address, patience=1.0)) as runner:
         results = dict(runner.run(baking(), jobs))
     assert sorted(results) == [0, 1, 2]
     assert {message_of(result) for result in results.values()} == {

@@ -65,12 +65,12 @@ def bake_one(
     **options: Any,
 ) -> FileResult:
     """Bake a file as one of many."""
-    return FileWork(bake_work(**options))(Job(source, target, within=within))
+    return FileWork((bake_work(**options),))(Job(source, target, within=within))
 
 
 def verify_one(source: str, options: VerifyOptions) -> FileVerdict:
     """Verify a file as one of many."""
-    return FileWork(verify.Verify(options))(Job(source))
+    return FileWork((verify.Verify(options),))(Job(source))
 
 
 def bake_all(names: list[str], source: str, target: str, **options: Any) -> list[FileResult]:
@@ -334,7 +334,7 @@ def test_in_place_a_file_that_was_saved_meanwhile_stays(
         return result
 
     monkeypatch.setattr("skinbake.jobs.bake.bake_file", saving)
-    result = FileWork(Bake())(Job(url, url))
+    result = FileWork((Bake(),))(Job(url, url))
     assert isinstance(result.error, OutputError)
     assert "another program has saved it since it was read, so it is not replaced" in result.error.message
     assert stored("memory://saved/lib")[name] == b"saved by another program"

@@ -99,7 +99,7 @@ class Forge:
         self.target = str(folder / "out" / "seam.glb")
         work = bake_work()
         self.recipe: Recipe = recipe("bake", work.options, str(folder / "out" / NAME))
-        result = FileWork(work, self.recipe)(Job(self.source, self.target))
+        result = FileWork((work,), (self.recipe,))(Job(self.source, self.target))
         assert result.record is not None
         self.note: Any = json.loads(result.record)
 

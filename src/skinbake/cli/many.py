@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from skinbake.jobs.file_work import FileCommand
     from skinbake.jobs.state import Recipe, State
-    from skinbake.jobs.work import Job, Result, Runner, Work
+    from skinbake.jobs.work import Job, Result, Runner
     from skinbake.report.totals import Totals
 
 FEW = 5
@@ -216,19 +216,6 @@ class Reporting(Generic[ResultT]):
     code: Callable[[ResultT], int] = code_of
 
 
-def _work_of(plan: Plan[Any], commands: Sequence[FileCommand[ResultT]], notes: Notes) -> Work[Job, ResultT]:
-    """Return the work on a file, which takes the memory and threads that the plan leaves to each."""
-    from skinbake.jobs.file_work import ByVariant, FileWork
-
-    memory, threads = memory_of_each(plan), threads_of_each(plan)
-    recipes: Sequence[Recipe | None] = notes.recipes or [None] * len(commands)
-    works = [
-        FileWork(command, recipe, plan.timings, memory, threads)
-        for command, recipe in zip(commands, recipes, strict=True)
-    ]
-    return works[0] if len(works) == 1 else ByVariant(tuple(works))
-
-
 def work_through(
     plan: Plan[Any],
     commands: Sequence[FileCommand[ResultT]],
@@ -241,6 +228,7 @@ def work_through(
     for each set, that decide what is written, for the state file. Raises ChoiceError for options that do not
     go together, and InputError if a cluster or a state file cannot be used.
     """
+    from skinbake.jobs.file_work import FileWork
     from skinbake.jobs.runners import in_order
     from skinbake.jobs.work import Job
     from skinbake.report.totals import (
@@ -268,7 +256,9 @@ def work_through(
     ]
     clock = Clock(plan.begun)
     runner: Runner[Job, ResultT] = runner_of(plan, type(commands[0]).__module__, guess)
-    work = _work_of(plan, commands, notes)
+    work = FileWork(
+        tuple(commands), tuple(notes.recipes), plan.timings, memory_of_each(plan), threads_of_each(plan)
+    )
 
     totals, results, code = Totals(len(jobs), reporting.outcomes), list[ResultT](), exit_codes.OK
     progress = Progress(say, len(jobs), at_once=seconds_of(plan.names, guess) > LONG)
@@ -309,13 +299,11 @@ def work_through(
     code = max(code, exit_codes.OUTPUT if summary.failed else code)
     if plan.summary and not summary.failed:
         tell_of_report(plan, plan.summary)
-    if plan.timings:  # at any verbosity, because it was asked for
-        say.listing(timing_lines(totals, clock.process()))
-    if plan.as_json:
-        spent = clock.process() if plan.timings else None
-        content = reporting.document(results, exit_code=code, process=spent)
-        if content is not None:
-            say.document(content)
+    spent = clock.process() if plan.timings else None
+    if spent is not None:  # at any verbosity, because it was asked for
+        say.listing(timing_lines(totals, spent))
+    if plan.as_json and (content := reporting.document(results, exit_code=code, process=spent)) is not None:
+        say.document(content)
     return code
 
 

@@ -60,14 +60,16 @@ class NotedCommand(FileCommand[ResultT], Protocol[ResultT]):
 
 @dataclass(frozen=True, slots=True)
 class FileWork(Generic[ResultT]):
-    """Have a command work on a file, unless ``recipe`` is given and the file is known to be up to date.
+    """Have a command work on a file, unless there is a recipe and the file is known to be up to date.
 
-    A recipe needs a NotedCommand. max_memory is the memory that a file may take, in bytes. threads is the
-    number of threads for it, None for one on each core. An error in a file raises nothing.
+    Files may have different options: ``commands`` has the command with each set of them, and a job the number
+    of its set. ``recipes`` has a recipe for each, or none. A recipe needs a NotedCommand. max_memory is the
+    memory that a file may take, in bytes. threads is the number of threads for it, None for one on each core.
+    An error in a file raises nothing.
     """
 
-    command: FileCommand[ResultT]
-    recipe: state.Recipe | None = None
+    commands: tuple[FileCommand[ResultT], ...]
+    recipes: tuple[state.Recipe, ...] = ()
     is_timed: bool = False
     max_memory: int | None = None
     threads: int | None = None
@@ -83,11 +85,13 @@ class FileWork(Generic[ResultT]):
 
     def failed(self, job: Job, error: SkinbakeError) -> ResultT:
         """Return the result of a file that failed."""
-        return self.command.failed(job, error)
+        return self.commands[job.variant].failed(job, error)
 
     def lost(self, job: Job, reason: str, *, is_written: bool = False) -> ResultT:
         """Return the result of a file whose process died before it reported, though it may have written."""
-        what = "its output is written, but not its report" if is_written else self.command.undone
+        what = (
+            "its output is written, but not its report" if is_written else self.commands[job.variant].undone
+        )
         return self.failed(job, InputError(f"{what}: {reason}", Place(job.source)))
 
     def _survived(self, job: Job) -> ResultT:
@@ -97,7 +101,8 @@ class FileWork(Generic[ResultT]):
         """Return the result of the file, with its record if a state file can hold the outcome."""
         if job.missing is not None:
             raise InputError(job.missing, Place(job.source))
-        command, recipe = self.command, self.recipe
+        command = self.commands[job.variant]
+        recipe = self.recipes[job.variant] if self.recipes else None
         if recipe is None or STDIO in {job.source, job.target} or not isinstance(command, NotedCommand):
             return command.result_of(job, traced=False)
         noted: NotedCommand[ResultT] = command
@@ -116,22 +121,3 @@ class FileWork(Generic[ResultT]):
                 record = recipe.record(job.source, job.target, *found, job.within)
                 return changed(result, record=record)
         return result
-
-
-@dataclass(frozen=True, slots=True)
-class ByVariant(Generic[ResultT]):
-    """Work on files that do not all have the same options. There is one work for each set of options."""
-
-    works: tuple[FileWork[ResultT], ...]
-
-    def __call__(self, job: Job) -> ResultT:
-        """Return the result of the file, by the options of its number."""
-        return self.works[job.variant](job)
-
-    def failed(self, job: Job, error: SkinbakeError) -> ResultT:
-        """Return the result of a file that failed."""
-        return self.works[job.variant].failed(job, error)
-
-    def lost(self, job: Job, reason: str, *, is_written: bool = False) -> ResultT:
-        """Return the result of a file whose process died before it reported, though it may have written."""
-        return self.works[job.variant].lost(job, reason, is_written=is_written)

@@ -59,12 +59,6 @@ class DaskRunner:
         self._client: Client | None = None
         self._in_order = False
 
-    def __enter__(self) -> DaskRunner:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def one_by_one(self) -> DaskRunner:
         """Return a runner of the same connection that does jobs one at a time, in order."""
         self.connect()

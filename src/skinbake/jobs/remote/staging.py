@@ -19,7 +19,15 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, NamedTuple, TypeVar, cast
 
 from skinbake.errors import InputError, Message, OutputError, Place, SkinbakeError, noticed
-from skinbake.files.bounds import BESIDE, Bounds, RefusedError, Within, is_relative, leads_up, relative_names
+from skinbake.files.bounds import (
+    Bounds,
+    RefusedError,
+    Within,
+    bounded_paths,
+    is_relative,
+    leads_up,
+    relative_names,
+)
 from skinbake.files.urls import STDIO, is_url, on_disk
 from skinbake.files.writing import SAVED_ANEW
 from skinbake.gltf.document import GLB_SUFFIXES, read_document
@@ -41,67 +49,23 @@ PREFIX = "skinbake-"
 class End(NamedTuple):
     """One end of a job: the user's name for the file, and the place of the file.
 
-    ``name`` is the name in the storage. Without a storage it is a path of this machine. ``tops`` are the
-    folders in the storage that a document's names may lead to. The document's own folder is the first.
+    ``name`` is the name in the storage. Without a storage it is a path of this machine.
     """
 
     given: str
     storage: Storage | None
     name: str
-    tops: tuple[str, ...]
+
+    @classmethod
+    def of(cls, given: str) -> End:
+        """Return the end that a path or URL names. Raises InputError if a URL's driver is missing."""
+        return cls(given, *(storage_of(given) if is_url(given) else (None, given)))
 
     @property
     def folder(self) -> str:
         """The folder in the storage, empty at its root; on this machine's disk the real path."""
         folder = posixpath.dirname(self.name)
         return folder if self.storage is not None else Path(os.path.realpath(folder)).as_posix()
-
-    def names_of(self, uri: str) -> list[str]:
-        """Return the names that a URI of this document may mean, but those outside. The likelier is first."""
-        try:
-            found = (posixpath.normpath(posixpath.join(self.folder, name)) for name in relative_names(uri))
-            return [name for name in found if any(_is_below(name, top) for top in self.tops)]
-        except RefusedError:
-            return []
-
-    def name_of_copy(self, uri: str, source: End) -> str | None:
-        """Return the name that a file of the source has beside this target, or None if it is not copied."""
-        own = source._replace(tops=source.tops[:1])
-        if (self.storage == source.storage and self.folder == source.folder) or not own.names_of(uri):
-            return None
-        name = posixpath.normpath(posixpath.join(self.folder, relative_names(uri)[0]))
-        return name if _is_below(name, self.tops[0]) else None
-
-
-def end_of(given: str, bounds: Bounds = BESIDE) -> End:
-    """Return the end that a path or URL names. Raises InputError if a URL's driver is missing.
-
-    Only the folders of ``bounds`` in the same storage count.
-    """
-    storage, name = _storage_of(given)
-    if storage is None:
-        roots = [posixpath.dirname(name) if bounds.root is None else bounds.root, *bounds.allowed]
-        here = (on_disk(root) for root in roots)
-        tops = tuple(Path(os.path.realpath(root)).as_posix() for root in here if root is not None)
-        return End(given, None, name, tops)
-    own = posixpath.dirname(name) if bounds.root is None else _top(_storage_of(bounds.root)[1])
-    allowed = [_storage_of(folder) for folder in bounds.allowed]
-    return End(given, storage, name, (own, *(_top(top) for other, top in allowed if other == storage)))
-
-
-def _storage_of(given: str) -> tuple[Storage | None, str]:
-    """Return the storage of a path or URL, None for this machine's disk, and the name in it."""
-    return storage_of(given) if is_url(given) else (None, given)
-
-
-def _top(name: str) -> str:
-    """Return the name of a folder in a storage, empty for its root."""
-    normal = posixpath.normpath(name).strip("/") if not name.startswith("/") else posixpath.normpath(name)
-    return "" if normal == "." else normal
-
-
-def _is_below(name: str, folder: str) -> bool:
-    return name.startswith(f"{folder}/") if folder else not leads_up(name)
 
 
 class _Mirror:
@@ -132,18 +96,30 @@ class _Mirror:
         return str(path)
 
     def top(self, end: End, given: str | None) -> str | None:
-        """Return the local path of a folder that the user named, None for the end's own."""
-        if end.storage is None:
+        """Return the local path of a folder that the user named; None for none, or in another storage."""
+        if given is None or end.storage is None:
             return None if given is None else on_disk(given)
-        return os.path.normpath(self.folder(end.storage) / end.tops[0])
+        other = End.of(given)
+        # A name from the root of a storage may begin with a slash, as in SFTP.
+        name = posixpath.normpath(other.name).strip("/")
+        return os.path.normpath(self.folder(end.storage) / name) if other.storage == end.storage else None
 
     def bounds(self, end: End, given: Bounds) -> Bounds:
         """Return the folders to which the names of a document at this end may lead."""
-        if end.storage is None:
-            allowed = tuple(filter(None, map(on_disk, given.allowed)))
-        else:
-            allowed = tuple(os.path.normpath(self.folder(end.storage) / top) for top in end.tops[1:])
-        return Bounds(self.top(end, given.root), allowed)
+        allowed = (self.top(end, folder) for folder in given.allowed)
+        return Bounds(self.top(end, given.root), tuple(filter(None, allowed)))
+
+    def names_of(self, end: End, uri: str, bounds: Bounds) -> list[tuple[str, bool]]:
+        """Return the names in a storage that a URI of a document may mean, but those outside.
+
+        The likelier is first. With each is whether it is below the document's own root.
+        """
+        try:
+            found = bounded_paths(uri, str(Path(self.path(end)).parent), bounds)
+        except RefusedError:
+            return []
+        top = "" if end.storage is None else f"{self.folder(end.storage)}{os.sep}"
+        return [(one.path.removeprefix(top).replace(os.sep, "/"), one.is_own) for one in found]
 
     def fetch(self, end: End, name: str | None = None) -> str:
         """Return the path at which an input can be read. Raises InputError if there is none."""
@@ -157,7 +133,7 @@ class _Mirror:
         """Fetch a file that the source names, if it is there, and tell whether it is."""
         if source.storage is None:
             return is_there(resource.uri, Path(source.name).parent, bounds)
-        for name in source.names_of(resource.uri):
+        for name, _ in self.names_of(source, resource.uri, bounds):
             try:
                 path = Path(self.path(source, name))
                 if not path.is_file():
@@ -200,7 +176,7 @@ def read(source: str, bounds: Bounds, reads: Callable[[str, Bounds], T]) -> T:
 
     Raises SkinbakeError if the file cannot be read.
     """
-    end = end_of(source, bounds)
+    end = End.of(source)
     with TemporaryDirectory(prefix=PREFIX, ignore_cleanup_errors=True) as folder:
         mirror = _Mirror(folder)
         path, here = mirror.fetch(end), mirror.bounds(end, bounds)
@@ -216,10 +192,10 @@ def write(source: str, target: str | None, makes: Makes[ResultT], how: Writing, 
     The function writes the same bytes on a disk. The result names files as the user does. Raises
     SkinbakeError, and then the target has not been touched.
     """
-    start, goal = end_of(source, within.bounds), None
+    start, goal = End.of(source), None
     if target is not None:
         try:
-            goal = end_of(target, Bounds(within.output))
+            goal = End.of(target)
         except InputError as error:
             raise OutputError(error.message, error.place) from error
     is_one = goal is not None and None is not start.storage == goal.storage and start.name == goal.name
@@ -232,7 +208,7 @@ def write(source: str, target: str | None, makes: Makes[ResultT], how: Writing, 
         for resource in _named(path, bounds):
             there = mirror.fetch_named(start, resource, bounds)
             if goal is not None:
-                _place(mirror, start, goal, resource, there=there, pack=how.pack)
+                _place(mirror, start, goal, resource, bounds, within.output, there=there, pack=how.pack)
         if goal is None:
             return with_names(
                 lambda: makes(path, None, how, Within(bounds, within.output)), mirror.naming(start)
@@ -258,13 +234,26 @@ def _named(path: str, bounds: Bounds) -> list[NamedFile]:
         return []
 
 
-def _place(mirror: _Mirror, start: End, goal: End, resource: NamedFile, *, there: bool, pack: bool) -> None:
+def _place(
+    mirror: _Mirror,
+    start: End,
+    goal: End,
+    resource: NamedFile,
+    bounds: Bounds,
+    output: str | None,
+    *,
+    there: bool,
+    pack: bool,
+) -> None:
     """Fetch what another file at a target's end has where a copy of a named file goes.
 
     Raises OutputError if the named file is out of reach of the target.
     """
     uri, is_glb = resource.uri, PurePosixPath(goal.name).suffix.lower() in GLB_SUFFIXES
-    copy = goal.name_of_copy(uri, start)
+    found, copy = mirror.names_of(start, uri, bounds), None
+    moves = goal.storage != start.storage or goal.folder != start.folder
+    if moves and any(is_own for _, is_own in found):
+        copy = next((name for name, _ in mirror.names_of(goal, uri, Bounds(mirror.top(goal, output)))), None)
     if copy is not None and goal.storage is not None:
         with writing(goal.given):
             if goal.storage.has_file(copy):
@@ -273,7 +262,7 @@ def _place(mirror: _Mirror, start: End, goal: End, resource: NamedFile, *, there
         return
     names = relative_names(uri) if is_relative(uri) else ()
     becomes_chunk = (resource.array, resource.number) == ("buffers", 0) and is_glb
-    if names and leads_up(names[0]) and (there or not start.names_of(uri)) and not becomes_chunk:
+    if names and leads_up(names[0]) and (there or not found) and not becomes_chunk:
         raise OutputError(
             f'"{uri}" is outside the folder of {start.given}, and no relative URI leads there from another '
             "storage",
