@@ -214,7 +214,7 @@ class Node:
         return np.array(value, dtype=np.float64)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Skin:
     """A skin: the nodes that it lists as joints, and their inverse bind matrices."""
 
@@ -227,15 +227,15 @@ class Skin:
         """The number of joints, which are not checked to be nodes; InputError if it lists none."""
         return len(joints_of(self.json, self.number, self.asset.place))
 
-    @property
-    def joints(self) -> list[int]:
+    @cached_property
+    def joints(self) -> tuple[int, ...]:
         """The nodes that it lists; InputError if one is not a node."""
         owner, place, count = f"skin {self.number}", self.asset.place, len(self.asset.objects("nodes"))
         joints = [
             index({"joint": joint}, "joint", count, place, owner=owner, kind="node")
             for joint in joints_of(self.json, self.number, place)
         ]
-        return [joint for joint in joints if joint is not None]
+        return tuple(joint for joint in joints if joint is not None)
 
     @property
     def inverse_bind(self) -> int | None:

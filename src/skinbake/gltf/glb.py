@@ -49,7 +49,11 @@ def split_glb(data: Bytes, place: Place) -> GlbChunks:
         )
     magic, version, length = HEADER.unpack_from(view)
     if magic != MAGIC:
-        raise InputError(_not_glb(bytes(view[:32]), place), place)
+        why = "not a GLB: it does not begin with 'glTF'"
+        if bytes(view[:32]).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{"):
+            piped = "- takes a GLB only; give a .gltf file by its name"
+            why = f"this is JSON text, not a GLB: {piped if place.file == STDIN else 'name it .gltf instead'}"
+        raise InputError(why, place)
     if version != 2:
         raise UnsupportedFeatureError(f"GLB container version {version}; only version 2 is supported", place)
     if length > len(view):
@@ -68,14 +72,6 @@ def split_glb(data: Bytes, place: Place) -> GlbChunks:
     if any(kind in {CHUNK_JSON, CHUNK_BIN} for kind, _ in rest):
         raise InputError("the GLB has a second JSON or BIN chunk, or one in the wrong place", place)
     return GlbChunks(chunks[0][1], binary, tuple(rest), view[length:])
-
-
-def _not_glb(head: bytes, place: Place) -> str:
-    """Return the reason why a file is not a GLB, from its first bytes."""
-    if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{"):
-        piped = "- takes a GLB only; give a .gltf file by its name"
-        return f"this is JSON text, not a GLB: {piped if place.file == STDIN else 'name it .gltf instead'}"
-    return "not a GLB: it does not begin with 'glTF'"
 
 
 def _chunks(view: memoryview, place: Place) -> list[tuple[int, memoryview]]:

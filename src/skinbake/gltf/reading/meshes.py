@@ -74,8 +74,15 @@ def skinned_sources(document: Document) -> list[PrimitiveSource]:
         for source in document.asset.primitives
         if source.mesh in joint_counts and "JOINTS_0" in source.attributes
     ]
+    # The vertices and triangles, as far as the JSON is sound. What is not is refused where it is read.
     counts = [_whole(element.get("count")) or 0 for element in document.objects("accessors")]
-    elements = sum(_element_count(one, counts) for one in sources)
+    elements = 0
+    for source in sources:
+        vertices, indices = (
+            counts[number] if (number := _whole(name)) is not None and number < len(counts) else 0
+            for name in (source.attributes.get("POSITION"), source.json.get("indices"))
+        )
+        elements += vertices + (indices or vertices) // 3
     document.budget.look_at(elements, _own_vertices(document, sources, counts), document.place)
     return sources
 
@@ -150,18 +157,6 @@ def why_nothing(document: Document) -> str:
     if document.objects("skins"):
         return "it has a skin, but no mesh that is drawn with one"
     return "nothing in it is skinned"
-
-
-def _element_count(source: PrimitiveSource, counts: Sequence[int]) -> int:
-    """Return the number of a primitive's vertices and triangles, as far as its JSON is sound.
-
-    What is not sound is refused where it is read.
-    """
-    vertices, indices = (
-        counts[number] if (number := _whole(name)) is not None and number < len(counts) else 0
-        for name in (source.attributes.get("POSITION"), source.json.get("indices"))
-    )
-    return vertices + (indices or vertices) // 3
 
 
 def _whole(value: object) -> int | None:

@@ -68,22 +68,18 @@ def _groups(document: Document, meshes: Iterable[int]) -> dict[Skins, list[int]]
     groups: dict[Skins, list[int]] = {}
     wanted = dict.fromkeys(meshes)
     pairs = [(mesh, skin) for _, mesh, skin in document.asset.drawn if mesh in wanted]
+    # Skins are equal by their joints, in order, and their inverse bind matrices.
     first: dict[Hashable, int] = {}
-    number = {
-        skin: first.setdefault(_binding(document, skin), skin) for skin in sorted({s for _, s in pairs})
-    }
+    number = {}
+    for skin in sorted({skin for _, skin in pairs}):
+        matrices = read_skeleton(document, skin).inverse_bind + 0.0  # −0 = +0
+        number[skin] = first.setdefault((document.asset.skins[skin].joints, matrices.tobytes()), skin)
     drawn_by: dict[int, set[int]] = {}
     for mesh, skin in pairs:
         drawn_by.setdefault(mesh, set()).add(number[skin])
     for mesh in wanted:
         groups.setdefault(frozenset(drawn_by[mesh]), []).append(mesh)
     return groups
-
-
-def _binding(document: Document, skin: int) -> Hashable:
-    """Return the identity of a skin: its joints, in order, and their inverse bind matrices."""
-    matrices = read_skeleton(document, skin).inverse_bind
-    return tuple(document.asset.skins[skin].joints), (matrices + 0.0).tobytes()  # −0 = +0
 
 
 def _owners(owned: Iterable[tuple[Iterable[int], int]]) -> dict[int, int]:

@@ -101,7 +101,7 @@ def read_skeleton(document: Document, skin: int) -> Skeleton:
 def _skeleton_or_fault(document: Document, number: int) -> Skeleton | InputError:
     skin = document.asset.skins[number]
     try:
-        alike, key = _alike(document), (tuple(skin.joints), skin.inverse_bind)
+        alike, key = _alike(document), (skin.joints, skin.inverse_bind)
         if key not in alike:
             alike[key] = _read_skeleton(document, f"skin {number}", *key)
         return alike[key]
@@ -144,6 +144,15 @@ def _read_skeleton(
         if nodes[node].has_matrix
     }
     rotations = np.stack([nodes[node].stored("rotation") for node in order])
+    # glTF stores matrices by columns.
+    count = len(joints)
+    inverse_bind = np.broadcast_to(np.eye(4), (count, 4, 4))
+    if matrices_in is not None:
+        values = read_wide(document, matrices_in, document.place)
+        if values.shape[1] != 16 or len(values) < count or not np.isfinite(values[:count]).all():
+            message = f"inverseBindMatrices must be {count} finite 4 × 4 matrices"
+            raise InputError(message, document.place)
+        inverse_bind = np.swapaxes(values[:count].reshape(-1, 4, 4), 1, 2)
     return Skeleton(
         nodes=tuple(order),
         parents=tuple(where[parents[node]] if node in parents else -1 for node in order),
@@ -151,20 +160,9 @@ def _read_skeleton(
         rotations=poses.normalised(rotations[:, [3, 0, 1, 2]]),
         scales=np.stack([nodes[node].stored("scale") for node in order]),
         joints=np.array([where[joint] for joint in joints]),
-        inverse_bind=_inverse_bind(document, matrices_in, len(joints)),
+        inverse_bind=inverse_bind,
         matrices=matrices,
     )
-
-
-def _inverse_bind(document: Document, number: int | None, count: int) -> Float64Array:
-    """Return the inverse bind matrices (J, 4, 4) in an accessor."""
-    place = document.place
-    if number is None:
-        return np.broadcast_to(np.eye(4), (count, 4, 4))
-    values = read_wide(document, number, place)
-    if values.shape[1] != 16 or len(values) < count or not np.isfinite(values[:count]).all():
-        raise InputError(f"inverseBindMatrices must be {count} finite 4 × 4 matrices", place)
-    return np.swapaxes(values[:count].reshape(-1, 4, 4), 1, 2)
 
 
 def fitting_rig(document: Document, source: PrimitiveSource) -> Rig | None:

@@ -114,12 +114,19 @@ class Additions:
         loaders (panda3d-gltf 1.3) read no primitive with two attributes in one accessor, or in one view.
         """
         data = np.ascontiguousarray(values)
-        key = data.dtype.str, data.shape, normalized, packed, _sampled(data)
+        # The bytes of a few elements, evenly apart. Arrays that are equal have the same.
+        some = data[:: max(1, len(data) // SAMPLED)].tobytes()
+        key = data.dtype.str, data.shape, normalized, packed, some
         equal = [] if extras is not None else self._shared.setdefault(key, _Alike()).equal_to(data)
         for number in equal:
             if number not in apart_from:
                 return number
-        view = self._add_view_like_that_of(equal[-1]) if equal else self._add_attribute(data, packed)
+        if equal:  # a view of the same bytes
+            accessor = self._accessors[equal[-1] - len(self._document.objects("accessors"))]
+            same = self._views[accessor["bufferView"] - len(self._document.objects("bufferViews"))]
+            view = self._add_view({key: value for key, value in same.items() if key != "extras"})
+        else:
+            view = self._add_attribute(data, packed)
         equal.append(self._add_accessor({"bufferView": view}, data, normalized, extras))
         return equal[-1]
 
@@ -223,21 +230,11 @@ class Additions:
 
     def _add_view(self, view: JsonObject) -> int:
         if not self._views and self._note_key is not None:
-            view["extras"] = {self._note_key: self._note()}
+            is_longer = self._into_binary
+            former = {BUFFER_LENGTH: self._former_length()} if is_longer else {BUFFER_ADDED: True}
+            view["extras"] = {self._note_key: former}
         self._views.append(view)
         return len(self._document.objects("bufferViews")) + len(self._views) - 1
-
-    def _add_view_like_that_of(self, accessor: int) -> int:
-        """Add a view of the bytes of an added accessor."""
-        number = self._accessors[accessor - len(self._document.objects("accessors"))]["bufferView"]
-        view = self._views[number - len(self._document.objects("bufferViews"))]
-        return self._add_view({key: value for key, value in view.items() if key != "extras"})
-
-    def _note(self) -> JsonObject:
-        """Return the note of the former buffer."""
-        if not self._into_binary:
-            return {BUFFER_ADDED: True}
-        return {BUFFER_LENGTH: self._former_length()}
 
     def _former_length(self) -> int:
         """Return what the document says of the length of buffer 0: the chunk may have padding behind it."""
@@ -258,37 +255,28 @@ class Additions:
                 refuse_dangling(self._document.json, key, len(added), self._document.place)
                 root[key] = [*root.get(key, []), *added]
         buffers = list(self._document.objects("buffers"))
-        fallback = self._fallback_buffers()
+        fallback: list[JsonObject] = []
+        if self._fallback_length:
+            if self._note_key is not None:
+                self._views[0]["extras"][self._note_key][FALLBACK_ADDED] = True
+            extensions = {self._fallback_name: {"fallback": True}}
+            fallback = [{"byteLength": self._fallback_length, "extensions": extensions}]
         if self._into_binary:
             buffers[0] = {**buffers[0], "byteLength": self._base + self._length}
             root["buffers"] = [*buffers, *fallback]
             return self._document.edited(json=root, binary=(*(self._document.binary or ()), *self._pieces))
         refuse_dangling(self._document.json, "buffers", 1 + len(fallback), self._document.place)
-        uri, new_files = self._stored_pieces()
-        root["buffers"] = [*buffers, {"uri": uri, "byteLength": self._length}, *fallback]
-        return self._document.edited(json=root, new_files={**self._document.new_files, **new_files})
-
-    def _fallback_buffers(self) -> list[JsonObject]:
-        if not self._fallback_length:
-            return []
-        if self._note_key is not None:
-            self._views[0]["extras"][self._note_key][FALLBACK_ADDED] = True
-        extensions = {self._fallback_name: {"fallback": True}}
-        return [{"byteLength": self._fallback_length, "extensions": extensions}]
-
-    def _stored_pieces(self) -> tuple[str, dict[str, tuple[Bytes, ...]]]:
+        # A file, or a data: URI where the other buffers are such ones, or are elsewhere.
         uris = [buffer["uri"] for buffer in self._document.objects("buffers") if "uri" in buffer]
         is_embedded = bool(uris) and all(isinstance(uri, str) and resources.is_data_uri(uri) for uri in uris)
+        new_files: dict[str, tuple[Bytes, ...]] = {}
         if self._document.is_glb or is_embedded:
-            return resources.encode_data_uri(b"".join(self._pieces)), {}
-        name = f"skinbake-{content_digest(self._pieces)}.bin"
-        return name, {name: tuple(self._pieces)}
-
-
-def _sampled(values: npt.NDArray[Any]) -> bytes:
-    """Return the bytes of a few elements, evenly apart. Arrays that are equal have the same."""
-    step = max(1, len(values) // SAMPLED)
-    return values[::step].tobytes()
+            uri = resources.encode_data_uri(b"".join(self._pieces))
+        else:
+            uri = f"skinbake-{content_digest(self._pieces)}.bin"
+            new_files = {uri: tuple(self._pieces)}
+        root["buffers"] = [*buffers, {"uri": uri, "byteLength": self._length}, *fallback]
+        return self._document.edited(json=root, new_files={**self._document.new_files, **new_files})
 
 
 def _digest(data: npt.NDArray[Any]) -> bytes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
@@ -75,7 +75,14 @@ class Beside:
         is_buffer = {resource.uri: resource.array == "buffers" for resource in reversed(named)}
         uris = {uri: self._placed(uri, is_buffer=is_buffer[uri]) for uri in {r.uri: None for r in named}}
         renamed = [(resource, uris[resource.uri]) for resource in named if uris[resource.uri] != resource.uri]
-        document = _with_uris(self._document, renamed) if renamed else self._document
+        document = self._document
+        if renamed:
+            root: JsonObject = dict(document.json)
+            for array in {resource.array for resource, _ in renamed}:
+                root[array] = list(root[array])
+            for resource, uri in renamed:
+                root[resource.array][resource.number] = {**root[resource.array][resource.number], "uri": uri}
+            document = document.edited(json=root)
         place, told, tell = self._document.place, self._document.told, self._document.notices.tell
         if missing := [uri for uri in self._missing if uri not in told]:
             count = len(missing)
@@ -101,21 +108,15 @@ class Beside:
             tell(Notice("uri-refused", message, place, count))
         return document, self._files, self._serving
 
-    def _made(self, uri: str) -> str:
-        """Return the URI of a file that the document did not have before."""
-        pieces = self._document.new_files[uri]
-        if made := GRADIENTS.fullmatch(uri):
-            return self._planned_name(gradients_name(self._target, made[1]), pieces, is_noted=False)
-        return self._copied(uri, relative_names(uri)[0], pieces)
-
     def _placed(self, uri: str, *, is_buffer: bool) -> str:
         """Return a URI relative to the target's folder, and note the file if it must be copied."""
-        if uri in self._document.new_files:
-            return self._made(uri)
-        if self._home == self._folder:
-            return uri
+        if uri in self._document.new_files:  # the document did not have it before
+            pieces, made = self._document.new_files[uri], GRADIENTS.fullmatch(uri)
+            if not made:
+                return self._copied(uri, relative_names(uri)[0], pieces)
+            return self._planned_name(gradients_name(self._target, made[1]), pieces, is_noted=False)
         try:
-            file = self._found(uri)
+            file = None if self._home == self._folder else self._found(uri)
         except (OutsideError, _LinkedOutError) as error:
             return self._left(uri, str(error), is_buffer=is_buffer)
         if file is None:
@@ -288,12 +289,3 @@ def files_read(document: Document, target: str | None, *, pack: bool) -> tuple[s
             if resource.array == "buffers" or pack or file.is_own:
                 found.append(file.path)
     return tuple(dict.fromkeys(found))
-
-
-def _with_uris(document: Document, renamed: Sequence[tuple[NamedFile, str]]) -> Document:
-    root: JsonObject = dict(document.json)
-    for array in {resource.array for resource, _ in renamed}:
-        root[array] = list(root[array])
-    for resource, uri in renamed:
-        root[resource.array][resource.number] = {**root[resource.array][resource.number], "uri": uri}
-    return document.edited(json=root)

@@ -9,7 +9,6 @@ from itertools import accumulate
 from typing import Any, NamedTuple
 
 from skinbake.errors import InputError, Place
-from skinbake.files import Bytes
 from skinbake.gltf import resources
 from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import Document
@@ -42,14 +41,15 @@ def compacted(before: Document, after: Document) -> Document:
     kept = [number for number in range(len(views)) if number not in dropped]
     needed = _by_buffer(after, [views[number] for number in kept])
     changed = [old[number] for number in range(len(old)) if number in dropped or old[number] != views[number]]
+    # Fallback buffers of meshopt have no bytes.
+    buffers = after.objects("buffers")
+    chunk = 0 if after.has_binary_buffer else None
     holes = {
         buffer: _difference(ranges, needed.get(buffer, []))
         for buffer, ranges in _by_buffer(before, changed).items()
-        if _has_bytes(after, buffer) or buffer not in needed
+        if buffer == chunk or buffers[buffer].get("uri") is not None or buffer not in needed
     }
-    gone = {
-        buffer for buffer in holes if buffer not in needed and not (buffer == 0 and after.has_binary_buffer)
-    }
+    gone = {buffer for buffer in holes if buffer not in needed and buffer != chunk}
     # A copy of the JSON with new numbers in its references to buffer views.
     numbers = {number: position for position, number in enumerate(kept)}
     result: JsonObject = {}
@@ -71,12 +71,6 @@ def compacted(before: Document, after: Document) -> Document:
     lower = sorted(gone)
     root["bufferViews"] = [_moved(views[number], shifts, lower, after.place) for number in kept]
     return _cut(after, root, holes, gone)
-
-
-def _has_bytes(document: Document, number: int) -> bool:
-    """Tell whether a buffer has bytes; fallback buffers of meshopt have none."""
-    is_chunk = number == 0 and document.has_binary_buffer
-    return is_chunk or document.objects("buffers")[number].get("uri") is not None
 
 
 def _by_buffer(document: Document, views: Sequence[JsonObject]) -> dict[int, list[Range]]:
@@ -159,7 +153,9 @@ def _cut(document: Document, root: JsonObject, holes: dict[int, list[Range]], go
             buffers.append(buffer)
             continue
         data = document.buffer(number)
-        pieces = _outside(data, holes[number])
+        starts = [0, *(end for _, end in holes[number])]
+        ends = [*(start for start, _ in holes[number]), len(data)]
+        pieces = [data[start:end] for start, end in zip(starts, ends, strict=True) if start < end]
         length = sum(len(piece) for piece in pieces)
         uri = buffer.get("uri")
         if uri is None:
@@ -174,9 +170,3 @@ def _cut(document: Document, root: JsonObject, holes: dict[int, list[Range]], go
             new_files[name] = tuple(pieces)
             buffers.append({**buffer, "uri": name, "byteLength": length})
     return document.edited(json={**root, "buffers": buffers}, binary=binary, new_files=new_files)
-
-
-def _outside(data: memoryview, holes: list[Range]) -> list[Bytes]:
-    starts = [0, *(end for _, end in holes)]
-    ends = [*(start for start, _ in holes), len(data)]
-    return [data[start:end] for start, end in zip(starts, ends, strict=True) if start < end]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection
+from contextlib import suppress
 from pathlib import Path
 
 from skinbake.errors import Notice, OutputError, Place
@@ -115,25 +116,16 @@ def _as_gltf(document: Document, stem: str) -> Document:
     if not document.has_binary_buffer:
         return document.edited(**changes)
     buffers = document.objects("buffers")
-    taken = {
-        name
-        for entry in (*buffers, *document.objects("images"))
-        if isinstance(uri := entry.get("uri"), str)
-        for name in _names(uri)
-    }
+    taken: set[str] = set()
+    for entry in (*buffers, *document.objects("images")):
+        if isinstance(uri := entry.get("uri"), str):
+            with suppress(RefusedError):  # then it names no file
+                taken.update(relative_names(uri))
     names = (f"{stem}{'' if n == 0 else f'-{n}'}.bin" for n in itertools.count())
     uri = path_uri(next(name for name in names if name not in taken))
     root = {**document.json, "buffers": [{**buffers[0], "uri": uri}, *buffers[1:]]}
     new_files = {**document.new_files, uri: (document.buffer(0),)}
     return document.edited(json=root, new_files=new_files, **changes)
-
-
-def _names(uri: str) -> tuple[str, ...]:
-    """Return the relative paths that a URI may mean; none if it names no file."""
-    try:
-        return relative_names(uri)
-    except RefusedError:
-        return ()
 
 
 def _self_contained(document: Document) -> Document:

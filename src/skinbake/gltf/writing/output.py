@@ -270,13 +270,9 @@ def _json_bytes(document: Document) -> bytes:
 
 def _json_text(document: Document, *, ascii_only: bool) -> str:
     if document.former is None:
-        return _ended(json_text.written(document.json, indent=document.indent, ascii_only=ascii_only))
+        text = json_text.written(document.json, indent=document.indent, ascii_only=ascii_only)
+        return f"{text}\n" if "\n" in text else text
     data, value = document.former
     former = FormerText(str(data, "utf-8"), value)
     text = rewritten(former, document.json, indent=document.indent, ascii_only=ascii_only)
     return text.rstrip(" ") if document.is_glb else text  # a GLB has spaces behind it, to fill its chunk
-
-
-def _ended(text: str) -> str:
-    """Return a text of several lines with the end of its last line; a text on one line has none."""
-    return f"{text}\n" if "\n" in text else text

@@ -166,8 +166,12 @@ def _with_buffers(document: Document, chunk: _Chunk, *, files: bool) -> tuple[Js
         except BudgetError:
             raise
         except InputError as error:  # a buffer that cannot be read stays where it is
+            kind: Kind = "broken"
+            why, cause = f"is not packed: {error.message}", error.__cause__
+            if isinstance(cause, OSError):  # pragma: no branch: tests/gltf/test_packing.py
+                kind, why = "unreadable", f"cannot be read: {cause.strerror}"
             if not is_data_uri(uri):
-                left.append(_left_buffer(uri, error))
+                left.append(_Left(uri, kind, why, "buffer"))
     if len(moved) == 1:
         return {"buffers": buffers}, left
     kept = [number for number in range(len(buffers)) if number == 0 or number not in moved]
@@ -175,14 +179,6 @@ def _with_buffers(document: Document, chunk: _Chunk, *, files: bool) -> tuple[Js
     places |= {number: (0, start) for number, start in moved.items()}
     views = [_moved_view(view, places, document) for view in document.objects("bufferViews")]
     return {"buffers": [buffers[number] for number in kept], "bufferViews": views}, left
-
-
-def _left_buffer(uri: str, error: InputError) -> _Left:
-    """Return a buffer that stays a file, because of an error in reading it."""
-    cause = error.__cause__
-    if isinstance(cause, OSError):  # pragma: no branch: tests/gltf/test_packing.py
-        return _Left(uri, "unreadable", f"cannot be read: {cause.strerror}", "buffer")
-    return _Left(uri, "broken", f"is not packed: {error.message}", "buffer")
 
 
 def _moved_view(view: JsonObject, places: dict[int, tuple[int, int]], document: Document) -> JsonObject:

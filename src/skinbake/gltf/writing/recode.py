@@ -157,8 +157,11 @@ def _decompress(recoder: _Recoder) -> None:
     document = recoder.document
     done: set[int] = set()
     opened: set[int] = set()
-    for place, primitive in _draco_primitives(document):
-        _leave_draco(recoder, place, primitive, None, done)
+    for number, mesh in enumerate(document.objects("meshes")):
+        for position, primitive in enumerate(entries_of(mesh.get("primitives"))):
+            if draco.extension_of(primitive) is not None:
+                place = Place(document.name, number, text(mesh, "name", document.place), position)
+                _leave_draco(recoder, place, primitive, None, done)
     for number, view in enumerate(document.objects("bufferViews")):
         names = meshopt.extensions_of(view, document.place)
         if not names:
@@ -174,14 +177,6 @@ def _decompress(recoder: _Recoder) -> None:
         if reference(accessor.json.get("bufferView")) in opened and "min" in accessor.json:
             values = read_accessor(document, number, document.place).values
             recoder.accessors[number] = {**accessor.json, **_bounds(accessor.json, values)}
-
-
-def _draco_primitives(document: Document) -> Iterator[tuple[Place, JsonObject]]:
-    for number, mesh in enumerate(document.objects("meshes")):
-        for position, primitive in enumerate(entries_of(mesh.get("primitives"))):
-            if draco.extension_of(primitive) is not None:
-                name = text(mesh, "name", document.place)
-                yield Place(document.name, number, name, position), primitive
 
 
 def _leave_draco(
@@ -212,7 +207,7 @@ def _for_index_codec(indices: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], JsonO
 
 
 def _into_meshopt(recoder: _Recoder, sources: list[PrimitiveSource], compression: Compression) -> None:
-    document = recoder.document
+    document, views = recoder.document, recoder.document.objects("bufferViews")
     used = _extensions_in(document.json)
     name = next((name for name in meshopt.EXTENSIONS if name in used), meshopt.VENDOR)
     level = meshopt.level_of(compression.level)
@@ -223,8 +218,11 @@ def _into_meshopt(recoder: _Recoder, sources: list[PrimitiveSource], compression
             recoder.require(name)
             _leave_draco(recoder, source.place, source.json, packed, done)
         for number, is_index in _accessors_of(document, source):
-            stays = not is_index and document.asset.accessors[number].is_small_matrix
-            if number not in done and not stays and not _is_packed(document, number, source.place):
+            accessor = document.asset.accessors[number]
+            view = index(accessor.json, "bufferView", len(views), source.place)
+            is_packed = view is not None and meshopt.extension_of(views[view], source.place) is not None
+            stays = is_packed or (accessor.is_small_matrix and not is_index)
+            if number not in done and not stays:
                 recoder.require(name)
                 members: JsonObject = {}
                 if is_index:
@@ -245,15 +243,16 @@ def _accessors_of(document: Document, source: PrimitiveSource) -> Iterator[tuple
                 yield accessor.number, holder is source.json
 
 
-def _is_packed(document: Document, number: int, place: Place) -> bool:
-    views = document.objects("bufferViews")
-    view = index(document.objects("accessors")[number], "bufferView", len(views), place)
-    return view is not None and meshopt.extension_of(views[view], place) is not None
-
-
 def _into_draco(recoder: _Recoder, sources: list[PrimitiveSource], compression: Compression) -> None:
-    tell = recoder.document.notices.tell
-    anew = {source.place for source in sources if _is_encoded_anew(recoder.document, source)}
+    document, tell = recoder.document, recoder.document.notices.tell
+    # A stream is written anew where it can then hold what sparse accessors replace.
+    anew = {
+        source.place
+        for source in sources
+        if draco.extension_of(source.json) is not None
+        and _sparse_inside(document, source) is not None
+        and _reason_against_draco(document, source) is None
+    }
     groups: dict[tuple[object, ...], list[PrimitiveSource]] = {}
     for source in sources:
         if draco.extension_of(source.json) is not None and source.place not in anew:
@@ -276,13 +275,6 @@ def _into_draco(recoder: _Recoder, sources: list[PrimitiveSource], compression: 
             extensions = {**member(source.json, "extensions", source.place), **changes["extensions"]}
             recoder.set_primitive(source.place, {**source.json, **changes, "extensions": extensions})
         recoder.require(draco.EXTENSION)
-
-
-def _is_encoded_anew(document: Document, source: PrimitiveSource) -> bool:
-    """Tell whether a primitive is in Draco, and gets a stream that holds what sparse accessors replace."""
-    if draco.extension_of(source.json) is None or _sparse_inside(document, source) is None:
-        return False
-    return _reason_against_draco(document, source) is None
 
 
 def reason_against_new_stream(document: Document, source: PrimitiveSource) -> str | None:
@@ -388,23 +380,22 @@ def _bounds(accessor: JsonObject, values: npt.NDArray[Any]) -> JsonObject:
 
     Quantisation, by this run or by an earlier tool, moves the bounded values. glTF requires exact bounds.
     """
-    noted = {key: accessor.get(key) for key in ("min", "max")}
+    noted: dict[str, Any] = {key: accessor.get(key) for key in ("min", "max")}
     if not all(isinstance(numbers, list) for numbers in noted.values()):
         return {}
     bounds = {"min": values.min(axis=0), "max": values.max(axis=0)}
     if not all(np.isfinite(bound).all() for bound in bounds.values()):
         return {}
-    return {
-        key: bound.tolist() for key, bound in bounds.items() if not _is_bound(noted[key], bound, values.dtype)
-    }
-
-
-def _is_bound(noted: Any, bound: npt.NDArray[Any], dtype: np.dtype[Any]) -> bool:
-    """Tell whether numbers of the JSON equal a bound after rounding to its type."""
-    if len(noted) != len(bound) or not all(map(is_number, noted)):
-        return False
-    numbers = [np.float32(number) for number in noted] if dtype.kind == "f" else noted
-    return bool(numbers == bound.tolist())
+    found = {}
+    for key, bound in bounds.items():
+        numbers: list[Any] = noted[key]
+        if len(numbers) == len(bound) and all(map(is_number, numbers)):
+            # They equal the bound if they do after rounding to its type.
+            rounded = [np.float32(number) for number in numbers] if values.dtype.kind == "f" else numbers
+            if rounded == bound.tolist():
+                continue
+        found[key] = bound.tolist()
+    return found
 
 
 LARGER = 1.15
