@@ -73,8 +73,7 @@ def bake_surfaces(
             from skinbake.measure.guard import Judged, judged_shares  # it poses: most kinds of bakes do not
 
             judged = [Judged(unwritten(own), one.rig) for one, own in zip(surfaces, made, strict=True)]
-            shares, told = judged_shares(document, judged, options.settings)
-            document.notices.tell(*told)
+            shares = judged_shares(document, judged, options.settings)
             kept = zip(surfaces, made, shares, strict=True)
             made = [surface.keeping(bakes, own) for surface, bakes, own in kept]
     if options.blend is not None and made:

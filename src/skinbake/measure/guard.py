@@ -124,14 +124,13 @@ class Judged(NamedTuple):
 
 def judged_shares(
     document: Document, surfaces: Sequence[Judged], settings: BakeSettings
-) -> tuple[list[list[KeptShare | None]], list[Notice]]:
+) -> list[list[KeptShare | None]]:
     """Return for each surface how much each primitive should keep, None for all.
 
     surfaces are all of the document. Meshes are judged without their morph targets. Those that cannot be
-    posed keep everything, with a notice.
+    posed keep everything, and a notice tells.
     """
     shares: list[list[KeptShare | None]] = [[None] * len(surface.bakes) for surface in surfaces]
-    notices = []
     # The numbers of the surfaces that the truths take as one, as ``whole_surfaces`` does.
     meshes = [surface.bakes[0].source.mesh for surface in surfaces]
     morphed = [any(bake.source.has_targets for bake in surface.bakes) for surface in surfaces]
@@ -150,11 +149,11 @@ def judged_shares(
         except InputError as error:
             message = f"its lighting was not compared with standard lighting: {error.message}"
             place = surfaces[group[0]].bakes[0].source.place._replace(primitive=None)
-            notices.append(Notice("not-judged", message, place))
+            document.notices.tell(Notice("not-judged", message, place))
             continue
         for number in group:
             shares[number] = [found.pop(0) for _ in shares[number]]
-    return shares, notices
+    return shares
 
 
 class _Whole:
