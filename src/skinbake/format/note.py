@@ -528,6 +528,11 @@ def left_note(holder: JsonObject) -> Left | None:
     return None if found is None else _read(LeftNote, found).left
 
 
+def primitive_left(source: PrimitiveSource) -> Left | None:
+    """Return why a bake has left a primitive on purpose, None if it has not."""
+    return left_note(source.json)
+
+
 def file_left(document: Document) -> Left | None:
     """Return why a bake has left a file on purpose, None if it has not."""
     return left_note(object_of(document.json.get("asset")))

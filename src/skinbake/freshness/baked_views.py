@@ -10,7 +10,7 @@ import numpy as np
 from skinbake.choices import Frame, FrameChoice, Gradients, Weld
 from skinbake.errors import Chosen, Message, Notice, Place
 from skinbake.format.digests import changed_arrays
-from skinbake.format.note import BAKE, NO_METADATA, GradientNote, gradient_note, left_note
+from skinbake.format.note import BAKE, NO_METADATA, GradientNote, gradient_note, primitive_left
 from skinbake.format.stored_slots import read_blend, read_slots
 from skinbake.geometry import frames
 from skinbake.geometry.frames import unit_normals
@@ -63,7 +63,7 @@ def is_baked(document: Document, source: PrimitiveSource) -> bool:
 
 def left_on_purpose(document: Document) -> dict[Place, str]:
     """Return the skinned primitives that a bake has left out by a choice, with the words of that."""
-    noted = ((source.place, left_note(source.json)) for source in skinned_sources(document))
+    noted = ((source.place, primitive_left(source)) for source in skinned_sources(document))
     return {place: f"left by bake {one.by}: {place.within_file}" for place, one in noted if one is not None}
 
 
