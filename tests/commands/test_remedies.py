@@ -13,8 +13,8 @@ from fixtures.builder import JsonObject
 from skinbake.choices import USUAL_TRUTHS, Gradients, Truth
 from skinbake.commands.bake import bake_document
 from skinbake.commands.bake_options import BakeOptions
-from skinbake.commands.remedies import worse_lighting
-from skinbake.errors import Place
+from skinbake.commands.remedies import tell_worse_lighting
+from skinbake.errors import Notices, Place
 from skinbake.freshness.baked_views import sound_views
 from skinbake.gltf.document import read_document
 from skinbake.report.verify import ErrorFigures, Figures, FileVerdict, Worst
@@ -129,7 +129,9 @@ def told(verdict: FileVerdict, kind: Gradients = Gradients.RIG, fit: int = FIT) 
     baked = bake_document(document, BakeOptions(gradients=kind)).document
     [view] = sound_views(baked)
     view = replace(view, source=view.source._replace(place=HERE), note=replace(view.note, fit=fit))
-    return [notice.message for notice in worse_lighting([view], verdict)]
+    document = document.edited(notices=Notices())
+    tell_worse_lighting(document, [view], verdict)
+    return [notice.message for notice in document.notices]
 
 
 @pytest.mark.parametrize(

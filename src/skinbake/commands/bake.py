@@ -237,9 +237,8 @@ def _left(made: BakedDocument, options: BakeOptions, told: Collection[Notice]) -
             else:
                 verdict = lighting_of(measured)
             figures = by_worse_truth(verdict)
-        broken = [notice for notice in verdict.notices if notice.code == "animations-broken"]
-        if broken:
-            raise InputError(broken[0].message, broken[0].place)
+        if verdict.unplayed is not None:
+            raise verdict.unplayed
     except InputError as error:
         message = f"it is baked, because its gain could not be measured: {error.message}"
         measured.notices.tell(Notice("gain-unmeasured", message, error.place or measured.place))

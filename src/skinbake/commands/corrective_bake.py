@@ -137,8 +137,8 @@ def bake_correctives(
             # As if the written file were read: a bake writes nothing that verify refuses.
             fresh = document.budget.afresh(sum(lengths))
             verdict = lighting_with_correctives(written.edited(budget=fresh))
-        if broken := [one for one in verdict.notices if one.code == "animations-broken"]:
-            raise InputError(broken[0].message.partition(": random poses")[0], broken[0].place)
+        if verdict.unplayed is not None:
+            raise verdict.unplayed
         worse = {(place.mesh, place.primitive) for place in worse_primitives(verdict)}
         if not worse:
             break
@@ -164,11 +164,15 @@ def bake_correctives(
 
 
 def lighting_with_correctives(document: Document) -> FileVerdict:
-    """Measure the lighting of a document with correctives, beside that of α and β of the surface."""
-    with document.notices.withheld(), stage("α and β"):
-        plain, _ = uncorrected(document)
-        gradients = bake_gradients(plain, bakeable(plain), OF_SURFACE).document
-    return corrected_lighting(PlayedCorrectives(document), gradients, VerifyOptions())[0]
+    """Measure the lighting of a document with correctives, beside that of α and β of the surface.
+
+    Nothing is told of it.
+    """
+    with document.notices.withheld():
+        with stage("α and β"):
+            plain, _ = uncorrected(document)
+            gradients = bake_gradients(plain, bakeable(plain), OF_SURFACE).document
+        return corrected_lighting(PlayedCorrectives(document), gradients, VerifyOptions())[0]
 
 
 def _nothing(place: Place, correctives: Correctives) -> Notice:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from skinbake.choices import Encoding, FrameChoice, Layout
@@ -47,35 +45,41 @@ def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
     with stage("read"):
         document = read_document(source, bounds)
     sources = skinned_sources(document)
-    with document.notices.withheld() as half_skinned:
-        tell_half_skinned(document)
-    notices = list(half_skinned)
+    tell_half_skinned(document)
     what = f"summing up {counted(len(sources), 'primitive')}"
     document.budget.claim(Cost.SUMMED_PRIMITIVE * len(sources), what, document.place)
-    primitives = []
+    tell, primitives = document.notices.tell, []
     read: dict[int, list[PrimitiveSource]] = {}
     leaning: set[int] = set()
     for entry in sources:
         reason = reason_to_skip(document, entry, generate_normals=False)
         if reason is not None:
-            notices.append(reason)
+            tell(reason)
         if reason is None or reason.code in ("no-normals", "unlit"):
             with document.budget.passing():
                 primitive = read_primitive(document, entry)
                 primitives.append(_summary(document, entry, primitive))
                 bake = primitives[-1].bake
                 if bake is not None and bake.other is not None:
-                    notices.append(Notice("version", bake.other, entry.place))
+                    tell(Notice("version", bake.other, entry.place))
                 elif bake is None and is_baked(document, entry):
-                    notices.append(Notice("metadata-missing", NO_METADATA, entry.place))
+                    tell(Notice("metadata-missing", NO_METADATA, entry.place))
                 if reason is not None and reason.code == "unlit":
                     continue  # no light reaches its normals
-                notices += weight_sum_notices(primitive, entry.place)
+                tell(*weight_sum_notices(primitive, entry.place))
                 read.setdefault(entry.mesh, []).append(entry)
                 if lean_notices([(primitive, entry.place)]):
                     leaning.add(entry.mesh)
+    # The normals of one mesh. Few meshes have any that lean, so only these are read at once.
     for mesh in sorted(leaning):
-        notices += _lean_notices(document, read[mesh])
+        with document.budget.passing():
+            together = []
+            for entry in read[mesh]:
+                primitive = read_primitive(document, entry)
+                work = Cost.SUMMED_VERTEX * len(primitive.positions)
+                document.budget.claim(work, "comparing its normals", entry.place)
+                together.append((primitive, entry.place))
+            tell(*lean_notices(together))
     made = list(made_states(document))
     return InspectResult(
         input=source,
@@ -84,24 +88,12 @@ def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
         skins=len(document.asset.skins),
         animations=len(document.asset.animations),
         primitives=tuple(primitives),
-        notices=tuple(notices),
+        notices=tuple(document.notices),
         left=file_left(document) is not None,
         morphs=tuple(
             MorphSummary(one.source.place, one.of, one.targets, one.frames, one.changed) for one in made
         ),
     )
-
-
-def _lean_notices(document: Document, sources: Sequence[PrimitiveSource]) -> list[Notice]:
-    """Return the notices on normals of one mesh. Few meshes have any, so only these are read at once."""
-    with document.budget.passing():
-        primitives = []
-        for source in sources:
-            primitive = read_primitive(document, source)
-            work = Cost.SUMMED_VERTEX * len(primitive.positions)
-            document.budget.claim(work, "comparing its normals", source.place)
-            primitives.append((primitive, source.place))
-        return lean_notices(primitives)
 
 
 def _summary(document: Document, source: PrimitiveSource, primitive: SkinnedPrimitive) -> PrimitiveSummary:

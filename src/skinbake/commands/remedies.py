@@ -10,6 +10,7 @@ from skinbake.choices import Gradients
 from skinbake.errors import Chosen, Message, Notice, Place
 from skinbake.freshness.baked_views import BakedView
 from skinbake.freshness.without_poses import has_older_fit
+from skinbake.gltf.document import Document
 from skinbake.measure.guard import UNSEEN
 from skinbake.report.verify import FileVerdict, Normals, gain
 from skinbake.wording import gain_in_words
@@ -25,30 +26,31 @@ DQS_ACCURATE: _LightingOf = ("dqs", "accurate")
 DQS_EXACT: _LightingOf = ("dqs", "exact")
 
 
-def worse_lighting(
-    views: Sequence[BakedView], verdict: FileVerdict, methods: Sequence[str] = ("lbs", "dqs", "blend")
-) -> list[Notice]:
-    """Return a notice for each primitive whose lighting α/β make worse, by one of the methods.
+def tell_worse_lighting(
+    document: Document,
+    views: Sequence[BakedView],
+    verdict: FileVerdict,
+    methods: Sequence[str] = ("lbs", "dqs", "blend"),
+) -> None:
+    """Tell of each primitive whose lighting α/β make worse, by one of the methods.
 
     Accurate and exact lighting of dual quaternions read the same α and β: the better one counts. The default
     bake compares its lighting with standard lighting, and so it is the remedy for all other bakes. It is the
     remedy of the whole file, and no file is lit worse by it. So is a bake that was measured to be better.
     """
     by_place = {view.source.place: view for view in views}
-    notices = []
     better = verdict.others[0].options if verdict.others else None
     for place, gains in _gains(verdict, methods).items():
         if gains.least < WORSE:
+            # Whether the bake compared its lighting with standard lighting, as this version does.
             view = by_place.get(place)
-            notices.append(_notice(place, gains, is_guarded=view is None or _is_guarded(view), better=better))
+            guarded = view is None or (view.kind is Gradients.RIG and not has_older_fit(view))
+            message = _worse(gains, is_guarded=guarded, better=better)
         elif gains.by_lighting.get(DQS_ACCURATE, WORSE) < WORSE:
-            notices.append(_exact_is_better(place, gains))
-    return notices
-
-
-def _is_guarded(view: BakedView) -> bool:
-    """Tell whether the bake compared its lighting with standard lighting, as this version does."""
-    return view.kind is Gradients.RIG and not has_older_fit(view)
+            message = _exact_is_better(gains)
+        else:
+            continue
+        document.notices.tell(Notice("lighting-worse", message, place))
 
 
 class _Gains(NamedTuple):
@@ -91,8 +93,8 @@ def _gains(verdict: FileVerdict, methods: Sequence[str]) -> dict[Place, _Gains]:
     return {place: gains for place, gains in found.items() if gains.by_lighting}
 
 
-def _notice(place: Place, own: _Gains, *, is_guarded: bool, better: str | None) -> Notice:
-    """Return the notice for a primitive. is_guarded: its bake was held to standard lighting already.
+def _worse(own: _Gains, *, is_guarded: bool, better: str | None) -> str:
+    """Return what is told of a primitive. is_guarded: its bake was held to standard lighting already.
 
     ``better`` are the options of a bake that lights the file better.
     """
@@ -102,19 +104,18 @@ def _notice(place: Place, own: _Gains, *, is_guarded: bool, better: str | None) 
     message = f"α/β make its lighting worse: the {called} gain is {gain_in_words(own.least)}"
     message += f", and the LBS gain is {gain_in_words(lbs)}. " if only_dqs else ". "
     if better is not None and not only_dqs:
-        return Notice("lighting-worse", f"{message}A bake with {better} lights the file better", place)
+        return f"{message}A bake with {better} lights the file better"
     if not is_guarded and not only_dqs:
         rig = Chosen("gradients", Gradients.RIG)
         advice = ", compares itself with standard lighting in the file's own clips: bake so"
-        return Notice("lighting-worse", Message(f"{message}The default, ", rig, advice), place)
+        return Message(f"{message}The default, ", rig, advice)
     other = "Blended" if own.least_of[0] == "blend" else "With dual quaternions"
     message += f"{other}, light" if only_dqs else "Light"
-    message += " it the standard way (in skinbake-three: lighting(mesh, 'standard'))"
-    return Notice("lighting-worse", message, place)
+    return f"{message} it the standard way (in skinbake-three: lighting(mesh, 'standard'))"
 
 
-def _exact_is_better(place: Place, own: _Gains) -> Notice:
-    """Return the notice for a primitive whose lighting only accurate dual quaternions make worse."""
+def _exact_is_better(own: _Gains) -> str:
+    """Return what is told of a primitive whose lighting only accurate dual quaternions make worse."""
     accurate, exact = own.by_lighting[DQS_ACCURATE], own.by_lighting[DQS_EXACT]
     better = "is right" if math.isinf(exact) else f"gains {gain_in_words(exact)}"
     message = (
@@ -123,6 +124,4 @@ def _exact_is_better(place: Place, own: _Gains) -> Notice:
         "shader --method dqs does"
     )
     lbs = own.by_lighting.get(LBS_ACCURATE)
-    return Notice(
-        "lighting-worse", message + ("" if lbs is None else f". The LBS gain is {gain_in_words(lbs)}"), place
-    )
+    return message + ("" if lbs is None else f". The LBS gain is {gain_in_words(lbs)}")

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from skinbake.commands.remedies import worse_lighting
+from skinbake.commands.remedies import tell_worse_lighting
 from skinbake.errors import Notice, Skipped, warnings_in
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.format.note import corrective_notes, file_left, gradient_note
@@ -30,7 +30,8 @@ def verify_file(source: str, options: VerifyOptions, bounds: Bounds = BESIDE) ->
     """Verify one file. Raises SkinbakeError if it cannot be read."""
     with stage("read"):
         document = read_document(source, bounds)
-    verdict = replace(verify_document(document, options, looks_further=True), input=source)
+    verdict = verify_document(document, options, looks_further=True)
+    verdict = replace(verdict, input=source, notices=tuple(document.notices))
     if options.warnings_as_errors and (warned := warnings_in(verdict.notices)):
         problem = Check("warnings", "failed", tuple(warned))
         return replace(verdict, checks=(*verdict.checks, problem))
@@ -40,20 +41,33 @@ def verify_file(source: str, options: VerifyOptions, bounds: Bounds = BESIDE) ->
 def verify_document(
     document: Document, options: VerifyOptions, *, looks_further: bool = False
 ) -> FileVerdict:
-    """Verify a document, as it is in memory. Raises InputError if a part of it cannot be read.
+    """Verify a document, as it is in memory. Its notices are told, and not in the verdict.
 
-    looks_further: where it gains little, other bakes are tried.
+    looks_further: where it gains little, other bakes are tried. Raises InputError if a part of it cannot be
+    read.
     """
     if corrective_notes(document):
         from skinbake.commands.verify_correctives import corrected_verdict  # most files have α and β
 
         return _beside_others(document, corrected_verdict(document, options), options, looks_further)
-    with document.notices.withheld() as told, stage("read"):
-        wanted, problems = _sorted_out(document)
+    wanted: list[PrimitiveSource] = []
+    with document.notices.withheld() as left_out, stage("read"):
+        tell_half_skinned(document)
+        left = left_on_purpose(document)
+        for source in skinned_sources(document):
+            if source.place in left:
+                continue
+            reason = reason_to_skip(document, source, generate_normals=False)
+            if reason is None:
+                wanted.append(source)
+            else:
+                document.notices.tell(reason)
         stale = [state.notice for state in made_states(document) if state.changed]
-    notices = [*told]
+    lost = _lost(document, left_out)
+    told, problems = [notice for notice in left_out if notice not in lost], [*lost.values()]
     if not problems and not any(is_baked(document, entry) for entry in wanted):
-        return _unbaked(document, options, [*notices, *stale], wanted)
+        return _unbaked(document, options, [*told, *stale], wanted)
+    document.notices.tell(*told)
     claim_freshness(document, len(wanted))
     with document.notices.withheld() as damaged, stage("read"):
         views = baked_views(document, wanted)
@@ -61,13 +75,13 @@ def verify_document(
     if problems:
         structure = Check("structure", "failed", tuple(problems))
         rest = [Check(name, "skipped", (), "structure failed") for name in ("freshness", "lighting")]
-        return FileVerdict(document.name, (structure, *rest), notices=tuple(notices))
+        return FileVerdict(document.name, (structure, *rest))
     vertices = counted(sum(len(view.now.positions) for view in views), "vertex", "vertices")
-    found = [f"{counted(len(views), 'baked primitive')}, {vertices}", *left_on_purpose(document).values()]
+    found = [f"{counted(len(views), 'baked primitive')}, {vertices}", *left.values()]
     structure = Check("structure", "passed", (), "; ".join(found))
     for view in views:
-        notices += weight_sum_notices(view.now, view.source.place)
-    notices += lean_notices((view.now, view.source.place) for view in views)
+        document.notices.tell(*weight_sum_notices(view.now, view.source.place))
+    document.notices.tell(*lean_notices((view.now, view.source.place) for view in views))
     # Whether a bake of the file as it is now would light it in the same way.
     surfaces = gathered_together(document, views)
     with Threads(thread_count()) as threads:
@@ -79,13 +93,26 @@ def verify_document(
             fresh = freshness_check(document, surfaces, operators, fits)
     if stale:
         fresh = replace(fresh, outcome="failed", problems=(*fresh.problems, *stale), remark="")
-    # How it is lit, and whether another bake would light it better.
-    verdict = Measurement(Scene.of_bakes(document, views, operators), options).verdict()
+    # How it is lit, and whether another bake would light it better, which is told first.
+    with document.notices.withheld() as of_lighting:
+        verdict = Measurement(Scene.of_bakes(document, views, operators), options).verdict()
     if fresh.outcome == "passed":
         verdict = _beside_others(document, verdict, options, looks_further)
-        notices += worse_lighting(views, verdict, options.methods or ("lbs", "blend"))
-    checks = (structure, fresh, *verdict.checks)
-    return replace(verdict, checks=checks, notices=(*notices, *verdict.notices))
+        tell_worse_lighting(document, views, verdict, options.methods or ("lbs", "blend"))
+    document.notices.tell(*of_lighting)
+    return replace(verdict, checks=(structure, fresh, *verdict.checks))
+
+
+def _lost(document: Document, left_out: Iterable[Notice]) -> dict[Notice, Notice]:
+    """Return problems in place of notices: what is baked can no longer be, although light reaches it."""
+    found: dict[Notice, Notice] = {}
+    for notice in left_out:
+        if isinstance(notice, Skipped) and notice.code not in {"no-skin", "unlit"}:
+            mesh = document.asset.meshes[notice.place.mesh or 0]
+            if gradient_note(document, mesh.primitives[notice.place.primitive or 0]) is not None:
+                lost = f"it is baked, but it has lost data that α/β need ({notice.reason})"
+                found[notice] = Notice(notice.code, f"{lost}: run skinbake bake", notice.place)
+    return found
 
 
 def _beside_others(
@@ -97,37 +124,6 @@ def _beside_others(
     from skinbake.commands.other_bakes import other_bakes  # most files gain enough
 
     return replace(verdict, others=other_bakes(document, verdict, options))
-
-
-def _sorted_out(document: Document) -> tuple[list[PrimitiveSource], list[Notice]]:
-    """Return the skinned primitives that can be baked, and problems. Tell of those that are left out.
-
-    What a bake has left on purpose is none of them. A primitive that is baked, but can no longer be baked, is
-    a problem, unless no light reaches it.
-    """
-    wanted: list[PrimitiveSource] = []
-    problems: list[Notice] = []
-    with document.notices.withheld() as told:
-        tell_half_skinned(document)
-        left = left_on_purpose(document)
-        for entry in skinned_sources(document):
-            if entry.place in left:
-                continue
-            reason = reason_to_skip(document, entry, generate_normals=False)
-            if reason is None:
-                wanted.append(entry)
-            else:
-                document.notices.tell(reason)
-    for notice in told:
-        mesh, primitive = notice.place.mesh, notice.place.primitive
-        if isinstance(notice, Skipped) and notice.code not in {"no-skin", "unlit"}:
-            source = document.asset.meshes[mesh or 0].primitives[primitive or 0]
-            if gradient_note(document, source) is not None:
-                lost = f"it is baked, but it has lost data that α/β need ({notice.reason})"
-                problems.append(Notice(notice.code, f"{lost}: run skinbake bake", notice.place))
-                continue
-        document.notices.tell(notice)
-    return wanted, problems
 
 
 def _unbaked(
@@ -148,18 +144,20 @@ def _unbaked(
         found += [] if left.standard_error is None else [f"standard lighting {left.standard_error:.15g}° off"]
         remark = f"left unbaked by bake --leave-under: {', '.join(found) or 'little to win'}"
         check = Check("structure", "skipped", (), remark)
-        rest = tuple(notice for notice in notices if notice.code != "no-normals")
-        return FileVerdict(document.name, (check,), notices=rest, left=True)
+        document.notices.tell(*(notice for notice in notices if notice.code != "no-normals"))
+        return FileVerdict(document.name, (check,), left=True)
+    document.notices.tell(*notices)
     if options.require_baked:
         advice = (
             f"run {command}" if command else "nothing in it can be baked; --require-baked is for characters"
         )
         problem = replace(missing, message=f"{nothing}: {advice}")
-        return FileVerdict(document.name, (Check("structure", "failed", (problem,)),), notices=tuple(notices))
+        return FileVerdict(document.name, (Check("structure", "failed", (problem,)),))
     check = Check("structure", "skipped", (), nothing)
     if options.limits and command:
         limits = " and ".join(options.limits)
         message = f"it is not baked, so it cannot meet {limits}: run {command} first"
         failed = Check("limits", "failed", (replace(missing, message=message),), message)
-        return FileVerdict(document.name, (check, failed), notices=tuple(notices))
-    return FileVerdict(document.name, (check,), notices=(*notices, missing), command=command)
+        return FileVerdict(document.name, (check, failed))
+    document.notices.tell(missing)
+    return FileVerdict(document.name, (check,), command=command)

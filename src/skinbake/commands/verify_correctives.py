@@ -32,13 +32,12 @@ def corrected_verdict(document: Document, options: VerifyOptions) -> FileVerdict
     """
     with stage("read"):
         sources = skinned_sources(document)
-        with document.notices.withheld() as notices:
-            tell_half_skinned(document)
+        tell_half_skinned(document)
         problems = list(damaged_correctives(document))
     if problems:
         structure = Check("structure", "failed", tuple(problems))
         skipped = [Check(name, "skipped", (), "structure failed") for name in ("freshness", "lighting")]
-        return FileVerdict(document.name, (structure, *skipped), notices=tuple(notices))
+        return FileVerdict(document.name, (structure, *skipped))
     with stage("freshness"):
         fresh = corrective_freshness(document, sources)
     with document.notices.withheld(), stage("α and β"):
@@ -55,22 +54,20 @@ def corrected_verdict(document: Document, options: VerifyOptions) -> FileVerdict
     structure = Check("structure", "passed", (), told)
     # That algorithms 2 and 3 agree says nothing of correctives.
     checks = [check for check in verdict.checks if check.name != "identity"]
-    worse = []
     for place, (before, after) in worse_primitives(verdict).items():
         change = f"from {before:.2f}° to {after:.2f}°: skinbake strip takes them out"
         message = f"its correctives make its lighting worse in these poses, {change}"
-        worse.append(Notice("correctives-worse", message, place))
+        document.notices.tell(Notice("correctives-worse", message, place))
     mixed: list[Mixture] = []
     with stage("mixtures"):
         for place, mixture in mixtures(played, drawn) if options.poses.kind is PoseKind.ANIMATION else ():
             mixed.append(mixture)
             if any(mixture.corrected[by] > WORSE * mixture.standard[by] for by in mixture.standard):
                 message = f"its correctives are worse than standard lighting {mixture.words}"
-                worse.append(Notice("correctives-mixed", message, place))
+                document.notices.tell(Notice("correctives-mixed", message, place))
     return replace(
         verdict,
         input=document.name,
         checks=(structure, fresh, *checks),
-        notices=(*notices, *verdict.notices, *worse),
         mixtures=tuple(mixed),
     )

@@ -81,7 +81,7 @@ def view_file(source: str, target: str | None = None, bounds: Bounds = BESIDE) -
     if corrected or not was_baked:
         document = baked_in_memory(document)
     verdict = verify_document(corrected or document, VerifyOptions())
-    told = tuple(dict.fromkeys((*document.notices, *verdict.notices)))
+    told = tuple(document.notices)
     with document.notices.withheld() as missing:
         made = page_of(document, replace(verdict, notices=told), notes, corrected=corrected)
     return ViewResult(made, was_baked, (*missing, *told))

@@ -70,31 +70,34 @@ class Measurement:
         self._reliefs = ReliefTallies(scene.document, Options(options.cap, options.baseline))
 
     def verdict(self) -> FileVerdict:
-        """Return a verdict with the checks of the lighting and its figures.
+        """Return a verdict with the checks of the lighting and its figures; tell what spoils them.
 
         Correctives are measured too, if the scene has any. Raises InputError if the file cannot be posed, or
         asks for work out of proportion to its size.
         """
-        asked, unread = (self._options.poses, self._options.truths), list[Notice]()
+        document, asked, unplayed = self._document, (self._options.poses, self._options.truths), None
         with stage("poses"):
             try:
-                self._clips = read_clips(self._document)
-                self.drawn = drawn = self._scene.measured(self._clips, *asked)
+                self._clips = read_clips(document)
+                with document.notices.withheld() as left_out:
+                    self.drawn = drawn = self._scene.measured(self._clips, *asked)
+                document.notices.tell(*left_out)
             except BudgetError:
                 raise
             except InputError as error:
                 # Its clips are broken, or move joints past all numbers.
                 message = f"its animations are broken, and are not played ({error.message})"
+                unplayed = InputError(message, document.place)
                 if self._options.poses.kind is PoseKind.ANIMATION:
                     message += ": random poses are measured in their place. Mend or remove the animations"
-                unread = [Notice("animations-broken", message, self._document.place)]
+                document.notices.tell(Notice("animations-broken", message, document.place))
                 self._clips = ()
                 self.drawn = drawn = self._scene.measured((), *asked)
         has_blend = any(view.blend is not None for view in self._scene.views)
         methods = self._options.methods or ("lbs", "dqs", *(["blend"] if has_blend else []))
         if "blend" in methods and not has_blend:
             message = "no primitive of it has blend weights that a bake has read: run skinbake bake --blend"
-            raise InputError(message, self._document.place)
+            raise InputError(message, document.place)
         scaled = dict.fromkeys(
             name for draw in drawn for name in scaled_joints(draw.surface.rest, draw.poses)
         )
@@ -106,17 +109,16 @@ class Measurement:
             for method in methods:
                 for draw in drawn:
                     self._measure(method, draw, again=method != methods[-1])
-            rounded = list(_rounded(drawn)) if "lbs" in methods else []
+            document.notices.tell(*_mirrored(drawn), *(_rounded(drawn) if "lbs" in methods else ()))
             with stage("figures"):
                 verdict = self._verdict(drawn, tuple(scaled) if {"dqs", "blend"} & {*methods} else ())
         moving: dict[int, set[int]] = {}
         for draw in drawn:
             mesh = draw.surface.views[0].source.mesh
             moving.setdefault(mesh, set()).update(draw.poses.moving_targets)
-        targets = sum(self._document.asset.meshes[mesh].target_count for mesh in moving)
+        targets = sum(document.asset.meshes[mesh].target_count for mesh in moving)
         morphs = MorphCount(targets, sum(map(len, moving.values()))) if targets else None
-        notices = *unread, *self._scene.notices, *dict.fromkeys(mirrored(drawn)), *rounded
-        return replace(verdict, notices=notices, morphs=morphs)
+        return replace(verdict, unplayed=unplayed, is_partial=self._scene.is_partial, morphs=morphs)
 
     def _measure(self, method: str, draw: Draw, *, again: bool) -> None:
         """Measure a draw by a method; ``again``: another method follows."""
@@ -234,7 +236,7 @@ class Measurement:
         )
 
 
-def mirrored(drawn: Sequence[Draw]) -> Iterator[Notice]:
+def _mirrored(drawn: Sequence[Draw]) -> Iterator[Notice]:
     """Yield a notice for each draw with joints in use that mirror, and turn the surface inside out."""
     mirrors: dict[int, BoolArray] = {}
     for draw in drawn:
@@ -341,10 +343,13 @@ def bakeable(document: Document) -> list[PrimitiveSource]:
 
 
 def lighting_of(document: Document, options: VerifyOptions = BY_LBS) -> FileVerdict:
-    """Return the lighting of a document that has just been baked. Its freshness is not in question."""
+    """Return the lighting of a document that has just been baked. Nothing is told of it.
+
+    Its freshness is not in question.
+    """
     with document.notices.withheld():
         views = baked_views(document, bakeable(document))
-    return Measurement(Scene.of_bakes(document, views), options).verdict()
+        return Measurement(Scene.of_bakes(document, views), options).verdict()
 
 
 def claim_verification(document: Document) -> None:
@@ -357,7 +362,7 @@ def claim_verification(document: Document) -> None:
     try:
         with document.notices.withheld():
             views = baked_views(document, wanted)
-        Scene.of_bakes(document, views).measured(read_clips(document), VerifyOptions().poses)
+            Scene.of_bakes(document, views).measured(read_clips(document), VerifyOptions().poses)
     except BudgetError:
         raise
     except InputError:

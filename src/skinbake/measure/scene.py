@@ -275,7 +275,7 @@ class Scene:
     """The surfaces of a document, and how nodes draw them.
 
     views are its sound bakes. correctives are those of the file: the bakes may have been made in memory, to
-    be compared with them. notices tell what was not measured.
+    be compared with them. is_partial: not all draws and poses were ``measured``.
     """
 
     def __init__(
@@ -285,7 +285,7 @@ class Scene:
         correctives: PlayedCorrectives | None = None,
     ) -> None:
         self.document, self.views, self.correctives = document, views, correctives
-        self.notices: list[Notice] = []
+        self.is_partial = False
         self._operators: dict[tuple[int, ...], GradientOperator] = {}
 
     @classmethod
@@ -325,7 +325,7 @@ class Scene:
         cannot be posed, or if the work is out of proportion to the file even so.
         """
         document, budget = self.document, self.document.budget
-        self.notices.clear()
+        self.is_partial = False
         with stage("gradient operator"):
             for surface in self.surfaces:
                 surface.operator  # noqa: B018  # its memory is claimed before that of the poses
@@ -391,7 +391,8 @@ class Scene:
                 "its meshes: all are too much work for a file of its size"
             )
             left_out = len(every) - len(drawn)
-            self.notices.append(Notice("poses-left-out", message, document.place, left_out))
+            document.notices.tell(Notice("poses-left-out", message, document.place, left_out))
+            self.is_partial = True
 
         # As many poses as are affordable. Plans that are too much work in LEAST_SAMPLES poses each are kept
         # so: their claims are refused below.
@@ -413,7 +414,8 @@ class Scene:
                 f"its lighting is measured in {most:,} of up to {poses:,} poses of each skin, which evenly "
                 "spread clips share: all poses are too much work for a file of its size"
             )
-            self.notices.append(Notice("poses-left-out", message, document.place, poses - most))
+            document.notices.tell(Notice("poses-left-out", message, document.place, poses - most))
+            self.is_partial = True
         return drawn, plans
 
     def shown(self) -> list[Draw]:

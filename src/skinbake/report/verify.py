@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 
 from skinbake.choices import USUAL_TRUTHS, Truth
-from skinbake.errors import Message, Notice, Place, SkinbakeError, printable, warnings_in
+from skinbake.errors import InputError, Message, Notice, Place, SkinbakeError, printable, warnings_in
 from skinbake.report.totals import (
     Totals,
     error_fields,
@@ -170,7 +170,8 @@ class FileVerdict:
     TANGENT.
     left: a bake has left the file unbaked on purpose, and noted it. mixtures are further poses of a file with
     correctives. others are bakes that light the file better, the one to choose first. command is what bakes a
-    file without a bake, empty if nothing in it can be baked.
+    file without a bake, empty if nothing in it can be baked. is_partial: it was too much work to measure in
+    all poses. unplayed is why no clip was played, None if all could be.
     """
 
     input: str
@@ -189,6 +190,8 @@ class FileVerdict:
     mixtures: tuple[Mixture, ...] = ()
     others: tuple[OtherBake, ...] = ()
     command: str = ""
+    is_partial: bool = False
+    unplayed: InputError | None = None
 
     @property
     def by_truth(self) -> dict[str, Normals]:
@@ -256,7 +259,7 @@ def leaves_room(verdict: FileVerdict) -> bool:
     figures, failed = by_worse_truth(verdict), [one.name for one in verdict.checks if one.outcome == "failed"]
     if not figures or figures["standard"].mean < NEGLIGIBLE or set(failed) - {"limits"}:
         return False
-    if any(notice.code == "poses-left-out" for notice in verdict.notices):
+    if verdict.is_partial:
         return False
     factor = gain(figures)
     return factor is not None and (bool(failed) or round(factor, 2) < CLEAR)
