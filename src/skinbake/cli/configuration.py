@@ -16,13 +16,11 @@ from operator import or_
 from typing import IO, Any, NamedTuple, NoReturn
 
 import click
-from click.core import ParameterSource
 
 from skinbake.cli import exit_codes
 from skinbake.cli.options import DeclaredOption
-from skinbake.errors import ChoiceError
 from skinbake.files.urls import STDIO, on_disk
-from skinbake.options import SAFETY, By, Range, Text, on_command_line
+from skinbake.options import SAFETY, By, Range, Text
 from skinbake.wording import did_you_mean
 
 OWN_CONFIG, SHARED_CONFIG = "skinbake.toml", "pyproject.toml"
@@ -174,18 +172,6 @@ def configured_in(ctx: click.Context) -> Configured | None:
     """Return the options that the file sets for the command of a context, or None without a file."""
     found: Configured | None = ctx.meta.get(META)
     return found
-
-
-def explained(ctx: click.Context, error: ChoiceError) -> str:
-    """Return an error in words of the command line, with the places of the options that a file has set."""
-    message, configured = error.worded(on_command_line), configured_in(ctx)
-    keys = [
-        configured.settings[name].keys
-        for name in dict.fromkeys(error.options)
-        if configured is not None and ctx.get_parameter_source(name) is ParameterSource.DEFAULT_MAP
-    ]
-    places = [f"{configured.configuration.place(one)} sets {one[-1]}" for one in keys if configured]
-    return f"{message} ({', '.join(places)}; --no-config leaves it out)" if places else message
 
 
 def load(ctx: click.Context, param: click.Parameter, value: str | bool | None) -> None:

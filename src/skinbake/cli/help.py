@@ -12,11 +12,11 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from skinbake.cli.configuration import CHOOSES_FILE, configured_in, explained, load
+from skinbake.cli.configuration import CHOOSES_FILE, configured_in, load
 from skinbake.cli.options import DeclaredOption, PathName
 from skinbake.cli.terminal import stdout_told
 from skinbake.errors import ChoiceError, printable
-from skinbake.options import OPTIONS, PATHS
+from skinbake.options import OPTIONS, PATHS, on_command_line
 from skinbake.version import __version__
 from skinbake.wording import SUFFIXES
 
@@ -118,7 +118,17 @@ class Helpful(click.Command):
         except ChoiceError as error:
             if error.option not in {param.name for param in self.params}:
                 raise  # a variable of the environment
-            raise click.UsageError(explained(ctx, error), ctx) from error
+            # The error in words of the command line, with the places of the options that a file has set.
+            message = error.worded(on_command_line)
+            places = [
+                configured.settings[name].keys
+                for name in dict.fromkeys(error.options)
+                if configured is not None and ctx.get_parameter_source(name) is ParameterSource.DEFAULT_MAP
+            ]
+            if configured is not None and places:
+                told = [f"{configured.configuration.place(one)} sets {one[-1]}" for one in places]
+                message += f" ({', '.join(told)}; --no-config leaves it out)"
+            raise click.UsageError(message, ctx) from error
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, one group after the other."""

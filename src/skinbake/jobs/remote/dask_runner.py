@@ -138,10 +138,17 @@ class DaskRunner:
             window = 1 if self._in_order else max(LEAST_WINDOW, WINDOW_PER_THREAD * threads)
             while waiting and len(under_way) < window:
                 number = waiting.popleft()
-                future = client.submit(pickle.loads, _task(work, jobs[number]), pure=False)
+                job = jobs[number]
+                pickled = pickle.dumps((work, absolute(job), job, content(job.source)))
+                future = client.submit(pickle.loads, call(perform, build(), pickled), pure=False)
                 under_way[future] = number
                 future.add_done_callback(ended.put)
-            for future in _taken(ended, LOOK_SECONDS if under_way else 0.0):
+            taken: list[Future] = []
+            with suppress(queue.Empty):
+                taken.append(ended.get(timeout=LOOK_SECONDS if under_way else 0.0))
+                while True:
+                    taken.append(ended.get_nowait())
+            for future in taken:
                 outcome = _outcome(future)
                 if outcome is None:
                     future.add_done_callback(ended.put)
@@ -160,21 +167,6 @@ class DaskRunner:
 
 _Performed = tuple[Any, str, tuple[int, str] | None]
 """A result, the address of the worker, and the content of the target there."""
-
-
-def _task(work: Work[Job, ResultT], job: Job) -> bytes:
-    """Return a job as bytes, whose unpickling does it."""
-    return call(perform, build(), pickle.dumps((work, absolute(job), job, content(job.source))))
-
-
-def _taken(ended: queue.SimpleQueue[Future], seconds: float) -> list[Future]:
-    """Wait a little for tasks to end, and return those that have."""
-    found: list[Future] = []
-    with suppress(queue.Empty):
-        found.append(ended.get(timeout=seconds))
-        while True:
-            found.append(ended.get_nowait())
-    return found
 
 
 def _outcome(future: Future) -> _Performed | str | Exception | None:

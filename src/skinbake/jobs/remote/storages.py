@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 from urllib.parse import quote, unquote, urlsplit
@@ -84,23 +85,20 @@ class Storage:
             self._filesystem.makedirs(folder.rstrip("/"), exist_ok=True)
         import secrets
 
+        from fsspec import AbstractFileSystem
+
         temporary = f"{folder}.skinbake-{secrets.token_hex(6)}.tmp"
         try:
             self._filesystem.put_file(str(content), temporary)
-            self._rename(temporary, path)
+            if type(self._filesystem).mv is not AbstractFileSystem.mv:
+                self._filesystem.mv(temporary, path)
+            else:  # fsspec's own ``mv`` copies too, and reads brackets in names as patterns
+                self._filesystem.cp_file(temporary, path)
+                self._filesystem.rm_file(temporary)
         except BaseException:
             with suppress(Exception):  # the first exception is the one to tell
                 self._filesystem.rm_file(temporary)
             raise
-
-    def _rename(self, old: str, new: str) -> None:
-        import fsspec
-
-        if type(self._filesystem).mv is not fsspec.AbstractFileSystem.mv:
-            self._filesystem.mv(old, new)
-        else:  # fsspec's own ``mv`` copies too, and reads brackets in names as patterns
-            self._filesystem.cp_file(old, new)
-            self._filesystem.rm_file(old)
 
     def public_name(self, name: str) -> str:
         """Return the file's URL."""
@@ -171,25 +169,21 @@ def _is_object_store(filesystem: AbstractFileSystem) -> bool:
 
 
 @contextmanager
-def reading(file: str) -> Iterator[None]:
-    """Raise InputError, with one sentence, for any exception of a storage in the block."""
+def _one_sentence(error: type[InputError | OutputError], done: str, file: str) -> Iterator[None]:
+    """Raise an error of a kind, with one sentence, for any exception of a storage in the block."""
     try:
         yield
     except (SkinbakeError, MemoryError):
         raise
-    except Exception as error:
-        raise InputError(f"cannot be read: {reason(error)}", Place(file)) from error
+    except Exception as failure:
+        raise error(f"cannot be {done}: {reason(failure)}", Place(file)) from failure
 
 
-@contextmanager
-def writing(file: str) -> Iterator[None]:
-    """Raise OutputError, with one sentence, for any exception of a storage in the block."""
-    try:
-        yield
-    except (SkinbakeError, MemoryError):
-        raise
-    except Exception as error:
-        raise OutputError(f"cannot be written: {reason(error)}", Place(file)) from error
+reading = partial(_one_sentence, InputError, "read")
+"""Raise InputError, about a file, for any exception of a storage in the block."""
+
+writing = partial(_one_sentence, OutputError, "written")
+"""Raise OutputError likewise."""
 
 
 def reason(error: Exception) -> str:
@@ -225,8 +219,13 @@ def expand_url(url: str) -> list[tuple[str, str]]:
         start = str(filesystem._strip_protocol(base)).rstrip("/")
         found = filesystem.glob(path) if wildcard else filesystem.find(path)
     names = [str(name)[len(start) :].lstrip("/").split("/") for name in found]
+    # Hidden files, and files in hidden folders, count only for a pattern with dots.
+    dots = "/." in path[len(start) :]
     relative = [
-        "/".join(parts) for parts in sorted(names) if _is_wanted(parts, dots="/." in path[len(start) :])
+        "/".join(parts)
+        for parts in sorted(names)
+        if PurePosixPath(parts[-1]).suffix.lower() in SUFFIXES
+        and (dots or not any(part.startswith(".") for part in parts))
     ]
     if not relative:
         what = "no file matches this pattern that" if wildcard else "nothing in this folder"
@@ -244,9 +243,3 @@ def _decoded(url: str, name: str) -> str:
 
 def _is_web(url: str) -> bool:
     return urlsplit(url).scheme.lower() in {"http", "https"}
-
-
-def _is_wanted(parts: Sequence[str], *, dots: bool) -> bool:
-    """Tell whether a file is a glTF file. Hidden files, and files in hidden folders, count only with dots."""
-    hidden = any(part.startswith(".") for part in parts)
-    return (dots or not hidden) and PurePosixPath(parts[-1]).suffix.lower() in SUFFIXES
