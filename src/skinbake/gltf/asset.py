@@ -23,7 +23,6 @@ from skinbake.gltf.json_access import (
     index,
     integer,
     is_number,
-    joints_of,
     member,
     object_of,
     objects,
@@ -225,15 +224,21 @@ class Skin:
     @property
     def joint_count(self) -> int:
         """The number of joints, which are not checked to be nodes; InputError if it lists none."""
-        return len(joints_of(self.json, self.number, self.asset.place))
+        return len(self._listed)
+
+    @property
+    def _listed(self) -> list[Any]:
+        joints = self.json.get("joints")
+        if not isinstance(joints, list) or not joints:
+            raise InputError(f"skin {self.number} has no joints", self.asset.place)
+        return joints
 
     @cached_property
     def joints(self) -> tuple[int, ...]:
         """The nodes that it lists; InputError if one is not a node."""
         owner, place, count = f"skin {self.number}", self.asset.place, len(self.asset.objects("nodes"))
         joints = [
-            index({"joint": joint}, "joint", count, place, owner=owner, kind="node")
-            for joint in joints_of(self.json, self.number, place)
+            index({"joint": joint}, "joint", count, place, owner=owner, kind="node") for joint in self._listed
         ]
         return tuple(joint for joint in joints if joint is not None)
 

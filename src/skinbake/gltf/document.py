@@ -204,12 +204,6 @@ def read_document(path: str, bounds: Bounds = BESIDE) -> Document:
     are first needed. Raises InputError if the file cannot be read or is not glTF 2, and if a buffer is not
     within the bounds.
     """
-    document = _parsed(path, bounds)
-    refuse_buffers_outside(document)
-    return document
-
-
-def _parsed(path: str, bounds: Bounds) -> Document:
     budget = Budget()
     if path == STDIO:
         # Its size is not known, so that it is counted block by block.
@@ -222,13 +216,18 @@ def _parsed(path: str, bounds: Bounds) -> Document:
             raise InputError(
                 f"cannot be read: {getattr(error, 'strerror', None) or 'it is closed'}", Place(STDIN)
             ) from error
-        return parse_glb(memoryview(data).toreadonly(), STDIN, Path(), bounds._replace(root=NOWHERE), budget)
+        inside = bounds._replace(root=NOWHERE)
+        document = parse_glb(memoryview(data).toreadonly(), STDIN, Path(), inside, budget)
+        refuse_buffers_outside(document)
+        return document
     file = Path(path)
     suffix = file.suffix.lower()
     if suffix != GLTF_SUFFIX and suffix not in GLB_SUFFIXES:  # pragma: no cover: tests/gltf/test_document.py
         raise InputError(not_gltf(path, ""), Place(path))
     parse = parse_gltf if suffix == GLTF_SUFFIX else parse_glb
-    return parse(read_named(path, bounds.root, budget), path, file.parent, bounds, budget)
+    document = parse(read_named(path, bounds.root, budget), path, file.parent, bounds, budget)
+    refuse_buffers_outside(document)
+    return document
 
 
 def refuse_buffers_outside(document: Document) -> None:

@@ -60,15 +60,15 @@ def integer(
         return value
     if value is None and default is not None:
         return default  # some exporters write null
+    of = f"{owner}: " if owner else ""
     if isinstance(value, float) and value.is_integer():
         value = int(value)  # some exporters write 3.0
     if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
         found = f"found {shown(value)}" if key in parent else "and it is missing"
-        message = f'"{key}" must be an integer of at least {minimum}, {found}'
-        raise InputError(_of(owner, message), place)
+        raise InputError(f'{of}"{key}" must be an integer of at least {minimum}, {found}', place)
     if value > LARGEST_INTEGER:
-        message = f'"{key}" must be an integer of at most {LARGEST_INTEGER:,}, found {shown(value)}'
-        raise InputError(_of(owner, message), place)
+        most = f"at most {LARGEST_INTEGER:,}, found {shown(value)}"
+        raise InputError(f'{of}"{key}" must be an integer of {most}', place)
     return value
 
 
@@ -87,12 +87,8 @@ def index(
         if kind:
             plural = kind + ("es" if kind.endswith("sh") else "s")
             message = f'"{key}" is {value}, but the file has {counted(length, kind, plural)}'
-        raise InputError(_of(owner, message), place)
+        raise InputError(f"{owner}: {message}" if owner else message, place)
     return value
-
-
-def _of(owner: str, message: str) -> str:
-    return f"{owner}: {message}" if owner else message
 
 
 def names(parent: Mapping[str, Any], key: str, place: Place) -> list[str]:
@@ -103,14 +99,6 @@ def names(parent: Mapping[str, Any], key: str, place: Place) -> list[str]:
     if not isinstance(value, list) or not set(map(type, value)) <= {str}:
         raise InputError(f'"{key}" must be an array of strings, found {shown(value)}', place)
     return value
-
-
-def joints_of(skin: Mapping[str, Any], number: int, place: Place) -> list[Any]:
-    """Return the joints that a skin lists, which are not checked to be nodes. InputError if it has none."""
-    joints = skin.get("joints")
-    if not isinstance(joints, list) or not joints:
-        raise InputError(f"skin {number} has no joints", place)
-    return joints
 
 
 def every_object(root: object) -> Iterator[JsonObject]:
