@@ -184,7 +184,26 @@ def _made(
 ) -> Iterable[tuple[MadeTargets, MorphCounts]]:
     """Yield what is made for each primitive of a mesh, and its numbers, for ``most`` targets or all."""
     document.asset.meshes[parts[0].source.mesh].target_count  # noqa: B018  # refuses different numbers
-    surface, slices = _surface(document, parts, options)
+    # The primitives of the mesh as one surface, and the slice of each in it.
+    ends = np.cumsum([len(part.primitive.positions) for part in parts]).tolist()
+    slices = [slice(*one) for one in zip([0, *ends[:-1]], ends, strict=True)]
+    triangles = []
+    for part, here in zip(parts, slices, strict=True):
+        # Triangles without an area have no gradient.
+        own = part.primitive.triangles
+        work = Cost.MORPHED_TRIANGLE * len(own) + Cost.MORPHED_VERTEX * len(part.primitive.positions)
+        document.budget.claim(work, "differentiating its morph targets", part.source.place)
+        proper = own[kernel.mark_proper(part.primitive.positions, own)]
+        triangles.append(proper.astype(np.int64) + here.start)
+    frames = [frame_vectors(part.primitive, part.frame) for part in parts]
+    surface = MorphSurface.of(
+        np.concatenate([part.primitive.positions for part in parts]),
+        np.concatenate(triangles),
+        np.unique(np.concatenate([part.classes for part in parts]), return_inverse=True)[1],
+        np.concatenate([part.primitive.normals for part in parts]),
+        (np.concatenate([frame[0] for frame in frames]), np.concatenate([frame[1] for frame in frames])),
+        weighting=options.weighting,
+    )
     wanted = sorted(set().union(*(part.targets for part in parts)))
     if most is not None:
         wanted = wanted[:: -(-len(wanted) // most)]
@@ -213,11 +232,11 @@ def _made(
     for number, part in enumerate(parts):
         normals = {t: changes[t][number].normals for t in part.lacking if t in changes}
         # Zeros that are right stay.
-        here = part.source.targets
-        normals = {t: made for t, made in normals.items() if len(made.rows) or "NORMAL" not in here[t]}
+        there = part.source.targets
+        normals = {t: made for t, made in normals.items() if len(made.rows) or "NORMAL" not in there[t]}
         of_frames = [t for t in part.targets if t in changes] if part.numbers else []
-        frames = [{t: changes[t][number].in_plane for t in of_frames}] if part.numbers else []
-        frames += [{t: changes[t][number].upward for t in of_frames}] if part.numbers > 4 else []
+        moved = [{t: changes[t][number].in_plane for t in of_frames}] if part.numbers else []
+        moved += [{t: changes[t][number].upward for t in of_frames}] if part.numbers > 4 else []
         if not normals and not of_frames:
             continue
         moving = {t: moves[t][number] for t in of_frames or normals}
@@ -229,7 +248,7 @@ def _made(
             sine = np.linalg.norm(np.cross(before, after), axis=1)
             every += np.degrees(np.arctan2(sine, np.einsum("ri,ri->r", before, after))).tolist()
         yield (
-            MadeTargets(part.source, normals, frames, morph_digest(part.primitive, moving)),
+            MadeTargets(part.source, normals, moved, morph_digest(part.primitive, moving)),
             MorphCounts(
                 targets=len(part.source.targets),
                 normals=len(part.lacking) if most else len(normals),
@@ -238,31 +257,6 @@ def _made(
                 max=max(every, default=0.0),
             ),
         )
-
-
-def _surface(
-    document: Document, parts: Sequence[_Part], options: BakeOptions
-) -> tuple[MorphSurface, list[slice]]:
-    """Return the mesh of some primitives as one surface, and the slice of each in it."""
-    ends = np.cumsum([len(part.primitive.positions) for part in parts]).tolist()
-    starts = [0, *ends[:-1]]
-    triangles = []
-    for part, start in zip(parts, starts, strict=True):
-        # Triangles without an area have no gradient.
-        own = part.primitive.triangles
-        work = Cost.MORPHED_TRIANGLE * len(own) + Cost.MORPHED_VERTEX * len(part.primitive.positions)
-        document.budget.claim(work, "differentiating its morph targets", part.source.place)
-        triangles.append(own[kernel.mark_proper(part.primitive.positions, own)].astype(np.int64) + start)
-    frames = [frame_vectors(part.primitive, part.frame) for part in parts]
-    surface = MorphSurface.of(
-        np.concatenate([part.primitive.positions for part in parts]),
-        np.concatenate(triangles),
-        np.unique(np.concatenate([part.classes for part in parts]), return_inverse=True)[1],
-        np.concatenate([part.primitive.normals for part in parts]),
-        (np.concatenate([frame[0] for frame in frames]), np.concatenate([frame[1] for frame in frames])),
-        weighting=options.weighting,
-    )
-    return surface, [slice(*one) for one in zip(starts, ends, strict=True)]
 
 
 def _changes(

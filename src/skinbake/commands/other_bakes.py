@@ -66,7 +66,10 @@ def _measured(
 ) -> Iterator[OtherBake]:
     """Yield the bakes of one kind that can be measured."""
     sources = skinned_sources(plain)
-    lacking = any(_lacks_normals(plain, source) for source in sources)
+    try:
+        lacking = any(targets_without_normal(plain, source) for source in sources)
+    except SkinbakeError:  # no bake can make what broken targets lack
+        lacking = False
     morphs, plays = any(one.has_targets for one in sources), bool(plain.asset.animations)
     ways: list[tuple[str, dict[str, Any], bool]] = [
         (_default(document, sources), {}, not corrects),
@@ -103,13 +106,6 @@ def _measured(
         if figures:
             without = " without --correctives" if is_corrected and not corrects else ""
             yield OtherBake(f"{words}{without}", figures[baked_lighting(figures)].mean)
-
-
-def _lacks_normals(document: Document, source: PrimitiveSource) -> bool:
-    try:
-        return bool(targets_without_normal(document, source))
-    except SkinbakeError:
-        return False
 
 
 def _default(document: Document, sources: list[PrimitiveSource]) -> str:
