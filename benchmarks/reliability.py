@@ -1,4 +1,4 @@
-"""Print docs/reliability.md from the logs of the fuzzer: ``python -m benchmarks.reliability LOG...``.
+"""Print fuzz/RELIABILITY.md from the logs of the fuzzer: ``python -m benchmarks.reliability LOG...``.
 
 The page sums up the attempts, the branches of the readers that they reached, and their finds. ``--finds``
 prints each find instead, with its cause and test. Each line of a log is a run of ``make fuzz``,

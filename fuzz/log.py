@@ -1,4 +1,4 @@
-"""The log of all runs: a JSON line each, from which docs/reliability.md is made."""
+"""The log of all runs: a JSON line each, from which fuzz/RELIABILITY.md is made."""
 
 from __future__ import annotations
 

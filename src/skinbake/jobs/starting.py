@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -54,21 +54,16 @@ def context_for(modules: Sequence[str]) -> SpawnContext | ForkServerContext:
     They are never forks of this process, because this process may have threads by then. From scratch takes
     longer, and needs no socket.
     """
-    if sys.platform != "linux" or not _has_place_for_a_socket():
+    import tempfile
+
+    has_place = False  # for a socket: TMPDIR may be long, or no folder
+    with suppress(OSError):
+        has_place = len(os.fsencode(tempfile.gettempdir())) <= LONGEST_FOLDER
+    if sys.platform != "linux" or not has_place:
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(modules))
     return context
-
-
-def _has_place_for_a_socket() -> bool:
-    """Tell whether the folder of temporary files can hold a socket. TMPDIR may be long, or no folder."""
-    import tempfile
-
-    try:
-        return len(os.fsencode(tempfile.gettempdir())) <= LONGEST_FOLDER
-    except OSError:
-        return False
 
 
 def check_descriptors() -> None:
@@ -86,37 +81,22 @@ def started(
 ) -> tuple[BaseProcess, Connection]:
     """Start a worker, and return its process and this end of its pipe. Raises OSError or EOFError."""
     here, there = context.Pipe()
-    with _quiet_start():
-        process = context.Process(
-            target=serve,
-            args=(
-                there,
-                work,
-                limits,
-                logging.getLogger().level,
-                bool(logging.getLogger().handlers),
-                is_heard(),
-            ),
-            daemon=True,
-        )
-        process.start()
-    there.close()
-    return process, here
-
-
-@contextmanager
-def _quiet_start() -> Iterator[None]:
-    """Give the processes that start here their environment, and block Ctrl-C until they are ready."""
+    # The processes that start here have their environment, and no Ctrl-C until they are ready.
     missing = {name: value for name, value in ENVIRONMENT.items() if name not in os.environ}
     os.environ.update(missing)
     try:
         if sys.platform != "win32":
             resource_tracker.ensure_running()  # the tracker lifts the block when it starts
+        logs = logging.getLogger()
+        arguments = there, work, limits, logs.level, bool(logs.handlers), is_heard()
         with no_interrupts():
-            yield
+            process = context.Process(target=serve, args=arguments, daemon=True)
+            process.start()
     finally:
         for name in missing:
             os.environ.pop(name, None)
+    there.close()
+    return process, here
 
 
 @contextmanager
