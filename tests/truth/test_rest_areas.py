@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skinbake.choices import PoseKind
+from skinbake.choices import PoseKind, Truth
 from skinbake.commands.verify import verify_file
 from skinbake.gltf.document import read_document
 from skinbake.gltf.reading.meshes import read_primitive, skinned_sources
@@ -85,7 +85,7 @@ def test_a_mesh_in_other_units_counts_as_much(tmp_path: Path) -> None:
         measured(baked(two_meshes(tmp_path, scale), folder(tmp_path, scale))) for scale in (1.0, 100.0)
     )
     assert_alike(one, other, 1e-4)
-    (_, bends), (_, follows) = one.primitives
+    (_, bends), (_, follows) = one.figures[Truth.TANGENTS].primitives
     half = 0.5 * (bends["lbs"]["standard"].mean + follows["lbs"]["standard"].mean)
     assert one.by_truth["tangents"]["lbs"]["standard"].mean == pytest.approx(half, rel=1e-6)
     assert bends["lbs"]["standard"].mean > 100 * follows["lbs"]["standard"].mean

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
+from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Rows, Vector, cofactors, cross, dot, linear, quotient, scaled
 from skinbake.skinning.run import Skinning
 from skinbake.truth.areas import angles_of_units, units_or_nan
-from skinbake.truth.mesh import WeldedMesh, weights_of_corners
+from skinbake.truth.mesh import Int32Array, WeldedMesh, weights_of_corners
 from skinbake.truth.normals import (
     ClassBlock,
     ClassSums,
@@ -48,10 +48,40 @@ def blend(forms: Forms, table: Float64Array, out: Float64Array, first_row: int =
 
     Row 4 j + i of table (R, 3, P) is column i of the matrices of joint j.
     """
-    entries, columns = _entries(forms), _columns(forms)
+    # What F multiplies the table with: w u + c p̃ for each slot, (F, B, 4 K); u = p̃ without directions.
+    points = np.concatenate([forms.points, np.ones((len(forms.points), 1))], axis=1)
+    directions = points[None]
+    if forms.directions is not None:
+        directions = np.concatenate([forms.directions, np.zeros((*forms.directions.shape[:2], 1))], axis=2)
+    by_slot = forms.weights[:, :, None] * directions[:, :, None]
+    if forms.changes is not None:
+        by_slot = by_slot + forms.changes[..., None] * points[:, None]
+    entries = np.asarray(by_slot.reshape(*by_slot.shape[:2], -1), dtype=np.float64)
+    # The rows of the table that the entries multiply, (B, 4 K).
+    numbers = 4 * forms.joints.astype(np.int32)[:, :, None] + np.arange(4, dtype=np.int32)
+    columns: Int32Array = np.asarray(numbers.reshape(len(numbers), -1), dtype=np.int32)
     flat = table.reshape(len(table), -1)
-    product = _sparse if len(entries) * flat.shape[1] < DENSE else _dense
-    found = product(entries, columns, flat).reshape(*entries.shape[:2], 3, -1)
+    (count, width), poses = columns.shape, flat.shape[1]
+    if len(entries) * poses < DENSE:
+        from scipy.sparse import csr_array
+
+        # One row for each form and vertex.
+        ends = np.arange(len(entries) * count + 1, dtype=np.int32) * np.int32(width)
+        names = np.tile(columns.ravel(), len(entries))
+        found = csr_array((entries.ravel(), names, ends), shape=(len(ends) - 1, len(table))) @ flat
+    else:
+        # Vertex by vertex, with the matrices of its joints, a few vertices at a time.
+        dense = np.empty((count, len(entries), poses))
+        step = max(1, GATHERED // (width * poses))
+        gathered = np.empty((step, width, poses))
+        by_vertex = np.ascontiguousarray(np.swapaxes(entries, 0, 1))
+        for start in range(0, count, step):
+            rows = slice(start, min(start + step, count))
+            own = gathered[: rows.stop - start]
+            np.take(flat, columns[rows], axis=0, out=own, mode="clip")
+            np.matmul(by_vertex[rows], own, out=dense[rows])
+        found = np.swapaxes(dense, 0, 1)
+    found = found.reshape(*entries.shape[:2], 3, -1)
     # Components are contiguous in out. Arithmetic takes three times as long on those that are not.
     out[:, :, first_row : first_row + len(columns)] = np.swapaxes(found, 1, 2)
 
@@ -87,52 +117,6 @@ def dqs_normals(skinning: Skinning, pose: slice, part: slice) -> Float64Array:
     algorithms = [algorithm for algorithm in Algorithm if algorithm.uses_dual_quaternions]
     found = skinning.run(algorithms, pose, part)
     return np.stack([np.stack([component.T for component in posed.normal]) for posed in found])
-
-
-def _entries(forms: Forms) -> Float64Array:
-    """Return what F multiplies the table with: w u + c p̃ for each slot, (F, B, 4 K)."""
-    points = np.concatenate([forms.points, np.ones((len(forms.points), 1))], axis=1)
-    if forms.directions is None:
-        directions = points[None]
-    else:
-        directions = np.concatenate([forms.directions, np.zeros((*forms.directions.shape[:2], 1))], axis=2)
-    # w u for each slot, and c p̃ where there are changes.
-    entries = forms.weights[:, :, None] * directions[:, :, None]
-    if forms.changes is not None:
-        entries = entries + forms.changes[..., None] * points[:, None]
-    return np.asarray(entries.reshape(*entries.shape[:2], -1), dtype=np.float64)
-
-
-def _columns(forms: Forms) -> IntArray:
-    """Return the rows of the table that the entries multiply: (B, 4 K)."""
-    columns = 4 * forms.joints.astype(np.int32)[:, :, None] + np.arange(4, dtype=np.int32)
-    return np.asarray(columns.reshape(len(columns), -1), dtype=np.int32)
-
-
-def _sparse(entries: Float64Array, columns: IntArray, table: Float64Array) -> Float64Array:
-    from scipy.sparse import csr_array
-
-    count, width = columns.shape
-    ends = np.arange(len(entries) * count + 1, dtype=np.int32) * np.int32(width)
-    names = np.tile(columns.ravel(), len(entries))
-    sparse = csr_array((entries.ravel(), names, ends), shape=(len(ends) - 1, len(table)))
-    return np.asarray(sparse @ table)
-
-
-def _dense(entries: Float64Array, columns: IntArray, table: Float64Array) -> Float64Array:
-    """Multiply vertex by vertex with the rows of its joints in the table, a few vertices at a time."""
-    count, width = columns.shape
-    found = np.empty((count, len(entries), table.shape[1]))
-    step = max(1, GATHERED // (width * table.shape[1]))
-    gathered = np.empty((step, width, table.shape[1]))
-    by_vertex = np.ascontiguousarray(np.swapaxes(entries, 0, 1))
-    for start in range(0, count, step):
-        # The matrices of the joints of a few vertices, times their entries.
-        rows = slice(start, min(start + step, count))
-        own = gathered[: rows.stop - start]
-        np.take(table, columns[rows], axis=0, out=own, mode="clip")
-        np.matmul(by_vertex[rows], own, out=found[rows])
-    return np.swapaxes(found, 0, 1)
 
 
 def gradient_rows(mesh: WeldedMesh, part: slice, directions: Sequence[FloatArray]) -> SparseRows:

@@ -262,23 +262,21 @@ def rest_frames(
             if tangents is None or bitangents is None
             else (tangents[whole], bitangents[whole])
         )
-        along += _split(operator.rows(whole, axes), group)
+        # The first half of the rows is along t0, the second along b0.
+        rows = operator.rows(whole, axes)
+        half = len(rows) // 2
+        end = int(rows.starts[half])
+        along_t = SparseRows(rows.starts[: half + 1], rows.columns[:end].copy(), rows.values[:end])
+        along_b = SparseRows(rows.starts[half:] - np.int32(end), rows.columns[end:].copy(), rows.values[end:])
+        if np.array_equal(along_t.starts, along_b.starts) and np.array_equal(
+            along_t.columns, along_b.columns
+        ):
+            # Usual: both have the same neighbours, which are kept once.
+            along_b = SparseRows(along_t.starts, along_t.columns, along_b.values)
+        for part in group:
+            own = slice(part.start - whole.start, part.stop - whole.start + 1)
+            along.append((along_t.some(own), along_b.some(own)))
     return measured_frames(chosen, tuple(along), positions, normals)
-
-
-def _split(stacked: SparseRows, group: Sequence[slice]) -> list[tuple[SparseRows, SparseRows]]:
-    """Cut rows along t0, and then along b0, into those of the parts of one group."""
-    starts, columns = stacked.starts, stacked.columns
-    first, half = group[0].start, len(stacked) // 2
-    # The first half of the rows is along t0, the second along b0.
-    end = int(starts[half])
-    along_t = SparseRows(starts[: half + 1], columns[:end].copy(), stacked.values[:end])
-    along_b = SparseRows(starts[half:] - np.int32(end), columns[end:].copy(), stacked.values[end:])
-    if np.array_equal(along_t.starts, along_b.starts) and np.array_equal(along_t.columns, along_b.columns):
-        # Usual: both have the same neighbours, which are kept once.
-        along_b = SparseRows(along_t.starts, along_t.columns, along_b.values)
-    parts = [slice(part.start - first, part.stop - first + 1) for part in group]
-    return [(along_t.some(part), along_b.some(part)) for part in parts]
 
 
 def perpendicular(normals: FloatArray) -> tuple[Float64Array, Float64Array]:
