@@ -118,11 +118,12 @@ def compression_of(document: Document, source: PrimitiveSource) -> str | None:
 
 def meshopt_of(document: Document, source: PrimitiveSource) -> str | None:
     """Return the meshopt extension of any attribute of a primitive, None without one."""
-    accessors, views = document.objects("accessors"), document.objects("bufferViews")
+    views = document.objects("bufferViews")
     for attribute in source.attributes:
-        number = index(source.attributes, attribute, len(accessors), source.place.at(attribute))
-        view = index(accessors[number or 0], "bufferView", len(views), source.place.at(attribute))
-        name = None if view is None else meshopt.extension_of(views[view], source.place.at(attribute))
+        place = source.place.at(attribute)
+        accessor = document.asset.accessor(source.attributes, attribute, place)
+        view = None if accessor is None else index(accessor.json, "bufferView", len(views), place)
+        name = None if view is None else meshopt.extension_of(views[view], place)
         if name is not None:
             return name
     return None

@@ -202,7 +202,7 @@ def _noted_positions(document: Document, item: Baked, stored: SkinnedPrimitive) 
     """
     source = item.source
     number = int(source.attributes["POSITION"])
-    accessor = document.objects("accessors")[number]
+    accessor = document.asset.accessors[number].json
     noted = Positions(component_type=accessor["componentType"])
     if source.json.get("mode", TRIANGLES) == TRIANGLES:
         corners = int(source.json.get("indices", number))

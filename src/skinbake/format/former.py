@@ -17,7 +17,7 @@ from skinbake.format.note import GradientNote, stream_note
 from skinbake.gltf.budget import ELEMENTS, Cost
 from skinbake.gltf.codecs import draco
 from skinbake.gltf.document import Document, once_a_document
-from skinbake.gltf.json_access import JsonObject, index, integer
+from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.reading.accessors import StoredArray, read_accessor
 
 
@@ -93,11 +93,10 @@ def _with_digest(
     document: Document, attributes: JsonObject, name: str, digest: str | None, place: Place
 ) -> int | None:
     """Return an accessor that has a digest, and as many rows of four numbers as that of an attribute."""
-    accessors = document.objects("accessors")
-    number = index(attributes, name, len(accessors), place)
-    if number is None or digest is None:
+    accessor = document.asset.accessor(attributes, name, place)
+    if accessor is None or digest is None:
         return None
-    count = integer(accessors[number], "count", place, minimum=1)
+    count = accessor.count(place)
     return _by_digest(document, count).get(digest)
 
 
@@ -169,8 +168,8 @@ def former_tangent(
     try:
         draco.add_former_streams(document, with_former_stream)
         count = len(document.objects("accessors"))
-        now = index(attributes, "TANGENT", count, where)
-        if now is None or _digest(document, now, where) != after:
+        now = document.asset.accessor(attributes, "TANGENT", where)
+        if now is None or _digest(document, now.number, where) != after:
             return None
         former = note.straightened.tangent
         if former is not None and 0 <= former < count and _digest(document, former, where) == before:
@@ -204,14 +203,13 @@ def _digested(attributes: JsonObject) -> set[str]:
 
 def _influence_digests(document: Document, attributes: JsonObject, place: Place) -> dict[str, str]:
     """Return the digests of JOINTS and WEIGHTS, all sets side by side, as in the metadata."""
-    count = len(document.objects("accessors"))
     sets: dict[str, list[npt.NDArray[Any]]] = {"JOINTS": [], "WEIGHTS": []}
     while f"JOINTS_{len(sets['JOINTS'])}" in attributes:
         for kind, arrays in sets.items():
-            number = index(attributes, f"{kind}_{len(arrays)}", count, place)
-            if number is None:
+            accessor = document.asset.accessor(attributes, f"{kind}_{len(arrays)}", place)
+            if accessor is None:
                 raise InputError(f"it has no {kind}_{len(arrays)}", place)
-            stored = _read(document, number, place)
+            stored = _read(document, accessor.number, place)
             arrays.append(stored.values if kind == "JOINTS" else stored.decoded())
     for kind, arrays in sets.items():
         if not arrays or len({len(values) for values in arrays}) > 1:

@@ -20,8 +20,7 @@ from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray
 from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Work
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import index
-from skinbake.gltf.reading.accessors import read_accessor
+from skinbake.gltf.reading.accessors import read_accessor, read_attribute
 from skinbake.gltf.reading.meshes import FLOAT, Formats, check_format, refuse_not_finite
 from skinbake.wording import counted
 
@@ -73,11 +72,11 @@ def read_array(
 ) -> npt.NDArray[Any] | Notice:
     """Return an attribute that a bake has added to a primitive, of this shape, or the problem with it."""
     place = source.place.at(name)
-    accessor = index(source.attributes, name, len(document.objects("accessors")), place)
+    accessor = document.asset.accessor(source.attributes, name, place)
     if accessor is None:
         message = f"its metadata names this attribute, but the attribute was removed or renamed: {BAKE}"
         return Notice("attribute-missing", message, place)
-    stored = read_accessor(document, accessor, place)
+    stored = read_accessor(document, accessor.number, place)
     values: npt.NDArray[Any] = stored.values
     if values.dtype != DTYPES[encoding] or stored.normalized != encoding.is_scaled:
         kind = f"{'normalised ' if stored.normalized else ''}{values.dtype.name}"
@@ -125,10 +124,9 @@ def read_blend_weights(
     Raises InputError if these are not numbers from 0 to 1, one for each vertex.
     """
     place = source.place.at(name)
-    number = index(source.attributes, name, len(document.objects("accessors")), place)
-    if number is None:
+    if name not in source.attributes:
         return None
-    stored = read_accessor(document, number, place)
+    stored = read_attribute(document, source.attributes, name, place)
     if len(stored.values) != count:
         raise InputError(f"it has {counted(len(stored.values), 'element')}, POSITION has {count:,}", place)
     check_format(stored, name, 1, place, formats=_FORMATS, expected=_EXPECTED)
