@@ -127,8 +127,11 @@ class _Search:
         if _is_name(argument):
             missing = None if argument.lower().endswith(SUFFIXES) else not_gltf(argument)
             return [self._input(argument, os.path.basename(argument), missing)]
-        fixed, pattern = _split(argument)
-        return self._found(argument, fixed, pattern, "no file that matches this pattern")
+        # The folder without wildcards, empty for the current one, and the parts after it.
+        parts = Path(argument).parts
+        first = next(number for number, part in enumerate(parts) if not MAGIC.isdisjoint(part))
+        fixed = str(Path(*parts[:first])) if first else ""
+        return self._found(argument, fixed, parts[first:], "no file that matches this pattern")
 
     def _behind(self, url: str) -> list[Input]:
         """Return the files that a URL stands for. For a URL to a local path, the rules of paths hold."""
@@ -216,13 +219,6 @@ class _Search:
 
     def _identity(self, folder: str) -> tuple[int, int] | None:
         return named_file(folder, self._folders).identity
-
-
-def _split(argument: str) -> tuple[str, tuple[str, ...]]:
-    """Return a pattern's folder without wildcards, empty for the current one, and the parts after it."""
-    parts = Path(argument).parts
-    first = next(n for n, part in enumerate(parts) if not MAGIC.isdisjoint(part))
-    return str(Path(*parts[:first])) if first else "", parts[first:]
 
 
 def _matches(name: str, pattern: str) -> bool:

@@ -49,22 +49,17 @@ def check_text_target(target: str) -> None:
         return
     if is_model_name(target):
         raise click.UsageError(f"{target} is the name of a model; name the file of the shader code")
-    if not _is_text(_head(target)):
+    try:
+        text = codecs.getincrementaldecoder("utf-8")().decode(_head(target))  # the last character may be cut
+    except UnicodeDecodeError:
+        text = "\0"
+    if "\0" in text:
         raise click.UsageError(f"{target} exists and is not text; choose another name")
 
 
 def is_model_name(path: str) -> bool:
     """Tell whether a name, or the name of the file that it links to, has the suffix of a model."""
     return any(name.lower().endswith(SUFFIXES) for name in (path, named_file(path).place))
-
-
-def _is_text(head: bytes) -> bool:
-    """Tell whether the beginning of a file is UTF-8 without a zero byte."""
-    try:
-        codecs.getincrementaldecoder("utf-8")().decode(head)  # the last character may be cut
-    except UnicodeDecodeError:
-        return False
-    return b"\0" not in head
 
 
 PICTURES = (b"\x89PNG", b"GIF8", b"RIFF")

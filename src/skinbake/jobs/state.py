@@ -35,7 +35,7 @@ from skinbake.files.folders import flush, open_beneath, open_regular
 from skinbake.files.versions import DIGITS, digest_of
 from skinbake.files.writing import write_file
 from skinbake.gltf.budget import fits_memory
-from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.document import read_document
 from skinbake.gltf.resources import FileContent
 from skinbake.gltf.writing.beside import named_files
 from skinbake.gradients import kernel
@@ -230,7 +230,12 @@ def seen(source: str, bounds: Bounds = BESIDE) -> Seen | None:
         signatures = {path: _signature(path)}
         document = read_document(source, bounds)
         digests: Digests = {path: digest_of([document.raw or b""])}
-        named = {file.path: file for file in _named_files(document)}
+        # The places to which the document's URIs may lead in its bounds, each once.
+        named: dict[str, BoundedPath] = {}
+        for one in named_files(document):
+            with suppress(RefusedError):  # out of bounds
+                for file in bounded_paths(one.uri, os.fspath(document.folder), document.bounds):
+                    named[file.path] = file
         for other, file in named.items():
             signatures[other], digests[other] = _signature_at(file), _digest_at(file)
     except (OSError, ValueError, SkinbakeError):
@@ -329,22 +334,19 @@ class State:
                 write_file([HEADER, *self._records.values()], str(self._path), sync=self._sync)
 
     def _read(self) -> None:
-        place = Place(str(self._path))
+        place, head = Place(str(self._path)), None
         try:
-            descriptor = open_regular(str(self._path))
+            with os.fdopen(open_regular(str(self._path)), "rb") as file:
+                if fits_memory(os.fstat(file.fileno()).st_size):  # else it is another program's
+                    head = file.read(len(HEADER))
+                    for line in _lines(file) if head == HEADER else ():
+                        self._remember(line)
         except FileNotFoundError:
             return
-        except OSError as error:
-            if error.errno not in {errno.EINVAL, errno.EISDIR}:
-                raise InputError(f"cannot be read: {error.strerror}", place) from error
-            head = None
-        except ValueError as error:
-            raise InputError(f"cannot be read: {error}", place) from error
-        else:
-            try:
-                head = self._read_lines(descriptor)
-            except OSError as error:
-                raise InputError(f"cannot be read: {error.strerror}", place) from error
+        except (OSError, ValueError) as error:
+            if getattr(error, "errno", None) not in {errno.EINVAL, errno.EISDIR}:
+                reason = getattr(error, "strerror", None) or error
+                raise InputError(f"cannot be read: {reason}", place) from error
         # A power cut can leave any bytes. A file with another name may belong to another program.
         if head is None or (not HEADER.startswith(head) and self._path.name != NAME):
             self.is_ours = False
@@ -352,20 +354,6 @@ class State:
         elif head not in {HEADER, b""}:
             self._is_damaged = True
             self.notices = (Notice("state-damaged", DAMAGED, place),)
-
-    def _read_lines(self, descriptor: int) -> bytes | None:
-        """Read the records, if the first line is that of a state file. Return the bytes in its place.
-
-        Return None if the file is larger than any that may be read.
-        """
-        with os.fdopen(descriptor, "rb") as file:
-            if not fits_memory(os.fstat(descriptor).st_size):
-                return None
-            head = file.read(len(HEADER))
-            if head == HEADER:
-                for line in _lines(file):
-                    self._remember(line)
-            return head
 
     def _remember(self, record: bytes) -> None:
         with suppress(ValueError, KeyError, TypeError, RecursionError):  # a damaged line is not a record
@@ -387,16 +375,6 @@ class State:
             if os.read(descriptor, 1) != b"\n":
                 os.write(descriptor, b"\n")
         return descriptor
-
-
-def _named_files(document: Document) -> Iterable[BoundedPath]:
-    """Return the places to which the document's URIs may lead in its bounds, each once."""
-    found: dict[str, BoundedPath] = {}
-    for named in named_files(document):
-        with suppress(RefusedError):  # out of bounds
-            for file in bounded_paths(named.uri, os.fspath(document.folder), document.bounds):
-                found[file.path] = file
-    return found.values()
 
 
 def _signature_at(file: BoundedPath) -> tuple[int, ...]:
