@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tracemalloc
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ import pytest
 
 from fixtures.builder import pack_glb
 from skinbake.choices import Truth
-from skinbake.errors import InputError, Place, UnsupportedFeatureError
+from skinbake.errors import BudgetError, InputError, Place, UnsupportedFeatureError
 from skinbake.format.strip import stripped
 from skinbake.gltf import budget as budgets
 from skinbake.gltf.budget import Budget, Limit, Work, memory_limited, shown
@@ -27,6 +28,7 @@ from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.reading.clips import read_clips
 from skinbake.gltf.reading.meshes import MOST_SETS, read_indices, read_primitive, skinned_sources
 from skinbake.gltf.writing.compaction import _Shifts
+from skinbake.report.totals import error_fields
 from tests.support.corpus import require_corpus
 from tests.support.models import FOLDER, baked, crowd, edited, sheet, write_model
 
@@ -42,6 +44,30 @@ def test_what_is_held_is_limited_and_can_be_let_go() -> None:
     budget.claim(Work(bytes=100), "another", HERE)
     with pytest.raises(InputError, match=r"x.glb: one more would take 1 byte, .*101 bytes.*: raise --max"):
         budget.claim(Work(bytes=1), "one more", HERE)
+
+
+def test_work_that_is_refused_does_not_count_and_an_error_releases_what_its_block_held() -> None:
+    budget = Budget(limit=100, backed=1)
+    with suppress(InputError), budget.passing():
+        budget.claim(Work(bytes=60), "a part", HERE)
+        budget.claim(Work(steps=10, bytes=60), "too much", HERE)
+    assert (budget.held, budget.taken) == (0, Work(bytes=60))
+    budget.claim(Work(bytes=70), "for a moment", HERE, passing=True)
+    budget.claim(Work(bytes=100), "another", HERE)
+    assert (budget.held, budget.taken) == (100, Work(bytes=230))
+
+
+def test_costs_times_counts_add_up() -> None:
+    cost = Work(steps=0.5, bytes=3) * 4 + Work(steps=1, zeros=1, packed=2, unpacked=7, welded=9) * 2
+    assert cost == Work(steps=4.0, bytes=12, zeros=2, packed=4, unpacked=14, welded=18)
+
+
+def test_json_names_a_refusal_an_input_error() -> None:
+    with pytest.raises(BudgetError) as refused:
+        Budget(limit=1, backed=1).claim(Work(bytes=2), "it", HERE)
+    fields = error_fields(refused.value)
+    assert fields is not None
+    assert fields["kind"] == "InputError"
 
 
 def test_what_is_spent_in_all_is_limited_by_the_file_s_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
