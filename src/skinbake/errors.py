@@ -230,7 +230,16 @@ class BudgetError(InputError):
 
 
 class OutputError(SkinbakeError):
-    """The output cannot be written."""
+    """The output cannot be written. ``reason`` says why, without the words that say so."""
+
+    def __init__(self, message: str, place: Place | None = None, *, reason: str = "") -> None:
+        super().__init__(message, place)
+        self.reason = reason or message
+
+
+def not_written(reason: object, place: Place, kind: type[OutputError] = OutputError) -> OutputError:
+    """Return the error for an output that cannot be written for a reason."""
+    return kind(f"cannot be written: {reason}", place, reason=str(reason))
 
 
 class ReaderGoneError(OutputError):

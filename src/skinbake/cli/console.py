@@ -17,10 +17,10 @@ from skinbake.cli.terminal import fitted, width_of, with_colours
 from skinbake.errors import (
     ChoiceError,
     Notice,
-    OutputError,
     Place,
     ReaderGoneError,
     SkinbakeError,
+    not_written,
     printable,
     printable_lines,
 )
@@ -142,13 +142,13 @@ def json_text(content: Any, *, indent: int | None = None) -> str:
 def _echo(text: str, *, err: bool, color: bool | None) -> None:
     """Print a line. Raises OutputError if the stream cannot take it, unless its reader has left."""
     if not err and sys.stdout is None:  # ``>&-``: click prints nothing then, and says nothing of it
-        raise OutputError("cannot be written: it is closed", Place("<stdout>"))
+        raise not_written("it is closed", Place("<stdout>"))
     try:
         click.echo(text, err=err, color=color)
     except OSError as error:
         if error.errno == errno.EPIPE:
             raise SystemExit(exit_codes.READER_GONE) from error
-        raise OutputError(f"cannot be written: {error.strerror}", Place("<stdout>")) from error
+        raise not_written(error.strerror, Place("<stdout>")) from error
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from skinbake.cli.console import json_text
 from skinbake.cli.plan import Plan
 from skinbake.cli.progress import Progress
 from skinbake.cli.runners import LONG, memory_of_each, runner_of, seconds_of, threads_of_each
-from skinbake.errors import OutputError, Place, printable
+from skinbake.errors import OutputError, Place, not_written, printable
 from skinbake.files.bounds import Within
 from skinbake.files.folders import flush
 from skinbake.timing import heard
@@ -82,7 +82,7 @@ class Summary:
                 self._file = path.open("w", encoding="utf-8", newline="\n")
             except (OSError, ValueError) as error:
                 reason = getattr(error, "strerror", None) or error
-                raise OutputError(f"cannot be written: {reason}", Place(plan.summary)) from error
+                raise not_written(reason, Place(plan.summary)) from error
 
     def file(self, content: Mapping[str, object]) -> None:
         """Add a file's line."""
@@ -103,9 +103,7 @@ class Summary:
         with suppress(OSError):  # closing writes again what could not be written
             if file is not None:
                 file.close()
-        self._plan.say.error(
-            OutputError(f"cannot be written: {error.strerror}", Place(str(self._plan.summary)))
-        )
+        self._plan.say.error(not_written(error.strerror, Place(str(self._plan.summary))))
 
     def close(self) -> None:
         """Close the file."""
@@ -318,11 +316,10 @@ def write_report(plan: Plan[Any], path: str, text: str) -> int:
         else:
             write_file([data], path, sync=not plan.no_sync)
     except OSError as error:
-        plan.say.error(OutputError(f"cannot be written: {error.strerror}", Place(path)))
+        plan.say.error(not_written(error.strerror, Place(path)))
         return exit_codes.OUTPUT
     except OutputError as error:
-        message = error.message.removeprefix("cannot be written: ")
-        plan.say.error(OutputError(f"cannot be written: {message}", Place(path)))
+        plan.say.error(not_written(error.reason, Place(path)))
         return exit_codes.OUTPUT
     return exit_codes.OK
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 import click
 
-from skinbake.errors import OutputError, Place
+from skinbake.errors import Place, not_written
 
 COLOURS = {"passed": "green", "FAILED": "red", "failed": "red"}
 VERDICT = re.compile(r"(: |\n  \w+ +)(passed|FAILED|failed)\b")
@@ -31,7 +31,7 @@ def stdout_told() -> Iterator[None]:
     except BrokenPipeError:
         raise
     except OSError as error:
-        raise OutputError(f"cannot be written: {error.strerror}", Place("<stdout>")) from error
+        raise not_written(error.strerror, Place("<stdout>")) from error
 
 
 def with_colours(verdict: str) -> str:

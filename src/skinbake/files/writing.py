@@ -18,7 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, Protocol
 
-from skinbake.errors import OutputError, Place, ReaderGoneError
+from skinbake.errors import OutputError, Place, ReaderGoneError, not_written
 from skinbake.files import Bytes
 from skinbake.files.folders import BY_DESCRIPTOR, Folder, beneath, flush, open_regular
 from skinbake.files.temporary import NEW_FILE, remove_abandoned, status_of, take_over, temporary_name
@@ -78,7 +78,7 @@ def write_stdout(pieces: Iterable[Bytes]) -> None:
         raise ReaderGoneError("its reader has left", Place("<stdout>")) from error
     except (AttributeError, OSError) as error:  # AttributeError: stdout is closed
         reason = getattr(error, "strerror", None) or "it is closed"
-        raise OutputError(f"cannot be written: {reason}", Place("<stdout>")) from error
+        raise not_written(reason, Place("<stdout>")) from error
 
 
 def write_file(pieces: Iterable[Bytes], target: str, *, sync: bool = True) -> None:
@@ -91,7 +91,7 @@ def write_file(pieces: Iterable[Bytes], target: str, *, sync: bool = True) -> No
         check_target(path, target)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise OutputError(f"cannot be written: {reason}", Place(target)) from error
+        raise not_written(reason, Place(target)) from error
     write_files(path.parent, {path: pieces}, target, sync=sync)
 
 
@@ -157,7 +157,7 @@ def write_files(  # noqa: PLR0913  # what else is to happen in the one moment of
                 _sync_folders(begun)
         return begun.written[-1].signature
     except OSError as error:
-        raise OutputError(f"cannot be written: {error.strerror or error}", place) from error
+        raise not_written(error.strerror or error, place) from error
 
 
 class _Written(NamedTuple):
@@ -275,7 +275,7 @@ def _parts(path: Path, roots: Sequence[str], place: Place) -> Sequence[str]:
     """Return the parts of a path from the root on; OutputError if it is not below the root."""
     parts = next((path.relative_to(base).parts for base in roots if path.is_relative_to(base)), ())
     if not parts or not {"", ".", ".."}.isdisjoint(parts):  # pragma: no cover: refused before
-        raise OutputError(f"cannot be written: {path} is not below {roots[-1]}", place)
+        raise not_written(f"{path} is not below {roots[-1]}", place)
     return parts
 
 
@@ -313,7 +313,7 @@ def _check_still_so(serving: Mapping[Path, Signature], replaces: Version | None,
         raise OutputError(SAVED_ANEW, place)
     for path, before in serving.items():
         if signature_of(path) != before:
-            raise TakenError(f"cannot be written: {path} was changed meanwhile", place)
+            raise not_written(f"{path} was changed meanwhile", place, TakenError)
 
 
 def _rename(begun: _Begun, replaces: Version | None, place: Place) -> None:
@@ -356,8 +356,8 @@ def _put_new(one: _Written, begun: _Begun, place: Place) -> None:
         is_renamed = _name_anew(source, goal, descriptor)
     except FileExistsError:
         if not _has_content(one):  # pragma: no cover: races
-            message = f"cannot be written: another run has put its {one.name} there meanwhile"
-            raise TakenError(message, place) from None
+            reason = f"another run has put its {one.name} there meanwhile"
+            raise not_written(reason, place, TakenError) from None
         is_renamed = False
     else:
         begun.created.append((one.folder, one.name))

@@ -21,7 +21,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
-from skinbake.errors import InputError, Notice, OutputError, Place, SkinbakeError
+from skinbake.errors import InputError, Notice, Place, SkinbakeError, not_written
 from skinbake.files.bounds import (
     BESIDE,
     OWN_FOLDERS,
@@ -315,7 +315,7 @@ class State:
             if os.write(self._descriptor, record) < len(record):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         except OSError as error:
-            raise OutputError(f"cannot be written: {error.strerror}", Place(str(self._path))) from error
+            raise not_written(error.strerror, Place(str(self._path))) from error
         self._remember(record)
 
     def close(self) -> None:

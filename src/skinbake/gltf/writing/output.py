@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-from skinbake.errors import InputError, Notice, OutputError, Place
+from skinbake.errors import InputError, Notice, OutputError, Place, not_written
 from skinbake.files import Bytes
 from skinbake.files.ahead import Ahead
 from skinbake.files.bounds import OutsideError, RefusedError, below, bounded_path, relative_names
@@ -113,7 +113,7 @@ class PlannedOutput:
                 break  # the output is whole
             planned = planned.again()
         if not written:
-            raise OutputError("cannot be written: the files beside it keep changing", Place(self.target))
+            raise not_written("the files beside it keep changing", Place(self.target))
         if final.copies is not None:
             with suppress(OSError, OutputError):
                 final.copies.tidy(final.needed, written)
@@ -156,7 +156,7 @@ def plan_output(
         written, beside, serving = Beside(document, path, base, copies).planned()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise OutputError(f"cannot be written: {reason}", Place(target)) from error
+        raise not_written(reason, Place(target)) from error
     return PlannedOutput(
         target,
         {**beside, path: _serialised(written, grows=grows)},
