@@ -58,19 +58,15 @@ def remove_abandoned(folder: Folder) -> None:
         with os.scandir(folder.path if folder.descriptor is None else folder.descriptor) as entries:
             left = [entry for entry in entries if entry.name.startswith(".skinbake-")]
             for entry in left:
-                if _is_left_behind(entry):
+                match = TEMPORARY.fullmatch(entry.name)
+                if match is None or not entry.is_file(follow_symlinks=False):
+                    continue
+                # Where the name does not tell whether its process has ended, its age does.
+                is_left = has_ended(match)
+                if is_left is None:
+                    is_left = time.time() - entry.stat(follow_symlinks=False).st_mtime > ABANDONED
+                if is_left:
                     os.unlink(folder.name(entry.name), dir_fd=folder.descriptor)
-
-
-def _is_left_behind(entry: os.DirEntry[str]) -> bool:
-    """Tell whether a file is a temporary file of an ended process; False if in doubt."""
-    match = TEMPORARY.fullmatch(entry.name)
-    if match is None or not entry.is_file(follow_symlinks=False):
-        return False
-    is_dead = has_ended(match)
-    if is_dead is not None:
-        return is_dead
-    return time.time() - entry.stat(follow_symlinks=False).st_mtime > ABANDONED
 
 
 @lru_cache(maxsize=1)
@@ -88,7 +84,16 @@ def has_ended(found: re.Match[str]) -> bool | None:
     kernel, process, started = found.groups()
     if not kernel or kernel != _kernel():
         return None
-    return _is_dead(int(process, 16), int(started, 16))
+    number = int(process, 16)
+    try:
+        os.kill(number, 0)
+    except ProcessLookupError:
+        return True
+    except (OSError, OverflowError):
+        pass
+    # It may be dead and not yet collected, or another process may have its number.
+    state, now_started = _process(number)
+    return state in {"Z", "X"} or now_started not in {0, int(started, 16)}
 
 
 @lru_cache(maxsize=1)
@@ -113,18 +118,6 @@ def _process(process: int) -> tuple[str, int]:
         return "", 0
 
 
-def _is_dead(process: int, started: int) -> bool:
-    """Tell whether a process of this system has ended; False if in doubt."""
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return True
-    except (OSError, OverflowError):
-        pass
-    state, now_started = _process(process)
-    return state in {"Z", "X"} or now_started not in {0, started}
-
-
 def take_over(descriptor: int, folder: Folder, temporary: str, name: str, *, is_itself: bool) -> None:
     """Give a temporary file the mode of the file whose name it will have.
 
@@ -142,22 +135,17 @@ def take_over(descriptor: int, folder: Folder, temporary: str, name: str, *, is_
             except OSError:
                 with suppress(OSError):
                     os.fchown(descriptor, -1, before.st_gid)
-        _keep_attributes(descriptor, folder, name)
+        # Its extended attributes, access lists among them.
+        if sys.platform == "linux":
+            with suppress(OSError):
+                former = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder.descriptor)
+                try:
+                    for attribute in os.listxattr(former):
+                        with suppress(OSError):  # some are the system's own
+                            os.setxattr(descriptor, attribute, os.getxattr(former, attribute))
+                finally:
+                    os.close(former)
     os.chmod(descriptor if BY_DESCRIPTOR else folder.name(temporary), stat.S_IMODE(before.st_mode))
-
-
-def _keep_attributes(descriptor: int, folder: Folder, name: str) -> None:
-    """Copy the extended attributes of a file, access lists among them."""
-    if sys.platform != "linux":
-        return
-    with suppress(OSError):
-        former = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder.descriptor)
-        try:
-            for attribute in os.listxattr(former):
-                with suppress(OSError):  # some are the system's own
-                    os.setxattr(descriptor, attribute, os.getxattr(former, attribute))
-        finally:
-            os.close(former)
 
 
 def status_of(folder: Folder, name: str) -> os.stat_result | None:
