@@ -74,7 +74,7 @@ class FrameChoice(StrEnum):
 
 
 class Weld(StrEnum):
-    """The primitives that are one surface: those of one mesh, or all that the same skins draw."""
+    """The primitives that are one surface: all of one mesh, or all that the same skins draw."""
 
     MESH = "mesh"
     SKIN = "skin"
@@ -105,7 +105,7 @@ class Layout(StrEnum):
 
 
 class CorrectiveAim(StrEnum):
-    """The normals that correctives are fitted to: the true ones, or those of α and β."""
+    """The normals that correctives are fitted to: the true ones, or the normals of α and β."""
 
     TRUTHS = "truths"
     GRADIENTS = "gradients"

@@ -178,7 +178,7 @@ class Notices:
 
 
 def warnings_in(notices: Iterable[Notice]) -> list[Notice]:
-    """Return the notices that are no advice."""
+    """Return the notices that are not advice."""
     return [notice for notice in notices if not notice.is_advice]
 
 

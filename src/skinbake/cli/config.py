@@ -126,7 +126,7 @@ def _refusal(
     configured: Configured,
     overrides: Iterable[int],
 ) -> ChoiceError | None:
-    """Return why the options of a command are refused with those of overrides, None if they are not."""
+    """Return why the options of a command are refused with the options of overrides, None if they are not."""
     try:
         check({**given, **configured.converted_by(overrides)})
     except ChoiceError as error:

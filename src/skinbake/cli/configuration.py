@@ -46,7 +46,7 @@ LONGEST_TEXT = 4096
 """The characters of a pattern or another text. No path is longer."""
 
 LARGEST_INTEGER = 2**63
-"""The size of the integers that TOML promises. Larger ones are no texts, and no floats."""
+"""The size of the integers that TOML promises. Larger ones are neither texts nor floats."""
 
 MOST_PARSED = 1 << 21
 """The number of characters that are parsed to find the line of a message."""

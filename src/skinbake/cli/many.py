@@ -222,7 +222,7 @@ def work_through(
 ) -> int:
     """Do a command on all files of a plan, report each result and all at the end; return the exit code.
 
-    ``commands`` are those of each set of options, in the order of the plan's. ``noted`` are the options, one
+    ``commands`` belong to each set of options, in the order of the plan's. ``noted`` are the options, one
     for each set, that decide what is written, for the state file. Raises ChoiceError for options that do not
     go together, and InputError if a cluster or a state file cannot be used.
     """

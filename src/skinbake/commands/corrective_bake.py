@@ -189,7 +189,7 @@ def _nothing(place: Place, correctives: Correctives) -> Notice:
 
 
 def _chosen(document: Document, clips: Sequence[Clip], asked: Sequence[str]) -> set[int]:
-    """Return the numbers of the clips that play correctives: those of ``--clips``, else all.
+    """Return the numbers of the clips that play correctives: the clips of ``--clips``, else all.
 
     A name that several clips have stands for all of them.
     """

@@ -84,7 +84,7 @@ def morph_bake(
 ) -> list[tuple[MadeTargets, MorphCounts]]:
     """Make NORMAL and the differential of targets. Raises InputError for targets that are broken.
 
-    bakes are those of the skinned primitives. If normals are not asked for, notices say what these targets
+    bakes belong to the skinned primitives. If normals are not asked for, notices say what these targets
     would gain, by a few of them; meshes without a skin are not looked at then.
     """
     made: list[tuple[MadeTargets, MorphCounts]] = []

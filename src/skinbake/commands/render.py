@@ -201,7 +201,7 @@ def _refuse_layers(
     times: Sequence[int],
     projected: Float64Array,
 ) -> None:
-    """Raise InputError if triangles cover the first picture far more often than those of a character.
+    """Raise InputError if triangles cover the first picture far more often than the triangles of a character.
 
     times: how often each primitive is drawn; what blends, twice. projected (4, 4) leads to the screen. What
     lies beside the picture counts as if it were at its edge.

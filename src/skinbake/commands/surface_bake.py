@@ -90,7 +90,7 @@ def bake_surfaces(
 class SurfaceBake(NamedTuple):
     """The primitives of one surface, with their arrays as they are baked, and what α and β are fitted to.
 
-    digests return those of the arrays of each primitive. ``rig`` and ``poses`` are None if there is no such
+    digests return the digests of each primitive's arrays. ``rig`` and ``poses`` are None if there is no such
     fit, and ``note`` says that, with the options. Each method returns the bakes of all primitives.
     """
 
@@ -321,9 +321,9 @@ class SurfaceBake(NamedTuple):
 class PrimitiveBake:
     """One primitive: the arrays that were baked, the result, the findings, and the loss by a limit.
 
-    digests returns those of the arrays before any limit or extension. note says what α and β are made by, and
-    asked which kind of gradients the user asked for. share is how much of a fit is kept, None for all. blend
-    is the gradient of its blend weights, if it has any.
+    digests returns the digests of the arrays before any limit or extension. note says what α and β are made
+    by, and asked which kind of gradients the user asked for. share is how much of a fit is kept, None for
+    all. blend is the gradient of its blend weights, if it has any.
     """
 
     source: PrimitiveSource

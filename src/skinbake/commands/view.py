@@ -286,7 +286,7 @@ def write_report(
 ) -> tuple[Path | None, list[SkinbakeError]]:
     """Write the page of one verdict, or an index and the pages of several in a folder of its name.
 
-    ``options`` are those of each input. ``bounds`` gives the folders in which the document of an input may
+    ``options`` belong to each input. ``bounds`` gives the folders in which the document of an input may
     name files. A file that cannot be read, or was not verified again, has no page. The index tells the limits
     that are the same for all, and that there are others. Return the folder of the pages, None if there is
     none, and the errors of single pages, which the index goes without. ``notices`` are told what pages lack.

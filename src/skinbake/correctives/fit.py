@@ -31,7 +31,7 @@ LEFT = 0.03
 """The share of the squared changes that ``auto`` leaves at most, if so few targets can."""
 
 FIRST_KEYS, LEAST_KEYS = 33, 5
-"""The keys that all clips share at first, and those of each clip at least."""
+"""The keys that all clips share at first, and the least number of each clip's own."""
 
 LEAST_STEP = 1.0 / 60.0
 """The seconds between keys at least, but for the first ones: a frame."""
@@ -286,7 +286,7 @@ def _in_space(rest: Sequence[RestPrimitive], targets: Float64Array, step: float)
 
 
 def held_back_times(clip: Clip, clips: int) -> Float64Array:
-    """Return times of a clip that are no keys."""
+    """Return times of a clip that are not keys."""
     count = max(LEAST_HELD_BACK, HELD_BACK // max(clips, 1))
     return clip.start + (clip.duration - clip.start) * (np.arange(count) + BETWEEN) / count
 

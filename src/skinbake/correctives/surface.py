@@ -105,7 +105,7 @@ class PosedBlock:
 class Surface:
     """The primitives of a mesh that are lit as one surface, and their truths at rest.
 
-    rest have a frame from NORMAL; their α and β are those of a bake where they are aimed at or compared.
+    rest have a frame from NORMAL; their α and β come from a bake where they are aimed at or compared.
     morphing are their morph targets, if any, with the weights of one pose: a mean of all. frames are those of
     the primitives under these weights: δ is along their tangents.
     """
@@ -133,7 +133,7 @@ class Surface:
     ) -> Iterator[tuple[slice, PosedBlock]]:
         """Yield all vertices in all poses of joint matrices (P, J, 4, 4): the poses, and the block.
 
-        weights (P, N) are those of the morph targets. accurate asks for the normals of α and β, too. The
+        weights (P, N) belong to the morph targets. accurate asks for the normals of α and β, too. The
         order does not depend on the number of threads.
         """
         sides = sides_of(self.rest, matrices)
@@ -204,7 +204,7 @@ class Surface:
     ) -> Float32Array:
         """Return δ in the poses along t0 and b0 of the frame from NORMAL: (P, V, 2), NaN without a truth.
 
-        matrices are joint matrices (P, J, 4, 4), and weights (P, N) those of the morph targets. accurate:
+        matrices are joint matrices (P, J, 4, 4), and weights (P, N) belong to the morph targets. accurate:
         toward the normals of α and β, not the true ones.
         """
         found = np.empty((len(matrices), self.count, 2), dtype=np.float32)

@@ -65,7 +65,7 @@ class AttributeNames(NamedTuple):
 class Baked(NamedTuple):
     """One primitive to write: its place, its input arrays, the result, and the note of its settings.
 
-    digests returns those of the arrays in the file, with that of any TANGENT. replaced_sets are
+    digests returns the digests of the arrays in the file, any TANGENT among them. replaced_sets are
     the influence sets that replace those of the file, if the bake has fewer or more of them. The arrays of
     the primitive then belong to them. blend is the gradient of its blend weights, if it has any.
     """
@@ -274,7 +274,7 @@ def _replace_influences(
 ) -> tuple[SkinnedPrimitive, dict[str, int]]:
     """Let ``attributes`` name the influences of the bake. Return the stored arrays, and former accessors.
 
-    Attributes of sets that a limit leaves out are removed. Those of further sets are added.
+    Attributes of sets that a limit leaves out are removed, and attributes of further sets are added.
     """
     before = read_influences(document, item.source, len(item.primitive.positions))
     after = with_adopted(item.replaced_sets or before, item.result.adopting, item.result.adopted)

@@ -268,7 +268,7 @@ def _moves(document: Document, sampler: JsonObject | None, targets: int) -> bool
 
 
 def _agree(arrays: Sequence[FloatArray | None], each: int, targets: int) -> bool:
-    """Tell whether keys and values of a sampler hold those of a former one, ``each`` values a key."""
+    """Tell whether a sampler holds the keys and values of a former one, ``each`` values a key."""
     if any(array is None or array.shape[1] != 1 for array in arrays):
         return False
     times, values, former_times, former = (array[:, 0] for array in arrays if array is not None)

@@ -24,7 +24,7 @@ from skinbake.gltf.reading.accessors import StoredArray, read_accessor
 def with_former_stream(primitive: JsonObject) -> JsonObject | None:
     """Return the primitive with the stream that it had before a bake. None: bake noted no stream.
 
-    Its attributes are the present ones, except the ones that adoption replaced.
+    Its attributes are the present ones, except what adoption replaced.
     """
     note = stream_note(draco.extension_of(primitive) or {})
     attributes = primitive.get("attributes")

@@ -85,7 +85,7 @@ def add_differences(
     }
     if (size + -size % 4) * len(values) <= indices.nbytes + some.nbytes:
         return additions.add_described({"bufferView": additions.add_values(values, packed), **described})
-    # The vertices are those of all targets of a primitive, and stored once. Sparse values are tightly packed.
+    # The vertices belong to all targets of a primitive: they are stored once. Sparse values are packed.
     sparse = {
         "count": len(rows),
         "indices": {

@@ -430,7 +430,7 @@ class LeftNote:
 class StreamNote:
     """What a bake notes of a Draco stream that it has replaced: the extension before, and accessors by name.
 
-    The accessors are those of the attributes that the new stream replaces or leaves out.
+    The accessors belong to the attributes that the new stream replaces or leaves out.
     """
 
     before: JsonObject | None = _member(lambda value: value if isinstance(value, dict) else None)

@@ -39,7 +39,7 @@ A tool that drops the keys that others imply within 1e-4 changes them by up to 3
 
 
 def damaged_correctives(document: Document) -> Iterator[Notice]:
-    """Yield a problem for each mesh whose targets or metadata are not those of a bake."""
+    """Yield a problem for each mesh whose targets or metadata no bake can have made."""
     for number, note in corrective_notes(document).items():
         place, primitives = document.asset.meshes[number].place, document.asset.meshes[number].primitives
         if note.version != VERSION:
@@ -101,7 +101,7 @@ class PlayedCorrectives:
     def of_views(self, views: Sequence[BakedView]) -> list[Float64Array]:
         """Return the changes (K, V, 3) of unit normals of primitives; K is 0 in a mesh without correctives.
 
-        The views may be those of a document whose correctives were stripped. Raises InputError.
+        The views may belong to a document whose correctives were stripped. Raises InputError.
         """
         found = []
         for view in views:
@@ -121,7 +121,7 @@ class PlayedCorrectives:
         """Return the weights (P, K) that a clip gives a mesh's correctives at times (P,).
 
         skin draws the mesh, and node does if the file has morph targets of its own there. clip is a number:
-        what is no clip of the file, such as random poses, plays nothing.
+        what is not a clip of the file, such as random poses, plays nothing.
         """
         added, node = self.targets.get(mesh, 0), self.node(mesh, skin) if node is None else node
         if not added or node is None or clip not in self.clips:
@@ -237,7 +237,7 @@ def _printed_values(values: Float64Array) -> tuple[float, ...]:
 
 
 def corrective_freshness(document: Document, sources: Sequence[PrimitiveSource]) -> Check:
-    """Return whether meshes, targets, weights and clips are those of the bake."""
+    """Return whether meshes, targets, weights and clips are as the bake left them."""
     problems = [state.notice for state in made_states(document) if state.changed]
     moved: dict[str, None] = {}
     for source in sources:

@@ -236,7 +236,7 @@ def _compared(
     expected: Expected,
     roundings: Sequence[Float64Array] | None = None,
 ) -> list[comparison.Comparison]:
-    """Compare α and β of each view with expected ones. roundings are those of ``_roundings``."""
+    """Compare α and β of each view with expected ones. roundings come from ``_roundings``."""
     roundings = roundings or _roundings(document, views, operator)
     found = [
         comparison.compare((view.alpha, view.beta), slots, rounding=rounding)

@@ -114,7 +114,7 @@ class Accessor:
         return self.json.get("normalized") is True
 
     def count(self, place: Place) -> int:
-        """Return the declared number of its elements; InputError if that is no such number."""
+        """Return the declared number of its elements; InputError if it is not such a number."""
         return integer(self.json, "count", place, minimum=1)
 
     def shape(self, place: Place) -> Shape:

@@ -58,7 +58,7 @@ def not_finite(value: Any) -> Iterator[str]:
     The parser makes infinity of 1E400.
     """
     left: list[Iterator[tuple[Any, Any]]] = [iter([("", value)])]  # entries to come
-    keys: list[Any] = []  # those of the arrays and objects that are open
+    keys: list[Any] = []  # of the arrays and objects that are open
     while left:  # pragma: no branch: tests/gltf/test_json_text.py
         for key, entry in left[-1]:
             if isinstance(entry, dict | list):

@@ -120,7 +120,7 @@ def lighting_errors(  # noqa: PLR0913  # five arguments are optional, and by key
 ) -> float:
     """Run every algorithm of a method over all poses, and measure its normals block by block.
 
-    primitives are those of one mesh in the operator's order. joint_matrices are (P, J, 4, 4). The
+    primitives belong to one mesh, in the operator's order. joint_matrices are (P, J, 4, 4). The
     truths are built from the positions that the method itself gives. record is called with every block, in an
     order that does not depend on the number of threads. With count, the thread that measured a block calls
     it, and record is called with its result instead. advance is called with poses done. With morphing, every
@@ -256,9 +256,9 @@ class _PosedMesh:
 class _Chunk:
     """Some poses of one mesh that are measured together.
 
-    at are these poses among those of the skinned primitives. first_pose is the first of them among all poses
-    of the mesh. algorithms are named by their lighting. sides (P, V) are the result of ``sides_of`` in these
-    poses. compares tells whether algorithms 2 and 3 are compared if both are there.
+    at are these poses among the poses of the skinned primitives. first_pose is the first of them among all
+    poses of the mesh. algorithms are named by their lighting. sides (P, V) are the result of ``sides_of`` in
+    these poses. compares tells whether algorithms 2 and 3 are compared if both are there.
     """
 
     truths: Truths

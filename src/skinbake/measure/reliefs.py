@@ -191,7 +191,7 @@ class _PosedRelief:
     """The primitives of a draw in some poses of a method: positions (3, V, P), and what skins each of them.
 
     plain and engine have T n of both frames, standard the normals of the baseline, true T n of the true ones.
-    sides (P, V) are those of ``sides_of``.
+    sides (P, V) come from ``sides_of``.
     """
 
     method: str

@@ -70,7 +70,7 @@ class Surface:
     """The baked primitives that the truths take as one surface, whoever draws them.
 
     views are the primitives as the document stores them. bake_operator is an operator of the same primitives
-    that a bake has, if there is one. correctives are those of the file, if it has any.
+    that a bake has, if there is one. correctives are the file's own, if it has any.
     """
 
     def __init__(
@@ -191,7 +191,7 @@ class Draw:
         return self.posed(PoseSet((), matrices, *played))
 
     def moved(self, by: Float64Array) -> Draw:
-        """Return the draw with matrices (P, 1, 4, 4) added to those of all joints."""
+        """Return the draw with matrices (P, 1, 4, 4) added to the matrices of all joints."""
         return replace(self, poses=self.poses._replace(joint_matrices=self.matrices + by))
 
     @property
@@ -274,7 +274,7 @@ class Draw:
 class Scene:
     """The surfaces of a document, and how nodes draw them.
 
-    views are its sound bakes. correctives are those of the file: the bakes may have been made in memory, to
+    views are its sound bakes. correctives are the file's own: the bakes may have been made in memory, to
     be compared with them. is_partial: not all draws and poses were ``measured``.
     """
 
@@ -487,7 +487,7 @@ def claim_draws(document: Document, draws: Sequence[Draw], clips: Sequence[Clip]
 class Attachment:
     """A primitive that a node of the shown scene draws without a skin: a hat, a staff.
 
-    matrices (P, 1, 4, 4) are those of its node in P poses, at rest until it is posed.
+    matrices (P, 1, 4, 4) belong to its node in P poses, at rest until it is posed.
     """
 
     source: PrimitiveSource

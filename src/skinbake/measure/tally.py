@@ -104,7 +104,7 @@ class ErrorTally:
 class Tallies:
     """The errors of normals by truth, method and lighting: of a file, and of each of its primitives.
 
-    places are those of the primitives. Each is counted in parts: a primitive in the poses of one skin.
+    places name the primitives. Each is counted in parts: a primitive in the poses of one skin.
     """
 
     def __init__(self, places: Iterable[Place]) -> None:

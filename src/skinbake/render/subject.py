@@ -20,7 +20,7 @@ FILLED = 0.84
 class Subject:
     """One primitive under one skin.
 
-    triangles (T, 3). texcoords (V, 2) are those of each image of the material, by its use. colours (V, 4) are
+    triangles (T, 3). texcoords (V, 2) belong to each image of the material, by its use. colours (V, 4) are
     None if they are not drawn. is_mirrored: joints mirror the surface. tangents (V, 4) are TANGENT, to which
     normal maps belong, None without it. in_their_frame: α and β belong to it too. pose_set is the number of
     its joint matrices among those of a ``Shot``. is_rigid: one joint moves all of it.

@@ -35,7 +35,7 @@ Options = Mapping[str, OptionValue]
 class ConfigResult:
     """The file, None without one, the folders that were searched, and the options.
 
-    ``commands`` has the options of each command, ``files`` those of the commands that work on each input.
+    ``commands`` has the options of each command, ``files`` the options of those that work on each input.
     """
 
     file: str | None

@@ -43,7 +43,7 @@ class PosedNormals:
     joint_matrices : ndarray (J, 4, 4) float64
         The joint matrices of the pose: global transform × inverse bind matrix.
     morph_weights : ndarray (N,) float64
-        The weights of the morph targets, those of correctives included.
+        The weights of the morph targets, correctives included.
 
     """
 

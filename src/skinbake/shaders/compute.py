@@ -64,7 +64,7 @@ def compute_context(
 ) -> Mapping[str, Any]:
     """Return the values for the template of a compute pass.
 
-    assembled are the parts of α and β in texture coordinates; arguments are those of the call in a vertex
+    assembled are the parts of α and β in texture coordinates; arguments belong to the call in a vertex
     stage.
     """
     reads = [_read("position", "vec3"), _read("normal", "vec3", "normal")]

@@ -91,7 +91,7 @@ class BlendedSkinning:
     def run(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[PosedVertex]:
         """Return the results for a block of poses and vertices, as components (P, V).
 
-        algorithms are those of dual quaternions, with which ``LINEAR`` names those of linear blending.
+        algorithms are for dual quaternions. ``LINEAR`` names what goes with them by linear blending.
         """
         rows = self.rest.rows(part)
         blend = tuple(np.zeros((3, len(rows.positions))) if rows.blend is None else rows.blend.T)

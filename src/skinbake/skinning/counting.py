@@ -130,9 +130,9 @@ def multiply_adds(
 ) -> Mapping[int, int]:
     """Return the multiply-adds of each numbered line, for N ≥ 1 influences, in the paper's options.
 
-    Their sum is the cost of the algorithm for a vertex. The lines of algorithm 6 are those of ``dqs.exact``:
+    Their sum is the cost of the algorithm for a vertex. The lines of algorithm 6 come from ``dqs.exact``:
     36 N + 118 in all. With ``normal_map``, algorithms 3, 5 and 6 have three lines more (``normal_maps``).
-    With ``scaled_joints``, the lines of 4, 5 and 6 are those of ``dqs_scaled``.
+    With ``scaled_joints``, the lines of 4, 5 and 6 come from ``dqs_scaled``.
     """
     tally = Tally()
     is_scaled = scaled_joints and algorithm.uses_dual_quaternions

@@ -30,7 +30,7 @@ def morphed(
     α, β, joints and weights of influences stay. The normal is n0 + Σ w ΔN at length 1, and ``sums`` has the
     length before. t and b are those of
     ``carried_by_tangent`` if ``targets.with_tangents``, otherwise of ``carried_by_normal``. If the targets
-    have numbers of the differential, t and b are those of ``carried_in_plane``, or with six numbers of
+    have numbers of the differential, t and b come from ``carried_in_plane``, or with six numbers of
     ``carried_in_space``; the normal is then that of t and b, where they move. Positions and
     frame are computed in ``dtype``, the sums over targets in float64. verify uses float64. float32 gives the
     numbers of a shader, with which the tests of the shaders compare. If all weights are 0, the primitive

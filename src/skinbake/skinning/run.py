@@ -105,7 +105,7 @@ class Skinning:
 
     @property
     def has_scaled_joints(self) -> bool:
-        """Tell whether the motions are those of ``scaled_motions``."""
+        """Tell whether the motions come from ``scaled_motions``."""
         return len(self.motions.table) == SCALED
 
     def _block(self, pose: slice, part: slice, *, gradients: bool) -> RestVertex:

@@ -112,7 +112,7 @@ class FineMesh:
         )
 
     def points(self, primitives: Sequence[RestPrimitive], positions: Float64Array) -> RestPrimitive:
-        """Return all points (N,) as one primitive that can be skinned. primitives are those of the mesh.
+        """Return all points (N,) as one primitive that can be skinned. primitives make up the mesh.
 
         A point has the slots of the vertex near it, and then those of the far one. So its first joint, which
         decides the signs of dual quaternions, is that of the vertex.

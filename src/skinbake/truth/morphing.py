@@ -17,7 +17,7 @@ class Morphing:
     """The morph targets of one mesh by primitive (None: no targets), and their weights (P, N) in P poses.
 
     authored tells by primitive whether the file gives NORMAL for all that moves there. Where it does not, or
-    bake has made it, the true normals are those of the moved surface. kept, if it is there, keeps each pose's
+    bake has made it, the true normals belong to the moved surface. kept, if it is there, keeps each pose's
     primitives and truths when they are first made, for another method.
     """
 

@@ -33,7 +33,7 @@ class RestFrames(NamedTuple):
     """The data of the rest pose that the truth by tangents needs.
 
     parts are blocks of B vertices. derivatives are two operators of each block, along t0 and b0: sparse (B,
-    V). They make a and b of the positions. coefficients (3, V) are those of n0 in the frame (a, b, ĉ) at
+    V). They make a and b of the positions. coefficients (3, V) belong to n0 in the frame (a, b, ĉ) at
     rest, with c = a × b, divided by |c|. areas (V,) are |c|. valid (V,) tells where the frame and n0 are
     usable. Under morph targets all fields but the first two change.
     """

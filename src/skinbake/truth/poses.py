@@ -60,7 +60,7 @@ class PoseSet(NamedTuple):
     """Joint matrices (P, J, 4, 4) of one skin, with each pose's clip and time in seconds (None: no clip).
 
     joint_names (J,) are for messages. morph_weights (P, N) belong to the node of the poses. They are None if
-    the poses are for no node, or if its mesh has no targets. numbers are those of the animations.
+    the poses are for no node, or if its mesh has no targets. numbers count the animations.
     """
 
     joint_names: tuple[str, ...]
@@ -164,7 +164,7 @@ class PosePlan:
 
     @property
     def of_each(self) -> int:
-        """The number of poses that are made at a time: those of a clip, or all."""
+        """The number of poses that are made at a time: all of a clip, or all."""
         clips, most = max(1, len(self.sampled)), self.request.most
         if self.request.kind is PoseKind.REST:
             return 1
@@ -219,7 +219,7 @@ def planned_poses(document: Document, plan: PosePlan) -> PoseSet:
     Raises InputError if joints go to infinity, or if the poses are too much work or memory for the file.
     """
     skeleton, clips, request = plan.skeleton, plan.sampled, plan.request
-    # The steps, and the memory: of the matrices of all nodes for a while, of those of the joints to keep.
+    # The steps, and the memory: of the matrices of all nodes for a while, and of the joints to keep.
     channels = max((len(clip.channels) for clip in clips), default=0)
     targets = 0 if plan.resting is None else len(plan.resting)
     budget, place = document.budget, document.place

@@ -1,7 +1,7 @@
 """The true normals of one mesh in many poses, by all truths, block by block.
 
-``normals`` has those of the mesh itself, and ``fine`` the mesh of the third. Here, too, is what they measure
-at rest. This module cuts the vertices into blocks.
+``normals`` has the normals of the mesh itself, and ``fine`` the mesh of the third. Here, too, is what they
+measure at rest. This module cuts the vertices into blocks.
 """
 
 from __future__ import annotations

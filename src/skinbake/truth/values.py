@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 class Forms(NamedTuple):
     """Forms F(u, c) = Σ w[s] M[s] u + Σ c[s] M[s] p̃ of B vertices, for any joint matrices M.
 
-    joints, weights (B, K) and points (B, 3) are those of the vertices at rest. directions u are
+    joints, weights (B, K) and points (B, 3) belong to the vertices at rest. directions u are
     (F, B, 3), or None for the one form with u = p̃. changes c are (F, B, K), or None for zeros.
     """
 

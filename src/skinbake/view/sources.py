@@ -24,7 +24,7 @@ MODULES = (
     "figures.js",
     "application.js",
 )
-"""The modules, each after the ones that it imports. No two of them have a top-level name in common."""
+"""The modules, each after the modules that it imports. No two of them have a top-level name in common."""
 
 IMPORT = re.compile(r"^import \{[^}]*\} from '\./[a-z]+\.js';\n", re.MULTILINE)
 EXPORT = re.compile(r"^export (?=const |class |function |async function )", re.MULTILINE)

@@ -122,7 +122,7 @@ class _Draco:
     """The Draco streams of a document: who claims their data, and what was decoded.
 
     - ``claims`` are by accessor, several if primitives share it.
-    - ``values`` are those of accessors: if primitives share one, their values are compared once.
+    - ``values`` belong to accessors: if primitives share one, their values are compared once.
     - ``pairs`` tells whether two claims to an accessor hold the same values.
     - ``streams`` are by buffer view and declared counts.
     """

@@ -78,7 +78,7 @@ def _colours(stored: Values) -> Values:
     # All bits below the highest one of alpha: the value that means 1.
     for shift in (1, 2, 4, 8):
         one |= one >> shift
-    # That bit is no part of alpha: the others move up, and the lowest one is there twice.
+    # That bit is not a part of alpha: the others move up, and the lowest one is there twice.
     parts = (
         luma + orange - green,
         luma + green,

@@ -39,7 +39,7 @@ def shown_nodes(document: Document) -> set[int]:
 
 
 def faces_backward(document: Document) -> bool:
-    """Tell whether the characters of a file look along −Z, as those of VRM 0 do. Others look along +Z."""
+    """Tell whether the characters of a file look along −Z, as in VRM 0. Others look along +Z."""
     extensions = object_of(document.json.get("extensions"))
     return isinstance(extensions.get("VRM"), dict) and "VRMC_vrm" not in extensions
 

@@ -69,7 +69,7 @@ CODES: dict[What, str] = {"buffer": "buffer-not-packed", "image": "image-not-pac
 
 
 class _Left(NamedTuple):
-    """A buffer or an image that stays a file, and why. Those of one kind share a notice."""
+    """A buffer or an image that stays a file, and why. All of one kind share a notice."""
 
     uri: str
     kind: Kind

@@ -19,7 +19,7 @@ from skinbake.wording import counted
 VIEW = "bufferView"
 
 VIEW_KEYS = (VIEW, "values", "arrayOffsets", "stringOffsets")
-"""The keys of references to buffer views. All but the first are those of EXT_structural_metadata."""
+"""The keys of references to buffer views. All but the first belong to EXT_structural_metadata."""
 
 ACCESSOR_KEYS = (
     "indices",
@@ -32,7 +32,7 @@ ACCESSOR_KEYS = (
 )
 """The keys of references to accessors, besides ``attributes`` and ``targets``.
 
-The last three are those of extensions. EXT_mesh_gpu_instancing has ``attributes`` too.
+The last three belong to extensions. EXT_mesh_gpu_instancing has ``attributes`` too.
 """
 
 

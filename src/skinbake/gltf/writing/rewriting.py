@@ -111,7 +111,7 @@ class _Rewriting:
     ) -> tuple[str, int]:
         """Return the text of an object or array, and where its former text ends.
 
-        ``keys`` are those of the object in their new order, None for an array.
+        ``keys`` belong to the object, in their new order, None for an array.
         """
         text, brackets = self._text, "[]" if keys is None else "{}"
         self._expect(brackets[0], at)

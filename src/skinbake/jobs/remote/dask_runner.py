@@ -306,7 +306,7 @@ def _client(address: str) -> Client:
     try:
         asyncio.run(_greeted(address))
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about versions; ``connect`` reports the ones that matter
+            warnings.simplefilter("ignore")  # about versions; ``connect`` reports what matters
             return Client(address, timeout=CONNECT_SECONDS, set_as_default=False, name="skinbake")
     except Exception as error:  # an address, TLS and the network fail by exceptions of any type
         text = str(error).partition("\n")[0] or type(error).__name__
