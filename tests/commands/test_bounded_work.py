@@ -17,7 +17,7 @@ import pytest
 from skinbake.errors import InputError, Place
 from skinbake.format.strip import stripped
 from skinbake.freshness.baked_views import sound_views
-from skinbake.freshness.made_targets import made_states
+from skinbake.freshness.staleness import made_states
 from skinbake.gltf import budget as budgets
 from skinbake.gltf.budget import Budget, Work
 from skinbake.gltf.document import read_document

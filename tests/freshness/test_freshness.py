@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from skinbake.freshness.comparison import RELATIVE_TOLERANCE, Comparison, compare
+from skinbake.freshness.staleness import RELATIVE_TOLERANCE, Comparison, compare
 
 Pair = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from skinbake.choices import Weighting
-from skinbake.freshness.comparison import compare
+from skinbake.freshness.staleness import compare
 from skinbake.geometry.frames import frame_from_normal, unit_normals
 from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive

@@ -12,7 +12,7 @@ from skinbake.format.digests import changed_arrays
 from skinbake.format.note import NO_METADATA, corrective_notes, file_left, gradient_note
 from skinbake.freshness.baked_views import is_baked
 from skinbake.freshness.corrective_freshness import changed_since
-from skinbake.freshness.made_targets import made_states
+from skinbake.freshness.staleness import made_states
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Cost

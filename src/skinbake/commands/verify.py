@@ -10,8 +10,13 @@ from skinbake.errors import Notice, Skipped, warnings_in
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.format.note import corrective_notes, file_left, gradient_note
 from skinbake.freshness.baked_views import baked_views, gathered_together, is_baked, left_on_purpose
-from skinbake.freshness.made_targets import made_states
-from skinbake.freshness.staleness import claim_freshness, fits_begun, freshness_check, surface_operator
+from skinbake.freshness.staleness import (
+    claim_freshness,
+    fits_begun,
+    freshness_check,
+    made_states,
+    surface_operator,
+)
 from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.reading.meshes import reason_to_skip, skinned_sources, tell_half_skinned

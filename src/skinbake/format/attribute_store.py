@@ -198,25 +198,21 @@ class _DracoStore:
         left = {name: former[name] for name in self._inside if name not in stay}
         view, inside = self._before["bufferView"], {name: self._inside[name] for name in stay}
         if self._new:
+            from skinbake.gltf.codecs import draco_stream
+
             names = [name for name in dict.fromkeys([*self._inside, *self._new]) if name in now]
-            view, inside = self._encoded(names)
+            faces = draco.read_stream(self._document, self._source.json, self._source.place).faces
+            arrays = {name: self._values(name) for name in names}
+            what = "putting its new attributes into Draco"
+            self._document.budget.claim(Cost.DRACO_STREAM, what, self._source.place)
+            stream = draco_stream.encode(arrays, faces, self._source.place, level=self._level)
+            view = self._additions.add_stream(stream.data)
+            inside = {name: stream.unique_ids[name] for name in names}
         elif not left:
             return primitive
         extension = {**self._before, "bufferView": view, "attributes": inside}
         extension = with_note(extension, StreamNote(before=self._before, accessors=left))
         return {**primitive, "extensions": {**primitive["extensions"], draco.EXTENSION: extension}}
-
-    def _encoded(self, names: list[str]) -> tuple[int, dict[str, int]]:
-        """Return the buffer view of the new stream, and the unique id of each attribute in it."""
-        faces = draco.read_stream(self._document, self._source.json, self._source.place).faces
-        arrays = {name: self._values(name) for name in names}
-        from skinbake.gltf.codecs import draco_stream
-
-        what = "putting its new attributes into Draco"
-        self._document.budget.claim(Cost.DRACO_STREAM, what, self._source.place)
-        stream = draco_stream.encode(arrays, faces, self._source.place, level=self._level)
-        numbers = {name: stream.unique_ids[name] for name in names}
-        return self._additions.add_stream(stream.data), numbers
 
     def _values(self, name: str) -> npt.NDArray[Any]:
         if name in self._new:

@@ -166,25 +166,19 @@ def _former_animations(
             is_ours = True
             if not kept[mesh] or weight is not None:
                 continue
-            if (number, position) not in former:
-                narrowed.append(Narrowed(number, len(left), kept[mesh]))
-                left.append(channel)
-            elif (before := former[number, position]) is None:
+            sampler = listed(animation, "samplers", channel.get("sampler")) or {}
+            before = former.get((number, position))
+            if before is not None:
+                if _still_plays(document, sampler, samplers[before : before + 1], kept[mesh]):
+                    left.append({**channel, "sampler": before})
+                    continue
+            elif (number, position) in former:
                 # It was added beside pointers, which a later tool may have dropped.
                 points = any(moved[0] == mesh and moved[1] is not None for moved in every)
-                if not points and _moves(
-                    document, listed(animation, "samplers", channel.get("sampler")), kept[mesh]
-                ):
-                    narrowed.append(Narrowed(number, len(left), kept[mesh]))
-                    left.append(channel)
-            else:
-                before_it = samplers[before] if before < len(samplers) else {}
-                now = listed(animation, "samplers", channel.get("sampler")) or {}
-                if _still_plays(document, now, before_it, kept[mesh]):
-                    left.append({**channel, "sampler": before})
-                else:
-                    narrowed.append(Narrowed(number, len(left), kept[mesh]))
-                    left.append(channel)
+                if points or not _moves(document, sampler, kept[mesh]):
+                    continue
+            narrowed.append(Narrowed(number, len(left), kept[mesh]))
+            left.append(channel)
         if is_ours:
             most = max((int(one["sampler"]) + 1 for one in left), default=0)
             samplers = samplers[: max(counts.get(number, len(samplers)), most)]
@@ -234,41 +228,43 @@ def _read(document: Document, number: int) -> FloatArray | None:
         return None
 
 
-def _still_plays(document: Document, now: JsonObject, before: JsonObject, targets: int) -> bool:
+def _still_plays(document: Document, now: JsonObject, before: Sequence[JsonObject], targets: int) -> bool:
     """Tell whether a sampler has the values of a former one for its first targets, at all former keys.
 
-    Tools renumber samplers. Then the former one by number may be any other.
+    Tools renumber samplers. Then the former one by number may be any other, or gone.
     """
-    methods = [sampler.get("interpolation") == poses.CUBICSPLINE for sampler in (now, before)]
-    numbers = [reference(sampler.get(key)) for sampler in (now, before) for key in ("input", "output")]
+    both = [now, *before]
+    methods = [sampler.get("interpolation") == poses.CUBICSPLINE for sampler in both]
+    numbers = [reference(sampler.get(key)) for sampler in both for key in ("input", "output")]
     accessors = document.objects("accessors")
-    if methods[0] != methods[1] or any(one is None or not 0 <= one < len(accessors) for one in numbers):
+    if not before or methods[0] != methods[1]:
         return False
-    return _stored_agree(document, tuple(numbers), 3 if methods[0] else 1, targets)
+    if any(one is None or not 0 <= one < len(accessors) for one in numbers):
+        return False
+    return _agree(document, tuple(one or 0 for one in numbers), 3 if methods[0] else 1, targets)
 
 
-@once_a_document
-def _stored_agree(document: Document, numbers: tuple[int | None, ...], each: int, targets: int) -> bool:
-    """Tell whether accessors of the times and values of two samplers agree, as ``_agree``."""
-    return _agree([_read(document, number or 0) for number in numbers], each, targets)
-
-
-def _moves(document: Document, sampler: JsonObject | None, targets: int) -> bool:
+def _moves(document: Document, sampler: JsonObject, targets: int) -> bool:
     """Tell whether a sampler moves any of the first targets."""
-    numbers = [reference((sampler or {}).get(key)) for key in ("input", "output")]
+    numbers = [reference(sampler.get(key)) for key in ("input", "output")]
     count = len(document.objects("accessors"))
     if any(one is None or not 0 <= one < count for one in numbers):
         return False
     times, values = (_read(document, int(one or 0)) for one in numbers)
-    each = 3 if (sampler or {}).get("interpolation") == poses.CUBICSPLINE else 1
+    each = 3 if sampler.get("interpolation") == poses.CUBICSPLINE else 1
     if times is None or values is None or values.size % (len(times) * each):
         return False
     played = values.reshape(len(times), each, -1)[:, each // 2, :targets]
     return bool(np.ptp(played, axis=0).any())
 
 
-def _agree(arrays: Sequence[FloatArray | None], each: int, targets: int) -> bool:
-    """Tell whether a sampler holds the keys and values of a former one, ``each`` values a key."""
+@once_a_document
+def _agree(document: Document, numbers: tuple[int, ...], each: int, targets: int) -> bool:
+    """Tell whether keys and values of a sampler hold those of a former one, ``each`` values a key.
+
+    numbers are the accessors of both, of the sampler first.
+    """
+    arrays = [_read(document, number) for number in numbers]
     if any(array is None or array.shape[1] != 1 for array in arrays):
         return False
     times, values, former_times, former = (array[:, 0] for array in arrays if array is not None)

@@ -42,51 +42,39 @@ def former_attributes(
     None if they must not be restored: the accessors in the metadata no longer hold the former influences, or
     the adopted ones have been edited since and the edits would be lost.
     """
-    if note.adopted is None and note.former_attributes is None:
-        return {}
     if note.adopted is None:
-        return None
+        return {} if note.former_attributes is None else None
     try:
         draco.add_former_streams(document, with_former_stream)
-        now = _influence_digests(document, attributes, place)
+        now, _ = _influence_digests(document, attributes, place)
     except BudgetError:
         raise
     except InputError:
         return None
     if now != {name: note.digest.get(name) for name in now}:
         return None
-    for find in (_as_noted, _found_again):
+    count = len(document.objects("accessors"))
+    for by_digest in (False, True):
         try:
-            found = find(document, attributes, note, place)
+            found = {name: number for name, number in note.adopted.items() if 0 <= number < count}
+            if by_digest:
+                # The accessors of any numbers that hold the former JOINTS_0 and WEIGHTS_0. The digests of
+                # several sets are of all sets together, and find none of them.
+                digests = {name: note.former_digest.get(name.removesuffix("_0")) for name in note.adopted}
+                again = {
+                    name: _with_digest(document, attributes, name, one, place)
+                    for name, one in digests.items()
+                }
+                found = {name: number for name, number in again.items() if number is not None}
             restored = former_sets({**attributes, **found}, note)
-            before = _influence_digests(document, restored, place)
+            before, covered = _influence_digests(document, restored, place)
         except BudgetError:
             raise
         except InputError:
             continue
-        if before == note.former_digest and found.keys() <= _digested(restored):
+        if before == note.former_digest and found.keys() <= covered:
             return found
     return None
-
-
-def _as_noted(document: Document, attributes: JsonObject, note: GradientNote, place: Place) -> dict[str, int]:
-    """Return the former accessors of JOINTS and WEIGHTS by the numbers in the metadata."""
-    count = len(document.objects("accessors"))
-    return {name: number for name, number in (note.adopted or {}).items() if 0 <= number < count}
-
-
-def _found_again(
-    document: Document, attributes: JsonObject, note: GradientNote, place: Place
-) -> dict[str, int]:
-    """Return the accessors of any numbers that hold the former JOINTS_0 and WEIGHTS_0.
-
-    The digests of several sets are digests of all sets together. So they do not find one of them.
-    """
-    numbers = {
-        name: _with_digest(document, attributes, name, note.former_digest.get(name.removesuffix("_0")), place)
-        for name in note.adopted or ()
-    }
-    return {name: number for name, number in numbers.items() if number is not None}
 
 
 def _with_digest(
@@ -193,16 +181,10 @@ def former_sets(attributes: JsonObject, note: GradientNote) -> JsonObject:
     }
 
 
-def _digested(attributes: JsonObject) -> set[str]:
-    """Return the names of the influence sets that digests cover: JOINTS_0, WEIGHTS_0, and so on, unbroken."""
-    names: set[str] = set()
-    while (joints := f"JOINTS_{len(names) // 2}") in attributes:
-        names |= {joints, f"WEIGHTS_{len(names) // 2}"}
-    return names
-
-
-def _influence_digests(document: Document, attributes: JsonObject, place: Place) -> dict[str, str]:
-    """Return the digests of JOINTS and WEIGHTS, all sets side by side, as in the metadata."""
+def _influence_digests(
+    document: Document, attributes: JsonObject, place: Place
+) -> tuple[dict[str, str], set[str]]:
+    """Return the digests of JOINTS and WEIGHTS, all sets side by side, and the attributes that they cover."""
     sets: dict[str, list[npt.NDArray[Any]]] = {"JOINTS": [], "WEIGHTS": []}
     while f"JOINTS_{len(sets['JOINTS'])}" in attributes:
         for kind, arrays in sets.items():
@@ -216,4 +198,5 @@ def _influence_digests(document: Document, attributes: JsonObject, place: Place)
             raise InputError(f"its {kind} sets have different numbers of vertices, or are missing", place)
     with np.errstate(invalid="ignore"):  # sets of different types are joined: a signalling NaN is cast
         joints, weights = (np.concatenate(arrays, axis=1) for arrays in sets.values())
-    return influence_digests(joints, weights)
+    covered = {f"{kind}_{number}" for kind, arrays in sets.items() for number in range(len(arrays))}
+    return influence_digests(joints, weights), covered

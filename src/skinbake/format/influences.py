@@ -33,26 +33,8 @@ def with_adopted(
     change: v / 255 is exactly 257 v / 65535.
     """
     slots = [adopted[:, 4 * number : 4 * number + 4] for number in range(len(sets))]
-    vacated = [
-        (slot < 0) & (stored.joints.values[rows, :, None] == adopted[:, None, :]).any(axis=2)
-        for stored, slot in zip(sets, slots, strict=True)
-    ]
-    dues = _dues(sets, rows, slots)
-    return [
-        stored._replace(
-            joints=_new_joints(stored.joints, rows, slot, left),
-            weights=_new_weights(stored.weights, rows, slot, left, due),
-        )
-        for stored, slot, left, due in zip(sets, slots, vacated, dues, strict=True)
-    ]
-
-
-def _dues(sets: Sequence[StoredInfluences], rows: IntArray, slots: Sequence[IntArray]) -> list[IntArray]:
-    """Return per set (A, 4) the units that each slot loses: the largest weight of a vertex pays for all.
-
-    Of equal weights, the weight of the lowest joint pays. So copies of a vertex with another order of slots
-    still agree.
-    """
+    # The largest weight of a vertex pays for the units that all its slots take, and of equal ones that of the
+    # lowest joint. So copies of a vertex with another order of slots still agree.
     weights = np.concatenate(
         [stored.weights._replace(values=stored.weights.values[rows]).decoded() for stored in sets], axis=1
     )
@@ -65,33 +47,33 @@ def _dues(sets: Sequence[StoredInfluences], rows: IntArray, slots: Sequence[IntA
             units += np.count_nonzero(slot >= 0, axis=1)
     dues = np.zeros(weights.shape, dtype=np.int64)
     dues[np.arange(len(weights)), payer] = units
-    return [dues[:, 4 * number : 4 * number + 4] for number in range(len(sets))]
-
-
-def _new_joints(stored: StoredArray, rows: IntArray, slot: IntArray, vacated: BoolArray) -> StoredArray:
-    kept: npt.NDArray[Any] = np.where(vacated, 0, stored.values[rows])
-    if not (slot >= 0).any() and (kept == stored.values[rows]).all():
-        return stored
-    wide = slot.max() > np.iinfo(stored.values.dtype).max  # type: ignore[type-var]  # joints are integers
-    values: npt.NDArray[Any] = stored.values.astype(np.uint16 if wide else stored.values.dtype)
-    values[rows] = np.where(slot >= 0, slot, kept)
-    return stored._replace(values=values)
-
-
-def _new_weights(
-    stored: StoredArray, rows: IntArray, slot: IntArray, vacated: BoolArray, due: IntArray
-) -> StoredArray:
-    before: npt.NDArray[Any] = stored.values
-    if not (slot >= 0).any() and not due.any() and not before[rows][vacated].any():
-        return stored
-    if before.dtype.kind == "f":
-        floats = before.astype(np.float32)
-        paid = floats[rows] - (due / UNIT).astype(np.float32) if due.any() else floats[rows]
-        floats[rows] = np.where(slot >= 0, TINY_WEIGHT, np.where(vacated, 0, paid))
-        return stored._replace(values=floats)
-    shorts = before.astype(np.uint16) * np.uint16(257 if before.dtype.itemsize == 1 else 1)
-    shorts[rows] = np.where(slot >= 0, 1, shorts[rows]) - due
-    return stored._replace(values=shorts)
+    found = []
+    for number, (stored, slot) in enumerate(zip(sets, slots, strict=True)):
+        names, due = stored.joints.values[rows], dues[:, 4 * number : 4 * number + 4]
+        vacated = (slot < 0) & (names[:, :, None] == adopted[:, None, :]).any(axis=2)
+        new_joints, new_weights = stored.joints, stored.weights
+        # The joints: those that were adopted, and joint 0 in the slots that they have left.
+        kept: npt.NDArray[Any] = np.where(vacated, 0, names)
+        if (slot >= 0).any() or (kept != names).any():
+            dtype = stored.joints.values.dtype
+            wide = slot.max() > np.iinfo(dtype.str).max
+            values: npt.NDArray[Any] = stored.joints.values.astype(np.uint16 if wide else dtype)
+            values[rows] = np.where(slot >= 0, slot, kept)
+            new_joints = new_joints._replace(values=values)
+        # The weights: the least that a type holds in adopted slots.
+        before: npt.NDArray[Any] = stored.weights.values
+        if (slot >= 0).any() or due.any() or before[rows][vacated].any():
+            after: npt.NDArray[Any]
+            if before.dtype.kind == "f":
+                after = before.astype(np.float32)
+                paid = after[rows] - (due / UNIT).astype(np.float32) if due.any() else after[rows]
+                after[rows] = np.where(slot >= 0, TINY_WEIGHT, np.where(vacated, 0, paid))
+            else:
+                after = before.astype(np.uint16) * np.uint16(257 if before.dtype.itemsize == 1 else 1)
+                after[rows] = np.where(slot >= 0, 1, after[rows]) - due
+            new_weights = new_weights._replace(values=after)
+        found.append(stored._replace(joints=new_joints, weights=new_weights))
+    return found
 
 
 def with_limit(
@@ -114,7 +96,15 @@ def with_limit(
     # float64 holds every FLOAT and every integer of 16 bits exactly.
     parts = [entry.weights.decoded() if unit is None else entry.weights.values for entry in sets]
     stored = np.concatenate(parts, axis=1).astype(np.float64)
-    renewed = shares if unit is None else _shared_out(shares, unit)
+    renewed = shares
+    if unit is not None:
+        # Shares rounded to integers that sum to the unit: the largest remainders are rounded up, of equal
+        # ones that of the earlier slot: the larger weight, then the lower joint.
+        exact = shares * unit
+        renewed = np.floor(exact)
+        missing = unit - renewed.sum(axis=1, keepdims=True)
+        rank = np.argsort(np.argsort(renewed - exact, axis=1, kind="stable"), axis=1, kind="stable")
+        renewed = renewed + (rank < missing)
     moved = np.take_along_axis(stored, np.maximum(slots, 0), axis=1)
     weights = np.where(slots >= 0, np.where(rewritten[:, None], renewed, moved), 0)
     taken[(weights == 0) & rewritten[:, None]] = 0
@@ -134,18 +124,6 @@ def common_unit(sets: Sequence[StoredInfluences]) -> int | None:
     if len(dtypes) > 1 or any(dtype.kind == "f" for dtype in dtypes):
         return None
     return int(np.iinfo(dtypes.pop().str).max)
-
-
-def _shared_out(shares: Float64Array, unit: int) -> Float64Array:
-    """Round shares (V, N) to integers that sum to ``unit``: the largest remainders are rounded up.
-
-    Of equal remainders, that of the earlier slot is rounded up: the larger weight, then the lower joint.
-    """
-    exact = shares * unit
-    floors = np.floor(exact)
-    missing = unit - floors.sum(axis=1, keepdims=True)
-    rank = np.argsort(np.argsort(floors - exact, axis=1, kind="stable"), axis=1, kind="stable")
-    return np.asarray(floors + (rank < missing))
 
 
 class Extended(NamedTuple):

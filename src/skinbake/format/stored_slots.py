@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.choices import Encoding, Layout
-from skinbake.errors import BudgetError, InputError, Notice
+from skinbake.errors import BudgetError, InputError, Notice, Place
 from skinbake.format.encodings import DTYPES, decoded, noted_format
 from skinbake.format.note import BAKE, BLEND_GRADIENT, GradientNote
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray
@@ -27,6 +27,14 @@ from skinbake.wording import counted
 COMPONENT_TYPES = {Encoding.FLOAT32: "FLOAT", Encoding.SNORM16: "SHORT", Encoding.PACKED8: "BYTE"}
 
 
+class DamagedBake(Exception):  # noqa: N818  # a verdict on a part, which ``baked_views`` tells
+    """What a bake has stored is damaged; ``notice`` says how."""
+
+    def __init__(self, code: str, message: str, place: Place, count: int = 1) -> None:
+        super().__init__(message)
+        self.notice = Notice(code, message, place, count)
+
+
 class StoredSlots(NamedTuple):
     """α and β of slots 1 … K − 1 as a shader reads them, each (V, K − 1), in 1 / length unit of POSITION.
 
@@ -38,12 +46,10 @@ class StoredSlots(NamedTuple):
     rounding: Float64Array
 
 
-def read_slots(
-    document: Document, source: PrimitiveSource, note: GradientNote, count: int
-) -> StoredSlots | Notice:
-    """Return α and β of a primitive with ``count`` vertices, or the problem with them.
+def read_slots(document: Document, source: PrimitiveSource, note: GradientNote, count: int) -> StoredSlots:
+    """Return α and β of a primitive with ``count`` vertices, by a note without ``damage``.
 
-    The note must have no ``damage``.
+    Raises DamagedBake.
     """
     storage = noted_format(note)
     is_texcoord = storage.layout is Layout.TEXCOORD
@@ -52,10 +58,7 @@ def read_slots(
         # Set 0 holds slots 1 to 3, and perhaps the scale of the vertex.
         is_first = name in (note.alpha[0], note.beta[0])
         width = 2 if is_texcoord else 3 if is_first and not storage.encoding.is_scaled else 4
-        found = read_array(document, source, name, (count, width), storage.encoding)
-        if isinstance(found, Notice):
-            return found
-        arrays[name] = found
+        arrays[name] = _read(document, source, name, (count, width), storage.encoding)
     if is_texcoord:  # all numbers of α, then all of β, two in each set
         numbers = np.concatenate(list(arrays.values()), axis=1)
         return StoredSlots(numbers[:, : len(arrays)], numbers[:, len(arrays) :], np.zeros((count, 2)))
@@ -67,15 +70,15 @@ def read_slots(
     return StoredSlots(of_alpha.values, of_beta.values, rounding)
 
 
-def read_array(
+def _read(
     document: Document, source: PrimitiveSource, name: str, shape: Sequence[int], encoding: Encoding
-) -> npt.NDArray[Any] | Notice:
-    """Return an attribute that a bake has added to a primitive, of this shape, or the problem with it."""
+) -> npt.NDArray[Any]:
+    """Return an attribute of this shape that a bake has added. Raises DamagedBake."""
     place = source.place.at(name)
     accessor = document.asset.accessor(source.attributes, name, place)
     if accessor is None:
         message = f"its metadata names this attribute, but the attribute was removed or renamed: {BAKE}"
-        return Notice("attribute-missing", message, place)
+        raise DamagedBake("attribute-missing", message, place)
     stored = read_accessor(document, accessor.number, place)
     values: npt.NDArray[Any] = stored.values
     if values.dtype != DTYPES[encoding] or stored.normalized != encoding.is_scaled:
@@ -87,17 +90,17 @@ def read_array(
             f"after the bake. Bake last: {BAKE} on the output of the last tool, or keep the tool "
             "off this attribute"
         )
-        return Notice("attribute-format", message, place)
+        raise DamagedBake("attribute-format", message, place)
     if values.shape != tuple(shape):
         message = (
             f"it holds {values.shape[0]:,} vectors of {values.shape[1]}, expected "
             f"{shape[0]:,} of {shape[1]}: {BAKE}"
         )
-        return Notice("attribute-format", message, place)
+        raise DamagedBake("attribute-format", message, place)
     broken = int(np.count_nonzero(~np.isfinite(values).all(axis=1)))
     if broken:
         message = f"at {counted(broken, 'vertex', 'vertices')} it is not a finite number: {BAKE}"
-        return Notice("attribute-not-finite", message, place, broken)
+        raise DamagedBake("attribute-not-finite", message, place, broken)
     return values
 
 
@@ -145,27 +148,25 @@ def read_blend_weights(
 
 def read_blend(
     document: Document, source: PrimitiveSource, note: GradientNote, count: int
-) -> Float64Array | Notice | None:
-    """Return b, ∂b/∂t0 and ∂b/∂b0 (V, 3) of a baked primitive, None without a blend, or the problem.
+) -> Float64Array | None:
+    """Return b, ∂b/∂t0 and ∂b/∂b0 (V, 3) of a baked primitive, None without a blend, by a sound note.
 
-    The note must have no ``damage``.
+    Raises DamagedBake.
     """
     if note.blend is None:
         return None
     name = note.blend.weights
-    gradient = read_array(document, source, BLEND_GRADIENT, (count, 2), Encoding.FLOAT32)
-    if isinstance(gradient, Notice):
-        return gradient
+    gradient = _read(document, source, BLEND_GRADIENT, (count, 2), Encoding.FLOAT32)
     try:
         weights = read_blend_weights(document, source, name, count)
     except BudgetError:
         raise
     except InputError as error:
-        return Notice("attribute-format", error.message, error.place or source.place)
+        raise DamagedBake("attribute-format", error.message, error.place or source.place) from error
     if weights is None:
         message = (
             f"the bake read its blend weights from {name}, which was removed or renamed: run skinbake bake "
             "on a file that has it"
         )
-        return Notice("attribute-missing", message, source.place.at(name))
+        raise DamagedBake("attribute-missing", message, source.place.at(name))
     return np.column_stack([weights, gradient]).astype(np.float64)

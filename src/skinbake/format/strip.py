@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Set
-from typing import NamedTuple
 
 from skinbake.choices import Layout
 from skinbake.errors import Notice, Place
@@ -79,7 +78,8 @@ def stripped(document: Document) -> tuple[Document, int]:
     removed = set[int]().union(
         *(_accessors_of_vertices(old) - _accessors_of_vertices(new) for old, new in changed)
     )
-    streams = _stream_views(old for old, _ in changed) - _stream_views(_all_primitives(root))
+    every = (one for mesh in meshes for one in entries_of(mesh.get("primitives")))
+    streams = _stream_views(old for old, _ in changed) - _stream_views(every)
     removed -= uses_of_accessors(root).keys()
     back = set[int]().union(
         *(_accessors_of_vertices(new) - _accessors_of_vertices(old) for old, new in changed)
@@ -112,11 +112,6 @@ def uncorrected(document: Document) -> tuple[Document, Collection[int]]:
 def _stream_views(primitives: Iterable[JsonObject]) -> set[int]:
     """Return the buffer views of the Draco streams of some primitives."""
     return _numbers((draco.extension_of(primitive) or {}).get("bufferView") for primitive in primitives)
-
-
-def _all_primitives(root: JsonObject) -> Iterator[JsonObject]:
-    for mesh in json_access.entries_of(root.get("meshes")):
-        yield from json_access.entries_of(mesh.get("primitives"))
 
 
 def _accessors_of_vertices(primitive: JsonObject) -> set[int]:
@@ -156,8 +151,14 @@ def _restored(document: Document, primitive: JsonObject, note: GradientNote, pla
     attributes = {name: attributes[name] for name in order}
     written = {**primitive, "attributes": attributes} if "attributes" in primitive else dict(primitive)
     if draco.extension_of(primitive) is not None:
-        kept = before if former is not None and tangent is not None else None
-        written["extensions"] = _extensions_before(primitive, kept, ours, place)
+        extension = dict(draco.extension_of(primitive) or {})
+        if before is not None and former is not None and tangent is not None:
+            extension = dict(draco.extension_of(before) or {})
+        else:  # the stream of the bake stays, and no longer has what is ours
+            inside = json_access.member(extension, "attributes", place)
+            extension["attributes"] = {name: number for name, number in inside.items() if name not in ours}
+            extension = without_note(extension)
+        written["extensions"] = {**primitive["extensions"], draco.EXTENSION: extension}
     written = without_note(written)  # unless it is that of an accessor
     if former is None:
         message = "another tool has removed or edited the influences from before the bake: "
@@ -209,22 +210,6 @@ def _remove(document: Document, attributes: JsonObject, note: GradientNote, plac
         document.notices.tell(Notice("texcoords-kept", message, place, len(names) - len(missing)))
 
 
-def _extensions_before(
-    primitive: JsonObject, before: JsonObject | None, ours: Set[str], place: Place
-) -> JsonObject:
-    """Return the extensions of a primitive with the Draco stream that it had ``before``.
-
-    None: the stream of the bake stays, and the extension no longer names ``ours`` in it.
-    """
-    extensions = dict(json_access.member(primitive, "extensions", place))
-    if before is not None:
-        return {**extensions, draco.EXTENSION: draco.extension_of(before)}
-    extension = dict(draco.extension_of(primitive) or {})
-    inside = json_access.member(extension, "attributes", place)
-    extension["attributes"] = {name: number for name, number in inside.items() if name not in ours}
-    return {**extensions, draco.EXTENSION: without_note(extension)}
-
-
 def _without(
     document: Document, root: JsonObject, removed: Set[int], streams: Set[int], back: Set[int]
 ) -> Document:
@@ -233,6 +218,7 @@ def _without(
     streams are the buffer views of Draco streams that no primitive uses now, back are accessors from before
     the bake that are attributes again.
     """
+    accessors, views = document.objects("accessors"), document.objects("bufferViews")
     tail = _tail_of_bake(document, root, removed, streams)
     if tail is None:
         message = (
@@ -241,20 +227,20 @@ def _without(
         )
         document.notices.tell(Notice("bytes-left", message, document.place))
         return document.edited(json=_with_own_views(document, root, back))
-    accessors, views = document.objects("accessors"), document.objects("bufferViews")
+    first, undo, start = tail
     _put_back(root, "accessors", accessors[: len(accessors) - len(removed)])
-    _put_back(root, "bufferViews", views[: tail.first_view])
+    _put_back(root, "bufferViews", views[:first])
     # The document with the buffers as they were before the bake.
     buffers = list(document.objects("buffers"))
-    buffers = buffers[: len(buffers) - tail.fallbacks]
-    if tail.undo.added:
+    buffers = buffers[: len(buffers) - undo.fallback_added]
+    if undo.added:
         uri = buffers.pop().get("uri")
         _put_back(root, "buffers", buffers)
         new_files = {name: pieces for name, pieces in document.new_files.items() if name != uri}
         return document.edited(json=root, new_files=new_files)
-    root["buffers"] = [{**buffers[0], "byteLength": tail.undo.byte_length}, *buffers[1:]]
+    root["buffers"] = [{**buffers[0], "byteLength": undo.byte_length}, *buffers[1:]]
     binary = memoryview(joined(document.binary or ()))
-    return document.edited(json=root, binary=(binary[: tail.start],))
+    return document.edited(json=root, binary=(binary[:start],))
 
 
 def _with_own_views(document: Document, root: JsonObject, numbers: Set[int]) -> JsonObject:
@@ -279,67 +265,49 @@ def _with_own_views(document: Document, root: JsonObject, numbers: Set[int]) -> 
     return {**root, "accessors": accessors, "bufferViews": views} if views else root
 
 
-class _Tail(NamedTuple):
-    """The start of a bake's buffer views, and its note on the former buffer.
+def _tail_of_bake(
+    document: Document, root: JsonObject, removed: Set[int], streams: Set[int]
+) -> tuple[int, BufferNote, int] | None:
+    """Return the first buffer view of the bake, its note, and the first byte of its data in the BIN chunk.
 
-    start is their first byte in the buffer that holds their data. fallbacks is the number of buffers at the
-    end without bytes.
-    """
-
-    first_view: int
-    undo: BufferNote
-    start: int
-    fallbacks: int
-
-
-def _tail_of_bake(document: Document, root: JsonObject, removed: Set[int], streams: Set[int]) -> _Tail | None:
-    """Return the end of the document that belongs to the bake alone, None if it has changed since.
-
-    root is the JSON without the bake, but for its accessors, views and buffers. What it still needs stays.
-    Other tools renumber accessors, put several into one buffer view, and append. Then the end cannot be cut
-    off.
+    None if the end of the document does not belong to the bake alone: other tools renumber accessors, put
+    several into one buffer view, and append. root is the JSON without the bake, but for its accessors, views
+    and buffers. What it still needs stays.
     """
     accessors, views = document.objects("accessors"), document.objects("bufferViews")
+    buffers = document.objects("buffers")
+    # The accessors and the views of the bake must be the last ones, and nothing else may use them.
     kept = len(accessors) - len(removed)
-    if not removed or removed != set(range(kept, len(accessors))):
-        return None
     ours = views_in_use([accessors[number] for number in removed]) | streams
     first = len(views) - len(ours)
-    if not ours or ours != set(range(first, len(views))):
+    are_last = removed == set(range(kept, len(accessors))) and ours == set(range(first, len(views)))
+    if not removed or not ours or not are_last:
         return None
     undo = buffer_note(views[first])
     rest = {**root, "accessors": accessors[:kept], "bufferViews": views[:first]}
     if undo is None or not ours.isdisjoint(views_in_use(rest)):
         return None
-    return _at_the_end(document, rest, undo)
-
-
-def _at_the_end(document: Document, rest: JsonObject, undo: BufferNote) -> _Tail | None:
-    """Return the tail if the buffers, or the part of one, to be cut off hold no other data.
-
-    rest is the JSON without the bake.
-    """
-    views, buffers = document.objects("bufferViews"), document.objects("buffers")
-    first = len(rest["bufferViews"])
-    added = [data for view in views[first:] for data in _stored_ranges(view, document.place)]
-    fallbacks = 1 if undo.fallback_added else 0
-    last = len(buffers) - fallbacks
-    whole = last - 1 if undo.added else last  # buffers from here on are removed
+    # So must be the buffers, or the part of one, that are cut off.
+    last = len(buffers) - undo.fallback_added
+    whole = last - undo.added  # buffers from here on are removed
     if any(whole <= buffer < len(buffers) for buffer in buffers_in_use(rest)):
         return None
+    added = [data for view in views[first:] for data in _stored_ranges(view, document.place)]
     if undo.added:
-        return _Tail(first, undo, 0, fallbacks) if all(buffer >= whole for buffer, _, _ in added) else None
-    length = undo.byte_length
-    starts = [begin for buffer, begin, _ in added if buffer == 0]
-    if not starts or any(0 < buffer < last for buffer, _, _ in added) or not document.has_binary_buffer:
-        return None
-    start = min(starts)
-    if length is None or not 0 < length <= start <= len(joined(document.binary or ())):
-        return None
+        return (first, undo, 0) if all(buffer >= whole for buffer, _, _ in added) else None
+    start = min((begin for buffer, begin, _ in added if buffer == 0), default=0)
     # Views may have moved. The buffer gets its former length, and must hold all views that stay.
-    kept = [data for view in views[:first] for data in _stored_ranges(view, document.place)]
-    is_free = all(end <= length for buffer, _, end in kept if buffer == 0)
-    return _Tail(first, undo, start, fallbacks) if is_free else None
+    length = undo.byte_length or 0
+    is_free = (
+        document.has_binary_buffer
+        and 0 < length <= start <= len(joined(document.binary or ()))
+        and not any(0 < buffer < last for buffer, _, _ in added)
+    )
+    stay = (
+        [data for view in views[:first] for data in _stored_ranges(view, document.place)] if is_free else []
+    )
+    is_free &= all(end <= length for buffer, _, end in stay if buffer == 0)
+    return (first, undo, start) if is_free else None
 
 
 def _stored_ranges(view: JsonObject, place: Place) -> Iterator[tuple[int, int, int]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from skinbake.choices import Frame, FrameChoice, Gradients, Weld
 from skinbake.errors import Chosen, Message, Notice, Place
 from skinbake.format.digests import changed_arrays
 from skinbake.format.note import BAKE, NO_METADATA, GradientNote, gradient_note, primitive_left
-from skinbake.format.stored_slots import read_blend, read_slots
+from skinbake.format.stored_slots import DamagedBake, read_blend, read_slots
 from skinbake.geometry import frames
 from skinbake.geometry.frames import unit_normals
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
@@ -71,13 +71,35 @@ def baked_views(document: Document, sources: Sequence[PrimitiveSource]) -> list[
     """Return every baked primitive whose structure is sound; tell the problem of each other one."""
     views: list[BakedView] = []
     for source in sources:
-        found = _view(document, source)
-        if isinstance(found, BakedView):
-            views.append(found)
-            document.notices.tell(*_skewed(found))
-        else:
-            document.notices.tell(found)
-    document.notices.tell(*_contradictions(document, views))
+        try:
+            view = _view(document, source)
+        except DamagedBake as damage:
+            document.notices.tell(damage.notice)
+            continue
+        views.append(view)
+        # The normal of the rest frame must be the stored one.
+        if (
+            view.note.frame == Frame.TANGENT
+            and view.now.tangents is not None
+            and "TANGENT" not in view.changed
+        ):
+            used = np.unique(view.now.triangles)
+            angles = frames.tangent_deviation(unit_normals(view.now.normals[used]), view.now.tangents[used])
+            count, largest = int(np.count_nonzero(angles > TANGENT_TOLERANCE)), angles.max(initial=0.0)
+            if count:
+                vertices = counted(count, "vertex", "vertices")
+                leaning = Message(
+                    f"at {vertices} TANGENT × bitangent leans more than {TANGENT_TOLERANCE}° from NORMAL "
+                    f"(up to {largest:.3g}°), and so does the lighting at rest: {BAKE} with ",
+                    Chosen("frame", FrameChoice.NORMAL),
+                )
+                document.notices.tell(Notice("tangents-skewed", leaning, source.place, count))
+    # The primitives of a mesh, or of a skin, are gathered together, because one bake made all of them.
+    for first, *others in gathered_together(document, views):
+        for view in others:
+            for wrong in view.note.differences(first.note, first.source.place.within_file):
+                message = f"its metadata is damaged: {wrong}, which it was gathered with; {BAKE}"
+                document.notices.tell(Notice("metadata-broken", message, view.source.place))
     return views
 
 
@@ -118,69 +140,33 @@ def whole_surfaces(document: Document, views: Sequence[BakedView]) -> list[list[
     return [[view for view in views if view.source.mesh in group] for group in groups]
 
 
-def _view(  # noqa: PLR0911  # one for each problem
-    document: Document, source: PrimitiveSource
-) -> BakedView | Notice:
-    note = gradient_note(document, source)
+def _view(document: Document, source: PrimitiveSource) -> BakedView:
+    """Return a baked primitive. Raises DamagedBake if its structure is not sound."""
+    note, place = gradient_note(document, source), source.place
     if note is None:
         message = NO_METADATA if is_baked(document, source) else f"it is not baked: {BAKE}"
-        return Notice("metadata-missing", message, source.place)
+        raise DamagedBake("metadata-missing", message, place)
     if note.other_version is not None:
-        return Notice("version", note.other_version, source.place)
+        raise DamagedBake("version", note.other_version, place)
     wrong = next(note.damage(source.influence_sets), None)
     if wrong is not None:
-        return Notice("metadata-broken", f"its metadata is damaged: {wrong}; {BAKE}", source.place)
+        raise DamagedBake("metadata-broken", f"its metadata is damaged: {wrong}; {BAKE}", place)
     now = read_primitive(document, source)
     work = Cost.COMPARED_VERTEX * len(now.positions) + Cost.COMPARED_SLOT * now.joints.size
     work += Cost.COMPARED_TRIANGLE * len(now.triangles)
-    document.budget.claim(work, "measuring it", source.place)
+    document.budget.claim(work, "measuring it", place)
     slots = read_slots(document, source, note, len(now.positions))
-    if isinstance(slots, Notice):
-        return slots
     blend = read_blend(document, source, note, len(now.positions))
-    if isinstance(blend, Notice):
-        return blend
     if note.frame == Frame.TANGENT and now.tangents is None:
         message = (
             "it was baked for TANGENT, which was removed since (some tools do where no material needs it). "
             f"Bake last: {BAKE} on the file that the last tool wrote"
         )
-        return Notice("frame", message, source.place)
+        raise DamagedBake("frame", message, place)
     with stage("digests"):
         changed = changed_arrays(note.digest, note.frame, now)
     found = slots.alpha, slots.beta, *frame_vectors(now, note.frame), changed, slots.rounding
     return BakedView(source, note, now, *found, blend)
-
-
-def _skewed(view: BakedView) -> Iterator[Notice]:
-    """Yield a problem if the normal of the rest frame is not the stored one."""
-    if view.note.frame != Frame.TANGENT or view.now.tangents is None or "TANGENT" in view.changed:
-        return
-    used = np.unique(view.now.triangles)
-    normals = frames.unit_normals(view.now.normals[used])
-    angles = frames.tangent_deviation(normals, view.now.tangents[used])
-    count, largest = int(np.count_nonzero(angles > TANGENT_TOLERANCE)), float(angles.max(initial=0.0))
-    if count:
-        vertices = counted(count, "vertex", "vertices")
-        message = Message(
-            f"at {vertices} TANGENT × bitangent leans more than {TANGENT_TOLERANCE}° from NORMAL "
-            f"(up to {largest:.3g}°), and so does the lighting at rest: {BAKE} with ",
-            Chosen("frame", FrameChoice.NORMAL),
-        )
-        yield Notice("tangents-skewed", message, view.source.place, count)
-
-
-def _contradictions(document: Document, views: Sequence[BakedView]) -> Iterator[Notice]:
-    """Yield a problem for each primitive whose settings differ from the first primitive of its group.
-
-    The primitives of a mesh, or of a skin, are gathered together, because one bake made all of them.
-    """
-    for group in gathered_together(document, views):
-        other = group[0]
-        for view in group[1:]:
-            for wrong in view.note.differences(other.note, other.source.place.within_file):
-                message = f"its metadata is damaged: {wrong}, which it was gathered with; {BAKE}"
-                yield Notice("metadata-broken", message, view.source.place)
 
 
 def rest_primitive(view: BakedView) -> RestPrimitive:

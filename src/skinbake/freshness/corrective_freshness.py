@@ -14,7 +14,7 @@ from skinbake.format.correctives import corrective_digest, nodes_with
 from skinbake.format.digests import changed_arrays
 from skinbake.format.note import VERSION, CorrectiveNote, corrective_notes, gradient_note
 from skinbake.freshness.baked_views import BakedView
-from skinbake.freshness.made_targets import made_states
+from skinbake.freshness.staleness import made_states
 from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Cost, Work

@@ -1,15 +1,20 @@
-"""Whether baked primitives are fresh. If they are not, which arrays changed since the bake, and where."""
+"""Whether what a bake has made is fresh; if it is not, which arrays changed since the bake, and where.
+
+That is α and β of each primitive, the gradient of its blend weights, and what its morph targets got.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from skinbake.choices import Gradients, Weighting, Weld
-from skinbake.errors import InputError, Notice
-from skinbake.freshness import comparison
+from skinbake.errors import BudgetError, InputError, Notice
+from skinbake.format.morph_targets import morph_digest
+from skinbake.format.note import MorphTargets, made_targets
 from skinbake.freshness.baked_views import BakedView, gathered_together
 from skinbake.freshness.expected import (
     NO_PAYMENT,
@@ -33,10 +38,14 @@ from skinbake.freshness.without_poses import (
     problems_without_poses,
     rig_changed,
 )
-from skinbake.geometry.skinned import Float64Array
+from skinbake.geometry.skinned import Float64Array, FloatArray
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document
+from skinbake.gltf.reading.meshes import read_primitive
+from skinbake.gltf.reading.morphs import read_targets
 from skinbake.report.verify import Check
+from skinbake.skinning.rest import all_slots
 from skinbake.threads import Threads
 from skinbake.truth.mesh import free_slots
 from skinbake.truth.operator import GradientOperator, gradient_operator
@@ -46,6 +55,15 @@ BAKE_LAST = "Bake last: run skinbake bake on the file that the last tool wrote"
 
 NAMED = 16
 """The number of primitives that a message names. Each of a thousand stale ones would name all others."""
+
+RELATIVE_TOLERANCE = 1e-3
+"""The largest allowed difference between stored and recomputed, relative to the vertex's largest entry.
+
+float32 storage and two routes to the same mean differ by 1e-6. An α scaled by 1.01 differs by 1e-2.
+"""
+
+FLOOR = 1e-5
+"""Entries below this share of the primitive's largest entry, or of the vertex's reach, are rounding."""
 
 
 def surface_operator(document: Document, views: Sequence[BakedView]) -> GradientOperator:
@@ -94,7 +112,7 @@ def freshness_check(
         gone += [OLDER_FIT] if any(map(has_older_fit, views)) else []
         compared = [] if WITHOUT_POSES in gone else _comparisons(document, views, operator, fit)
         # In another pose α/β may still agree: the nodes may only stand elsewhere, all together.
-        if gone and not (compared and all(comparison.agrees for comparison in compared)):
+        if gone and not (compared and all(one.agrees for one in compared)):
             problems += problems_without_poses(document, views, operator)
             unchecked.add(gone[0])
             continue
@@ -105,10 +123,15 @@ def freshness_check(
                 changed.append(view)
         if any(view.blend is not None for view in views):
             problems += _stale_blends(document, views, operator)
-    remarks = [_remark_on(changed, sum(map(len, surfaces)))] if changed else []
-    remarks += sorted(unchecked)
-    remark = "" if problems else "; ".join(remarks)
-    return Check("freshness", "failed" if problems else "passed", tuple(problems), remark)
+    if problems:
+        return Check("freshness", "failed", tuple(problems))
+    remarks = sorted(unchecked)
+    if changed:
+        names = _listed(list(dict.fromkeys(name for view in changed for name in view.changed)))
+        places = changed[0].source.place.within_file if len(changed) == 1 else f"{len(changed)} primitives"
+        where = f" in {places}" if sum(map(len, surfaces)) > 1 else ""
+        remarks = [f"{names} changed since the bake{where}, and α/β still fit", *remarks]
+    return Check("freshness", "passed", (), "; ".join(remarks))
 
 
 def _stale_blends(
@@ -118,7 +141,7 @@ def _stale_blends(
     fields = [np.zeros((len(view.now.positions), 3)) if view.blend is None else view.blend for view in views]
     frames = [np.concatenate([getattr(one, name) for one in views]) for name in ("tangents", "bitangents")]
 
-    def compared(by: GradientOperator) -> list[comparison.Comparison]:
+    def compared(by: GradientOperator) -> list[Comparison]:
         expected = np.empty((len(by.positions), 2))
         weights = np.concatenate(fields)[:, 0]
         for part in by.row_blocks():
@@ -126,7 +149,7 @@ def _stale_blends(
             expected[part] = rows.times(weights).reshape(2, -1).T
         reach = by.reach()
         return [
-            comparison.compare(
+            compare(
                 (field[:, 1:2], field[:, 2:]), (expected[rows, :1], expected[rows, 1:]), reach=reach[rows]
             )
             for field, rows in zip(fields, by.slices, strict=True)
@@ -167,22 +190,15 @@ def refuse_stale(document: Document, views: Sequence[BakedView]) -> None:
         raise InputError(f"its bake is stale: {first.message}{others}", first.place)
 
 
-def _remark_on(views: Sequence[BakedView], count: int) -> str:
-    """Return the remark on views, of ``count``, that changed and whose α/β still fit."""
-    names = list(dict.fromkeys(name for view in views for name in view.changed))
-    where = views[0].source.place.within_file if len(views) == 1 else f"{len(views)} primitives"
-    return f"{_listed(names)} changed since the bake{f' in {where}' if count > 1 else ''}, and α/β still fit"
-
-
 def _comparisons(
     document: Document, views: Sequence[BakedView], operator: GradientOperator, fit: Fit | None
-) -> list[comparison.Comparison]:
+) -> list[Comparison]:
     """Compare α and β of each view with those of the present weights, or of the weights before adoption.
 
     The second comparison is made only if the first one finds a difference. A view agrees if either does.
     """
     found = _compared(document, views, operator, expected_slots(document, views, operator, fit=fit))
-    if all(comparison.agrees for comparison in found):
+    if all(one.agrees for one in found):
         return found
     before = [_before_adoption(document, view) for view in views]
     if all(other is view for other, view in zip(before, views, strict=True)):
@@ -201,30 +217,19 @@ def _before_adoption(document: Document, view: BakedView) -> BakedView:
     Copies of a vertex may have stored other multiples of the same weights, from which adoption takes other
     shares. So only the weights from before it tell which vertices were welded.
     """
-    named = _without_vacated_names(document, view)
-    given = given_weights(document, view)
-    if not given.any():
-        return named
-    weights = weights_before(view.now, given, former_weights(document, view))
-    return replace(named, now=named.now.with_influences(named.now.joints, weights))
-
-
-def _without_vacated_names(document: Document, view: BakedView) -> BakedView:
-    """Return the view with other joints in slots without weight whose joint has left them in the bake.
-
-    If several such slots name a joint, the first of them has its gradient. α and β of the others are 0 if the
-    first of them adopted another joint, and bake lost the gradient: this happens only if a copy of the vertex
-    has fewer free slots. Slot 0 is none of them, since bake fills the free slots in order. They name the
-    joint of the largest weight here. Its gradient is not theirs, so 0 is right.
-    """
-    stored, weights = view.now.joints, view.now.weights
-    given = given_weights(document, view) > 0.0
-    vacated = free_slots(weights) & ~given & given.any(axis=1, keepdims=True)
+    stored, weights, given = view.now.joints, view.now.weights, given_weights(document, view)
+    # Slots without weight whose joint has left them in the bake name the joint of the largest weight here. If
+    # several such slots name a joint, the first of them has its gradient. α and β of the others are 0 if the
+    # first of them adopted another joint, and bake lost the gradient: this happens only if a copy of the
+    # vertex has fewer free slots. Slot 0 is none of them, since bake fills the free slots in order.
+    vacated = free_slots(weights) & (given <= 0.0) & (given > 0.0).any(axis=1, keepdims=True)
     vacated[:, 0] = False
     vacated[:, 1:] &= (view.alpha == 0.0) & (view.beta == 0.0)
     largest = np.take_along_axis(stored, weights.argmax(axis=1)[:, None], axis=1)
     joints = np.where(vacated, largest, stored)
-    if (joints == stored).all():
+    if given.any():
+        weights = weights_before(view.now, given, former_weights(document, view))
+    elif (joints == stored).all():
         return view
     return replace(view, now=view.now.with_influences(joints, weights))
 
@@ -235,19 +240,19 @@ def _compared(
     operator: GradientOperator,
     expected: Expected,
     roundings: Sequence[Float64Array] | None = None,
-) -> list[comparison.Comparison]:
+) -> list[Comparison]:
     """Compare α and β of each view with expected ones. roundings come from ``_roundings``."""
     roundings = roundings or _roundings(document, views, operator)
     found = [
-        comparison.compare((view.alpha, view.beta), slots, rounding=rounding)
+        compare((view.alpha, view.beta), slots, rounding=rounding)
         for view, slots, rounding in zip(views, expected, roundings, strict=True)
     ]
-    if all(comparison.agrees for comparison in found):
+    if all(one.agrees for one in found):
         return found
     # The reach only allows more, and takes longer than all else here.
     reach = operator.reach()
     return [
-        comparison.compare((view.alpha, view.beta), slots, reach=reach[rows], rounding=rounding)
+        compare((view.alpha, view.beta), slots, reach=reach[rows], rounding=rounding)
         for view, slots, rounding, rows in zip(views, expected, roundings, operator.slices, strict=True)
     ]
 
@@ -273,7 +278,7 @@ def _roundings(
 
 
 def _staleness_notice(
-    document: Document, views: Sequence[BakedView], number: int, found: comparison.Comparison
+    document: Document, views: Sequence[BakedView], number: int, found: Comparison
 ) -> Notice:
     """Return which arrays of a view changed, where α and β are wrong, and what to do."""
     view = views[number]
@@ -297,3 +302,112 @@ def _staleness_notice(
 
 def _listed(words: Sequence[str]) -> str:
     return ", ".join(words[:-1]) + (" and " if len(words) > 1 else "") + words[-1]
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """The differences between stored α and β (V, K − 1) and recomputed ones.
+
+    differing is the number of vertices, out of count, that exceed the tolerance. largest is the largest
+    difference relative to the vertex's largest entry. worst is the vertex of that difference.
+    """
+
+    differing: int
+    count: int
+    largest: float
+    worst: int
+
+    @property
+    def agrees(self) -> bool:
+        """Tell whether no vertex differs."""
+        return self.differing == 0
+
+
+def compare(
+    stored: tuple[FloatArray, FloatArray],
+    expected: tuple[FloatArray, FloatArray],
+    *,
+    reach: FloatArray | None = None,
+    rounding: FloatArray | None = None,
+) -> Comparison:
+    """Compare stored with recomputed α and β, each a pair of (V, K − 1), in 1 / length unit of POSITION.
+
+    reach (V,), in the same unit, is the largest possible derivative of a weight at each vertex. If a weight
+    is constant, both sides are rounding, and only reach shows it. rounding (V, 2), in the same unit, is the
+    largest change that an encoding may have made to a stored α, and to a stored β. Differences up to it are
+    allowed. A vertex whose recomputed α or β float32 cannot hold differs from anything.
+    """
+    given, wanted = (np.stack(pair, axis=2).astype(np.float64) for pair in (stored, expected))
+    known = np.asarray(np.isfinite(wanted).all(axis=(1, 2)))
+    wanted = all_slots(np.where(known[:, None, None], wanted, 0.0))
+    # The scale (V,) to which the difference at each vertex is compared.
+    own = np.abs(wanted).max(axis=(1, 2), initial=0.0)
+    scale = np.maximum(own, FLOOR * own.max(initial=0.0))
+    if reach is not None:
+        scale = np.maximum(scale, FLOOR * reach)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    allowed = np.zeros((len(given), 1, 2)) if rounding is None else np.asarray(rounding)[:, None]
+    off: Float64Array = (np.abs(given - wanted[:, 1:]) - allowed).max(axis=(1, 2), initial=0.0)
+    difference = np.where(known, off / scale, np.inf)
+    return Comparison(
+        differing=int(np.count_nonzero(difference > RELATIVE_TOLERANCE)),
+        count=len(difference),
+        largest=float(difference.max(initial=0.0)),
+        worst=int(difference.argmax()) if len(difference) else 0,
+    )
+
+
+class MadeState(NamedTuple):
+    """A primitive of whose targets some have NORMAL by bake, or all numbers of the differential.
+
+    frames is how many numbers these are. changed: what both follow from is not what it was.
+    """
+
+    source: PrimitiveSource
+    targets: int
+    frames: int
+    of: int
+    changed: bool
+
+    @property
+    def notice(self) -> Notice:
+        """Return what is wrong if they changed."""
+        made = " and ".join(["NORMAL"] * bool(self.targets) + ["the differential"] * bool(self.frames))
+        options = " ".join(["--morph-normals"] * bool(self.targets) + ["--morph-frames"] * bool(self.frames))
+        message = (
+            f"what bake has made for its morph targets ({made}) does not belong to its positions and normals "
+            f"now: run skinbake bake {options}"
+        )
+        return Notice("morphs-stale", message, self.source.place, self.of)
+
+
+def made_states(document: Document) -> Iterator[MadeState]:
+    """Yield the primitives whose targets have NORMAL by bake, with or without a skin."""
+    meshes = [made_targets(document, mesh.number) for mesh in document.asset.meshes]
+    for source in document.asset.primitives:
+        noted = meshes[source.mesh][source.primitive]
+        if noted:
+            with document.budget.passing():
+                changed = _digest_of_targets(document, source, noted) != noted.digest
+            count = len(source.whole_targets)
+            yield MadeState(source, len(noted.normals), noted.frames, count, changed)
+
+
+def _digest_of_targets(document: Document, source: PrimitiveSource, noted: MorphTargets) -> str | None:
+    """Return the digest of what was made for the targets of a primitive, None if it is not all there."""
+    targets = source.whole_targets
+    if any(not 0 <= number < len(targets) or "NORMAL" not in targets[number] for number in noted.normals):
+        return None
+    if any(name not in target for target in targets for name in noted.names):
+        return None
+    made = list(range(len(targets))) if noted.frames else list(noted.normals)
+    try:
+        primitive = read_primitive(document, source)
+        read = read_targets(document, source, made, count=len(primitive.positions), tangents=False)
+    except BudgetError:
+        raise
+    except InputError:
+        return None
+    assert read is not None
+    moves = dict(zip(made, (target.positions for target in read.targets), strict=True))
+    return morph_digest(primitive, moves)
