@@ -16,7 +16,7 @@ The note of the mesh says what was added, so that ``strip`` takes it out again.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -26,6 +26,7 @@ import numpy.typing as npt
 from skinbake.choices import CorrectiveAim, Encoding, Frame
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
 from skinbake.format.digests import digests, unordered_digest
+from skinbake.format.encodings import DTYPES, LARGEST
 from skinbake.format.morph_targets import add_differences, add_zeros
 from skinbake.format.note import (
     GENERATOR,
@@ -64,12 +65,6 @@ TARGET_NAMES = "targetNames"
 
 CUBIC_PIECES = 8
 """The straight pieces that follow a cubic one of a pointer to a weight."""
-
-TYPES_OF_TARGETS: dict[Encoding, type[np.generic]] = {
-    Encoding.FLOAT32: np.float32,
-    Encoding.SNORM16: np.int16,
-    Encoding.PACKED8: np.int8,
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,45 +183,37 @@ def with_mesh_correctives(
     additions = Additions(document, note_key=KEY)
     meshes, nodes = list(document.objects("meshes")), list(document.objects("nodes"))
     animations = [dict(animation) for animation in document.objects("animations")]
+    # Normalised integers need the extension.
+    lists = ("extensionsUsed", "extensionsRequired") if encoding.is_scaled else ()
+    lacking = [key for key in lists if QUANTIZATION not in document.json.get(key, [])]
     lengths = []
     for item in items:
         before = additions.byte_length
-        there = document.asset.meshes[item.mesh].target_count
-        channels, samplers = _add_clips(document, additions, item, animations, there)
-        note = CorrectiveNote(
-            version=VERSION,
-            generator=GENERATOR,
-            targets=item.count,
-            aim=item.aim,
-            clips=tuple(item.playing),
-            channels=channels,
-            samplers=samplers,
-        )
-        meshes[item.mesh] = _with_targets(document, additions, item, there, encoding, note)
+        meshes[item.mesh] = _corrected(document, additions, item, animations, encoding, lacking)
         for number in nodes_with(document, item.mesh):
             if nodes[number].get("weights") is not None:
                 nodes[number] = {**nodes[number], "weights": [*nodes[number]["weights"], *[0] * item.count]}
         lengths.append(additions.byte_length - before)
     changes: dict[str, Any] = {"meshes": meshes, "nodes": nodes, "animations": animations}
-    if encoding.is_scaled:
-        for key in ("extensionsUsed", "extensionsRequired"):
-            named = document.json.get(key, [])
-            if QUANTIZATION not in named:
-                changes[key] = [*named, QUANTIZATION]
+    changes |= {key: [*document.json.get(key, []), QUANTIZATION] for key in lacking}
     return additions.applied(changes), lengths
 
 
-def _with_targets(
+def _corrected(
     document: Document,
     additions: Additions,
     item: MeshCorrectives,
-    there: int,
+    animations: list[JsonObject],
     encoding: Encoding,
-    note: CorrectiveNote,
+    lacking: Sequence[str],
 ) -> JsonObject:
-    """Return the JSON of a mesh with targets, weights, names of targets, and the metadata."""
+    """Return the JSON of a mesh with targets, weights, names of targets, and a note, and change animations.
+
+    lacking are the lists of extensions that KHR_mesh_quantization is added to.
+    """
     mesh = document.objects("meshes")[item.mesh]
-    place = item.sources[0].place
+    there, place = document.asset.meshes[item.mesh].target_count, item.sources[0].place
+    channels, samplers = _add_clips(document, additions, item, animations, there)
     of_sources = {source.primitive: number for number, source in enumerate(item.sources)}
     primitives, noted = [], []
     for position, primitive in enumerate(objects(mesh, "primitives", place)):
@@ -246,20 +233,21 @@ def _with_targets(
     if there == 0 or (isinstance(names, list) and len(names) == there):
         ours = [f"corrective normal {number + 1}" for number in range(item.count)]
         extras[TARGET_NAMES] = [*(names if isinstance(names, list) and there else []), *ours]
-    added_to = [
-        key
-        for key in ("extensionsUsed", "extensionsRequired")
-        if QUANTIZATION not in document.json.get(key, [])
-    ]
     made = morph_note(mesh)  # what bake has made for the file's own targets
-    note = replace(
-        note,
+    note = CorrectiveNote(
+        version=VERSION,
+        generator=GENERATOR,
+        targets=item.count,
+        aim=item.aim,
+        clips=tuple(item.playing),
+        channels=channels,
+        samplers=samplers,
         primitives=tuple(noted),
         former=tuple(key for key in ("weights", "extras") if key in mesh),
         names=TARGET_NAMES in object_of(mesh.get("extras")),
         former_names=names if there == 0 else None,
         encoding=encoding,
-        required=tuple(added_to) if encoding.is_scaled else None,
+        required=tuple(lacking) if encoding.is_scaled else None,
         morph_targets=made.morph_targets if made else (),
         keep_extras=bool(made and made.keep_extras),
     )
@@ -297,11 +285,10 @@ def corrective_digest(primitive: SkinnedPrimitive, targets: FloatArray) -> str:
 
 def stored_targets(targets: Float64Array, encoding: Encoding) -> npt.NDArray[Any]:
     """Return targets as numbers of an encoding. Integers are normalised."""
-    dtype = TYPES_OF_TARGETS[encoding]
     if not encoding.is_scaled:
         return targets.astype(np.float32)
-    most = np.iinfo(np.dtype(dtype).str).max
-    return np.clip(np.rint(targets * most), -most, most).astype(dtype)
+    most = LARGEST[encoding]
+    return np.clip(np.rint(targets * most), -most, most).astype(DTYPES[encoding])
 
 
 def _with_own(
@@ -389,7 +376,13 @@ def _add_clips(
                 own = None if position is None else samplers[int(channels[position]["sampler"])]
                 keys = _keys(document, own, clip, (node, there, item.count), place)
                 sampler = len(samplers)
-                samplers.append(_add_keys(additions, keys))
+                samplers.append(
+                    {
+                        "input": _add_numbers(additions, keys.times, bounded=True),
+                        "output": _add_numbers(additions, keys.values, bounded=False),
+                        "interpolation": keys.method,
+                    }
+                )
                 shared[skin] = sampler
             if position is None:
                 changed.append((number, len(channels), None))
@@ -446,25 +439,12 @@ def _keys(
     return with_correctives(own, clip.times, clip.weights)
 
 
-def _add_keys(additions: Additions, keys: Keys) -> JsonObject:
-    """Add the keys of a sampler, and return its JSON."""
-    numbers: Iterator[int] = (
-        additions.add_described(
-            {
-                "bufferView": additions.add_stream(np.ascontiguousarray(values, dtype="<f4").tobytes()),
-                "componentType": 5126,
-                "count": values.size,
-                "type": "SCALAR",
-                **bounds,
-            }
-        )
-        for values, bounds in (
-            (keys.times, {"min": [float(keys.times.min())], "max": [float(keys.times.max())]}),
-            (keys.values, {}),
-        )
-    )
-    source, output = numbers
-    return {"input": source, "output": output, "interpolation": keys.method}
+def _add_numbers(additions: Additions, values: Float32Array, *, bounded: bool) -> int:
+    """Add the times or the values of a sampler, and return the accessor."""
+    bounds = {"min": [float(values.min())], "max": [float(values.max())]} if bounded else {}
+    view = additions.add_stream(np.ascontiguousarray(values, dtype="<f4").tobytes())
+    described = {"bufferView": view, "componentType": 5126, "count": values.size, "type": "SCALAR"}
+    return additions.add_described({**described, **bounds})
 
 
 @dataclass(frozen=True, slots=True)
