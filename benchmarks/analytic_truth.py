@@ -174,11 +174,11 @@ def tube(weights: Weights, columns: int, rows: int) -> tuple[SkinnedPrimitive, F
     return SkinnedPrimitive(positions, normals, None, joints, padded, triangles), theta, height
 
 
-def grown(weights: Weights, columns: int, rows: int, *, gradients: Gradients = Gradients.RIG) -> Errors:
+def grown(weights: Weights, columns: int, rows: int, *, gradients: Gradients = Gradients.FITTED) -> Errors:
     """Bake a tube and measure it."""
     primitive, theta, height = tube(weights, columns, rows)
     settings = BakeOptions().settings
-    ((baked, _),) = bake_primitives([primitive], settings, RIG if gradients is Gradients.RIG else None)
+    ((baked, _),) = bake_primitives([primitive], settings, RIG if gradients is Gradients.FITTED else None)
     frame, matrices = rest_frame(primitive, settings.frame), bends()
     rest = RestPrimitive(
         positions=primitive.positions,
@@ -213,7 +213,7 @@ def lines() -> Iterator[str]:
         "| truth by tangents | by triangles |"
     )
     yield "|---|--:|--:|--:|--:|--:|--:|--:|--:|"
-    kinds = (Gradients.SURFACE, Gradients.RIG)
+    kinds = (Gradients.SURFACE, Gradients.FITTED)
     for kind, weights in KINDS.items():
         for size in SIZES:
             yield row(kind, *(grown(weights, *size, gradients=gradients) for gradients in kinds))

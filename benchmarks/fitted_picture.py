@@ -55,7 +55,7 @@ class Lit:
 def lit_both_ways(path: Path) -> Lit:
     """Bake a model both ways, and measure its first primitive over its clips."""
     found: dict[str, Array] = {}
-    for gradients in (Gradients.SURFACE, Gradients.RIG):
+    for gradients in (Gradients.SURFACE, Gradients.FITTED):
         options = BakeOptions(gradients=gradients, generate_normals=True)
         document = bake_document(read_document(str(path)), options).document
         view = baked_views(document, skinned_sources(document))[0]
@@ -104,7 +104,7 @@ def panels(lit: Lit) -> dict[str, Image.Image]:
 TITLES = {
     "standard": "Standard lighting",
     Gradients.SURFACE: "--gradients surface",
-    Gradients.RIG: "--gradients rig",
+    Gradients.FITTED: "--gradients fitted",
 }
 
 

@@ -1,4 +1,4 @@
-"""Bake real models with ``--gradients poses`` and ``--neighbours extend``, and write what both are worth.
+"""Bake real models with ``--gradients fitted`` and ``--neighbours extend``, and write what both are worth.
 
 Usage: python -m benchmarks.fitted_poses [FOLDER] [--output FILE]
 
@@ -46,10 +46,8 @@ FEWEST = 20
 
 KINDS = {
     "surface": (Gradients.SURFACE, Neighbours.ADOPT),
-    "rig": (Gradients.RIG, Neighbours.ADOPT),
-    "poses": (Gradients.POSES, Neighbours.ADOPT),
-    "rig, extend": (Gradients.RIG, Neighbours.EXTEND),
-    "poses, extend": (Gradients.POSES, Neighbours.EXTEND),
+    "fitted": (Gradients.FITTED, Neighbours.ADOPT),
+    "fitted, extend": (Gradients.FITTED, Neighbours.EXTEND),
 }
 
 ALIKE = 0.01
@@ -142,12 +140,7 @@ def figures(models: Sequence[Model]) -> Iterator[str]:
         yield f"| {poses} | {len(chosen)} | {' | '.join(cells)} |"
     yield ""
     cases = sum(len(model.lit) for model in models) * len(USUAL_TRUTHS)
-    rig, poses_ = (worse(models, kind) for kind in ("rig", "poses"))
-    in_clips = sum(poses == CLIPS for poses in poses_) or "none"
-    yield (
-        f"- Worse than `surface` by over 2 %, of {cases} cases: `rig` {len(rig)}, `poses` {len(poses_)}, "
-        f"{in_clips} of them in {CLIPS}."
-    )
+    yield f"- Worse than `surface` by over 2 %, of {cases} cases: {len(worse(models, 'fitted'))}."
     lost = {
         kind: sum(
             lit[kind].mean(truth) > lit["surface"].mean(truth, "standard")
@@ -155,7 +148,7 @@ def figures(models: Sequence[Model]) -> Iterator[str]:
             for lit in model.lit.values()
             for truth in USUAL_TRUTHS
         )
-        for kind in ("surface", "rig")
+        for kind in ("surface", "fitted")
     }
     counts = ", ".join(f"`{kind}` {count}" for kind, count in lost.items())
     yield f"- Worse than standard lighting, of {cases} cases: {counts}."

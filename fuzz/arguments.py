@@ -17,8 +17,8 @@ BAKE: Group = (
         0.25,
         [
             ["--gradients", "surface"],
-            ["--gradients", "poses"],
-            ["--gradients", "poses", "--fit-poses", "random:2"],
+            ["--gradients", "fitted"],
+            ["--gradients", "fitted", "--fit-poses", "random:2"],
         ],
     ),
     (0.1, [["--pack"]]),

@@ -314,7 +314,7 @@ def test_a_text_instead_of_a_list_is_refused(tmp_path: Path) -> None:
     with pytest.raises(skinbake.ChoiceError, match="allow_outside='/textures'"):
         skinbake.inspect(TUBE, allow_outside="/textures")
     with pytest.raises(skinbake.ChoiceError, match="fit_poses='animations': expected a list of names"):
-        skinbake.bake(TUBE, tmp_path / "out.glb", gradients="poses", fit_poses="animations")
+        skinbake.bake(TUBE, tmp_path / "out.glb", gradients="fitted", fit_poses="animations")
     with pytest.raises(skinbake.ChoiceError, match="methods='lbs': expected a list of names"):
         skinbake.verify(TUBE, methods="lbs")  # type: ignore[arg-type]  # on purpose
     assert not list(tmp_path.iterdir())

@@ -48,7 +48,7 @@ BaselineName: TypeAlias = Baseline | Literal["blended", "inverse-transpose", "co
 CorrectiveAimName: TypeAlias = CorrectiveAim | Literal["truths", "gradients"]
 EncodingName: TypeAlias = Encoding | Literal["float32", "snorm16", "packed8"]
 FrameName: TypeAlias = FrameChoice | Literal["auto", "tangent", "normal"]
-GradientsName: TypeAlias = Gradients | Literal["surface", "rig", "poses"]
+GradientsName: TypeAlias = Gradients | Literal["surface", "fitted"]
 LayoutName: TypeAlias = Layout | Literal["attributes", "texcoord", "custom"]
 MethodName: TypeAlias = Method | Literal["lbs", "dqs", "blend"]
 NeighboursName: TypeAlias = Neighbours | Literal["adopt", "extend", "drop"]
@@ -61,8 +61,7 @@ WeldName: TypeAlias = Weld | Literal["mesh", "skin"]
 class BakeOptions(TypedDict, total=False):
     """The options of ``bake``, under the same names as on the command line.
 
-    Enumerations may be given as members or by their values. ``gradients`` is ``rig``, ``surface``
-    or ``poses``.
+    Enumerations may be given as members or by their values. ``gradients`` is ``fitted`` or ``surface``.
     ``crease_angle`` is in degrees.
     """
 

@@ -28,10 +28,8 @@ class Gradients(StrEnum):
 
     SURFACE = "surface"
     """The gradients of the weights on the surface, as in the paper."""
-    RIG = "rig"
-    """Gradients fitted to small turns of all joints (docs/fitted.md)."""
-    POSES = "poses"
-    """Those fitted further, to sampled poses of clips and to random ones."""
+    FITTED = "fitted"
+    """Numbers fitted to poses of the clips and to small turns of all joints (docs/fitted.md)."""
 
 
 class Weighting(StrEnum):

@@ -352,13 +352,12 @@ BAKE = (
             "Bring the files of images and buffers into the output, which must be a .glb or .vrm."),
         Option("dry_run", bool, False, By.PYTHON, help="Do everything except writing.")),
     *_under("α and β",
-        Option("gradients", Gradients, Gradients.RIG, By.ALL, help=
-            "α and β: the paper's gradients of the weights on the surface; fitted to the turns of the rig, "
-            "which lights coarse meshes better; or fitted to poses too, which lights these best and takes "
-            "longer."),
+        Option("gradients", Gradients, Gradients.FITTED, By.ALL, help=
+            "α and β: the paper's gradients of the weights on the surface; or fitted to poses of the clips "
+            "and to turns of the joints, which lights coarse meshes better."),
         Option("fit_poses", str, (), By.ALL, "FILE|animations|random:N", is_many=True, help=
-            "Poses for --gradients poses: the file's own animations (default), those of another file whose "
-            "nodes have the same names, or random poses. May be given several times."),
+            "Poses of the fit: the file's own animations (default), those of another file whose nodes "
+            "have the same names, or random poses. May be given several times."),
         Option("weighting", Weighting, Weighting.MAX, By.ALL, help=
             "Weight of the triangles at a vertex (Max 1999 is the most accurate)."),
         Option("crease_angle", Range(0, 180), 15.0, By.ALL, "DEG", help=

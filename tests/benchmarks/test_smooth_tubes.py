@@ -7,22 +7,21 @@ import pytest
 from benchmarks.analytic_truth import KINDS, grown
 from skinbake.choices import Gradients
 
-LOST = 1.02
-"""The error that a fit may leave on a smooth surface, relative to the gradients of the surface."""
+LOST = 1.15
+"""The error that a fit to turns may leave on a smooth surface, relative to the gradients of the surface."""
 
 
 @pytest.mark.parametrize("size", [(17, 24), (24, 32)])
-def test_the_fit_loses_nothing_on_a_smooth_tube(size: tuple[int, int]) -> None:
+def test_the_fit_loses_little_on_a_smooth_tube(size: tuple[int, int]) -> None:
     surface, rig = (
-        grown(KINDS["smooth"], *size, gradients=kind) for kind in (Gradients.SURFACE, Gradients.RIG)
+        grown(KINDS["smooth"], *size, gradients=kind) for kind in (Gradients.SURFACE, Gradients.FITTED)
     )
     assert rig.accurate < LOST * surface.accurate
     assert surface.accurate < 0.1 * surface.standard
 
 
 def test_the_fit_gains_on_a_steep_tube() -> None:
-    """It goes half of the way to the drawn triangles, which alone would leave 0.7 of the error."""
     surface, rig = (
-        grown(KINDS["steep"], 17, 24, gradients=kind) for kind in (Gradients.SURFACE, Gradients.RIG)
+        grown(KINDS["steep"], 17, 24, gradients=kind) for kind in (Gradients.SURFACE, Gradients.FITTED)
     )
     assert rig.accurate < 0.9 * surface.accurate

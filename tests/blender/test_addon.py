@@ -125,7 +125,7 @@ def test_an_export_changes_nothing_but_the_bake(session: Session) -> None:
 
 def test_every_option_arrives(session: Session) -> None:
     usual, others = (metadata(session.files / f"{name}.glb") for name in ("usual", "others"))
-    assert (usual["gradients"], usual["neighbours"], usual["creaseAngle"]) == ("rig", "adopt", 15)
+    assert (usual["gradients"], usual["neighbours"], usual["creaseAngle"]) == ("fitted", "adopt", 15)
     assert "encoding" not in usual
     assert "gradients" not in others  # those of the surface
     assert (others["neighbours"], others["weld"]) == ("drop", "skin")

@@ -26,7 +26,7 @@ baking = addon_module("baking")
 options = addon_module("options")
 
 SAVED = {
-    "gradients": {"rig": 0, "surface": 1, "poses": 2},
+    "gradients": {"fitted": 0, "surface": 1},
     "frame": {"auto": 0, "tangent": 1, "normal": 2},
     "encoding": {"float32": 0, "snorm16": 1, "packed8": 2},
     "layout": {"attributes": 0, "texcoord": 1, "custom": 2},

@@ -440,15 +440,15 @@ class TestTrust:
         "value", ["clips.glb", "/dev/zero", "s3://a/b.glb", "random", "http:random:1.glb"]
     )
     def test_poses_to_fit_come_from_no_file_that_it_names(self, value: str, project: Path) -> None:
-        found = refused(f'[bake]\ngradients = "poses"\nfit-poses = ["{value}"]\n')
+        found = refused(f'[bake]\ngradients = "fitted"\nfit-poses = ["{value}"]\n')
         assert found.startswith('skinbake.toml:3: bake.fit-poses: expected "animations" or "random:N"')
 
     @pytest.mark.slow
     @pytest.mark.parametrize("value", ["random:4", "animations", "animation"])
     def test_poses_without_a_file_are_fitted_to(self, value: str, project: Path) -> None:
-        (project / "skinbake.toml").write_text(f'[bake]\ngradients = "poses"\nfit-poses = ["{value}"]\n')
+        (project / "skinbake.toml").write_text(f'[bake]\ngradients = "fitted"\nfit-poses = ["{value}"]\n')
         found = document(invoke("bake", "a.glb", "--dry-run", "--json"))["files"][0]
-        assert found["primitives"][0]["gradients"] == "poses"
+        assert found["primitives"][0]["gradients"] == "fitted"
 
     def test_names_in_messages_cannot_control_a_terminal(self, project: Path) -> None:
         assert "\x1b" not in refused('[bake]\n"\\u001b[2J" = 1\n')

@@ -100,7 +100,7 @@ class TestFilesRead:
     def test_files_of_poses_count_for_each_output(self, here: Path) -> None:
         copied(SHARED, here / "clips")
         shutil.copyfile(FOLDER / "seam.glb", "art/seam.glb")
-        options = ["--gradients", "poses", "--fit-poses", f"clips/{SHARED}"]
+        options = ["--gradients", "fitted", "--fit-poses", f"clips/{SHARED}"]
         result = invoke("bake", "art/seam.glb", "-o", "a.glb", "--depfile", "a.d", *options)
         assert result.exit_code == 0, result.stderr
         assert rules("a.d")["a.glb"] == f"art/seam.glb clips/{SHARED} clips/{BUFFER}"

@@ -159,7 +159,7 @@ def test_outcomes_have_colours(line: str, shown: str) -> None:
 
 
 def test_a_count_of_one_is_singular() -> None:
-    counts = BakedCounts(1, 1, 0, 1, "rig", "normal", False, 1, 0, 1.0, 0.0, 1, 8)
+    counts = BakedCounts(1, 1, 0, 1, "fitted", "normal", False, 1, 0, 1.0, 0.0, 1, 8)
     result = FileResult("a.glb", None, "baked", ((Place("a.glb"), counts),))
     assert closing_line(result, dry_run=True) == (
         "a.glb (dry run): baked: 1 primitive, 1 vertex, frame from normal, 1 byte added, "
@@ -191,7 +191,7 @@ def test_animations_that_cannot_be_posed_do_not_stop_a_bake(tmp_path: Path) -> N
     result = invoke("bake", path, "-o", tmp_path / "out.glb", "--encoding", "packed8")
     assert result.exit_code == 0, result.stderr
     assert "the error that --encoding packed8 adds could not be measured" in result.stderr
-    assert "packed8 at 8 bytes a vertex, 2 warnings" in result.stdout
+    assert "packed8 at 8 bytes a vertex, 3 warnings" in result.stdout
     others = ("not compared with standard lighting", "could not be measured")
     assert [words in invoke("bake", path, "--dry-run").stderr for words in others] == [True, False]
 
@@ -238,7 +238,7 @@ def test_the_closing_line_tells_what_was_lost(tmp_path: Path) -> None:
 
 def test_a_limit_says_how_much_weight_it_has_taken() -> None:
     cost = LimitCost(4, 7, 0.5)
-    counts = BakedCounts(9, 9, 0, 4, "rig", "normal", False, 0, 2, 1.0, 0.4, 99, 24, cost)
+    counts = BakedCounts(9, 9, 0, 4, "fitted", "normal", False, 0, 2, 1.0, 0.4, 99, 24, cost)
     line = closing_line(FileResult("a.glb", None, "baked", ((Place("a.glb"), counts),)), dry_run=True)
     assert "limited to 4 influences: 7 vertices lost 50.00 % of their weight" in line
     # bake refuses --neighbours extend beside the limit.

@@ -159,7 +159,7 @@ def test_a_report_is_written_whole_or_not_at_all(model: Path, tmp_path: Path) ->
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.xml", "seam.glb"]
 
 
-@pytest.mark.parametrize("kind", ["rig", "surface"])
+@pytest.mark.parametrize("kind", ["fitted", "surface"])
 def test_inspect_names_the_kind_of_gradients(tmp_path: Path, kind: str) -> None:
     target = tmp_path / "tube.glb"
     assert invoke("bake", MODELS / "bent_tube.glb", "-o", target, "-q", "--gradients", kind).exit_code == 0

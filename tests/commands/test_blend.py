@@ -91,7 +91,7 @@ def test_strip_gives_the_input_back_and_a_second_bake_changes_nothing(tmp_path: 
         "--layout texcoord",
         "--layout custom --encoding snorm16",
         "--encoding packed8 --neighbours extend",
-        "--gradients poses --fit-poses random:3 --weld skin",
+        "--gradients fitted --fit-poses random:3 --weld skin",
     ],
 )
 def test_a_blend_goes_with_every_kind_of_alpha_and_beta(tmp_path: Path, options: str) -> None:

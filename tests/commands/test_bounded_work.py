@@ -140,7 +140,7 @@ COMMANDS: dict[str, Callable[[Path, Path], list[str | Path]]] = {
     "correctives": lambda source, folder: [
         *("bake", source, "-o", folder / "out.glb", "-q", "--correctives", "auto")
     ],
-    "poses": lambda source, folder: ["bake", source, "-o", folder / "out.glb", "-q", "--gradients", "poses"],
+    "poses": lambda source, folder: ["bake", source, "-o", folder / "out.glb", "-q", "--gradients", "fitted"],
     "shader": lambda source, folder: ["shader", "--lang", "glsl", "--for", folder / "baked.glb", "-q"],
 }
 
@@ -192,7 +192,7 @@ def test_many_tiny_meshes_are_refused_before_they_are_worked_on(
         unbounded.setattr(budgets, "STEPS", budgets.Limit(1, 1 << 30))
         assert invoke("bake", source, "-o", out).exit_code == 0
     for command, what in [
-        (("bake", source, "-o", tmp_path / "p.glb", "--gradients", "poses"), "fitting it to its poses"),
+        (("bake", source, "-o", tmp_path / "p.glb", "--gradients", "fitted"), "fitting it to its poses"),
         (("shader", "--lang", "glsl", "--for", out, "-o", text), "the freshness of 700 primitives"),
         (("verify", out), "the freshness of 700 primitives"),
     ]:
@@ -212,7 +212,7 @@ def test_a_character_of_many_small_parts_is_baked_verified_and_shown(tmp_path: P
         ["bake", tmp_path / "in.glb", "-o", tmp_path / "out.glb"],
         ["verify", tmp_path / "out.glb"],
         ["view", tmp_path / "in.glb", "-o", tmp_path / "out.html"],
-        ["bake", tmp_path / "in.glb", "-o", tmp_path / "poses.glb", "--gradients", "poses"],
+        ["bake", tmp_path / "in.glb", "-o", tmp_path / "poses.glb", "--gradients", "fitted"],
         ["bake", tmp_path / "in.glb", "-o", tmp_path / "draco.glb", "--compress", "draco"],
     ]
     positions = sheet().attributes["POSITION"]

@@ -1,4 +1,4 @@
-"""``bake --gradients poses`` with ``--fit-poses``, and how ``verify`` holds such a bake."""
+"""``bake`` with ``--fit-poses``, and how ``verify`` holds such a bake."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import pytest
 
 import skinbake
 from skinbake.cli import exit_codes
-from skinbake.freshness import without_poses
 from tests.support import corpus
 from tests.support.baked_files import CESIUM_MAN, source, verify
 from tests.support.command_line import document, invoke, run
@@ -24,7 +23,7 @@ CLIP = "bent_tube.glb"
 
 def baked(original: Path, folder: Path, *options: str, name: str = "baked.glb") -> Path:
     target = folder / name
-    result = invoke("bake", original, "-o", target, "-q", "--gradients", "poses", *options)
+    result = invoke("bake", original, "-o", target, "-q", "--gradients", "fitted", *options)
     assert result.exit_code == 0, result.stderr
     return target
 
@@ -49,10 +48,10 @@ def mean(path: Path) -> float:
 @pytest.mark.slow
 def test_a_clip_is_lit_better_by_a_fit_to_it(tmp_path: Path) -> None:
     original = corpus.character(CESIUM_MAN)
-    for kind in ("surface", "rig", "poses"):
+    for kind in ("surface", "fitted"):
         skinbake.bake(original, tmp_path / f"{kind}.glb", gradients=kind)
-    surface, rig, poses = (mean(tmp_path / f"{kind}.glb") for kind in ("surface", "rig", "poses"))
-    assert poses < 0.9 * rig < 0.8 * surface
+    surface, fitted = (mean(tmp_path / f"{kind}.glb") for kind in ("surface", "fitted"))
+    assert fitted < 0.75 * surface
 
 
 def test_the_metadata_names_the_poses_and_verify_passes(tmp_path: Path) -> None:
@@ -69,7 +68,7 @@ def test_two_bakes_are_the_same_bytes_also_by_workers(tmp_path: Path) -> None:
     folder = tmp_path / "in"
     for name in (CLIP, "seam.glb"):
         copied(name, folder)
-    options = ("--gradients", "poses", "--fit-poses", "random:9", "--fit-poses", "animation")
+    options = ("--gradients", "fitted", "--fit-poses", "random:9", "--fit-poses", "animation")
     result = invoke("bake", folder, "--out-dir", tmp_path / "out", "-q", "--jobs", "2", *options)
     assert result.exit_code == 0, result.stderr
     assert (tmp_path / "out" / CLIP).read_bytes() == one.read_bytes()
@@ -106,38 +105,6 @@ def test_a_bake_whose_clips_are_gone_fails_if_its_arrays_or_its_rig_changed(tmp_
     assert "The skeleton changed since the bake" in rig.messages
 
 
-def test_alpha_that_fits_no_poses_fails_although_its_digest_holds(tmp_path: Path) -> None:
-    """A file that says of itself that other poses made it so is not believed."""
-    path = scaled(baked(source(CLIP), tmp_path), "_SKINBAKE_ALPHA_0", -1.0, "harmful.glb")
-    file = read(path)
-    noted = note(file.content)
-    assert noted is not None
-    arrays = {name: file.stored_attribute(name) for name in ("_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0")}
-    noted["poses"] |= {"from": ["walk.glb"], "slots": digest_of(arrays)}
-    answer = verify(rewritten(file, path))
-    assert answer.failed == ["freshness"]
-    assert "times the error of the gradients of the surface" in answer.messages
-
-
-@pytest.mark.parametrize(
-    ("error", "usual", "told"),
-    [(3.0, 2.0, "1.5 times"), (5e17, 1.0, "over 1,000 times"), (1e-9, 0.0, "over 1,000 times")],
-)
-def test_times_that_say_nothing_are_not_told(error: float, usual: float, told: str) -> None:
-    assert without_poses._times(error, usual) == told
-
-
-def digest_of(arrays: dict[str, Any]) -> str:
-    """Return the digest that docs/reference/file-format.md defines."""
-    import hashlib
-
-    text = "".join(
-        f"{name} <f4 {hashlib.sha256(arrays[name].astype('<f4').tobytes()).hexdigest()[:32]} "
-        for name in sorted(arrays)
-    )
-    return hashlib.sha256(text.encode()).hexdigest()[:32]
-
-
 def test_the_clips_of_another_file_move_nodes_of_the_same_names(tmp_path: Path) -> None:
     own = baked(source(CLIP), tmp_path)
     walk = changed(named(copied(CLIP, tmp_path)), lambda content: None, "walk.glb")
@@ -171,13 +138,12 @@ def test_nodes_without_a_partner_are_told(tmp_path: Path) -> None:
         del content["animations"]
 
     other = changed(walk, rename, "other.glb")
-    result = invoke("bake", other, "--dry-run", "--json", "--gradients", "poses", "--fit-poses", walk)
+    result = invoke("bake", other, "--dry-run", "--json", "--gradients", "fitted", "--fit-poses", walk)
     codes = [notice["code"] for notice in document(result)["files"][0]["warnings"]]
-    assert {"fit-poses-unmatched", "fit-poses-random"} <= set(codes)
+    assert {"fit-poses-unmatched", "fit-poses-none"} <= set(codes)
 
 
 def test_clips_of_another_file_that_move_no_joint_are_named(tmp_path: Path) -> None:
-    """The advice to take the file's own clips is given where these move the skin, and only there."""
     (tmp_path / "lent").mkdir()
     walk = named(copied(CLIP, tmp_path / "lent"))
     own = copied(CLIP, tmp_path)
@@ -194,14 +160,13 @@ def test_clips_of_another_file_that_move_no_joint_are_named(tmp_path: Path) -> N
         content["animations"][0]["samplers"][0]["interpolation"] = "CUBE"
 
     broken = changed(own, break_clips, "broken.glb")
-    for path, has_own in ((own, True), (still, False), (other, False), (broken, False)):
-        result = invoke("bake", path, "--dry-run", "--gradients", "poses", "--fit-poses", walk)
+    for path in (own, still, other, broken):
+        result = invoke("bake", path, "--dry-run", "--gradients", "fitted", "--fit-poses", walk)
         assert result.exit_code == exit_codes.OK
-        wanted = f"no clip of {walk.name} moves its joints: α/β are fitted to 60 random poses"
+        wanted = f"no clip of {walk.name} moves its joints: α/β are fitted to turns of its joints alone"
         assert wanted in result.stderr, path
-        assert ("; --fit-poses animations takes its own clips" in result.stderr) is has_own, path
     both = ("--fit-poses", walk, "--fit-poses", "animations")
-    result = invoke("bake", still, "--dry-run", "--gradients", "poses", *both)
+    result = invoke("bake", still, "--dry-run", "--gradients", "fitted", *both)
     assert "no clip moves its joints" in result.stderr
 
 
@@ -212,12 +177,12 @@ def test_inverse_bind_matrices_of_zeros_are_baked_with_a_notice(tmp_path: Path) 
         del content["accessors"][content["skins"][0]["inverseBindMatrices"]]["bufferView"]
 
     path = edited(CLIP, tmp_path, without_view)
-    result = invoke("bake", path, "-o", tmp_path / "out.glb", "--gradients", "poses")
+    result = invoke("bake", path, "-o", tmp_path / "out.glb", "--gradients", "fitted")
     assert result.exit_code == 0, result.stderr
     assert "no inverse bind matrix of the skin can be inverted" in result.stderr
 
 
-@pytest.mark.parametrize(("gradients", "advised"), [("rig", False), ("surface", True)])
+@pytest.mark.parametrize(("gradients", "advised"), [("fitted", False), ("surface", True)])
 def test_a_fit_to_the_rig_is_not_advised_where_it_is_impossible(
     gradients: str, advised: bool, tmp_path: Path
 ) -> None:
@@ -229,27 +194,36 @@ def test_a_fit_to_the_rig_is_not_advised_where_it_is_impossible(
     path = edited("foreign_joints.glb", tmp_path, without_view)
     result = invoke("bake", path, "-o", tmp_path / "out.glb", "--gradients", gradients)
     assert "so coarse a mesh is often lit worse" in result.stderr
-    assert ("take --gradients rig" in result.stderr) is advised
+    assert ("take --gradients fitted" in result.stderr) is advised
 
 
-def test_a_file_without_clips_is_fitted_to_random_poses_with_a_notice(tmp_path: Path) -> None:
+def test_a_file_without_clips_is_fitted_to_turns_without_a_notice(tmp_path: Path) -> None:
     still = changed(copied(CLIP, tmp_path), without_clips, "still.glb")
-    result = invoke("bake", still, "-o", tmp_path / "baked.glb", "--gradients", "poses")
-    assert "no clip moves its joints: α/β are fitted to 60 random poses" in result.stderr
+    result = invoke("bake", still, "-o", tmp_path / "baked.glb")
+    assert result.stderr == ""
     assert verify(tmp_path / "baked.glb").exit_code == 0
-    result = invoke("bake", still, "--dry-run", "--gradients", "poses", "--fit-poses", "random:8")
+    result = invoke("bake", still, "--dry-run", "--fit-poses", "random:8")
+    assert (result.exit_code, result.stderr) == (exit_codes.OK, "")
+
+
+def test_a_clip_that_cannot_be_read_leaves_a_fit_to_turns_with_a_notice(tmp_path: Path) -> None:
+    def break_clips(content: Any) -> None:
+        content["animations"][0]["samplers"][0]["interpolation"] = "CUBE"
+
+    broken = changed(copied(CLIP, tmp_path), break_clips, "broken.glb")
+    result = invoke("bake", broken, "-o", tmp_path / "baked.glb")
     assert result.exit_code == exit_codes.OK
-    assert "random poses" not in result.stderr
+    assert "its clips cannot be read" in result.stderr
 
 
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--fit-poses", "animations"], "--fit-poses needs --gradients poses"),
-        (["--gradients", "poses", "--fit-poses", "random:"], "expected random:N"),
-        (["--gradients", "poses", "--fit-poses", "random:0"], "expected random:N"),
-        (["--gradients", "poses", "--fit-poses", "animate"], "expected random:N"),
-        (["--gradients", "poses", "--fit-poses", "random:10001"], "expected random:N"),
+        (["--gradients", "surface", "--fit-poses", "animations"], "--fit-poses needs --gradients fitted"),
+        (["--gradients", "fitted", "--fit-poses", "random:"], "expected random:N"),
+        (["--gradients", "fitted", "--fit-poses", "random:0"], "expected random:N"),
+        (["--gradients", "fitted", "--fit-poses", "animate"], "expected random:N"),
+        (["--gradients", "fitted", "--fit-poses", "random:1001"], "expected random:N"),
     ],
 )
 def test_values_without_a_meaning_are_usage_errors(options: list[str], said: str) -> None:
@@ -259,7 +233,7 @@ def test_values_without_a_meaning_are_usage_errors(options: list[str], said: str
 
 
 def test_a_file_of_clips_must_be_readable_and_have_some(tmp_path: Path) -> None:
-    options = ("--dry-run", "--gradients", "poses", "--fit-poses")
+    options = ("--dry-run", "--gradients", "fitted", "--fit-poses")
     missing = run("bake", source(CLIP), *options, tmp_path / "none.glb")
     assert missing.returncode == exit_codes.INPUT
     assert b"none.glb: --fit-poses: cannot be read" in missing.stderr
@@ -277,7 +251,7 @@ def test_the_file_of_clips_is_never_written(tmp_path: Path, option: str) -> None
     link.hardlink_to(walk)
     target: list[str | Path] = ["-o", tmp_path / "out.glb"] if option != "-o" else []
     result = invoke(
-        "bake", source("seam.glb"), *target, "--gradients", "poses", "--fit-poses", walk, option, link
+        "bake", source("seam.glb"), *target, "--gradients", "fitted", "--fit-poses", walk, option, link
     )
     assert result.exit_code == exit_codes.USAGE
     assert walk.read_bytes() == before

@@ -72,10 +72,10 @@ def test_the_best_of_both_kinds_are_named_by_what_they_leave(tmp_path: Path) -> 
     now = baked(source, tmp_path / "out.glb", "--gradients", "surface")
     others = [
         {"options": words, "error": pytest.approx(left_by(baked(source, tmp_path / "o.glb", *words.split())))}
-        for words in ("--gradients poses", "--correctives auto")
+        for words in ("--neighbours extend", "--correctives auto")
     ]
     assert now.file["others"] == others
-    assert now.file["conclusion"] == "better with --gradients poses or --correctives auto"
+    assert now.file["conclusion"] == "better with --neighbours extend or --correctives auto"
 
 
 def test_a_bake_with_a_clear_gain_and_one_without_a_better_one_name_none(tmp_path: Path) -> None:

@@ -18,7 +18,6 @@ from skinbake.errors import Notices, Place
 from skinbake.freshness.baked_views import sound_views
 from skinbake.gltf.document import read_document
 from skinbake.report.verify import ErrorFigures, Figures, FileVerdict, Worst
-from skinbake.version import FIT
 from tests.support import corpus
 from tests.support.baked_files import CESIUM_MAN, Answer, verify
 from tests.support.command_line import invoke
@@ -35,7 +34,7 @@ FIGURE, QUAD, CYLINDER = (
 
 STANDARD = "it the standard way (in skinbake-three: lighting(mesh, 'standard'))"
 DEFAULT = (
-    "The default, --gradients rig, compares itself with standard lighting in the file's own clips: bake so"
+    "The default, --gradients fitted, compares itself with standard lighting in the file's own clips: bake so"
 )
 
 
@@ -123,12 +122,12 @@ def measured(lbs: float, accurate: float, exact: float, *, p99: float = 9.0) -> 
     return FileVerdict("hero.glb", figures=dict.fromkeys(USUAL_TRUTHS, Figures(there, ((HERE, there),))))
 
 
-def told(verdict: FileVerdict, kind: Gradients = Gradients.RIG, fit: int = FIT) -> list[str]:
-    """Return the messages for a verdict on a bake of some kind, by some version of the fit."""
+def told(verdict: FileVerdict, kind: Gradients = Gradients.FITTED) -> list[str]:
+    """Return the messages for a verdict on a bake of some kind."""
     document = read_document(str(FOLDER / "bent_tube.glb"))
     baked = bake_document(document, BakeOptions(gradients=kind)).document
     [view] = sound_views(baked)
-    view = replace(view, source=view.source._replace(place=HERE), note=replace(view.note, fit=fit))
+    view = replace(view, source=view.source._replace(place=HERE))
     document = document.edited(notices=Notices())
     tell_worse_lighting(document, [view], verdict)
     return [notice.message for notice in document.notices]
@@ -163,13 +162,11 @@ def test_advice_is_for_the_method_that_is_worse(verdict: FileVerdict, message: s
     assert told(verdict) == ([] if message is None else [message])
 
 
-@pytest.mark.parametrize(
-    ("kind", "fit"), [(Gradients.SURFACE, FIT), (Gradients.POSES, FIT), (Gradients.RIG, FIT - 1)]
-)
-def test_a_bake_that_nothing_guarded_is_advised_to_be_the_default(kind: Gradients, fit: int) -> None:
+def test_a_bake_that_nothing_guarded_is_advised_to_be_the_default() -> None:
+    kind = Gradients.SURFACE
     worse_by_lbs, worse_by_dqs = measured(2.0, 2.0, 2.0), measured(0.5, 2.0, 2.0)
-    assert told(worse_by_lbs, kind, fit) == [f"α/β make its lighting worse: the LBS gain is 0.50. {DEFAULT}"]
-    [message] = told(worse_by_dqs, kind, fit)
+    assert told(worse_by_lbs, kind) == [f"α/β make its lighting worse: the LBS gain is 0.50. {DEFAULT}"]
+    [message] = told(worse_by_dqs, kind)
     assert message.endswith(f"With dual quaternions, light {STANDARD}")
 
 
@@ -195,7 +192,7 @@ def test_better_lighting_is_no_notice(tmp_path: Path, name: str) -> None:
     [
         (CYLINDER, ("--gradients", "surface"), True),
         (FIGURE, ("--gradients", "surface"), True),
-        (CYLINDER, ("--gradients", "rig"), False),
+        (CYLINDER, ("--gradients", "fitted"), False),
         (CYLINDER, ("--gradients", "surface", "--neighbours", "drop"), False),
         (CESIUM_MAN, ("--gradients", "surface"), False),
     ],

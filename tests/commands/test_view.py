@@ -21,9 +21,8 @@ TUBE = FOLDER / "bent_tube.glb"
 @pytest.mark.parametrize(
     ("kind", "other"),
     [
-        (Gradients.SURFACE, Gradients.RIG),
-        (Gradients.RIG, Gradients.SURFACE),
-        (Gradients.POSES, Gradients.SURFACE),
+        (Gradients.SURFACE, Gradients.FITTED),
+        (Gradients.FITTED, Gradients.SURFACE),
     ],
 )
 def test_a_page_has_the_gradients_of_another_kind(tmp_path: Path, kind: Gradients, other: Gradients) -> None:

@@ -138,7 +138,7 @@ def test_bytes_do_not_depend_on_the_number_of_threads(tmp_path: Path, threads: s
         (["--limit-influences", "4"], "contradicts"),
         (["--generate-normals"], "so store NORMAL in it first"),
         (["--compress", "none"], "so change it first"),
-        (["--gradients", "poses"], "--corrective-aim gradients"),
+        (["--gradients", "surface"], "--corrective-aim gradients"),
     ],
 )
 def test_options_of_gradients_are_refused(tmp_path: Path, option: list[str], words: str) -> None:

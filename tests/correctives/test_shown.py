@@ -83,7 +83,7 @@ def test_a_dropped_file_with_correctives_plays_them(page: browser.Page, path: Pa
     take(page, path)
     (_, left), (right, _) = page.call(CHOICES)
     assert right == "corrected"
-    assert not {"surface", "rig"} & set(left)
+    assert not {"surface", "fitted"} & set(left)
     dropped = [numbers(text) for text in page.call(NORMALS, TIME, "corrected")]
     for pair in zip(dropped, with_gradients, strict=True):
         assert angles(*pair).max() < DEGREES

@@ -54,7 +54,7 @@ READ = {
     "bake beside others": "bake {} art/hero.gltf --out-dir out",
     "bake of what is not baked yet": "bake {} --out-dir out --skip-unchanged",
     "bake without writing": "bake {} --dry-run",
-    "poses": "bake hero.glb -o out.glb --gradients poses --fit-poses {}",
+    "poses": "bake hero.glb -o out.glb --gradients fitted --fit-poses {}",
     "verify": "verify {}",
     "verify of what is not verified yet": "verify {} --skip-unchanged --state state",
     "inspect": "inspect {}",

@@ -62,7 +62,7 @@ def test_a_bake_of_weights_with_a_small_sum_is_fresh(tmp_path: Path) -> None:
     assert answer.exit_code == 0, answer.messages
 
 
-@pytest.mark.parametrize("gradients", ["surface", "rig"])
+@pytest.mark.parametrize("gradients", ["surface", "fitted"])
 @pytest.mark.parametrize("total", [1.0, 0.01, 0.002])
 def test_slots_of_tiny_weights_that_adopt_are_known_at_any_sum(
     total: float, gradients: str, tmp_path: Path
@@ -78,7 +78,7 @@ def test_slots_of_tiny_weights_that_adopt_are_known_at_any_sum(
     assert answer.exit_code == 0, answer.messages
 
 
-@pytest.mark.parametrize("gradients", ["surface", "rig"])
+@pytest.mark.parametrize("gradients", ["surface", "fitted"])
 def test_a_joint_named_again_before_its_own_slot_at_a_tiny_weight_is_fresh(
     gradients: str, tmp_path: Path
 ) -> None:
@@ -102,7 +102,7 @@ def test_a_stored_weight_of_one_unit_is_none_that_a_slot_was_given(neighbours: s
     joints = np.where(steps, [[1, 2, 0, 0]], [[1, 0, 1, 0]]).astype(np.uint8)
     weights = np.where(steps, [[35535, 30000, 0, 0]], [[1, 35533, 30000, 1]]).astype(np.uint16)
     original = write_model(tmp_path / "unit.glb", [sheet(JOINTS_0=joints, WEIGHTS_0=weights)], joints=3)
-    written = baked(original, tmp_path / "baked", gradients="rig", neighbours=neighbours)
+    written = baked(original, tmp_path / "baked", gradients="fitted", neighbours=neighbours)
     model = Editable(written)
     assert "adopted" in model.metadata()
     answer = verify(written, "--poses", "rest")
@@ -161,7 +161,7 @@ def two_primitives(folder: Path, gradients: str, left: float = 0.0) -> Editable:
 
 
 @pytest.mark.parametrize("left", [0.0, 1e-11])
-@pytest.mark.parametrize("gradients", ["surface", "rig"])
+@pytest.mark.parametrize("gradients", ["surface", "fitted"])
 def test_a_border_of_primitives_with_one_and_two_sets_is_fresh(
     gradients: str, left: float, tmp_path: Path
 ) -> None:
@@ -170,7 +170,7 @@ def test_a_border_of_primitives_with_one_and_two_sets_is_fresh(
     assert answer.exit_code == 0, answer.messages
 
 
-@pytest.mark.parametrize("gradients", ["surface", "rig"])
+@pytest.mark.parametrize("gradients", ["surface", "fitted"])
 @pytest.mark.parametrize("damaged", [0, 1])
 def test_damage_beside_slots_whose_joint_has_left_them_is_found_where_it_is(
     damaged: int, gradients: str, tmp_path: Path
@@ -198,7 +198,7 @@ def test_a_slot_that_lost_its_gradient_is_no_slot_whose_joint_has_left_it(tmp_pa
 
 
 @pytest.mark.parametrize("slot", range(4))
-@pytest.mark.parametrize("gradients", ["surface", "rig"])
+@pytest.mark.parametrize("gradients", ["surface", "fitted"])
 def test_a_vertex_with_a_negative_weight_adopts_nothing_and_is_fresh(
     gradients: str, slot: int, tmp_path: Path
 ) -> None:
@@ -215,7 +215,7 @@ def test_a_vertex_with_a_negative_weight_adopts_nothing_and_is_fresh(
     assert answer.exit_code == 0, answer.messages
 
 
-@pytest.mark.parametrize("gradients", ["surface", "rig"])
+@pytest.mark.parametrize("gradients", ["surface", "fitted"])
 @pytest.mark.parametrize(
     ("kind", "multiples"),
     [(np.uint8, [1, 2, 12]), (np.uint16, [30, 7, 3000]), (np.float32, [1.0, 0.25, 2**-6])],
@@ -258,7 +258,7 @@ def test_copies_whose_payer_cannot_be_told_are_fresh(tmp_path: Path) -> None:
     assert answer.exit_code == 0, answer.messages
 
 
-@pytest.mark.parametrize("gradients", ["surface", "rig"])
+@pytest.mark.parametrize("gradients", ["surface", "fitted"])
 @pytest.mark.parametrize("kept", [True, False])
 def test_the_weights_from_before_do_not_hide_an_edit_of_those_that_paid(
     kept: bool, gradients: str, tmp_path: Path

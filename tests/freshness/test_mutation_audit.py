@@ -31,9 +31,8 @@ from tests.support.baked_files import CESIUM_MAN, baked, source
 pytestmark = pytest.mark.slow
 
 MUTATIONS = {
-    Gradients.RIG: range(200),
+    Gradients.FITTED: range(200),
     Gradients.SURFACE: range(200, 300),
-    Gradients.POSES: range(300, 360),
 }
 """The seeds of the mutations. verify looks at all kinds of gradients by the same code, but for the fit."""
 
@@ -129,7 +128,7 @@ def judged(what: str, name: str, path: Path, original: Path | None, gradients: G
     result = bake_file(str(path), str(again), BakeOptions(gradients=gradients))
     assert result.status == "baked", (what, name, result.error)
     found = accurate_normals(path)
-    poses_changed = gradients is Gradients.POSES and what in OTHER_POSES and original is not None
+    poses_changed = gradients is Gradients.FITTED and what in OTHER_POSES and original is not None
     harm = largest_angle(
         found, normals_before(original) if poses_changed and original else accurate_normals(again)
     )

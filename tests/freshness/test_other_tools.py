@@ -235,7 +235,7 @@ def submeshes(folder: Path) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("gradients", ["rig", "surface"])
+@pytest.mark.parametrize("gradients", ["fitted", "surface"])
 def test_submeshes_that_share_vertices_may_be_split(gradients: str, tmp_path: Path) -> None:
     """The indices of the first submesh keep their values, because of the order of the vertices."""
     path = baked(submeshes(tmp_path), tmp_path / "baked", gradients=gradients)

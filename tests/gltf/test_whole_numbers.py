@@ -80,7 +80,7 @@ def test_verify_tells_what_changed(tmp_path: Path) -> None:
 
 def test_verify_passes_a_fit_whose_poses_are_not_in_the_file(tmp_path: Path) -> None:
     path = tmp_path / "still.glb"
-    baked(FOLDER / "bent_tube.glb", path, gradients=Gradients.POSES)
+    baked(FOLDER / "bent_tube.glb", path, gradients=Gradients.FITTED)
     file = Editable(path)
     del file.content["animations"]
     assert verify(respelled(file.write(path))).exit_code == 0

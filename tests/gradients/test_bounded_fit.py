@@ -9,7 +9,7 @@ import pytest
 
 from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import Float64Array, FloatArray, SkinnedPrimitive
-from skinbake.gradients import by_loops, rig_fit
+from skinbake.gradients import fit, fit_rules
 from skinbake.gradients.baker import bake_primitives
 from tests.gradients.tubes import BRANCHES, CHAIN, SETTINGS, bent, steepest_slopes, tube
 from tests.support.kernels import use_numpy
@@ -96,7 +96,7 @@ def test_what_is_too_long_is_shortened_in_its_direction_and_the_rest_stays(
 ) -> None:
     primitive, rig = case.made()
     gradients, bounded = fitted(primitive, None), fitted(primitive, rig)
-    for module in (by_loops, rig_fit):
+    for module in (fit, fit_rules):
         monkeypatch.setattr(module, "BOUNDED", 1e30)
     free = fitted(primitive, rig)
     most = MOST * np.maximum(steepest_slopes(primitive), lengths(gradients))

@@ -32,6 +32,6 @@ def errors(name: str, folder: Path, gradients: Gradients) -> list[float]:
 def test_the_fit_leaves_less_error_than_the_gradients_of_the_surface(
     name: str, left: tuple[float, float], tmp_path: Path
 ) -> None:
-    surface, rig = (errors(name, tmp_path, kind) for kind in (Gradients.SURFACE, Gradients.RIG))
+    surface, rig = (errors(name, tmp_path, kind) for kind in (Gradients.SURFACE, Gradients.FITTED))
     ratios = [mine / other for mine, other in zip(rig, surface, strict=True)]
     assert all(ratio < most for ratio, most in zip(ratios, left, strict=True))

@@ -70,9 +70,7 @@ def test_verify_expects_what_bake_stores(weighting: Weighting, monkeypatch: pyte
     "seeds",
     [range(45, 60), *(pytest.param(range(n, n + 100), marks=pytest.mark.slow) for n in range(100, 600, 100))],
 )
-def test_loops_and_numpy_fit_alike_whatever_the_stored_pose(
-    seeds: range, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_loops_and_numpy_fit_alike_whatever_the_pose(seeds: range, monkeypatch: pytest.MonkeyPatch) -> None:
     for seed in seeds:
         parts, rig = [rough_sheet(seed)], odd_rig(seed)
         normals = unit_normals(joined(parts, "normals").astype(np.float32))

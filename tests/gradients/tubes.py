@@ -59,7 +59,7 @@ def tube(
 
 
 def bent(rig: Rig, angle: float, seed: int = 5) -> Rig:
-    """Return a rig whose stored pose has every joint turned by an angle about a random axis through it."""
+    """Return a rig with a pose that has every joint turned by an angle about a random axis through it."""
     random = np.random.default_rng(seed)
     matrices = np.tile(np.eye(4), (len(rig.parents), 1, 1))
     for joint, parent in enumerate(rig.parents):
@@ -70,7 +70,9 @@ def bent(rig: Rig, angle: float, seed: int = 5) -> Rig:
         matrices[joint, :3, 3] = rig.pivots[joint] - turned @ rig.pivots[joint]
         if parent != NO_PARENT:
             matrices[joint] = matrices[parent] @ matrices[joint]
-    return replace(rig, stored=matrices[:, :3])
+    return replace(
+        rig, poses=np.concatenate([rig.poses.reshape(-1, *matrices[:, :3].shape), matrices[None, :, :3]])
+    )
 
 
 def steepest_slopes(primitive: SkinnedPrimitive) -> Float64Array:

@@ -133,7 +133,7 @@ def test_a_model_too_far_from_the_origin_is_warned_of(far: float, count: int, tm
 
 
 @corpus.needed
-@pytest.mark.parametrize("gradients", ["rig", "poses"])
+@pytest.mark.parametrize("gradients", ["fitted"])
 @pytest.mark.parametrize("far", [0.0, 100.0])
 def test_a_vertex_on_the_pivots_of_its_joints_is_sound(far: float, gradients: str, tmp_path: Path) -> None:
     source = corpus.require_corpus() / PIVOTS

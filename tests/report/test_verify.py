@@ -285,7 +285,7 @@ def test_the_truth_with_the_smaller_gain_counts(
 def test_little_to_win_is_not_said_of_an_unsound_bake_or_beside_other_advice() -> None:
     little = replace(PASSED, figures=by_truths(lit(4.0, 3.9), without_direct(lit(4.0, 3.9))))
     stale = replace(little, checks=(Check("freshness", "failed"),))
-    so = Message("With ", Chosen("gradients", "rig"), " it is 1.50: bake so")
+    so = Message("With ", Chosen("gradients", "fitted"), " it is 1.50: bake so")
     advised = replace(little, notices=(Notice("lighting-worse", so, PLACE),))
     worse = replace(little, notices=(Notice("lighting-worse", "No option that was tried helps", PLACE),))
     missed = replace(little, checks=(Check("limits", "failed"),))
@@ -297,17 +297,17 @@ def test_little_to_win_is_not_said_of_an_unsound_bake_or_beside_other_advice() -
     assert as_brief(missed).endswith("Next: leave it unbaked by bake --leave-under, or change the limit.")
 
 
-OTHERS = (OtherBake("--gradients poses", 0.8), OtherBake("--correctives auto", 0.5))
+OTHERS = (OtherBake("--gradients fitted", 0.8), OtherBake("--correctives auto", 0.5))
 
 
 @pytest.mark.parametrize("accurate", [3.9, 2.5, 1.0])
 def test_bakes_that_are_better_are_named_in_words_and_in_json(accurate: float) -> None:
     found = replace(PASSED, figures=by_truths(lit(4.0, accurate)), others=OTHERS)
-    told = f"0.80° with --gradients poses, 0.50° with --correctives auto, {accurate:.2f}° with this one."
-    step = "Next: bake with --gradients poses or --correctives auto"
+    told = f"0.80° with --gradients fitted, 0.50° with --correctives auto, {accurate:.2f}° with this one."
+    step = "Next: bake with --gradients fitted or --correctives auto"
     for text_of in (as_text, as_brief):
         assert text_of(found).endswith(f"  Another bake is better: {told} {step}.")
-    better = "better with --gradients poses or --correctives auto"
+    better = "better with --gradients fitted or --correctives auto"
     assert as_line(found).endswith(f", {better}")
     document = as_json([found], exit_code=0)
     jsonschema.validate(document, VERIFY)

@@ -61,7 +61,7 @@ def bake_to(
     name: str,
     folder: Path,
     settings: BakeSettings | None = None,
-    gradients: Gradients = Gradients.RIG,
+    gradients: Gradients = Gradients.FITTED,
 ) -> Path:
     """Bake a fixture or a corpus model into a folder and return the written file."""
     source = path_of(name)

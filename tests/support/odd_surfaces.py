@@ -103,7 +103,7 @@ def odd_rig(seed: int) -> Rig:
     matrices[some, :, :3] = np.linalg.qr(random.normal(size=(joints, 3, 3)))[0][some] @ matrices[some, :, :3]
     matrices[:, :, :3] *= random.choice([1.0, 1.0, 1.0, far, 1.0 / far], (joints, 1, 1))
     matrices[:, :, 3] = random.normal(size=(joints, 3)) * random.choice([0.0, 1.0, far], (joints, 1))
-    return Rig(parents[seed % 3].astype(np.int32), random.normal(size=(joints, 3)), matrices)
+    return Rig(parents[seed % 3].astype(np.int32), random.normal(size=(joints, 3)), matrices[None])
 
 
 def rough_sheet(seed: int) -> SkinnedPrimitive:

@@ -76,7 +76,7 @@ BAKED = strict(
         "triangles": COUNT,
         "degenerate_triangles": COUNT,
         "influences": {"type": "integer", "multipleOf": 4, "minimum": 4},
-        "gradients": {"enum": ["surface", "rig", "poses"]},
+        "gradients": {"enum": ["surface", "fitted"]},
         "frame": {"enum": ["tangent", "normal"]},
         "generated_normals": {"type": "boolean"},
         "adopting_vertices": COUNT,
@@ -87,7 +87,7 @@ BAKED = strict(
         "bytes_per_vertex": {"type": "integer", "minimum": 6},
         "limited": LIMITED,
         "extended": EXTENDED,
-        "kept": {"oneOf": [{"type": "null"}, strict({"fit": SHARE, "gradients": SHARE})]},
+        "kept": {"oneOf": [{"type": "null"}, SHARE]},
     },
     optional={"mesh_name": {"type": "string"}},
 )

@@ -62,17 +62,17 @@ def browsing(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     source = corpus.model(name) if name else TUBE
     folder = tmp_path_factory.mktemp(request.param)
     paths = {}
-    for kind in ("rig", "surface"):
+    for kind in ("fitted", "surface"):
         paths[kind] = folder / f"{source.stem}-{kind}.glb"
         assert bake_file(source, paths[kind], gradients=kind, generate_normals=True).status == "baked"
-    with shown(paths["rig"]) as page:
-        yield Browsing(page, paths["rig"], paths["surface"], time)
+    with shown(paths["fitted"]) as page:
+        yield Browsing(page, paths["fitted"], paths["surface"], time)
         # Whatever the tests have done to it, the page has said nothing and asked for nothing.
         assert page.messages() == []
         assert page.requests() == [page.address]
 
 
-@pytest.mark.parametrize("lighting", ["standard", "rig", "surface", "dqs"])
+@pytest.mark.parametrize("lighting", ["standard", "fitted", "surface", "dqs"])
 def test_every_normal_is_that_of_the_replay(browsing: Browsing, lighting: str) -> None:
     found = normals(browsing.page, lighting, clip=0, time=browsing.time)
     assert angles(found, browsing.expected(lighting)).max() < DEGREES
@@ -93,15 +93,15 @@ def test_errors_on_the_page_are_those_of_verify(browsing: Browsing) -> None:
             right.value = 'truth';
             application.chooseSides();
             application.draw();
-            const names = ['standard', 'rig', 'truth'];
+            const names = ['standard', 'fitted', 'truth'];
             return Object.fromEntries(names.map((name) => [name, scene.errors(name).mean]));
         })""",
         browsing.time,
     )
     assert found["truth"] < DEGREES
-    browsing.page.call("(() => { right.value = 'rig'; application.chooseSides(); })")
+    browsing.page.call("(() => { right.value = 'fitted'; application.chooseSides(); })")
     wanted = errors_by_verify(browsing.path, browsing.time)
-    for lighting, name in (("standard", "standard"), ("rig", "accurate")):
+    for lighting, name in (("standard", "standard"), ("fitted", "accurate")):
         assert found[lighting] == pytest.approx(wanted[name], rel=0.002), lighting
 
 

@@ -43,7 +43,7 @@ CASES = [
 
 LIGHTINGS = {
     "standard": Algorithm.LBS_STANDARD,
-    "rig": Algorithm.LBS_ACCURATE,
+    "fitted": Algorithm.LBS_ACCURATE,
     "dqs": Algorithm.DQS_EXACT,
 }
 
@@ -399,7 +399,7 @@ def normals_of_drop(page: browser.Page, path: Path) -> Array:
     """Return the accurate normals of a file that is dropped on the page."""
     take(page, path)
     assert page.call("(() => document.getElementById('message').textContent)") == ""
-    return normals(page, "rig", clip=0, time=0.4)
+    return normals(page, "fitted", clip=0, time=0.4)
 
 
 @pytest.mark.parametrize("name", INHERITED)

@@ -105,8 +105,8 @@ def test_the_headline_of_dual_quaternions_has_its_degrees_in_the_table(tmp_path:
 @pytest.mark.parametrize(
     ("gain", "shown", "colour"),
     [
-        (28920.71, "28,921×", "rig"),
-        (1.2, "1.20×", "rig"),
+        (28920.71, "28,921×", "fitted"),
+        (1.2, "1.20×", "fitted"),
         (0.99999999, "0.9999×", "bad"),
         (0.996, "0.996×", "bad"),
         (0.8, "0.80×", "bad"),

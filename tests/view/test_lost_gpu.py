@@ -73,13 +73,10 @@ def test_a_sample_that_was_under_way_is_left_out(browsing: browser.Page) -> None
     """The browser says later that it lost the GPU: until then what is read back is zeros."""
     known = browsing.call(
         """(() => {
-            const { renderer, scene } = application;
-            const [clip] = scene.clips;
-            application.measures.delete(clip);
-            application.choose(clip);
-            const captured = renderer.captured.bind(renderer);
-            for (const lighting of ['standard', 'rig', 'surface', 'dqs']) captured(scene.parts[0], lighting);
-            renderer.captured = (...given) => {
+            const { renderer, scene } = application; const [clip] = scene.clips;
+            application.measures.delete(clip); application.choose(clip); const captured =
+            renderer.captured.bind(renderer); for (const lighting of ['standard', 'fitted', 'surface', 'dqs'])
+            captured(scene.parts[0], lighting); renderer.captured = (...given) => {
                 renderer.gl.getExtension('WEBGL_lose_context').loseContext();
                 return captured(...given);
             };
@@ -91,7 +88,7 @@ def test_a_sample_that_was_under_way_is_left_out(browsing: browser.Page) -> None
 
 
 def test_the_model_comes_back_with_the_gpu(browsing: browser.Page) -> None:
-    before = normals(browsing, "rig", clip=0, time=0.4)
+    before = normals(browsing, "fitted", clip=0, time=0.4)
     lose(browsing)
     browsing.call(
         """(async () => {
@@ -100,4 +97,4 @@ def test_the_model_comes_back_with_the_gpu(browsing: browser.Page) -> None:
         })"""
     )
     assert browsing.call("(() => message.hidden)") is True
-    assert np.array_equal(normals(browsing, "rig", clip=0, time=0.4), before)
+    assert np.array_equal(normals(browsing, "fitted", clip=0, time=0.4), before)

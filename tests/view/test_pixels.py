@@ -39,7 +39,7 @@ def browsing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[browser
                 application.stopMeasuring();
                 application.seek(time, true);
                 for (const id of ['textures', 'moving']) document.getElementById(id).checked = false;
-                for (const side of [left, right]) side.value = 'rig';
+                for (const side of [left, right]) side.value = 'fitted';
                 application.chooseSides();
                 application.goHome();
             })""",
@@ -48,7 +48,7 @@ def browsing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[browser
         yield page, path
 
 
-@pytest.mark.parametrize("lighting", ["standard", "rig"])
+@pytest.mark.parametrize("lighting", ["standard", "fitted"])
 @pytest.mark.parametrize("mode", ["shaded", "normals"])
 def test_pixels_are_those_of_the_replay(
     browsing: tuple[browser.Page, Path], mode: str, lighting: str
@@ -65,7 +65,7 @@ def test_pixels_are_those_of_the_replay(
     )
     found = picture(page)[::-1].astype(np.float64)
     height, width = found.shape[:2]
-    algorithm = Algorithm.LBS_ACCURATE if lighting == "rig" else Algorithm.LBS_STANDARD
+    algorithm = Algorithm.LBS_ACCURATE if lighting == "fitted" else Algorithm.LBS_STANDARD
     matrix, eye, turn = page.call(
         "((aspect) => [application.camera.projected(aspect), application.camera.eye, application.turn])",
         width / height,
@@ -130,7 +130,7 @@ PACKED = """(() => {
 
 @pytest.mark.parametrize(
     ("lighting", "algorithm", "frame"),
-    [("rig", 3, "tangent"), ("dqs", 6, "tangent"), ("rig", 3, "normal"), ("dqs", 6, "normal")],
+    [("fitted", 3, "tangent"), ("dqs", 6, "tangent"), ("fitted", 3, "normal"), ("dqs", 6, "normal")],
 )
 def test_pixels_of_a_relief_are_those_of_the_replay(
     tmp_path: Path, lighting: str, algorithm: int, frame: str
@@ -147,7 +147,7 @@ def test_pixels_of_a_relief_follow_the_numbers_of_morph_targets(
     weights = (0.9, -0.7)
     source = morphed(with_relief(tmp_path, TEXELS[1]), tmp_path / "morphed.glb", weights=[*weights])
     character, *_ = by_numbers(source, tmp_path, numbers, frame, weights, Pose(0, TIME))
-    apart = pixels_apart(character, "rig", Algorithm.LBS_ACCURATE)
+    apart = pixels_apart(character, "fitted", Algorithm.LBS_ACCURATE)
     assert np.percentile(apart, 99) < RELIEF_DEGREES
 
 

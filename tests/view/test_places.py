@@ -49,7 +49,7 @@ def test_the_page_opens_close_up_where_the_bake_shows_most(browsing: browser.Pag
     assert float(words[1]) > 10 * float(words[2])
     assert found["message"] == f"Here {words[1]}° → {words[2]}°"
     standard, accurate = (
-        normals(page, lighting, clip=0, time=found["time"]) for lighting in ("standard", "rig")
+        normals(page, lighting, clip=0, time=found["time"]) for lighting in ("standard", "fitted")
     )
     positions = np.array(
         page.call("(() => [...application.scene.positions(application.scene.parts[0], 1)])")

@@ -102,7 +102,7 @@ def with_everything(folder: Path) -> Path:
     return target
 
 
-@pytest.mark.parametrize("lighting", ["standard", "rig", "truth"])
+@pytest.mark.parametrize("lighting", ["standard", "fitted", "truth"])
 def test_three_sets_fit_beside_all_other_attributes(
     browsing: browser.Page, tmp_path: Path, lighting: str
 ) -> None:
@@ -120,7 +120,7 @@ def test_three_sets_fit_beside_all_other_attributes(
         })"""
     )
     assert sets == [2, 3]
-    assert active == (16 if lighting == "rig" else 12)
+    assert active == (16 if lighting == "fitted" else 12)
     wanted = drawn(browsing, placed_by_hand(source, tmp_path / "wanted.glb"), lighting)
     assert np.abs(found - wanted).max() <= LEVELS
     unmoved = drawn(browsing, placed_by_hand(source, tmp_path / "unmoved.glb", is_moved=False), lighting)

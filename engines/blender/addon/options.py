@@ -23,13 +23,12 @@ CHOICES: dict[str, tuple[str, tuple[Item, ...]]] = {
         "Gradients",
         (
             (
-                "rig",
-                "Fitted to the rig",
-                "Fitted to small turns of the bones: lights coarse meshes better",
+                "fitted",
+                "Fitted",
+                "Fitted to the exported animations and to turns of the bones: lights coarse meshes better",
                 0,
             ),
             ("surface", "Of the surface", "The gradients of the weights on the surface, as in the paper", 1),
-            ("poses", "Fitted to the animations", "Fitted to the exported animations too. Takes longer", 2),
         ),
     ),
     "frame": (

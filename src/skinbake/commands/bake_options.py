@@ -26,7 +26,7 @@ from skinbake.gradients.baker import BakeSettings
 from skinbake.options import BAKE, By, checked, defaults
 
 if TYPE_CHECKING:
-    from skinbake.pose_fit.poses import PoseSource
+    from skinbake.truth.fit_poses import PoseSource
 
 USUAL = defaults(BAKE, By.OVERRIDE)
 
@@ -127,17 +127,17 @@ class BakeOptions:
         self._check_correctives()
 
     def _pose_sources(self) -> tuple[PoseSource, ...]:
-        """Return the sources of the poses, the file's own clips if none is named."""
+        """Return the sources of the poses, none for the file's own clips."""
         given = self.fit_poses
         if isinstance(given, str | bytes) or not isinstance(given, Collection):
             raise ChoiceError("fit_poses", given, "a list of names")
-        if self.gradients is not Gradients.POSES:
-            if len(given):
-                raise ChoiceError("fit_poses", reason=(" needs ", Chosen("gradients", Gradients.POSES)))
+        if not len(given):
             return ()
-        from skinbake.pose_fit.poses import ANIMATIONS, pose_source  # it poses: half a second of imports
+        if self.gradients is Gradients.SURFACE:
+            raise ChoiceError("fit_poses", reason=(" needs ", Chosen("gradients", Gradients.FITTED)))
+        from skinbake.truth.fit_poses import pose_source  # it poses: half a second of imports
 
-        return tuple(map(pose_source, given)) or (ANIMATIONS,)
+        return tuple(map(pose_source, given))
 
     def _check_names(self) -> None:
         """Refuse names of attributes that glTF or the layout does not allow."""

@@ -76,7 +76,6 @@ def _measured(
         ("--morph-normals", {"morph_normals": True}, not corrects and lacking),
         ("--morph-frames", {"morph_frames": True}, not corrects and morphs and not lacking),
         ("--neighbours extend", {"neighbours": "extend"}, not corrects),
-        ("--gradients poses", {"gradients": "poses"}, not corrects and plays),
     ]
     corrects = corrects and plays and options.methods == ("lbs",)  # which correctives are for
     auto = {"correctives": "auto"}
@@ -113,8 +112,8 @@ def _default(document: Document, sources: list[PrimitiveSource]) -> str:
     notes = [gradient_note(document, document.asset.counterpart(one)) for one in sources]
     held = [note for note in notes if note is not None]
     found = []
-    if any(note.gradients != Gradients.RIG for note in held):
-        found.append("--gradients rig")
+    if any(note.gradients != Gradients.FITTED for note in held):
+        found.append("--gradients fitted")
     if any(note.encoding != Encoding.FLOAT32 for note in held):
         found.append("--encoding float32")
     return " ".join(found) or "the defaults"

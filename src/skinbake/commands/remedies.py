@@ -9,7 +9,6 @@ from typing import NamedTuple
 from skinbake.choices import Gradients
 from skinbake.errors import Chosen, Message, Notice, Place
 from skinbake.freshness.baked_views import BakedView
-from skinbake.freshness.without_poses import has_older_fit
 from skinbake.gltf.document import Document
 from skinbake.measure.guard import UNSEEN
 from skinbake.report.verify import FileVerdict, Normals, gain
@@ -42,9 +41,9 @@ def tell_worse_lighting(
     better = verdict.others[0].options if verdict.others else None
     for place, gains in _gains(verdict, methods).items():
         if gains.least < WORSE:
-            # Whether the bake compared its lighting with standard lighting, as this version does.
+            # Whether the bake compared its lighting with standard lighting.
             view = by_place.get(place)
-            guarded = view is None or (view.kind is Gradients.RIG and not has_older_fit(view))
+            guarded = view is None or view.kind is Gradients.FITTED
             message = _worse(gains, is_guarded=guarded, better=better)
         elif gains.by_lighting.get(DQS_ACCURATE, WORSE) < WORSE:
             message = _exact_is_better(gains)
@@ -106,9 +105,9 @@ def _worse(own: _Gains, *, is_guarded: bool, better: str | None) -> str:
     if better is not None and not only_dqs:
         return f"{message}A bake with {better} lights the file better"
     if not is_guarded and not only_dqs:
-        rig = Chosen("gradients", Gradients.RIG)
+        fitted = Chosen("gradients", Gradients.FITTED)
         advice = ", compares itself with standard lighting in the file's own clips: bake so"
-        return Message(f"{message}The default, ", rig, advice)
+        return Message(f"{message}The default, ", fitted, advice)
     other = "Blended" if own.least_of[0] == "blend" else "With dual quaternions"
     message += f"{other}, light" if only_dqs else "Light"
     return f"{message} it the standard way (in skinbake-three: lighting(mesh, 'standard'))"

@@ -16,7 +16,7 @@ from skinbake.errors import InputError, Notice
 from skinbake.format.baked import Baked
 from skinbake.format.digests import Digests, digests
 from skinbake.format.encodings import vertex_bytes
-from skinbake.format.note import FitPoses, GradientNote, Kept
+from skinbake.format.note import FitPoses, GradientNote
 from skinbake.format.stored_slots import BlendGradient, read_blend_weights
 from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
@@ -24,22 +24,18 @@ from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document
 from skinbake.gltf.reading.meshes import has_float_tangents, read_influences, read_primitive
-from skinbake.gltf.reading.skins import fitting_rig
 from skinbake.gradients import kernel
 from skinbake.gradients.assumptions import assumptions, check_finite
-from skinbake.gradients.baker import BakeFindings, BakeSettings, bake_primitives, slots_of_surface
-from skinbake.gradients.kept import Slots, mixed, scaled
+from skinbake.gradients.baker import EIGHTHS, BakeFindings, BakeSettings, bake_primitives, kept_slots
 from skinbake.gradients.tangents import frame_vectors, with_straight_tangents
-from skinbake.report.bake import BakedCounts, ExtensionCost, KeptCounts, LimitCost
+from skinbake.report.bake import BakedCounts, ExtensionCost, LimitCost
 from skinbake.threads import Threads, thread_count
 from skinbake.timing import stage
 from skinbake.version import FIT
 
 if TYPE_CHECKING:
     from skinbake.format.influences import Extended, Limited
-    from skinbake.measure.guard import KeptShare
     from skinbake.measure.unwritten import UnwrittenBake
-    from skinbake.pose_fit.poses import FoundPoses
 
 LARGE = 1 << 17
 """The vertices of a surface from which on the digests of its arrays are made beside the bake."""
@@ -67,15 +63,13 @@ def bake_surfaces(
         for group in groups
     ]
     made = [surface.baked(options) for surface in surfaces]
-    if options.gradients is Gradients.RIG:
-        # A surface that would be lit worse keeps only a share of its fit.
+    if any(surface.rig for surface in surfaces):
+        # A primitive that would be lit worse keeps only a part of its α and β.
         with stage("guard"):
-            from skinbake.measure.guard import Judged, judged_shares  # it poses: most kinds of bakes do not
+            from skinbake.measure.guard import kept_eighths  # it poses: other kinds of bakes do not
 
-            judged = [Judged(unwritten(own), one.rig) for one, own in zip(surfaces, made, strict=True)]
-            shares = judged_shares(document, judged, options.settings)
-            kept = zip(surfaces, made, shares, strict=True)
-            made = [surface.keeping(bakes, own) for surface, bakes, own in kept]
+            kept = kept_eighths(document, [unwritten(own) for own in made])
+            made = [_keeping(bakes, own) for bakes, own in zip(made, kept, strict=True)]
     if options.blend is not None and made:
         made = [one.with_blend(own, options.blend) for one, own in zip(surfaces, made, strict=True)]
         without = [bake for bakes in made for bake in bakes if bake.blend is None]
@@ -90,8 +84,8 @@ def bake_surfaces(
 class SurfaceBake(NamedTuple):
     """The primitives of one surface, with their arrays as they are baked, and what α and β are fitted to.
 
-    digests return the digests of each primitive's arrays. ``rig`` and ``poses`` are None if there is no such
-    fit, and ``note`` says that, with the options. Each method returns the bakes of all primitives.
+    digests return the digests of each primitive's arrays. ``rig`` is None if there is no such fit, and
+    ``note`` says that, with the options. Each method returns the bakes of all primitives.
     """
 
     document: Document
@@ -101,29 +95,23 @@ class SurfaceBake(NamedTuple):
     digests: Sequence[Digests]
     asked: Gradients
     rig: Rig | None
-    poses: FoundPoses | None
     note: GradientNote
 
     @classmethod
     def of(cls, document: Document, sources: Sequence[PrimitiveSource], options: BakeOptions) -> SurfaceBake:
         """Read a surface. Raises InputError if it cannot be read, or takes too much memory."""
         # The rig and the poses that α and β are fitted to.
-        rig, poses, note = None, None, options.note
-        if options.gradients is not Gradients.SURFACE:
-            with stage("rig"):
-                rig = fitting_rig(document, sources[0])
-            if rig is not None:
-                note = replace(note, gradients=Gradients.RIG, fit=FIT, rig=rig.digest)
-                if rig.fingerprint is not None:
-                    note = replace(note, stored_pose=FitPoses(fingerprint=tuple(rig.fingerprint)))
-        if options.gradients is Gradients.POSES:
-            from skinbake.pose_fit.poses import poses_to_fit  # it poses: half a second of imports
+        rig, note = None, options.note
+        if options.gradients is Gradients.FITTED:
+            from skinbake.truth.fit_poses import ANIMATIONS, posed_rig  # it poses: other kinds do not
 
             with stage("poses"):
-                poses = poses_to_fit(document, sources[0].mesh, options.fit_poses, sources[0].place)
-            names = (source if isinstance(source, str) else source.name for source in options.fit_poses)
-            found = FitPoses(sources=tuple(names), fingerprint=tuple(poses.fingerprint))
-            note = replace(note, gradients=Gradients.POSES, fit=FIT, poses=found)
+                rig = posed_rig(document, sources[0], options.fit_poses)
+            if rig is not None:
+                given = options.fit_poses or (ANIMATIONS,)
+                names = tuple(source if isinstance(source, str) else source.name for source in given)
+                poses = FitPoses(sources=names, fingerprint=rig.fingerprint)
+                note = replace(note, gradients=Gradients.FITTED, fit=FIT, rig=rig.digest, poses=poses)
         # The arrays. Each is read when the memory for the bake of those before has been claimed.
         primitives: list[SkinnedPrimitive] = []
         with stage("arrays"):
@@ -158,7 +146,6 @@ class SurfaceBake(NamedTuple):
             of_arrays,
             options.gradients,
             rig,
-            poses,
             note,
         )
 
@@ -201,22 +188,6 @@ class SurfaceBake(NamedTuple):
                 self.sources, primitives, outcomes, self.digests, strict=True
             )
         ]
-        if self.poses is not None:
-            from skinbake.pose_fit.fit import fit_work, fitted_to_poses
-            from skinbake.truth.operator import true_operator
-
-            for bake in bakes:
-                work = fit_work(*bake.primitive.joints.shape)
-                self.document.budget.claim(work, "fitting it", bake.source.place)
-            welding = self.document.budget.welding(bakes[0].source.place)
-            operator = true_operator(primitives, claim=welding)
-            rest = [bake.rest_primitive() for bake in unwritten(bakes)]
-            with stage("fit"):
-                slots = fitted_to_poses(operator, rest, self.poses.groups)
-            bakes = [
-                replace(bake, result=bake.result.with_slots(alpha, beta))
-                for bake, (alpha, beta) in zip(bakes, slots, strict=True)
-            ]
         for bake in bakes:
             check_finite(bake.primitive, bake.result, bake.source.place)
         return bakes
@@ -267,54 +238,17 @@ class SurfaceBake(NamedTuple):
             for bake, own in zip(bakes, np.split(derivatives, ends[:-1]), strict=True)
         ]
 
-    def keeping(
-        self, bakes: Sequence[PrimitiveBake], shares: Sequence[KeptShare | None]
-    ) -> list[PrimitiveBake]:
-        """Return the bakes of the surface, of which some keep only a share. None keeps all."""
-        if not any(shares):
-            return list(bakes)
-        slots: list[Slots] = [(bake.result.alpha, bake.result.beta) for bake in bakes]
-        classes = [bake.result.classes for bake in bakes]
-        fits = [1.0 if share is None else share.fit for share in shares]
-        if min(fits) < 1.0:
-            slots = mixed(slots, self._by_surface(bakes), classes, fits)
-        kept = scaled(slots, classes, [None if share is None else share.eighths for share in shares])
-        return [
-            replace(bake, result=bake.result.with_slots(*own), share=share)
-            for bake, own, share in zip(bakes, kept, shares, strict=True)
-        ]
 
-    def _by_surface(self, bakes: Sequence[PrimitiveBake]) -> list[Slots]:
-        """Return the gradients of the surface in the slots of bakes that are fitted.
-
-        The gradients alone would adopt other joints at some vertices, or the same ones in another order.
-        """
-        found = bake_primitives([bake.primitive for bake in bakes], self.settings)
-        adopted = [bake.result.adopted_joints for bake in bakes]
-        others = [
-            (own != result.adopted_joints).any(axis=1)
-            for own, (result, _) in zip(adopted, found, strict=True)
-        ]
-        slots: list[Slots] = [(result.alpha, result.beta) for result, _ in found]
-        if not any(map(np.any, others)):
-            return slots
-        frames = [frame_vectors(bake.primitive, bake.result.frame) for bake in bakes]
-        there = slots_of_surface(
-            [
-                bake.primitive.with_influences(
-                    np.where(own < 0, bake.primitive.joints, own), bake.primitive.weights
-                )
-                for bake, own in zip(bakes, adopted, strict=True)
-            ],
-            (np.concatenate([t for t, _ in frames]), np.concatenate([b for _, b in frames])),
-            weighting=self.settings.weighting,
-            crease_angle=self.settings.crease_angle,
-            rig=None,
-        )
-        return [
-            (np.where(rows[:, None], own[0], one[0]), np.where(rows[:, None], own[1], one[1]))
-            for rows, own, one in zip(others, there, slots, strict=True)
-        ]
+def _keeping(bakes: Sequence[PrimitiveBake], eighths: Sequence[int]) -> list[PrimitiveBake]:
+    """Return the bakes of a surface, each with some eighths of its α and β."""
+    if min(eighths) == EIGHTHS:
+        return list(bakes)
+    slots = [(bake.result.alpha, bake.result.beta) for bake in bakes]
+    kept = kept_slots(slots, [bake.result.classes for bake in bakes], eighths)
+    return [
+        replace(bake, result=bake.result.with_slots(*own), eighths=one)
+        for bake, own, one in zip(bakes, kept, eighths, strict=True)
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,8 +256,8 @@ class PrimitiveBake:
     """One primitive: the arrays that were baked, the result, the findings, and the loss by a limit.
 
     digests returns the digests of the arrays before any limit or extension. note says what α and β are made
-    by, and asked which kind of gradients the user asked for. share is how much of a fit is kept, None for
-    all. blend is the gradient of its blend weights, if it has any.
+    by, and asked which kind of gradients the user asked for. eighths of α and β are kept. blend is the
+    gradient of its blend weights, if it has any.
     """
 
     source: PrimitiveSource
@@ -335,7 +269,7 @@ class PrimitiveBake:
     limited: Limited | None = None
     asked: Gradients = Gradients.SURFACE
     extended: Extended | None = None
-    share: KeptShare | None = None
+    eighths: int = EIGHTHS
     blend: BlendGradient | None = None
 
     @property
@@ -357,7 +291,7 @@ class PrimitiveBake:
         """The data to write."""
         changed = self.limited or self.extended
         influences = changed.stored if changed else None
-        note = replace(self.note, kept=None if self.share is None else Kept(fit=self.share.fit))
+        note = replace(self.note, kept=None if self.eighths == EIGHTHS else self.eighths / EIGHTHS)
         return Baked(self.source, self.primitive, self.result, self.digests, note, influences, self.blend)
 
     def counts(self, encoding: Encoding, added_bytes: int) -> BakedCounts:
@@ -385,7 +319,7 @@ class PrimitiveBake:
             degenerate_triangles=self.findings.degenerate_triangles,
             influences=influences,
             gradients=str(self.note.gradients),
-            kept=None if self.share is None else KeptCounts(self.share.fit, self.share.mean),
+            kept=None if self.eighths == EIGHTHS else self.eighths / EIGHTHS,
             frame=str(self.result.frame),
             generated_normals="NORMAL" not in self.source.attributes,
             adopting_vertices=self.findings.adopting_vertices,

@@ -170,7 +170,7 @@ def _other_gradients(
     from skinbake.commands.bake import bake_document  # a file without a bake needs no other
     from skinbake.commands.bake_options import BakeOptions
 
-    kind, noted = Gradients.RIG, views[0].note
+    kind, noted = Gradients.FITTED, views[0].note
     if views[0].kind is not Gradients.SURFACE:
         kind = Gradients.SURFACE
     known = noted.neighbours

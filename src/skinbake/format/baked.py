@@ -157,10 +157,9 @@ def _written(
     if item.result.frame != Frame.TANGENT:
         digests.pop("TANGENT", None)
     alpha, beta, gradients = _stored(item, names, storage)
-    slots = slots_digest(dict(gradients)) if note.stored_pose or note.poses else ""
+    slots = slots_digest(dict(gradients)) if note.poses else ""
     note = replace(
         note,
-        stored_pose=note.stored_pose and replace(note.stored_pose, slots=slots),
         poses=note.poses and replace(note.poses, slots=slots),
         digest=digests,
         alpha=tuple(alpha),

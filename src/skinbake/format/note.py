@@ -125,9 +125,8 @@ def _poses(value: object) -> FitPoses | None:
     return found if whole and found.fingerprint and found.slots else None
 
 
-def _kept(value: object) -> Kept | None:
-    found = _read(Kept, object_of(value))
-    return found if 0 <= found.fit <= 1 else None
+def _kept(value: object) -> float | None:
+    return value if is_number(value) and 0 <= value <= 1 else None
 
 
 def _shown(value: object) -> str:
@@ -155,13 +154,6 @@ class FitPoses:
     sources: tuple[str, ...] | None = _member(_texts, key="from")
     fingerprint: tuple[float, ...] = _member(_numbers, ())
     slots: str = _member(_text, "")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Kept:
-    """How much of its fit a primitive keeps, 0 … 1 (``gradients.kept``)."""
-
-    fit: float = _member(_number, -1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -214,9 +206,8 @@ class GradientNote:
     gradients: str = _member(_word, Gradients.SURFACE)
     fit: int | None = _member(lambda value: value if type(value) is int else None)
     rig: str | None = _member(_word)
-    stored_pose: FitPoses | None = _member(_poses)
     poses: FitPoses | None = _member(_poses)
-    kept: Kept | None = _member(_kept)
+    kept: float | None = _member(_kept)
     generated: tuple[str, ...] = _member(_texts, ())
     straightened: Straightened | None = _member(_record(Straightened))
     former_attributes: tuple[str, ...] | None = _member(_texts)
@@ -257,7 +248,7 @@ class GradientNote:
             remedy = "update skinbake" if self.version > VERSION else BAKE
             found = shown(self.version)
             return f"its metadata has version {found}, this skinbake reads {VERSION}: {remedy}"
-        if self.gradients == Gradients.SURFACE or (self.fit is not None and 0 < self.fit <= FIT):
+        if self.gradients == Gradients.SURFACE or self.fit == FIT:
             return None
         remedy = "update skinbake" if self.fit is not None and self.fit > FIT else BAKE
         found = _shown(self.json.get("fit"))
@@ -265,9 +256,9 @@ class GradientNote:
 
     def differences(self, other: GradientNote, where: str) -> Iterator[str]:
         """Yield what differs from another note, ``where``, although one bake has gathered both together."""
-        for key in ("weld", "gradients", "stored_pose", "weighting", "crease_angle"):
+        for key in ("weld", "gradients", "poses", "weighting", "crease_angle"):
             ours, theirs = getattr(self, key), getattr(other, key)
-            if key == "stored_pose":
+            if key == "poses":
                 ours, theirs = (one and list(one.fingerprint) for one in (ours, theirs))
             if ours != theirs and not (key == "crease_angle" and math.isclose(ours, theirs)):
                 yield f'"{_key(key)}" is {_shown(ours)}, and {_shown(theirs)} in {where}'
@@ -281,10 +272,10 @@ class GradientNote:
         yield from map(
             self._wrong, (key for key, values in known.items() if getattr(self, key) not in list(values))
         )
-        if self.gradients == Gradients.POSES and (self.poses is None or self.poses.sources is None):
+        if self.gradients == Gradients.FITTED and (self.poses is None or self.poses.sources is None):
             yield self._wrong("poses")
-        fits = {"storedPose": self.stored_pose, "kept": self.kept}
-        yield from map(self._wrong, (key for key, one in fits.items() if key in self.json and one is None))
+        if self.kept is None and "kept" in self.json:
+            yield self._wrong("kept")
         if not 0 <= self.crease_angle <= 180:
             yield self._wrong("creaseAngle")
         if self.influences != 4 * influence_sets:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,21 +13,16 @@ from skinbake.errors import Place
 from skinbake.format.encodings import shortened
 from skinbake.format.former import former_attributes, former_sets
 from skinbake.format.influences import with_limit
-from skinbake.freshness.baked_views import BakedView, rest_primitive
+from skinbake.freshness.baked_views import BakedView
+from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import TINY_WEIGHT, UNIT, Float64Array, FloatArray, IntArray, SkinnedPrimitive
 from skinbake.gltf.document import Document, once_a_document
 from skinbake.gltf.reading.accessors import read_attribute
 from skinbake.gltf.reading.meshes import StoredInfluences, joints_of_skin, side_by_side
-from skinbake.gltf.reading.skins import fitting_rig
-from skinbake.gradients.baker import slots_of_surface
+from skinbake.gradients.baker import EIGHTHS, slots_of_surface
 from skinbake.gradients.influences import limited_slots
-from skinbake.skinning.rest import RestPrimitive
 from skinbake.truth.mesh import free_slots
 from skinbake.truth.operator import GradientOperator, expected_alpha_beta, true_operator
-
-if TYPE_CHECKING:
-    from skinbake.pose_fit.poses import FoundPoses
-
 
 ROUNDING = 1e-6
 """The rounding of a weight that was decoded in float32, relative to it."""
@@ -51,14 +46,11 @@ def expected_slots(
     The gradients of a surface come from the operator, which shares no code with bake. Fitted gradients come
     from bake's own loops: how good they are is measured against the true normals, not here.
     """
-    kind = views[0].kind
-    if kind is Gradients.SURFACE:
+    if views[0].kind is Gradients.SURFACE:
         slots = surface_slots(views, operator)
     else:
         fit = fit or prepared_rig_fit(document, views, operator.weighting)
         slots = fit() if fit else surface_slots(views, operator)
-    if kind is Gradients.POSES:
-        slots = posed_slots(document, views, slots)
     # An encoding has shortened what is beyond its scale.
     found: Expected = []
     for pair, view in zip(slots, views, strict=True):
@@ -146,23 +138,20 @@ def surface_slots(views: Sequence[BakedView], operator: GradientOperator) -> Exp
 
 
 def prepared_rig_fit(document: Document, views: Sequence[BakedView], weighting: Weighting) -> Fit | None:
-    """Prepare the fit of the gradients of one surface to its rig. None: no joint of it can turn.
+    """Prepare the fit of the gradients of one surface to its poses and turns. None: no joint can turn.
 
     It gives α and β (V, K − 1) of each view, of the joints that the slots name. It no longer reads the
     document, so any thread may do it.
     """
-    with document.notices.withheld():
-        rig = fitting_rig(document, views[0].source)
+    rig = noted_rig(document, views[0])
     if rig is None:
         return None
-    if views[0].note.stored_pose is None:
-        rig = replace(rig, stored=None)
     crease_angle = float(np.radians(views[0].note.crease_angle))
     primitives = [_without_given_weights(document, view) for view in views]
     tangents = np.concatenate([np.asarray(view.tangents, dtype=np.float64) for view in views])
     bitangents = np.concatenate([np.asarray(view.bitangents, dtype=np.float64) for view in views])
-    # Bakes that keep all of their fit note nothing.
-    kept = [None if view.note.kept is None else view.note.kept.fit for view in views]
+    # Bakes that keep all of α and β note nothing.
+    kept = [round(EIGHTHS * (1.0 if view.note.kept is None else view.note.kept)) for view in views]
 
     def fit() -> Expected:
         slots = slots_of_surface(
@@ -172,51 +161,24 @@ def prepared_rig_fit(document: Document, views: Sequence[BakedView], weighting: 
             crease_angle=crease_angle,
             rig=rig,
             kept=kept,
-            stored=[(view.alpha, view.beta) for view in views],
-            # At a scale of 0 nothing was shortened: nothing was there.
-            scale=min(view.note.scale or np.inf for view in views),
         )
         return [(alpha.astype(np.float64), beta.astype(np.float64)) for alpha, beta in slots]
 
     return fit
 
 
-def posed_slots(document: Document, views: Sequence[BakedView], slots: Expected) -> Expected:
-    """Return α and β (V, K − 1) of each view fitted to the noted poses, from those fitted to the rig."""
-    from skinbake.pose_fit.fit import fitted_to_poses  # few files are fitted to poses
+def noted_rig(document: Document, view: BakedView) -> Rig | None:
+    """Return the rig with the poses that the metadata names, as far as they are in the file. Files are not.
 
-    found = noted_poses(document, views[0])
-    return fitted_to_poses(
-        true_operator([_without_given_weights(document, view) for view in views]),
-        rest_primitives_of(document, views, slots),
-        found.groups,
-    )
-
-
-def rest_primitives_of(
-    document: Document, views: Sequence[BakedView], slots: Expected
-) -> list[RestPrimitive]:
-    """Return the views as a replay reads them, without the weights of adoption, and with other α and β."""
-    return [
-        rest_primitive(replace(view, now=_without_given_weights(document, view), alpha=alpha, beta=beta))
-        for view, (alpha, beta) in zip(views, slots, strict=True)
-    ]
-
-
-def noted_poses(document: Document, view: BakedView) -> FoundPoses:
-    """Return the poses that the metadata names, as far as they are in the file. Files are not."""
-    from skinbake.pose_fit.poses import poses_to_fit
-
-    with document.notices.withheld():
-        return poses_to_fit(document, view.source.mesh, noted_sources(view), view.source.place)
-
-
-def noted_sources(view: BakedView) -> tuple[str, ...]:
-    """Return the sources of the poses that the metadata names, without files."""
-    from skinbake.pose_fit.poses import ANIMATIONS, is_random
+    None if no joint can turn.
+    """
+    from skinbake.truth.fit_poses import ANIMATIONS, is_random, posed_rig  # few files hold bakes
 
     named = (view.note.poses and view.note.poses.sources) or ()
-    return tuple(source for source in named if source == ANIMATIONS or is_random(source))
+    sources = tuple(source for source in named if source == ANIMATIONS or is_random(source))
+    with document.notices.withheld():
+        # Without a name the clips may be broken.
+        return posed_rig(document, view.source, () if sources == (ANIMATIONS,) else sources)
 
 
 NO_PAYMENT = 1e-7

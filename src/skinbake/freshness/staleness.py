@@ -29,12 +29,9 @@ from skinbake.freshness.expected import (
 )
 from skinbake.freshness.without_poses import (
     BAKE_AGAIN,
-    OLDER_FIT,
-    STORED_OTHERWISE,
+    BAKE_LAST,
     WITHOUT_POSES,
-    has_older_fit,
     has_poses,
-    is_stored_as_noted,
     problems_without_poses,
     rig_changed,
 )
@@ -50,8 +47,6 @@ from skinbake.threads import Threads
 from skinbake.truth.mesh import free_slots
 from skinbake.truth.operator import GradientOperator, gradient_operator
 from skinbake.wording import counted
-
-BAKE_LAST = "Bake last: run skinbake bake on the file that the last tool wrote"
 
 NAMED = 16
 """The number of primitives that a message names. Each of a thousand stale ones would name all others."""
@@ -83,7 +78,7 @@ def fits_begun(
     """Begin the fits of surfaces to their rigs that ``freshness_check`` needs, beside other work."""
     fits: list[Fit | None] = []
     for views in surfaces:
-        is_fitted = views[0].kind is Gradients.RIG
+        is_fitted = views[0].kind is Gradients.FITTED
         fit = prepared_rig_fit(document, views, Weighting(views[0].note.weighting)) if is_fitted else None
         fits.append(threads.begun(fit) if fit else None)
     return fits
@@ -99,22 +94,18 @@ def freshness_check(
 
     That is what fresh means: a bake of the file as it is now would light it in the same way. If the arrays
     have changed and α/β still fit them, the check passes, with a remark that names the arrays. If α/β were
-    fitted to poses that are not in the file any more, or to another stored pose, or by an older version of
-    the fit, they must be the ones that bake wrote, and light the present poses no worse than the gradients of
-    the surface. fits is the result of ``fits_begun``, if there is one.
+    fitted to poses that are not in the file any more, they must be the ones that bake wrote. fits is the
+    result of ``fits_begun``, if there is one.
     """
     problems: list[Notice] = []
     changed: list[BakedView] = []
     unchecked: set[str] = set()
     for views, operator, fit in zip(surfaces, operators, fits or [None] * len(surfaces), strict=True):
-        gone = [] if is_stored_as_noted(document, views[0]) else [STORED_OTHERWISE]
-        gone += [] if has_poses(document, views[0]) else [WITHOUT_POSES]
-        gone += [OLDER_FIT] if any(map(has_older_fit, views)) else []
-        compared = [] if WITHOUT_POSES in gone else _comparisons(document, views, operator, fit)
-        # In another pose α/β may still agree: the nodes may only stand elsewhere, all together.
-        if gone and not (compared and all(one.agrees for one in compared)):
-            problems += problems_without_poses(document, views, operator)
-            unchecked.add(gone[0])
+        compared = _comparisons(document, views, operator, fit)
+        # In other poses α/β may still agree: the nodes may only stand elsewhere, all together.
+        if not all(one.agrees for one in compared) and not has_poses(document, views[0]):
+            problems += problems_without_poses(document, views)
+            unchecked.add(WITHOUT_POSES)
             continue
         for number, (view, found) in enumerate(zip(views, compared, strict=True)):
             if not found.agrees:

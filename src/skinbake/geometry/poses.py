@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -101,8 +102,18 @@ def global_transforms(local: Float64Array, parents: Sequence[int]) -> Float64Arr
     """Return global transforms (N, P, 4, 4) of local ones; parents precede children, −1 means no parent."""
     result = np.empty_like(local)
     for node, parent in enumerate(parents):
-        result[node] = local[node] if parent < 0 else result[parent] @ local[node]
+        result[node] = local[node] if parent < 0 else product(result[parent], local[node])
     return result
+
+
+def product(first: Float64Array, second: Float64Array) -> Float64Array:
+    """Return products of matrices (…, R, N) and (…, N, C), each sum in the order of its terms.
+
+    The last digits of a product by ``@`` depend on the processor, and a bake that is fitted to poses would
+    too.
+    """
+    terms = (first[..., :, n, None] * second[..., None, n, :] for n in range(first.shape[-1]))
+    return sum(terms, start=np.zeros(()))
 
 
 def random_rotations(shape: tuple[int, ...], angle: float, seed: int) -> Float64Array:
@@ -135,10 +146,10 @@ def fingerprint(matrices: Sequence[Float64Array]) -> tuple[float, ...]:
     A digest would change when a tool writes a matrix as translation, rotation and scale. NaN counts as 0.
     """
     values = np.nan_to_num(np.concatenate([each.ravel() for each in matrices]))
-    length = float(np.linalg.norm(values)) or 1.0  # inverse bind matrices may be zero
+    length = math.sqrt(math.fsum(values * values)) or 1.0  # inverse bind matrices may be zero
     # A few terms of a Fourier series of all numbers in a row.
     steps = np.arange(1, len(values) + 1)
-    found = [float(values @ np.cos(number * steps)) / length for number in range(1, FINGERS + 1)]
+    found = [math.fsum(values * np.cos(number * steps)) / length for number in range(1, FINGERS + 1)]
     return tuple(round(value, 9) for value in found)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -28,14 +28,14 @@ class Rig:
     """The hierarchy of J joints, in mesh space.
 
     parents (J,) int32 is the joint that carries each joint, −1 for none. Nodes between two joints are left
-    out. pivots (J, 3) is the point about which each joint turns, NaN if it has none. stored (J, 3, 4) are the
-    upper rows of the joint matrices in the stored pose, NaN for a joint that has none. stored is None if that
-    pose is the bind pose: no joint is turned or scaled against the joint that carries it.
+    out. pivots (J, 3) is the point about which each joint turns, NaN if it has none. poses (P, J, 3, 4) are
+    the upper rows of joint matrices, NaN for a joint that has none: poses of clips, and the pose in which the
+    nodes are stored unless that is the bind pose.
     """
 
     parents: npt.NDArray[np.int32]
     pivots: Float64Array
-    stored: Float64Array | None = None
+    poses: Float64Array = field(default_factory=lambda: np.empty((0, 0, 3, 4)))
 
     @property
     def ranks(self) -> npt.NDArray[np.int32]:
@@ -83,17 +83,17 @@ class Rig:
         return state.hexdigest()[:16]
 
     @cached_property
-    def fingerprint(self) -> tuple[float, ...] | None:
-        """Return the fingerprint of the stored pose, None if there is no such pose."""
-        return None if self.stored is None else fingerprint([self.stored])
+    def fingerprint(self) -> tuple[float, ...]:
+        """Return the fingerprint of the poses."""
+        return fingerprint([self.poses])
 
     def with_joints(self, count: int) -> Rig:
         """Return the rig with at least so many joints. Further joints stand apart, and do not turn."""
-        more, stored = max(0, count - len(self.parents)), self.stored
+        more = max(0, count - len(self.parents))
         return Rig(
             np.pad(self.parents, (0, more), constant_values=NO_PARENT),
             np.pad(self.pivots, ((0, more), (0, 0)), constant_values=np.nan),
-            None if stored is None else np.pad(stored, ((0, more), (0, 0), (0, 0)), constant_values=np.nan),
+            np.pad(self.poses, ((0, 0), (0, more), (0, 0), (0, 0)), constant_values=np.nan),
         )
 
 

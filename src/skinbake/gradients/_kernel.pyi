@@ -89,20 +89,22 @@ def bake_surface(
     ranks: npt.NDArray[np.int32],
     pivots: npt.NDArray[np.float64],
     chains: npt.NDArray[np.int32],
-    stored: npt.NDArray[np.float64],
+    poses: npt.NDArray[np.float64],
+    shares: npt.NDArray[np.float64],
     class_count: int,
     weighting: int,
     adopts: bool,
     negligible: float,
     stiffness: float,
+    turn: float,
     together: float,
-    times_stored: float,
-    drawn: float,
-    stretched: float,
+    collapsed: float,
+    ray: float,
     even: float,
     unfelt: float,
     narrow: float,
     flat: float,
+    flat_tilt: float,
     bounded: float,
     grouped: Grouped | None,
     first: int,
@@ -113,6 +115,7 @@ def bake_surface(
     adopted (V, K) comes as zeros. If a slot adopts a joint, 1 + joint is written. tangents and bitangents are
     (V, 3), or (0, 3) if the frame comes from normals. Add to sums (P, 4): vertices that adopt, vertices that
     overflow, summed gradient magnitude, its part that no slot holds. weighting is one of BY_MAX, BY_ANGLE,
-    BY_AREA and BY_ANGLE_AREA. With groups of the surface, only the classes from first up to last are
-    baked, and several threads may bake different classes at a time. Without, all are.
+    BY_AREA and BY_ANGLE_AREA. poses (J, 48 G) are the upper rows of joint matrices in G groups of four poses,
+    of which shares (4 G,) have parts in the mean. With groups of the surface, only the classes from first up
+    to last are baked, and several threads may bake different classes at a time. Without, all are.
     """

@@ -34,13 +34,13 @@ def assumptions(
     """Return one notice for each kind of assumption.
 
     joint_count is the number of joints of the skin. asked is the kind of gradients that the user asked for.
-    fitted tells that the gradients are fitted to a rig.
+    fitted tells that the gradients are fitted to poses and turns.
     """
     count = len(primitive.positions)
     forced = baked.frame == Frame.TANGENT
     consequence = "used all the same, as asked" if forced else "the frame is taken from NORMAL instead"
     coarse = 0 if fitted or findings.adopting_vertices <= COARSE * count else findings.adopting_vertices
-    rig = [", or take ", Chosen("gradients", Gradients.RIG)] if asked is Gradients.SURFACE else []
+    fit = [", or take ", Chosen("gradients", Gradients.FITTED)] if asked is Gradients.SURFACE else []
     remedy = "; remove NORMAL and bake with --generate-normals" if findings.zero_normals == count else ""
     told = _not_finite(primitive.normals) if findings.zero_normals else None
     broken = "" if told is None else f" ({told[1]})"
@@ -63,7 +63,7 @@ def assumptions(
             f"{{vertices}} {{have}} a NORMAL without a direction{broken}: taken as (0, 0, 1){remedy}",
         ),
     ]
-    further = {"lighting-doubtful": rig}
+    further = {"lighting-doubtful": fit}
     return [
         *(_weight_sums(primitive, place) if findings.weights.not_normalised else []),
         *_straightened(primitive, place),

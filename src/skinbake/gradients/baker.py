@@ -24,11 +24,16 @@ from skinbake.geometry.skinned import (
 )
 from skinbake.gradients import kernel
 from skinbake.gradients.influences import ADOPTING_SUM, needs_tiny_weights, weight_field
-from skinbake.gradients.kept import Slots, kept_eighths, mixed, scaled
 from skinbake.gradients.surface import Surface, SurfaceSlots, WeightDefects, WeightField, concatenate_fields
 from skinbake.gradients.tangents import ChosenFrame, chosen_frame, frame_vectors
 from skinbake.gradients.weld import weld
 from skinbake.timing import stage
+
+EIGHTHS = 8
+"""The parts of α and β of which a primitive may keep some."""
+
+Slots = tuple[FloatArray, FloatArray]
+"""α and β (V, K − 1) of a primitive."""
 
 
 class BakeSettings(NamedTuple):
@@ -168,35 +173,36 @@ def slots_of_surface(
     weighting: Weighting,
     crease_angle: float,
     rig: Rig | None,
-    kept: Sequence[float | None] = (),
-    stored: Sequence[Slots] = (),
-    scale: float = np.inf,
+    kept: Sequence[int] = (),
 ) -> list[Slots]:
     """Return α and β of each primitive of one surface, for given t0 and b0, each (V, 3). No slot adopts.
 
-    The arguments are as for ``bake_primitives``; crease_angle is in radians. kept is how much of its fit each
-    primitive keeps, None for those that keep all of α and β too. The others keep as much of these as the
-    ``stored`` ones are; scale is the largest number that an encoding could store.
+    The arguments are as for ``bake_primitives``; crease_angle is in radians. kept are the eighths of α and β
+    that each primitive keeps, all if it is empty.
     """
     gathered = _gathered(primitives, crease_angle)
+    with stage("gradients"):
+        found = kernel.bake_surface(gathered.surface(frame, rig), weighting=weighting, adopt=False)
     parts = [slice(*part) for part in itertools.pairwise([0, *gathered.ends])]
+    widths = [primitive.joints.shape[1] - 1 for primitive in primitives]
+    slots = [
+        (found.alpha[part, :width], found.beta[part, :width])
+        for part, width in zip(parts, widths, strict=True)
+    ]
+    return kept_slots(slots, [gathered.classes[part] for part in parts], kept) if kept else slots
 
-    def slots(of: Rig | None) -> list[Slots]:
-        with stage("gradients"):
-            found = kernel.bake_surface(gathered.surface(frame, of), weighting=weighting, adopt=False)
-        widths = [primitive.joints.shape[1] - 1 for primitive in primitives]
-        pairs = zip(parts, widths, strict=True)
-        return [(found.alpha[part, :width], found.beta[part, :width]) for part, width in pairs]
 
-    found, fits = slots(rig), [1.0 if fit is None else fit for fit in kept]
-    if all(fit is None for fit in kept):
-        return found
-    classes = [gathered.classes[part] for part in parts]
-    if min(fits) < 1.0:
-        found = mixed(found, slots(None), classes, fits)
-    return scaled(
-        found, classes, kept_eighths(found, stored, classes, [fit is not None for fit in kept], scale)
-    )
+def kept_slots(slots: Sequence[Slots], classes: Sequence[IntArray], eighths: Sequence[int]) -> list[Slots]:
+    """Return some eighths of α and β (V, K − 1) of the primitives of a surface.
+
+    classes (V,) of each primitive number the weld classes of the surface. Where primitives meet, both keep
+    the lesser part: light must not change abruptly there.
+    """
+    least = np.full(max(int(own.max(initial=-1)) for own in classes) + 1, EIGHTHS)
+    for own, kept in zip(classes, eighths, strict=True):
+        least[own] = np.minimum(least[own], kept)
+    shares = [(least[own] / np.float32(EIGHTHS)).astype(np.float32)[:, None] for own in classes]
+    return [(alpha * share, beta * share) for (alpha, beta), share in zip(slots, shares, strict=True)]
 
 
 class _Gathered(NamedTuple):

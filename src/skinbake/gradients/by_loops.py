@@ -16,18 +16,7 @@ from skinbake.geometry.rig import Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray, blocks
 from skinbake.geometry.triangles import DEGENERATE_AREA
 from skinbake.gradients import _kernel as loops
-from skinbake.gradients.fit_rules import (
-    BOUNDED,
-    DRAWN,
-    EVEN,
-    FLAT,
-    NARROW,
-    STIFFNESS,
-    STORED,
-    STRETCHED,
-    TOGETHER,
-    UNFELT,
-)
+from skinbake.gradients import fit_rules
 from skinbake.gradients.surface import NEGLIGIBLE, Labels, Surface, SurfaceSlots, WeightDefects, WeightField
 from skinbake.timing import tell_steps
 
@@ -110,7 +99,14 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
     adopted = np.zeros((vertices, slots), dtype=np.int32)  # memory stays untouched if no slot adopts
     tangents, bitangents = surface.frame or (np.zeros((0, 3)), np.zeros((0, 3)))
     rig = surface.rig or NO_RIG
-    stored = np.empty((0, 3, 4)) if rig.stored is None else rig.stored
+    # The matrices of joints in groups of four poses, (J, groups, 12, 4). The last group may have less than
+    # four.
+    poses, joints = len(rig.poses), len(rig.parents)
+    groups = -(-poses // 4)
+    wide = np.zeros((4 * groups, joints, 12))
+    wide[:poses] = rig.poses.reshape(poses, joints, 12)
+    lanes = wide.reshape(groups, 4, joints, 12).transpose(2, 0, 3, 1).reshape(joints, 48 * groups)
+    shares = np.where(np.arange(4 * groups) < poses, 1.0 / max(poses, 1), 0.0)
     triangles = np.ascontiguousarray(surface.triangles, dtype=np.uint32)
     classes = np.ascontiguousarray(surface.classes, dtype=np.int32)
     count = int(classes.max(initial=-1)) + 1
@@ -133,21 +129,23 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
         ranks=np.ascontiguousarray(rig.ranks, dtype=np.int32),
         pivots=np.ascontiguousarray(rig.pivots, dtype=np.float64),
         chains=np.ascontiguousarray(rig.chains, dtype=np.int32),
-        stored=np.ascontiguousarray(stored, dtype=np.float64).reshape(-1, 12),
+        poses=np.ascontiguousarray(lanes),
+        shares=shares,
         class_count=count,
         weighting=WEIGHTINGS[weighting],
         adopts=adopt,
         negligible=NEGLIGIBLE,
-        stiffness=STIFFNESS,
-        together=TOGETHER,
-        times_stored=STORED,
-        drawn=DRAWN,
-        stretched=STRETCHED,
-        even=EVEN,
-        unfelt=UNFELT,
-        narrow=NARROW,
-        flat=FLAT,
-        bounded=BOUNDED,
+        stiffness=fit_rules.STIFFNESS,
+        turn=fit_rules.TURN,
+        together=fit_rules.TOGETHER,
+        collapsed=fit_rules.COLLAPSED,
+        ray=fit_rules.RAY,
+        even=fit_rules.EVEN,
+        unfelt=fit_rules.UNFELT,
+        narrow=fit_rules.NARROW,
+        flat=fit_rules.FLAT,
+        flat_tilt=fit_rules.FLAT_TILT,
+        bounded=fit_rules.BOUNDED,
     )
     if count <= PART:
         sums = np.zeros((len(surface.ends), 4))

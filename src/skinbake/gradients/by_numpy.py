@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +10,7 @@ import numpy.typing as npt
 from skinbake.geometry.frames import frame_from_normal, unit_normals
 from skinbake.geometry.skinned import Float32Array, FloatArray
 from skinbake.geometry.triangles import mark_proper
-from skinbake.gradients.rig_fit import FittedVertices, fitted
+from skinbake.gradients.fit import FittedVertices, fitted
 from skinbake.gradients.ring_turns import ring_turns
 from skinbake.gradients.slots import assign, shared_capacity
 from skinbake.gradients.surface import (
@@ -121,7 +119,9 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
 
     With ``adopt``, joints of neighbours that vary around a vertex move into its free slots.
     """
-    with np.errstate(over="ignore", invalid="ignore"):  # the compiled loops do not warn of NaN either
+    with np.errstate(
+        over="ignore", invalid="ignore", divide="ignore"
+    ):  # the compiled loops do not warn of NaN either
         # Bake the primitives one after the other, with the gradients of the whole surface.
         field, classes = surface.field, surface.classes
         # Gradients and turns are those of the weld classes, over all primitives.
@@ -130,42 +130,40 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
         )
         capacity = shared_capacity(field, classes) if adopt else None
         tangents, bitangents = surface.frame or frame_from_normal(unit_normals(surface.normals))
-        turns = None if surface.rig is None else ring_turns(surface)
-        parts, sums, start = [], [], 0
+        parts, start = [], 0
         for end in surface.ends:
             rows = slice(start, end)
             frame = (tangents[rows], bitangents[rows])
             room = None if capacity is None else capacity[rows]
             # The slots of the primitive: α, β and adopted joints.
-            part = assign(gradients, classes[rows], field.rows(rows), frame, room)
-            # The fit changes α and β, and no slot.
-            if surface.rig is not None and turns is not None:
-                vertices = FittedVertices(
-                    classes=classes[rows],
-                    field=field.rows(rows),
-                    named=part.named,
-                    positions=surface.positions[rows],
-                    frame=frame,
-                    alpha=part.alpha,
-                    beta=part.beta,
-                )
-                alpha, beta = fitted(vertices, gradients, turns, surface.rig)
-                part = replace(part, alpha=alpha, beta=beta)
-            takers = np.count_nonzero((part.adopted != NO_JOINT).any(axis=1))
-            sums.append([takers, part.overflowing, part.magnitude, part.unheld])
-            parts.append(part)
+            parts.append(assign(gradients, classes[rows], field.rows(rows), frame, room))
             start = end
-        adopted = np.concatenate([part.adopted for part in parts])
-        adopting = np.flatnonzero((adopted != NO_JOINT).any(axis=1))
+        alpha, beta, adopted, named = (
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("alpha", "beta", "adopted", "named")
+        )
+        # The fit changes α and β of all primitives, and no slot.
+        if surface.rig is not None:
+            frame = tangents, bitangents
+            vertices = FittedVertices(classes, field, named, surface.positions, frame, alpha, beta)
+            alpha, beta = fitted(vertices, surface, gradients, ring_turns(surface))
+        takes = (adopted != NO_JOINT).any(axis=1)
+        adopting = np.flatnonzero(takes)
+        takers = np.add.reduceat(takes, [0, *surface.ends[:-1]], dtype=np.int64)
         return SurfaceSlots(
-            alpha=_stored([part.alpha for part in parts]),
-            beta=_stored([part.beta for part in parts]),
+            alpha=_stored(alpha),
+            beta=_stored(beta),
             adopting=adopting,
             adopted=adopted[adopting],
-            sums=np.array(sums),
+            sums=np.array(
+                [
+                    [count, part.overflowing, part.magnitude, part.unheld]
+                    for count, part in zip(takers, parts, strict=True)
+                ]
+            ),
         )
 
 
-def _stored(parts: Sequence[FloatArray]) -> Float32Array:
+def _stored(slots: FloatArray) -> Float32Array:
     """Return the derivatives (V, K − 1) of all slots but the first as they are stored: no zero has a sign."""
-    return np.concatenate([part[:, 1:] for part in parts]).astype(np.float32) + np.float32(0.0)
+    return slots[:, 1:].astype(np.float32) + np.float32(0.0)

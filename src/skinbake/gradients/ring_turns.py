@@ -15,7 +15,6 @@ import numpy as np
 from skinbake.geometry.frames import frame_from_normal, has_direction, parts_along, unit_normals
 from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray
 from skinbake.gradients.fit_rules import FLAT, NARROW
-from skinbake.gradients.stored_pose import StoredTilts, WeightChanges, stored_tilts
 from skinbake.gradients.surface import Surface
 from skinbake.gradients.weight_gradients import (
     ROOT,
@@ -38,8 +37,9 @@ class RingTurns:
     the turn of the class's two tangents. With Δw = w_ki − w_i for the neighbours k, arms (E, 2, 3) are Σ Δw
     a_k, in 1 / length unit, and act through the lever from the pivot. spins (E, 2, 3) are Σ Δw e_k × a_k, and
     act by themselves. normals (C, 3) and tangents (C, 2, 3) are the orthonormal frames in which this holds.
-    sound (C,) tells which classes can be fitted. slopes (C,) are the ``steepest_slopes``. stored are the
-    tilts of the classes in the stored pose, if the rig has one.
+    sound (C,) tells which classes can be fitted. slopes (C,) are the ``steepest_slopes``. areas (C,) are the
+    summed lengths of the triangles' normals, twice their areas. derivatives (C, 2, 3) of the positions along
+    the tangents and changes are what a pose needs of the ring.
     """
 
     offsets: IntArray
@@ -50,7 +50,23 @@ class RingTurns:
     tangents: Float64Array
     sound: BoolArray
     slopes: Float64Array
-    stored: StoredTilts | None
+    areas: Float64Array
+    derivatives: Float64Array
+    changes: WeightChanges
+
+
+@dataclass(frozen=True, slots=True)
+class WeightChanges:
+    """How the weights change around C weld classes: E entries, each of a class and a joint.
+
+    With the change Δw of the joint's weight along each edge e, and the coefficients g and h of the edge in
+    both derivatives, coefficients (E, 2) are Σ Δw (g, h), and edges (E, 2, 3) are Σ Δw g e and Σ Δw h e.
+    """
+
+    classes: IntArray
+    joints: IntArray
+    coefficients: Float64Array
+    edges: Float64Array
 
 
 def ring_turns(surface: Surface) -> RingTurns:
@@ -100,10 +116,21 @@ def ring_turns(surface: Surface) -> RingTurns:
     own = np.where(sound[owner, None, None, None], leverage[owner], 0.0)
     arms = np.einsum("ed,etdi->eti", by_coefficient, own)
     spins = np.cross(by_edge[:, None], own).sum(axis=2)
-    weight_changes = WeightChanges(owner, ring.joints, by_coefficient, by_edge)
-    stored = stored_tilts(surface, weight_changes, derivatives, tangents)
-    slopes = steepest_slopes(surface.positions, surface.triangles, surface.field, classes)
-    return RingTurns(ring.offsets, ring.joints, arms, spins, normals, tangents, sound, slopes, stored)
+    # Joints whose weight does not change take no part in a pose.
+    some = np.flatnonzero(changes.any(axis=1))
+    return RingTurns(
+        ring.offsets,
+        ring.joints,
+        arms,
+        spins,
+        normals,
+        tangents,
+        sound,
+        slopes=steepest_slopes(surface.positions, surface.triangles, surface.field, classes),
+        areas=ring.areas,
+        derivatives=derivatives,
+        changes=WeightChanges(owner[some], ring.joints[some], by_coefficient[some], by_edge[some]),
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ class Surface(NamedTuple):
     normalised weights (V, K). classes (V,) is each vertex's weld class. normals (V, 3) are of any length.
     frame has the tangents and bitangents at rest, each (V, 3) and of one type. None means that they follow
     from the normals. ends (P,) is the index after each primitive's last vertex. If there is a rig, the
-    gradients are fitted to its turns. It has all joints of the field.
+    gradients are fitted to its poses and turns. It has all joints of the field.
     """
 
     positions: FloatArray

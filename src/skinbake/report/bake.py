@@ -65,13 +65,6 @@ class ExtensionCost(NamedTuple):
     multiply_adds: int
 
 
-class KeptCounts(NamedTuple):
-    """How much of its fit, and of its α and β on average, a primitive keeps, each from 0 to 1."""
-
-    fit: float
-    gradients: float
-
-
 class BakedCounts(NamedTuple):
     """The bake of one primitive, in numbers.
 
@@ -79,7 +72,8 @@ class BakedCounts(NamedTuple):
     overflowing_vertices had more such joints than free slots. gradient is the summed length of the weight
     gradients, in 1 / length unit, and lost_gradient the share of it that no slot holds. added_bytes is the
     growth of the file by the primitive, bytes_per_vertex the size of α and β for a vertex. limited is the
-    effect of --limit-influences, extended that of --neighbours extend. kept is None where all is kept.
+    effect of --limit-influences, extended that of --neighbours extend. kept is the part of α and β that is
+    kept, from 0 to 1, None for all.
     """
 
     vertices: int
@@ -97,7 +91,7 @@ class BakedCounts(NamedTuple):
     bytes_per_vertex: int
     limited: LimitCost | None = None
     extended: ExtensionCost | None = None
-    kept: KeptCounts | None = None
+    kept: float | None = None
 
 
 class CorrectiveCounts(NamedTuple):
@@ -270,7 +264,7 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
         )
     if kept := sum(count.kept is not None for count in counts):
         they = "it" if kept == 1 else "them"
-        parts.append(f"{counted(kept, 'primitive')} held back (all of the fit would light {they} worse)")
+        parts.append(f"{counted(kept, 'primitive')} held back (all of α/β would light {they} worse)")
     degenerate = sum(count.degenerate_triangles for count in counts)
     if degenerate:
         parts.append(f"{counted(degenerate, 'triangle')} without area ignored")
@@ -296,10 +290,8 @@ def detail_lines(result: FileResult) -> Iterator[str]:
             f"{found.frames} numbers of the differential for each, {counted(found.added_bytes, 'byte')}"
         )
     for place, count in result.primitives:
-        lost, kept = percent(count.lost_gradient, 2), ""
-        if count.kept is not None:
-            share = percent(count.kept.fit, 1), percent(count.kept.gradients, 1)
-            kept = ", keeping {} of the fit and {} of α/β".format(*share)
+        lost = percent(count.lost_gradient, 2)
+        kept = "" if count.kept is None else f", keeping {percent(count.kept, 1)} of α/β"
         yield (
             f"{place}: {counted(count.vertices, 'vertex', 'vertices')}, "
             f"{counted(count.triangles, 'triangle')}, {counted(count.influences, 'slot')}, "

@@ -20,7 +20,7 @@ from skinbake.view.texts import packed_texts
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OtherGradients:
-    """α and β (V, K − 1) of a kind that the file does not hold for a primitive: ``surface`` or ``rig``.
+    """α and β (V, K − 1) of a kind that the file does not hold for a primitive: ``surface`` or ``fitted``.
 
     joints (V, K) and weights (V, K) are the influences that they belong to, None if they are the file's own.
     frame is that of α and β.

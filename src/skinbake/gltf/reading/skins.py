@@ -65,14 +65,15 @@ class Skeleton:
         turning = [position for position, node in enumerate(self.nodes) if (node, TURN) in animated]
         if turning:
             turns = np.stack([animated[self.nodes[position], TURN] for position in turning])
-            local[turning, :, :3, :3] = local[turning, :, :3, :3] @ poses.rotation_matrices(turns)
+            turns_of = poses.rotation_matrices(turns)
+            local[turning, :, :3, :3] = poses.product(local[turning, :, :3, :3], turns_of)
         if turned is not None:
             extra = np.zeros((*turned.shape[:2], 4, 4))
             extra[..., :3, :3] = poses.rotation_matrices(turned)
             extra[..., 3, 3] = 1.0
-            local[self.joints] = local[self.joints] @ extra
+            local[self.joints] = poses.product(local[self.joints], extra)
         joints = poses.global_transforms(local, self.parents)[self.joints]
-        return np.ascontiguousarray(np.swapaxes(joints @ self.inverse_bind[:, None], 0, 1))
+        return np.ascontiguousarray(np.swapaxes(poses.product(joints, self.inverse_bind[:, None]), 0, 1))
 
 
 def rest_pose(skeleton: Skeleton) -> Float64Array:
@@ -239,29 +240,29 @@ def _rig_of(document: Document, skeleton: Skeleton) -> Rig:
         # The origins of the joints in mesh space (J, 3), NaN for a matrix that cannot be inverted.
         pivots = np.full((len(skeleton.inverse_bind), 3), np.nan)
         usable = np.flatnonzero(np.isfinite(skeleton.inverse_bind).all(axis=(1, 2)))
-        usable = usable[np.linalg.det(skeleton.inverse_bind[usable, :3, :3]) != 0.0]
-        linear, moved = skeleton.inverse_bind[usable, :3, :3], skeleton.inverse_bind[usable, :3, 3:]
-        pivots[usable] = -np.linalg.solve(linear, moved)[..., 0]
+        with np.errstate(all="ignore"):  # singular matrices, and numbers past all floats
+            # By Cramer's rule, as the last digits of LAPACK depend on the processor.
+            a, b, c, moved = np.moveaxis(skeleton.inverse_bind[usable, :3], 2, 0)
+            adjugate = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
+            determinants = (a * adjugate[:, 0]).sum(axis=1)
+            pivots[usable] = -(adjugate * moved[:, None]).sum(axis=2) / determinants[:, None]
         pivots[~np.isfinite(pivots).all(axis=1)] = np.nan
         rig = Rig(parents, pivots, _stored_pose(skeleton, parents))
     document.budget.claim(Cost.RIG_JOINT * joints, f"the rig of {counted(joints, 'joint')}", document.place)
     return rig
 
 
-def _stored_pose(skeleton: Skeleton, parents: npt.NDArray[np.int32]) -> Float64Array | None:
-    """Return the upper rows of the joint matrices (J, 3, 4) of the nodes as stored, NaN where there is none.
+def _stored_pose(skeleton: Skeleton, parents: npt.NDArray[np.int32]) -> Float64Array:
+    """Return the upper rows of the joint matrices (1, J, 3, 4) of the nodes as stored, NaN for none.
 
-    Return None if no joint is turned or scaled against the joint that carries it.
+    There is no such pose, (0, J, 3, 4), if no joint is turned or scaled against the joint that carries it.
     """
     with np.errstate(over="ignore", invalid="ignore"):  # scales may be past all floats
-        stored = rest_pose(skeleton)[0, :, :3]
+        stored = rest_pose(skeleton)[:, :, :3]
         held = np.flatnonzero(parents != NO_PARENT)
-        turned = stored[held, :, :3] - stored[parents[held], :, :3]
-        sizes = np.linalg.norm(stored[parents[held], :, :3], axis=(1, 2))
+        turned = stored[0, held, :, :3] - stored[0, parents[held], :, :3]
+        sizes = np.linalg.norm(stored[0, parents[held], :, :3], axis=(1, 2))
         # A turn by a small angle changes the norm of a rotation, √3, by √2 times the angle.
         counts = np.linalg.norm(turned, axis=(1, 2)) > np.sqrt(2.0 / 3.0) * TURNED * sizes
-        held_by_float32 = (np.abs(stored) <= MOST).all(axis=(1, 2))
-    if not counts.any():
-        return None
-    stored[~held_by_float32] = np.nan
-    return stored
+        stored[~(np.abs(stored) <= MOST).all(axis=(2, 3))] = np.nan
+    return stored if counts.any() else stored[:0]

@@ -66,13 +66,12 @@ static void *allocate_zeros(size_t count, size_t size)
 
 /* The axes of arrays by their letters: V vertices, T triangles, P primitives, K slots. Arrays of one call that
    share an axis have one size there. LATER_K is K without the first slot; FRAMES is V, or 0 for none; J counts
-   the joints of a rig, 0 for none; STORED is J, or 0 for no stored pose. */
+   the joints of a rig, 0 for none. */
 typedef enum {
     AXIS_ANY,
     AXIS_1,
     AXIS_3,
     AXIS_4,
-    AXIS_12,
     AXIS_V,
     AXIS_T,
     AXIS_P,
@@ -80,7 +79,6 @@ typedef enum {
     AXIS_LATER_K,
     AXIS_FRAMES,
     AXIS_J,
-    AXIS_STORED,
     AXES
 } Axis;
 
@@ -176,7 +174,7 @@ static int read_arrays(PyObject *const *objects, const Requirement *required, in
     Py_ssize_t sizes[AXES];
     for (int axis = 0; axis < AXES; axis++)
         sizes[axis] = -1;
-    sizes[AXIS_1] = 1, sizes[AXIS_3] = 3, sizes[AXIS_4] = 4, sizes[AXIS_12] = 12;
+    sizes[AXIS_1] = 1, sizes[AXIS_3] = 3, sizes[AXIS_4] = 4;
     for (int n = 0; n < count; n++) {
         if (read_array(objects[n], &required[n], &arrays[n], sizes) < 0)
             return -1;
@@ -188,10 +186,6 @@ static int read_arrays(PyObject *const *objects, const Requirement *required, in
     }
     if (sizes[AXIS_FRAMES] > 0 && sizes[AXIS_FRAMES] != sizes[AXIS_V]) {
         PyErr_Format(PyExc_ValueError, "there are %zd tangents, not %zd", sizes[AXIS_FRAMES], sizes[AXIS_V]);
-        return -1;
-    }
-    if (sizes[AXIS_STORED] > 0 && sizes[AXIS_STORED] != sizes[AXIS_J]) {
-        PyErr_Format(PyExc_ValueError, "there are %zd stored joints, not %zd", sizes[AXIS_STORED], sizes[AXIS_J]);
         return -1;
     }
     return 0;

@@ -32,6 +32,7 @@ static ALWAYS_INLINE ClassGradients find_gradients(Work *work, Shape shape, Memb
     const Surface *s = work->surface;
     ClassGradients found = {0, 0, 0, 0, 0, 0.0};
     work->scratch.frame.sound = 0;
+    work->scratch.ray = (Ray){0.0, 0.0};
     if (corners.count == 0)
         return found;
     /* The sums over the ring: gradients, and the turns of joints if they are fitted to a rig. */
@@ -58,6 +59,23 @@ static ALWAYS_INLINE size_t primitive_of(const Baked *out, size_t vertex)
             least = middle + 1;
     }
     return least;
+}
+
+/* Shrink α and β of the vertices of a class as far as that lights its poses and turns better (twin: fit.fitted). */
+static ALWAYS_INLINE void shrink_class(const Work *work, size_t slots, Members vertices)
+{
+    const FitSettings *fit = &work->surface->fit;
+    const Ray ray = work->scratch.ray;
+    double share = fit->ray * ray.along / ray.square;
+    if (!(ray.square > fit->flat_tilt) || !(share < 1.0))
+        return;
+    share = fmax(0.0, share);
+    for (size_t n = 0; n < vertices.count; n++)
+        for (size_t k = 0; k + 1 < slots; k++) {
+            const size_t at = vertices.first[n] * (slots - 1) + k;
+            work->out->alpha[at] = stored(share * work->out->alpha[at]);
+            work->out->beta[at] = stored(share * work->out->beta[at]);
+        }
 }
 
 /* Write all results of one vertex of a class. */
@@ -103,6 +121,8 @@ static ALWAYS_INLINE Status bake_classes(Work *work, Shape shape)
             Placing placing = n == 0 && adopts_nothing && !shape.fits ? AS_NUMBERED : AS_NAMED;
             write_vertex(work, shape, own.first[n], placing, n + 1 == own.count, &found);
         }
+        if (shape.fits && work->scratch.frame.sound)
+            shrink_class(work, shape.slots, own);
     }
     return work->scratch.stray ? STRAY_INDEX : DONE;
 }
@@ -178,7 +198,7 @@ static int check_rig(Surface *s)
 }
 
 enum { POSITIONS, TRIANGLES, JOINTS, WEIGHTS, FREE_SLOTS, CLASSES, NORMALS, TANGENTS, BITANGENTS, ALPHA, BETA, ADOPTED,
-       ENDS, SUMS, PARENTS, RANKS, PIVOTS, CHAINS, STORED, ARRAYS };
+       ENDS, SUMS, PARENTS, RANKS, PIVOTS, CHAINS, POSES, SHARES, ARRAYS };
 
 static const Requirement surface_arrays[ARRAYS] = {
     [POSITIONS] = {"positions", "fd", AXIS_V, AXIS_3, READ},
@@ -199,7 +219,8 @@ static const Requirement surface_arrays[ARRAYS] = {
     [RANKS] = {"ranks", "i", AXIS_J, AXIS_1, READ},
     [PIVOTS] = {"pivots", "d", AXIS_J, AXIS_3, READ},
     [CHAINS] = {"chains", "i", AXIS_J, AXIS_1, READ},
-    [STORED] = {"stored", "d", AXIS_STORED, AXIS_12, READ},
+    [POSES] = {"poses", "d", AXIS_J, AXIS_ANY, READ},
+    [SHARES] = {"shares", "d", AXIS_ANY, AXIS_1, READ},
 };
 
 /* The classes to bake: those of `grouped` from first up to last, or all if it is None. */
@@ -213,29 +234,31 @@ static int read_surface(PyObject *args, PyObject *keywords, Array *a, Surface *s
 {
     static char *names[] = {"positions", "triangles", "joints", "weights", "free", "classes", "normals", "tangents",
                             "bitangents", "alpha", "beta", "adopted", "ends", "sums", "parents", "ranks", "pivots",
-                            "chains", "stored", "class_count", "weighting", "adopts", "negligible",
-                            "stiffness", "together", "times_stored", "drawn", "stretched", "even", "unfelt", "narrow",
-                            "flat", "bounded", "grouped", "first", "last", NULL};
+                            "chains", "poses", "shares", "class_count", "weighting", "adopts",
+                            "negligible", "stiffness", "turn", "together", "collapsed", "ray", "even", "unfelt",
+                            "narrow", "flat", "flat_tilt", "bounded", "grouped", "first", "last", NULL};
     PyObject *o[ARRAYS];
     Py_ssize_t class_count;
     int weighting, adopts;
     double negligible;
     FitSettings fit;
-    if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOOOOOOnipdddddddddddOnn", names,
+    if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOOOOOOOnipddddddddddddOnn", names,
                                      &o[POSITIONS], &o[TRIANGLES], &o[JOINTS], &o[WEIGHTS], &o[FREE_SLOTS],
                                      &o[CLASSES], &o[NORMALS], &o[TANGENTS], &o[BITANGENTS], &o[ALPHA], &o[BETA],
                                      &o[ADOPTED], &o[ENDS], &o[SUMS],
-                                     &o[PARENTS], &o[RANKS], &o[PIVOTS], &o[CHAINS], &o[STORED], &class_count,
-                                     &weighting, &adopts,
-                                     &negligible, &fit.stiffness, &fit.together, &fit.stored, &fit.drawn,
-                                     &fit.stretched, &fit.even, &fit.unfelt, &fit.narrow, &fit.flat, &fit.bounded,
+                                     &o[PARENTS], &o[RANKS], &o[PIVOTS], &o[CHAINS], &o[POSES], &o[SHARES],
+                                     &class_count, &weighting, &adopts, &negligible,
+                                     &fit.stiffness, &fit.turn, &fit.together, &fit.collapsed, &fit.ray, &fit.even,
+                                     &fit.unfelt, &fit.narrow, &fit.flat, &fit.flat_tilt, &fit.bounded,
                                      &part->grouped, &part->first, &part->last))
         return -1;
     if (read_arrays(o, surface_arrays, ARRAYS, 2, a) < 0)
         return -1;
     const uint64_t *ends = a[ENDS].buffer.buf;
+    const Py_ssize_t four = MATRIX * AT_ONCE, groups = a[PARENTS].rows ? a[POSES].columns / four : 0;
     if (a[ENDS].rows < 1 || ends[a[ENDS].rows - 1] != (uint64_t)a[POSITIONS].rows ||
-        a[TANGENTS].kind != a[BITANGENTS].kind) {
+        a[TANGENTS].kind != a[BITANGENTS].kind ||
+        (a[PARENTS].rows && (a[POSES].columns != groups * four || a[SHARES].rows != groups * AT_ONCE))) {
         PyErr_SetString(PyExc_ValueError, "the arrays of the surface do not belong together");
         return -1;
     }
@@ -267,7 +290,9 @@ static int read_surface(PyObject *args, PyObject *keywords, Array *a, Surface *s
         .ranks = a[RANKS].buffer.buf,
         .pivots = a[PIVOTS].buffer.buf,
         .chains = a[CHAINS].buffer.buf,
-        .stored = a[STORED].rows ? a[STORED].buffer.buf : NULL,
+        .poses = a[POSES].buffer.buf,
+        .pose_shares = a[SHARES].buffer.buf,
+        .pose_groups = (size_t)groups,
         .rig_joints = a[PARENTS].rows,
         .fit = fit,
     };

@@ -4,7 +4,7 @@
 #pragma once
 
 #include "corners.h"
-#include "stored_pose.h"
+#include "posed_ring.h"
 
 /* Work out the leverage of both tangents from the derivatives of the positions along them. */
 static ALWAYS_INLINE void find_leverage(RingFrame *f, const Vector derivatives[2], double narrow)
@@ -317,9 +317,10 @@ static ALWAYS_INLINE int32_t sum_turns(const Surface *s, Shape shape, Members co
     const double shrink = 1.0 / sum_of(sums.root_weight);
     derivatives = times_each(derivatives, both(shrink));
     end_frame(s, &sums, derivatives, f);
-    /* The stored pose needs the products, so it comes before they become turns. */
-    if (f->sound && s->stored)
-        find_stored_tilt(s, row3(s->positions, shape.wide, vertices.first[0]), derivatives, shrink, used, w);
+    /* The poses need the products, so they come before these become turns. */
+    const Vector position = row3(s->positions, shape.wide, vertices.first[0]);
+    if (f->sound)
+        pose_ring(s, &position, &derivatives, shrink, used, w);
     for (int32_t n = 0; f->sound && n < used; n++)
         if (w->met[n] >= 0)
             find_turn(f, shrink, w->turns + n * TURN);

@@ -71,19 +71,28 @@ typedef struct {
     int known, directed;
 } Latest;
 
-/* The tilt of a class in the stored pose, see stored_pose.StoredTilts. find_stored_tilt writes it. */
+/* A joint matrix: its upper rows, row by row. */
+enum { MATRIX = 12 };
+
+/* A class in four poses, see posed_rings.PosedRings: each number four times. pose_four writes it. */
 typedef struct {
-    Vector normal, point;
-    Pair tilts;
-    double weight; /* 0 where the pose does not count */
-} StoredTilt;
+    double share[AT_ONCE];       /* of each pose in the mean, 0 where it does not count */
+    double normal[3 * AT_ONCE];  /* of the mesh in the pose */
+    double still[2][3 * AT_ONCE]; /* both tangents without α and β */
+    double tilts[2][AT_ONCE];    /* these along the normal */
+    double least[AT_ONCE];       /* the squared length of both tangents, at least */
+} PosedRing;
+
+/* The squared tilts that a share s of α and β leaves change by −2 s along + s² square. */
+typedef struct {
+    double along, square;
+} Ray;
 
 /* The frame of a class, in which its turns are measured. begin_frame writes the first three, end_frame the others. */
 typedef struct {
     Vector normal, tangents[2];
     Vectors along;       /* both tangents, component by component */
     Vectors leverage[2]; /* see ring_turns._leverage: by derivative; only of a sound class */
-    StoredTilt stored;   /* only of a sound class, if the rig has a stored pose */
     int sound;           /* find_gradients writes 0, begin_frame whether there is a normal; end_frame may clear it */
 } RingFrame;
 
@@ -144,6 +153,10 @@ typedef struct {
     double magnitude;
 } Entry;
 
+/* The numbers, four times each, in which add_poses sums up what so many unknowns do: two matrices and two right sides,
+   and in each group of poses what a unit of a slot moves. */
+#define LANES(unknowns) ((unknowns) * ((unknowns) + 1) + 8 * (unknowns))
+
 /* Room to work in, enough for any class. Local numbers: slot k of the class has k, further joints follow.
 
    bake_classes takes one class after the other: find_gradients, with sum_corners in it, then write_vertex for each
@@ -182,6 +195,9 @@ typedef struct {
     RingFrame frame;   /* see there. With a rig */
     double *turns;     /* sum_turns, by local number: TURN each. A fit adds to them, and project_fitted puts them back
                           unless no vertex follows. From first_spare on they are of one vertex. With a rig */
+    PosedRing *posed;   /* pose_ring: the class in each group of poses. With a rig */
+    double *ends;       /* pose_ring, by local number and group: where the joint takes the class. With a rig */
+    Ray ray;            /* fit_vertex adds those of each vertex. With a rig */
     size_t first_spare; /* the first spare row of the turns, of nodes without a turn of their own; always the same */
     int32_t *turning_numbers; /* find_turning: the local numbers of the joints that turn. With a rig */
     int known_turnings;       /* whether the way is of these joints: find_turning tells, plan_way makes it so */
@@ -191,7 +207,8 @@ typedef struct {
     Vector *gradients; /* project_fitted, by slot; move_gradients changes them. With a rig */
     double *shares;    /* project_fitted, by slot: of the lengths of all gradients. With a rig */
     double *kept;      /* project_fitted: the turns of the class, while a fit adds to them. With a rig */
-    double *matrix;    /* gather_turns, then solve: MOST_FITTED squared, for vertices of many slots. With a rig */
+    double *matrix;    /* fit_unknowns: two of MOST_FITTED squared, for vertices of many slots. With a rig */
+    double *lanes;     /* add_poses: sums by pose, four numbers each; see LANES. With a rig */
     Curl *curls;       /* gather_turns: as many as the way has. With a rig */
 } Scratch;
 
@@ -201,6 +218,7 @@ static void free_scratch(Scratch *w)
     free(w->entries), free(w->foreign), free(w->named);
     free(w->corner_room), free(w->ring), free(w->turns), free(w->gradients), free(w->shares), free(w->nodes);
     free(w->node_of), free(w->turning_numbers), free(w->kept), free(w->matrix), free(w->curls);
+    free(w->posed), free(w->ends), free(w->lanes);
     free(w->way.turning_joints), free(w->way.turning_numbers), free(w->way.climb);
 }
 
@@ -216,7 +234,10 @@ static Status allocate_fit(Scratch *w, const Surface *s)
     w->shares = malloc((size_t)s->slots * sizeof *w->shares);
     w->nodes = malloc((joints + 1) * sizeof *w->nodes);
     w->node_of = malloc((joints + 1) * sizeof *w->node_of);
-    w->matrix = malloc(MOST_FITTED * MOST_FITTED * sizeof *w->matrix);
+    w->matrix = malloc(2 * MOST_FITTED * MOST_FITTED * sizeof *w->matrix);
+    w->lanes = malloc(AT_ONCE * LANES(MOST_FITTED) * sizeof *w->lanes);
+    w->posed = malloc((s->pose_groups + 1) * sizeof *w->posed);
+    w->ends = malloc((room * s->pose_groups * 3 + 1) * AT_ONCE * sizeof *w->ends);
     w->curls = malloc(MOST_CURLS * sizeof *w->curls);
     w->turning_numbers = malloc(room * sizeof *w->turning_numbers);
     w->kept = malloc(room * TURN * sizeof *w->kept);
@@ -225,7 +246,7 @@ static Status allocate_fit(Scratch *w, const Surface *s)
     w->way.climb = malloc((MOST_TURNS + (size_t)s->slots) * sizeof *w->way.climb);
     if (!w->corner_room || !w->ring || !w->turns || !w->gradients || !w->shares || !w->nodes || !w->node_of ||
         !w->turning_numbers || !w->kept || !w->way.turning_joints || !w->way.turning_numbers || !w->way.climb ||
-        !w->matrix || !w->curls)
+        !w->matrix || !w->curls || !w->lanes || !w->posed || !w->ends)
         return NO_MEMORY;
     memset(w->node_of, 0xFF, (joints + 1) * sizeof *w->node_of);
     return DONE;
@@ -249,4 +270,10 @@ static Status allocate_scratch(Scratch *w, const Surface *s)
         return NO_MEMORY;
     memset(w->local, 0xFF, (joints + 1) * sizeof *w->local);
     return s->parents ? allocate_fit(w, s) : DONE;
+}
+
+/* Where the joint of a local number takes the class, in four poses. */
+static ALWAYS_INLINE double *ends_of(const Surface *s, const Scratch *w, int32_t number, size_t group)
+{
+    return w->ends + ((size_t)number * s->pose_groups + group) * 3 * AT_ONCE;
 }

@@ -12,7 +12,7 @@ typedef enum { BY_MAX, BY_ANGLE, BY_AREA, BY_ANGLE_AREA, WEIGHTINGS } Weighting;
 
 /* How gradients are fitted to a rig: the constants of fit_rules.py. */
 typedef struct {
-    double stiffness, together, stored, drawn, stretched, even, unfelt, narrow, flat, bounded;
+    double stiffness, turn, together, collapsed, ray, even, unfelt, narrow, flat, flat_tilt, bounded;
 } FitSettings;
 
 /* The surface to bake: V vertices with K slots each, T triangles, C weld classes. Rows as in the twins. */
@@ -31,7 +31,9 @@ typedef struct {
     const int32_t *parents, *ranks; /* (J,) of the rig to fit to, NULL for none; see rig.py */
     const double *pivots;           /* (J, 3), NaN where a joint does not turn */
     const int32_t *chains;          /* (J,): a long chain's number, the same for all its joints, or NO_CHAIN */
-    const double *stored;           /* (J, 12), rows of joint matrices in the stored pose; NULL for no such pose */
+    const double *poses;            /* (J, G, 12, 4): upper rows of joint matrices in G groups of four poses */
+    const double *pose_shares;      /* (4 G): 1 over the number of poses, 0 where a group has less than four */
+    size_t pose_groups;
     Py_ssize_t rig_joints;
     FitSettings fit;
 } Surface;

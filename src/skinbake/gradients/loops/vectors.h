@@ -174,3 +174,90 @@ static ALWAYS_INLINE Vector sums_of(const Four *values)
 {
     return (Vector){sum_of(values[0]), sum_of(values[1]), sum_of(values[2])};
 }
+
+/* ---- Four poses at once -------------------------------------------------------------------------------- */
+
+/* Which of four numbers count. */
+#if defined(__GNUC__)
+typedef Words Mask;
+static ALWAYS_INLINE Mask above(Four a, Four b) { return a > b; }
+static ALWAYS_INLINE Mask is_finite(Four a) { return a - a == all(0.0); }
+static ALWAYS_INLINE Mask each_of(Mask a, Mask b) { return a & b; }
+static ALWAYS_INLINE Four only(Mask counts, Four a) { return (Four)((Words)a & counts); }
+static ALWAYS_INLINE Four magnitude(Four a) { return (Four)((Words)a & INT64_MAX); }
+static ALWAYS_INLINE Four larger(Four a, Four b) { return (Four)(((Words)a & (a > b)) | ((Words)b & ~(a > b))); }
+#else
+typedef struct {
+    int of[4];
+} Mask;
+static ALWAYS_INLINE Mask above(Four a, Four b)
+{
+    Mask found;
+    for (int n = 0; n < AT_ONCE; n++)
+        found.of[n] = a.of[n] > b.of[n];
+    return found;
+}
+static ALWAYS_INLINE Mask is_finite(Four a)
+{
+    Mask found;
+    for (int n = 0; n < AT_ONCE; n++)
+        found.of[n] = isfinite(a.of[n]);
+    return found;
+}
+static ALWAYS_INLINE Mask each_of(Mask a, Mask b)
+{
+    for (int n = 0; n < AT_ONCE; n++)
+        a.of[n] &= b.of[n];
+    return a;
+}
+static ALWAYS_INLINE Four only(Mask counts, Four a) { EACH(counts.of[n] ? a.of[n] : 0.0); }
+static ALWAYS_INLINE Four magnitude(Four a) { EACH(fabs(a.of[n])); }
+static ALWAYS_INLINE Four larger(Four a, Four b) { EACH(a.of[n] > b.of[n] ? a.of[n] : b.of[n]); }
+#endif
+
+/* A vector in each of four poses. */
+typedef struct {
+    Four x, y, z;
+} Vector4;
+static ALWAYS_INLINE Vector4 load4(const double *from)
+{
+    return (Vector4){load(from), load(from + AT_ONCE), load(from + 2 * AT_ONCE)};
+}
+static ALWAYS_INLINE void store4(double *to, Vector4 v)
+{
+    store(to, v.x), store(to + AT_ONCE, v.y), store(to + 2 * AT_ONCE, v.z);
+}
+static ALWAYS_INLINE Vector4 plus4(Vector4 a, Vector4 b)
+{
+    return (Vector4){add(a.x, b.x), add(a.y, b.y), add(a.z, b.z)};
+}
+static ALWAYS_INLINE Vector4 minus4(Vector4 a, Vector4 b)
+{
+    return (Vector4){subtract(a.x, b.x), subtract(a.y, b.y), subtract(a.z, b.z)};
+}
+static ALWAYS_INLINE Vector4 times4(Vector4 a, Four by)
+{
+    return (Vector4){multiply(a.x, by), multiply(a.y, by), multiply(a.z, by)};
+}
+static ALWAYS_INLINE Four dot4(Vector4 a, Vector4 b)
+{
+    return add(add(multiply(a.x, b.x), multiply(a.y, b.y)), multiply(a.z, b.z));
+}
+static ALWAYS_INLINE Vector4 cross4(Vector4 a, Vector4 b)
+{
+    return (Vector4){subtract(multiply(a.y, b.z), multiply(a.z, b.y)),
+                     subtract(multiply(a.z, b.x), multiply(a.x, b.z)),
+                     subtract(multiply(a.x, b.y), multiply(a.y, b.x))};
+}
+static ALWAYS_INLINE Vector4 only4(Mask counts, Vector4 a)
+{
+    return (Vector4){only(counts, a.x), only(counts, a.y), only(counts, a.z)};
+}
+/* The magnitudes of the components, added: a length or a little more. */
+static ALWAYS_INLINE Four extent4(Vector4 a) { return add(add(magnitude(a.x), magnitude(a.y)), magnitude(a.z)); }
+/* A vector by four matrices, whose rows are given. */
+static ALWAYS_INLINE Vector4 by_rows(const Vector4 rows[3], Vector v)
+{
+    const Vector4 wide = {all(v.x), all(v.y), all(v.z)};
+    return (Vector4){dot4(rows[0], wide), dot4(rows[1], wide), dot4(rows[2], wide)};
+}

@@ -1,4 +1,4 @@
-/* The gradients of one vertex fitted to a rig (twin: rig_fit.fitted). */
+/* The gradients of one vertex fitted to the poses and turns of a rig (twin: fit.py). */
 
 #pragma once
 
@@ -54,7 +54,6 @@ typedef struct {
     size_t slots[MOST_FITTED];
     int32_t joints[MOST_FITTED];
     Pair given[MOST_FITTED]; /* the surface's gradients along the class's tangents */
-    double reach;            /* the squared levers of all turns that part the slots, added */
 } Fitted;
 
 /* Choose the slots to fit, by the presence of their joints: the weight and the share of the gradients, added. Returns 0
@@ -64,6 +63,9 @@ static ALWAYS_INLINE int choose_slots(const Surface *s, size_t slots, size_t ver
     const double *weights = s->weights + vertex * slots;
     const int32_t *joints = s->joints + vertex * slots;
     size_t count = 0;
+    Pair others = both(0.0);
+    for (size_t k = slots; k-- > 1;)
+        others = add_pairs(others, dots(both_vectors(w->gradients[k]), w->frame.along));
     for (size_t k = 0; k < slots; k++) {
         const int32_t joint = w->named[k];
         if ((size_t)(uint32_t)joint >= (size_t)s->joint_count)
@@ -72,13 +74,13 @@ static ALWAYS_INLINE int choose_slots(const Surface *s, size_t slots, size_t ver
             continue;
         if (count == MOST_FITTED)
             return 0;
-        /* The gradient that the surface has, along both tangents of the class. */
-        fitted->given[count] = dots(both_vectors(w->gradients[k]), w->frame.along);
+        /* The gradient that the surface has, along both tangents of the class. What no slot holds goes to the first one,
+           as in the shader. */
+        fitted->given[count] = k == 0 ? scaled(-1.0, others) : dots(both_vectors(w->gradients[k]), w->frame.along);
         fitted->joints[count] = joint;
         fitted->slots[count++] = k;
     }
     fitted->unknowns = count - 1;
-    fitted->reach = 0.0;
     return count >= 2;
 }
 
@@ -100,7 +102,7 @@ static Climb climb_from(const Surface *s, const Node *node, size_t unknowns)
    too many.
 
    Each joint hands up what it carries. It ends when one node is left, which carries all. In the example of
-   rig_fit._turning_pairs, nodes are made for 2, 3 and 4 beforehand, as they turn, and the climbs are
+   fit._turning_pairs, nodes are made for 2, 3 and 4 beforehand, as they turn, and the climbs are
 
        node   its slots, as bits   its turn                its node above
        3      01                   of 3                    2
@@ -209,69 +211,61 @@ static ALWAYS_INLINE double bit_of(uint64_t mask, size_t i, size_t unknowns)
     return unknowns < FEW_FITTED ? few[mask % (1 << FEW_FITTED)][i] : (double)(mask >> i & 1);
 }
 
-/* The normal equations of some slots. Rows of the matrix are `stride` apart. */
+/* A quadratic form of α of some slots, or the normal equations of one (twin: fit._Form). Rows of the matrix are `stride`
+   apart; only its lower half is there. */
 typedef struct {
     double *matrix;
     Pair *right;
     size_t unknowns, stride;
-} Equations;
+} Form;
 
-/* Add what the turn of one joint says to the normal equations of the slots, and to its curl. The names are those of
-   rig_fit._TurnEffects. */
+/* The forms of a vertex: the squared tilts, and the pulls. */
+typedef struct {
+    Form tilts, pulls;
+} Forms;
+
+/* Add what the turn of one joint says to the forms, and to its curl. The names are those of fit._TurnEffects. */
 static ALWAYS_INLINE void add_turn(const Surface *s, Vector position, const Climb *climb, const double turn[TURN],
-                                   const RingFrame *frame, Fitted *fitted, Equations e, Curl *curls)
+                                   const RingFrame *frame, const Fitted *fitted, Forms *forms, Curl *curls)
 {
+    Form *tilts = &forms->tilts, *pulls = &forms->pulls;
+    const size_t unknowns = tilts->unknowns;
     /* The tilt of a tangent along the normal by a turn, and how it should tilt. */
     const Vector lever = minus(position, (Vector){climb->pivot[0], climb->pivot[1], climb->pivot[2]});
     const Vector tilt = cross(lever, frame->normal);
-    const double squared_lever = dot(lever, lever), square = dot(tilt, tilt);
-    const double pull = s->fit.stiffness * squared_lever;
+    const double pull = s->fit.stiffness * dot(lever, lever), square = dot(tilt, tilt);
     const Vectors arms = load_vectors(turn + ARMS), spins = load_vectors(turn + SPINS);
     const Vectors wanted = plus_each(crosses(both_vectors(lever), arms), spins);
-    const Pair aims = dots(both_vectors(tilt), wanted);
+    const Pair aims = scaled(climb->sign, dots(both_vectors(tilt), wanted));
     /* ∇̄: the surface's gradients of the slots that turn along. */
     Pair carried = both(0.0);
-    for (size_t i = 0; i <= e.unknowns; i++)
-        carried = add_pairs(carried, scaled(bit_of(climb->carries, i, e.unknowns), fitted->given[i]));
-    fitted->reach += squared_lever;
+    for (size_t i = 0; i <= unknowns; i++)
+        carried = add_pairs(carried, scaled(bit_of(climb->carries, i, unknowns), fitted->given[i]));
+    carried = scaled(climb->sign * pull, carried);
     /* |R|² and the pull of the turn, over the slots that it moves. */
-    const Pair right = scaled(climb->sign, add_pairs(aims, scaled(pull, carried)));
-    for (size_t i = 0; i < e.unknowns; i++) {
-        const double mask = bit_of(climb->moves, i, e.unknowns);
-        e.right[i] = add_pairs(e.right[i], scaled(mask, right));
-        for (size_t k = 0; k <= i; k++)
-            e.matrix[i * e.stride + k] += mask * bit_of(climb->moves, k, e.unknowns) * (square + pull);
+    for (size_t i = 0; i < unknowns; i++) {
+        const double mask = bit_of(climb->moves, i, unknowns);
+        tilts->right[i] = add_pairs(tilts->right[i], scaled(mask, aims));
+        pulls->right[i] = add_pairs(pulls->right[i], scaled(mask, carried));
+        for (size_t k = 0; k <= i; k++) {
+            const double moves = mask * bit_of(climb->moves, k, unknowns);
+            tilts->matrix[i * tilts->stride + k] += moves * square;
+            pulls->matrix[i * pulls->stride + k] += moves * pull;
+        }
     }
     /* Joints of a long chain turn alike, so their tilts add up. */
     if (climb->curl) {
         Curl *curl = &curls[climb->curl - 1];
         curl->wanted = plus_each(curl->wanted, wanted);
-        for (size_t i = 0; i < e.unknowns; i++)
-            curl->moved[i] = plus(curl->moved[i], times(tilt, climb->sign * bit_of(climb->moves, i, e.unknowns)));
+        for (size_t i = 0; i < unknowns; i++)
+            curl->moved[i] = plus(curl->moved[i], times(tilt, climb->sign * bit_of(climb->moves, i, unknowns)));
     }
 }
 
-/* Add what the curls say to the normal equations of the slots. */
-static ALWAYS_INLINE void add_curls(const Surface *s, const Curl *curls, size_t count, Equations e)
+/* Sum up the turns along the way, in place, and what they say to the forms, for turns by one radian. */
+static ALWAYS_INLINE void add_turns(const Surface *s, Vector position, const Way *way, const Fitted *fitted,
+                                    Forms *forms, Scratch *w)
 {
-    for (const Curl *curl = curls; curl < curls + count; curl++)
-        for (size_t i = 0; i < e.unknowns; i++) {
-            const Vector moved = times(curl->moved[i], s->fit.together);
-            e.right[i] = add_pairs(e.right[i], dots(both_vectors(moved), curl->wanted));
-            for (size_t k = 0; k <= i; k++)
-                e.matrix[i * e.stride + k] += dot(moved, curl->moved[k]);
-        }
-}
-
-/* Sum up the turns along the way, in place, and what they say to the normal equations of the slots. */
-static ALWAYS_INLINE void gather_turns(const Surface *s, Vector position, const Way *way, Fitted *fitted, Equations e,
-                                       Scratch *w)
-{
-    for (size_t i = 0; i < e.unknowns; i++) {
-        e.right[i] = both(0.0);
-        for (size_t k = 0; k <= i; k++)
-            e.matrix[i * e.stride + k] = 0.0;
-    }
     memset(w->turns + w->first_spare * TURN, 0, way->spares * TURN * sizeof *w->turns);
     memset(w->curls, 0, way->curls * sizeof *w->curls);
     /* From the lowest joint up: each turn takes along those below it. */
@@ -280,40 +274,89 @@ static ALWAYS_INLINE void gather_turns(const Surface *s, Vector position, const 
         const double *turn = w->turns + climb->row * TURN;
         double *above = w->turns + climb->row_above * TURN;
         if (climb->parts)
-            add_turn(s, position, climb, turn, &w->frame, fitted, e, w->curls);
+            add_turn(s, position, climb, turn, &w->frame, fitted, forms, w->curls);
         for (int m = 0; m < TURN; m += AT_ONCE)
             store(above + m, add(load(above + m), load(turn + m)));
     }
-    add_curls(s, w->curls, way->curls, e);
+    Form *tilts = &forms->tilts;
+    for (const Curl *curl = w->curls; curl < w->curls + way->curls; curl++)
+        for (size_t i = 0; i < tilts->unknowns; i++) {
+            const Vector moved = times(curl->moved[i], s->fit.together);
+            tilts->right[i] = add_pairs(tilts->right[i], dots(both_vectors(moved), curl->wanted));
+            for (size_t k = 0; k <= i; k++)
+                tilts->matrix[i * tilts->stride + k] += dot(moved, curl->moved[k]);
+        }
 }
 
-/* Add the tilt and the pull in the stored pose to the normal equations of the slots (twin:
-   rig_fit._add_stored_pose). */
-static void add_stored_pose(const Surface *s, Vector position, const StoredTilt *stored, const Fitted *fitted,
-                            Equations e)
+static ALWAYS_INLINE void add_lane(double *lane, Four values) { store(lane, add(load(lane), values)); }
+
+static ALWAYS_INLINE double sum_lane(const double *lane) { return sum_of(load(lane)); }
+
+/* Add what the poses of the class say to the forms (twin: fit._forms_of_poses). The sums are kept by pose until the
+   last one. */
+static ALWAYS_INLINE void add_poses(const Surface *s, int32_t used, const Fitted *fitted, Forms *forms, Scratch *w)
 {
-    Vector over[MOST_FITTED];
-    Vectors by_gradients = both_vectors((Vector){0.0, 0.0, 0.0});
-    for (size_t i = 0; i <= e.unknowns; i++) {
-        /* Where each joint moves the vertex, from the point of the class. */
-        over[i] = minus(moved_by(stored_matrix(s, fitted->joints[i]), position), stored->point);
-        by_gradients = plus_each(by_gradients, times_each(both_vectors(over[i]), fitted->given[i]));
+    const size_t unknowns = forms->tilts.unknowns, half = unknowns * (unknowns + 1) / 2;
+    double *matrix = w->lanes, *pulling = matrix + AT_ONCE * half, *right = pulling + AT_ONCE * half;
+    double *pulled = right + AT_ONCE * 2 * unknowns, *moved = pulled + AT_ONCE * 2 * unknowns;
+    memset(w->lanes, 0, AT_ONCE * (2 * half + 4 * unknowns) * sizeof *w->lanes);
+    /* The local numbers of the fitted joints, which are all around the class. */
+    int32_t numbers[MOST_FITTED];
+    for (size_t i = 0; i <= unknowns; i++)
+        for (numbers[i] = 0; numbers[i] + 1 < used && w->met[numbers[i]] != fitted->joints[i];)
+            numbers[i]++;
+    const Four none = all(0.0);
+    for (size_t group = 0; group < s->pose_groups; group++) {
+        const PosedRing *ring = &w->posed[group];
+        const Four share = load(ring->share);
+        const Vector4 normal = load4(ring->normal);
+        Vector4 shift[2] = {load4(ring->still[0]), load4(ring->still[1])};
+        const Mask counts = above(share, none);
+        /* What a unit of each slot's α moves: where its joint takes the vertex, from where the last one does. Then the
+           tangents by the gradients of the surface, and what they are without. */
+        const Vector4 last = load4(ends_of(s, w, numbers[unknowns], group));
+        for (size_t i = 0; i < unknowns; i++) {
+            const Vector4 over = only4(counts, minus4(load4(ends_of(s, w, numbers[i], group)), last));
+            store4(moved + 3 * AT_ONCE * i, over);
+            for (int u = 0; u < 2; u++)
+                shift[u] = plus4(shift[u], times4(over, all(part(fitted->given[i], u))));
+        }
+        const Four length = larger(add(dot4(shift[0], shift[0]), dot4(shift[1], shift[1])), load(ring->least));
+        const Four v = only(counts, divide(multiply(all(2.0), share), length)), pull = multiply(v, all(s->fit.stiffness));
+        for (int u = 0; u < 2; u++)
+            shift[u] = minus4(shift[u], load4(ring->still[u]));
+        const Four tilts[2] = {load(ring->tilts[0]), load(ring->tilts[1])};
+        double *lifts = moved + 3 * AT_ONCE * unknowns;
+        for (size_t i = 0, at = 0; i < unknowns; i++) {
+            const Vector4 over = load4(moved + 3 * AT_ONCE * i);
+            const Four lift = dot4(over, normal), raised = multiply(v, lift);
+            const Vector4 weighted = times4(over, pull);
+            store(lifts + AT_ONCE * i, lift);
+            for (int u = 0; u < 2; u++) {
+                add_lane(right + AT_ONCE * (2 * i + (size_t)u), multiply(raised, tilts[u]));
+                add_lane(pulled + AT_ONCE * (2 * i + (size_t)u), dot4(weighted, shift[u]));
+            }
+            for (size_t k = 0; k <= i; k++, at++) {
+                add_lane(matrix + AT_ONCE * at, multiply(raised, load(lifts + AT_ONCE * k)));
+                add_lane(pulling + AT_ONCE * at, dot4(weighted, load4(moved + 3 * AT_ONCE * k)));
+            }
+        }
     }
-    const double weight = s->fit.stored * stored->weight, pull = s->fit.stiffness * weight;
-    for (size_t i = 0; i < e.unknowns; i++) {
-        /* α of the last slot is minus the sum of the others. */
-        over[i] = minus(over[i], over[e.unknowns]);
-        const double raised = weight * dot(over[i], stored->normal);
-        const Pair pulled = scaled(pull, dots(both_vectors(over[i]), by_gradients));
-        e.right[i] = add_pairs(e.right[i], subtract_pairs(pulled, scaled(raised, stored->tilts)));
-        for (size_t k = 0; k <= i; k++)
-            e.matrix[i * e.stride + k] += raised * dot(over[k], stored->normal) + pull * dot(over[i], over[k]);
+    Form *tilts = &forms->tilts, *pulls = &forms->pulls;
+    for (size_t i = 0, at = 0; i < unknowns; i++) {
+        const double *own = right + AT_ONCE * 2 * i, *pull = pulled + AT_ONCE * 2 * i;
+        tilts->right[i] = subtract_pairs(tilts->right[i], pair(sum_lane(own), sum_lane(own + AT_ONCE)));
+        pulls->right[i] = add_pairs(pulls->right[i], pair(sum_lane(pull), sum_lane(pull + AT_ONCE)));
+        for (size_t k = 0; k <= i; k++, at++) {
+            tilts->matrix[i * tilts->stride + k] += sum_lane(matrix + AT_ONCE * at);
+            pulls->matrix[i * pulls->stride + k] += sum_lane(pulling + AT_ONCE * at);
+        }
     }
 }
 
 /* Solve the normal equations, by the factors L D Lt in place of the matrix. The right side becomes the solution.
    Returns 0 where it is in doubt: not finite, or elimination takes all of a diagonal entry but `least` of it. */
-static ALWAYS_INLINE int solve(Equations e, double least)
+static ALWAYS_INLINE int solve(Form e, double least)
 {
     Pair finite = both(0.0);
     for (size_t i = 0; i < e.unknowns; i++) {
@@ -368,29 +411,34 @@ static double steepest_slope(const Surface *s, Scratch *w)
     return w->steepest;
 }
 
-/* Move the gradients of the fitted slots, in the plane of the class's tangents, towards the solution of the least
-   squares. */
-static ALWAYS_INLINE void move_gradients(const Surface *s, const Fitted *fitted, Equations e, Scratch *w)
+/* Move the gradients of the fitted slots, in the plane of the class's tangents, to the solution of the least squares. The
+   right side becomes α of the unknowns. */
+static ALWAYS_INLINE void move_gradients(const Surface *s, const Fitted *fitted, Form e, Scratch *w)
 {
     const Vector *tangents = w->frame.tangents;
     const size_t unknowns = e.unknowns;
-    const double pull = s->fit.even * fitted->reach;
-    for (size_t i = 0; i < unknowns; i++) {
-        /* The pull of each slot. That of the last one is on all unknowns. */
-        for (size_t k = 0; k <= i; k++)
-            e.matrix[i * e.stride + k] += k == i ? 2.0 * pull : pull;
-        e.right[i] =
-            add_pairs(e.right[i], scaled(pull, subtract_pairs(fitted->given[i], fitted->given[unknowns])));
-    }
-    if (!solve(e, s->fit.flat * s->fit.flat))
-        return;
-    e.right[unknowns] = both(0.0);
+    /* A pull of each unknown alone decides where nothing else does. */
+    double trace = 0.0;
     for (size_t i = 0; i < unknowns; i++)
-        e.right[unknowns] = subtract_pairs(e.right[unknowns], e.right[i]);
+        trace += e.matrix[i * e.stride + i];
+    const double pull = s->fit.even * trace;
+    for (size_t i = 0; i < unknowns; i++) {
+        e.matrix[i * e.stride + i] += pull;
+        e.right[i] = add_pairs(e.right[i], scaled(pull, fitted->given[i]));
+    }
+    if (!solve(e, s->fit.flat * s->fit.flat)) {
+        for (size_t i = 0; i < unknowns; i++)
+            e.right[i] = fitted->given[i];
+        return;
+    }
+    Pair last = both(0.0);
+    for (size_t i = 0; i < unknowns; i++)
+        last = subtract_pairs(last, e.right[i]);
     /* The change along both tangents, and the largest one beside the largest gradient, squared. */
-    double change = 0.0, given = 0.0;
-    for (size_t i = 0; i <= unknowns; i++) {
-        e.right[i] = scaled(s->fit.drawn, subtract_pairs(e.right[i], fitted->given[i]));
+    last = subtract_pairs(last, fitted->given[unknowns]);
+    double change = squared_length(last), given = squared_length(fitted->given[unknowns]);
+    for (size_t i = 0; i < unknowns; i++) {
+        e.right[i] = subtract_pairs(e.right[i], fitted->given[i]);
         const double moved = squared_length(e.right[i]), had = squared_length(fitted->given[i]);
         change = moved > change ? moved : change, given = had > given ? had : given;
     }
@@ -402,52 +450,81 @@ static ALWAYS_INLINE void move_gradients(const Surface *s, const Fitted *fitted,
     for (size_t i = 0; i <= unknowns; i++) {
         /* What is along the normal stays. */
         Vector *gradient = &w->gradients[fitted->slots[i]];
-        const Pair by = scaled(share, e.right[i]);
+        const Pair by = scaled(share, i < unknowns ? e.right[i] : last);
         *gradient = plus(*gradient, plus(times(tangents[0], part(by, 0)), times(tangents[1], part(by, 1))));
+        if (i < unknowns)
+            e.right[i] = add_pairs(fitted->given[i], by);
     }
 }
 
 /* Fit the gradients of some unknowns. */
-static ALWAYS_INLINE void fit_unknowns(const Surface *s, size_t unknowns, Vector position, const Way *way,
-                                       Fitted *fitted, Scratch *w)
+static ALWAYS_INLINE void fit_unknowns(const Surface *s, size_t unknowns, int32_t used, Vector position, const Way *way,
+                                       const Fitted *fitted, Scratch *w)
 {
-    double few[(FEW_FITTED - 1) * (FEW_FITTED - 1)];
-    Pair right[MOST_FITTED];
-    Equations e = {few, right, unknowns, FEW_FITTED - 1};
-    if (unknowns >= FEW_FITTED)
-        e.matrix = w->matrix, e.stride = MOST_FITTED;
-    gather_turns(s, position, way, fitted, e, w);
-    if (s->stored && w->frame.stored.weight > 0.0)
-        add_stored_pose(s, position, &w->frame.stored, fitted, e);
-    if (fitted->reach > 0.0)
-        move_gradients(s, fitted, e, w);
+    double few[2 * (FEW_FITTED - 1) * (FEW_FITTED - 1)];
+    Pair right[2 * MOST_FITTED];
+    const int large = unknowns >= FEW_FITTED;
+    const size_t stride = large ? MOST_FITTED : FEW_FITTED - 1;
+    double *matrix = large ? w->matrix : few;
+    Forms forms = {{matrix, right, unknowns, stride}, {matrix + stride * stride, right + stride, unknowns, stride}};
+    Form tilts = forms.tilts, system = forms.pulls;
+    for (size_t i = 0; i < unknowns; i++) {
+        tilts.right[i] = system.right[i] = both(0.0);
+        for (size_t k = 0; k <= i; k++)
+            tilts.matrix[i * stride + k] = system.matrix[i * stride + k] = 0.0;
+    }
+    add_turns(s, position, way, fitted, &forms, w);
+    /* Turns by the angle of the fit, in place of those by a radian. */
+    const double angle = s->fit.turn * s->fit.turn;
+    for (size_t i = 0; i < unknowns; i++) {
+        tilts.right[i] = scaled(angle, tilts.right[i]), system.right[i] = scaled(angle, system.right[i]);
+        for (size_t k = 0; k <= i; k++)
+            tilts.matrix[i * stride + k] *= angle, system.matrix[i * stride + k] *= angle;
+    }
+    add_poses(s, used, fitted, &forms, w);
+    for (size_t i = 0; i < unknowns; i++) {
+        system.right[i] = add_pairs(system.right[i], tilts.right[i]);
+        for (size_t k = 0; k <= i; k++)
+            system.matrix[i * stride + k] += tilts.matrix[i * stride + k];
+    }
+    move_gradients(s, fitted, system, w);
+    /* The ray through α of the unknowns (twin: fit._Form.along). */
+    const Pair *own = system.right;
+    for (size_t i = 0; i < unknowns; i++) {
+        const Pair along = multiply_pairs(own[i], tilts.right[i]);
+        w->ray.along += part(along, 0) + part(along, 1);
+        for (size_t k = 0; k <= i; k++) {
+            const Pair square = multiply_pairs(own[i], own[k]);
+            w->ray.square += (k < i ? 2.0 : 1.0) * tilts.matrix[i * stride + k] * (part(square, 0) + part(square, 1));
+        }
+    }
 }
 
 /* Fit the gradients by slot of one vertex to the rig. */
 FOR_PROCESSORS(void, fit_vertex,
-               (const Surface *s, size_t vertex, size_t turnings, const Vector *position, Scratch *w),
-               (s, vertex, turnings, position, w))
+               (const Surface *s, size_t vertex, const ClassGradients *found, const Vector *position, Scratch *w),
+               (s, vertex, found, position, w))
 {
     Fitted fitted;
     int chosen = s->slots == 4 ? choose_slots(s, 4, vertex, w, &fitted)
                                : choose_slots(s, (size_t)s->slots, vertex, w, &fitted);
     if (!chosen)
         return;
-    const Way *way = find_way(s, turnings, &fitted, w);
+    const Way *way = find_way(s, found->turnings, &fitted, w);
     if (!way->ends)
         return;
     switch (fitted.unknowns) {
     case 1:
-        fit_unknowns(s, 1, *position, way, &fitted, w);
+        fit_unknowns(s, 1, found->used, *position, way, &fitted, w);
         break;
     case 2:
-        fit_unknowns(s, 2, *position, way, &fitted, w);
+        fit_unknowns(s, 2, found->used, *position, way, &fitted, w);
         break;
     case 3:
-        fit_unknowns(s, 3, *position, way, &fitted, w);
+        fit_unknowns(s, 3, found->used, *position, way, &fitted, w);
         break;
     default:
-        fit_unknowns(s, fitted.unknowns, *position, way, &fitted, w);
+        fit_unknowns(s, fitted.unknowns, found->used, *position, way, &fitted, w);
     }
 }
 
@@ -481,7 +558,7 @@ static ALWAYS_INLINE double project_fitted(const Surface *s, Shape shape, size_t
         const size_t size = (size_t)found->used * TURN * sizeof *w->turns;
         if (!last)
             memcpy(w->kept, w->turns, size);
-        fit_vertex(s, vertex, found->turnings, &position, w);
+        fit_vertex(s, vertex, found, &position, w);
         if (!last)
             memcpy(w->turns, w->kept, size);
     }

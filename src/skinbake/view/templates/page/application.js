@@ -11,7 +11,7 @@ const NAMES = {
     standard: 'Standard',
     corrected: 'Corrected by targets',
     surface: 'Accurate, surface',
-    rig: 'Accurate, fitted',
+    fitted: 'Accurate, fitted',
     dqs: 'Dual quaternions, exact',
     truth: 'True normals',
 };
@@ -221,7 +221,7 @@ class Application {
 
     fillSides() {
         const fitting = Object.keys(NAMES).filter((name) => !this.scene.reasonWithout(name));
-        const best = ['corrected', 'rig', 'surface', 'standard'].find((name) => fitting.includes(name));
+        const best = ['corrected', 'fitted', 'surface', 'standard'].find((name) => fitting.includes(name));
         for (const [side, chosen] of [['left', 'standard'], ['right', best]]) {
             byId[side].replaceChildren(
                 ...Object.entries(NAMES).map(([name, text]) => {

@@ -374,7 +374,7 @@ function readGradients(source, json, one, primitive) {
         throw new ReadError('it has lost attributes of its bake: bake it again');
     }
     primitive.metadata = metadata;
-    const kind = metadata.gradients === 'rig' ? 'rig' : 'surface';
+    const kind = metadata.gradients === 'fitted' ? 'fitted' : 'surface';
     if (metadata.layout === 'texcoord') {
         const names = [...new Set([...metadata.alpha, ...metadata.beta])];
         const others = 4 * primitive.joints.length - 1;

@@ -15,7 +15,7 @@ export const LIGHTINGS = {
     standard: { stem: 'lbs_standard', method: 'lbs' },
     corrected: { stem: 'lbs_standard', method: 'lbs', isCorrected: true },
     surface: { stem: 'lbs_accurate', method: 'lbs', gradients: 'surface' },
-    rig: { stem: 'lbs_accurate', method: 'lbs', gradients: 'rig' },
+    fitted: { stem: 'lbs_accurate', method: 'lbs', gradients: 'fitted' },
     dqs: { stem: 'dqs_exact', method: 'dqs' },
     truth: { stem: 'lbs_standard', method: 'lbs', isTrue: true },
 };

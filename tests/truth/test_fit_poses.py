@@ -9,44 +9,49 @@ import numpy as np
 import pytest
 
 from fixtures.make_fixtures import FOLDER
-from skinbake.errors import Place
+from skinbake.geometry.rig import Rig
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.reading.clips import read_clips
-from skinbake.pose_fit.poses import ANIMATIONS, BETWEEN, CLIP_POSES, poses_to_fit
+from skinbake.gltf.reading.meshes import skinned_sources
+from skinbake.truth.fit_poses import ANIMATIONS, BETWEEN, CLIP_POSES, posed_rig
 from skinbake.truth.poses import PoseRequest, joint_clips, pose_set
 from tests.support.baked_files import Editable
 
 TUBE, TWO_SKINS = FOLDER / "bent_tube.glb", FOLDER / "shared_accessors.gltf"
-PLACE = Place("a file")
 
 
 def with_clips(folder: Path, count: int) -> Document:
     """Return the bent tube with its clip so many times."""
     file = Editable(TUBE)
-    (clip,) = file.content["animations"]
-    file.content["animations"] = [copy.deepcopy(clip) for _ in range(count)]
+    clips = file.content.pop("animations")
+    if count:
+        file.content["animations"] = [copy.deepcopy(clips[0]) for _ in range(count)]
     return read_document(str(file.write(folder / f"{count}.glb")))
+
+
+def rig(document: Document, *sources: str) -> Rig:
+    found = posed_rig(document, skinned_sources(document)[0], sources)
+    assert found is not None
+    return found
 
 
 @pytest.mark.parametrize("count", range(1, 40))
 def test_verify_measures_no_pose_that_the_fit_takes(tmp_path: Path, count: int) -> None:
-    """verify samples N clips from end to end, 60 poses in all, or 3 of each."""
     document = with_clips(tmp_path, count)
     clips = joint_clips(document, 0, read_clips(document))
     measured = pose_set(document, 0, clips, PoseRequest()).times
-    each = max(3, 61 // count)
-    taken = pose_set(document, 0, clips, PoseRequest(samples=each, offset=BETWEEN)).times
-    assert len(taken) == each * count
+    each = -(-CLIP_POSES // min(count, CLIP_POSES))
+    taken = pose_set(document, 0, clips[:1], PoseRequest(samples=each, offset=BETWEEN)).times
     first, others = ({round(float(time or 0.0), 6) for time in times} for times in (measured, taken))
     assert not first & others
     assert max(others) < clips[0].duration
 
 
-@pytest.mark.parametrize(("count", "each"), [(2, 30), (40, 3), (400, 3), (401, 2), (1201, 1)])
-def test_very_many_clips_have_fewer_poses_each(tmp_path: Path, count: int, each: int) -> None:
-    document = with_clips(tmp_path, count)
-    group = poses_to_fit(document, 0, [ANIMATIONS], PLACE).groups[0]
-    assert len(group.joint_matrices) == each * count
+@pytest.mark.parametrize("count", [1, 2, 3, 10, 11, 12, 40, 401])
+def test_any_number_of_clips_has_as_many_poses(tmp_path: Path, count: int) -> None:
+    found = rig(with_clips(tmp_path, count)).poses
+    assert len(found) == CLIP_POSES
+    assert len(np.unique(found.reshape(CLIP_POSES, -1), axis=0)) == -(-CLIP_POSES // min(count, CLIP_POSES))
 
 
 def test_samples_lie_evenly_inside_a_clip(tmp_path: Path) -> None:
@@ -67,32 +72,27 @@ def test_clips_of_other_nodes_take_no_poses_from_the_joints(tmp_path: Path) -> N
         channel["target"]["node"] = len(file.content["nodes"]) - 1
     file.content["animations"] += [other] * 19
     crowded = read_document(str(file.write(tmp_path / "doors.glb")))
-    found, wanted = (poses_to_fit(one, 0, [ANIMATIONS], PLACE) for one in (crowded, alone))
-    assert len(found.groups[0].joint_matrices) == CLIP_POSES
-    assert found.fingerprint == wanted.fingerprint
+    assert rig(crowded).fingerprint == rig(alone).fingerprint
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 7, 100])
 @pytest.mark.parametrize("path", [TUBE, TWO_SKINS], ids=["one skin", "two skins"])
 def test_random_poses_are_as_many_as_asked_for(path: Path, count: int) -> None:
-    (group,) = poses_to_fit(read_document(str(path)), 0, [f"random:{count}"], PLACE).groups
-    assert len(group.joint_matrices) == count
+    assert len(rig(read_document(str(path)), f"random:{count}").poses) == count
 
 
-def test_the_notice_counts_the_random_poses_that_replace_clips(tmp_path: Path) -> None:
-    file = Editable(TUBE)
-    del file.content["animations"]
-    document = read_document(str(file.write(tmp_path / "still.glb")))
-    found = poses_to_fit(document, 0, [ANIMATIONS], PLACE)
+def test_a_file_without_clips_is_fitted_to_turns_alone_and_says_so_if_asked_for_clips(tmp_path: Path) -> None:
+    document = with_clips(tmp_path, 0)
+    assert len(rig(document).poses) == 0
+    assert not list(document.notices)
+    assert len(rig(document, ANIMATIONS).poses) == 0
     (notice,) = document.notices
-    assert f"{len(found.groups[0].joint_matrices)} random poses" in notice.message
+    assert "no clip moves its joints: α/β are fitted to turns" in notice.message
 
 
-def test_meshes_of_one_skin_share_their_poses() -> None:
-    document = read_document(str(TUBE))
-    first, second = (poses_to_fit(document, 0, [ANIMATIONS], PLACE) for _ in range(2))
-    assert first.groups is second.groups
-    assert poses_to_fit(document, 0, ["random:60"], PLACE).groups is not first.groups
+def test_the_numbers_of_poses_are_those_of_float32() -> None:
+    poses = rig(read_document(str(TUBE))).poses
+    assert np.array_equal(poses, poses.astype(np.float32))
 
 
 def test_clips_are_read_once_for_all_meshes() -> None:
@@ -107,7 +107,5 @@ def test_clips_are_read_once_for_all_meshes() -> None:
 
 def test_samples_do_not_count_where_no_clip_is_sampled(tmp_path: Path) -> None:
     """24 random poses replace clips, however many samples of a clip were asked for."""
-    file = Editable(TUBE)
-    del file.content["animations"]
-    document = read_document(str(file.write(tmp_path / "still.glb")))
+    document = with_clips(tmp_path, 0)
     assert len(pose_set(document, 0, (), PoseRequest(samples=100_000_000)).times) == 24

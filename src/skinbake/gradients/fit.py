@@ -1,24 +1,36 @@
-"""Weight gradients fitted to the turns of a rig: the closed form of docs/fitted.md, in numpy.
+"""Weight gradients fitted to poses and to the turns of a rig: the least squares of docs/fitted.md, in numpy.
 
 The gradient of a weight moves the tangents of algorithm 3 exactly if the surface and the weights are smooth.
 On a coarse mesh a better number exists: the one with which the tangents follow the deformed triangles. This
-module finds it for small turns of all joints, each about its own pivot. ``ring_turns`` finds how triangles
-turn then. ``loops/vertex_fit.h`` does the same in its pass over the vertices; this module is the definition.
+module finds it for some poses (``posed_rings``) and for small turns of all joints, each about its own pivot
+(``ring_turns``), by one least squares. Then α and β shrink as far as standard lighting is better.
+``loops/vertex_fit.h`` does the same in its pass over the vertices; this module is the definition.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
 from skinbake.geometry.rig import NO_CHAIN, Lineage, Rig
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
-from skinbake.gradients.fit_rules import BOUNDED, DRAWN, EVEN, FLAT, STIFFNESS, STORED, TOGETHER, UNFELT
+from skinbake.gradients.fit_rules import (
+    BOUNDED,
+    COLLAPSED,
+    EVEN,
+    FLAT,
+    FLAT_TILT,
+    RAY,
+    STIFFNESS,
+    TOGETHER,
+    TURN,
+    UNFELT,
+)
+from skinbake.gradients.posed_rings import moved, posed_rings
 from skinbake.gradients.ring_turns import RingTurns
-from skinbake.gradients.stored_pose import StoredTilts
-from skinbake.gradients.surface import NO_JOINT, WeightField
+from skinbake.gradients.surface import NO_JOINT, Surface, WeightField
 from skinbake.gradients.weight_gradients import VertexGradients, summed_rows
 
 MOST_TURNS = 128
@@ -30,7 +42,7 @@ MOST_FITTED = 64
 
 @dataclass(frozen=True, slots=True)
 class FittedVertices:
-    """V vertices to fit.
+    """V vertices to fit, those of a whole surface.
 
     classes (V,) are their weld classes. field has their influences (V, K), named (V, K) the joint whose
     gradient each slot holds, −1 for none. positions and the tangents and bitangents t0, b0 of the shader are
@@ -47,12 +59,13 @@ class FittedVertices:
 
 
 def fitted(
-    vertices: FittedVertices, gradients: VertexGradients, turns: RingTurns, rig: Rig
+    vertices: FittedVertices, surface: Surface, gradients: VertexGradients, turns: RingTurns
 ) -> tuple[Float64Array, Float64Array]:
-    """Return α and β (V, K) for which the tangents follow small turns of the joints of a rig best.
+    """Return α and β for which the tangents follow the poses and the turns of the surface's rig best.
 
     The fitted gradients of a vertex sum to 0. A vertex that cannot be fitted keeps its α and β.
     """
+    assert surface.rig is not None
     # The slots (V, K) that are fitted.
     owner, entry = _entries(gradients.offsets, vertices.classes)
     lengths = np.linalg.norm(gradients.gradients[entry], axis=1)
@@ -66,30 +79,52 @@ def fitted(
     shares = np.divide(lengths, whole, out=np.zeros_like(lengths), where=whole > 0.0)
     presence[owner[row], slot] += shares[row]
     chosen: BoolArray = presence > UNFELT
-    few: BoolArray = np.count_nonzero(chosen, axis=1, keepdims=True) <= MOST_FITTED
-    named = np.where(chosen & few, vertices.named, NO_JOINT)
+    few = np.count_nonzero(chosen, axis=1) <= MOST_FITTED
+    named = np.where(chosen & few[:, None], vertices.named, NO_JOINT)
     given = _gradients_of_slots(vertices, gradients, turns)
-    pairs = _turning_pairs(vertices, named, turns, rig)
-    system = _normal_equations(vertices, turns, pairs, given)
-    counts = np.count_nonzero(system.unknowns, axis=1)
-    change = np.zeros_like(given)
-    for count in np.unique(counts):
-        rows = np.flatnonzero((counts == count) & system.solvable)
+    # What no slot holds goes to the first one, as in the shader.
+    given[:, 0] = -given[:, 1:].sum(axis=1)
+    given[named < 0] = 0.0
+    pairs, ends = _turning_pairs(vertices, named, turns, surface.rig)
+    usable = few & ends & turns.sound[vertices.classes]
+    unknowns = named >= 0
+    unknowns[np.arange(len(named)), pairs.last] = False
+    # The squared tilts and the pulls to ∇, in the poses and by the turns.
+    tilts, pulls = _Form.zeros(*named.shape), _Form.zeros(*named.shape)
+    _add_poses(tilts, pulls, vertices, surface, turns, named, pairs.last, given)
+    _add_turns(tilts, pulls, vertices, turns, pairs, unknowns, given)
+    system = _Form(*(one + STIFFNESS * other for one, other in zip(tilts, pulls, strict=True)))
+    # A pull of each unknown alone decides where nothing else does.
+    trace = np.where(unknowns, np.einsum("vkk->vk", system.matrix), 0.0).sum(axis=1)
+    diagonal = np.arange(named.shape[1])
+    system.matrix[:, diagonal, diagonal] += EVEN * trace[:, None]
+    system.right[:] += EVEN * trace[:, None, None] * given
+    own, numbers = given.copy(), np.count_nonzero(unknowns, axis=1)
+    for count in np.unique(numbers):
+        rows = np.flatnonzero((numbers == count) & usable)
         if count == 0 or len(rows) == 0:
             continue
-        slots = np.nonzero(system.unknowns[rows])[1].reshape(len(rows), count)
+        slots = np.nonzero(unknowns[rows])[1].reshape(len(rows), count)
         here = rows[:, None]
         matrix = system.matrix[here[:, :, None], slots[:, :, None], slots[:, None, :]]
         values = _solved(matrix, system.right[here, slots])
         fits = np.isfinite(values).all(axis=(1, 2))
-        change[here[fits], slots[fits]] = (values - given[here, slots])[fits]
-        last = rows[fits], pairs.last[rows[fits]]
-        change[last] = -values[fits].sum(axis=1) - given[last]
+        own[here[fits], slots[fits]] = values[fits]
+        own[rows[fits], pairs.last[rows[fits]]] = -values[fits].sum(axis=1)
     steepest = np.maximum(turns.slopes[vertices.classes], np.linalg.norm(given, axis=2).max(axis=1))
-    change = bounded(DRAWN * change, steepest)
-    moved = np.einsum("vkt,vti->vki", change, turns.tangents[vertices.classes])
-    along = [np.einsum("vki,vi->vk", moved, axis) for axis in vertices.frame]
-    return vertices.alpha + along[0], vertices.beta + along[1]
+    change = bounded(own - given, steepest)
+    # The ray to standard lighting, E(s) = E0 − 2 s A + s² B: all copies of a point go as far.
+    a, b = tilts.along(np.where(unknowns[:, :, None], given + change, 0.0))
+    rays = np.where(usable[:, None], np.stack([a, b], axis=1), 0.0)
+    along, square = summed_rows(vertices.classes, rays, len(turns.sound)).T
+    shares = np.divide(RAY * along, square, out=np.ones_like(square), where=square > FLAT_TILT)
+    share = np.where(np.isnan(shares), 1.0, shares.clip(0.0, 1.0))[vertices.classes, None]
+    moves = np.einsum("vkt,vti->vki", change, turns.tangents[vertices.classes])
+    alpha, beta = (
+        share * (plain + np.einsum("vki,vi->vk", moves, axis))
+        for plain, axis in zip((vertices.alpha, vertices.beta), vertices.frame, strict=True)
+    )
+    return alpha, beta
 
 
 def bounded(change: Float64Array, steepest: Float64Array) -> Float64Array:
@@ -105,8 +140,7 @@ def bounded(change: Float64Array, steepest: Float64Array) -> Float64Array:
 def _solved(matrix: Float64Array, right: Float64Array) -> Float64Array:
     """Return the solutions (V, U, 2) of V symmetric systems of U unknowns, NaN for one in doubt.
 
-    That is a system of which float64 leaves rounding: elimination takes all of a diagonal entry but FLAT². It
-    is that of a vertex with a joint which the stored pose moves very far.
+    That is a system of which float64 leaves rounding: elimination takes all of a diagonal entry but FLAT².
     """
     least = FLAT * FLAT * np.einsum("vii->vi", matrix)
     left, found = matrix.copy(), right.copy()
@@ -145,8 +179,12 @@ class _Pairs:
     last: IntArray
 
 
-def _turning_pairs(vertices: FittedVertices, named: IntArray, turns: RingTurns, rig: Rig) -> _Pairs:
-    """Return the pairs of V vertices. Joints that the rig does not have stand apart and never turn.
+def _turning_pairs(
+    vertices: FittedVertices, named: IntArray, turns: RingTurns, rig: Rig
+) -> tuple[_Pairs, BoolArray]:
+    """Return the pairs of V vertices, and which vertices (V,) have no more turns than MOST_TURNS.
+
+    Joints that the rig does not have stand apart and never turn.
 
     The turn of a joint takes along all joints that it carries, and so do its arms and spins: each entry of
     ``turns`` goes up the rig, and is added to those of every joint on its way. The way ends below the lowest
@@ -190,9 +228,10 @@ def _turning_pairs(vertices: FittedVertices, named: IntArray, turns: RingTurns, 
     carries = lineage.carries(turning[:, None], named[at]) & fitted_at
     parting = carries.any(axis=1) & (carries != fitted_at).any(axis=1)
     parting &= np.isfinite(rig.pivots[turning]).all(axis=1)
-    parting &= np.bincount(at, minlength=count)[at] <= MOST_TURNS
+    ends = ~too_many & (np.bincount(at, minlength=count) <= MOST_TURNS)
+    parting &= ends[at]
     at, turning, both = at[parting], turning[parting], sums[parting].reshape(-1, 4, 3)
-    return _Pairs(
+    found = _Pairs(
         vertices=at,
         levers=vertices.positions[at].astype(np.float64) - rig.pivots[turning],
         arms=both[:, :2],
@@ -202,6 +241,7 @@ def _turning_pairs(vertices: FittedVertices, named: IntArray, turns: RingTurns, 
         named=named,
         last=named.shape[1] - 1 - (named >= 0)[:, ::-1].argmax(axis=1),
     )
+    return found, ends
 
 
 def _entries(offsets: IntArray, rows: IntArray) -> tuple[IntArray, IntArray]:
@@ -224,53 +264,106 @@ def _gradients_of_slots(
     return found
 
 
-@dataclass(frozen=True, slots=True)
-class _NormalEquations:
-    """The least squares of V vertices over all their slots.
+class _Form(NamedTuple):
+    """A quadratic form of α at V vertices: αᵀ matrix α − 2 α · right, added up over both tangents.
 
-    matrix (V, K, K), right (V, K, 2) for both tangents. unknowns (V, K) tells which slots have an equation,
-    solvable (V,) which vertices.
+    matrix (V, K, K), right (V, K, 2). The last fitted slot is left out, as its α is minus the sum of the
+    others.
     """
 
     matrix: Float64Array
     right: Float64Array
-    unknowns: BoolArray
-    solvable: BoolArray
+
+    @classmethod
+    def zeros(cls, vertices: int, slots: int) -> _Form:
+        """Return a form that is 0 everywhere."""
+        return cls(np.zeros((vertices, slots, slots)), np.zeros((vertices, slots, 2)))
+
+    def along(self, own: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Return A and B (V,) for which the form of s × own (V, K, 2) is s² B − 2 s A."""
+        a = np.einsum("vkt,vkt->v", own, self.right)
+        b = np.einsum("vkt,vkl,vlt->v", own, self.matrix, own)
+        return a, b
 
 
-def _normal_equations(
-    vertices: FittedVertices, turns: RingTurns, pairs: _Pairs, given: Float64Array
-) -> _NormalEquations:
-    """Sum up the terms that docs/fitted.md minimises over α, by vertex.
+def _add_poses(
+    tilts: _Form,
+    pulls: _Form,
+    vertices: FittedVertices,
+    surface: Surface,
+    turns: RingTurns,
+    named: IntArray,
+    last: IntArray,
+    given: Float64Array,
+) -> None:
+    """Add the means over the poses of v (n' · t')², the tilts, and of v |t' − t'∇|², the pulls.
 
-    given (V, K, 2) are the surface's gradients, ∇. The letters here and below are those of that page.
+    t' are the tangents of algorithm 3, t'∇ those by the surface's gradients, given (V, K, 2). v is
+    2 / (|t'∇|² + |b'∇|²), but where a fold collapses tangents it grows no more.
     """
-    count, slots = pairs.named.shape
-    unknowns = pairs.named >= 0
-    unknowns[np.arange(count), pairs.last] = False
+    assert surface.rig is not None
+    classes, every = vertices.classes, np.arange(len(named))
+    fits: BoolArray = named >= 0
+    positions = vertices.positions.astype(np.float64)[:, None]
+    for matrices in surface.rig.poses:
+        posed = posed_rings(surface, turns, matrices)
+        normals, still = posed.normals[classes], posed.still[classes]
+        counts: BoolArray = np.asarray(normals.any(axis=1))
+        # What a unit of each slot's α moves: where its joint takes the vertex, from where the last one does.
+        seen: BoolArray = fits & counts[:, None]
+        ends = moved(matrices[np.maximum(named, 0)], positions)
+        over = np.where(seen[:, :, None], ends - ends[every, last, None], 0.0)
+        shift = np.einsum("vku,vki->vui", given, over)
+        length = np.square(still + shift).sum(axis=(1, 2))
+        length = np.maximum(length, 2.0 * COLLAPSED * posed.rigid[classes])
+        v = np.divide(2.0, length, out=np.zeros(len(length)), where=counts) / len(surface.rig.poses)
+        # How far that lifts a tangent out of the surface, and how far it is out without.
+        lift, tilt = np.einsum("vki,vi->vk", over, normals), np.einsum("vui,vi->vu", still, normals)
+        raised, weighted = v[:, None] * lift, v[:, None, None] * over
+        tilts.matrix[:] += raised[:, :, None] * lift[:, None, :]
+        tilts.right[:] -= raised[:, :, None] * tilt[:, None, :]
+        pulls.matrix[:] += np.einsum("vki,vli->vkl", weighted, over)
+        pulls.right[:] += np.einsum("vki,vui->vku", weighted, shift)
+
+
+def _add_turns(
+    tilts: _Form,
+    pulls: _Form,
+    vertices: FittedVertices,
+    turns: RingTurns,
+    pairs: _Pairs,
+    unknowns: BoolArray,
+    given: Float64Array,
+) -> None:
+    """Add Σ_j |R_j|² + 10 Σ_C |Σ_{j ∈ C} R_j|² to the tilts, and Σ_j |x_j|² (ᾱ_j − ∇̄_j)² to the pulls.
+
+    Both are for turns by the angle TURN. C are the long chains, whose joints turn alike.
+    """
     effects = _effects_of_turns(pairs, unknowns, turns.normals[vertices.classes], given)
-    reach = np.bincount(pairs.vertices, effects.squared_levers, count)
-    sums = np.zeros((count, slots, slots)), np.zeros((count, slots, 2))
-    # Sums of floats depend on the order of these lines.
-    # Add Σ_j |R_j|² + λ Σ_j |x_j|² (ᾱ_j − ∇̄_j)², the residuals and pulls of single turns.
-    matrix, right = sums
     at, signs = pairs.vertices, effects.signs
-    # Both terms are quadratic in ᾱ, so their factors add up.
-    pulls = STIFFNESS * effects.squared_levers
-    squares = effects.squares + pulls
-    aims = effects.aims + pulls[:, None] * effects.carried
-    np.add.at(matrix, at, signs[:, :, None] * signs[:, None, :] * squares[:, None, None])
-    np.add.at(right, at, signs[:, :, None] * aims[:, None, :])
-    _add_chains(sums, pairs, effects)
-    if turns.stored is not None:
-        _add_stored_pose(sums, pairs, turns.stored, vertices, given)
-    # The pull of each slot, Σ_i (α_i − ∇_i)². That of the last slot is on all unknowns.
-    even = EVEN * reach
-    matrix += even[:, None, None]
-    matrix[:, np.arange(slots), np.arange(slots)] += even[:, None]
-    right += even[:, None, None] * (given - given[np.arange(count), pairs.last][:, None])
-    solvable = turns.sound[vertices.classes] & (reach > 0.0)
-    return _NormalEquations(*sums, unknowns, solvable)
+    products = signs[:, :, None] * signs[:, None, :]
+    levers = TURN * TURN * effects.squared_levers
+    squares, aims = (TURN * TURN * each for each in (effects.squares, effects.aims))
+    np.add.at(tilts.matrix, at, products * squares[:, None, None])
+    np.add.at(tilts.right, at, signs[:, :, None] * aims[:, None, :])
+    np.add.at(pulls.matrix, at, products * levers[:, None, None])
+    np.add.at(pulls.right, at, signs[:, :, None] * (levers[:, None] * effects.carried)[:, None, :])
+    # How a turn tilts the tangents for each unit of a slot's gradient, (N, K, 3), and should, (N, 2, 3).
+    rows = np.flatnonzero(pairs.chains != NO_CHAIN)
+    size = int(pairs.chains.max(initial=0)) + 1
+    # The pairs of one vertex and one long chain are a group. One of a single pair is left out.
+    keys, place, counts = np.unique(
+        pairs.vertices[rows] * size + pairs.chains[rows], return_inverse=True, return_counts=True
+    )
+    several = counts > 1
+    alike = signs[:, :, None] * effects.tilt[:, None], effects.wanted
+    totals = [np.zeros((len(keys), *values.shape[1:])) for values in alike]
+    for total, values in zip(totals, alike, strict=True):
+        np.add.at(total, place, values[rows])
+    at, tilted, wanted = keys[several] // size, *(total[several] for total in totals)
+    factor = TOGETHER * TURN * TURN
+    np.add.at(tilts.matrix, at, factor * np.einsum("mki,mli->mkl", tilted, tilted))
+    np.add.at(tilts.right, at, factor * np.einsum("mki,mti->mkt", tilted, wanted))
 
 
 @dataclass(frozen=True, slots=True)
@@ -320,52 +413,3 @@ def _effects_of_turns(
         carried=np.einsum("nk,nkt->nt", pairs.carries, given[at]),
         squared_levers=np.einsum("ni,ni->n", pairs.levers, pairs.levers),
     )
-
-
-_Sums: TypeAlias = tuple[Float64Array, Float64Array]
-"""The matrix (V, K, K) and the right side (V, K, 2) of the normal equations, to be added to."""
-
-
-def _add_chains(sums: _Sums, pairs: _Pairs, effects: _TurnEffects) -> None:
-    """Add 10 Σ_C |Σ_{j ∈ C} R_j|², the residuals of long chains whose joints turn alike."""
-    matrix, right = sums
-    # How a turn tilts the tangents for each unit of a slot's gradient, (N, K, 3), and should, (N, 2, 3).
-    tilts = effects.signs[:, :, None] * effects.tilt[:, None], effects.wanted
-    rows = np.flatnonzero(pairs.chains != NO_CHAIN)
-    size = int(pairs.chains.max(initial=0)) + 1
-    # The pairs of one vertex and one long chain are a group. One of a single pair is left out.
-    keys, place, counts = np.unique(
-        pairs.vertices[rows] * size + pairs.chains[rows], return_inverse=True, return_counts=True
-    )
-    several = counts > 1
-    totals = [np.zeros((len(keys), *values.shape[1:])) for values in tilts]
-    for total, values in zip(totals, tilts, strict=True):
-        np.add.at(total, place, values[rows])
-    at, moved, wanted = keys[several] // size, *(total[several] for total in totals)
-    np.add.at(matrix, at, TOGETHER * np.einsum("mki,mli->mkl", moved, moved))
-    np.add.at(right, at, TOGETHER * np.einsum("mki,mti->mkt", moved, wanted))
-
-
-def _add_stored_pose(
-    sums: _Sums, pairs: _Pairs, stored: StoredTilts, vertices: FittedVertices, given: Float64Array
-) -> None:
-    """Add 10 v ((n' · t')² + λ |t' − t'∇|²), the tilt and the pull in the stored pose.
-
-    t'∇ are the tangents of the surface's gradients. α of the last slot is minus the sum of the others. So
-    each unknown moves a tangent by the displacement of its joint over that of the last one.
-    """
-    matrix, right = sums
-    at, every = vertices.classes, np.arange(len(vertices.classes))
-    # What each unknown moves, and how much of that is along the normal.
-    normals, tilts, weights = stored.normals[at], stored.tilts[at], STORED * stored.weights[at]
-    displaced = stored.displacements(at, pairs.named, vertices.positions)
-    over = np.where((pairs.named >= 0)[:, :, None], displaced - displaced[every, pairs.last, None], 0.0)
-    raised = np.einsum("vki,vi->vk", over, normals)
-    # The matrix: squared tilts, and the pull on the tangents.
-    pulls = (STIFFNESS * weights)[:, None, None]
-    matrix += weights[:, None, None] * raised[:, :, None] * raised[:, None, :]
-    matrix += pulls * np.einsum("vki,vli->vkl", over, over)
-    # The right side: the tilt without corrections, and the tangents of the gradients.
-    by_gradients = np.einsum("vki,vkt->vit", displaced, given)
-    right -= (weights[:, None] * raised)[:, :, None] * tilts[:, None, :]
-    right += pulls * np.einsum("vki,vit->vkt", over, by_gradients)

@@ -1,1 +1,0 @@
-"""α and β fitted to poses."""
