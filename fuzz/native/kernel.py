@@ -100,9 +100,8 @@ def _calls(kernel: Any, random: np.random.Generator) -> list[Call]:
 
 
 USUAL = {
-    "negligible": 1e-4, "stiffness": 0.12, "together": 10.0, "times_stored": 10.0, "drawn": 0.5,
-    "stretched": 4.0, "even": 1e-4, "unfelt": 1e-4, "narrow": 0.2, "flat": 1e-6,
-    "bounded": 3.0,
+    "negligible": 1e-4, "stiffness": 0.25, "turn": 0.2, "together": 10.0, "collapsed": 0.1, "ray": 1.5,
+    "even": 1e-9, "unfelt": 1e-4, "narrow": 0.2, "flat": 1e-6, "flat_tilt": 1e-12, "bounded": 3.0,
 }  # fmt: skip
 """The numbers of bake_surface, as bake chooses them."""
 
@@ -123,15 +122,22 @@ def _rig(random: np.random.Generator, joints: int) -> dict[str, Any]:
     pivots = floats(random, (count, 3), "f8")
     pivots[random.random(count) < 0.1] = np.nan
     chains = np.zeros(count) if is_chain else random.integers(-1, 3, count)
-    stored = floats(random, (random.choice([0, count]), 12), "f8")
+    # Matrices of joints in groups of four poses, (J, groups · 48), and the share of each pose.
+    groups = int(random.integers(0, 3))
+    poses = floats(random, (count, 48 * groups), "f8")
     if random.random() < 0.5:
-        stored = np.tile(np.eye(3, 4).ravel(), (len(stored), 1)) + 0.5 * random.normal(size=stored.shape)
+        usual = np.tile(np.repeat(np.eye(3, 4).ravel(), 4), (count, groups))
+        poses = usual + 0.5 * random.normal(size=poses.shape)
+    shares = floats(random, (4 * groups,), "f8")
+    if random.random() < 0.5:
+        shares = np.full(4 * groups, 1.0 / max(4 * groups, 1))
     return {
         "parents": parents.astype("i4"),
         "ranks": ranks.astype("i4"),
         "pivots": pivots,
         "chains": chains.astype("i4"),
-        "stored": stored,
+        "poses": poses,
+        "shares": shares,
     }
 
 

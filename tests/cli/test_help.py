@@ -97,7 +97,7 @@ def completions(line: str, word: str) -> list[str]:
 
 def test_commands_values_and_paths_are_completed() -> None:
     assert completions("skinbake", "b") == ["plain,bake"]
-    assert completions("skinbake bake --gradients", "r") == ["plain,rig"]
+    assert completions("skinbake bake --gradients", "f") == ["plain,fitted"]
     assert "plain,--encoding" in completions("skinbake bake", "--e")
     assert completions("skinbake bake", "he") == ["file,he"]
     assert completions("skinbake bake hero.glb --out-dir", "bu") == ["dir,bu"]

@@ -151,7 +151,7 @@ def test_another_part_than_that_of_the_bake_is_stale(part: float | None, held: P
 
 @pytest.mark.parametrize("slots", ["_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0"])
 @pytest.mark.parametrize("factor", [0.5, 0.99])
-def test_other_numbers_than_the_kept_ones_are_stale(
+def test_a_note_of_other_numbers_than_the_kept_is_stale(
     slots: str, factor: float, held: Path, tmp_path: Path
 ) -> None:
     file = Editable(held)
