@@ -58,7 +58,7 @@ def test_the_metadata_names_the_poses_and_verify_passes(tmp_path: Path) -> None:
     path = baked(source(CLIP), tmp_path)
     noted = note(read(path).content)
     assert noted is not None
-    assert (noted["gradients"], noted["poses"]["from"]) == ("poses", ["animations"])
+    assert (noted["gradients"], noted["poses"]["from"]) == ("fitted", ["animations"])
     answer = verify(path)
     assert (answer.exit_code, answer.failed) == (0, [])
 

@@ -56,7 +56,7 @@ def command(plan: Plan[BakeOptions], *, require_tracked: bool) -> None:
     stays as it is. A file in which nothing can be baked passes through unchanged, with a warning. Bake last:
     tools that reorder influences or quantise positions falsify α and β.
     """
-    clip_files = [named_file(one.name) for one in plan.options[0].fit_poses if not isinstance(one, str)]
+    clip_files = [named_file(one.path) for one in plan.options[0].fit_poses if not isinstance(one, str)]
     check_reports(
         {"--summary": plan.summary, "--state": plan.notes_at, OPTION: plan.depfile},
         [*(entry.file for entry in plan.inputs), *clip_files],

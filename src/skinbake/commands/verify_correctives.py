@@ -45,8 +45,6 @@ def corrected_verdict(document: Document, options: VerifyOptions) -> FileVerdict
         gradients = bake_gradients(plain, bakeable(plain), DEFAULTS).document
     played = PlayedCorrectives(document)
     verdict, drawn = corrected_lighting(played, gradients, options)
-    if not drawn:
-        return verdict
     targets = played.targets
     meshes = counted(len(targets), "mesh", "meshes")
     told = f"{counted(sum(targets.values()), 'corrective normal')} of {meshes}"

@@ -42,12 +42,13 @@ MOST_RANDOM = 1_000
 class ClipFile:
     """The clips of another file. They move the nodes of a rig that have the same names.
 
-    name is the file's name without its folders. clips are by the file's own nodes, whose names are
+    path names the file; name is its name without its folders. clips are by the file's own nodes, whose names are
     ``node_names``. Two objects are equal if they hold the same keys for the same names.
     """
 
-    def __init__(self, name: str, clips: Sequence[Clip], node_names: dict[int, str]) -> None:
-        self.name, self.clips, self.node_names = name, tuple(clips), node_names
+    def __init__(self, path: str, clips: Sequence[Clip], node_names: dict[int, str]) -> None:
+        self.path, self.name = path, Path(path).name
+        self.clips, self.node_names = tuple(clips), node_names
         state = hashlib.sha256()
         for clip in self.clips:
             for channel in clip.channels:
@@ -68,7 +69,7 @@ class ClipFile:
         ]
         if not clips:
             raise InputError("it has no animation that moves a node", document.place)
-        return cls(Path(path).name, clips, _node_names(document))
+        return cls(path, clips, _node_names(document))
 
     def __str__(self) -> str:
         """Return the name and the digest, which stand for the clips where options are compared."""
