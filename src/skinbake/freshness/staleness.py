@@ -57,8 +57,8 @@ RELATIVE_TOLERANCE = 1e-3
 float32 storage and two routes to the same mean differ by 1e-6. An α scaled by 1.01 differs by 1e-2.
 """
 
-FEW, NEAR = 1000, 0.02
-"""One vertex in FEW may differ by up to NEAR: a fit magnifies what a tool rounds where its rings are thin."""
+FEW, NEAR = 100, 0.1
+"""One vertex in FEW may differ by up to NEAR where a tool changed arrays: thin rings magnify its rounding."""
 
 FLOOR = 1e-5
 """Entries below this share of the primitive's largest entry, or of the vertex's reach, are rounding."""
@@ -106,12 +106,16 @@ def freshness_check(
     for views, operator, fit in zip(surfaces, operators, fits or [None] * len(surfaces), strict=True):
         compared = _comparisons(document, views, operator, fit)
         # In other poses α/β may still agree: the nodes may only stand elsewhere, all together.
-        if not all(one.agrees for one in compared) and not has_poses(document, views[0]):
+        fresh = [
+            one.agrees or (one.is_near and bool(own.changed))
+            for one, own in zip(compared, views, strict=True)
+        ]
+        if not all(fresh) and not has_poses(document, views[0]):
             problems += problems_without_poses(document, views)
             unchecked.add(WITHOUT_POSES)
             continue
         for number, (view, found) in enumerate(zip(views, compared, strict=True)):
-            if not found.agrees:
+            if not fresh[number]:
                 problems.append(_staleness_notice(document, views, number, found))
             elif view.changed:
                 changed.append(view)
@@ -313,8 +317,13 @@ class Comparison:
 
     @property
     def agrees(self) -> bool:
-        """Tell whether no vertex differs, or few of many differ by little."""
-        return self.differing <= (self.count // FEW if self.largest <= NEAR else 0)
+        """Tell whether no vertex differs."""
+        return self.differing == 0
+
+    @property
+    def is_near(self) -> bool:
+        """Tell whether few of many vertices differ, and by little."""
+        return self.differing <= self.count // FEW and self.largest <= NEAR
 
 
 def compare(

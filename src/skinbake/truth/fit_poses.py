@@ -42,8 +42,8 @@ MOST_RANDOM = 1_000
 class ClipFile:
     """The clips of another file. They move the nodes of a rig that have the same names.
 
-    path names the file; name is its name without its folders. clips are by the file's own nodes, whose names are
-    ``node_names``. Two objects are equal if they hold the same keys for the same names.
+    path names the file; name is its name without its folders. clips are by the file's own nodes, whose
+    names are ``node_names``. Two objects are equal if they hold the same keys for the same names.
     """
 
     def __init__(self, path: str, clips: Sequence[Clip], node_names: dict[int, str]) -> None:
