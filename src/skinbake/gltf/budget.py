@@ -179,7 +179,7 @@ Every copy of a vertex has the neighbours of all its copies, so a thousand copie
 The seams and poles of characters have some tens of copies.
 """
 
-STEPS = Limit(1, 1_300_000)
+STEPS = Limit(1, 1_250_000)
 """The steps of work that small files can ask for by repeating a few bytes.
 
 Skins, clips, nodes in poses, draws of primitives and poses of morph targets have steps; vertices in poses
