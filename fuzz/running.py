@@ -408,7 +408,7 @@ def _values(path: str) -> list[Find]:
     import numpy as np
 
     from skinbake.errors import SkinbakeError
-    from skinbake.format.note import gradient_note
+    from skinbake.format.note import gradient_note_in
     from skinbake.gltf.document import read_document
     from skinbake.gltf.reading.accessors import read_accessor
 
@@ -417,7 +417,7 @@ def _values(path: str) -> list[Find]:
         for mesh in document.objects("meshes"):
             primitives = mesh.get("primitives")
             for primitive in primitives if isinstance(primitives, list) else ():
-                note = gradient_note(document, primitive)
+                note = gradient_note_in(document, primitive)
                 for name in [] if note is None else note.slot_names:
                     number = primitive["attributes"].get(name)
                     if (

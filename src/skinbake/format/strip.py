@@ -278,7 +278,7 @@ def _tail_of_bake(
     buffers = document.objects("buffers")
     # The accessors and the views of the bake must be the last ones, and nothing else may use them.
     kept = len(accessors) - len(removed)
-    ours = views_in_use([accessors[number] for number in removed]) | streams
+    ours = views_in_use([accessors[number] for number in removed if number < len(accessors)]) | streams
     first = len(views) - len(ours)
     are_last = removed == set(range(kept, len(accessors))) and ours == set(range(first, len(views)))
     if not removed or not ours or not are_last:
