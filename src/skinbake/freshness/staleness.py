@@ -58,7 +58,11 @@ float32 storage and two routes to the same mean differ by 1e-6. An α scaled by 
 """
 
 FEW, NEAR = 100, 0.1
-"""One vertex in FEW may differ by up to NEAR where a tool changed arrays: thin rings magnify its rounding."""
+"""One vertex in FEW may differ by up to NEAR if a tool has changed the arrays.
+
+Tools that resample clips move the poses of the fit a little: of 7,228 vertices 29 differed, by at most 5 %.
+Where α and β are nearly 0, the fit magnifies rounding: 6 of 11,856 in another order differed by 10 %.
+"""
 
 FLOOR = 1e-5
 """Entries below this share of the primitive's largest entry, or of the vertex's reach, are rounding."""
