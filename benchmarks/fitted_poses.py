@@ -114,17 +114,17 @@ def lit_by_kinds(path: Path) -> Model | None:
     for poses, usual in POSES.items():
         held_back = usual._replace(samples=max(4, HELD_BACK // max(clips, 1)))
         request = held_back if poses == CLIPS else usual
-        surface = measured(baked["surface"], request, fine=True)
+        surface = measured(baked["surface"], request)
         bends = surface.mean(Truth.TANGENTS, "standard") > BENDS
         if bends and (poses != CLIPS or surface.from_clips):
-            others = {kind: measured(baked[kind], request, fine=True) for kind in KINDS if kind != "surface"}
+            others = {kind: measured(baked[kind], request) for kind in KINDS if kind != "surface"}
             lit[poses] = {"surface": surface, **others}
     return Model(vertices, lit) if lit else None
 
 
 def figures(models: Sequence[Model]) -> Iterator[str]:
     """Yield the lines of the page's part."""
-    yield "Error left of that of `surface`, by tangents / triangles / *fine*: the mean over the models.\n"
+    yield "Error left of that of `surface`, by tangents / triangles: the mean over the models.\n"
     others = [kind for kind in KINDS if kind != "surface"]
     yield f"| poses | models | {' | '.join(f'`{kind}`'.replace(', ', '`, `') for kind in others)} |"
     yield "|---|--:|" + "--:|" * len(others)
@@ -132,8 +132,7 @@ def figures(models: Sequence[Model]) -> Iterator[str]:
         chosen = [model.lit[poses] for model in models if poses in model.lit]
         cells = [
             " / ".join(
-                f"{np.mean([ratio(lit, kind, truth) for lit in chosen]):.3f}"
-                for truth in (*USUAL_TRUTHS, Truth.FINE)
+                f"{np.mean([ratio(lit, kind, truth) for lit in chosen]):.3f}" for truth in USUAL_TRUTHS
             )
             for kind in others
         ]

@@ -14,7 +14,6 @@ from skinbake.gltf.reading.meshes import skinned_sources
 from skinbake.measure.angles import MeasuredBlock, lighting_errors, truths_at_rest
 from skinbake.measure.scene import Surface
 from skinbake.truth.areas import RestAreas
-from skinbake.truth.fine import FineMesh
 from skinbake.truth.operator import true_operator
 from skinbake.truth.poses import PoseRequest, PoseSet, draws_of, pose_set
 
@@ -38,8 +37,8 @@ class Lit:
         return float(error / area) if area else np.nan
 
 
-def measured(document: Document, request: PoseRequest, *, fine: bool = False) -> Lit:
-    """Measure a baked document in some poses by both truths, as verify does; or by the truth *fine* too."""
+def measured(document: Document, request: PoseRequest) -> Lit:
+    """Measure a baked document in some poses by both truths, as verify does."""
     found, clips = Lit(), read_clips(document)
     views = baked_views(document, skinned_sources(document))
     for together in whole_surfaces(document, views):
@@ -48,7 +47,7 @@ def measured(document: Document, request: PoseRequest, *, fine: bool = False) ->
             found.from_clips &= None not in poses.times
             space = RestAreas(document, skin)
             areas = [space.of(view.now) for view in together]
-            fields = error_fields(document, together, poses, "lbs", fine=fine)
+            fields = error_fields(document, together, poses, "lbs")
             for (truth, lighting, surface), (errors, valid) in fields.items():
                 counted = np.where(valid & (areas[surface] > 0.0), areas[surface], 0.0)
                 known = np.where(np.isfinite(errors), errors, WITHOUT_NORMAL)
@@ -58,7 +57,7 @@ def measured(document: Document, request: PoseRequest, *, fine: bool = False) ->
 
 
 def error_fields(
-    document: Document, views: list[BakedView], poses: PoseSet, method: str, *, fine: bool = False
+    document: Document, views: list[BakedView], poses: PoseSet, method: str
 ) -> dict[tuple[str, str, int], Field]:
     """Return the errors on one surface under one skin, by truth, lighting, and number of the view."""
     fields: dict[tuple[str, str, int], Field] = {}
@@ -75,8 +74,7 @@ def error_fields(
     rest = [rest_primitive(view) for view in views]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # as verify measures
         morphing = Surface(document, views).morphing(poses.morph_weights)
-        mesh = FineMesh.of(operator) if fine else None
-        truths = truths_at_rest(operator, rest, len(poses.clips), morphing, fine=mesh)
+        truths = truths_at_rest(operator, rest, len(poses.clips), morphing)
         lighting_errors(
             operator, rest, poses.joint_matrices, method, record, morphing=morphing, at_rest=truths
         )

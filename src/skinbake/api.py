@@ -53,7 +53,7 @@ LayoutName: TypeAlias = Layout | Literal["attributes", "texcoord", "custom"]
 MethodName: TypeAlias = Method | Literal["lbs", "dqs", "blend"]
 NeighboursName: TypeAlias = Neighbours | Literal["adopt", "extend", "drop"]
 SchemeName: TypeAlias = Scheme | Literal["keep", "none", "draco", "meshopt"]
-TruthName: TypeAlias = Truth | Literal["tangents", "triangles", "fine", "relief"]
+TruthName: TypeAlias = Truth | Literal["tangents", "triangles", "relief"]
 WeightingName: TypeAlias = Weighting | Literal["max", "angle", "area", "angle-area"]
 WeldName: TypeAlias = Weld | Literal["mesh", "skin"]
 
@@ -238,8 +238,8 @@ def verify(
         Limits of the accurate lighting, in degrees and as a factor. None sets no limit. A skinned file that
         is not baked meets none.
     truth
-        ``tangents``, ``triangles`` or ``fine``: the true normals for the limits (docs/lighting.md). None: the
-        first two. ``fine`` takes several times as long, and adds its figures.
+        ``triangles``, ``tangents`` or ``relief``: the true normals for the limits (docs/lighting.md). None:
+        the first two.
     require_baked, warnings_as_errors
         Fail if the file holds no bake, or if there are warnings.
     allow_outside

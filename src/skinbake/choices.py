@@ -154,14 +154,12 @@ class Truth(StrEnum):
     """The normal of the surface's own derivatives along t0 and b0."""
     TRIANGLES = "triangles"
     """The angle-weighted normal of the triangles (Thürmer and Wüthrich 1998)."""
-    FINE = "fine"
-    """The normal of the rest mesh rounded to curved PN triangles, cut finely, and skinned then."""
     RELIEF = "relief"
     """The normal that a normal map shows: that of a relief over the surface, skinned with it."""
 
 
 USUAL_TRUTHS = Truth.TANGENTS, Truth.TRIANGLES
-"""The truths by which verify always measures. Others are asked for, because they take time."""
+"""The truths by which verify always measures."""
 
 
 class PoseKind(StrEnum):

@@ -439,9 +439,8 @@ VERIFY = (
         Option("cap", Range(0, is_open=True), None, By.ALL, "X", help=
             "Limit a tangent's correction to X times its length (0.9 in the authors' demo); off by default."),
         Option("truth", Truth, None, By.ALL, help=
-            "True normals that limits are held by: measured along tangents or on triangles, by default "
-            "both, or on the smooth surface that the mesh stands for (fine, measured on request only), or "
-            "those of a normal map (relief).")),
+            "True normals that limits are held by: measured on triangles or along tangents, by default "
+            "both, or those of a normal map (relief).")),
     *_under("Conditions",
         Option("max_mean_error", Range(0), None, By.ALL, "DEG", help="Fail if the mean error is larger."),
         Option("max_p95_error", Range(0), None, By.ALL, "DEG", help=

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import math
 import struct
 import subprocess
 import sys
@@ -17,7 +16,6 @@ from typing import Any
 import pytest
 
 from fixtures.builder import pack_glb
-from skinbake.choices import Truth
 from skinbake.errors import BudgetError, InputError, Place, UnsupportedFeatureError
 from skinbake.format.strip import stripped
 from skinbake.gltf import budget as budgets
@@ -351,26 +349,6 @@ def test_a_mesh_that_is_drawn_more_often_than_its_file_is_long_is_not_measured(
     monkeypatch.setattr(scene, "SAMPLES", Limit(0, 20 * 3 - 1))
     with pytest.raises(InputError, match="60 vertices times poses"):
         verify_file(str(tmp_path / "out.glb"), VerifyOptions())
-
-
-def test_the_truth_fine_claims_its_memory_and_its_work(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The 20 vertices of a sheet of 4 by 5 have 31 edges and 12 diagonals, each with a point for each end."""
-    from skinbake.commands.verify import verify_file
-    from skinbake.measure import scene
-    from skinbake.measure.options import VerifyOptions
-
-    path = str(tmp_path / "out.glb")
-    baked(write_model(tmp_path / "in.glb", [sheet()]), tmp_path / "out.glb")
-    options = VerifyOptions(truth=Truth.FINE)
-    assert verify_file(path, options).by_truth["fine"]
-    monkeypatch.setattr(scene, "SAMPLES", Limit(0, math.ceil((20 + 2 * 43) / 8) * 3 - 1))
-    with pytest.raises(InputError, match="42 vertices times poses"):
-        verify_file(path, options)
-    monkeypatch.setattr(budgets.Cost, "FINE_CORNER", Work(bytes=1 << 40))
-    with pytest.raises(InputError, match="the truth fine at 72 corners of triangles would take 72 TiB"):
-        verify_file(path, options)
 
 
 def test_targets_that_are_sparse_alone_are_read(tmp_path: Path) -> None:

@@ -106,9 +106,9 @@ def test_the_axes_of_a_model_do_not_change_its_figures(name: str, axes: str, tmp
     done = tmp_path / "done"
     done.mkdir()
     models = [leaning, turned(leaning, turn * np.linalg.det(turn), tmp_path / "turned.glb")]
-    options = "--samples", "12", "--method", "lbs", "--truth", "fine"
+    options = "--samples", "12", "--method", "lbs"
     found = [verify(baked(one, done), *options).file for one in models]
-    for truth in ("normals", "normals_by_triangles", "normals_fine"):
+    for truth in ("normals", "normals_by_triangles"):
         before, after = (one[truth]["lbs"] for one in found)
         for lighting_name in ("standard", "accurate"):
             assert after[lighting_name]["mean"] == pytest.approx(before[lighting_name]["mean"], rel=2e-3)
@@ -282,10 +282,6 @@ def failing(verdict: FileVerdict) -> Iterator[tuple[str, str, str]]:
             marks=pytest.mark.slow,
         ),
         ({"min_gain": 100.0, "truth": "tangents"}, "LBS: the gain is 37.90 by tangents, below 100"),
-        (
-            {"max_mean_error": 0.01, "truth": "fine"},
-            "LBS accurate: the mean of the error is 0.013° by fine",
-        ),
         ({"max_mean_error": 0.5, "methods": ("dqs",)}, "DQS accurate: the mean of the error is 0.7"),
     ],
 )

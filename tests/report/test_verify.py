@@ -58,10 +58,10 @@ def without_direct(normals: Normals) -> Normals:
 
 
 def by_truths(*normals: Normals) -> dict[Truth, Figures]:
-    """Return figures by tangents, triangles and the fine mesh, of a file that is one primitive."""
+    """Return figures by tangents and triangles, of a file that is one primitive."""
     return {
         truth: Figures(one, ((PLACE, one),))
-        for truth, one in zip((Truth.TANGENTS, Truth.TRIANGLES, Truth.FINE), normals, strict=False)
+        for truth, one in zip((Truth.TANGENTS, Truth.TRIANGLES), normals, strict=False)
     }
 
 
@@ -82,31 +82,6 @@ FAILED = FileVerdict(
     notices=(Notice("joints-mirror", "3 joints mirror", PLACE, 3),),
 )
 UNREADABLE = FileVerdict("no.glb", error=InputError("cannot be read", Place("no.glb")))
-
-
-FINE = replace(
-    PASSED,
-    figures={
-        **PASSED.figures,
-        Truth.FINE: Figures(without_direct(lit(6.0, 5.5)), ((PLACE, without_direct(lit(7.0))),)),
-    },
-)
-
-
-def test_figures_of_the_truth_fine_are_told_where_they_were_asked_for() -> None:
-    document = as_json([FINE, PASSED], exit_code=0)
-    jsonschema.validate(document, VERIFY)
-    asked, usual = document["files"]
-    assert asked["normals_fine"]["lbs"]["accurate"]["mean"] == 5.5
-    assert asked["primitives"][0]["normals_fine"]["lbs"]["standard"]["mean"] == 7.0
-    assert usual["normals_fine"] is None
-    assert usual["primitives"][0]["normals_fine"] is None
-    text = as_text(FINE)
-    assert "by triangles              fine" in text
-    assert "4.00x by tangents, 2.50x by triangles, 1.09x by fine" in text
-    assert "Little to win: 1.09 times nearer" in text
-    assert "fine" not in as_text(PASSED)
-    assert "LBS gain 1.09x by fine" in as_line(FINE)
 
 
 def test_json_is_as_the_schema_has_it() -> None:
@@ -149,7 +124,6 @@ def test_a_loss_never_reads_as_a_gain_of_one(factor: float, shown: str, colour: 
     [
         "normals",
         "normals_by_triangles",
-        "normals_fine",
         "checks",
         "primitives",
         "scaled_joints",

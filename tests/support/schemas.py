@@ -392,7 +392,6 @@ VERIFY = strict(
                     "poses": {"type": ["string", "null"]},
                     "normals": {"anyOf": [{"type": "null"}, NORMALS]},
                     "normals_by_triangles": {"anyOf": [{"type": "null"}, NORMALS_BY_TRIANGLES]},
-                    "normals_fine": {"anyOf": [{"type": "null"}, NORMALS_BY_TRIANGLES]},
                     "reliefs": RELIEFS,
                     "primitives": {
                         "type": "array",
@@ -402,7 +401,6 @@ VERIFY = strict(
                                 "primitive": PLACE["primitive"],
                                 "normals": NORMALS,
                                 "normals_by_triangles": NORMALS_BY_TRIANGLES,
-                                "normals_fine": {"anyOf": [{"type": "null"}, NORMALS_BY_TRIANGLES]},
                                 "reliefs": RELIEFS,
                             },
                             optional={"mesh_name": PLACE["mesh_name"]},

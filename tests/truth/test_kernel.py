@@ -466,10 +466,10 @@ def test_no_vertices_and_no_poses_are_no_errors() -> None:
 
 def figures_of(path: Path) -> list[float]:
     """Return all figures that verify reports of a file."""
-    found = verify(path, "--poses", "random:5", "--truth", "fine").file
+    found = verify(path, "--poses", "random:5").file
     return [
         figures[name]
-        for truth in ("normals", "normals_by_triangles", "normals_fine")
+        for truth in ("normals", "normals_by_triangles")
         for lightings in found[truth].values()
         for lighting, figures in lightings.items()
         if lighting != "gain"
@@ -485,8 +485,8 @@ def test_figures_of_verify_are_those_of_numpy(
     compiled = figures_of(tmp_path / "baked.glb")
     for operation in kernel.__all__:
         monkeypatch.setattr(kernel, operation, getattr(by_numpy, operation))
-    assert len(compiled) == 4 * 16, (
-        "three lightings of LBS by one truth, two by the others; three of DQS by all"
+    assert len(compiled) == 4 * 11, (
+        "three lightings of LBS by one truth, two by the other; three of DQS by both"
     )
     # The loops find the angles of posed triangles as floats: a part in 10⁷ of a radian is 6e-6 degrees.
     assert compiled == pytest.approx(figures_of(tmp_path / "baked.glb"), rel=1e-6, abs=6e-6)

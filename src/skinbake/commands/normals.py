@@ -30,7 +30,6 @@ from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.skinning.run import Skinning
 from skinbake.threads import Threads, thread_count
 from skinbake.truth.blending import sides_of
-from skinbake.truth.truths import PosedSurface
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,9 +144,10 @@ def _of_draw(draw: Draw, clip: Clip, moment: float, method: Method, options: Opt
     # The true normals of these positions.
     by_truth = {str(name): np.full((count, 3), np.nan) for name in USUAL_TRUTHS}
     with Threads(thread_count()) as threads:
-        surface = PosedSurface.of(truths, deformed, threads)
+        sums = truths.sums(deformed, threads)
     for block in truths.vertex_blocks:
-        expected, exist = surface.normals(block.number, None if sides is None else sides[:, block.part])
+        side = None if sides is None else sides[:, block.part]
+        expected, exist = truths.normals(block.number, deformed, sums, side)
         for vectors, own, valid in zip(by_truth.values(), expected, exist, strict=True):
             vectors[block.part] = np.where(valid, own[..., 0].T, np.nan)
     correctives, views = draw.surface.correctives, draw.surface.views

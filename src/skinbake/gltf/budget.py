@@ -106,7 +106,6 @@ class Cost:
     COMPARED_TRIANGLE = Work(bytes=400)
     WELDED_PAIR = Work(bytes=32)  # two vertices that may be one, in each order: their numbers, twice over
     COPIED_CORNER = Work(bytes=192)  # of a triangle, at each copy of its vertices
-    FINE_CORNER = Work(bytes=512)  # of a triangle, in the truth *fine*
     MEASURED_PRIMITIVE = Work(steps=10_000)  # in each draw
     MEASURED_SAMPLE = Work(bytes=32)  # a vertex in a pose: its errors, while they may be among the largest
     MEASURED_MORPH = Work(steps=3_000)  # a primitive with morph targets, in each pose

@@ -21,10 +21,10 @@ from skinbake.threads import Threads, thread_count
 from skinbake.timing import stage
 from skinbake.truth import kernel
 from skinbake.truth.areas import squared_cross
-from skinbake.truth.blending import BlendedPrimitive, chunks, sample_blocks, sides_of
-from skinbake.truth.fine import FineMesh
+from skinbake.truth.blending import BlendedPrimitive, chunks, sides_of
+from skinbake.truth.normals import ClassSums
 from skinbake.truth.operator import GradientOperator
-from skinbake.truth.truths import ChunkMemory, FineTruth, PosedSurface, Truths, VertexBlock
+from skinbake.truth.truths import ChunkMemory, Truths, VertexBlock
 
 if TYPE_CHECKING:
     from skinbake.truth.morphing import Morphing
@@ -47,7 +47,7 @@ METHODS: dict[str, dict[str, Algorithm]] = {
 INSIDE_OUT = {"accurate", "exact"}
 """The lightings whose normal is t' × b'. A mirroring joint turns that normal to the inside."""
 
-NOT_MEASURED = {(Truth.TRIANGLES, "direct"), (Truth.FINE, "direct")}
+NOT_MEASURED = {(Truth.TRIANGLES, "direct")}
 """Direct lighting equals accurate lighting except for its side in folds. One truth is enough for it."""
 
 IDENTITY_SAMPLES = 1 << 21
@@ -133,18 +133,15 @@ def lighting_errors(  # noqa: PLR0913  # five arguments are optional, and by key
     truths = truths_at_rest(operator, primitives, poses, morphing) if at_rest is None else at_rest
     played = corrections if method == "lbs" else None
     mesh = _PosedMesh(primitives, joint_matrices, method, options or Options(), truths, played, direct)
-    identity, memory, of_fine = Identity(), ChunkMemory(), ChunkMemory()
+    identity, memory = Identity(), ChunkMemory()
     with Threads(thread_count()) as threads:
         for chunk in mesh.in_chunks() if morphing is None else mesh.pose_by_pose(morphing):
             with stage("positions"):
                 deformed = chunk.positions(threads, memory)
             with stage("truths"):
-                surfaces = [PosedSurface.of(chunk.truths, deformed, threads, memory)]
-                if chunk.truths.fine is not None:
-                    moved = chunk.fine_positions(chunk.truths.fine, deformed, threads, of_fine)
-                    surfaces += [PosedSurface.of(chunk.truths.fine.truths, moved, threads, of_fine)]
+                sums = chunk.truths.sums(deformed, threads, memory)
             with stage("normals"):
-                work = partial(chunk.measured, surfaces, count)
+                work = partial(chunk.measured, deformed, sums, count)
                 found = threads.each(work, truths.vertex_blocks)
                 for block, (results, compared) in zip(truths.vertex_blocks, found, strict=True):
                     for result in results:
@@ -161,17 +158,16 @@ def truths_at_rest(
     poses: int,
     morphing: Morphing | None,
     names: Sequence[str] = USUAL_TRUTHS,
-    fine: FineMesh | None = None,
 ) -> Truths:
     """Measure a mesh at rest, for any number of calls of ``lighting_errors`` with so many poses.
 
-    names are one or both of ``USUAL_TRUTHS``. With the mesh's ``fine``, the truth *fine* is measured too.
+    names are one or both of ``USUAL_TRUTHS``.
     """
-    parts = chunks(len(operator.positions) if fine is None else fine.size, poses)
+    parts = chunks(len(operator.positions), poses)
     most = max((part.stop - part.start for part in parts), default=0)
     with stage("truths"):
         # Under morph targets, poses are measured one at a time.
-        return Truths.of(operator, primitives, min(most, 1) if morphing else most, names, fine)
+        return Truths.of(operator, primitives, min(most, 1) if morphing else most, names)
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,9 +196,8 @@ class _PosedMesh:
         # Every stride-th chunk compares algorithms 2 and 3.
         stride = max(1, -(-vertices * poses // IDENTITY_SAMPLES))
         sides = sides_of(self.primitives, self.joint_matrices)
-        skinned = self._skinned(self.primitives, self.truths, self.joint_matrices)
-        measured = vertices if self.truths.fine is None else self.truths.fine.mesh.size
-        for number, pose in enumerate(chunks(measured, poses)):
+        skinned = self._skinned(self.primitives, self.joint_matrices)
+        for number, pose in enumerate(chunks(vertices, poses)):
             yield _Chunk(
                 truths=self.truths,
                 skinned=skinned,
@@ -221,7 +216,7 @@ class _PosedMesh:
             primitives, truths = morphing.posed(self.primitives, self.truths, pose)
             yield _Chunk(
                 truths=truths,
-                skinned=self._skinned(primitives, truths, self.joint_matrices[pose : pose + 1]),
+                skinned=self._skinned(primitives, self.joint_matrices[pose : pose + 1]),
                 at=slice(0, 1),
                 first_pose=pose,
                 algorithms=self._algorithms(direct=self.direct),
@@ -231,11 +226,9 @@ class _PosedMesh:
             )
 
     def _skinned(
-        self, primitives: Sequence[RestPrimitive], truths: Truths, joint_matrices: Float64Array
+        self, primitives: Sequence[RestPrimitive], joint_matrices: Float64Array
     ) -> Sequence[_Skinned]:
-        """Return what skins the primitives, and, behind them, the points of a fine mesh."""
-        if truths.fine is not None:
-            primitives = [*primitives, truths.fine.points]
+        """Return what skins the primitives."""
         if self.method == "dqs":
             return [
                 SteppedPrimitive(one) for one in Skinning.of_mesh(primitives, joint_matrices, self.options)
@@ -284,30 +277,17 @@ class _Chunk:
         threads.done(place, self.truths.vertex_blocks)
         return deformed
 
-    def fine_positions(
-        self, fine: FineTruth, vertices: Float64Array, threads: Threads, memory: ChunkMemory
-    ) -> Float64Array:
-        """Return the positions of the vertices (3, V, P), and behind them of all points of the fine mesh."""
-        count, poses = vertices.shape[1:]
-        deformed: Float64Array = memory.array("positions", (3, fine.mesh.size, poses), np.float64)
-        deformed[:, :count] = vertices
-
-        def place(part: slice) -> None:
-            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # likewise
-                self.skinned[-1].put_positions(self.at, part, deformed, count + part.start)
-
-        threads.done(place, sample_blocks(slice(0, fine.mesh.size - count), poses))
-        return deformed
-
     def measured(
         self,
-        surfaces: Sequence[PosedSurface],
+        deformed: Float64Array,
+        sums: ClassSums | None,
         count: Callable[[MeasuredBlock], Any] | None,
         block: VertexBlock,
     ) -> tuple[list[Any], Compared | None]:
         """Measure all lightings of a block by each truth, and count the errors if told how.
 
-        Return the normals of algorithms 2 and 3 compared, too, or None if they are not.
+        deformed are the result of ``positions``, and sums those of ``Truths.sums`` for them. Return the
+        normals of algorithms 2 and 3 compared, too, or None if they are not.
         """
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no normal gets NaN
             side = None if self.sides is None else self.sides[:, block.part]
@@ -322,16 +302,13 @@ class _Chunk:
                     block.primitive, one, self.at, self.first_pose, block.rows
                 )
             # The true normals, by each truth.
-            expected, exist = surfaces[0].normals(block.number, side)
-            for surface in surfaces[1:]:
-                more, also = surface.normals(block.number, side)
-                expected, exist = np.concatenate([expected, more]), np.concatenate([exist, also])
+            expected, exist = self.truths.normals(block.number, deformed, sums, side)
             # The angle between the two. Some lightings point inside where joints mirror.
             measured = []
             for lighting, vectors in normals.items():
                 outside = vectors if side is None or lighting not in INSIDE_OUT else scaled(side, vectors)
                 # They come first: NOT_MEASURED leaves out the last truths.
-                names = [truth for truth in self.truths.names if (truth, lighting) not in NOT_MEASURED]
+                names = [truth for truth in self.truths.of_mesh if (truth, lighting) not in NOT_MEASURED]
                 errors = kernel.angles(outside, expected[: len(names)])
                 corner = block.primitive, self.first_pose, block.rows.start
                 measured += [

@@ -75,12 +75,12 @@ class Measurement:
         Correctives are measured too, if the scene has any. Raises InputError if the file cannot be posed, or
         asks for work out of proportion to its size.
         """
-        document, asked, unplayed = self._document, (self._options.poses, self._options.truths), None
+        document, asked, unplayed = self._document, self._options.poses, None
         with stage("poses"):
             try:
                 self._clips = read_clips(document)
                 with document.notices.withheld() as left_out:
-                    self.drawn = drawn = self._scene.measured(self._clips, *asked)
+                    self.drawn = drawn = self._scene.measured(self._clips, asked)
                 document.notices.tell(*left_out)
             except BudgetError:
                 raise
@@ -92,7 +92,7 @@ class Measurement:
                     message += ": random poses are measured in their place. Mend or remove the animations"
                 document.notices.tell(Notice("animations-broken", message, document.place))
                 self._clips = ()
-                self.drawn = drawn = self._scene.measured((), *asked)
+                self.drawn = drawn = self._scene.measured((), asked)
         has_blend = any(view.blend is not None for view in self._scene.views)
         methods = self._options.methods or ("lbs", "dqs", *(["blend"] if has_blend else []))
         if "blend" in methods and not has_blend:
@@ -182,9 +182,8 @@ class Measurement:
         key = id(draw.surface.operator), len(draw.poses.clips), morphing is None
         if self._at_rest is None or self._at_rest[0] != key:
             self._at_rest = None  # two at a time would take twice the memory
-            fine = draw.surface.fine if Truth.FINE in self._options.truths else None
-            of_surface = draw.surface.operator, draw.surface.rest
-            self._at_rest = key, truths_at_rest(*of_surface, key[1], morphing, fine=fine)
+            surface = draw.surface
+            self._at_rest = key, truths_at_rest(surface.operator, surface.rest, key[1], morphing)
         return self._at_rest[1]
 
     def _advance(self, poses: float) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, TypeAlias
@@ -35,7 +35,6 @@ from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.timing import stage
 from skinbake.truth.areas import RestAreas
 from skinbake.truth.blending import BlendedPrimitive
-from skinbake.truth.fine import FineMesh
 from skinbake.truth.operator import TRUE_CREASE_ANGLE, TRUE_WEIGHTING, GradientOperator
 from skinbake.truth.poses import (
     LEAST_SAMPLES,
@@ -53,9 +52,6 @@ from skinbake.wording import counted, one_or_many
 if TYPE_CHECKING:
     from skinbake.freshness.corrective_freshness import PlayedCorrectives
     from skinbake.truth.morphing import Morphing
-
-FINE_RATIO = 8
-"""The vertices and points of a usual fine mesh for each vertex of the mesh. So many of them count as one."""
 
 HALF_TURN = np.diag([-1.0, 1.0, -1.0, 1.0])
 """A turn of the whole scene around the vertical."""
@@ -107,14 +103,6 @@ class Surface:
         if self._bake_operator is not None and usual:
             return self._bake_operator
         return true_operator_of(self.document, self.views)
-
-    @cached_property
-    def fine(self) -> FineMesh:
-        """The mesh of the truth *fine*. Raises InputError if it takes too much memory for the file."""
-        corners = self.operator.triangles.size
-        what = f"the truth fine at {counted(corners, 'corner')} of triangles"
-        self.document.budget.claim(Cost.FINE_CORNER * corners, what, self.place)
-        return FineMesh.of(self.operator)
 
     @cached_property
     def changes(self) -> list[Float64Array]:
@@ -315,12 +303,10 @@ class Scene:
             for views in whole_surfaces(self.document, self.views)
         ]
 
-    def measured(
-        self, clips: Sequence[Clip], request: PoseRequest, truths: Collection[Truth] = USUAL_TRUTHS
-    ) -> list[Draw]:
+    def measured(self, clips: Sequence[Clip], request: PoseRequest) -> list[Draw]:
         """Return each surface as often as skins draw it, or nodes if it has morph targets, in asked poses.
 
-        truths are those to measure by. If all skins or poses are too much work for the file, some skins of
+        If all skins or poses are too much work for the file, some skins of
         each surface are measured, in some poses each, and a notice says so. Raises InputError if a skin
         cannot be posed, or if the work is out of proportion to the file even so.
         """
@@ -332,17 +318,13 @@ class Scene:
         # Claim the work of each draw, and pose it. Draws of one skin and node share their poses.
         drawn, plans = self._planned(clips, request)
         most_samples = SAMPLES.most(budget.backed)
-        is_fine, samples = Truth.FINE in truths, 0
-        sets, found = dict[DrawKey, PoseSet](), list[Draw]()
-        if is_fine:
-            for surface in self.surfaces:
-                surface.fine  # noqa: B018  # likewise
+        samples, sets, found = 0, dict[DrawKey, PoseSet](), list[Draw]()
         for surface, draw in drawn:
             plan = plans[draw]
             what = f"{counted(surface.vertices, 'vertex', 'vertices')} in {counted(plan.count, 'pose')}"
             budget.claim(_morphed(surface, plan), f"{what} of morph targets", surface.place)
             budget.claim(Cost.MEASURED_SAMPLE * (surface.vertices * plan.count), what, surface.place)
-            samples += _samples(surface, plan, is_fine=is_fine)
+            samples += _samples(surface, plan)
             if samples > most_samples:
                 raise InputError(
                     f"it asks for {samples:,} vertices times poses, as often as nodes draw it and clips move "
@@ -456,14 +438,10 @@ def _morphed(surface: Surface, plan: PosePlan) -> Work:
     return of_primitive * (len(surface.views) * plan.count)
 
 
-def _samples(surface: Surface, plan: PosePlan, *, is_fine: bool = False) -> int:
-    """Return the vertices × poses of a draw. The clips of the file count, not the samples that users ask for.
-
-    A fine mesh has about eight times the vertices, and its user has asked for it.
-    """
-    vertices = -(-surface.fine.size // FINE_RATIO) if is_fine else surface.vertices
+def _samples(surface: Surface, plan: PosePlan) -> int:
+    """Return the vertices × poses of a draw. Clips of the file count, not the samples that users ask for."""
     asked = plan.request.samples
-    return vertices * (plan.count if asked is None else -(-plan.count // asked) * SHARED_SAMPLES)
+    return surface.vertices * (plan.count if asked is None else -(-plan.count // asked) * SHARED_SAMPLES)
 
 
 def claim_draws(document: Document, draws: Sequence[Draw], clips: Sequence[Clip], poses: int) -> None:

@@ -36,7 +36,6 @@ SHOWN_LIGHTINGS = ("standard", "accurate", "exact", "corrected")
 MEMBERS = {
     Truth.TANGENTS: "normals",
     Truth.TRIANGLES: "normals_by_triangles",
-    Truth.FINE: "normals_fine",
 }
 """The member of JSON that has the figures by a truth."""
 

@@ -1,14 +1,13 @@
 """The true normals of one mesh in many poses, by all truths, block by block.
 
-``normals`` has the normals of the mesh itself, and ``fine`` the mesh of the third. Here, too, is what they
-measure at rest. This module cuts the vertices into blocks.
+``normals`` has the normals of a block. Here is what they measure at rest, and what cuts vertices into blocks.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -37,9 +36,6 @@ from skinbake.truth.normals import (
 from skinbake.truth.operator import GradientOperator
 from skinbake.truth.values import SparseRows
 
-if TYPE_CHECKING:
-    from skinbake.truth.fine import FineMesh
-
 SUMS = np.float32
 """The type of the sums of posed triangles. Doubles would take twice the memory, and tell nothing more."""
 
@@ -48,8 +44,7 @@ class Truths(NamedTuple):
     """The data of one mesh that the truths need: blocks of vertices and of weld classes, the rest pose.
 
     of_mesh are one or both of ``USUAL_TRUTHS``, in their order. frames are for the truth by tangents. carried
-    is for the truth by triangles, None without it; then there are no class_blocks. fine is for the truth
-    *fine*, None without it.
+    is for the truth by triangles, None without it; then there are no class_blocks.
     """
 
     operator: GradientOperator
@@ -58,7 +53,6 @@ class Truths(NamedTuple):
     class_blocks: Sequence[ClassBlock]
     frames: RestFrames
     carried: CarriedNormals | None
-    fine: FineTruth | None = None
 
     @classmethod
     def of(
@@ -67,27 +61,9 @@ class Truths(NamedTuple):
         primitives: Sequence[RestPrimitive],
         poses: int,
         of_mesh: Sequence[str] = USUAL_TRUTHS,
-        fine: FineMesh | None = None,
     ) -> Truths:
-        """Measure a mesh at rest, for chunks of so many poses; with ``fine`` by the truth *fine* too."""
+        """Measure a mesh at rest, for chunks of so many poses."""
         positions, normals = (_joined(primitives, name) for name in ("positions", "normals"))
-        found = cls._measured(operator, positions, normals, poses, of_mesh)
-        if fine is None:
-            return found
-        with_points = fine.with_points(positions, normals)
-        inner = cls._measured(fine.operator(with_points), with_points, normals, poses, (Truth.TRIANGLES,))
-        return found._replace(fine=FineTruth(fine, inner, fine.points(primitives, with_points)))
-
-    @classmethod
-    def _measured(
-        cls,
-        operator: GradientOperator,
-        positions: FloatArray,
-        normals: FloatArray,
-        poses: int,
-        of_mesh: Sequence[str],
-    ) -> Truths:
-        """Measure positions (M, 3), of which the first V have the normals (V, 3) and are in the slices."""
         # Cut the vertices of all primitives, each at its slice of the mesh, for chunks of so many poses.
         pieces = [
             (primitive, here.start, part)
@@ -107,11 +83,6 @@ class Truths(NamedTuple):
             carried = carried_normals(operator, frames, positions, normals, blocks_of_classes, SUMS)
         return cls(operator, of_mesh, blocks_of_vertices, blocks_of_classes, frames, carried)
 
-    @property
-    def names(self) -> list[str]:
-        """The truths, in the order of ``Truth``."""
-        return [*self.of_mesh, *([] if self.fine is None else [Truth.FINE])]
-
     def surface_normals(self, primitives: Sequence[RestPrimitive]) -> list[Float64Array]:
         """Return the normals (V, 3) of each primitive under morph targets, as its positions alone tell them.
 
@@ -128,15 +99,6 @@ class Truths(NamedTuple):
     def moved(self, primitives: Sequence[RestPrimitive]) -> Truths:
         """Measure the mesh under morph targets, before skinning."""
         positions, normals = (_joined(primitives, name) for name in ("positions", "normals"))
-        found = self._moved(positions, normals)
-        if self.fine is None:
-            return found
-        mesh = self.fine.mesh
-        with_points = mesh.with_points(positions, normals)
-        inner = self.fine.truths._moved(with_points, normals)
-        return found._replace(fine=FineTruth(mesh, inner, mesh.points(primitives, with_points)))
-
-    def _moved(self, positions: FloatArray, normals: FloatArray) -> Truths:
         frames = morphed_frames(self.frames, positions, normals)
         carried = self.carried and carried_normals(
             self.operator, frames, positions, normals, self.class_blocks, SUMS
@@ -167,33 +129,6 @@ class Truths(NamedTuple):
         first = tuple(Truth).index(Truth(self.of_mesh[0]))
         named = slice(first, first + len(self.of_mesh))
         return normals[named], exist[named]
-
-
-class FineTruth(NamedTuple):
-    """The fine mesh of a truth: its own truth by triangles, and its points as a primitive to be skinned."""
-
-    mesh: FineMesh
-    truths: Truths
-    points: RestPrimitive
-
-
-class PosedSurface(NamedTuple):
-    """A mesh in some poses: its positions (3, V, P), and the sums of its weld classes."""
-
-    truths: Truths
-    positions: Float64Array
-    sums: ClassSums | None
-
-    @classmethod
-    def of(
-        cls, truths: Truths, positions: Float64Array, threads: Threads, memory: ChunkMemory | None = None
-    ) -> PosedSurface:
-        """Sum up the triangles in all poses."""
-        return cls(truths, positions, truths.sums(positions, threads, memory))
-
-    def normals(self, number: int, sides: Float64Array | None) -> tuple[Float64Array, BoolArray]:
-        """Return a block's unit normals by the truths of this mesh, as ``Truths.normals``."""
-        return self.truths.normals(number, self.positions, self.sums, sides)
 
 
 class ChunkMemory:
