@@ -111,7 +111,7 @@ class SurfaceBake(NamedTuple):
                 given = options.fit_poses or (ANIMATIONS,)
                 names = tuple(source if isinstance(source, str) else source.name for source in given)
                 poses = FitPoses(sources=names, fingerprint=rig.fingerprint)
-                note = replace(note, gradients=Gradients.FITTED, fit=FIT, rig=rig.digest, poses=poses)
+                note = note._replace(gradients=Gradients.FITTED, fit=FIT, rig=rig.digest, poses=poses)
         # The arrays. Each is read when the memory for the bake of those before has been claimed.
         primitives: list[SkinnedPrimitive] = []
         with stage("arrays"):
@@ -291,7 +291,7 @@ class PrimitiveBake:
         """The data to write."""
         changed = self.limited or self.extended
         influences = changed.stored if changed else None
-        note = replace(self.note, kept=None if self.eighths == EIGHTHS else self.eighths / EIGHTHS)
+        note = self.note._replace(kept=None if self.eighths == EIGHTHS else self.eighths / EIGHTHS)
         return Baked(self.source, self.primitive, self.result, self.digests, note, influences, self.blend)
 
     def counts(self, encoding: Encoding, added_bytes: int) -> BakedCounts:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -26,7 +25,6 @@ from skinbake.format.note import (
     GradientNote,
     Positions,
     Straightened,
-    as_json,
     has_place,
     with_note,
 )
@@ -134,8 +132,7 @@ def _written(
         attributes["TANGENT"] = store.add("TANGENT", tangents)
     with stage("digests"):
         digests = dict(item.digests())
-    note = replace(
-        item.note,
+    note = item.note._replace(
         version=VERSION,
         generator=GENERATOR,
         frame=item.result.frame,
@@ -146,8 +143,7 @@ def _written(
     stored = item.primitive
     if item.replaced_sets is not None or item.result.adopts:
         stored, adopted = _replace_influences(document, store, item, attributes)
-        note = replace(
-            note,
+        note = note._replace(
             former_attributes=None if item.replaced_sets is None else tuple(source.attributes),
             former_digest={name: digests[name] for name in INFLUENCE_TYPES},
             adopted=adopted,
@@ -158,9 +154,8 @@ def _written(
         digests.pop("TANGENT", None)
     alpha, beta, gradients = _stored(item, names, storage)
     slots = slots_digest(dict(gradients)) if note.poses else ""
-    note = replace(
-        note,
-        poses=note.poses and replace(note.poses, slots=slots),
+    note = note._replace(
+        poses=note.poses and note.poses._replace(slots=slots),
         digest=digests,
         alpha=tuple(alpha),
         beta=tuple(beta),
@@ -172,7 +167,7 @@ def _written(
     )
     # The note stands in the extras, unless another program's data is there.
     is_beside = not has_place(source.json)
-    holder = {KEY: as_json(note)} if is_beside else None  # of the first accessor of α and β
+    holder = {KEY: note.as_json()} if is_beside else None  # of the first accessor of α and β
     if storage.layout is not Layout.CUSTOM and all(name in attributes for name, _ in gradients):
         raise InputError(NO_METADATA, source.place)
     for name, values in gradients:
@@ -205,7 +200,7 @@ def _noted_positions(document: Document, item: Baked, stored: SkinnedPrimitive) 
     noted = Positions(component_type=accessor["componentType"])
     if source.json.get("mode", TRIANGLES) == TRIANGLES:
         corners = int(source.json.get("indices", number))
-        noted = replace(noted, corners=document.asset.accessors[corners].count(source.place.at("indices")))
+        noted = noted._replace(corners=document.asset.accessors[corners].count(source.place.at("indices")))
     # FNV-1a of each vertex's joints, slot by slot, in uint32: sums and products wrap.
     hashes = np.full(len(stored.joints), 0x811C9DC5, np.uint32)
     for column in stored.joints.T:
@@ -217,7 +212,7 @@ def _noted_positions(document: Document, item: Baked, stored: SkinnedPrimitive) 
         used[vertices] = True
         joints += int(hashes[vertices].sum(dtype=np.uint32))
     if noted.corners is not None:
-        noted = replace(noted, joints=joints % 2**32)
+        noted = noted._replace(joints=joints % 2**32)
     if accessor["componentType"] != FLOAT or not used.any():
         return noted
     positions = item.primitive.positions if used.all() else item.primitive.positions[used]
@@ -228,7 +223,7 @@ def _noted_positions(document: Document, item: Baked, stored: SkinnedPrimitive) 
     if all(isinstance(row, list) and len(row) == 3 and all(map(is_number, row)) for row in told):
         allowed = SAME_BOUNDS * float(np.linalg.norm(bounds[1] - bounds[0]))
         if np.abs(np.array(told, dtype=np.float64) - bounds).max() <= allowed:
-            noted = replace(noted, min=tuple(bounds[0].tolist()), max=tuple(bounds[1].tolist()))
+            noted = noted._replace(min=tuple(bounds[0].tolist()), max=tuple(bounds[1].tolist()))
     return noted
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from skinbake.errors import BudgetError, InputError, Notice, Place
 from skinbake.format.correctives import QUANTIZATION, TARGET_NAMES, nodes_with
-from skinbake.format.note import KEY, CorrectiveNote, MorphNote, as_json, corrective_notes, refuse_later
+from skinbake.format.note import KEY, CorrectiveNote, MorphNote, corrective_notes, refuse_later
 from skinbake.geometry import poses
 from skinbake.geometry.skinned import FloatArray
 from skinbake.gltf.budget import Cost
@@ -129,14 +129,13 @@ def _former_mesh(document: Document, mesh: JsonObject, note: CorrectiveNote, kep
     elif isinstance(names, list) and len(names) == kept + note.targets:
         extras[TARGET_NAMES] = names[:kept]
     if note.morph_targets:  # what was made for the file's own targets stays
-        extras[KEY] = as_json(
-            MorphNote(
-                version=note.version,
-                generator=note.generator,
-                keep_extras=note.keep_extras,
-                morph_targets=note.morph_targets,
-            )
+        morphs = MorphNote(
+            version=note.version,
+            generator=note.generator,
+            keep_extras=note.keep_extras,
+            morph_targets=note.morph_targets,
         )
+        extras[KEY] = morphs.as_json()
     found["extras"] = extras
     if not extras and "extras" not in note.former:
         del found["extras"]

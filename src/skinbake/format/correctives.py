@@ -17,7 +17,7 @@ The note of the mesh says what was added, so that ``strip`` takes it out again.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,7 +34,6 @@ from skinbake.format.note import (
     VERSION,
     CorrectedPrimitive,
     CorrectiveNote,
-    as_json,
     corrective_notes,
     morph_note,
 )
@@ -225,7 +224,7 @@ def _corrected(
             stored = item.primitives[number]
             decoded = decoded_targets(own, encoding)
             targets = corrective_digest(stored, decoded)
-            entry = replace(entry, digest=digests(stored, Frame.NORMAL), targets=targets)
+            entry = entry._replace(digest=digests(stored, Frame.NORMAL), targets=targets)
         primitives.append(changed)
         noted.append(entry)
     names = object_of(mesh.get("extras")).get(TARGET_NAMES)
@@ -252,7 +251,7 @@ def _corrected(
         keep_extras=bool(made and made.keep_extras),
     )
     weights = [*mesh.get("weights", [0] * there), *[0] * item.count]
-    extras[KEY] = as_json(note)
+    extras[KEY] = note.as_json()
     return {**mesh, "primitives": primitives, "weights": weights, "extras": extras}
 
 
@@ -261,7 +260,7 @@ def with_plays(document: Document, plays: Mapping[int, Sequence[tuple[float, ...
     meshes = list(document.objects("meshes"))
     for number, rows in plays.items():
         mesh, note = meshes[number], corrective_notes(document)[number]
-        extras = {**mesh["extras"], KEY: as_json(replace(note, plays=tuple(rows)))}
+        extras = {**mesh["extras"], KEY: note._replace(plays=tuple(rows)).as_json()}
         meshes[number] = {**mesh, "extras": extras}
     return document.edited(json={**document.json, "meshes": meshes})
 

@@ -9,7 +9,6 @@ buffer view: zeros, without a byte. The metadata ``extras.skinbake`` of the mesh
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -170,7 +169,7 @@ def add_made(
             frames=sum(COMPONENTS[kind] for kind in kinds),
             digest=item.digest,
         )
-        note = replace(note, morph_targets=tuple(entries))
+        note = note._replace(morph_targets=tuple(entries))
         meshes[item.source.mesh] = with_note({**mesh, "primitives": primitives}, note)
         lengths.append(additions.byte_length - before)
     return lengths

@@ -12,10 +12,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
 from enum import Enum
-from functools import cache
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple, Self, dataclass_transform
 
 from skinbake.choices import Encoding, Frame, Gradients, Layout, Weighting, Weld
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
@@ -115,12 +113,12 @@ def _named(read: Callable[[object], Any]) -> Callable[[object], dict[str, Any]]:
     }
 
 
-def _record(kind: type[Any]) -> Callable[[object], Any]:
-    return lambda value: _read(kind, object_of(value))
+def _record(kind: type[_Note]) -> Callable[[object], Any]:
+    return lambda value: kind.read(object_of(value))
 
 
 def _poses(value: object) -> FitPoses | None:
-    found, sources = _read(FitPoses, object_of(value)), object_of(value).get("from")
+    found, sources = FitPoses.read(object_of(value)), object_of(value).get("from")
     whole = sources is None or (found.sources is not None and len(found.sources) == len(sources))
     return found if whole and found.fingerprint and found.slots else None
 
@@ -138,17 +136,78 @@ def _key(name: str) -> str:
     return re.sub("_(.)", lambda found: found[1].upper(), name)
 
 
+class _Member(NamedTuple):
+    """How a member is read, what its absence means, its name in the file, and if it is written as absent."""
+
+    read: Callable[[Any], Any]
+    absent: Any
+    key: str | None
+    always: bool
+
+
 def _member(
     read: Callable[[Any], Any], absent: Any = None, *, key: str | None = None, always: bool = False
 ) -> Any:
     """Declare a member: how it is read, and what its absence means. Only ``always`` writes it as that."""
-    absent = str(absent) if isinstance(absent, Enum) else absent  # as it reads
-    told = {"read": read, "absent": absent, "key": key, "always": always}
-    return field(default_factory=lambda: absent, metadata=told)
+    return _Member(read, str(absent) if isinstance(absent, Enum) else absent, key, always)  # as it reads
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FitPoses:
+@dataclass_transform(kw_only_default=True, frozen_default=True)
+class _Note:
+    """A kind of note: a value with the members that its class declares. json is the note as the file has it.
+
+    It is no dataclass, because the code of so many dataclasses takes 6 ms at each start.
+    """
+
+    members: ClassVar[dict[str, _Member]]
+    json: JsonObject = {}  # noqa: RUF012  # nothing changes it
+
+    def __init_subclass__(cls) -> None:
+        found = {name: one for name, one in vars(cls).items() if isinstance(one, _Member)}
+        cls.members = {name: one._replace(key=one.key or _key(name)) for name, one in found.items()}
+        for name, one in found.items():
+            setattr(cls, name, one.absent)
+
+    def __init__(self, **values: Any) -> None:
+        self.__dict__.update(values)
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and all(
+            getattr(self, name) == getattr(other, name) for name in self.members
+        )
+
+    __hash__ = None  # type: ignore[assignment]  # members may be dicts
+
+    def _replace(self, **changes: Any) -> Self:
+        """Return the note with other members."""
+        return type(self)(**{**self.__dict__, **changes})
+
+    @classmethod
+    def read(cls, raw: JsonObject) -> Self:
+        """Return the note in an object. What is absent or damaged has the value of its absence."""
+        found: dict[str, Any] = {"json": raw}
+        for name, member in cls.members.items():
+            if member.key in raw and (value := member.read(raw[member.key])) is not None:
+                found[name] = value
+        return cls(**found)
+
+    def as_json(self) -> JsonObject:
+        """Return the note as the file has it. A member that says no more than its absence is left out."""
+
+        def plain(value: Any) -> Any:
+            if isinstance(value, Enum):
+                return str(value)
+            if isinstance(value, tuple):
+                return [plain(one) for one in value]
+            if isinstance(value, Mapping):
+                return {name: plain(one) for name, one in value.items()}
+            return value.as_json() if isinstance(value, _Note) else value
+
+        values = [(one, getattr(self, name)) for name, one in self.members.items()]
+        return {str(one.key): plain(value) for one, value in values if one.always or value != one.absent}
+
+
+class FitPoses(_Note):
     """The poses of a fit: their sources, four numbers that change with them, and the digest of α and β."""
 
     sources: tuple[str, ...] | None = _member(_texts, key="from")
@@ -156,16 +215,14 @@ class FitPoses:
     slots: str = _member(_text, "")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Straightened:
+class Straightened(_Note):
     """The accessor of the TANGENT before a bake straightened some of it, and the digest of its values."""
 
     tangent: int | None = _member(reference, key="TANGENT")
     digest: str | None = _member(_text)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Positions:
+class Positions(_Note):
     """What an engine compares to see that a later tool has changed the mesh.
 
     The component type of POSITION; for triangles the drawn corners, and the sum over them of hashes of the
@@ -179,20 +236,18 @@ class Positions:
     max: tuple[float, ...] | None = _member(_numbers)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Blend:
+class Blend(_Note):
     """The attributes of blend weights and of their gradient."""
 
     weights: str = _member(_text, "")
     gradient: str = _member(_text, "")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GradientNote:
+class GradientNote(_Note):
     """What a bake notes of a primitive with α and β.
 
     The settings and the fit; what it has added or replaced, with the accessors from before; the digests of
-    the arrays that α and β depend on; and how α and β are stored. json is the note as the file has it.
+    the arrays that α and β depend on; and how α and β are stored.
     """
 
     version: int = _member(_as_is, 0)
@@ -222,7 +277,6 @@ class GradientNote:
     scale: float | None = _member(_number)
     keep_extras: bool = _member(bool, False)
     blend: Blend | None = _member(_record(Blend))
-    json: JsonObject = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def slot_names(self) -> list[str]:
@@ -310,8 +364,7 @@ class GradientNote:
             yield f'"alpha" and "beta" are {shown(self.slot_names)}: the set that both share is missing'
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MorphTargets:
+class MorphTargets(_Note):
     """What bake has made for the morph targets of a primitive.
 
     targets is their number, normals the numbers of those that got NORMAL, zeros pairs of a target and its
@@ -335,8 +388,7 @@ class MorphTargets:
         return (IN_PLANE, UPWARD)[: 2 if self.frames > COMPONENTS["in_plane"] else bool(self.frames)]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MorphNote:
+class MorphNote(_Note):
     """What a bake notes of a mesh whose morph targets it has changed, by primitive.
 
     correctives is the number of targets behind them that are correctives; a note with such is a
@@ -350,8 +402,7 @@ class MorphNote:
     morph_targets: tuple[MorphTargets, ...] = _member(_each(_record(MorphTargets)), ())
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CorrectedPrimitive:
+class CorrectedPrimitive(_Note):
     """A primitive of a mesh with correctives.
 
     filled are, by attribute, its former targets that got zeros. digest are those of its arrays in the normal
@@ -363,8 +414,7 @@ class CorrectedPrimitive:
     targets: str = _member(_text, "")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CorrectiveNote:
+class CorrectiveNote(_Note):
     """What a bake notes of a mesh with correctives.
 
     targets is their number. clips are the names of the clips that play them, for people. channels are
@@ -382,7 +432,7 @@ class CorrectiveNote:
     channels: tuple[tuple[int, int, int | None], ...] = _member(_each(_numbered(3)), (), always=True)
     samplers: tuple[tuple[int, int], ...] = _member(_each(_numbered(2)), (), always=True)
     primitives: tuple[CorrectedPrimitive, ...] = _member(
-        _each(lambda value: _read(CorrectedPrimitive, value) if isinstance(value, dict) else None), ()
+        _each(lambda value: CorrectedPrimitive.read(value) if isinstance(value, dict) else None), ()
     )
     former: tuple[str, ...] = _member(_texts, (), always=True)
     names: bool = _member(bool, False, always=True)
@@ -394,8 +444,7 @@ class CorrectiveNote:
     plays: tuple[tuple[float, ...], ...] | None = _member(_each(_numbers))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Left:
+class Left(_Note):
     """Why a bake has left a file or a primitive as it was.
 
     by are the options that did, empty for ``--leave-under``. gain, the mean error of standard lighting in
@@ -408,17 +457,15 @@ class Left:
     under: float | None = _member(_number)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LeftNote:
+class LeftNote(_Note):
     """What a bake notes where it leaves something on purpose: of the asset, or of a primitive."""
 
     version: int = _member(_as_is, 0)
-    left: Left | None = _member(lambda value: _read(Left, value) if isinstance(value, dict) else None)
+    left: Left | None = _member(lambda value: Left.read(value) if isinstance(value, dict) else None)
     keep_extras: bool = _member(bool, False)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StreamNote:
+class StreamNote(_Note):
     """What a bake notes of a Draco stream that it has replaced: the extension before, and accessors by name.
 
     The accessors belong to the attributes that the new stream replaces or leaves out.
@@ -428,8 +475,7 @@ class StreamNote:
     accessors: JsonObject = _member(_as_is, {})
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BufferNote:
+class BufferNote(_Note):
     """What ``gltf.additions`` notes of the buffer before a bake, in the first view that it adds."""
 
     byte_length: int | None = _member(reference, key=BUFFER_LENGTH)
@@ -451,7 +497,7 @@ def gradient_note_in(document: Document, primitive: JsonObject) -> GradientNote 
     """
     found = _stored(primitive)
     if found is not None:
-        return None if isinstance(found.get("left"), dict) else _read(GradientNote, found)
+        return None if isinstance(found.get("left"), dict) else GradientNote.read(found)
     attributes, accessors = primitive.get("attributes"), document.objects("accessors")
     for value in attributes.values() if isinstance(attributes, dict) else ():
         number = reference(value)
@@ -468,13 +514,13 @@ def gradient_note_in(document: Document, primitive: JsonObject) -> GradientNote 
 def _note_of_accessor(document: Document, number: int) -> tuple[GradientNote | None, int]:
     """Return the note in the extras of an accessor, and the number of its entries."""
     found = _stored(document.objects("accessors")[number])
-    return None if found is None else _read(GradientNote, found), entries_inside(found)
+    return None if found is None else GradientNote.read(found), entries_inside(found)
 
 
 def corrective_note(mesh: JsonObject) -> CorrectiveNote | None:
     """Return the note of a mesh's correctives, None if it has none."""
     found = _stored(mesh, whole=True)
-    note = None if found is None else _read(CorrectiveNote, found)
+    note = None if found is None else CorrectiveNote.read(found)
     return note if note is not None and 0 < note.targets <= MOST_CORRECTIVES else None
 
 
@@ -488,7 +534,7 @@ def corrective_notes(document: Document) -> dict[int, CorrectiveNote]:
 def morph_note(mesh: JsonObject) -> MorphNote | None:
     """Return the note of a mesh whose targets bake has changed, None without a sound one."""
     found = _stored(mesh, whole=True)
-    return _read(MorphNote, found) if found and isinstance(found.get("morphTargets"), list) else None
+    return MorphNote.read(found) if found and isinstance(found.get("morphTargets"), list) else None
 
 
 @once_a_document
@@ -516,7 +562,7 @@ def noted_targets(mesh: JsonObject) -> list[MorphTargets]:
 def left_note(holder: JsonObject) -> Left | None:
     """Return why a bake has left a primitive, or the file of an asset, on purpose; None if it has not."""
     found = _stored(holder)
-    return None if found is None else _read(LeftNote, found).left
+    return None if found is None else LeftNote.read(found).left
 
 
 def primitive_left(source: PrimitiveSource) -> Left | None:
@@ -532,14 +578,14 @@ def file_left(document: Document) -> Left | None:
 def stream_note(extension: JsonObject) -> StreamNote | None:
     """Return the note of a Draco stream that a bake has made in place of another, None without one."""
     found = object_of(extension.get("extras")).get(KEY)
-    note = _read(StreamNote, found) if isinstance(found, dict) else None
+    note = StreamNote.read(found) if isinstance(found, dict) else None
     return note if note and note.before is not None and isinstance(note.accessors, dict) else None
 
 
 def buffer_note(view: JsonObject) -> BufferNote | None:
     """Return the note of the buffer before a bake, None if the view is not the first that one has added."""
     found = object_of(view.get("extras")).get(KEY)
-    return _read(BufferNote, found) if isinstance(found, dict) else None
+    return BufferNote.read(found) if isinstance(found, dict) else None
 
 
 def _stored(holder: JsonObject, *, whole: bool = False) -> JsonObject | None:
@@ -561,11 +607,11 @@ def has_place(holder: JsonObject) -> bool:
     return isinstance(extras, dict) and KEY not in extras
 
 
-def with_note(holder: JsonObject, note: Any) -> JsonObject:
+def with_note(holder: JsonObject, note: _Note) -> JsonObject:
     """Return an object with a note in its ``extras``, which notes too whether these were empty before."""
-    if holder.get("extras") == {} and hasattr(note, "keep_extras"):
-        note = replace(note, keep_extras=True)
-    return {**holder, "extras": {**object_of(holder.get("extras")), KEY: as_json(note)}}
+    if holder.get("extras") == {} and "keep_extras" in note.members:
+        note = note._replace(keep_extras=True)
+    return {**holder, "extras": {**object_of(holder.get("extras")), KEY: note.as_json()}}
 
 
 def without_note(holder: JsonObject) -> JsonObject:
@@ -612,8 +658,7 @@ def with_left(document: Document, left: Left) -> Document | None:
     def rounded(value: float | None) -> float | None:
         return None if value is None else float(f"{value:.4g}")
 
-    left = replace(
-        left,
+    left = left._replace(
         gain=rounded(left.gain),
         standard_error=rounded(left.standard_error),
         under=rounded(left.under),
@@ -657,58 +702,3 @@ def refuse_later(version: int, place: Place) -> None:
     if version > VERSION:
         message = f"its metadata has version {version}, this skinbake reads {VERSION}: update skinbake"
         raise UnsupportedFeatureError(message, place)
-
-
-_Note = TypeVar("_Note")
-
-
-class _Member(NamedTuple):
-    """A member of a kind of note: its names in the class and in the file, and as ``_member`` declares it."""
-
-    name: str
-    key: str
-    read: Callable[[Any], Any]
-    absent: Any
-    always: bool
-
-
-@cache
-def _members(kind: Any) -> tuple[_Member, ...]:
-    """Return the members of a kind of note, in the order of the file."""
-    return tuple(
-        _Member(
-            one.name,
-            told["key"] or _key(one.name),
-            told["read"],
-            told["absent"],
-            told["always"],
-        )
-        for one in fields(kind)
-        if (told := one.metadata)
-    )
-
-
-def _read(kind: type[_Note], raw: JsonObject) -> _Note:
-    """Return the note of a kind in an object. What is absent or damaged has the value of its absence."""
-    found: dict[str, Any] = {"json": raw} if issubclass(kind, GradientNote) else {}
-    for member in _members(kind):  # type: ignore[arg-type]  # a class is hashable
-        if member.key in raw and (value := member.read(raw[member.key])) is not None:
-            found[member.name] = value
-    return kind(**found)
-
-
-def as_json(note: Any) -> JsonObject:
-    """Return a note as the file has it. A member that says no more than its absence is left out."""
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, Enum):
-            return str(value)
-        if isinstance(value, tuple):
-            return [plain(one) for one in value]
-        if isinstance(value, Mapping):
-            return {name: plain(one) for name, one in value.items()}
-        return as_json(value) if hasattr(value, "__dataclass_fields__") else value
-
-    kind: Any = type(note)
-    values = [(member, getattr(note, member.name)) for member in _members(kind)]
-    return {one.key: plain(value) for one, value in values if one.always or value != one.absent}
