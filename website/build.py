@@ -17,6 +17,7 @@ from pathlib import Path
 
 import click
 
+from skinbake.cli.help import EVERYTHING
 from skinbake.cli.main import main as main_command
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -26,7 +27,7 @@ COMMANDS = Path("docs/reference/commands.md")
 
 COMMANDS_HEAD = """# Help of each command
 
-Made from the declarations of the options. `skinbake COMMAND --help` prints the same.
+Made from the declarations of the options. `skinbake COMMAND --help-all` prints the same.
 """
 
 WIDTH = 80
@@ -108,8 +109,9 @@ def tree(heading: str, pages: Mapping[Path, str]) -> str:
 
 
 def commands() -> str:
-    """Return the page of the commands: their help, as ``--help`` prints it."""
+    """Return the page of the commands: their help, with all options."""
     top = click.Context(main_command, info_name="skinbake", terminal_width=WIDTH)
+    top.meta[EVERYTHING] = True
     text = [COMMANDS_HEAD]
     for name in main_command.list_commands(top):
         command = main_command.get_command(top, name)

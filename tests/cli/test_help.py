@@ -26,18 +26,41 @@ def command_of(name: str) -> tuple[Helpful, click.Context]:
     return command, click.Context(command, TOP, info_name=name, help_option_names=["-h", "--help"])
 
 
+def help_of(name: str) -> str:
+    return invoke(name, "--help-all" if command_of(name)[0].usual else "--help").stdout
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_option_is_in_one_group_and_examples_end_the_help(name: str) -> None:
     command, ctx = command_of(name)
     shown = list(grouped(command, ctx))
     options = [param for param in command.get_params(ctx) if isinstance(param, click.Option)]
     assert sum(len(rows) for _, rows in shown) == len(options)
-    text = invoke(name, "--help").stdout
+    text = help_of(name)
     for option in options:
         assert re.search(rf"^  .*{re.escape(option.opts[-1])}\b", text, re.MULTILINE)
     examples = text.partition("\nExamples:\n")[2].splitlines()
     assert examples == [f"  {line}" for line in command.examples]
     assert examples
+
+
+@pytest.mark.parametrize("name", ["bake", "verify", "shader"])
+def test_help_shows_the_usual_options_and_an_example_and_names_the_rest(name: str) -> None:
+    command, _ = command_of(name)
+    text = invoke(name, "--help").stdout
+    shown = set(re.findall(r"^  (?:-\w, )?(--[a-z-]+)", text, re.MULTILINE))
+    usual = {f"--{param.opts[-1].lstrip('-')}" for param in command.params if param.name in command.usual}
+    assert shown == {*usual, "--help", "--help-all"}
+    assert len(usual) == len(command.usual) <= 13
+    assert f"Show all {len(command.params) - 1 - (name != 'shader')} options" in text
+    assert "Examples:" in text
+
+
+def test_help_before_a_command_is_its_help() -> None:
+    assert invoke("help", "bake").stdout == invoke("bake", "--help").stdout
+    assert invoke("help").stdout == invoke("--help").stdout
+    unknown = invoke("help", "bkae")
+    assert (unknown.exit_code, "Did you mean 'bake'?" in unknown.stderr) == (2, True)
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -52,9 +75,7 @@ def test_the_help_of_an_option_names_only_options_of_its_command(name: str) -> N
 @pytest.mark.parametrize("name", COMMANDS)
 def test_the_value_of_an_option_has_a_name_of_ours(name: str) -> None:
     """Without one, click writes INTEGER RANGE, FLOAT RANGE or TEXT."""
-    named = re.findall(
-        r"^  (?:-\w, )?--[a-z-]+ ([A-Z].*?)(?:  |$)", invoke(name, "--help").stdout, re.MULTILINE
-    )
+    named = re.findall(r"^  (?:-\w, )?--[a-z-]+ ([A-Z].*?)(?:  |$)", help_of(name), re.MULTILINE)
     assert [value for value in named if re.search(r"RANGE|INTEGER|FLOAT\b|TEXT", value)] == []
     assert named
 

@@ -263,15 +263,6 @@ def test_usage_errors_exit_2(arguments: list[str]) -> None:
     assert "Usage:" in result.stderr
 
 
-def test_help_names_every_option() -> None:
-    text = run("--help").stdout
-    options = (
-        "method poses samples angle seed baseline cap max-mean-error max-p95-error min-gain require-baked"
-    )
-    for option in (*options.split(), "warnings-as-errors", "json", "junit"):
-        assert f"--{option}" in text
-
-
 class Clock:
     """A clock that runs a second a look, or stands still."""
 

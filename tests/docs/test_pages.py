@@ -107,7 +107,7 @@ def test_the_rows_of_shared_options_name_the_commands_that_have_them() -> None:
     assert [(option, listed) for listed, option in shared] == [
         (option, having[option]) for _, option in shared
     ]
-    assert len(shared) == 21
+    assert len(shared) == 22
 
 
 def test_the_readme_takes_two_minutes() -> None:

@@ -45,16 +45,20 @@ def options_of(given: Mapping[str, Any]) -> BakeOptions:
         "skinbake bake art/characters --out-dir build --jobs auto --skip-unchanged",
         "skinbake bake hero.glb --dry-run -v",
     ),
+    usual=(
+        *("output", "out_dir", "in_place", "dry_run", "weld", "generate_normals", "correctives"),
+        *("encoding", "compress", "leave_under", "jobs", "skip_unchanged", "verbose"),
+    ),
 )
 @click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")
 @planned(options_of, for_many=True)
 def command(plan: Plan[BakeOptions], *, require_tracked: bool) -> None:
-    """Add α/β, the skin-weight gradients along tangent and bitangent, to every skinned primitive.
+    """Add α and β, the skin-weight gradients along tangent and bitangent, to every skinned primitive.
 
     INPUT is a .glb, .gltf or .vrm file, or - for a GLB on stdin; a folder, for all such files below it; or a
     quoted pattern like 'art/**/*.glb'. Inputs and outputs may be URLs. Everything that bake does not add
     stays as it is. A file in which nothing can be baked passes through unchanged, with a warning. Bake last:
-    tools that reorder influences or quantise positions falsify α and β.
+    after tools that reorder influences or quantise positions, α and β are wrong.
     """
     clip_files = [named_file(one.path) for one in plan.options[0].fit_poses if not isinstance(one, str)]
     check_reports(

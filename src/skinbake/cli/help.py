@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import click
@@ -25,13 +25,17 @@ PAGE = "skinbake"
 LAST = "Messages"
 """The heading of --help, which is click's."""
 
+EVERYTHING = "skinbake.help_all"
+"""The key in a context's meta that has help show every option."""
+
 
 class Helpful(click.Command):
     """A command whose help has its options in groups, and whose options a configuration file can set.
 
     ``words`` are those that are known only at run time, by option. ``examples`` end the help, one a line.
-    ``second`` is the option that a user means by a name more than the command takes, and the suffixes of
-    such names.
+    ``usual`` are the names of the options that --help shows; none: all of them. --help-all, completion, the
+    man page and the reference show all. ``second`` is the option that a user means by a name more than the
+    command takes, and the suffixes of such names.
     """
 
     def __init__(
@@ -40,11 +44,13 @@ class Helpful(click.Command):
         *arguments: Any,
         words: Mapping[str, Sequence[str]] | None = None,
         examples: tuple[str, ...] = (),
+        usual: Collection[str] = (),
         second: tuple[str, tuple[str, ...]] | None = None,
         **of_click: Any,
     ) -> None:
-        """Take the words, the examples, and the option of a second name besides the parameters of click."""
+        """Take what the class describes, besides the parameters of click."""
         self.examples, self._second = examples, second
+        self.usual = usual
         super().__init__(name, *arguments, **of_click)
         for param in self.params:
             if (param.metavar or "").strip("[].") in PATHS:
@@ -54,6 +60,12 @@ class Helpful(click.Command):
             if option.name in CHOOSES_FILE:
                 option.callback, option.is_eager, option.expose_value = load, True, False
             self.params.append(option)
+        if usual:
+            told = f"Show all {len(OPTIONS[name])} options and exit."
+            every = click.Option(
+                ["--help-all"], is_flag=True, is_eager=True, expose_value=False, callback=_show_all, help=told
+            )
+            self.params.append(every)
 
     def make_context(self, *arguments: Any, **options: Any) -> click.Context:
         """Make the context. --help prints and ends in this method."""
@@ -132,7 +144,8 @@ class Helpful(click.Command):
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options, one group after the other."""
-        for heading, rows in grouped(self, ctx):
+        shown = () if ctx.meta.get(EVERYTHING) else self.usual
+        for heading, rows in grouped(self, ctx, shown):
             with formatter.section(heading):
                 formatter.write_dl(rows)
 
@@ -144,14 +157,24 @@ class Helpful(click.Command):
                     formatter.write(f"{'':>{formatter.current_indent}}{line}\n")
 
 
-def grouped(command: click.Command, ctx: click.Context) -> Iterator[tuple[str, list[tuple[str, str]]]]:
-    """Yield each heading with its options and their help, as they are declared."""
+def _show_all(ctx: click.Context, param: click.Parameter, value: bool) -> None:
+    if value and not ctx.resilient_parsing:
+        ctx.meta[EVERYTHING] = True
+        click.echo(ctx.get_help(), color=ctx.color)
+        ctx.exit()
+
+
+def grouped(
+    command: click.Command, ctx: click.Context, names: Collection[str] = ()
+) -> Iterator[tuple[str, list[tuple[str, str]]]]:
+    """Yield each heading with its options and their help, as they are declared; ``names``: only these."""
     headings: dict[str, list[tuple[str, str]]] = {}
     for param in command.get_params(ctx):
-        row = param.get_help_record(ctx) if isinstance(param, click.Option) else None
+        declared = param.declared if isinstance(param, DeclaredOption) else None
+        is_left_out = declared is not None and names and declared.name not in names
+        row = param.get_help_record(ctx) if isinstance(param, click.Option) and not is_left_out else None
         if row:
-            declared = param.declared.heading if isinstance(param, DeclaredOption) else LAST
-            headings.setdefault(declared, []).append(row)
+            headings.setdefault(declared.heading if declared else LAST, []).append(row)
     yield from headings.items()
 
 

@@ -62,7 +62,13 @@ class LazyGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the command. For an unknown name, ask about the nearest one."""
+        """Find the command; ``help bake`` is ``bake --help``. For an unknown name, ask about the nearest."""
+        if args[0] == "help" and len(args) < 3:
+            if args[1:]:
+                args = [args[1], "--help"]
+            else:
+                click.echo(ctx.get_help(), color=ctx.color)
+                ctx.exit()
         try:
             return super().resolve_command(ctx, args)
         except click.UsageError as error:

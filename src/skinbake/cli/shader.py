@@ -32,13 +32,17 @@ from skinbake.wording import SUFFIXES
         "skinbake shader --lang glsl --for build/hero.glb -o skinbake.glsl",
         "skinbake shader --target three --for build/hero.glb",
     ),
+    usual=(
+        *("output", "language", "target", "source", "method", "lighting", "stage", "normal_map", "cap"),
+        *("frame", "encoding", "influences", "verbose"),
+    ),
 )
 @planned()
 def command(plan: Plan[Any], *, source: str | None, **choices: Any) -> None:
     """Write the shader code that reads α and β: GLSL, WGSL or HLSL, plain or for an engine.
 
-    The text is self-contained. It has pure functions on values, for the algorithms 1 to 6. Its header says
-    which attributes it reads, and how to call it.
+    The text needs no other file. It has pure functions on values, for the algorithms 1 to 6 of the paper. Its
+    header says which attributes it reads, and how to call it.
     """
     output = str(plan.output)
     check_named(output)

@@ -53,20 +53,25 @@ def options_of(given: Mapping[str, Any]) -> VerifyOptions:
     examples=(
         "skinbake verify build/hero.glb",
         "skinbake verify build --jobs auto --require-baked --min-gain 1.5 --junit build/skinbake.xml",
+        "skinbake verify build --html report.html",
+    ),
+    usual=(
+        *("poses", "methods", "max_mean_error", "min_gain", "require_baked", "sources", "warnings_as_errors"),
+        *("as_json", "junit", "html", "jobs", "verbose"),
     ),
 )
 @click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")
 @planned(options_of, for_many=True)
 def command(plan: Plan[VerifyOptions], **extras: Any) -> None:
-    """Check that files still carry the right α/β, and measure how much they improve the lighting.
+    """Check that files still carry the right α and β, and measure how much they improve the lighting.
 
-    Structure: α/β and metadata are there and whole. Freshness: a bake of the file as it is now would give the
-    same α/β. Gradients of the surface are found by other code than bake's, fitted ones by bake's. Lighting:
-    how far the normals of each algorithm are from the true ones, in degrees, in the file's own animations.
-    Limits apply to the accurate lighting of each --method asked for (LBS otherwise). INPUT is a .glb, .gltf
-    or .vrm file, or - for a GLB on stdin; a folder, for all such files below it; or a quoted pattern like
-    'build/**/*.glb'. Each may be a URL. One file has a
-    verdict and the next step, several have a line each; -v shows every figure.
+    INPUT is a .glb, .gltf or .vrm file, or - for a GLB on stdin; a folder, for all such files below it; or a
+    quoted pattern like 'build/**/*.glb'. Each may be a URL. One file has a verdict and the next step, several
+    have a line each; -v shows every figure.
+
+    Three checks. Structure: α and β are there and whole. Freshness: a bake of the file as it is now would
+    give the same values. Lighting: how far the normals of each algorithm are from the true ones, in degrees,
+    in the file's own animations. Limits apply to the accurate lighting of each --method (by default LBS).
     """
     checks, without_output = _sources(plan)
     # A source without an output is told of like an input.

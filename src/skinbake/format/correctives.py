@@ -119,7 +119,7 @@ def check_targets(document: Document, mesh: int, place: Place) -> None:
     """Raise UnsupportedFeatureError if a mesh cannot get correctives: its clips or extras leave no place."""
     content = document.objects("meshes")[mesh]
     if not isinstance(content.get("extras", {}), dict):
-        message = '"extras" of its mesh are no object, so there is no place for targetNames and metadata'
+        message = '"extras" of its mesh are not an object, so there is no place for targetNames and metadata'
         raise UnsupportedFeatureError(message, place)
     moved, nodes = _moved_weights(document), set(nodes_with(document, mesh))
     if mesh in moved.meshes or nodes & moved.pointed:
