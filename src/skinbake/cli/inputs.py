@@ -11,7 +11,7 @@ from typing import NamedTuple
 import click
 
 from skinbake.errors import InputError
-from skinbake.files.urls import STDIO, File, file_part, is_url, join_url, named_file, on_disk
+from skinbake.files.urls import STDIO, File, is_url, join_url, named_file, on_disk
 from skinbake.wording import SUFFIXES, not_gltf
 
 MAGIC = frozenset("*?[")
@@ -74,7 +74,7 @@ def is_one_file(arguments: Sequence[str]) -> bool:
         return False
     (argument,) = arguments
     if is_url(argument):
-        return file_part(argument).lower().endswith(SUFFIXES) and MAGIC.isdisjoint(argument)
+        return argument.lower().endswith(SUFFIXES) and MAGIC.isdisjoint(argument)
     return argument == STDIO or _is_name(argument)
 
 

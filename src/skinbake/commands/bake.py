@@ -70,13 +70,7 @@ def bake_file(
         planned = None
         if target is not None and not (made.document is document and target == source != STDIO):
             with stage("write"):
-                planned = plan_output(
-                    made.document,
-                    target,
-                    root=within.output,
-                    keeps_notes=writing.keeps_notes,
-                    grows=made.is_baked,
-                )
+                planned = plan_output(made.document, target, root=within.output, grows=made.is_baked)
             if target == source:
                 tell_other_names(document, source)
         # All that can be told has been told, and nothing is written yet.

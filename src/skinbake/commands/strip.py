@@ -27,14 +27,12 @@ def strip_file(
     bounds: Bounds = BESIDE,
     root: str | None = None,
     lists_read: bool = False,
-    keeps_notes: bool = True,
 ) -> StripResult:
     """Write a document without the additions of bake. Raises SkinbakeError; then nothing is written.
 
     With ``sync``, it waits until the file is on the disk. Nothing is written outside ``root``, which is the
     target's own folder by default. A file that holds no bake is not replaced by itself.
-    With ``lists_read``, the result names the files that were read beside the source. See
-    ``Writing`` for ``keeps_notes``.
+    With ``lists_read``, the result names the files that were read beside the source.
     """
     in_place = target == source != STDIO
     replaced = version_of(source) if in_place else None
@@ -52,7 +50,7 @@ def strip_file(
     read = prerequisites(source, files_read(given, target, pack=False)) if lists_read else ()
     with stage("write"):
         untouched = in_place and count == 0
-        planned = None if untouched else plan_output(document, target, root=root, keeps_notes=keeps_notes)
+        planned = None if untouched else plan_output(document, target, root=root)
     if in_place and planned:
         tell_other_names(given, source)
     notices = tuple(given.notices)

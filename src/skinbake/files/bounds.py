@@ -37,11 +37,13 @@ NOWHERE = ""
 class Bounds(NamedTuple):
     """The places to which a document's names may lead: below ``root``, or below one of ``allowed``.
 
-    They are paths, or URLs if the document has a URL. None stands for the document's own folder.
+    They are paths, or URLs if the document has a URL. None stands for the document's own folder. Files that
+    are ``fetched`` are gone after the work: nothing is noted of them beside a target.
     """
 
     root: str | None = None
     allowed: tuple[str, ...] = ()
+    fetched: bool = False
 
 
 BESIDE = Bounds()

@@ -17,17 +17,12 @@ IGNORES_CASE = sys.platform in {"darwin", "win32"}
 """Whether the usual disks of this system take ``A.glb`` and ``a.glb`` for one file."""
 
 URL = re.compile(r"^[A-Za-z][A-Za-z0-9+.\-]+(::.+)?://")
-"""A scheme of two letters or more. One letter is a drive of Windows. ``zip://a.glb::s3://…`` is of fsspec."""
+"""A scheme of two letters or more. One letter is a drive of Windows. Chained URLs of fsspec are refused."""
 
 
 def is_url(path: str) -> bool:
     """Tell whether a name given by the user is a URL, not a path."""
     return URL.match(path) is not None
-
-
-def file_part(url: str) -> str:
-    """Return the part of a URL that names the file: ``zip://a.glb`` of ``zip://a.glb::s3://b/c.zip``."""
-    return next((part for part in url.split("::") if "://" in part), url)
 
 
 def join_url(folder: str, relative: str) -> str:

@@ -35,7 +35,6 @@ class Strip:
                 bounds=within.bounds,
                 root=within.output,
                 lists_read=how.lists_read,
-                keeps_notes=how.keeps_notes,
             )
 
         return elsewhere.write(job, stripped, self.writing)

@@ -43,8 +43,7 @@ class Writing(NamedTuple):
 
     A ``dry_run`` does everything except writing. ``traced`` requests digests of the written files. ``sync``
     waits until they are on the disk. ``pack`` brings the files of buffers and images into a GLB's BIN chunk.
-    ``lists_read`` requests the paths of the files that were read. ``keeps_notes`` is false in a folder that
-    is gone after the work: files beside the target are not noted there, and no earlier ones are replaced.
+    ``lists_read`` requests the paths of the files that were read.
     """
 
     dry_run: bool = False
@@ -52,7 +51,6 @@ class Writing(NamedTuple):
     sync: bool = True
     pack: bool = False
     lists_read: bool = False
-    keeps_notes: bool = True
 
 
 AS_USUAL = Writing()
@@ -125,7 +123,6 @@ def plan_output(
     target: str,
     *,
     root: str | None = None,
-    keeps_notes: bool = True,
     grows: bool = False,
 ) -> PlannedOutput:
     """Return the plan of writing a document to ``target``, or to stdout for ``-``; tell what is not copied.
@@ -134,7 +131,7 @@ def plan_output(
     of; the default is the folder of the target. Files that a relative URI names are copied under their
     relative path, if the target is in another folder and that path is below the root. An existing file is not
     changed: if it has the same content it serves, otherwise the copy has another name and the URI follows. It
-    is replaced only if it is noted as an earlier copy (``copies``), unless not ``keeps_notes``. A copy that
+    is replaced only if it is noted as an earlier copy (``copies``), never for a fetched document. A copy that
     would have the name of the target has another name too.
     Other URIs are rewritten so that they still lead to the same file. A document that was not edited is
     written with the bytes that were read. ``grows`` tells that a large one may have been given to
@@ -147,12 +144,12 @@ def plan_output(
         return PlannedOutput(target, {Path(STDIO): _serialised(document, grows=grows)})
 
     def again() -> PlannedOutput:
-        return plan_output(document, target, root=root, keeps_notes=keeps_notes, grows=grows)
+        return plan_output(document, target, root=root, grows=grows)
 
     try:
         path, base = _path_of(target, root)
         check_target(path, target)
-        copies = Copies(path, base) if keeps_notes else None
+        copies = None if document.bounds.fetched else Copies(path, base)
         written, beside, serving = Beside(document, path, base, copies).planned()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error

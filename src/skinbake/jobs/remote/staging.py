@@ -107,7 +107,7 @@ class _Mirror:
     def bounds(self, end: End, given: Bounds) -> Bounds:
         """Return the folders to which the names of a document at this end may lead."""
         allowed = (self.top(end, folder) for folder in given.allowed)
-        return Bounds(self.top(end, given.root), tuple(filter(None, allowed)))
+        return Bounds(self.top(end, given.root), tuple(filter(None, allowed)), fetched=True)
 
     def names_of(self, end: End, uri: str, bounds: Bounds) -> list[tuple[str, bool]]:
         """Return the names in a storage that a URI of a document may mean, but those outside.
@@ -216,7 +216,7 @@ def write(source: str, target: str | None, makes: Makes[ResultT], how: Writing, 
         with writing(goal.given):
             made_at = mirror.path(goal)
         before, output = mirror.states(goal), mirror.top(goal, within.output)
-        how = how._replace(sync=how.sync and goal.storage is None, keeps_notes=False)
+        how = how._replace(sync=how.sync and goal.storage is None)
         naming_both = mirror.naming(start, goal)
         result = with_names(lambda: makes(path, made_at, how, Within(bounds, output)), naming_both)
         written = [name for name, state in mirror.states(goal).items() if before.get(name) != state]

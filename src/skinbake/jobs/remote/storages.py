@@ -12,7 +12,7 @@ from urllib.parse import quote, unquote, urlsplit
 
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
 from skinbake.files.bounds import is_relative
-from skinbake.files.urls import URL, file_part, join_url
+from skinbake.files.urls import URL, join_url
 from skinbake.wording import SUFFIXES, installing
 
 if TYPE_CHECKING:
@@ -108,10 +108,13 @@ class Storage:
 def storage_of(url: str) -> tuple[Storage | None, str]:
     """Return the storage of a URL and the name in it, or None and a path of this machine.
 
-    Raises InputError if fsspec or the driver of the URL's protocol is missing.
+    Files on this machine's disk are opened as such: a driver would follow links out of their folder. Raises
+    InputError if fsspec or the driver of the URL's protocol is missing.
     """
+    from fsspec.implementations.local import LocalFileSystem
+
     filesystem, path = _filesystem(url)
-    if _is_local(filesystem, url):
+    if isinstance(filesystem, LocalFileSystem):
         return None, path
     scheme = URL.match(path)
     root = scheme.group() if scheme else path[: len(path) - len(path.lstrip("/"))]
@@ -123,6 +126,8 @@ def storage_of(url: str) -> tuple[Storage | None, str]:
 
 def _filesystem(url: str) -> tuple[AbstractFileSystem, str]:
     scheme = url.partition("://")[0]
+    if "::" in url:
+        raise InputError("it is a chained URL: copy the file out, and name the copy", Place(url))
     try:
         from fsspec.core import url_to_fs
     except ImportError as error:
@@ -140,27 +145,6 @@ def _filesystem(url: str) -> tuple[AbstractFileSystem, str]:
     except Exception as error:  # drivers refuse a host or a key by exceptions of any type
         raise InputError(f"cannot be reached: {reason(error)}", Place(url)) from error
     return filesystem, str(path)
-
-
-def _is_local(filesystem: AbstractFileSystem, url: str) -> bool:
-    """Tell whether files are on this machine's disk: then no driver opens them, which would follow links.
-
-    A cache of such files is left out. Raises InputError for other filesystems over this disk.
-    """
-    from fsspec.archive import AbstractArchiveFileSystem
-    from fsspec.implementations.cached import CachingFileSystem
-    from fsspec.implementations.local import LocalFileSystem
-
-    inner, is_cache = filesystem, True
-    while not isinstance(inner, LocalFileSystem):
-        is_cache = is_cache and isinstance(inner, CachingFileSystem)
-        further = getattr(inner, "fs", None) or getattr(inner, "sync_fs", None)
-        if further is None or isinstance(inner, AbstractArchiveFileSystem):
-            return False
-        inner = further
-    if not is_cache:
-        raise InputError("it is on this disk: name its path instead of a chained URL", Place(url))
-    return True
 
 
 def _is_object_store(filesystem: AbstractFileSystem) -> bool:
@@ -206,11 +190,9 @@ def expand_url(url: str) -> list[tuple[str, str]]:
     folder. A pattern with ``*``, ``**``, ``?`` or ``[…]`` means the files that match, relative to the folder
     before its first wildcard. Raises InputError if the storage cannot be read, or if there are no files.
     """
-    wildcard, file = WILDCARDS.search(url), PurePosixPath(file_part(url))
+    wildcard, file = WILDCARDS.search(url), PurePosixPath(url)
     if wildcard is None and file.suffix.lower() in SUFFIXES:
         return [(url, _decoded(url, file.name))]
-    if "::" in url:
-        raise InputError("folders and patterns of chained URLs are not expanded; name the files", Place(url))
     filesystem, path = _filesystem(url)
     with reading(url):
         if wildcard and filesystem.isfile(path):  # a name may hold brackets
@@ -235,7 +217,7 @@ def expand_url(url: str) -> list[tuple[str, str]]:
 
 def _decoded(url: str, name: str) -> str:
     """Return the relative path of an HTTP URL, each part decoded where that leaves a name."""
-    if not _is_web(file_part(url)):
+    if not _is_web(url):
         return name
     parts = [(part, unquote(part)) for part in name.split("/")]
     return "/".join(clear if is_relative(part) and "/" not in clear else part for part, clear in parts)
