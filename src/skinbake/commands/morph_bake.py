@@ -21,6 +21,7 @@ from skinbake.commands.bake_options import BakeOptions
 from skinbake.commands.surface_bake import PrimitiveBake
 from skinbake.errors import Chosen, InputError, Message, Notice
 from skinbake.format.morph_targets import MadeTargets, check_extras, morph_digest
+from skinbake.geometry.frames import dot
 from skinbake.geometry.morphs import NO_DIFFERENCES, Differences
 from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray, SkinnedPrimitive
 from skinbake.gltf.asset import PrimitiveSource
@@ -246,7 +247,7 @@ def _made(
             before = part.primitive.normals[change.rows].astype(np.float64)
             after = before + change.values
             sine = np.linalg.norm(np.cross(before, after), axis=1)
-            every += np.degrees(np.arctan2(sine, np.einsum("ri,ri->r", before, after))).tolist()
+            every += np.degrees(np.arctan2(sine, dot(before, after))).tolist()
         yield (
             MadeTargets(part.source, normals, moved, morph_digest(part.primitive, moving)),
             MorphCounts(

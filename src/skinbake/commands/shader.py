@@ -17,6 +17,7 @@ from skinbake.format.note import IN_PLANE, UPWARD, corrective_notes
 from skinbake.freshness.baked_views import BakedView, baked_views, is_baked, rest_primitive
 from skinbake.freshness.staleness import claim_freshness, refuse_stale
 from skinbake.geometry.dual_quaternions import RIGID_TOLERANCE
+from skinbake.geometry.poses import determinants
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.reading.clips import read_clips
 from skinbake.gltf.reading.meshes import parts_not_plain, reason_to_skip, skinned_sources, why_nothing
@@ -349,7 +350,7 @@ def _with_joints(document: Document, views: Sequence[BakedView], choices: Shader
             names = scaled_joints([primitive], poses)
             if choices.method is Method.BLEND and not names:
                 # Linear blending takes the vertex as it is, so there is no scale to share.
-                volumes = np.abs(np.linalg.det(poses.joint_matrices[:, used, :3, :3]))
+                volumes = np.abs(determinants(poses.joint_matrices[:, used]))
                 of_one_size = np.abs(volumes - 1.0).max(initial=0.0) < 3 * RIGID_TOLERANCE
                 names = [] if of_one_size else ["the skeleton"]
             rigid_only = choices.target in {"three", "playcanvas"}
@@ -359,7 +360,7 @@ def _with_joints(document: Document, views: Sequence[BakedView], choices: Shader
                 what = f"this file does not fit --method {choices.method}"
                 raise InputError(f"{what}: {names[0]} scales or shears; use {needs}", view.source.place)
             scales |= bool(names) and choices.target not in AT_RUN_TIME
-        mirrors |= bool((np.linalg.det(poses.joint_matrices[:, used, :3, :3]) < 0).any())
+        mirrors |= bool((determinants(poses.joint_matrices[:, used]) < 0).any())
     choices = replace(choices, scaled_joints=scales)
     return replace(choices, mirrored_joints=mirrors and choices.crosses)
 

@@ -195,7 +195,7 @@ class Surface:
                 end = start + len(one.positions)
                 summed = one.summed_normals(slice(None))
                 for axis, vectors in enumerate((frame.tangents, frame.bitangents, frame.normals)):
-                    of_pose[start:end, axis] = np.einsum("vi,vi->v", summed, vectors)
+                    of_pose[start:end, axis] = (summed * vectors).sum(axis=1)
                 start = end
         return found
 
@@ -223,11 +223,11 @@ class Surface:
                 before = [np.zeros(1), np.zeros(1), np.ones(1)]
                 if self.morphing is not None:
                     before = [
-                        np.einsum("ib,bi->b", block.at_rest, vectors[rows])[:, None]
+                        dot(tuple(block.at_rest), tuple(vectors[rows].T))[:, None]
                         for vectors in (rest.tangents, rest.bitangents, rest.normals)
                     ]
                 along = [
-                    np.einsum("ibp,bi->bp", turned, vectors[rows])
+                    dot(tuple(turned), tuple(vectors[rows].T[:, :, None]))
                     for vectors in (rest.tangents, rest.bitangents, rest.normals)
                 ]
                 flat = np.sqrt(np.square(along[0]) + np.square(along[1]))

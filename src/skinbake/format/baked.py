@@ -221,7 +221,7 @@ def _noted_positions(document: Document, item: Baked, stored: SkinnedPrimitive) 
     bounds = np.array([[one.min() for one in columns], [one.max() for one in columns]], dtype=np.float64)
     told = [accessor.get("min"), accessor.get("max")]
     if all(isinstance(row, list) and len(row) == 3 and all(map(is_number, row)) for row in told):
-        allowed = SAME_BOUNDS * float(np.linalg.norm(bounds[1] - bounds[0]))
+        allowed = SAME_BOUNDS * float(np.sqrt(np.square(bounds[1] - bounds[0]).sum()))
         if np.abs(np.array(told, dtype=np.float64) - bounds).max() <= allowed:
             noted = noted._replace(min=tuple(bounds[0].tolist()), max=tuple(bounds[1].tolist()))
     return noted

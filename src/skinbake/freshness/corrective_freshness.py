@@ -229,9 +229,10 @@ def _printed_values(values: Float64Array) -> tuple[float, ...]:
     """Return ``NUMBERS`` numbers that change with any of values (P, N), half with what all poses share."""
     finite, count = np.where(np.isfinite(values), values, 0.0), len(values)
     poses = np.full(count, 1.0 / count), np.cos(2.4 * np.arange(count)) / count**0.5
+    means = [(shares[:, None] * finite).sum(axis=0) for shares in poses]
     steps, size = np.arange(1, finite.shape[1] + 1), max(finite.shape[1], 1) ** 0.5
     return tuple(
-        round(float((poses[number * 2 // NUMBERS] @ finite) @ np.cos((number + 1) * steps)) / size, 5)
+        round(float((means[number * 2 // NUMBERS] * np.cos((number + 1) * steps)).sum()) / size, 5)
         for number in range(NUMBERS)
     )
 

@@ -43,6 +43,14 @@ def _squared_lengths(vectors: Float64Array) -> Float64Array:
         return np.asarray(x * x + y * y + z * z)
 
 
+def dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return a · b (…) of (…, 3) arrays, summed in the order x, y, z as in the shaders.
+
+    In which order np.einsum adds, and whether it fuses operations, depends on how numpy was built.
+    """
+    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
+
+
 def parts_along(vectors: Float64Array, a: Float64Array, b: Float64Array) -> Float64Array:
     """Return the parts (C, 2) of vectors along a and b, all (C, 3). NaN where a × b is 0.
 
@@ -50,8 +58,8 @@ def parts_along(vectors: Float64Array, a: Float64Array, b: Float64Array) -> Floa
     """
     across = np.cross(a, b)
     found = np.empty((len(vectors), 2))
-    found[:, 0] = np.einsum("ci,ci->c", np.cross(vectors, b), across)
-    found[:, 1] = np.einsum("ci,ci->c", np.cross(a, vectors), across)
+    found[:, 0] = dot(np.cross(vectors, b), across)
+    found[:, 1] = dot(np.cross(a, vectors), across)
     found /= np.square(np.linalg.norm(across, axis=1, keepdims=True))
     return found
 
@@ -112,7 +120,7 @@ def straightened(normals: Float32Array, tangents: FloatArray) -> Float32Array:
         wide, upward = tangents.astype(np.float64), normals.astype(np.float64)
         tangent = wide[:, :3]
         # The part across the normal, at the length of the whole.
-        flat = tangent - upward * np.einsum("ij,ij->i", upward, tangent)[:, None]
+        flat = tangent - upward * dot(upward, tangent)[:, None]
         before, after = np.linalg.norm(tangent, axis=1), np.linalg.norm(flat, axis=1)
         usable = (before < HUGE) & (after > ALONG * before)
         scaled = flat * (before / np.where(usable, after, 1.0))[:, None]
@@ -134,7 +142,7 @@ def tangent_deviation(normals: Float32Array, tangents: FloatArray) -> Float64Arr
         # The normal that TANGENT stands for, and its angle to NORMAL.
         rebuilt = np.cross(tangent, bitangent) * handedness[:, None]
         sine = np.linalg.norm(np.cross(normals, rebuilt), axis=1)
-        cosine = np.einsum("ij,ij->i", normals.astype(np.float64), rebuilt)
+        cosine = dot(normals.astype(np.float64), rebuilt)
         degrees = np.degrees(np.arctan2(sine, cosine))
         usable = (np.abs(handedness) == 1.0) & (np.linalg.norm(rebuilt, axis=1) > 0)
     return np.where(usable & np.isfinite(degrees), degrees, NO_DIRECTION)

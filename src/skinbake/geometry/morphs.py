@@ -13,6 +13,7 @@ from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
+from skinbake.geometry.frames import dot
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
 
 Kind: TypeAlias = Literal["positions", "normals", "tangents", "in_plane", "upward"]
@@ -208,8 +209,3 @@ def morphed_normals(normals: FloatArray, differences: FloatArray) -> tuple[Float
     sound = (square > 0) & np.isfinite(square) & differences.any(axis=1)
     root = np.sqrt(np.where(sound, square, square.dtype.type(1)))
     return np.where(sound[:, None], total / root[:, None], normals), root
-
-
-def dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return a · b (V,) of (V, 3) arrays, summed in the order x, y, z as in the shaders."""
-    return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])

@@ -56,7 +56,7 @@ def interpolated(
     elif rotation:
         # Appendix C.4. q and −q are one rotation: the nearer one is taken.
         left, right = normalised(left), normalised(right)
-        cosine = np.einsum("...c,...c->...", left, right)
+        cosine = (left * right).sum(axis=-1)
         right = np.where(cosine[..., None] < 0, -right, right)
         angle = np.arccos(np.minimum(np.abs(cosine), 1.0))
         sine = np.sin(angle)
@@ -114,6 +114,12 @@ def product(first: Float64Array, second: Float64Array) -> Float64Array:
     """
     terms = (first[..., :, n, None] * second[..., None, n, :] for n in range(first.shape[-1]))
     return sum(terms, start=np.zeros(()))
+
+
+def determinants(matrices: Float64Array) -> Float64Array:
+    """Return the determinants (…) of the linear parts of matrices (…, 3 or 4, 3 or 4)."""
+    a, b, c = np.moveaxis(matrices[..., :3, :3], -2, 0)
+    return np.asarray((np.cross(a, b) * c).sum(axis=-1))
 
 
 def random_rotations(shape: tuple[int, ...], angle: float, seed: int) -> Float64Array:

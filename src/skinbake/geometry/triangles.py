@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from skinbake.geometry.frames import dot
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray, blocks
 
 TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6
@@ -72,12 +73,12 @@ def smooth_normals(positions: FloatArray, triangles: IntArray, groups: IntArray)
         first, second = one - origin, other - origin
         cross = cross_products(first, second)
         # n / (|e1|² |e2|²): Max's weight of the unit normal is the sine over both lengths.
-        scale = _squared(first) * _squared(second)
+        scale = dot(first, first) * dot(second, second)
         weighted = np.divide(cross, scale[:, None], out=np.zeros_like(cross), where=scale[:, None] > 0)
         for axis in range(3):
             total[:, axis] += np.bincount(groups[corners[:, 0]], weighted[:, axis], len(total))
     # A sum without a length has no direction.
-    length = np.sqrt(_squared(total))[:, None]
+    length = np.sqrt(dot(total, total))[:, None]
     unit = np.divide(total, length, out=np.tile([0.0, 0.0, 1.0], (len(total), 1)), where=length > 0)
     return np.asarray(unit[groups])
 
@@ -87,7 +88,3 @@ def cross_products(first: Float64Array, second: Float64Array) -> Float64Array:
     ax, ay, az = first.T
     bx, by, bz = second.T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
-
-
-def _squared(vectors: Float64Array) -> Float64Array:
-    return np.asarray(np.einsum("ij,ij->i", vectors, vectors))

@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from skinbake.geometry.frames import unit_vectors
+from skinbake.geometry.frames import dot, unit_vectors
 from skinbake.geometry.morphs import Differences
+from skinbake.geometry.poses import product
 from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
 from skinbake.gradients.weight_gradients import WEIGHTINGS, Corners, corners_of, summed_rows
 
@@ -104,7 +105,7 @@ class MorphSurface:
         gradients = (total / self.totals[touched][:, None]).reshape(-1, 3, 3)
         rows = np.flatnonzero(touched[self.classes])
         own = gradients[numbers[self.classes[rows]]]
-        along = (np.einsum("rij,rj->ri", own, axis[rows]) for axis in (self.tangents, self.bitangents))
+        along = (product(own, axis[rows, :, None])[:, :, 0] for axis in (self.tangents, self.bitangents))
         return Differential(rows, *along)
 
     def normals_at(self, change: Differential) -> Float64Array:
@@ -127,7 +128,7 @@ class MorphSurface:
         area, moved_area = np.where(sound, area, 1.0), np.where(sound, moved_area, 1.0)
         # cof(F) n0 by the columns of the cofactor of [a' b' m], times [a b c/|c|]ᵀ n0.
         m = moved_c / np.sqrt(area * moved_area)[:, None]
-        by_a, by_b, by_c = (np.einsum("ri,ri->r", one, n0)[:, None] for one in (a, b, c / area[:, None]))
+        by_a, by_b, by_c = (dot(one, n0)[:, None] for one in (a, b, c / area[:, None]))
         found = by_a * np.cross(moved_b, m) + by_b * np.cross(m, moved_a) + by_c * moved_c
         length = np.linalg.norm(found, axis=1)
         sound &= (length > 0.0) & np.isfinite(length)
@@ -141,10 +142,10 @@ class MorphSurface:
         """
         t0, b0, n0 = (vectors[change.rows] for vectors in (self.tangents, self.bitangents, self.normals))
         across = np.cross(t0, b0)
-        volume = np.einsum("ri,ri->r", across, n0)[:, None]
+        volume = dot(across, n0)[:, None]
         with np.errstate(divide="ignore", invalid="ignore"):
             duals = np.cross(b0, n0) / volume, np.cross(n0, t0) / volume, across / volume
         along = (change.along_t, change.along_b)
-        parts = [[np.einsum("ri,ri->r", d, dual) for dual in duals] for d in along]
+        parts = [[dot(d, dual) for dual in duals] for d in along]
         (tt, tb, tn), (bt, bb, bn) = parts
         return np.stack([tt, tb, bt, bb, tn, bn], axis=1)

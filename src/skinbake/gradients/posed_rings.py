@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skinbake.geometry.frames import parts_along
+from skinbake.geometry.poses import determinants
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gradients.fit_rules import FLAT
 from skinbake.gradients.ring_turns import RingTurns
@@ -61,7 +62,7 @@ def posed_rings(surface: Surface, turns: RingTurns, matrices: Float64Array) -> P
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         across, posed_across = (np.cross(both[:, 0], both[:, 1]) for both in (derivatives, posed))
         area, posed_area = _lengths(across), _lengths(posed_across)
-        side = np.where(_determinants(blended) < 0.0, -1.0, 1.0)
+        side = np.where(determinants(blended) < 0.0, -1.0, 1.0)
         third = posed_across * (side * np.sqrt(posed_area / area) / posed_area)[:, None]
         mapped = np.empty_like(turns.tangents)
         for number in range(2):
@@ -94,9 +95,3 @@ def _terms(matrices: Float64Array, ends: Float64Array) -> Float64Array:
 
 def _lengths(vectors: Float64Array) -> Float64Array:
     return np.asarray(np.sqrt(np.square(vectors).sum(axis=-1)))
-
-
-def _determinants(matrices: Float64Array) -> Float64Array:
-    """Return the determinants (C,) of the linear parts of matrices (C, 3, 4)."""
-    rows = matrices[:, :, :3]
-    return np.asarray(np.einsum("ci,ci->c", np.cross(rows[:, 0], rows[:, 1]), rows[:, 2]))

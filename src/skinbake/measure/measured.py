@@ -13,6 +13,7 @@ from skinbake.choices import PoseKind, Truth
 from skinbake.errors import BudgetError, InputError, Notice, Place
 from skinbake.freshness.baked_views import baked_views
 from skinbake.freshness.staleness import claim_freshness
+from skinbake.geometry.poses import determinants
 from skinbake.geometry.skinned import BoolArray
 from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.document import Document
@@ -241,7 +242,7 @@ def _mirrored(drawn: Sequence[Draw]) -> Iterator[Notice]:
     for draw in drawn:
         key, matrices = id(draw.poses), draw.poses.joint_matrices
         if key not in mirrors:
-            mirrors[key] = (np.linalg.det(matrices[..., :3, :3]) < 0).any(axis=0)
+            mirrors[key] = np.any(determinants(matrices) < 0, axis=0)
         count = int(np.count_nonzero(mirrors[key] & joints_in_use(draw.surface.rest, matrices.shape[1])))
         if count:
             joints = counted(count, "joint mirrors", "joints mirror")

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from skinbake.geometry.frames import dot
 from skinbake.geometry.morphs import (
     COMPONENTS,
     MorphTargets,
@@ -14,7 +15,6 @@ from skinbake.geometry.morphs import (
     carried_by_tangent,
     carried_in_plane,
     carried_in_space,
-    dot,
     morphed_normals,
     normals_of_frames,
 )

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from skinbake.geometry.poses import determinants, product
 from skinbake.geometry.skinned import (
     Float32Array,
     Float64Array,
@@ -111,7 +112,7 @@ class RestAreas:
             for rows in blocks(len(posed)):
                 for joint, weight in zip(joints[rows].T, weights[rows].T, strict=True):
                     matrices = self._matrices[joint, :3]
-                    moved = np.einsum("vij,vj->vi", matrices[..., :3], positions[rows]) + matrices[..., 3]
+                    moved = product(matrices[..., :3], positions[rows, :, None])[..., 0] + matrices[..., 3]
                     posed[rows] += weight[:, None] * moved
             areas = vertex_areas(posed, primitive.triangles)
             in_use = np.zeros(len(posed), dtype=np.bool_)
@@ -119,5 +120,5 @@ class RestAreas:
             extent = float(np.abs(posed[in_use]).max(initial=0.0))
             if _COLLAPSED * extent * extent < areas.sum() < np.inf:
                 return areas
-            scales = np.abs(np.linalg.det(self._skeleton.inverse_bind[joints[:, 0], :3, :3])) ** (2.0 / 3.0)
+            scales = np.abs(determinants(self._skeleton.inverse_bind[joints[:, 0]])) ** (2.0 / 3.0)
             return np.asarray(vertex_areas(positions, primitive.triangles) * np.nan_to_num(scales, nan=1.0))

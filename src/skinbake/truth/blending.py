@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from skinbake.choices import Baseline
+from skinbake.geometry.poses import determinants
 from skinbake.geometry.skinned import Float64Array, FloatArray, blocks
 from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Vector, cofactors, corrected, cross
@@ -207,7 +208,7 @@ def sides_of(primitives: Sequence[RestPrimitive], joint_matrices: Float64Array) 
     negative scale. In a fold, the surface turns over although its joints do not mirror. A fold is left as it
     is, because the exact normal does turn inside out there.
     """
-    mirrors = np.linalg.det(joint_matrices[..., :3, :3]) < 0
+    mirrors = determinants(joint_matrices) < 0
     if not mirrors.any():
         return None
     dominant = np.concatenate(
