@@ -19,14 +19,13 @@ from skinbake.format.strip import stripped
 from skinbake.freshness.baked_views import sound_views
 from skinbake.freshness.staleness import made_states
 from skinbake.gltf import budget as budgets
-from skinbake.gltf.budget import Budget, Work
+from skinbake.gltf.budget import Budget, Cost, Work
 from skinbake.gltf.document import read_document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.reading.clips import read_clips
 from skinbake.gltf.reading.meshes import skinned_sources
-from skinbake.gltf.reading.skins import read_skeleton
 from skinbake.measure.scene import Scene
-from skinbake.truth.poses import pose_work
+from skinbake.truth.poses import PosePlan, PoseRequest
 from tests.support.command_line import invoke
 from tests.support.models import Change, Part, bake, sheet, write_model
 from tests.support.webgpu import NAGA
@@ -329,9 +328,11 @@ def test_streams_of_draco_are_steps_of_work(tmp_path: Path) -> None:
 def test_clips_that_say_the_same_are_sampled_once(tmp_path: Path) -> None:
     path = write_model(tmp_path / "in.glb", [sheet()], change=with_clips(40))
     document = read_document(str(path))
-    clips, skeleton = read_clips(document), read_skeleton(document, 0)
+    clips = read_clips(document)
     assert len(clips) == 40
-    assert pose_work(skeleton, clips, 60) == pose_work(skeleton, clips[:1], 60)
+    one, every = (PosePlan.of(document, 0, some, PoseRequest(samples=5), None) for some in (clips[:1], clips))
+    a_clip = Cost.SAMPLED_CLIP + Cost.SAMPLED_CHANNEL * len(clips[0].channels)
+    assert every.work().steps - a_clip.steps == 40 * (one.work().steps - a_clip.steps)
 
 
 def test_poses_that_are_too_much_work_are_left_out_with_a_notice(

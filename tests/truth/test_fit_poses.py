@@ -10,6 +10,8 @@ import pytest
 
 from fixtures.make_fixtures import FOLDER
 from skinbake.geometry.rig import Rig
+from skinbake.geometry.skinned import Float64Array
+from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.reading.clips import read_clips
 from skinbake.gltf.reading.meshes import skinned_sources
@@ -109,3 +111,22 @@ def test_samples_do_not_count_where_no_clip_is_sampled(tmp_path: Path) -> None:
     """24 random poses replace clips, however many samples of a clip were asked for."""
     document = with_clips(tmp_path, 0)
     assert len(pose_set(document, 0, (), PoseRequest(samples=100_000_000)).times) == 24
+
+
+def test_skins_that_differ_in_their_bind_poses_share_what_a_clip_moves(tmp_path: Path) -> None:
+    file = Editable(TUBE)
+    file.content["skins"].append({"joints": file.content["skins"][0]["joints"]})
+    path = str(file.write(tmp_path / "two.glb"))
+
+    def posed(document: Document, skin: int) -> tuple[Float64Array, float]:
+        """Return the joint matrices of a skin in its clip, and the steps that they took."""
+        before, clips = document.budget.taken.steps, joint_clips(document, skin, read_clips(document))
+        matrices = pose_set(document, skin, clips, PoseRequest(samples=8)).joint_matrices
+        return matrices, document.budget.taken.steps - before
+
+    document = read_document(path)
+    first, _ = posed(document, 0)
+    second, steps = posed(document, 1)
+    alone, steps_alone = posed(read_document(path), 1)
+    assert np.array_equal(second, alone) and not np.allclose(first, second)
+    assert steps <= steps_alone - Cost.SAMPLED_CLIP.steps

@@ -79,6 +79,7 @@ class Cost:
     POSED_NODE = Work(steps=1)
     POSED_JOINT = Work(steps=5)
     NODE_MATRIX = Work(bytes=640)  # while the poses of a clip are made
+    NODE_TRANSFORM = Work(bytes=128)  # of a node in a pose of a clip, kept for other skins
     CHANNEL_VALUE = Work(bytes=256)  # likewise
     JOINT_MATRIX = Work(bytes=512)
     TARGET_WEIGHT = Work(bytes=24)

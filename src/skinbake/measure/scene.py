@@ -44,6 +44,7 @@ from skinbake.truth.poses import (
     PoseSet,
     draws_of,
     planned_poses,
+    sampled_clips,
     steps_of_looking,
 )
 from skinbake.truth.truths import Truths
@@ -350,7 +351,7 @@ class Scene:
         ]
         most_samples = SAMPLES.most(budget.backed)
         plans, chosen = dict[DrawKey, PosePlan](), list[int]()
-        steps, samples = 0.0, 0
+        steps, samples, sampled = 0.0, 0, set[object](sampled_clips(document))
         for number in sorted(range(len(every)), key=lambda number: every[number][0]):
             rank, surface, draw = every[number]
             needed = Cost.MEASURED_PRIMITIVE * len(surface.views)
@@ -360,7 +361,8 @@ class Scene:
             budget.claim(needed, what, surface.place)
             plan = plans.get(draw) or PosePlan.of(document, draw[0], clips, request, draw[1])
             few = _limited(plan, LEAST_SAMPLES)
-            steps += (0 if draw in plans else few.work.steps) + _morphed(surface, few).steps
+            steps += (0 if draw in plans else few.work(sampled).steps) + _morphed(surface, few).steps
+            sampled.update(map(few.key, few.sampled))
             samples += _samples(surface, few)
             if rank and (steps > budget.steps_left or samples > most_samples):
                 break
@@ -380,9 +382,11 @@ class Scene:
         # so: their claims are refused below.
         def is_too_much(most: int | None) -> bool:
             some = plans if most is None else {draw: _limited(plan, most) for draw, plan in plans.items()}
-            steps = sum(plan.work.steps for plan in some.values()) + sum(
-                _morphed(surface, some[draw]).steps for surface, draw in drawn
-            )
+            steps, sampled = 0.0, set[object](sampled_clips(document))
+            for plan in some.values():
+                steps += plan.work(sampled).steps
+                sampled.update(map(plan.key, plan.sampled))
+            steps += sum(_morphed(surface, some[draw]).steps for surface, draw in drawn)
             samples = sum(_samples(surface, some[draw]) for surface, draw in drawn)
             return steps > budget.steps_left or samples > most_samples
 

@@ -19,8 +19,8 @@ from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document, once_a_document, read_document
 from skinbake.gltf.reading.clips import MORPH_WEIGHTS, Clip, read_clips
-from skinbake.gltf.reading.skins import fitting_rig
-from skinbake.truth.poses import PoseRequest, joint_clips, pose_set
+from skinbake.gltf.reading.skins import fitting_rig, read_skeleton
+from skinbake.truth.poses import PosePlan, PoseRequest, joint_clips, planned_poses, pose_set
 from skinbake.wording import counted
 
 ANIMATIONS, RANDOM = "animations", "random"
@@ -200,7 +200,8 @@ def _poses_of_skins(
     # go.
     some = pairs if len(pairs) <= CLIP_POSES else [pairs[n] for n in _spread(len(pairs), CLIP_POSES)]
     request = PoseRequest(samples=-(-CLIP_POSES // max(1, len(some))), offset=BETWEEN)
-    sets = [pose_set(document, skin, [clip], request).joint_matrices for skin, clip in some]
+    plans = [PosePlan(skin, read_skeleton(document, skin), (clip,), request) for skin, clip in some]
+    sets = [planned_poses(document, plan).joint_matrices for plan in plans]
     taken = _spread(sum(map(len, sets)), CLIP_POSES)
     # As many random poses as are asked for, which the skins share.
     count = max((int(str(one).partition(":")[2]) for one in sources if is_random(one)), default=0)

@@ -5,7 +5,7 @@ A pose consists of joint matrices, and of morph weights if the mesh has targets.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,8 +16,8 @@ from skinbake.errors import InputError
 from skinbake.geometry.poses import random_weights
 from skinbake.geometry.skinned import Float64Array
 from skinbake.gltf.budget import Cost, Work
-from skinbake.gltf.document import Document
-from skinbake.gltf.reading.clips import MORPH_WEIGHTS, Clip, clip_poses, clip_weights
+from skinbake.gltf.document import Document, once_a_document
+from skinbake.gltf.reading.clips import MORPH_WEIGHTS, Clip, clip_values, clip_weights
 from skinbake.gltf.reading.skins import Skeleton, random_poses, read_skeleton, rest_pose
 from skinbake.wording import counted
 
@@ -189,18 +189,41 @@ class PosePlan:
             or any(channel.path == MORPH_WEIGHTS for clip in self.sampled for channel in clip.channels)
         )
 
-    @property
-    def work(self) -> Work:
-        """The steps that making the poses takes."""
-        return pose_work(self.skeleton, self.sampled, self.count)
+    def key(self, clip: Clip) -> object:
+        """Return what skins and clips have in common whose nodes move alike in the poses.
+
+        The keys of an accessor are one array in all. Morph weights are no transform of a node.
+        """
+        channels = (
+            (channel.node, channel.path, channel.method, id(channel.times), id(channel.values))
+            for channel in clip.channels
+            if channel.path != MORPH_WEIGHTS
+        )
+        times = clip.start, clip.duration, self.of_each, self.request.offset
+        return self.skeleton.nodes, times, *channels
+
+    def work(self, sampled: Collection[object] = ()) -> Work:
+        """Return the steps of making the poses, beside clips that are ``sampled`` by now: their keys."""
+        new = {key: clip for clip in self.sampled if (key := self.key(clip)) not in sampled}
+        return pose_work(self.skeleton, list(new.values()), self.count)
 
 
 def pose_work(skeleton: Skeleton, clips: Sequence[Clip], count: int) -> Work:
-    """Return the steps of sampling clips for a skeleton, in so many poses. Equal clips are one."""
-    distinct = {_key(clip): len(clip.channels) for clip in clips}
-    sampling = Cost.SAMPLED_CLIP * len(distinct) + Cost.SAMPLED_CHANNEL * sum(distinct.values())
+    """Return the steps of sampling clips for a skeleton, in so many poses in all."""
+    channels = sum(len(clip.channels) for clip in clips)
+    sampling = Cost.SAMPLED_CLIP * len(clips) + Cost.SAMPLED_CHANNEL * channels
     a_pose = Cost.POSED_NODE * len(skeleton.nodes) + Cost.POSED_JOINT * len(skeleton.joints)
     return sampling + a_pose * count
+
+
+@once_a_document
+def sampled_clips(document: Document) -> dict[object, Float64Array]:
+    """Return the transforms (N, P, 4, 4) of nodes in sampled clips, by ``PosePlan.key``.
+
+    Skins of the same joints share them: tools give each mesh a skin of its own, with other inverse bind
+    matrices. So do nodes with one skin and other morph weights.
+    """
+    return {}
 
 
 def pose_set(
@@ -224,7 +247,10 @@ def planned_poses(document: Document, plan: PosePlan) -> PoseSet:
     targets = 0 if plan.resting is None else len(plan.resting)
     budget, place = document.budget, document.place
     joints = f"{counted(plan.count, 'pose')} of {counted(len(skeleton.joints), 'joint')}"
-    budget.claim(plan.work, f"skin {plan.skin} in {joints}", place)
+    known = sampled_clips(document)
+    budget.claim(plan.work(known), f"skin {plan.skin} in {joints}", place)
+    kept = Cost.NODE_TRANSFORM * (len(skeleton.nodes) * plan.of_each)
+    budget.claim(kept * len({plan.key(clip) for clip in clips} - known.keys()), joints, place)
     at_a_time = Cost.NODE_MATRIX * len(skeleton.nodes) + Cost.CHANNEL_VALUE * channels
     what = f"{counted(plan.of_each, 'pose')} of {counted(len(skeleton.nodes), 'node')}"
     budget.claim(at_a_time * plan.of_each, what, place, passing=True)
@@ -237,7 +263,7 @@ def planned_poses(document: Document, plan: PosePlan) -> PoseSet:
             weights = None if plan.resting is None else plan.resting[None]
             poses = PoseSet(names, rest_pose(skeleton), ("rest pose",), (None,), weights)
         elif clips:
-            poses = _sampled(plan, names)
+            poses = _sampled(plan, names, known)
         else:
             weights = None
             if plan.resting is not None:
@@ -257,9 +283,9 @@ def planned_poses(document: Document, plan: PosePlan) -> PoseSet:
     return poses
 
 
-def _sampled(plan: PosePlan, joint_names: tuple[str, ...]) -> PoseSet:
+def _sampled(plan: PosePlan, joint_names: tuple[str, ...], known: dict[object, Float64Array]) -> PoseSet:
     each, offset = plan.of_each, plan.request.offset
-    known: dict[object, Float64Array] = {}
+    skinned: dict[object, Float64Array] = {}
     matrices, weights, names, times = [], [], [], []
     numbers: list[int | None] = []
     for clip in plan.sampled:
@@ -267,10 +293,12 @@ def _sampled(plan: PosePlan, joint_names: tuple[str, ...]) -> PoseSet:
         at = np.linspace(clip.start, clip.duration, each)
         if offset is not None:
             at = clip.start + (clip.duration - clip.start) * (np.arange(each) + offset) / each
-        key = _key(clip)
+        key = plan.key(clip)
         if key not in known:
-            known[key] = clip_poses(plan.skeleton, clip, at)
-        matrices.append(known[key])
+            known[key] = plan.skeleton.transforms(clip_values(clip, at), None, each)
+        if key not in skinned:
+            skinned[key] = plan.skeleton.bound(known[key])
+        matrices.append(skinned[key])
         if plan.node is not None and plan.resting is not None:
             weights.append(clip_weights(plan.node, clip, at, plan.resting))
         names += [clip.name] * each
@@ -280,15 +308,6 @@ def _sampled(plan: PosePlan, joint_names: tuple[str, ...]) -> PoseSet:
     return PoseSet(
         joint_names, np.concatenate(matrices), tuple(names), tuple(times), morph_weights, tuple(numbers)
     )
-
-
-def _key(clip: Clip) -> tuple[object, ...]:
-    """Return what clips that say the same have in common. The keys of an accessor are one array in all."""
-    channels = (
-        (channel.node, channel.path, channel.method, id(channel.times), id(channel.values))
-        for channel in clip.channels
-    )
-    return clip.start, clip.duration, *channels
 
 
 def described(request: PoseRequest, sets: Sequence[PoseSet], seconds: float) -> str:

@@ -51,6 +51,17 @@ class Skeleton:
         animated maps (node of the document, path) to its values in P poses. turned (J, P, 4) are rotations to
         add to those of the joints, or None. The transform of the node that draws the mesh has no effect.
         """
+        return self.bound(self.transforms(animated, turned, count))
+
+    def bound(self, transforms: Float64Array) -> Float64Array:
+        """Return joint matrices (P, J, 4, 4) from the global transforms (N, P, 4, 4) of the nodes."""
+        joints = poses.product(transforms[self.joints], self.inverse_bind[:, None])
+        return np.ascontiguousarray(np.swapaxes(joints, 0, 1))
+
+    def transforms(
+        self, animated: dict[tuple[int, str], Float64Array], turned: Float64Array | None, count: int
+    ) -> Float64Array:
+        """Return the global transforms (N, P, 4, 4) of the nodes: what skins of the same joints share."""
         # The transforms (N, P, 4, 4) of nodes relative to their parents.
         parts = []
         for path, rest in zip(PATHS, (self.translations, self.rotations, self.scales), strict=True):
@@ -72,8 +83,7 @@ class Skeleton:
             extra[..., :3, :3] = poses.rotation_matrices(turned)
             extra[..., 3, 3] = 1.0
             local[self.joints] = poses.product(local[self.joints], extra)
-        joints = poses.global_transforms(local, self.parents)[self.joints]
-        return np.ascontiguousarray(np.swapaxes(poses.product(joints, self.inverse_bind[:, None]), 0, 1))
+        return poses.global_transforms(local, self.parents)
 
 
 def rest_pose(skeleton: Skeleton) -> Float64Array:
