@@ -137,10 +137,10 @@ class _Search:
         """Return the files that a URL stands for. For a URL to a local path, the rules of paths hold."""
         path = on_disk(url)
         if path is None or url.lower().endswith(SUFFIXES):
-            from skinbake.jobs.elsewhere import files_behind
+            from skinbake.jobs.remote.storages import expand_url
 
             try:
-                files = files_behind(url)
+                files = expand_url(url)
             except InputError as error:
                 return [self._input(url, url, error.message)]
             outputs = join_url(self._but, "") if self._but and is_url(self._but) else None

@@ -59,9 +59,9 @@ def runner_of(plan: Plan[Any], module: str, guess: tuple[float, float]) -> Runne
     _check_elsewhere(plan)
     turns = in_turns([entry for entry, _ in plan.targets]) if plan.out_dir else []
     if plan.dask:
-        from skinbake.jobs.elsewhere import dask_runner
+        from skinbake.jobs.remote.dask_runner import DaskRunner
 
-        cluster = dask_runner(plan.dask)
+        cluster = DaskRunner(plan.dask)
         click.get_current_context().call_on_close(cluster.close)
         notices = cluster.connect()
         plan.say.notices(notices)

@@ -12,7 +12,7 @@ from skinbake.files.bounds import Bounds, Within
 from skinbake.gltf.document import read_document
 from skinbake.gltf.writing.beside import files_read
 from skinbake.gltf.writing.output import AS_USUAL, Writing
-from skinbake.jobs import elsewhere
+from skinbake.jobs.file_work import on_files
 from skinbake.jobs.work import Job
 from skinbake.report.bake import FileResult
 
@@ -39,7 +39,12 @@ class Bake:
 
     def result_of(self, job: Job, *, traced: bool) -> FileResult:
         """Bake the file. Raises SkinbakeError; then nothing has been written."""
-        return elsewhere.write(job, self._baked, self.writing._replace(traced=traced))
+        how = self.writing._replace(traced=traced)
+
+        def baked(source: str, target: str | None, within: Within) -> FileResult:
+            return bake_file(source, target, self.options, how, within)
+
+        return on_files(job, baked, pack=how.pack)
 
     def failed(self, job: Job, error: SkinbakeError) -> FileResult:
         """Return that the file failed."""
@@ -73,9 +78,6 @@ class Bake:
         after = self._made(job, written, before) if written else before.digests
         is_unharmed = bool(written) or before.still_there
         return (after, after) if after and is_unharmed else None
-
-    def _baked(self, source: str, target: str | None, how: Writing, within: Within) -> FileResult:
-        return bake_file(source, target, self.options, how, within)
 
     def _made(self, job: Job, written: dict[str, str], before: state.Seen) -> state.Digests | None:
         from skinbake.jobs import state  # only --skip-unchanged needs it

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar, runtime_checkable
 
 from skinbake.errors import InputError, Place, SkinbakeError
-from skinbake.files.urls import STDIO
+from skinbake.files.urls import STDIO, is_url
 from skinbake.gltf.budget import memory_limited
 from skinbake.jobs.work import Job, ResultT, changed, survived
 from skinbake.threads import threads_limited
@@ -15,7 +15,19 @@ from skinbake.timing import stage, tell_file, timed
 
 if TYPE_CHECKING:
     from skinbake.jobs import state
-    from skinbake.jobs.work import Result
+    from skinbake.jobs.work import Makes, Result
+
+
+def on_files(job: Job, makes: Makes[ResultT], *, pack: bool = False) -> ResultT:
+    """Return what ``makes`` returns for the files of a job, which may have URLs. Raises SkinbakeError.
+
+    ``pack`` tells that images are needed to make it, also if they are not copied.
+    """
+    if not is_url(job.source) and (job.target is None or not is_url(job.target)):
+        return makes(job.source, job.target, job.within)
+    from skinbake.jobs.remote.staging import staged  # only URLs need it
+
+    return staged(job, makes, pack=pack)
 
 
 ResultT_co = TypeVar("ResultT_co", bound="Result", covariant=True)

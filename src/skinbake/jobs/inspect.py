@@ -7,7 +7,8 @@ from typing import ClassVar
 
 from skinbake.commands.inspect import inspect_file
 from skinbake.errors import SkinbakeError
-from skinbake.jobs import elsewhere
+from skinbake.files.bounds import Within
+from skinbake.jobs.file_work import on_files
 from skinbake.jobs.work import Job
 from skinbake.report.inspect import FileSummary
 
@@ -21,7 +22,11 @@ class Inspect:
 
     def result_of(self, job: Job, *, traced: bool) -> FileSummary:
         """Sum up the file. Raises SkinbakeError if it cannot be read. Nothing is written or traced."""
-        return FileSummary(job.source, elsewhere.read(job, inspect_file))
+
+        def summed_up(source: str, target: str | None, within: Within) -> FileSummary:
+            return FileSummary(job.source, inspect_file(source, within.bounds))
+
+        return on_files(job, summed_up)
 
     def failed(self, job: Job, error: SkinbakeError) -> FileSummary:
         """Return that the file could not be read."""

@@ -9,7 +9,7 @@ from skinbake.commands.strip import strip_file
 from skinbake.errors import SkinbakeError
 from skinbake.files.bounds import Within
 from skinbake.gltf.writing.output import AS_USUAL, Writing
-from skinbake.jobs import elsewhere
+from skinbake.jobs.file_work import on_files
 from skinbake.jobs.work import Job
 from skinbake.report.strip import StripResult
 
@@ -26,18 +26,18 @@ class Strip:
     def result_of(self, job: Job, *, traced: bool) -> StripResult:
         """Strip the file. Raises SkinbakeError; then nothing has been written. Nothing is traced."""
 
-        def stripped(source: str, target: str | None, how: Writing, within: Within) -> StripResult:
+        def stripped(source: str, target: str | None, within: Within) -> StripResult:
             return strip_file(
                 source,
                 str(target),
                 warnings_as_errors=self.warnings_as_errors,
-                sync=how.sync,
+                sync=self.writing.sync,
                 bounds=within.bounds,
                 root=within.output,
-                lists_read=how.lists_read,
+                lists_read=self.writing.lists_read,
             )
 
-        return elsewhere.write(job, stripped, self.writing)
+        return on_files(job, stripped)
 
     def failed(self, job: Job, error: SkinbakeError) -> StripResult:
         """Return that the file failed."""

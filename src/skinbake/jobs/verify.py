@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 from skinbake.commands.verify import verify_file
 from skinbake.errors import SkinbakeError
-from skinbake.jobs import elsewhere
+from skinbake.files.bounds import Within
+from skinbake.jobs.file_work import on_files
 from skinbake.jobs.work import Job
 from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import Check, FileVerdict
@@ -34,7 +35,11 @@ class Verify:
         """Verify the file. Raises SkinbakeError if it cannot be read. Nothing is written or traced."""
         if job.source in self.without_output:
             return FileVerdict(job.source, self._checks(job))
-        found = elsewhere.read(job, lambda source, bounds: verify_file(source, self.options, bounds))
+
+        def verified(source: str, target: str | None, within: Within) -> FileVerdict:
+            return verify_file(source, self.options, within.bounds)
+
+        found = on_files(job._replace(target=None), verified)
         return replace(found, checks=(*found.checks, *self._checks(job)))
 
     def failed(self, job: Job, error: SkinbakeError) -> FileVerdict:

@@ -5,13 +5,10 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias, TypeVar
+from typing import NamedTuple, Protocol, TypeAlias, TypeVar
 
 from skinbake.errors import InputError, Notice, Place, SkinbakeError, defect, printable_lines
 from skinbake.files.bounds import OWN_FOLDERS, Within
-
-if TYPE_CHECKING:
-    from skinbake.gltf.writing.output import Writing
 
 
 class Job(NamedTuple):
@@ -57,8 +54,8 @@ ResultT = TypeVar("ResultT", bound=Result)
 JobT_contra = TypeVar("JobT_contra", contravariant=True)
 ReturnT_co = TypeVar("ReturnT_co", covariant=True)
 
-Makes: TypeAlias = "Callable[[str, str | None, Writing, Within], ResultT]"
-"""The function of a command that makes a file: of the path, the path of the target, how, and within."""
+Makes: TypeAlias = "Callable[[str, str | None, Within], ResultT]"
+"""The function of a command that makes a file: of the path, the path of the target, and within."""
 
 
 def changed(result: ResultT, **fields: object) -> ResultT:

@@ -1,1 +1,1 @@
-"""Files and workers elsewhere: URLs, staging, Dask. Nothing else needs this package."""
+"""Files and workers beyond this machine: URLs, staging, Dask."""

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, NamedTuple, TypeVar, cast
+from typing import NamedTuple, TypeVar, cast
 
 from skinbake.errors import InputError, Message, OutputError, Place, SkinbakeError, noticed
 from skinbake.files.bounds import (
@@ -34,11 +34,8 @@ from skinbake.gltf.document import GLB_SUFFIXES, read_document
 from skinbake.gltf.resources import is_there
 from skinbake.gltf.writing.beside import NamedFile, named_files
 from skinbake.jobs.remote.storages import Storage, reading, reason, storage_of, writing
-from skinbake.jobs.work import Makes, ResultT
+from skinbake.jobs.work import Job, Makes, ResultT
 from skinbake.timing import stage
-
-if TYPE_CHECKING:
-    from skinbake.gltf.writing.output import Writing
 
 T = TypeVar("T")
 
@@ -171,31 +168,16 @@ class _Mirror:
         return naming({**names, **{self.path(end): end.given for end in ends}})
 
 
-def read(source: str, bounds: Bounds, reads: Callable[[str, Bounds], T]) -> T:
-    """Return ``reads(path, bounds)`` for the file of a URL. Its result names files as the user does.
-
-    Raises SkinbakeError if the file cannot be read.
-    """
-    end = End.of(source)
-    with TemporaryDirectory(prefix=PREFIX, ignore_cleanup_errors=True) as folder:
-        mirror = _Mirror(folder)
-        path, here = mirror.fetch(end), mirror.bounds(end, bounds)
-        for resource in _named(path, here):
-            if resource.array == "buffers":
-                mirror.fetch_named(end, resource, here)
-        return with_names(lambda: reads(path, here), mirror.naming(end))
-
-
-def write(source: str, target: str | None, makes: Makes[ResultT], how: Writing, within: Within) -> ResultT:
-    """Return ``makes(path, path of the target, how, within)``, where source and target may be URLs.
+def staged(job: Job, makes: Makes[ResultT], *, pack: bool) -> ResultT:
+    """Return ``makes(path, path of the target, within)`` for a job whose source or target is a URL.
 
     The function writes the same bytes on a disk. The result names files as the user does. Raises
     SkinbakeError, and then the target has not been touched.
     """
-    start, goal = End.of(source), None
-    if target is not None:
+    start, goal, within = End.of(job.source), None, job.within
+    if job.target is not None:
         try:
-            goal = End.of(target)
+            goal = End.of(job.target)
         except InputError as error:
             raise OutputError(error.message, error.place) from error
     is_one = goal is not None and None is not start.storage == goal.storage and start.name == goal.name
@@ -206,19 +188,18 @@ def write(source: str, target: str | None, makes: Makes[ResultT], how: Writing, 
         path, bounds = mirror.fetch(start), mirror.bounds(start, within.bounds)
         as_read = Path(path).read_bytes() if is_one else None
         for resource in _named(path, bounds):
-            there = mirror.fetch_named(start, resource, bounds)
             if goal is not None:
-                _place(mirror, start, goal, resource, bounds, within.output, there=there, pack=how.pack)
+                there = mirror.fetch_named(start, resource, bounds)
+                _place(mirror, start, goal, resource, bounds, within.output, there=there, pack=pack)
+            elif resource.array == "buffers":
+                mirror.fetch_named(start, resource, bounds)
         if goal is None:
-            return with_names(
-                lambda: makes(path, None, how, Within(bounds, within.output)), mirror.naming(start)
-            )
+            here = Within(bounds, within.output)
+            return with_names(lambda: makes(path, None, here), mirror.naming(start))
         with writing(goal.given):
             made_at = mirror.path(goal)
-        before, output = mirror.states(goal), mirror.top(goal, within.output)
-        how = how._replace(sync=how.sync and goal.storage is None)
-        naming_both = mirror.naming(start, goal)
-        result = with_names(lambda: makes(path, made_at, how, Within(bounds, output)), naming_both)
+        before, here = mirror.states(goal), Within(bounds, mirror.top(goal, within.output))
+        result = with_names(lambda: makes(path, made_at, here), mirror.naming(start, goal))
         written = [name for name, state in mirror.states(goal).items() if before.get(name) != state]
         if goal.storage is not None and written:
             with noticed(result.notices), writing(goal.given), stage("store"):
