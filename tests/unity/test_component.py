@@ -62,7 +62,9 @@ def test_the_package_has_the_version_of_skinbake_and_an_identity_for_each_of_its
     assert json.loads((PACKAGE / "Runtime" / "Skinbake.asmdef").read_text("utf-8"))["name"] == "Skinbake"
     files = {path for path in PACKAGE.rglob("*") if path.suffix != ".meta"}
     metas = {path: path.with_name(path.name + ".meta").read_text("utf-8") for path in files}
-    guids = {found[1] for text in metas.values() if (found := re.search(r"^guid: ([0-9a-f]{32})$", text, re.M))}
+    guids = {
+        found[1] for text in metas.values() if (found := re.search(r"^guid: ([0-9a-f]{32})$", text, re.M))
+    }
     assert len(guids) == len(files) == len([*PACKAGE.rglob("*.meta")])
 
 

@@ -11,7 +11,6 @@ from click.shell_completion import CompletionItem
 
 from skinbake.options import Option, Range, Text
 
-
 ELSEWHERE = {
     "unity": "Unity takes no such shader. Bake with --correctives: docs/unity.md",
     "unreal": "Unreal takes no such shader. Bake with --correctives: docs/unreal.md",
