@@ -1,8 +1,8 @@
 """Build the sdist and the wheels into dist/: ``python -m release.build``.
 
-The wheels of seven systems have compiled loops, for every Python from 3.11 on (abi3). zig compiles all of
-them on any one system. One more wheel has none and fits every system: numpy does their work, more slowly. All
-are made from the sdist, so that it is whole.
+The wheels of seven systems and of browsers have compiled loops, for every Python from 3.11 on (abi3). zig
+compiles all of them on any one system. One more wheel has none and fits every system: numpy does their work,
+more slowly. All are made from the sdist, so that it is whole.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 
 from release.contents import LOOPS, REPOSITORY, faults
-from release.cross import SYSTEMS, compile_loops
+from release.cross import BROWSER, SYSTEMS, compile_loops
 from release.wheels import with_modules
 
 TARGET = REPOSITORY / "dist"
@@ -34,7 +34,7 @@ def build(target: Path) -> list[Path]:
         folder = Path(temporary)
         shutil.unpack_archive(sdist, folder, filter="data")
         tree = folder / sdist.name.removesuffix(".tar.gz")
-        for platform in SYSTEMS:
+        for platform in (*SYSTEMS, BROWSER):
             made = (compile_loops(module, tree, platform, folder) for module in LOOPS)
             with_modules(pure, {f"skinbake/{name}": data for name, data in made}, platform, target)
     return [sdist, *sorted(target.glob("*.whl"))]

@@ -6,6 +6,7 @@ Results are in the blocks' order, the same at any number of threads.
 from __future__ import annotations
 
 import os
+import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -110,7 +111,7 @@ class Threads:
     def __init__(self, count: int) -> None:
         self._count = count
         self._pool = None
-        if count > 1:
+        if count > 1 and sys.platform != "emscripten":  # where a thread cannot be started
             from concurrent.futures import ThreadPoolExecutor  # it takes some milliseconds
 
             self._pool = ThreadPoolExecutor(count)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -151,3 +152,32 @@ def test_the_folder_of_temporary_files_may_be_too_long_for_a_socket(tmp_path: Pa
     result = run("inspect", SEAM, "--isolate", env={"TMPDIR": str(folder)})
     assert (result.returncode, result.stderr) == (0, b"")
     assert b"skinned primitive" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [
+        (["bake", "--dry-run"], ["--timeout", "9"]),
+        (["verify"], ["--isolate"]),
+        (["view", "-o", "page.html"], ["--timeout", "9"]),
+    ],
+)
+def test_limits_that_need_another_process_are_refused_in_a_browser(
+    command: list[str], option: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(sys, "platform", "emscripten")
+    monkeypatch.chdir(tmp_path)
+    result = invoke(*command, SEAM, *option)
+    assert result.exit_code == 2
+    assert f"{option[0]} is not available in a browser: it needs another process" in result.stderr
+
+
+def test_a_browser_starts_no_thread_and_no_process(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def refuse(*_: object) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(sys, "platform", "emscripten")
+    monkeypatch.setattr(threading.Thread, "start", refuse)
+    monkeypatch.setattr("subprocess.Popen.__init__", refuse)
+    several = ["--out-dir", str(tmp_path), "--jobs", "2", "--threads", "2"]
+    assert invoke("bake", SEAM, TUBE, *several).exit_code == 0

@@ -80,6 +80,14 @@ def test_the_stream_counts_where_there_is_plain_data_too(tmp_path: Path) -> None
     assert values(read_document(str(path)), accessor).tobytes() == original.stored(accessor).tobytes()
 
 
+def test_a_missing_decoder_is_told_by_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = draco_twin(FOLDER / TWIN, tmp_path / "twin.glb")
+    monkeypatch.setitem(sys.modules, "DracoPy", None)  # as where no package of that name is
+    document = read_document(str(path))
+    with pytest.raises(UnsupportedFeatureError, match="needs the package DracoPy, which is not installed"):
+        read_primitive(document, next(iter(skinned_sources(document))))
+
+
 @pytest.mark.parametrize("normalised", [False, True])
 def test_signed_integers_come_back_as_such(normalised: bool) -> None:
     """DracoPy gives them as floats, divided by the largest value where the stream says so."""

@@ -4,6 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.budget import Cost
@@ -135,16 +138,19 @@ def test_many_vertices_at_one_place_stay_cheap(count: int, classes: int) -> None
 
 
 @pytest.mark.parametrize("crease", [0.0, 15.0, 70.0, 180.0])
-def test_a_few_at_a_place_weld_as_many_do(crease: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pair by pair, and by SciPy's tree and graph, which take over where a place is crowded."""
+@pytest.mark.parametrize("places", [2, 9])
+def test_normals_at_a_place_weld_as_a_tree_and_a_graph_find_them(crease: float, places: int) -> None:
+    """SciPy finds the pairs: places lie 4 apart, so only normals at one place are near each other."""
     rng = np.random.default_rng(5)
     normals = rng.normal(size=(3000, 3))
     normals[rng.random(3000) < 0.3] = UP
-    crowd = copies(positions=rng.integers(0, 9, (3000, 3)), normals=normals)
-    few = partition(crowd, crease=crease)
-    monkeypatch.setattr(mesh, "CROWDED", 0)
-    assert partition(crowd, crease=crease) == few
-    assert 600 < len(set(few)) < 3000
+    units = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32).astype(np.float64)
+    positions = rng.integers(0, places, (3000, 3))
+    tree = cKDTree(np.hstack([4.0 * positions, units]))
+    pairs = tree.query_pairs(2.0 * np.sin(np.radians(crease) / 2.0) + 1e-7, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(3000, 3000))
+    expected = as_met(connected_components(graph, directed=False)[1])
+    assert partition(copies(positions=positions, normals=units), crease=crease) == expected
 
 
 def test_long_chains_are_one_class() -> None:
@@ -154,7 +160,7 @@ def test_long_chains_are_one_class() -> None:
 
 
 def test_pairs_at_crowded_places_are_claimed_before_they_are_listed() -> None:
-    count = 2 * mesh.CROWDED
+    count = 64
     close = copies(normals=tilted(*np.linspace(0, 10, count)))
     claimed: list[int] = []
     weld_classes([close], claim=claimed.append)

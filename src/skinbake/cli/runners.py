@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -35,6 +36,8 @@ LONG = 1.0
 
 ADDRESS = re.compile(r"((tcp|tls|ucx|wss?)://)?[^/\s]+:\d+/?|inproc://.+")
 
+IN_BROWSERS = " is not available in a browser: it needs another process"
+
 OR_CLUSTER = (
     " controls processes of this machine, ",
     Chosen("dask"),
@@ -52,6 +55,8 @@ def runner_of(plan: Plan[Any], module: str, guess: tuple[float, float]) -> Runne
     from skinbake.jobs.runners import FirstThese, InThisProcess
 
     limited = next((name for name in ("timeout", "isolate") if getattr(plan, name)), None)
+    if limited and sys.platform == "emscripten":
+        raise ChoiceError(limited, reason=(IN_BROWSERS,))
     if limited and plan.dask:
         raise ChoiceError(limited, reason=OR_CLUSTER)
     if limited and STDIO in {*plan.names, plan.output}:
@@ -68,7 +73,7 @@ def runner_of(plan: Plan[Any], module: str, guess: tuple[float, float]) -> Runne
         if notices and plan.warnings_as_errors:
             raise InputError("nothing was sent: there are warnings (--warnings-as-errors)", Place(plan.dask))
         return FirstThese(turns, cluster.one_by_one(), cluster) if turns else cluster
-    alone = plan.jobs == 1 or len(plan.targets) == 1 or STDIO in plan.names
+    alone = plan.jobs == 1 or len(plan.targets) == 1 or STDIO in plan.names or sys.platform == "emscripten"
     if not limited and (alone or seconds_of(plan.names, guess) <= WORTHWHILE):
         return InThisProcess()
     from skinbake.jobs.processes import Processes
@@ -111,6 +116,8 @@ def within_limits(call: Callable[[], T], plan: Plan[Any], source: str) -> T:
             return call()
     if source == STDIO:
         raise ChoiceError("timeout", reason=(" needs a file, not - for stdin",))
+    if sys.platform == "emscripten":
+        raise ChoiceError("timeout", reason=(IN_BROWSERS,))
     from skinbake.jobs.processes import done_in_time
     from skinbake.threads import thread_count
 

@@ -14,6 +14,7 @@ from skinbake.errors import Chosen, InputError, Message, Notice, Place
 from skinbake.format.attribute_store import tell_level_ignored, tell_stored_otherwise
 from skinbake.format.baked import with_baked
 from skinbake.format.encodings import GradientFormat
+from skinbake.geometry.skinned import bincount
 from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import WELDING, Cost
 from skinbake.gltf.document import Document
@@ -167,7 +168,7 @@ def _refuse_unverifiable(
         count = int(every.max(initial=-1)) + 1
         if count < len(every):  # else no vertex has a copy
             used = [own[bake.primitive.triangles].ravel() for own, bake in zip(classes, surface, strict=True)]
-            corners = np.bincount(np.concatenate(used), minlength=count)
+            corners = bincount(np.concatenate(used), minlength=count)
             copied += int(corners[every].sum() - corners.sum())
     if steps <= fresh.steps_left and Cost.COPIED_CORNER.bytes * copied <= WELDING.ratio * fresh.backed:
         return

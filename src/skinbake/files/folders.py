@@ -18,9 +18,6 @@ from functools import lru_cache
 
 from skinbake.files.bounds import BoundedPath, below
 
-if sys.platform != "win32":  # pragma: no branch: Windows
-    import fcntl
-
 MOST_LINKS = 40
 """The largest number of symbolic links on the way to one file, as on Linux."""
 
@@ -29,8 +26,8 @@ NO_SYNC = frozenset({errno.EINVAL, errno.EOPNOTSUPP, errno.ENOSYS, errno.EBADF, 
 
 NOT_REGULAR = "it is not a regular file"
 
-BY_DESCRIPTOR = os.open in os.supports_dir_fd
-"""Whether this system opens names relative to an open folder. All but Windows do."""
+BY_DESCRIPTOR = os.open in os.supports_dir_fd and sys.platform != "emscripten"
+"""Whether this system opens names relative to an open folder, and locks it. Windows and browsers do not."""
 
 _SYS_OPENAT2 = 437
 _NO_MAGIC_LINKS, _BENEATH = 0x02, 0x08
@@ -128,11 +125,12 @@ class Folder:
 def flush(descriptor: int) -> None:
     """Wait until a file or folder is on the disk, its cache included. Raises OSError if that fails."""
     try:
-        full = getattr(fcntl, "F_FULLFSYNC", None) if sys.platform != "win32" else None
-        if full is None:  # pragma: no branch: other systems
+        if sys.platform == "darwin":  # where fsync leaves the data in the cache of the disk
+            import fcntl  # Windows and browsers have none
+
+            fcntl.fcntl(descriptor, fcntl.F_FULLFSYNC)
+        else:
             os.fsync(descriptor)
-        else:  # macOS: fsync leaves the data in the cache of the disk
-            fcntl.fcntl(descriptor, full)
     except OSError as error:
         if error.errno not in NO_SYNC:
             raise

@@ -25,7 +25,7 @@ from skinbake.files.temporary import NEW_FILE, remove_abandoned, status_of, take
 from skinbake.files.versions import Signature, Version, signature_of
 from skinbake.signals import interrupts_put_off
 
-if sys.platform != "win32":  # pragma: no branch: Windows
+if BY_DESCRIPTOR:  # pragma: no branch: Windows, browsers
     import fcntl
 
 if TYPE_CHECKING:
@@ -367,8 +367,10 @@ def _put_new(one: _Written, begun: _Begun, place: Place) -> None:
 
 def _name_anew(source: str, goal: str, descriptor: int | None) -> bool:
     """Give a file a name; FileExistsError if it is taken. False: the file still has its old name too."""
-    if not BY_DESCRIPTOR:  # pragma: no cover: Windows
-        os.rename(source, goal)  # Windows replaces nothing
+    if not BY_DESCRIPTOR:  # pragma: no cover: Windows, browsers
+        if os.path.lexists(goal):  # Windows would replace nothing, browsers have no other process
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
+        os.rename(source, goal)
         return True
     try:
         os.link(source, goal, src_dir_fd=descriptor, dst_dir_fd=descriptor, follow_symlinks=False)
@@ -434,14 +436,11 @@ def locked(folders: Iterable[Folder]) -> Iterator[None]:
         yield
     finally:
         for descriptor in held.values():
-            if sys.platform != "win32":  # pragma: no branch: Windows
-                with suppress(OSError):  # a file system without locks
-                    fcntl.flock(descriptor, fcntl.LOCK_UN)
+            with suppress(OSError):  # a file system without locks
+                fcntl.flock(descriptor, fcntl.LOCK_UN)
 
 
 def _lock(descriptor: int) -> None:
-    if sys.platform == "win32":  # pragma: no cover: Windows
-        return
     deadline = time.monotonic() + PATIENCE
     pause = 0.001
     while True:

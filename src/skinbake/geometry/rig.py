@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.geometry.poses import fingerprint
-from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray
+from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray, bincount
 
 NO_PARENT = -1
 
@@ -65,12 +65,12 @@ class Rig:
         A chain goes on where a joint carries exactly one other.
         """
         held = self.parents != NO_PARENT
-        children = np.bincount(self.parents[held], minlength=len(self.parents))
+        children = bincount(self.parents[held], minlength=len(self.parents))
         goes_on = held & (children[self.parents] == 1)
         first = np.where(goes_on, self.parents, np.arange(len(self.parents), dtype=np.int32))
         while not np.array_equal(first, further := first[first]):
             first = further
-        lengths = np.bincount(first, minlength=len(first))
+        lengths = bincount(first, minlength=len(first))
         return np.where(lengths[first] >= LONG_CHAIN, first, NO_CHAIN).astype(np.int32)
 
     @cached_property

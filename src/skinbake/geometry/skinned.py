@@ -25,6 +25,13 @@ UNIT = 65535
 """Integer weights are stored as unsigned shorts. An adopted slot has 1, and the largest weight loses 1."""
 
 
+def bincount(
+    groups: IntArray, weights: FloatArray | None = None, minlength: int = 0
+) -> npt.NDArray[np.intp | np.float64]:
+    """Return numpy's ``bincount`` of integers of any size: systems of 32 bits do not take those of 64."""
+    return np.bincount(groups.astype(np.intp, copy=False), weights, minlength)
+
+
 def not_finite(vector: FloatArray) -> str:
     """Return which component (C ≤ 4) of a vector is the first that is not a finite number: "y is NaN"."""
     number = int(np.isfinite(vector).argmin())

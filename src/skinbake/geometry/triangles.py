@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.geometry.frames import dot
-from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray, blocks
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray, bincount, blocks
 
 TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6
 """Values of ``primitive.mode`` that draw a surface (glTF 2.0, §5.24.4)."""
@@ -76,7 +76,7 @@ def smooth_normals(positions: FloatArray, triangles: IntArray, groups: IntArray)
         scale = dot(first, first) * dot(second, second)
         weighted = np.divide(cross, scale[:, None], out=np.zeros_like(cross), where=scale[:, None] > 0)
         for axis in range(3):
-            total[:, axis] += np.bincount(groups[corners[:, 0]], weighted[:, axis], len(total))
+            total[:, axis] += bincount(groups[corners[:, 0]], weighted[:, axis], len(total))
     # A sum without a length has no direction.
     length = np.sqrt(dot(total, total))[:, None]
     unit = np.divide(total, length, out=np.tile([0.0, 0.0, 1.0], (len(total), 1)), where=length > 0)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skinbake.geometry.rig import NO_CHAIN, Lineage, Rig
-from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray, bincount
 from skinbake.gradients.fit_rules import (
     BOUNDED,
     COLLAPSED,
@@ -69,7 +69,7 @@ def fitted(
     # The slots (V, K) that are fitted.
     owner, entry = _entries(gradients.offsets, vertices.classes)
     lengths = np.linalg.norm(gradients.gradients[entry], axis=1)
-    total = np.bincount(owner, lengths, len(vertices.classes))
+    total = bincount(owner, lengths, len(vertices.classes))
     row, slot = np.nonzero(vertices.named[owner] == gradients.joints[entry, None])
     # The weight of the slot's joint, 0 where the slot adopts.
     weights = vertices.field.weights * (vertices.named == vertices.field.joints)
@@ -228,7 +228,7 @@ def _turning_pairs(
     carries = lineage.carries(turning[:, None], named[at]) & fitted_at
     parting = carries.any(axis=1) & (carries != fitted_at).any(axis=1)
     parting &= np.isfinite(rig.pivots[turning]).all(axis=1)
-    ends = ~too_many & (np.bincount(at, minlength=count) <= MOST_TURNS)
+    ends = ~too_many & (bincount(at, minlength=count) <= MOST_TURNS)
     parting &= ends[at]
     at, turning, both = at[parting], turning[parting], sums[parting].reshape(-1, 4, 3)
     found = _Pairs(

@@ -15,7 +15,7 @@ import numpy as np
 from skinbake.geometry.frames import dot, unit_vectors
 from skinbake.geometry.morphs import Differences
 from skinbake.geometry.poses import product
-from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
+from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray, bincount
 from skinbake.gradients.weight_gradients import WEIGHTINGS, Corners, corners_of, summed_rows
 
 FLAT = 1e-6
@@ -66,7 +66,7 @@ class MorphSurface:
         corners = tuple(corners_of(positions, triangles, WEIGHTINGS[weighting]))
         totals = np.zeros(int(classes.max(initial=-1)) + 1)
         for one in corners:
-            totals += np.bincount(classes[one.origin], one.weight, len(totals))
+            totals += bincount(classes[one.origin], one.weight, len(totals))
         tangents, bitangents = (vectors.astype(np.float64) for vectors in frame)
         found = cls(
             triangles,

@@ -15,7 +15,14 @@ import numpy as np
 
 from skinbake.errors import Notice, Place
 from skinbake.geometry.frames import has_direction, unit_vectors
-from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray, SkinnedPrimitive
+from skinbake.geometry.skinned import (
+    BoolArray,
+    Float64Array,
+    FloatArray,
+    IntArray,
+    SkinnedPrimitive,
+    bincount,
+)
 from skinbake.geometry.triangles import cross_products, smooth_normals
 from skinbake.gradients import kernel
 from skinbake.wording import counted
@@ -250,7 +257,7 @@ def _leans(primitive: SkinnedPrimitive, rows: IntArray, labels: IntArray | None)
     # Each plane is the sum over its corners.
     planes = np.zeros((int(numbers.max(initial=0)) + 1, 3))
     for axis in range(3):
-        planes[:, axis] = np.bincount(corners.T.ravel(), (shares * cross[:, axis]).ravel(), len(planes))
+        planes[:, axis] = bincount(corners.T.ravel(), (shares * cross[:, axis]).ravel(), len(planes))
     planes[np.einsum("ij,ij->i", planes, planes) < CANCELLED**2] = 0.0
     return _degrees(planes[numbers[own]], primitive.normals[rows])
 

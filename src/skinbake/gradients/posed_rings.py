@@ -12,7 +12,7 @@ import numpy as np
 
 from skinbake.geometry.frames import parts_along
 from skinbake.geometry.poses import determinants
-from skinbake.geometry.skinned import Float64Array
+from skinbake.geometry.skinned import Float64Array, bincount
 from skinbake.gradients.fit_rules import FLAT
 from skinbake.gradients.ring_turns import RingTurns
 from skinbake.gradients.surface import Surface, first_rows
@@ -54,7 +54,7 @@ def posed_rings(surface: Surface, turns: RingTurns, matrices: Float64Array) -> P
     reach = np.einsum("ck,ck->c", weights, _terms(own, moved(own, positions[:, None])))
     bounds = np.abs(turned).sum(axis=(1, 2))
     bounds += np.abs(changes.coefficients).sum(axis=1) * (reach[at] + _terms(by, ends))
-    bound = np.bincount(at, bounds, count)
+    bound = bincount(at, bounds, count)
     rigid = np.einsum("ck,ck->c", weights, np.square(own[..., :3]).sum(axis=(2, 3))) / 3.0
     # F maps both derivatives, and the unit vector across them to that across the posed ones, by the root of
     # how the area grows. Where joints mirror, it points to the other side.

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skinbake.geometry.frames import frame_from_normal, has_direction, parts_along, unit_normals
-from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray
+from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray, bincount
 from skinbake.gradients.fit_rules import FLAT, NARROW
 from skinbake.gradients.surface import Surface
 from skinbake.gradients.weight_gradients import (
@@ -82,7 +82,7 @@ def ring_turns(surface: Surface) -> RingTurns:
     corners = surface.triangles.ravel().astype(np.int64)
     sums = summed_rows(classes[corners], units[corners].astype(np.float64), count)
     lengths = np.linalg.norm(sums, axis=1)
-    directed = lengths > FLAT * np.bincount(classes[corners], minlength=count)
+    directed = lengths > FLAT * bincount(classes[corners], minlength=count)
     sums[~directed] = 0.0, 0.0, 1.0
     normals = unit_normals(sums).astype(np.float64)
     tangents = np.stack(frame_from_normal(normals.astype(np.float32)), axis=1).astype(np.float64)
@@ -108,7 +108,7 @@ def ring_turns(surface: Surface) -> RingTurns:
         leverage[:, number, 1] = t_b[:, None] * normals + np.cross(q, a)
     alignment = np.nan_to_num(np.linalg.norm(ring.faces, axis=1) / ring.areas)
     sound = (area > NARROW) & (alignment > FLAT) & (ring.areas > FLAT * ring.lengths) & directed
-    sound &= np.bincount(classes[surface.triangles.ravel()], minlength=count) <= MOST_CORNERS
+    sound &= bincount(classes[surface.triangles.ravel()], minlength=count) <= MOST_CORNERS
     # What the turn of a joint does by Δw g (arms) and by Δw g e (spins).
     owner = np.repeat(np.arange(count), np.diff(ring.offsets))
     changes = np.where(sound[owner, None], ring.changes / ring.weights[owner, None], 0.0)
@@ -164,9 +164,9 @@ def _ring_sums(surface: Surface, classes: IntArray, tangents: Float64Array) -> _
     for corners in corners_of(surface.positions, surface.triangles, ROOT):
         at = classes[corners.origin]
         # Sums over the corner itself.
-        weights += np.bincount(at, corners.weight, count)
-        areas += np.bincount(at, np.linalg.norm(corners.faces, axis=1), count)
-        lengths += np.bincount(at, np.linalg.norm(corners.edges, axis=2).prod(axis=0), count)
+        weights += bincount(at, corners.weight, count)
+        areas += bincount(at, np.linalg.norm(corners.faces, axis=1), count)
+        lengths += bincount(at, np.linalg.norm(corners.edges, axis=2).prod(axis=0), count)
         faces += _summed(at, corners.faces, count)
         for neighbour, edges, coefficients in corners.ends():
             along = np.einsum("cti,ci->ct", tangents[at], coefficients)  # g and h

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray
+from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray, bincount
 from skinbake.gradients.surface import WeightField
 
 
@@ -52,7 +52,7 @@ def weight_gradients(
     joint_count = int(field.joints.max(initial=0)) + 1
     for corners in corners_of(positions, triangles, WEIGHTINGS[weighting]):
         # The weight of the corner counts, whether a joint varies there or not.
-        total += np.bincount(classes[corners.origin], corners.weight, count)
+        total += bincount(classes[corners.origin], corners.weight, count)
         # Each joint adds the hat's gradient times its change of weight along the edge.
         for neighbour, _, coefficients in corners.ends():
             corner, joints, difference = corner_differences(field, corners.origin, neighbour)
@@ -83,7 +83,7 @@ def field_derivatives(
     total, sums = np.zeros(count), np.zeros((count, 3))
     for corners in corners_of(positions, triangles, WEIGHTINGS[weighting]):
         own = classes[corners.origin]
-        total += np.bincount(own, corners.weight, count)
+        total += bincount(own, corners.weight, count)
         for neighbour, _, coefficients in corners.ends():
             change = values[neighbour].astype(np.float64) - values[corners.origin]
             sums += summed_rows(own, coefficients * change[:, None], count)
@@ -178,7 +178,7 @@ def summed_by_key(
     sums = summed_rows(inverse, rows, len(unique))
     # The keys ascend by class and then by joint, as rows of CSR do.
     owner, joints = np.divmod(unique, joint_count)
-    offsets = np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=count))])
+    offsets = np.concatenate([[0], np.cumsum(bincount(owner, minlength=count))])
     return offsets, joints, sums
 
 
@@ -186,7 +186,7 @@ def summed_rows(groups: IntArray, rows: Float64Array, count: int) -> Float64Arra
     """Sum the rows (N, M) of each of ``count`` groups, (count, M). groups (N,) names the group of each."""
     sums = np.empty((count, rows.shape[1]))
     for number, column in enumerate(rows.T):
-        sums[:, number] = np.bincount(groups, column, count)
+        sums[:, number] = bincount(groups, column, count)
     return sums
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from skinbake.choices import USUAL_TRUTHS
 from skinbake.errors import InputError, Notice
-from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray
+from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray, bincount
 from skinbake.gltf.budget import Cost, shown
 from skinbake.gltf.document import Document, once_a_document
 from skinbake.gltf.reading.clips import animations_of, read_clips
@@ -250,7 +250,7 @@ class _Errors(NamedTuple):
             errors = light.errors(share)
             values = errors if at_least is None else 1.0 * (errors >= at_least)
             for row, areas in zip((light.weights * values).sum(2), light.weights.sum(2), strict=True):
-                total, area = (np.bincount(self.owners, each, self.primitives) for each in (row, areas))
+                total, area = (bincount(self.owners, each, self.primitives) for each in (row, areas))
                 found.append(np.divide(total, area, out=np.zeros(len(area)), where=area > 0.0))
         return np.array(found).reshape(-1, self.primitives).T
 

@@ -78,7 +78,7 @@ def cut_out(
         used[there] = True
         # The triangles that have one of the used vertices.
         corners = primitive.triangles.ravel()
-        at = [block.start + np.flatnonzero(used.take(corners[block])) for block in blocks(len(corners))]
+        at = [block.start + np.flatnonzero(used[corners[block]]) for block in blocks(len(corners))]
         owners = np.concatenate(at or [np.empty(0, dtype=np.int64)]) // 3
         triangles = primitive.triangles[owners[np.diff(owners, prepend=-1) > 0]]
         used[triangles] = True

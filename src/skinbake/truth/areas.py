@@ -13,6 +13,7 @@ from skinbake.geometry.skinned import (
     FloatArray,
     IntArray,
     SkinnedPrimitive,
+    bincount,
     blocks,
 )
 from skinbake.gltf.document import Document
@@ -33,7 +34,7 @@ def vertex_areas(positions: FloatArray, triangles: IntArray) -> Float64Array:
             doubled[rows] = np.sqrt(dot(normal, normal))
     shares = np.where(np.isfinite(doubled), doubled, 0.0) / 6.0
     corner_shares = np.repeat(shares, 3)
-    return np.bincount(triangles.ravel(), corner_shares, minlength=len(positions)).astype(np.float64)
+    return bincount(triangles.ravel(), corner_shares, minlength=len(positions)).astype(np.float64)
 
 
 def angles_between(measured: Vector, expected: Vector) -> Float64Array:

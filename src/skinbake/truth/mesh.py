@@ -21,6 +21,7 @@ from skinbake.geometry.skinned import (
     FloatArray,
     IntArray,
     SkinnedPrimitive,
+    bincount,
     blocks,
 )
 from skinbake.gltf.budget import Cost
@@ -168,12 +169,6 @@ def carrying_slots(primitive: SkinnedPrimitive) -> BoolArray:
     return carries
 
 
-CROWDED = 32
-"""The number of vertices at one place from which SciPy looks for pairs, because all pairs are too many.
-
-Real meshes have only a few. Importing SciPy takes longer than the welding of most meshes.
-"""
-
 MOST_NORMALS = 4096
 """The number of different normals at one point above which only equal ones weld, as in bake."""
 
@@ -193,8 +188,8 @@ def weld_classes(
     order, compared in float32). A chain of normals joins them: each differs from the next by at most
     ``crease_angle_degrees``, in any primitive of the mesh. Normals may have any length. A zero or non-finite
     normal welds only with an equal one: the same bits, but −0 is +0. So does any normal at a point with more
-    than MOST_NORMALS different ones. ``claim`` is called with the number of bytes that the pairs at crowded
-    places take, before they are listed.
+    than MOST_NORMALS different ones. ``claim`` is called with the number of bytes that the next pairs of
+    normals to be listed take.
     """
     positions = np.concatenate([primitive.positions for primitive in primitives]).astype(np.float64)
     with np.errstate(invalid="ignore"):  # a NaN may be signalling
@@ -207,37 +202,8 @@ def weld_classes(
     nodes = row_numbers(np.column_stack([places, (normals + 0.0).view(np.int64)]))
     firsts = _first_rows(nodes)
     pairs = _close_pairs(places[firsts], normals[firsts], np.radians(crease_angle_degrees), claim)
-    return _in_order(_components(pairs, len(firsts))[nodes])
-
-
-def with_rigid_parts(
-    classes: Int64Array, primitives: Sequence[SkinnedPrimitive], triangles: IntArray
-) -> Int64Array:
-    """Return the weld classes (V,) in which parts that cannot bend weld with none that can.
-
-    classes are of ``weld_classes``, triangles (T, 3) index the vertices of all primitives. Triangles of one
-    primitive that share a class are of one part. If all corners of a part have equal influences, its normals
-    move as it does, and are known.
-    """
-    owners = np.repeat(np.arange(len(primitives)), [len(primitive.positions) for primitive in primitives])
-    copies = row_numbers(np.column_stack([classes, owners]))
-    count = int(copies.max(initial=-1)) + 1
-    if count == int(classes.max(initial=-1)) + 1:
-        return classes  # no class has vertices of two primitives
-    joints, shares = influence_keys(primitives)
-    influences = row_numbers(np.hstack([joints, shares.view(np.int32)]))[triangles]
-    bends = (influences != influences[:, :1]).any(axis=1)
-    corners = copies[triangles]
-    parts = _components(np.concatenate([corners[:, :2], corners[:, 1:]]), count)
-    # Vertices without triangles are of neither kind. They stay with the bending ones.
-    rigid = np.zeros(count, dtype=bool)
-    rigid[corners[~np.isin(parts[corners[:, 0]], parts[corners[bends, 0]])]] = True
-    meeting = np.isin(classes, classes[triangles[bends]])
-    return _in_order(row_numbers(np.column_stack([classes, rigid[copies] & meeting])))
-
-
-def _in_order(classes: Int64Array) -> Int64Array:
-    """Return the classes (V,) in the order of their first vertices: neighbours are then near in memory."""
+    classes = _components(pairs, len(firsts))[nodes]
+    # In the order of their first vertices: neighbours are then near in memory too.
     firsts = _first_rows(classes)
     numbers = np.empty(len(firsts), dtype=np.int64)
     numbers[np.argsort(firsts)] = np.arange(len(firsts))
@@ -289,7 +255,7 @@ def _close_pairs(
 ) -> Int64Array:
     """List the pairs (N, 2) at one place whose normals differ by at most ``angle`` radians."""
     # Only points with several normals, and not too many.
-    counts = np.bincount(places, minlength=len(places))
+    counts = bincount(places, minlength=len(places))
     counts[counts > MOST_NORMALS] = 0
     shared = np.flatnonzero(counts[places] > 1)
     with np.errstate(invalid="ignore", divide="ignore"):  # a normal of zeros has no direction
@@ -300,37 +266,26 @@ def _close_pairs(
     candidates, directions = shared[sound], units[sound]
     # A chord of the unit sphere stands for the angle. The errors of normalising are far below the slack.
     chord = 2.0 * np.sin(min(angle, np.pi) / 2.0) + 1e-12
-    if counts.max(initial=0) > CROWDED:
-        from scipy.spatial import cKDTree
-
-        # Without a look at all pairs: places lie 4 apart on the first axis, and normals within 2 of each
-        # other. So only pairs at one place are near.
-        tree = cKDTree(np.column_stack([4.0 * places[candidates], directions]))
-        claim(Cost.WELDED_PAIR.bytes * int(tree.count_neighbors(tree, chord)))
-        close: Int64Array = candidates[tree.query_pairs(chord, output_type="ndarray")]
-        return close
     # By place. Then a pair is so many steps apart, and each number of steps is looked at.
     order = np.argsort(places[candidates], kind="stable")
     candidates, directions = candidates[order], directions[order]
     at = places[candidates]
     found = [np.zeros((0, 2), dtype=np.int64)]
+    first = np.arange(len(at))
     for step in range(1, int(counts.max(initial=0))):
-        first = np.flatnonzero(at[:-step] == at[step:])
+        # A normal without another one so many steps ahead has none farther ahead either.
+        first = first[first + step < len(at)]
+        first = first[at[first] == at[first + step]]
         apart = np.linalg.norm(directions[first] - directions[first + step], axis=1)
-        first = first[apart <= chord]
-        found.append(np.column_stack([candidates[first], candidates[first + step]]))
+        close = first[apart <= chord]
+        claim(2 * Cost.WELDED_PAIR.bytes * len(close))
+        found.append(np.column_stack([candidates[close], candidates[close + step]]))
     return np.concatenate(found)
 
 
 def _components(pairs: Int64Array, count: int) -> Int64Array:
     """Return the number of each node's connected component: (V,) from 0 without gaps."""
     labels = np.arange(count)
-    if len(pairs) > CROWDED * count:
-        from scipy.sparse import coo_array
-        from scipy.sparse.csgraph import connected_components
-
-        links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-        return np.asarray(connected_components(links, directed=False)[1], dtype=np.int64)
     while True:
         # Each node takes the least label of its neighbours, and of the node that it names.
         lowest = labels[pairs].min(axis=1, initial=count)

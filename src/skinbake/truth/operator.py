@@ -22,6 +22,7 @@ from skinbake.geometry.skinned import (
     FloatArray,
     IntArray,
     SkinnedPrimitive,
+    bincount,
     blocks,
 )
 from skinbake.skinning.components import Vector, cross, dot, minus, scaled
@@ -32,7 +33,6 @@ from skinbake.truth.mesh import (
     carrying_slots,
     weights_of_corners,
     weld_classes,
-    with_rigid_parts,
 )
 from skinbake.truth.values import SparseRows
 
@@ -93,10 +93,9 @@ def gradient_operator(
     """Build the gradient operator over the welded vertices of one mesh.
 
     A vertex takes the weighted mean of the triangles' gradients over the corners of its weld class
-    (``weld_classes``, ``with_rigid_parts``). The mean divides by the total weight of *all* corners, so that
-    the gradients of weights that sum to one sum to zero. With e1, e2 a corner's edges, θ its angle and A =
-    |e1 × e2|, its weight is A / (|e1|² |e2|²) for ``max``, θ for ``angle``, A for ``area``, θ A for
-    ``angle-area``.
+    (``weld_classes``). The mean divides by the total weight of *all* corners, so that the gradients of
+    weights that sum to one sum to zero. With e1, e2 a corner's edges, θ its angle and A = |e1 × e2|, its
+    weight is A / (|e1|² |e2|²) for ``max``, θ for ``angle``, A for ``area``, θ A for ``angle-area``.
 
     Triangles that are lines or points, or have a non-finite corner, are ignored. Raises InputError for an
     index outside its primitive, and ValueError for an unknown weighting. ``claim`` is called with the number
@@ -120,11 +119,10 @@ def gradient_operator(
     triangles = triangles[is_sound(positions, triangles)]
     # Which vertices are one point.
     classes = weld_classes(primitives, crease_angle_degrees=crease_angle_degrees, claim=claim)
-    classes = with_rigid_parts(classes, primitives, triangles)
     # The corners of each class.
     places = classes[triangles].ravel()
     count = int(classes.max(initial=-1)) + 1
-    met = np.bincount(places, minlength=count)
+    met = bincount(places, minlength=count)
     # Every copy of a vertex gets the row of its class, with an entry for each neighbour; up to eight copies
     # of a row are in memory. If each triangle of a fan has its own copy of the centre, there are as many long
     # rows as triangles.
@@ -138,8 +136,8 @@ def gradient_operator(
         following, preceding = edges[corner], scaled(-1.0, edges[corner - 1])
         weights[:, corner] = weights_of_corners(following, preceding, weighting)
     # The mean of a class divides by the sum over all of its corners.
-    totals = np.bincount(places, weights.ravel(), minlength=count).astype(np.float64)
-    ends = np.concatenate([[0], np.cumsum(met)])
+    totals = bincount(places, weights.ravel(), minlength=count).astype(np.float64)
+    ends = np.concatenate([[0], np.cumsum(met, dtype=np.int64)])
     corners = np.argsort(places, kind="stable").astype(np.int32)
     return GradientOperator(
         counts=counts,
@@ -208,7 +206,7 @@ def _derivatives_of_joints(derivatives: SparseRows, field: JointField, named: In
         entries, joints, weights = field.of(columns[first:last])
         # Each neighbour adds its entry times the weight of each of its joints.
         cells = (owners[first:last][entries] - rows.start) * width + joints
-        table = np.bincount(cells, values[first:last][entries] * weights, (rows.stop - rows.start) * width)
+        table = bincount(cells, values[first:last][entries] * weights, (rows.stop - rows.start) * width)
         found[rows] = np.take_along_axis(table.reshape(-1, width), named[rows].astype(np.int64), axis=1)
     return found
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, IntArray
+from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, IntArray, bincount
 from skinbake.truth.mesh import Int32Array, Int64Array
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class SparseRows:
         """Return the products (B,) with several fields (V,)."""
         columns, values, owners = self.columns[self.entries], self.values[self.entries], self.owners()
         return [
-            np.bincount(owners, values * field[columns], minlength=len(self)).astype(np.float64, copy=False)
+            bincount(owners, values * field[columns], minlength=len(self)).astype(np.float64, copy=False)
             for field in fields
         ]
 

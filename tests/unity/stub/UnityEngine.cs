@@ -165,11 +165,7 @@ namespace UnityEngine
         public void Dispatch(int kernel, int x, int y, int z) { groups = x + " " + y + " " + z; }
     }
 
-    public class Camera
-    {
-        public delegate void CameraCallback(Camera camera);
-        public static CameraCallback onPreRender;
-    }
+    public class Camera { }
 
     static class Program
     {
@@ -213,27 +209,17 @@ namespace UnityEngine
             renderer.rootBone = new Transform { position = Structs<Vector3>(1)[0], rotation = Structs<Quaternion>(1)[0] };
             var component = new Skinbake { pass = new ComputeShader(), beside = renderer };
             Call(component, "OnEnable");
-            Draw(arguments[2]);
+            RenderPipelineManager.Draw();
             if (component.pass.groups != null)
                 throw new Exception("it corrects before Unity has skinned");
             renderer.isSkinned = true;
-            Draw(arguments[2]);
+            RenderPipelineManager.Draw();
             Call(component, "OnDisable");
-            if (Camera.onPreRender != null)
-                throw new Exception("it listens after it was disabled");
             component.pass.numbers.Add("groups " + component.pass.groups);
             component.pass.numbers.Add("alive " + GraphicsBuffer.alive);
             File.WriteAllLines(Path.Combine(arguments[1], "numbers"), component.pass.numbers);
             foreach (var buffer in component.pass.buffers)
                 File.WriteAllBytes(Path.Combine(arguments[1], buffer.Key), buffer.Value ?? new byte[0]);
-        }
-
-        static void Draw(string pipeline)
-        {
-            if (pipeline == "built-in")
-                Camera.onPreRender(new Camera());
-            else
-                RenderPipelineManager.Draw();
         }
 
         static void Call(object component, string name)

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.errors import InputError, Place, UnsupportedFeatureError
+from skinbake.gltf.codecs import codec
 from skinbake.wording import counted
 
 MAGIC = b"DRACO"
@@ -93,11 +94,10 @@ def decode(
     Raises InputError if the stream is damaged, holds other data, or needs more memory than the declarations
     justify. The decoder never crashed on 6,000 cut or altered streams of real files.
     """
-    import DracoPy
-
+    decoder = codec("DracoPy", place)
     try:
         with _memory_limit(MEMORY_BASE + MEMORY_FACTOR * size):
-            mesh = DracoPy.decode(bytes(data))
+            mesh = decoder.decode(bytes(data))
             attributes = {int(entry["unique_id"]): entry for entry in mesh.attributes}
             faces = np.asarray(getattr(mesh, "faces", np.zeros((0, 3), np.uint32)), dtype=np.uint32)
     except MemoryError as error:
@@ -373,14 +373,13 @@ def _encoded(
     wanted: Mapping[str, int],
     grids: Mapping[str, _Grid],
 ) -> Encoded:
-    import DracoPy
-
+    draco = codec("DracoPy")
     bits = {**wanted, **{name: grid.bits for name, grid in grids.items()}}
     native = {name: np.asarray(arrays[name], np.float64) for name in bits}  # its type check needs doubles
     generic = [name for name in arrays if name not in native and name != "POSITION"]
     grid = grids.get("POSITION", _Grid(0))
     data = bytes(
-        DracoPy.encode(
+        draco.encode(
             np.ascontiguousarray(arrays["POSITION"]),
             np.ascontiguousarray(faces, dtype=np.uint32),
             quantization_bits=bits.get("POSITION", 0),
@@ -400,7 +399,7 @@ def _encoded(
     names = dict(enumerate(generic))
     entries = {
         names.get(entry["unique_id"]) or _TYPES[entry["attribute_type"]]: entry
-        for entry in DracoPy.decode(data).attributes
+        for entry in draco.decode(data).attributes
     }
     values = {name: entry["data"].astype(arrays[name].dtype) for name, entry in entries.items()}
     return Encoded(data, {name: int(entry["unique_id"]) for name, entry in entries.items()}, values)

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.errors import InputError, Place
+from skinbake.gltf.codecs import codec
 from skinbake.gltf.json_access import JsonObject, integer, member, text
 from skinbake.wording import counted
 
@@ -121,10 +122,9 @@ def decoded(data: memoryview, packing: Packing, what: str, place: Place) -> memo
     The length must have been checked. Raises InputError if the data is malformed. On 4,000 cut or altered
     streams of real files, the decoder never read past the end and never crashed: it checks every length.
     """
-    import meshopt
-
     from skinbake.gltf.codecs.meshopt_filters import unfiltered
 
+    meshopt = codec("meshopt", place)
     mode: Any = packing.mode
     try:
         values = meshopt.decode_gltf_buffer(bytes(data), packing.count, packing.stride, mode)
@@ -147,8 +147,7 @@ def encoded(values: npt.NDArray[Any], mode: str, name: str, level: int) -> tuple
     or uint32. level is 0 (fast) to 3 (small) and has an effect only on attributes. Triangles are stored as a
     plain sequence of indices if their own codec would rotate the corners of some of them.
     """
-    import meshopt
-
+    meshopt = codec("meshopt")
     data = np.ascontiguousarray(values)
     if mode == ATTRIBUTES:
         return bytes(meshopt.encode_vertex_buffer_level(data, level, CODEC_VERSIONS[name])), mode

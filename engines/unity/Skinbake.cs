@@ -47,14 +47,12 @@ public class Skinbake : MonoBehaviour
         geometry = new GraphicsBuffer(GraphicsBuffer.Target.Raw, vertices.Length * Stride / 4, 4);
         geometry.SetData(vertices);
         joints = new GraphicsBuffer(GraphicsBuffer.Target.Structured, skinned.bones.Length, 64);
-        RenderPipelineManager.beginContextRendering += CorrectFrame;
-        Camera.onPreRender += CorrectCamera; // Unity calls it in the built-in pipeline alone
+        RenderPipelineManager.beginContextRendering += Correct; // in the built-in pipeline: Camera.onPreRender
     }
 
     void OnDisable()
     {
-        RenderPipelineManager.beginContextRendering -= CorrectFrame;
-        Camera.onPreRender -= CorrectCamera;
+        RenderPipelineManager.beginContextRendering -= Correct;
         geometry.Dispose();
         joints.Dispose();
     }
@@ -65,18 +63,7 @@ public class Skinbake : MonoBehaviour
         return vertex < set.Length ? new Vector2(set[vertex].x, 1 - set[vertex].y) : new Vector2(0, 0);
     }
 
-    void CorrectFrame(ScriptableRenderContext context, List<Camera> cameras)
-    {
-        Correct();
-    }
-
-    void CorrectCamera(Camera camera)
-    {
-        Correct();
-    }
-
-    // A second call in a frame gives the same normals: it begins with those at rest.
-    void Correct()
+    void Correct(ScriptableRenderContext context, List<Camera> cameras)
     {
         using (GraphicsBuffer posed = skinned.GetVertexBuffer())
         {
