@@ -383,7 +383,7 @@ def test_junit_counts_a_suite_a_file_and_a_case_a_check() -> None:
         {"name": "old.glb", "tests": "3", "failures": "1", "errors": "0", "skipped": "1"},
         {"name": "no.glb", "tests": "1", "failures": "0", "errors": "1", "skipped": "0"},
     ]
-    assert [case.get("name") for case in root[1]] == ["structure", "freshness", "lighting"]
+    assert [case.get("name") for case in root[1].iter("testcase")] == ["structure", "freshness", "lighting"]
     failure = root[1][1].find("failure")
     assert failure is not None
     assert (
@@ -395,6 +395,23 @@ def test_junit_counts_a_suite_a_file_and_a_case_a_check() -> None:
     error = root[2][0].find("error")
     assert error is not None
     assert error.get("message") == "no.glb: cannot be read"
+
+
+def test_junit_has_the_gain_of_a_file_and_the_seconds_of_its_checks() -> None:
+    timed = replace(
+        PASSED, checks=(replace(PASSED.checks[0], seconds=0.25), replace(PASSED.checks[1], seconds=1.5))
+    )
+    [suite] = ElementTree.fromstring(as_junit([timed]))
+    assert suite.get("time") == "1.750"
+    assert [case.get("time") for case in suite.iter("testcase")] == ["0.250", "1.500"]
+    told = {one.get("name"): one.get("value") for one in suite.iter("property")}
+    figures = by_worse_truth(PASSED)
+    assert told == {
+        "standard": f"{figures['standard'].mean:.3f}",
+        "gain": f"{figures['standard'].mean / figures['accurate'].mean:.3f}",
+        "accurate": f"{figures['accurate'].mean:.3f}",
+    }
+    assert suite[0].tag == "properties"
 
 
 def test_junit_cases_of_all_files_differ_in_class_and_name() -> None:

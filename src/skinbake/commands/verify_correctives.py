@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from time import perf_counter
 
 from skinbake.choices import PoseKind
 from skinbake.commands.bake_options import DEFAULTS
@@ -30,6 +31,7 @@ def corrected_verdict(document: Document, options: VerifyOptions) -> FileVerdict
 
     Standard lighting, the correctives, and what α and β would give are measured in the same poses.
     """
+    begun = perf_counter()
     with stage("read"):
         sources = skinned_sources(document)
         tell_half_skinned(document)
@@ -40,6 +42,7 @@ def corrected_verdict(document: Document, options: VerifyOptions) -> FileVerdict
         return FileVerdict(document.name, (structure, *skipped))
     with stage("freshness"):
         fresh = corrective_freshness(document, sources)
+        fresh, begun = replace(fresh, seconds=perf_counter() - begun), perf_counter()
     with document.notices.withheld(), stage("α and β"):
         plain, _ = uncorrected(document)
         gradients = bake_gradients(plain, bakeable(plain), DEFAULTS).document
@@ -52,6 +55,7 @@ def corrected_verdict(document: Document, options: VerifyOptions) -> FileVerdict
     structure = Check("structure", "passed", (), told)
     # That algorithms 2 and 3 agree says nothing of correctives.
     checks = [check for check in verdict.checks if check.name != "identity"]
+    structure = replace(structure, seconds=perf_counter() - begun)  # with the measurement, which has no check
     for place, (before, after) in worse_primitives(verdict).items():
         change = f"from {before:.2f}° to {after:.2f}°: skinbake strip takes them out"
         message = f"its correctives make its lighting worse in these poses, {change}"

@@ -57,12 +57,16 @@ NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]"
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One check of a file. If it failed, its problems name the place, the defect and the remedy."""
+    """One check of a file. If it failed, its problems name the place, the defect and the remedy.
+
+    seconds is how long it took, None where nobody took the time.
+    """
 
     name: str
     outcome: Outcome
     problems: tuple[Notice, ...] = ()
     remark: str = ""
+    seconds: float | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -582,7 +586,8 @@ def _relief_json(normals: Normals, by_area: Normals) -> dict[str, Any]:
 def as_junit(verdicts: Sequence[FileVerdict]) -> str:
     """Return the verdicts as JUnit XML: a suite for each file, a case for each check.
 
-    The class of a case is its file, because many programs show and compare cases by class and name only. A
+    A suite has the gain and both mean errors in degrees as properties, and the seconds of its cases. The
+    class of a case is its file, because many programs show and compare cases by class and name only. A
     file that was not verified again has one case, ``up-to-date``: some programs refuse a report without any.
     """
     from xml.etree import ElementTree  # only --junit needs it
@@ -590,11 +595,21 @@ def as_junit(verdicts: Sequence[FileVerdict]) -> str:
     root = ElementTree.Element("testsuites", name="skinbake verify")
     for verdict in verdicts:
         suite = ElementTree.SubElement(root, "testsuite", name=verdict.input)
+        suite.set("time", f"{sum(check.seconds or 0.0 for check in verdict.checks):.3f}")
+        if figures := by_worse_truth(verdict):
+            measured = {"standard": figures["standard"].mean, "gain": gain(figures)}
+            measured[baked_lighting(figures)] = figures[baked_lighting(figures)].mean
+            properties = ElementTree.SubElement(suite, "properties")
+            for name, degrees in measured.items():
+                told = "exact" if degrees is None else f"{degrees:.3f}"
+                ElementTree.SubElement(properties, "property", name=name, value=told)
         before = (Check("up-to-date", "passed"),) if verdict.up_to_date else ()
         checks = (*before, *verdict.checks)
         cases: list[str] = [check.outcome for check in checks]
         for check in checks:
             case = ElementTree.SubElement(suite, "testcase", name=check.name, classname=verdict.input)
+            if check.seconds is not None:
+                case.set("time", f"{check.seconds:.3f}")
             if check.outcome == "failed":
                 more = f" (and {len(check.problems) - 1} more)" if len(check.problems) > 1 else ""
                 failure = ElementTree.SubElement(case, "failure", message=f"{check.problems[0]}{more}")
