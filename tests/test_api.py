@@ -186,7 +186,7 @@ def test_options_that_make_no_sense_are_refused(
         ({"poses": "dance"}, "poses='dance': expected animation, random, random:N with N of at least 1, or"),
         ({"poses": "random:0"}, "poses='random:0': expected animation"),
         ({"poses": "rest:3"}, "poses='rest:3': expected animation"),
-        ({"truth": "mine"}, "truth='mine': expected one of tangents, triangles"),
+        ({"truth": "mine"}, "truth='mine': expected one of triangles, tangents"),
     ],
 )
 def test_verify_refuses_values_that_do_not_exist(options: dict[str, Any], message: str) -> None:

@@ -105,8 +105,8 @@ def test_algorithm_2_is_compared_in_some_poses_where_there_are_many(
     assert some.by_truth["tangents"]["lbs"]["accurate"].mean == pytest.approx(
         whole.by_truth["tangents"]["lbs"]["accurate"].mean
     )
-    worst = int(some.by_truth["tangents"]["lbs"]["direct"].worst.clip.split()[-1])
+    worst = int(some.by_truth["triangles"]["lbs"]["direct"].worst.clip.split()[-1])
     assert worst < 8
-    assert some.by_truth["tangents"]["lbs"]["direct"].mean != pytest.approx(
-        whole.by_truth["tangents"]["lbs"]["direct"].mean, rel=1e-6
+    assert some.by_truth["triangles"]["lbs"]["direct"].mean != pytest.approx(
+        whole.by_truth["triangles"]["lbs"]["direct"].mean, rel=1e-6
     )

@@ -235,8 +235,8 @@ def verify(
     baseline, cap
         As ``--baseline`` and ``--cap``.
     max_mean_error, max_p95_error, min_gain
-        Limits of the accurate lighting, in degrees and as a factor. None sets no limit. A skinned file that
-        is not baked meets none.
+        Limits of the accurate lighting, in degrees and as a factor: the lower gain of both truths. None sets
+        no limit. A skinned file that is not baked meets none.
     truth
         ``triangles``, ``tangents`` or ``relief``: the true normals for the limits (docs/lighting.md). None:
         the first two.

@@ -150,16 +150,16 @@ class Baseline(StrEnum):
 class Truth(StrEnum):
     """By which measurement of the deformed mesh a normal is called true (docs/lighting.md)."""
 
+    TRIANGLES = "triangles"
+    """The angle-weighted normal of the triangles (Thürmer and Wüthrich 1998). Formulas agree with it best."""
     TANGENTS = "tangents"
     """The normal of the surface's own derivatives along t0 and b0."""
-    TRIANGLES = "triangles"
-    """The angle-weighted normal of the triangles (Thürmer and Wüthrich 1998)."""
     RELIEF = "relief"
     """The normal that a normal map shows: that of a relief over the surface, skinned with it."""
 
 
-USUAL_TRUTHS = Truth.TANGENTS, Truth.TRIANGLES
-"""The truths by which verify always measures."""
+USUAL_TRUTHS = Truth.TRIANGLES, Truth.TANGENTS
+"""The truths by which verify always measures. The first stands alone where one figure must do."""
 
 
 class PoseKind(StrEnum):

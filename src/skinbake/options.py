@@ -292,7 +292,8 @@ LAYOUT = Option("layout", Layout, Layout.ATTRIBUTES, By.ALL, help=
 REQUIRE_BAKED = Option("require_baked", bool, False, By.ALL, help=
     "Fail (exit 3) if nothing in a file can be baked.")
 LEAVE_UNDER = Option("leave_under", Range(0), None, By.ALL, "X", help=
-    "Leave a file unbaked, and note it, if its gain is under X or standard lighting is off by under 0.3°.")
+    "Leave a file unbaked, and note it, if the lower gain of both truths is under X, or standard lighting is "
+    "off by under 0.3°.")
 REQUIRE_TRACKED = Option("require_tracked", bool, False, help=
     "Fail (exit 4) if an output names a file that git does not track, such as a new buffer.")
 WARNINGS_AS_ERRORS = Option("warnings_as_errors", bool, False, By.ALL, help=
@@ -446,7 +447,7 @@ VERIFY = (
         Option("max_p95_error", Range(0), None, By.ALL, "DEG", help=
             "Fail if the 95th percentile of the error is larger."),
         Option("min_gain", Range(0), None, By.ALL, "X", help=
-            "Fail if the gain over standard lighting is smaller."),
+            "Fail if the lower gain of both truths over standard lighting is smaller."),
         REQUIRE_BAKED._replace(help="Fail if a file holds no bake."),
         Option("sources", str, None, By.NOBODY, "DIR", help=
             "Fail if an output is not of its source as it is now, or a source in DIR has no output, by the "

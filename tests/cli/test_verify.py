@@ -92,8 +92,8 @@ def test_json_is_pure_and_as_documented(tmp_path: Path, name: str, options: list
     jsonschema.validate(document, VERIFY)
     assert document["exit_code"] == result.exit_code
     for entry in document["files"][0]["primitives"]:
-        for method, figures in entry["normals"].items():
-            assert figures.keys() == document["files"][0]["normals"][method].keys()
+        for method, figures in entry["normals_by_tangents"].items():
+            assert figures.keys() == document["files"][0]["normals_by_tangents"][method].keys()
     unbaked = run("--json", "--require-baked", source(name), tmp_path / "gone.glb")
     jsonschema.validate(json.loads(unbaked.stdout), VERIFY)
     assert unbaked.exit_code == 3
@@ -349,7 +349,9 @@ def test_odd_names_do_not_end_in_a_traceback(good: Path, tmp_path: Path) -> None
 
 def test_numbers_are_the_same_in_text_and_json(good: Path) -> None:
     text = run(good, "-v").stdout
-    figures: dict[str, Any] = json.loads(run("--json", good).stdout)["files"][0]["normals"]["lbs"]
+    figures: dict[str, Any] = json.loads(run("--json", good).stdout)["files"][0]["normals_by_triangles"][
+        "lbs"
+    ]
     line = next(line for line in text.splitlines() if "LBS accurate" in line)
     shown = [f"{figures['accurate'][key]:.2f}" for key in ("mean", "p95", "p99", "max")]
     assert line.split()[2:6] == shown

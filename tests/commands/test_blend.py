@@ -99,7 +99,7 @@ def test_a_blend_goes_with_every_kind_of_alpha_and_beta(tmp_path: Path, options:
     bake(given, tmp_path / "out.glb", *options.split())
     answer = verify(tmp_path / "out.glb", "--method", "blend")
     assert not answer.failed
-    assert answer.file["normals"]["blend"]["gain"] > 10
+    assert answer.file["normals_by_tangents"]["blend"]["gain"] > 10
     assert invoke("strip", tmp_path / "out.glb", "-o", tmp_path / "back.glb").exit_code == 0
     assert (tmp_path / "back.glb").read_bytes() == given.read_bytes()
 
@@ -123,7 +123,7 @@ def test_verify_measures_the_blended_surface(tmp_path: Path, method: str) -> Non
     bake(given, tmp_path / "out.glb")
     options = () if method == "every" else ("--method", "blend")
     answer = verify(tmp_path / "out.glb", *options)
-    found = answer.file["normals"]
+    found = answer.file["normals_by_tangents"]
     assert set(found) == ({"lbs", "dqs", "blend"} if method == "every" else {"blend"})
     blend = found["blend"]
     assert blend["accurate"]["mean"] < 0.1
@@ -132,7 +132,7 @@ def test_verify_measures_the_blended_surface(tmp_path: Path, method: str) -> Non
     file = Editable(tmp_path / "out.glb")
     file.array(GRADIENT)[:] = 0.0
     answer = verify(file.write(tmp_path / "flat.glb"), *options)
-    assert answer.file["normals"]["blend"]["accurate"]["mean"] > 2 * blend["accurate"]["mean"]
+    assert answer.file["normals_by_tangents"]["blend"]["accurate"]["mean"] > 2 * blend["accurate"]["mean"]
     assert answer.failed == ["freshness"]
 
 
@@ -142,7 +142,7 @@ def test_constant_blend_weights_of_0_and_1_have_the_figures_of_one_method(
 ) -> None:
     given = with_blend_weights(TUBE, tmp_path / "in.glb", lambda positions: np.full(len(positions), weight))
     bake(given, tmp_path / "out.glb")
-    found = verify(tmp_path / "out.glb").file["normals"]
+    found = verify(tmp_path / "out.glb").file["normals_by_tangents"]
     other = found["dqs"]["exact"] if weight else found["lbs"]["accurate"]
     for key in ("mean", "p95", "max"):
         assert found["blend"]["accurate"][key] == pytest.approx(other[key], abs=1e-5)
@@ -166,7 +166,7 @@ def test_normals_of_a_pose_are_dumped_for_a_blend_too(tmp_path: Path) -> None:
 def test_a_file_without_a_blend_is_not_measured_as_one(tmp_path: Path) -> None:
     given = with_blend_weights(TUBE, tmp_path / "in.glb")
     assert invoke("bake", given, "-o", tmp_path / "plain.glb").exit_code == 0
-    assert set(verify(tmp_path / "plain.glb").file["normals"]) == {"lbs", "dqs"}
+    assert set(verify(tmp_path / "plain.glb").file["normals_by_tangents"]) == {"lbs", "dqs"}
     answer = verify(tmp_path / "plain.glb", "--method", "blend")
     assert answer.exit_code == 3
     assert "run skinbake bake --blend" in " ".join(answer.messages.split())
@@ -228,7 +228,7 @@ def test_vertices_in_another_order_keep_a_blend_fresh(tmp_path: Path) -> None:
     assert gltf_transform.transform(jobs) == [""]
     answer = verify(tmp_path / "moved.glb")
     assert not answer.failed
-    assert answer.file["normals"]["blend"]["accurate"]["mean"] < 0.1
+    assert answer.file["normals_by_tangents"]["blend"]["accurate"]["mean"] < 0.1
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
@@ -332,7 +332,7 @@ def test_a_mesh_without_blend_weights_is_left_to_linear_blending_with_a_notice(t
     ]
     assert notice["mesh"] == 1
     by_primitive = verify(tmp_path / "out.glb").file["primitives"]
-    figures = [one["normals"] for one in by_primitive]
+    figures = [one["normals_by_tangents"] for one in by_primitive]
     assert figures[1]["blend"]["accurate"]["mean"] == pytest.approx(
         figures[1]["lbs"]["accurate"]["mean"], abs=1e-6
     )

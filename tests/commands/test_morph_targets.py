@@ -193,7 +193,7 @@ def test_bake_and_verify_tell_of_zeros_in_normal_as_of_no_normal(tmp_path: Path)
     for name in (source, twin):
         result = json.loads(invoke("bake", "--json", name, "-o", tmp_path / "out.glb").stdout)
         (told,) = [one["message"] for one in result["files"][0]["warnings"] if one["code"] == "morph-normals"]
-        figures = verify(tmp_path / "out.glb", "--poses", "rest").file["normals"]["lbs"]
+        figures = verify(tmp_path / "out.glb", "--poses", "rest").file["normals_by_tangents"]["lbs"]
         found.append((told.split(" is ")[1], figures["standard"]["mean"], figures["accurate"]["mean"]))
     assert found[0] == found[1]
 
@@ -252,7 +252,7 @@ def test_verify_measures_the_gain(tmp_path: Path) -> None:
     for options in ((), ("--morph-normals",)):
         bake(source, tmp_path / "out.glb", *options)
         answer = verify(tmp_path / "out.glb", "--poses", "rest")
-        errors.append(answer.file["normals"]["lbs"]["standard"]["mean"])
+        errors.append(answer.file["normals_by_tangents"]["lbs"]["standard"]["mean"])
     assert errors[0] > 2.0
     assert errors[1] < errors[0] / 5
 
@@ -330,7 +330,7 @@ def test_a_real_face_is_lit_several_times_nearer_in_its_own_clip(tmp_path: Path)
     for options in ((), ("--morph-normals",)):
         bake(source, tmp_path / "out.glb", *options)
         answer = verify(tmp_path / "out.glb", "--method", "lbs", "--samples", "5")
-        errors.append(answer.file["normals"]["lbs"]["accurate"]["mean"])
+        errors.append(answer.file["normals_by_tangents"]["lbs"]["accurate"]["mean"])
     assert errors[1] < errors[0] / 4
     invoke("strip", tmp_path / "out.glb", "-o", tmp_path / "back.glb")
     assert (tmp_path / "back.glb").read_bytes() == source.read_bytes()
@@ -340,7 +340,10 @@ def skinned_errors(path: Path) -> list[float]:
     """The mean errors of accurate lighting by both truths, in random poses of joints and targets."""
     answer = verify(path, "--method", "lbs", "--poses", "random")
     assert answer.exit_code == 0, answer.messages
-    return [answer.file[name]["lbs"]["accurate"]["mean"] for name in ("normals", "normals_by_triangles")]
+    return [
+        answer.file[name]["lbs"]["accurate"]["mean"]
+        for name in ("normals_by_tangents", "normals_by_triangles")
+    ]
 
 
 def test_six_numbers_halve_the_error_of_the_rule_on_a_real_face(tmp_path: Path) -> None:
@@ -350,7 +353,7 @@ def test_six_numbers_halve_the_error_of_the_rule_on_a_real_face(tmp_path: Path) 
     for options in (("--morph-normals",), ("--morph-frames",)):
         bake(source, tmp_path / "out.glb", *options)
         answer = verify(tmp_path / "out.glb", "--method", "lbs", "--samples", "5")
-        by_clip.append(answer.file["normals"]["lbs"]["accurate"]["mean"])
+        by_clip.append(answer.file["normals_by_tangents"]["lbs"]["accurate"]["mean"])
         by_random.append(skinned_errors(tmp_path / "out.glb")[0])
     assert by_clip[1] < 0.65 * by_clip[0]
     assert by_random[1] < 0.65 * by_random[0]
@@ -428,7 +431,7 @@ def test_standard_lighting_is_measured_as_engines_show_it_without_the_numbers(tm
     errors = []
     for options in ((), ("--morph-frames",)):
         bake(source, tmp_path / "out.glb", *options)
-        figures = verify(tmp_path / "out.glb", "--poses", "rest").file["normals"]["lbs"]
+        figures = verify(tmp_path / "out.glb", "--poses", "rest").file["normals_by_tangents"]["lbs"]
         errors.append((figures["standard"]["mean"], figures["accurate"]["mean"]))
     assert errors[0][0] == pytest.approx(errors[1][0])
     assert errors[1][1] < errors[0][1] / 20

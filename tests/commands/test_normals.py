@@ -119,8 +119,8 @@ def test_the_worst_normals_of_verify_are_found_again(
     path = tmp_path / "baked.glb"
     skinbake.bake(source, path, **options)
     verdict = skinbake.verify(path, samples=3)
-    for truth, figures in (("tangents", verdict["normals"]), ("triangles", verdict["normals_by_triangles"])):
-        for method, lightings in figures.items():
+    for truth in ("triangles", "tangents"):
+        for method, lightings in verdict[f"normals_by_{truth}"].items():
             assert ("corrected" in lightings) == bool(options)
             for lighting in {"standard", "accurate", "exact", "corrected"} & lightings.keys():
                 worst = lightings[lighting]["worst"]

@@ -23,7 +23,7 @@ def baked(source: Path, target: Path, *options: str) -> Answer:
 
 def left_by(answer: Answer) -> float:
     """The mean error of the bake by the truth with the smaller gain."""
-    truths = [answer.file[name]["lbs"] for name in ("normals", "normals_by_triangles")]
+    truths = [answer.file[name]["lbs"] for name in ("normals_by_triangles", "normals_by_tangents")]
     name = "corrected" if "corrected" in truths[0] else "accurate"
     worse = min(truths, key=lambda one: one["standard"]["mean"] / one[name]["mean"])
     return float(worse[name]["mean"])

@@ -56,7 +56,7 @@ def test_a_bake_that_became_unlit_is_not_praised_and_not_refused(tmp_path: Path,
     result = invoke("verify", path, "--json")
     assert result.exit_code == 0
     verdict = document(result)["files"][0]
-    assert (verdict["normals"], codes(result)) == (None, ["unlit", "not-baked"])
+    assert (verdict["normals_by_tangents"], codes(result)) == (None, ["unlit", "not-baked"])
     result = invoke("shader", "--lang", "glsl", "--for", path)
     assert result.exit_code != 0
     assert "no light reaches it" in result.stderr

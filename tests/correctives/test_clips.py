@@ -112,7 +112,7 @@ def test_reports_tell_clips_of_one_name_by_their_numbers(tmp_path: Path) -> None
     result = invoke("bake", source, "-o", target, "--correctives", "2", "--json")
     [told] = json.loads(result.stdout)["files"][0]["correctives"]
     assert told["clips"] == [f"{MIXAMO} (animation 0)", f"{MIXAMO} (animation 1)"]
-    worst = verify(target).file["normals"]["lbs"]["standard"]["worst"]
+    worst = verify(target).file["normals_by_tangents"]["lbs"]["standard"]["worst"]
     assert worst["clip"] in told["clips"]
     assert f"{MIXAMO} (animation 0), {MIXAMO} (animation 1)" in invoke("inspect", target).output
 

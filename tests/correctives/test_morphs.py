@@ -196,7 +196,7 @@ def test_mixtures_are_measured_at_the_morph_weights_that_play(
     file = verify(made).file
     between, turned = file["mixtures"]
     assert between["name"].startswith("half-way between")
-    for truth, normals in (("tangents", "normals"), ("triangles", "normals_by_triangles")):
+    for truth, normals in (("triangles", "normals_by_triangles"), ("tangents", "normals_by_tangents")):
         for lighting in ("standard", "corrected"):
             figure = file[normals]["lbs"][lighting]["mean"]
             assert between[lighting][truth] == pytest.approx(figure, rel=0.1, abs=0.05)

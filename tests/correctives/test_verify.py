@@ -33,7 +33,7 @@ def checks(answer: Answer) -> dict[str, str]:
 def test_corrected_lighting_is_measured_beside_the_others(tube: Path) -> None:
     answer = verify(tube)
     assert checks(answer) == {"structure": "passed", "freshness": "passed"}
-    for by in ("normals", "normals_by_triangles"):
+    for by in ("normals_by_triangles", "normals_by_tangents"):
         figures = answer.file[by]["lbs"]
         assert figures["corrected"]["mean"] < 0.1 * figures["standard"]["mean"]
         assert figures["accurate"]["mean"] < figures["standard"]["mean"]
@@ -41,7 +41,7 @@ def test_corrected_lighting_is_measured_beside_the_others(tube: Path) -> None:
 
 
 def test_poses_without_a_clip_play_nothing(tube: Path) -> None:
-    figures = verify(tube, "--poses", "random:3").file["normals"]["lbs"]
+    figures = verify(tube, "--poses", "random:3").file["normals_by_tangents"]["lbs"]
     assert figures["corrected"]["mean"] == pytest.approx(figures["standard"]["mean"], rel=1e-5)
 
 
@@ -95,14 +95,14 @@ def test_what_no_longer_fits_is_stale(
 def test_a_face_moves_its_own_targets_while_it_is_measured(tmp_path: Path) -> None:
     answer = verify(made(SHEET, tmp_path / "sheet.glb"))
     assert answer.file["morphs"]["moving"]
-    figures = answer.file["normals"]["lbs"]
+    figures = answer.file["normals_by_tangents"]["lbs"]
     assert figures["corrected"]["mean"] < 0.3 * figures["standard"]["mean"]
 
 
 def test_every_primitive_has_figures(tmp_path: Path) -> None:
     answer = verify(made(parted(tmp_path / "in.glb"), tmp_path / "out.glb"))
     assert len(answer.file["primitives"]) == 3
-    assert all("corrected" in one["normals"]["lbs"] for one in answer.file["primitives"])
+    assert all("corrected" in one["normals_by_tangents"]["lbs"] for one in answer.file["primitives"])
 
 
 @pytest.mark.slow
@@ -159,7 +159,7 @@ def test_the_figures_of_a_bake_are_those_of_verify(options: tuple[str, ...], tmp
     (baked,) = json.loads(result.stdout)["files"]
     said = invoke("bake", given, "-o", target, "--correctives", "auto", *options).output
     file = verify(target).file
-    for truth, member in (("tangents", "normals"), ("triangles", "normals_by_triangles")):
+    for truth, member in (("triangles", "normals_by_triangles"), ("tangents", "normals_by_tangents")):
         before, after = (file[member]["lbs"][one]["mean"] for one in ("standard", "corrected"))
         assert f"{before:.2f}° -> {after:.2f}° by {truth}" in said
         own = {one["mesh"]: one for one in file["primitives"] if one["mesh"] != 1}

@@ -660,7 +660,7 @@ def test_an_unbaked_file_passes_unless_it_must_be_baked(tmp_path: Path) -> None:
     answer = verify(path)
     assert answer.exit_code == 0
     assert [notice["code"] for notice in answer.file["warnings"]] == ["not-baked"]
-    assert answer.file["normals"] is None
+    assert answer.file["normals_by_tangents"] is None
     answer = verify(path, "--require-baked")
     assert (answer.exit_code, answer.failed) == (1, ["structure"])
     (problem,) = answer.problems("structure")

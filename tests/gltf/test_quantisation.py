@@ -121,7 +121,7 @@ def test_alpha_has_the_unit_of_the_decoded_position(dtype: Any, normalized: bool
     for name in ("quantised.glb", "floats.glb"):
         answer = verify(tmp_path / name, "--method", "lbs", "--samples", "5")
         assert answer.exit_code == 0, answer.messages
-        figures.append(answer.file["normals"]["lbs"])
+        figures.append(answer.file["normals_by_tangents"]["lbs"])
     for lighting in ("standard", "accurate"):
         # Degrees; the joint matrices are float32, and the strongest bend amplifies their rounding.
         assert figures[0][lighting]["mean"] == pytest.approx(figures[1][lighting]["mean"], abs=1e-3)

@@ -18,7 +18,7 @@ def errors(name: str, folder: Path, gradients: Gradients) -> list[float]:
     target = folder / "baked.glb"
     bake(path_of(name), target, gradients=gradients.value, generate_normals=True)
     result = verify(target, methods=["lbs"], samples=20)
-    truths = result["normals"], result["normals_by_triangles"]
+    truths = result["normals_by_tangents"], result["normals_by_triangles"]
     return [float(truth["lbs"]["accurate"]["mean"]) for truth in truths]
 
 

@@ -53,7 +53,7 @@ def written(make: Callable[[Generator], Made], seed: int, folder: Path) -> Path:
 
 def errors(answer: Answer, lighting: str) -> np.ndarray[Any, Any]:
     """Return the mean errors under linear blend skinning of all primitives, by both truths."""
-    truths = ("normals", "normals_by_triangles")
+    truths = ("normals_by_triangles", "normals_by_tangents")
     return np.array(
         [found[truth]["lbs"][lighting]["mean"] for found in answer.file["primitives"] for truth in truths]
     )

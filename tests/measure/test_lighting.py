@@ -49,7 +49,7 @@ Array = npt.NDArray[np.float64]
 def figures(path: Path, *options: str) -> dict[str, Any]:
     answer = verify(path, *options)
     assert answer.exit_code == 0, answer.messages
-    found: dict[str, Any] = answer.file["normals"]
+    found: dict[str, Any] = answer.file["normals_by_tangents"]
     return found
 
 
@@ -108,7 +108,7 @@ def test_the_axes_of_a_model_do_not_change_its_figures(name: str, axes: str, tmp
     models = [leaning, turned(leaning, turn * np.linalg.det(turn), tmp_path / "turned.glb")]
     options = "--samples", "12", "--method", "lbs"
     found = [verify(baked(one, done), *options).file for one in models]
-    for truth in ("normals", "normals_by_triangles"):
+    for truth in ("normals_by_triangles", "normals_by_tangents"):
         before, after = (one[truth]["lbs"] for one in found)
         for lighting_name in ("standard", "accurate"):
             assert after[lighting_name]["mean"] == pytest.approx(before[lighting_name]["mean"], rel=2e-3)
@@ -120,7 +120,7 @@ def test_clips_of_pointers_are_measured_as_those_of_nodes(name: str, tmp_path: P
     pointed = edited(name, tmp_path / "pointed", with_pointers)
     found = [verify(baked(path, tmp_path), "--samples", "3") for path in (pointed, source(name))]
     assert found[0].file["poses"].startswith("3 poses of 1 clip")
-    assert found[0].file["normals"] == found[1].file["normals"]
+    assert found[0].file["normals_by_tangents"] == found[1].file["normals_by_tangents"]
     assert found[0].file["morphs"] == found[1].file["morphs"]
 
 
@@ -140,8 +140,8 @@ def test_the_worst_sample_is_where_it_says(tmp_path: Path) -> None:
 def test_the_worst_sample_names_the_primitive_and_its_own_vertex(tmp_path: Path) -> None:
     """Two primitives are one surface in one array; the place must be of the file's arrays again."""
     answer = verify(baked(source("two_primitives.glb"), tmp_path), "--method", "lbs")
-    whole = answer.file["normals"]["lbs"]["accurate"]
-    by_primitive = [entry["normals"]["lbs"]["accurate"] for entry in answer.file["primitives"]]
+    whole = answer.file["normals_by_tangents"]["lbs"]["accurate"]
+    by_primitive = [entry["normals_by_tangents"]["lbs"]["accurate"] for entry in answer.file["primitives"]]
     assert [entry["primitive"] for entry in answer.file["primitives"]] == [0, 1]
     assert whole["max"] == max(figure["max"] for figure in by_primitive)
     worst = max(by_primitive, key=lambda figure: figure["max"])
@@ -156,7 +156,7 @@ def test_the_worst_sample_names_the_primitive_and_its_own_vertex(tmp_path: Path)
 
 @pytest.mark.parametrize("name", FIXTURES)
 def test_every_lighting_has_its_figures(tmp_path: Path, name: str) -> None:
-    found = figures(baked(source(name), tmp_path))
+    found = verify(baked(source(name), tmp_path)).file["normals_by_triangles"]
     assert set(found) == {"lbs", "dqs"}
     assert set(found["lbs"]) == {"standard", "direct", "accurate", "gain"}
     assert set(found["dqs"]) == {"standard", "accurate", "exact", "gain"}
@@ -224,7 +224,7 @@ def unit_normals(normals: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
 def test_the_rest_pose_has_no_error(tmp_path: Path, name: str) -> None:
     answer = verify(baked(source(name), tmp_path), "--poses", "rest")
     assert answer.file["poses"] == "the rest pose"
-    for method in answer.file["normals"].values():
+    for method in answer.file["normals_by_tangents"].values():
         assert method["gain"] is None
         assert all(method[key]["max"] < 1e-4 for key in method if key != "gain")
 
@@ -396,7 +396,7 @@ def test_dual_quaternions_take_joints_that_mirror_and_scale(tmp_path: Path) -> N
     answer = verify(path, "--samples", "2")
     assert answer.exit_code == 0
     assert '"Palm"' in answer.file["scaled_joints"]
-    figures = answer.file["normals"]["dqs"]
+    figures = answer.file["normals_by_tangents"]["dqs"]
     assert figures["exact"]["mean"] < figures["standard"]["mean"]
     assert verify(path, "--samples", "2", "--method", "lbs").file["scaled_joints"] == []
 
@@ -413,7 +413,7 @@ def test_a_scaled_joint_is_named(tmp_path: Path) -> None:
     answer = verify(path, "--method", "dqs", "--samples", "2")
     assert answer.exit_code == 0
     assert sum("joint1" in name for name in answer.file["scaled_joints"]) == 1
-    figures = answer.file["normals"]["dqs"]
+    figures = answer.file["normals_by_tangents"]["dqs"]
     assert 3.0 * figures["exact"]["mean"] < figures["standard"]["mean"]
 
 
@@ -426,12 +426,11 @@ def test_mirroring_joints_are_told_and_measured(tmp_path: Path) -> None:
     assert notice["message"].startswith(
         "16 joints mirror the surface (negative determinant): write the shader"
     )
-    found = answer.file["normals"]["lbs"]
+    found = answer.file["normals_by_tangents"]["lbs"]
     # Inside out they would be near 177°.
     assert found["accurate"]["mean"] < found["standard"]["mean"] < 5
-    assert verify(baked(source("AFrameHands/leftHandLow.glb"), tmp_path), "--poses", "rest").file["normals"][
-        "lbs"
-    ]["accurate"]["max"] == pytest.approx(0, abs=1e-4)
+    at_rest = verify(baked(source("AFrameHands/leftHandLow.glb"), tmp_path), "--poses", "rest")
+    assert at_rest.file["normals_by_tangents"]["lbs"]["accurate"]["max"] == pytest.approx(0, abs=1e-4)
 
 
 def test_a_mirroring_joint_that_no_vertex_uses_is_not_told(tmp_path: Path) -> None:
@@ -621,7 +620,7 @@ def test_a_stale_bake_lights_worse(tmp_path: Path) -> None:
     model.array("_SKINBAKE_ALPHA_0")[:] *= 1.5
     answer = verify(model.write(tmp_path / "stale.glb"), "--method", "lbs", "--samples", "6")
     assert answer.failed == ["freshness"]
-    assert answer.file["normals"]["lbs"]["accurate"]["mean"] > 3 * fresh
+    assert answer.file["normals_by_tangents"]["lbs"]["accurate"]["mean"] > 3 * fresh
 
 
 @pytest.mark.parametrize("bend", analytic.BENDS)

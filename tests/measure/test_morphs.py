@@ -50,7 +50,7 @@ def tube(folder: Path, **changes: Any) -> Path:
 def lbs(path: Path, *options: str) -> JsonObject:
     answer = verify(path, "--method", "lbs", *options)
     assert answer.exit_code == 0, answer.messages
-    found: JsonObject = answer.file["normals"]["lbs"]
+    found: JsonObject = answer.file["normals_by_tangents"]["lbs"]
     return found
 
 
@@ -84,11 +84,11 @@ def test_morphs_are_counted_and_told(tmp_path: Path) -> None:
 
 
 def test_weights_of_zero_are_the_file_without_them_bit_for_bit(tmp_path: Path) -> None:
-    plain = verify(baked(source("bent_tube.glb"), tmp_path), "--samples", "5").file["normals"]
+    plain = verify(baked(source("bent_tube.glb"), tmp_path), "--samples", "5").file["normals_by_tangents"]
     path = tube(tmp_path)
-    assert verify(path, "--samples", "5").file["normals"] == plain
+    assert verify(path, "--samples", "5").file["normals_by_tangents"] == plain
     animate_weights(path, [[0.0, 0.0], [0.0, 0.0]])
-    assert verify(path, "--samples", "5").file["normals"] == plain
+    assert verify(path, "--samples", "5").file["normals_by_tangents"] == plain
 
 
 @pytest.mark.parametrize("name", ["bent_tube.glb", "mirrored_tangent.glb", "two_primitives.glb"])
@@ -104,7 +104,7 @@ def test_where_skinning_is_the_identity_every_lighting_gives_the_morphed_normals
     answer = verify(path, "--poses", "rest")
     assert answer.exit_code == 0, answer.messages
     assert answer.file["morphs"]["moving"] == 2
-    for figures in answer.file["normals"].values():
+    for figures in answer.file["normals_by_tangents"].values():
         for lighting, figure in figures.items():
             if lighting != "gain":
                 assert figure["max"] < 1e-4
@@ -142,12 +142,12 @@ def test_lbs_and_dqs_share_morphed_surfaces_that_are_small(
 
     moved = Truths.moved
     monkeypatch.setattr(Truths, "moved", counted)
-    shared = verify(path).file["normals"]
+    shared = verify(path).file["normals_by_tangents"]
     once = len(made)
     assert set(shared) == {"lbs", "dqs"}
     assert once > 10
     monkeypatch.setattr(measured, "MORPHED_BYTES", 0)
-    assert verify(path).file["normals"] == shared
+    assert verify(path).file["normals_by_tangents"] == shared
     assert len(made) == 3 * once
 
 
@@ -162,7 +162,7 @@ def test_the_morphed_fixture_is_better_lit_in_either_frame(tmp_path: Path) -> No
         assert answer.exit_code == 0, answer.messages
         assert answer.file["morphs"] == {"targets": 2, "moving": 2}
         # 15 and 18, measured; 0.5 where the frame stays as it is at rest.
-        assert answer.file["normals"]["lbs"]["gain"] > 12
+        assert answer.file["normals_by_tangents"]["lbs"]["gain"] > 12
 
 
 def test_targets_of_tangents_carry_the_tangent_frame(tmp_path: Path) -> None:
@@ -321,7 +321,7 @@ def test_tangents_that_cancel_leave_the_frame_to_the_normal(tmp_path: Path) -> N
     file.stored(file.primitive()["targets"][0]["TANGENT"])[:] = -rest
     answer = verify(file.write(path), "--method", "lbs", "--poses", "rest")
     assert answer.exit_code == 0, answer.messages
-    assert answer.file["normals"]["lbs"]["accurate"]["max"] < 1e-4
+    assert answer.file["normals_by_tangents"]["lbs"]["accurate"]["max"] < 1e-4
 
 
 def test_the_oracle_carries_frames_as_rotations_do() -> None:

@@ -46,7 +46,7 @@ def fine_sheet(slivers: int, gap: float = 1e-6, unit: float = 1.0, far: float = 
 
 
 def accurate(answer: Answer) -> float:
-    return float(answer.file["normals"]["lbs"]["accurate"]["mean"])
+    return float(answer.file["normals_by_tangents"]["lbs"]["accurate"]["mean"])
 
 
 CASES = {

@@ -20,6 +20,7 @@ from tests.support.models import Part, baked, rewritten, sheet, stripped, write_
 
 FOLDER = Path(__file__).resolve().parents[2] / "fixtures"
 NAMES = ("_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0", "JOINTS_0", "WEIGHTS_0")
+TRUTHS = "normals_by_triangles", "normals_by_tangents"
 FEW = ("--poses", "random:2", "--method", "lbs")
 
 
@@ -87,7 +88,7 @@ def test_no_option_of_bake_changes_the_standard_error(name: str, tolerance: floa
         path = tmp_path / f"{number}.glb"
         baked(cut, path, **how)
         file = verify(path, *FEW).file
-        found.append([file[truth]["lbs"]["standard"] for truth in ("normals", "normals_by_triangles")])
+        found.append([file[truth]["lbs"]["standard"] for truth in TRUTHS])
     for figures in found[1:]:
         for one, other in zip(figures, found[0], strict=True):
             for figure in ("mean", "p95", "p99"):
@@ -106,7 +107,7 @@ def test_slots_that_integer_weights_adopt_tear_no_surface_apart(tmp_path: Path) 
     for model in (source, quantised):
         baked(model, tmp_path / "baked.glb")
         file = verify(tmp_path / "baked.glb", *FEW).file
-        for truth in ("normals", "normals_by_triangles"):
+        for truth in TRUTHS:
             found += [file[truth]["lbs"][lighting]["mean"] for lighting in ("standard", "accurate")]
     assert found[:4] == pytest.approx(found[4:], rel=0.01)
 
@@ -117,16 +118,18 @@ def test_verify_measures_a_cut_mesh_as_it_does_the_whole(tmp_path: Path) -> None
     baked(whole, tmp_path / "whole_baked.glb")
     baked(cut, tmp_path / "cut_baked.glb", weld="skin")
     expected, found = (verify(tmp_path / name, *FEW).file for name in ("whole_baked.glb", "cut_baked.glb"))
-    for lighting, figures in expected["normals"]["lbs"].items():
+    for lighting, figures in expected["normals_by_tangents"]["lbs"].items():
         if lighting != "gain":
             # The same sums over the same vertices, to the last bit or two of a mean of thousands.
-            assert found["normals"]["lbs"][lighting]["mean"] == pytest.approx(figures["mean"], rel=1e-12)
+            assert found["normals_by_tangents"]["lbs"][lighting]["mean"] == pytest.approx(
+                figures["mean"], rel=1e-12
+            )
 
 
 def by_both_truths(path: Path) -> dict[str, float]:
     """Return the mean error of standard lighting by each truth."""
     found = verify(path, *FEW).file
-    return {key: found[key]["lbs"]["standard"]["mean"] for key in ("normals", "normals_by_triangles")}
+    return {key: found[key]["lbs"]["standard"]["mean"] for key in TRUTHS}
 
 
 def test_the_truths_owe_nothing_to_the_weld_of_the_bake(tmp_path: Path) -> None:

@@ -103,7 +103,7 @@ ENCODING = {
         ),
     ]
 }
-BY_TRUTH = strict({"tangents": ANGLE, "triangles": ANGLE})
+BY_TRUTH = strict({"triangles": ANGLE, "tangents": ANGLE})
 NAMES = {"type": "array", "items": {"type": "string"}}
 CORRECTIVES = strict(
     {
@@ -321,7 +321,7 @@ NORMALS = strict(
         "blend": strict({"standard": FIGURES, "accurate": FIGURES, "gain": GAIN}),
     },
 )
-NORMALS_BY_TRIANGLES = strict(
+NORMALS_BY_TANGENTS = strict(
     {},
     optional={
         "lbs": strict(
@@ -390,8 +390,8 @@ VERIFY = strict(
                     "conclusion": {"anyOf": [{"enum": [*CONCLUSIONS, None]}, {"pattern": "^better with "}]},
                     "others": {"type": "array", "items": strict({"options": TEXT, "error": ANGLE})},
                     "poses": {"type": ["string", "null"]},
-                    "normals": {"anyOf": [{"type": "null"}, NORMALS]},
-                    "normals_by_triangles": {"anyOf": [{"type": "null"}, NORMALS_BY_TRIANGLES]},
+                    "normals_by_triangles": {"anyOf": [{"type": "null"}, NORMALS]},
+                    "normals_by_tangents": {"anyOf": [{"type": "null"}, NORMALS_BY_TANGENTS]},
                     "reliefs": RELIEFS,
                     "primitives": {
                         "type": "array",
@@ -399,8 +399,8 @@ VERIFY = strict(
                             {
                                 "mesh": PLACE["mesh"],
                                 "primitive": PLACE["primitive"],
-                                "normals": NORMALS,
-                                "normals_by_triangles": NORMALS_BY_TRIANGLES,
+                                "normals_by_triangles": NORMALS,
+                                "normals_by_tangents": NORMALS_BY_TANGENTS,
                                 "reliefs": RELIEFS,
                             },
                             optional={"mesh_name": PLACE["mesh_name"]},

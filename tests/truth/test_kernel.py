@@ -469,7 +469,7 @@ def figures_of(path: Path) -> list[float]:
     found = verify(path, "--poses", "random:5").file
     return [
         figures[name]
-        for truth in ("normals", "normals_by_triangles")
+        for truth in ("normals_by_triangles", "normals_by_tangents")
         for lightings in found[truth].values()
         for lighting, figures in lightings.items()
         if lighting != "gain"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import traceback
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -162,24 +161,26 @@ def _measured(path: str) -> tuple[tuple[Line, ...], float | None]:
     lines, gain = _figures(verdict)
     is_advised = any(notice["code"] == "lighting-worse" for notice in verdict["warnings"])
     if gain is not None and round(gain, 2) < LITTLE and not problems and not is_advised:
-        text = f"little to win: the gain is under {LITTLE}. Turn off the bake for this file"
+        text = f"little to win: the lower gain is under {LITTLE}. Turn off the bake for this file"
         lines = (*lines, Line("INFO", text))
     return (*problems, *lines, *_warnings(verdict["warnings"])), gain
 
 
 def _figures(verdict: Mapping[str, Any]) -> tuple[tuple[Line, ...], float | None]:
-    """Return the errors by the true normals that show the smaller gain."""
-    truths = [verdict[kind]["lbs"] for kind in ("normals", "normals_by_triangles") if verdict[kind]]
+    """Return the errors by triangles, and the lower gain of both kinds of true normals."""
+    kinds = "normals_by_triangles", "normals_by_tangents"
+    truths = [verdict[kind]["lbs"] for kind in kinds if verdict[kind]]
     if not truths:
         return (), None
-    lbs = min(truths, key=lambda found: math.inf if found["gain"] is None else found["gain"])
+    lbs = truths[0]
+    lowest = min((found["gain"] for found in truths if found["gain"] is not None), default=None)
     standard, accurate = lbs["standard"]["mean"], lbs["accurate"]["mean"]
     if lbs["gain"] is None and max(found["standard"]["mean"] for found in truths) < SHOWN:
         text = "nothing bends: standard normals are right already"
     else:
         gain = "" if lbs["gain"] is None else f", gain {_gain_in_words(lbs['gain'])}x"
         text = f"error of normals {standard:.2f}° -> {accurate:.2f}°{gain}"
-    return (Line("INFO", f"{text}, over {verdict['poses']}"),), lbs["gain"]
+    return (Line("INFO", f"{text}, over {verdict['poses']}"),), lowest
 
 
 def _gain_in_words(gain: float) -> str:

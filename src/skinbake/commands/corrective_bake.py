@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skinbake.choices import CorrectiveAim, Encoding, FrameChoice, Gradients
+from skinbake.choices import USUAL_TRUTHS, CorrectiveAim, Encoding, FrameChoice, Gradients
 from skinbake.commands.bake_options import BakeOptions
 from skinbake.commands.gradient_bake import BakedDocument, bake_gradients
 from skinbake.commands.surface_bake import SurfaceBake, bake_surfaces, unwritten
@@ -22,7 +22,7 @@ from skinbake.correctives.fit import (
     fitted,
     held_back_times,
 )
-from skinbake.correctives.surface import TRUTHS, Surface, rest_of
+from skinbake.correctives.surface import Surface, rest_of
 from skinbake.errors import InputError, Notice, Place, warnings_in
 from skinbake.format.baked import with_baked
 from skinbake.format.correctives import (
@@ -393,7 +393,7 @@ def _counts(
         for targets in (made.targets, item.targets)
     )
     means: dict[str, dict[str, float]] = {"standard": {}, "corrected": {}}
-    for truth in TRUTHS:
+    for truth in USUAL_TRUTHS:
         measured = verdict.figures[truth].primitives if truth in verdict.figures else ()
         of_mesh = [figures["lbs"] for place, figures in measured if place.mesh == item.mesh and figures]
         for lighting, by_truth in means.items():

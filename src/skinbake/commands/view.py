@@ -37,7 +37,7 @@ from skinbake.gltf.writing.packing import bytes_of_images, with_images_inside
 from skinbake.gltf.writing.recode import Compression, recoded
 from skinbake.measure.options import VerifyOptions
 from skinbake.measure.scene import Scene
-from skinbake.report.verify import FileVerdict, by_worse_truth, file_json, first_problem, gain, remarks
+from skinbake.report.verify import FileVerdict, file_json, first_problem, gain, remarks, shown
 from skinbake.timing import stage
 from skinbake.view.index import Listed, index, pages
 from skinbake.view.page import OtherGradients, Shown, page
@@ -245,8 +245,8 @@ def _findings(verdict: FileVerdict) -> dict[str, Any]:
     """Return the verdict in the members of verify's JSON, with problems as sentences."""
     told = file_json(verdict)
     return {
-        "figures": told["normals"],
         "by_triangles": told["normals_by_triangles"],
+        "by_tangents": told["normals_by_tangents"],
         "primitives": told["primitives"],
         "poses": told["poses"],
         "outcome": verdict.outcome,
@@ -327,7 +327,7 @@ def write_report(
 
 def _listed(verdict: FileVerdict, link: str | None, picture: bytes | None) -> Listed:
     """Return the entry of a file in the index, with why it failed, or why it has no figures."""
-    figures = by_worse_truth(verdict)
+    figures = found.figures if (found := shown(verdict)) else {}
     skipped = [check.remark for check in verdict.checks if check.outcome == "skipped"]
     if verdict.error is not None:
         where = verdict.error.place.within_file if verdict.error.place else ""

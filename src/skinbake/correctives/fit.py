@@ -16,8 +16,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from skinbake.choices import USUAL_TRUTHS
 from skinbake.correctives.principal import gram, leading, refined, scaled_to
-from skinbake.correctives.surface import TRUTHS, Surface
+from skinbake.correctives.surface import Surface
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
 from skinbake.gltf.budget import Cost, Work
 from skinbake.gltf.reading.clips import Clip, clip_poses, clip_weights
@@ -109,7 +110,7 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """The mean angles in degrees between drawn and true normals by each of ``TRUTHS``, by area."""
+    """The mean angles in degrees between drawn and true normals by each of ``USUAL_TRUTHS``, by area."""
 
     standard: tuple[float, ...]
     corrected: tuple[float, ...]
@@ -302,7 +303,7 @@ def summed_errors(
     posed are joint matrices and the weights of the file's own targets (``Motion.at``). targets (K, V, 3) and
     weights (P, K) belong to the primitives. A pose without a truth adds 0.
     """
-    standard, corrected = np.zeros((2, len(TRUTHS), surface.count))
+    standard, corrected = np.zeros((2, len(USUAL_TRUTHS), surface.count))
     for poses, block in surface.posed(*posed):
         rows, part, number = block.at.rows, block.at.part, block.at.primitive
         plain = block.at_rest[:, :, None]
@@ -340,7 +341,7 @@ def _helpful(
         parts = np.split(weights.astype(np.float32), ends)
         at = [own.astype(np.float32) for own in times]
         tracks.append([Track(*one) for one in zip(motions, at, parts, strict=True)])
-    standard = np.zeros((len(motions), len(TRUTHS), surface.count))
+    standard = np.zeros((len(motions), len(USUAL_TRUTHS), surface.count))
     corrected = standard.copy()
     for number, motion in enumerate(motions):
         held_back = held_back_times(motion.clip, len(motions))

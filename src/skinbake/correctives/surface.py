@@ -21,7 +21,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from skinbake.choices import Truth
 from skinbake.geometry.frames import frame_from_normal, unit_normals
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, SkinnedPrimitive
 from skinbake.skinning.algorithms import Algorithm
@@ -35,9 +34,6 @@ from skinbake.truth.morphing import Morphing
 from skinbake.truth.normals import ClassSums
 from skinbake.truth.operator import GradientOperator
 from skinbake.truth.truths import Truths, VertexBlock
-
-TRUTHS = Truth.TANGENTS, Truth.TRIANGLES
-"""The truths whose mean is the true normal n*."""
 
 POSES = 32
 """The poses in work at a time."""
@@ -78,9 +74,9 @@ class PosedBlock:
     """Some vertices of a surface in P poses.
 
     at_rest (3, B) are the normals that correctives change, as morph targets add them up. normals (U, 3, B, P)
-    are the true ones by each of ``TRUTHS``, and exist (U, B, P) tells where. columns (3, 3, B, P) are those
-    of T: the column first, then its component. accurate are components (P, B) of the normals that α and β
-    give, or standard lighting without gradients.
+    are the true ones by each of ``USUAL_TRUTHS``, whose mean is n*, and exist (U, B, P) tells where. columns
+    (3, 3, B, P) are those of T: the column first, then its component. accurate are components (P, B) of the
+    normals that α and β give, or standard lighting without gradients.
     """
 
     at: VertexBlock
@@ -121,7 +117,7 @@ class Surface:
     ) -> Surface:
         """Measure a mesh at rest."""
         frames = rest if morphing is None else morphing.primitives(rest, 0)
-        return cls(rest, Truths.of(operator, rest, POSES, TRUTHS), morphing, frames)
+        return cls(rest, Truths.of(operator, rest, POSES), morphing, frames)
 
     @property
     def count(self) -> int:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
 
-from skinbake.choices import USUAL_TRUTHS, Truth
+from skinbake.choices import USUAL_TRUTHS
 from skinbake.geometry import dual_quaternions
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, blocks
 from skinbake.skinning.algorithms import Algorithm
@@ -46,9 +46,6 @@ METHODS: dict[str, dict[str, Algorithm]] = {
 
 INSIDE_OUT = {"accurate", "exact"}
 """The lightings whose normal is t' × b'. A mirroring joint turns that normal to the inside."""
-
-NOT_MEASURED = {(Truth.TRIANGLES, "direct")}
-"""Direct lighting equals accurate lighting except for its side in folds. One truth is enough for it."""
 
 IDENTITY_SAMPLES = 1 << 21
 """The approximate number of vertices × poses for algorithm 2: evenly spread, if there are more."""
@@ -307,8 +304,8 @@ class _Chunk:
             measured = []
             for lighting, vectors in normals.items():
                 outside = vectors if side is None or lighting not in INSIDE_OUT else scaled(side, vectors)
-                # They come first: NOT_MEASURED leaves out the last truths.
-                names = [truth for truth in self.truths.of_mesh if (truth, lighting) not in NOT_MEASURED]
+                # Direct lighting equals accurate lighting except for its side in folds: one truth will do.
+                names = self.truths.of_mesh[:1] if lighting == "direct" else self.truths.of_mesh
                 errors = kernel.angles(outside, expected[: len(names)])
                 corner = block.primitive, self.first_pose, block.rows.start
                 measured += [

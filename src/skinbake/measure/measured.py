@@ -213,7 +213,7 @@ class Measurement:
                 self._document.place,
             )
         # The checks of the lighting. One that does not apply is left out.
-        checks, normals = list[Check](), by_truth[Truth.TANGENTS]
+        checks, normals = list[Check](), next(filter(None, by_truth.values()), {})
         if "lbs" in normals:
             if self._options.cap is None:
                 checks.append(identity_check(self._identity, drawn, self._document.place))

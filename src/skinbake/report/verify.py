@@ -34,8 +34,8 @@ SHOWN_LIGHTINGS = ("standard", "accurate", "exact", "corrected")
 """The rows of the table, by name. Direct lighting equals accurate lighting up to its sign in folds."""
 
 MEMBERS = {
-    Truth.TANGENTS: "normals",
     Truth.TRIANGLES: "normals_by_triangles",
+    Truth.TANGENTS: "normals_by_tangents",
 }
 """The member of JSON that has the figures by a truth."""
 
@@ -203,9 +203,8 @@ class FileVerdict:
 
     @property
     def primitives(self) -> list[tuple[Place, Normals]]:
-        """Return the figures of each primitive by each of the usual truths."""
-        usual = [found.primitives for truth, found in self.figures.items() if truth in USUAL_TRUTHS]
-        return [one for primitives in usual for one in primitives]
+        """Return the figures of each primitive by each truth."""
+        return [one for found in self.figures.values() for one in found.primitives]
 
     @property
     def passed(self) -> bool:
@@ -242,16 +241,31 @@ def gain(figures: Mapping[str, ErrorFigures], lighting: str | None = None) -> fl
     return figures["standard"].mean / figures[lighting].mean
 
 
+class Led(NamedTuple):
+    """The figures of a file's first method by one truth."""
+
+    truth: str
+    method: str
+    figures: dict[str, ErrorFigures]
+
+
+def shown(verdict: FileVerdict) -> Led | None:
+    """Return the figures that stand where there is room for one: by triangles; None without figures."""
+    return next(_led(verdict), None)
+
+
 def by_worse_truth(verdict: FileVerdict) -> dict[str, ErrorFigures]:
-    """Return the figures of the first method by the truth with the smaller gain; empty without figures."""
+    """Return the figures that the verdict is on: by the truth with the lower gain; empty without figures."""
     found = _worse(verdict)
-    return found[2] if found else {}
+    return found.figures if found else {}
 
 
-def _worse(verdict: FileVerdict) -> tuple[str, str, dict[str, ErrorFigures]] | None:
-    """Return the truth with the smaller gain, the first method and its figures; None without figures."""
-    every = [(truth, *next(iter(normals.items()))) for truth, normals in verdict.by_truth.items()]
-    return min(every, key=lambda found: gain(found[2]) or math.inf, default=None)
+def _worse(verdict: FileVerdict) -> Led | None:
+    return min(_led(verdict), key=lambda found: gain(found.figures) or math.inf, default=None)
+
+
+def _led(verdict: FileVerdict) -> Iterator[Led]:
+    return (Led(truth, *next(iter(normals.items()))) for truth, normals in verdict.by_truth.items())
 
 
 def leaves_room(verdict: FileVerdict) -> bool:
@@ -278,7 +292,7 @@ def count(totals: Totals, verdict: FileVerdict) -> None:
         totals.not_baked += verdict.found_no_bake
         totals.left += verdict.left
         totals.command = verdict.command or totals.command
-        factor = gain(by_worse_truth(verdict))
+        factor = gain(found.figures) if (found := shown(verdict)) else None
         totals.gains += [] if factor is None else [(factor, verdict.input)]
         totals.add("up-to-date" if verdict.up_to_date else "passed", "", verdict.timings)
 
@@ -296,7 +310,7 @@ def as_text(verdict: FileVerdict) -> str:
     if verdict.up_to_date:
         return _head(verdict)
     lines = [_head(verdict), *_check_lines(verdict.checks)]
-    if Truth.TANGENTS in verdict.by_truth:
+    if verdict.by_truth:
         lines += _table(verdict.figures)
         morphs = f"; {verdict.morphs.words}" if verdict.morphs else ""
         over = f"{verdict.poses}{morphs}"
@@ -308,27 +322,29 @@ def as_text(verdict: FileVerdict) -> str:
 
 
 def as_brief(verdict: FileVerdict) -> str:
-    """Return the verdict on a single file: what failed, the figures by the lower gain, and the conclusion."""
+    """Return the verdict on a single file: what failed, the figures by triangles, and the conclusion."""
     lines = [_head(verdict)]
     if verdict.up_to_date:
         return lines[0]
     lines += _check_lines([check for check in verdict.checks if check.outcome == "failed"])
-    if found := _worse(verdict):
-        _, method, figures = found
+    if found := shown(verdict):
+        truth, method, figures = found
         baked = baked_lighting(figures)
         errors = f"standard {figures['standard'].mean:.2f}°, {baked} {figures[baked].mean:.2f}°"
-        lines.append(f"  {method.upper()} error: {errors}, in the mean over {verdict.poses}. -v shows more")
+        lines.append(
+            f"  {method.upper()} error by {truth}: {errors}, in the mean over {verdict.poses}. -v shows more"
+        )
         lines += list(_relief_lines(verdict.reliefs))[:1]
     return "\n".join([*lines, *_advised(verdict)])
 
 
 def as_line(verdict: FileVerdict) -> str:
-    """Return the line of one file among many: the outcome, the lower gain, and what is to be done."""
+    """Return the line of one file among many: the outcome, the gain by triangles, and what is to be done."""
     head = _head(verdict)
     failed = [check.name for check in verdict.checks if check.outcome == "failed"]
     parts = [f"{head} ({', '.join(failed)})" if failed else head]
     parts += [f"run {verdict.command}"] if verdict.command else []
-    if found := _worse(verdict):
+    if (found := shown(verdict)) and (worse := _worse(verdict)):
         truth, method, figures = found
         factor = gain(figures)
         parts += [] if factor is None else [f"{method.upper()} gain {gain_in_words(factor)}x by {truth}"]
@@ -337,7 +353,8 @@ def as_line(verdict: FileVerdict) -> str:
         ]
         verdict_words = conclusion(verdict)
         if verdict_words is not None and verdict_words.leave:
-            parts += [f"{verdict_words.short}: leave it unbaked"]
+            by = "" if worse.truth == truth else f" by {worse.truth}"
+            parts += [f"{verdict_words.short}{by}: leave it unbaked"]
         elif verdict_words is not None and verdict.others:
             parts += [verdict_words.short]
     # The outcome says that it is not baked.
@@ -419,14 +436,14 @@ def conclusion(verdict: FileVerdict) -> Conclusion | None:
             for notice in verdict.notices
         )
         if verdict.others:
-            now = found[2][baked_lighting(found[2])].mean
+            now = found.figures[baked_lighting(found.figures)].mean
             told = ", ".join(f"{one.error:.2f}° with {one.options}" for one in verdict.others)
             better = " or ".join(one.options for one in verdict.others)
             sentence = f"Another bake is better: {told}, {now:.2f}° with this one."
             judged = Conclusion(sentence, f"bake with {better}", f"better with {better}")
             meet = f"{judged.step}, or "
         else:
-            judged = _on_gain(found[2], f"skinbake view {name}", advised=advised)
+            judged = _on_gain(found.figures, f"skinbake view {name}", advised=advised)
             meet = "leave it unbaked by bake --leave-under, or " if judged.leave else ""
         return replace(judged, step=f"{meet}change the limit") if failed else judged
     if any(check.name == "structure" and check.outcome == "skipped" for check in verdict.checks):
@@ -449,7 +466,9 @@ def _on_gain(figures: Mapping[str, ErrorFigures], look: str, *, advised: bool) -
     standard, factor = figures["standard"].mean, gain(figures)
     clear = factor is None or round(factor, 2) >= CLEAR  # as it is written, with two decimals
     nearer = "" if factor is None else f"{factor:.1f}" if clear and factor < 100 else gain_in_words(factor)
-    told = f"{nearer} times nearer to the true normals" if nearer else "exact but for rounding"
+    told = "exact but for rounding"
+    if nearer:
+        told = f"{nearer} times nearer to the true normals, by the lower gain of both truths"
     if standard < NEGLIGIBLE:
         sentence = f"Nothing to correct: standard lighting errs by {standard:.2f}° in the mean."
         return Conclusion(sentence, "leave the file unbaked", "nothing to correct", leave=True)
@@ -465,23 +484,20 @@ def _on_gain(figures: Mapping[str, ErrorFigures], look: str, *, advised: bool) -
 
 
 def _table(by_truth: Mapping[Truth, Figures]) -> Iterator[str]:
-    """Yield the table's lines: figures by tangents, then mean and 95th percentile by the other truths."""
-    more = {truth: found.whole for truth, found in by_truth.items() if truth is not Truth.TANGENTS}
-    heads = "".join(f"{f'by {truth}' if truth is Truth.TRIANGLES else truth:>18}" for truth in more)
-    yield f"  {'':<16}{'    by tangents':<32}{heads}"
-    numbers = f"{'mean':>10}{'p95':>8}" * len(more)
-    yield f"  {'':<16}{'mean':>8}{'p95':>8}{'p99':>8}{'max':>8}{numbers}  worst at"
-    for method, figures in by_truth[Truth.TANGENTS].whole.items():
+    """Yield the table's lines: figures by triangles, then mean and 95th percentile by tangents."""
+    yield f"  {'':<16}{'    by triangles':<32}{'by tangents':>18}"
+    yield f"  {'':<16}{'mean':>8}{'p95':>8}{'p99':>8}{'max':>8}{'mean':>10}{'p95':>8}  worst at"
+    first, second = (by_truth[truth].whole for truth in USUAL_TRUTHS)
+    for method, figures in (second | first).items():
         for lighting in SHOWN_LIGHTINGS:
             if lighting in figures:
-                error = figures[lighting]
-                numbers = "".join(f"{value:8.2f}" for value in (error.mean, error.p95, error.p99, error.max))
-                for found in more.values():
-                    other = found.get(method, {}).get(lighting)
-                    numbers += (
-                        f"{'—':>10}{'—':>8}" if other is None else f"{other.mean:10.2f}{other.p95:8.2f}"
-                    )
-                worst, when = error.worst, printable(error.worst.clip)
+                # A mesh that has each triangle twice, once for each side, has no figures by triangles.
+                error, other = (found.get(method, {}).get(lighting) for found in (first, second))
+                numbers = f"{'—':>8}" * 4
+                if error is not None:
+                    numbers = f"{error.mean:8.2f}{error.p95:8.2f}{error.p99:8.2f}{error.max:8.2f}"
+                numbers += f"{'—':>10}{'—':>8}" if other is None else f"{other.mean:10.2f}{other.p95:8.2f}"
+                worst, when = figures[lighting].worst, printable(figures[lighting].worst.clip)
                 if worst.time is not None:
                     when = f'clip "{when}" at {worst.time:.2f} s'
                 where = f"{worst.place.within_file}, vertex {worst.vertex}, {when}"
@@ -539,15 +555,10 @@ def file_json(verdict: FileVerdict) -> dict[str, Any]:
         "primitives": [
             {
                 **place_fields(place),
-                **{
-                    member: None
-                    if truth not in {*USUAL_TRUTHS, *places}
-                    else _normals_json(places.get(truth, {}).get(place, {}))
-                    for truth, member in MEMBERS.items()
-                },
+                **{member: _normals_json(places[truth][place]) for truth, member in MEMBERS.items()},
                 "reliefs": _relief_json(mapped[place], mapped_by_area[place]) if place in mapped else None,
             }
-            for place in places.get(Truth.TANGENTS, {})
+            for place in places.get(Truth.TRIANGLES, {})
         ],
         "scaled_joints": list(verdict.scaled_joints),
         "mixtures": [asdict(mixture) for mixture in verdict.mixtures],

@@ -155,16 +155,16 @@ def true_normals(
 ) -> tuple[Float64Array, BoolArray]:
     """Return the true normals (U, 3, B, P) of a block of vertices, and where they exist (U, B, P).
 
-    The first are by tangents, the second, if there are sums of classes, by triangles. positions (3, V, P) are
+    The last are by tangents, the first, if there are sums of classes, by triangles. positions (3, V, P) are
     those of all vertices after deformation. sides (P, B) is −1 if the joints mirror a vertex.
     """
     part = rest.parts[number]
     tangents = posed_tangents(rest.derivatives[number], positions)
-    # By tangents, then by triangles.
-    found = [tangent_normals(rest, part, tangents, sides)]
+    found = []
     if by_triangles is not None:
         sums = block_sums(by_triangles.classes, by_triangles.sums, part)
         found.append(triangle_normals(by_triangles.carried, part, tangents, sums, sides))
+    found.append(tangent_normals(rest, part, tangents, sides))
     normals = np.stack([np.stack([component.T for component in vector]) for vector, _ in found])
     return normals, np.stack([exist.T for _, exist in found])
 

@@ -125,10 +125,8 @@ class Truths(NamedTuple):
     ) -> tuple[Float64Array, BoolArray]:
         """Return a block's unit normals (U, 3, B, P) by the truths ``of_mesh``, and where they exist."""
         normals, exist = kernel.true_normals(self.frames, number, deformed, sides, sums)
-        # These are all truths in the order of Truth, or the first one alone if there are no sums.
-        first = tuple(Truth).index(Truth(self.of_mesh[0]))
-        named = slice(first, first + len(self.of_mesh))
-        return normals[named], exist[named]
+        # These are both truths in their order, or the last one alone if there are no sums.
+        return normals[: len(self.of_mesh)], exist[: len(self.of_mesh)]
 
 
 class ChunkMemory:

@@ -25,9 +25,9 @@ UNSAFE = re.compile("[^A-Za-z0-9._-]+")
 class Listed:
     """One file of the index: its name, the link to its page and a small PNG (None: it has none), its figures.
 
-    standard and accurate are mean errors in degrees by the truth with the smaller gain, gain is their ratio;
-    None if they were not measured. outcome is passed, failed, or not baked. remark says why a file failed, or
-    why it has no figures.
+    standard and accurate are mean errors in degrees by triangles, gain is their ratio; None if they were not
+    measured. outcome is passed, failed, or not baked. remark says why a file failed, or why it has no
+    figures.
     """
 
     name: str

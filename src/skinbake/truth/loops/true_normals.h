@@ -118,7 +118,7 @@ static ALWAYS_INLINE int normals_of_strip(const TrueNormals *w, Py_ssize_t row, 
     /* The side is −1 where a mirroring joint turns the surface inside out. */
     for (Py_ssize_t p = 0; p < count; p++)
         sides[p] = w->sides ? w->sides[at + p] : 1.0;
-    /* The first truth: by tangents. */
+    /* By tangents: the last truth. */
     const Vector rest = {w->coefficients[row], w->coefficients[block + row], w->coefficients[2 * block + row]};
     const double area = w->valid[row] ? w->areas[row] : NAN;
     for (Py_ssize_t p = 0; p < count; p++) {
@@ -126,8 +126,8 @@ static ALWAYS_INLINE int normals_of_strip(const TrueNormals *w, Py_ssize_t row, 
                                           area, sides[p], w->flat);
         found.x[p] = normal.x, found.y[p] = normal.y, found.z[p] = normal.z;
     }
-    store_normals(w, 0, at, count, &found);
-    /* The second truth: by the summed normals of the triangles. */
+    store_normals(w, w->carried != NULL, at, count, &found);
+    /* By the summed normals of the triangles: the first truth, if it is asked for. */
     if (w->carried == NULL)
         return 0;
     const int32_t class = w->classes[row];
@@ -142,7 +142,7 @@ static ALWAYS_INLINE int normals_of_strip(const TrueNormals *w, Py_ssize_t row, 
                                            carried, sides[p], w->flat);
         found.x[p] = normal.x, found.y[p] = normal.y, found.z[p] = normal.z;
     }
-    store_normals(w, 1, at, count, &found);
+    store_normals(w, 0, at, count, &found);
     return 0;
 }
 

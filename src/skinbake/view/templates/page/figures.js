@@ -12,47 +12,46 @@ const ROWS = [
 ];
 
 export function showFigures(byId, given) {
-    const { figures, by_triangles: triangles, poses } = given;
-    const [least, other] = byGain(figures, triangles);
-    byId.headline.hidden = !least;
-    const isMeasured = Object.keys(figures ?? {}).length > 0;
+    const { by_triangles: triangles, by_tangents: tangents, poses } = given;
+    const [first, other] = byTruth(triangles, tangents).filter(({ gain }) => gain);
+    byId.headline.hidden = !first;
+    const measured = { ...triangles, ...tangents };
+    const isMeasured = Object.keys(measured).length > 0;
     byId.table.parentElement.hidden = !isMeasured;
     if (!isMeasured) return;
-    if (least) {
-        byId.gain.textContent = times(least.gain);
-        byId.gain.classList.toggle('is-loss', least.gain < 1);
-        const name = least.corrected ? 'Corrected' : 'Accurate';
+    if (first) {
+        byId.gain.textContent = times(first.gain);
+        byId.gain.classList.toggle('is-loss', first.gain < 1);
+        const name = first.corrected ? 'Corrected' : 'Accurate';
         byId['gain-words'].textContent =
-            (least.gain < 1
+            (first.gain < 1
                 ? `${name} lighting is not nearer to the true normals of this file than standard lighting: `
                 : `${name} lighting is that much nearer to the true normals than standard lighting: `) +
-            `${degrees(bakedOf(least).mean)} instead of ${degrees(least.standard.mean)} in the mean, ${least.truth}` +
-            (figures.lbs ? '.' : figures.dqs ? ', with dual quaternions.' : ', blended with dual quaternions.') +
+            `${degrees(bakedOf(first).mean)} instead of ${degrees(first.standard.mean)} in the mean, ${first.truth}` +
+            (measured.lbs ? '.' : measured.dqs ? ', with dual quaternions.' : ', blended with dual quaternions.') +
             (other ? ` The gain ${other.truth} is ${times(other.gain)}.` : '');
     }
-    byId.table.replaceChildren(tableOf(figures, triangles));
+    byId.table.replaceChildren(tableOf(triangles, tangents));
     byId['table-words'].textContent = `By skinbake verify, over ${poses}. Two truths, found in two ways.`;
 }
 
 // What the bake of a file gives: its correctives, or α and β.
 const bakedOf = ({ corrected, accurate }) => corrected ?? accurate;
 
-// The figures of the first method by both truths, the smaller gain first: that one counts.
-function byGain(figures, triangles) {
+// The figures of the first method by both truths, as far as there are any.
+function byTruth(triangles, tangents) {
     return [
-        { truth: 'by tangents', ...(figures?.lbs ?? figures?.dqs ?? figures?.blend) },
         { truth: 'by triangles', ...(triangles?.lbs ?? triangles?.dqs ?? triangles?.blend) },
-    ]
-        .filter(({ gain }) => gain)
-        .sort((a, b) => a.gain - b.gain);
+        { truth: 'by tangents', ...(tangents?.lbs ?? tangents?.dqs ?? tangents?.blend) },
+    ].filter(({ standard }) => standard);
 }
 
-function tableOf(figures, triangles) {
+function tableOf(triangles, tangents) {
     const table = element('table');
     const head = element('thead');
     head.append(row('th', ['', 'mean', 'p95', 'mean', 'p95']));
     const above = element('tr');
-    for (const [text, span] of [['', 1], ['by tangents', 2], ['by triangles', 2]]) {
+    for (const [text, span] of [['', 1], ['by triangles', 2], ['by tangents', 2]]) {
         const cell = element(text ? 'th' : 'td', text);
         cell.colSpan = span;
         if (text) cell.scope = 'colgroup';
@@ -61,10 +60,10 @@ function tableOf(figures, triangles) {
     head.prepend(above);
     const body = element('tbody');
     for (const [method, lighting, name] of ROWS) {
-        const one = figures[method]?.[lighting];
-        if (!one) continue;
-        const other = triangles?.[method]?.[lighting];
-        const cells = [one.mean, one.p95, other?.mean, other?.p95].map((value) => (value === undefined ? '—' : value.toFixed(2)));
+        const one = triangles?.[method]?.[lighting];
+        const other = tangents?.[method]?.[lighting];
+        if (!one && !other) continue;
+        const cells = [one?.mean, one?.p95, other?.mean, other?.p95].map((value) => (value === undefined ? '—' : value.toFixed(2)));
         const line = row('td', cells);
         const title = element('th', name);
         title.scope = 'row';
@@ -100,15 +99,17 @@ export function showNotes(byId, given) {
 
 // The figures of each primitive, where there are several.
 function showPrimitives(byId, primitives) {
-    const rows = primitives.filter(({ normals }) => normals?.lbs ?? normals?.dqs);
+    const figuresOf = (one) => byTruth(one.normals_by_triangles, one.normals_by_tangents)[0];
+    const rows = primitives.filter(figuresOf);
     byId.primitives.hidden = rows.length < 2;
     const table = element('table');
     const head = element('thead');
-    const isCorrected = rows.some(({ normals }) => normals.lbs?.corrected);
+    const isCorrected = rows.some((one) => figuresOf(one).corrected);
     head.append(row('th', ['', 'standard', isCorrected ? 'corrected' : 'accurate', 'gain']));
     const body = element('tbody');
-    for (const { mesh, mesh_name: name, primitive, normals, normals_by_triangles: triangles } of rows) {
-        const one = byGain(normals, triangles)[0] ?? normals.lbs ?? normals.dqs;
+    for (const given of rows) {
+        const { mesh, mesh_name: name, primitive } = given;
+        const one = figuresOf(given);
         const { standard, gain } = one;
         const line = row('td', [standard.mean.toFixed(2), bakedOf(one).mean.toFixed(2), gain ? times(gain) : '—']);
         const title = element('th', `${isolated(name ?? `mesh ${mesh}`)}, ${primitive}`);
