@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.measure import random_rigs
-from tests.support.baked_files import baked, verify
+from tests.support.baked_files import verify
+from tests.support.baking import bake_file
 
 OPTIONS: tuple[dict[str, Any], ...] = (
     {},
@@ -17,27 +19,34 @@ OPTIONS: tuple[dict[str, Any], ...] = (
     {"neighbours": "drop"},
 )
 
-HOPELESS = 12
-"""Of 300 rigs, those of which no part of α and β is better than standard lighting by both truths. There are 8
-with the usual options: coarse tubes whose joints are scaled by 40 %."""
+LEFT = 12
+"""How many of 300 rigs may stay unbaked, because each part of α and β lights them worse."""
 
 
-def is_worse(seed: int, folder: Path) -> bool:
-    """Tell whether a rig is lit worse by over 1 % and 0.1°, by either truth, at times that no bake saw."""
-    path = baked(random_rigs.write(seed, folder), folder / "out", **OPTIONS[seed // 6 % len(OPTIONS)])
-    answer = verify(path, "--method", "lbs", "--samples", "31")
+def lit(seed: int, folder: Path) -> str:
+    """Return how a rig is lit: ``left`` unbaked, ``worse`` by over 1 % and 0.1° by either truth, or ``well``.
+
+    It is lit at times that no bake saw.
+    """
+    source, target = random_rigs.write(seed, folder), folder / "baked.glb"
+    if bake_file(source, target, **OPTIONS[seed // 6 % len(OPTIONS)]).status != "baked":
+        assert target.read_bytes() == source.read_bytes()
+        return "left"
+    answer = verify(target, "--method", "lbs", "--samples", "31")
     assert answer.exit_code == 0, seed
     (primitive,) = answer.file["primitives"]
     errors = [primitive[truth]["lbs"] for truth in ("normals_by_triangles", "normals_by_tangents")]
     pairs = [(one["accurate"]["mean"], one["standard"]["mean"]) for one in errors]
-    return any(own > 1.01 * standard and own - standard > 0.1 for own, standard in pairs)
+    is_worse = any(own > 1.01 * standard and own - standard > 0.1 for own, standard in pairs)
+    return "worse" if is_worse else "well"
 
 
 @pytest.mark.parametrize(
-    ("seeds", "most"), [(range(24), 0), pytest.param(range(300), HOPELESS, marks=pytest.mark.slow)]
+    ("seeds", "most"), [((*range(24), 195), 1), pytest.param(range(300), LEFT, marks=pytest.mark.slow)]
 )
-def test_no_random_rig_is_lit_worse_where_a_part_of_the_fit_is_better(
-    seeds: range, most: int, tmp_path: Path
+def test_no_random_rig_is_lit_worse_than_standard_and_few_stay_unbaked(
+    seeds: Sequence[int], most: int, tmp_path: Path
 ) -> None:
-    worse = [seed for seed in seeds if is_worse(seed, tmp_path)]
-    assert len(worse) <= most, worse
+    found = {seed: lit(seed, tmp_path) for seed in seeds}
+    assert [seed for seed in seeds if found[seed] == "worse"] == []
+    assert 0 < list(found.values()).count("left") <= most

@@ -189,6 +189,10 @@ def bake_document(
     with document.notices.withheld() as told:
         if options.correctives is None:
             made = bake_gradients(document, sources, options)
+            baked = {place for place, _ in made.primitives}
+            held = [source for source in sources if source.place not in baked]
+            left_by += [(source, "--gradients fitted") for source in held]
+            left_out += len(held)
         else:
             from skinbake.commands.corrective_bake import bake_correctives  # most bakes add α and β
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from skinbake.choices import SLOTS_PER_SET, Encoding, Frame, FrameChoice, Gradients, Neighbours, Weld
 from skinbake.commands.bake_options import BakeOptions
-from skinbake.errors import InputError, Notice
+from skinbake.errors import InputError, Notice, skipped
 from skinbake.format.baked import Baked
 from skinbake.format.digests import Digests, digests
 from skinbake.format.encodings import vertex_bytes
@@ -66,10 +66,20 @@ def bake_surfaces(
     if any(surface.rig for surface in surfaces):
         # A primitive that would be lit worse keeps only a part of its α and β.
         with stage("guard"):
-            from skinbake.measure.guard import kept_eighths  # it poses: other kinds of bakes do not
+            from skinbake.measure.guard import UNBAKED, kept_eighths  # it poses: other kinds of bakes do not
 
             kept = kept_eighths(document, [unwritten(own) for own in made])
-            made = [_keeping(bakes, own) for bakes, own in zip(made, kept, strict=True)]
+        left = [
+            bake.source.place
+            for bakes, own in zip(made, kept, strict=True)
+            for bake, part in zip(bakes, own, strict=True)
+            if part == UNBAKED
+        ]
+        if left:
+            words = "in its clips, every part of α/β lights it worse than standard lighting"
+            document.notices.tell(*(skipped("standard-is-better", place, words) for place in left))
+            return bake_surfaces(document, [one for one in sources if one.place not in left], options)
+        made = [_keeping(bakes, own) for bakes, own in zip(made, kept, strict=True)]
     if options.blend is not None and made:
         made = [one.with_blend(own, options.blend) for one, own in zip(surfaces, made, strict=True)]
         without = [bake for bakes in made for bake in bakes if bake.blend is None]
