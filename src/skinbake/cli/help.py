@@ -193,24 +193,19 @@ def manual(main: click.Group) -> str:
     for name in main.list_commands(top):
         command = main.get_command(top, name)
         if command is not None:
-            lines += _command_lines(command, click.Context(command, top, info_name=name))
+            ctx = click.Context(command, top, info_name=name)
+            usage = " ".join(command.collect_usage_pieces(ctx))
+            lines.append(f".SS {_plain(ctx.command_path)} {_plain(usage)}")
+            for number, paragraph in enumerate((command.help or "").split("\n\n")):
+                lines += [".PP"] if number else []
+                lines.append(_plain(" ".join(paragraph.split())))
+            for heading, rows in grouped(command, ctx):
+                lines += [".PP", f".B {_plain(heading)}"]
+                for option, text in rows:
+                    lines += [".TP", f".B {_plain(option)}", _plain(text)]
+            examples = getattr(command, "examples", ())
+            lines += [".PP", ".B Examples", ".PP", ".nf", *map(_plain, examples), ".fi"] if examples else []
     return "\n".join([*lines, ".SH EXIT STATUS", _plain(main.epilog or ""), ""])
-
-
-def _command_lines(command: click.Command, ctx: click.Context) -> Iterator[str]:
-    yield f".SS {_plain(ctx.command_path)} {_plain(' '.join(command.collect_usage_pieces(ctx)))}"
-    for number, paragraph in enumerate((command.help or "").split("\n\n")):
-        if number:
-            yield ".PP"
-        yield _plain(" ".join(paragraph.split()))
-    for heading, rows in grouped(command, ctx):
-        yield ".PP"
-        yield f".B {_plain(heading)}"
-        for option, text in rows:
-            yield from (".TP", f".B {_plain(option)}", _plain(text))
-    examples = getattr(command, "examples", ())
-    if examples:
-        yield from (".PP", ".B Examples", ".PP", ".nf", *map(_plain, examples), ".fi")
 
 
 def _plain(text: str) -> str:

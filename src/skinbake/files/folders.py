@@ -158,26 +158,21 @@ def beneath(root: str, parts: Sequence[str], made: Callable[[str], None] | None 
     current = os.open(root, _FOLDER_FLAGS)
     try:
         for number in range(1, len(parts) + 1):
-            following = _stepped(root, current, parts[:number], made)
+            name = "/".join(parts[:number])
+            try:
+                following = _open(root, name, _FOLDER_FLAGS)
+            except FileNotFoundError:
+                if made is None:  # pragma: no cover: races
+                    raise
+                with suppress(FileExistsError):  # another process was faster, or a link there leads nowhere
+                    os.mkdir(parts[number - 1], dir_fd=current)
+                    made(os.path.join(root, *parts[:number]))
+                following = _open(root, name, _FOLDER_FLAGS)
             os.close(current)
             current = following
         yield Folder(path, current)
     finally:
         os.close(current)
-
-
-def _stepped(root: str, current: int, parts: Sequence[str], made: Callable[[str], None] | None) -> int:
-    """Return a descriptor of the folder at ``parts``. Its last part is in the folder ``current``."""
-    name = "/".join(parts)
-    try:
-        return _open(root, name, _FOLDER_FLAGS)
-    except FileNotFoundError:
-        if made is None:  # pragma: no cover: races
-            raise
-    with suppress(FileExistsError):  # another process was faster, or a link there leads nowhere
-        os.mkdir(parts[-1], dir_fd=current)
-        made(os.path.join(root, *parts))
-    return _open(root, name, _FOLDER_FLAGS)
 
 
 def _open(root: str, name: str, flags: int) -> int:
@@ -253,9 +248,12 @@ def _walked(folder: int, name: str, flags: int) -> int:  # pragma: no cover: wit
                 os.close(stack.pop())
                 continue
             kind = _FOLDER_FLAGS if any(step not in {"", "."} for step in parts) else flags
-            target = _link(part, stack[-1])
-            if target is None:
-                stack.append(os.open(part, kind | os.O_NOFOLLOW, dir_fd=stack[-1]))
+            try:
+                target = os.readlink(part, dir_fd=stack[-1])
+            except OSError as error:
+                if error.errno != errno.EINVAL:
+                    raise
+                stack.append(os.open(part, kind | os.O_NOFOLLOW, dir_fd=stack[-1]))  # it is not a link
                 continue
             links += 1
             if links > MOST_LINKS:
@@ -267,13 +265,3 @@ def _walked(folder: int, name: str, flags: int) -> int:  # pragma: no cover: wit
     finally:
         for descriptor in stack:
             os.close(descriptor)
-
-
-def _link(name: str, folder: int) -> str | None:  # pragma: no cover: without openat2
-    """Return the target of a symbolic link, or None if the name is not a link."""
-    try:
-        return os.readlink(name, dir_fd=folder)
-    except OSError as error:
-        if error.errno == errno.EINVAL:
-            return None
-        raise

@@ -132,7 +132,15 @@ def write_files(  # noqa: PLR0913  # what else is to happen in the one moment of
     is_short = not is_shared and sum(map(len, files[next(iter(files))])) <= SHORT
     try:
         with interrupts_put_off() if is_short else nullcontext(), ExitStack() as stack, begun:
-            _make_root(begun)
+            # The folder that the user named, and its parents, are made if they are missing.
+            missing, folder = [], begun.root
+            while not os.path.exists(folder):
+                missing.append(folder)
+                folder = os.path.dirname(folder)
+            for made in reversed(missing):
+                with interrupts_put_off(), suppress(FileExistsError):  # another process was faster
+                    os.mkdir(made)
+                    begun.above.append(made)
             for path, pieces in files.items():
                 is_last = len(begun.written) == len(files) - 1
                 is_itself, part = replaces is not None and is_last, ahead if is_last else None
@@ -217,18 +225,6 @@ class _Begun:
         if self.notes is not None:
             self.notes.forget()
             self.notes = None
-
-
-def _make_root(begun: _Begun) -> None:
-    """Make the folder that the user named, and its parents, if they are missing."""
-    missing, folder = [], begun.root
-    while not os.path.exists(folder):
-        missing.append(folder)
-        folder = os.path.dirname(folder)
-    for path in reversed(missing):
-        with interrupts_put_off(), suppress(FileExistsError):  # another process was faster
-            os.mkdir(path)
-            begun.above.append(path)
 
 
 def _written(
@@ -355,7 +351,12 @@ def _put_new(one: _Written, begun: _Begun, place: Place) -> None:
     try:
         is_renamed = _name_anew(source, goal, descriptor)
     except FileExistsError:
-        if not _has_content(one):  # pragma: no cover: races
+        is_same = False
+        with suppress(OSError):  # a link, or gone
+            name = one.folder.name(one.name)
+            with os.fdopen(open_regular(name, follow=False, dir_fd=one.folder.descriptor), "rb") as file:
+                is_same = has_content(file, one.pieces)
+        if not is_same:  # pragma: no cover: races
             reason = f"another run has put its {one.name} there meanwhile"
             raise not_written(reason, place, TakenError) from None
         is_renamed = False
@@ -382,16 +383,6 @@ def _name_anew(source: str, goal: str, descriptor: int | None) -> bool:
         os.rename(source, goal, src_dir_fd=descriptor, dst_dir_fd=descriptor)
         return True
     return False
-
-
-def _has_content(one: _Written) -> bool:
-    """Tell whether the file of that name exists, is not a link, and holds the new content."""
-    try:
-        name = one.folder.name(one.name)
-        with os.fdopen(open_regular(name, follow=False, dir_fd=one.folder.descriptor), "rb") as file:
-            return has_content(file, one.pieces)
-    except OSError:
-        return False
 
 
 def has_content(file: BinaryIO, pieces: Iterable[Bytes]) -> bool:

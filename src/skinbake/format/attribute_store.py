@@ -202,7 +202,13 @@ class _DracoStore:
 
             names = [name for name in dict.fromkeys([*self._inside, *self._new]) if name in now]
             faces = draco.read_stream(self._document, self._source.json, self._source.place).faces
-            arrays = {name: self._values(name) for name in names}
+            arrays: dict[str, npt.NDArray[Any]] = {}
+            for name in names:
+                if name in self._new:
+                    arrays[name] = np.asarray(self._new[name])
+                else:
+                    number, place = int(self._source.attributes[name]), self._source.place.at(name)
+                    arrays[name] = read_accessor(self._document, number, place).values
             what = "putting its new attributes into Draco"
             self._document.budget.claim(Cost.DRACO_STREAM, what, self._source.place)
             stream = draco_stream.encode(arrays, faces, self._source.place, level=self._level)
@@ -213,9 +219,3 @@ class _DracoStore:
         extension = {**self._before, "bufferView": view, "attributes": inside}
         extension = with_note(extension, StreamNote(before=self._before, accessors=left))
         return {**primitive, "extensions": {**primitive["extensions"], draco.EXTENSION: extension}}
-
-    def _values(self, name: str) -> npt.NDArray[Any]:
-        if name in self._new:
-            return np.asarray(self._new[name])
-        number = int(self._source.attributes[name])
-        return read_accessor(self._document, number, self._source.place.at(name)).values

@@ -139,7 +139,15 @@ class Document:
                     f"buffer {index} has no URI and there is no BIN chunk that holds it", self.place
                 )
             if len(data) < length:
-                raise InputError(_why_short(index, uri, data, length), self.place)
+                from skinbake.gltf.glb import other_kind  # most buffers are whole
+
+                kind = other_kind(data)
+                if kind is not None and uri is not None and not resources.is_data_uri(uri):
+                    message = f'buffer {index}, "{resources.shortened(uri)}", is {kind}'
+                    raise InputError(message, self.place)  # another file took its place
+                there = one_or_many(len(data), "1 is", "{} are")
+                declared = f"it declares {counted(length, 'byte')}, but only {there} there"
+                raise InputError(f"buffer {index} is cut short: {declared}", self.place)
             self._loaded[index] = memoryview(data)[:length]
         return self._loaded[index]
 
@@ -162,32 +170,20 @@ def once_a_document(
 ) -> Callable[[Document, *Key], Found]:
     """Return a function that finds something out about a document once for each of its other arguments.
 
-    These are positional, and can be keys of a dict. The result lives as long as the document; an edited copy
-    starts anew. Errors are not kept.
+    These are positional, and can be keys of a dict. Places are none: they are only named in errors, which
+    are not kept. The result lives as long as the document; an edited copy starts anew.
     """
 
     @wraps(find)
-    def found(document: Document, *key: *Key) -> Found:
+    def found(document: Document, *arguments: *Key) -> Found:
         known = document._found.setdefault(found, {})
+        key = tuple(one for one in arguments if not isinstance(one, Place))
         if key not in known:
-            known[key] = find(document, *key)
+            known[key] = find(document, *arguments)
         result: Found = known[key]
         return result
 
     return found
-
-
-def _why_short(index: int, uri: str | None, data: Bytes, length: int) -> str:
-    """Return why a buffer has fewer bytes than it declares: it is cut, or another file took its place."""
-    from skinbake.gltf.glb import other_kind  # most buffers are whole
-
-    kind = other_kind(data)
-    if kind is not None and uri is not None and not resources.is_data_uri(uri):
-        return f'buffer {index}, "{resources.shortened(uri)}", is {kind}'
-    return (
-        f"buffer {index} is cut short: it declares {counted(length, 'byte')}, but only "
-        f"{one_or_many(len(data), '1 is', '{} are')} there"
-    )
 
 
 def joined(pieces: Sequence[Bytes]) -> Bytes:
@@ -326,6 +322,10 @@ def parse_gltf(
     budget = budget or _budget_of(data, name)
     text = bytes(data)
     root = _parse_json(text, budget, Place(name))
+    # The white space before the first key, None for text on one line.
+    _, newline, rest = text[:256].partition(b"\n")
+    line = rest.split(b"\n")[0]
+    indent = line[: len(line) - len(line.lstrip())].decode("ascii", "replace") if newline else None
     return Document(
         name=name,
         folder=folder,
@@ -333,7 +333,7 @@ def parse_gltf(
         json=root,
         is_glb=False,
         budget=budget,
-        indent=_indentation(text),
+        indent=indent,
         escaped=_is_escaped(text),
         former=(data, root),
         raw=data,
@@ -376,15 +376,6 @@ def _fault(error: ValueError) -> str:
         return "it ends too early; the file may be cut short"
     found = JSON_FAULTS.get(error.msg) or error.msg.replace("Expecting", "expected")
     return f"line {error.lineno}, column {error.colno}: {found}"
-
-
-def _indentation(data: bytes) -> str | None:
-    """Return the white space before the first key, None for text on one line."""
-    _, newline, rest = data[:256].partition(b"\n")
-    if not newline:
-        return None
-    line = rest.split(b"\n")[0]
-    return line[: len(line) - len(line.lstrip())].decode("ascii", "replace")
 
 
 def _is_escaped(text: bytes) -> bool:

@@ -78,10 +78,6 @@ class _Worker:
     late: float | None = None
 
 
-def _none(jobs: Sequence[Any]) -> Sequence[int]:
-    return ()
-
-
 def done_in_time(call: Callable[[], T], file: str, seconds: float, max_memory: int | None, threads: int) -> T:
     """Return the result of a call, which a process of its own makes; it and its result can be pickled.
 
@@ -128,7 +124,7 @@ class Processes:
     workers: int
     modules: Sequence[str] = ()
     limits: Limits = field(default_factory=Limits)
-    early: Callable[[Sequence[Any]], Sequence[int]] = _none
+    early: Callable[[Sequence[Any]], Sequence[int]] | None = None
 
     def run(
         self, work: Work[JobT, ReturnT], jobs: Sequence[JobT]
@@ -154,7 +150,7 @@ class _Pool(Generic[JobT, ReturnT]):
         self._context = context_for(runner.modules)
         self._workers: list[_Worker] = []
         self._next = 0
-        self._early = deque(runner.early(jobs))
+        self._early = deque(runner.early(jobs) if runner.early else ())
         self._begun_early = set(self._early)
         self._back: deque[int] = deque()
         self._suspects: deque[int] = deque()
@@ -337,7 +333,12 @@ class _Pool(Generic[JobT, ReturnT]):
         self._workers.remove(worker)
         worker.connection.close()
         worker.process.join(PATIENCE)
-        how = _cause_of_death(worker.process)
+        # The cause of its death, as its exit code tells it.
+        code = worker.process.exitcode
+        how = f"exit code {code}"
+        if code is not None and code < 0:
+            how = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
+            how += "; is there too little memory?" if how == "SIGKILL" else ""
         if not worker.is_warm:
             self._stillborn += 1
             if self._stillborn >= ATTEMPTS * self._size:
@@ -365,11 +366,3 @@ class _Pool(Generic[JobT, ReturnT]):
 def _not_started(why: str, limits: Limits) -> str:
     without = "" if limits == Limits() else " without --timeout and --isolate"
     return f"worker processes cannot be started ({why}): try --jobs 1{without}"
-
-
-def _cause_of_death(process: BaseProcess) -> str:
-    code = process.exitcode
-    if code is None or code >= 0:
-        return f"exit code {code}"
-    name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
-    return f"{name}; is there too little memory?" if name == "SIGKILL" else name

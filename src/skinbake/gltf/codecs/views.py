@@ -13,31 +13,23 @@ from skinbake.gltf.json_access import JsonObject, index, integer
 from skinbake.gltf.resources import is_data_uri
 
 
+@once_a_document
 def view_bytes(document: Document, view_index: int, place: Place) -> memoryview:
-    """Return the bytes of one buffer view, decoded if meshopt compressed them.
+    """Return the bytes of one buffer view, decoded once if meshopt compressed them.
 
     Raises InputError if the view does not fit its buffer, or cannot be decoded.
     """
     view = document.objects("bufferViews")[view_index]
-    if meshopt.extension_of(view, place) is None:
+    name = meshopt.extension_of(view, place)
+    if name is None:
         return stored_bytes(document, view, f"buffer view {view_index}", place)
-    known = _unpacked(document)
-    if view_index not in known:
-        name = str(meshopt.extension_of(view, place))
-        packing = meshopt.packing(view, name, f"buffer view {view_index}", place)
-        what = f"the {name} of buffer view {view_index}"
-        data = stored_bytes(document, view["extensions"][name], what, place)
-        meshopt.check_length(data, packing, what, place)
-        size = packing.count * packing.stride
-        document.budget.claim(Work(bytes=size, unpacked=size, packed=len(data)), "compressed data", place)
-        known[view_index] = meshopt.decoded(data, packing, what, place)
-    return known[view_index]
-
-
-@once_a_document
-def _unpacked(document: Document) -> dict[int, memoryview]:
-    """Return the buffer views that were decompressed."""
-    return {}
+    packing = meshopt.packing(view, name, f"buffer view {view_index}", place)
+    what = f"the {name} of buffer view {view_index}"
+    data = stored_bytes(document, view["extensions"][name], what, place)
+    meshopt.check_length(data, packing, what, place)
+    size = packing.count * packing.stride
+    document.budget.claim(Work(bytes=size, unpacked=size, packed=len(data)), "compressed data", place)
+    return meshopt.decoded(data, packing, what, place)
 
 
 def stored_bytes(document: Document, holder: JsonObject, what: str, place: Place) -> memoryview:

@@ -102,27 +102,25 @@ def read_skeleton(document: Document, skin: int) -> Skeleton:
 
     Raises InputError if the hierarchy or the matrices are broken. A broken skin too is read only once.
     """
-    found = _skeleton_or_fault(document, skin)
+    known = _skeletons(document)
+    if skin not in known:
+        one = document.asset.skins[skin]
+        try:
+            key = one.joints, one.inverse_bind
+            if key not in known:
+                known[key] = _read_skeleton(document, f"skin {skin}", *key)
+            known[skin] = known[key]
+        except InputError as error:
+            known[skin] = error
+    found = known[skin]
     if isinstance(found, InputError):
         raise found.with_traceback(None)
     return found
 
 
 @once_a_document
-def _skeleton_or_fault(document: Document, number: int) -> Skeleton | InputError:
-    skin = document.asset.skins[number]
-    try:
-        alike, key = _alike(document), (skin.joints, skin.inverse_bind)
-        if key not in alike:
-            alike[key] = _read_skeleton(document, f"skin {number}", *key)
-        return alike[key]
-    except InputError as error:
-        return error
-
-
-@once_a_document
-def _alike(document: Document) -> dict[tuple[tuple[int, ...], int | None], Skeleton]:
-    """Return the skeletons that were read, by joints and inverse bind matrices."""
+def _skeletons(document: Document) -> dict[object, Skeleton | InputError]:
+    """Return the skeletons that were read, by skin, and by joints and inverse bind matrices."""
     return {}
 
 

@@ -52,7 +52,18 @@ def for_target(document: Document, target: str, *, pack: bool = False) -> Docume
         # Of images that stay files, standard output has a word of its own.
         if target != STDIO or not _tell_loose_images(converted):
             document.notices.tell(*unpacked)
-        converted = _self_contained(converted) if target == STDIO else converted
+        if target == STDIO:  # each buffer that is a file becomes a data: URI
+            buffers = converted.objects("buffers")
+            inside = [
+                {**buffer, "uri": resources.encode_data_uri(bytes(converted.buffer(number)))}
+                if isinstance(uri := buffer.get("uri"), str)
+                and not resources.is_data_uri(uri)
+                and not _is_hollow(converted, buffer)
+                else buffer
+                for number, buffer in enumerate(buffers)
+            ]
+            if inside != buffers:
+                converted = converted.edited(json={**converted.json, "buffers": inside})
     elif pack:  # pragma: no cover: refused before: tests/gltf/test_packing.py
         raise OutputError("--pack needs a .glb or .vrm: a .gltf has no binary chunk", Place(target))
     elif document.is_glb:
@@ -126,22 +137,6 @@ def _as_gltf(document: Document, stem: str) -> Document:
     root = {**document.json, "buffers": [{**buffers[0], "uri": uri}, *buffers[1:]]}
     new_files = {**document.new_files, uri: (document.buffer(0),)}
     return document.edited(json=root, new_files=new_files, **changes)
-
-
-def _self_contained(document: Document) -> Document:
-    """Return the GLB with every external buffer as a data: URI."""
-    buffers = document.objects("buffers")
-    inside = [
-        {**buffer, "uri": resources.encode_data_uri(bytes(document.buffer(number)))}
-        if isinstance(uri := buffer.get("uri"), str)
-        and not resources.is_data_uri(uri)
-        and not _is_hollow(document, buffer)
-        else buffer
-        for number, buffer in enumerate(buffers)
-    ]
-    if inside == buffers:
-        return document
-    return document.edited(json={**document.json, "buffers": inside})
 
 
 def _is_hollow(document: Document, buffer: JsonObject) -> bool:

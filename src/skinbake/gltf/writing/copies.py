@@ -224,7 +224,14 @@ class Copies:
         dead = {
             Path(path) for one in noted if below(path := os.path.normpath(one), os.fspath(self.root))
         } - needed
-        buffers = self._dead_gradients(needed)
+        # The buffers of α and β that it does not need: their names prove whose they are.
+        buffers, ours = [], gradients_name(self.target)
+        for file in self.target.parent.iterdir() if self.target.suffix.lower() == GLTF_SUFFIX else ():
+            if file.name.startswith(ours) and file not in needed:
+                with suppress(OSError):
+                    pieces = _pieces(file, fits_memory)  # it was in memory once
+                    if file.name == gradients_name(self.target, content_digest(pieces)):
+                        buffers.append(file.name)
         with home.opened() as here:
             for folder in {path.parent for path in dead} | ({home.folder} if buffers else set()):
                 with suppress(OSError), Notes(self.root, folder).opened() as opened, locked([here, opened]):
@@ -253,18 +260,6 @@ class Copies:
             home.targets[self.target.name] = left
         notes.save(os.fspath(self.target))
         home.save(os.fspath(self.target))
-
-    def _dead_gradients(self, needed: frozenset[Path]) -> list[str]:
-        """Return the buffers of α and β that the target does not need. Their names prove whose they are."""
-        found = []
-        if self.target.suffix.lower() == GLTF_SUFFIX:
-            for path in self.target.parent.iterdir():
-                if path.name.startswith(gradients_name(self.target)) and path not in needed:
-                    with suppress(OSError):
-                        pieces = _pieces(path, fits_memory)  # it was in memory once
-                        if path.name == gradients_name(self.target, content_digest(pieces)):
-                            found.append(path.name)
-        return found
 
 
 def _content(pieces: Iterable[Bytes]) -> str:

@@ -244,25 +244,21 @@ def tell_other_names(document: Document, source: str) -> None:
 def _serialised(document: Document, *, grows: bool) -> Sequence[Bytes]:
     if document.raw is not None:
         return [document.raw]
-    text = _json_bytes(document)
+    # The JSON as UTF-8. What is unchanged keeps its former text; lone surrogates are escaped.
+    try:
+        try:
+            text = _json_text(document, ascii_only=document.escaped).encode("utf-8")
+        except UnicodeEncodeError:
+            text = _json_text(document, ascii_only=True).encode("utf-8")
+    except ValueError as error:
+        where = next(json_text.not_finite(document.json), None)
+        why = str(error) if where is None else f"{where} is a number too large for any float"
+        raise InputError(f"its JSON cannot be written back: {why}", document.place) from error
     if not document.is_glb:
         return [text]
     multiple = MULTIPLE if grows and sum(map(len, document.binary or ())) >= LARGE else 4
     parts = join_glb(text, document.binary, document.other_chunks, multiple=multiple)
     return [*parts, document.trailing]
-
-
-def _json_bytes(document: Document) -> bytes:
-    """Return the JSON as UTF-8. What is unchanged keeps its former text; lone surrogates are escaped."""
-    try:
-        try:
-            return _json_text(document, ascii_only=document.escaped).encode("utf-8")
-        except UnicodeEncodeError:
-            return _json_text(document, ascii_only=True).encode("utf-8")
-    except ValueError as error:
-        where = next(json_text.not_finite(document.json), None)
-        why = str(error) if where is None else f"{where} is a number too large for any float"
-        raise InputError(f"its JSON cannot be written back: {why}", document.place) from error
 
 
 def _json_text(document: Document, *, ascii_only: bool) -> str:

@@ -104,7 +104,14 @@ def packed_with_files(document: Document, *, moves: bool) -> Document:
     missing or too short. If the document ``moves`` to another folder, the notices say what becomes of these
     files there. Raises InputError for images that take more memory than the budget of the document.
     """
-    prepared = document if document.has_binary_buffer else _with_empty_chunk(document)
+    prepared = document
+    if not document.has_binary_buffer:  # it gets a new first buffer: its chunk, empty or an unused one
+        buffers = document.objects("buffers")
+        places = {number: (number + 1, 0) for number in range(len(buffers))}
+        views = [_moved_view(view, places, document) for view in document.objects("bufferViews")]
+        chunk = document.binary or ()
+        root = {**document.json, "buffers": [{"byteLength": sum(map(len, chunk))}, *buffers]}
+        prepared = document.edited(json=root | ({"bufferViews": views} if views else {}), binary=chunk)
     inside, left = _with_all(prepared, buffer_files=True, image_files=True)
     if inside is prepared:
         inside = document
@@ -120,16 +127,6 @@ def packed_with_files(document: Document, *, moves: bool) -> Document:
         message = f'{stay}: "{shortened(uri)}" {why}{FATES[kind] if moves else ""}{also}'
         document.notices.tell(Notice(CODES[what], message, document.place, len(files)))
     return inside
-
-
-def _with_empty_chunk(document: Document) -> Document:
-    """Return a GLB with a new first buffer, which is its BIN chunk. The chunk is empty, or an unused one."""
-    buffers = document.objects("buffers")
-    places = {number: (number + 1, 0) for number in range(len(buffers))}
-    views = [_moved_view(view, places, document) for view in document.objects("bufferViews")]
-    chunk = document.binary or ()
-    root = {**document.json, "buffers": [{"byteLength": sum(map(len, chunk))}, *buffers]}
-    return document.edited(json=root | ({"bufferViews": views} if views else {}), binary=chunk)
 
 
 def _with_all(document: Document, *, buffer_files: bool, image_files: bool) -> tuple[Document, list[_Left]]:

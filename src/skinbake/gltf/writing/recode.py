@@ -6,7 +6,7 @@ of bake are then stored like their primitive (``attribute_store``).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -217,8 +217,13 @@ def _into_meshopt(recoder: _Recoder, sources: list[PrimitiveSource], compression
         if draco.extension_of(source.json) is not None:
             recoder.require(name)
             _leave_draco(recoder, source.place, source.json, packed, done)
-        for number, is_index in _accessors_of(document, source):
-            accessor = document.asset.accessors[number]
+        # The accessors of its attributes, then that of its indices.
+        holders = [*((source.attributes, name) for name in source.attributes), (source.json, "indices")]
+        for holder, key in holders:
+            accessor = document.asset.accessor(holder, key, source.place)
+            if accessor is None:
+                continue
+            number, is_index = accessor.number, holder is source.json
             view = index(accessor.json, "bufferView", len(views), source.place)
             is_packed = view is not None and meshopt.extension_of(views[view], source.place) is not None
             stays = is_packed or (accessor.is_small_matrix and not is_index)
@@ -232,15 +237,6 @@ def _into_meshopt(recoder: _Recoder, sources: list[PrimitiveSource], compression
                 view = recoder.additions.add_values(values, packed, indices=is_index)
                 recoder.set_accessor(number, view, **members)
             done.add(number)
-
-
-def _accessors_of(document: Document, source: PrimitiveSource) -> Iterator[tuple[int, bool]]:
-    """Yield the accessors of a primitive's attributes, then of its indices, and whether it is the indices."""
-    for holder, keys in ((source.attributes, tuple(source.attributes)), (source.json, ("indices",))):
-        for key in keys:
-            accessor = document.asset.accessor(holder, key, source.place)
-            if accessor is not None:
-                yield accessor.number, holder is source.json
 
 
 def _into_draco(recoder: _Recoder, sources: list[PrimitiveSource], compression: Compression) -> None:
@@ -269,7 +265,17 @@ def _into_draco(recoder: _Recoder, sources: list[PrimitiveSource], compression: 
             key = (reference(source.json.get("indices")), *sorted(source.attributes.items()))
             groups.setdefault(key, []).append(source)
     for group in groups.values():
-        _tell_unquantised(recoder.document, group[0], compression)
+        # Tell of each attribute that bits were asked for and that stays exact.
+        for name in compression.bits:
+            if (accessor := document.asset.accessor(group[0].attributes, name, group[0].place)) is not None:
+                from skinbake.gltf.codecs import draco_stream
+
+                place = group[0].place.at(name)
+                values = read_accessor(document, accessor.number, place).values
+                reason = draco_stream.reason_against_bits(name, values)
+                if reason is not None:
+                    message = f"it is not quantised and stays exact: {reason}"
+                    tell(Notice("bits-ignored", message, place))
         changes = _streamed(recoder, group[0], len(group), compression)
         for source in group:
             extensions = {**member(source.json, "extensions", source.place), **changes["extensions"]}
@@ -311,21 +317,6 @@ def _reason_against_draco(
         if reason:
             return f"its {name} {reason}"
     return None
-
-
-def _tell_unquantised(document: Document, source: PrimitiveSource, compression: Compression) -> None:
-    """Tell of each attribute that bits were asked for and that stays exact."""
-    from skinbake.gltf.codecs import draco_stream
-
-    for name in compression.bits:
-        number = index(source.attributes, name, len(document.objects("accessors")), source.place)
-        if number is None:
-            continue
-        values = read_accessor(document, number, source.place.at(name)).values
-        reason = draco_stream.reason_against_bits(name, values)
-        if reason is not None:
-            message = f"it is not quantised and stays exact: {reason}"
-            document.notices.tell(Notice("bits-ignored", message, source.place.at(name)))
 
 
 def _sparse_inside(document: Document, source: PrimitiveSource) -> str | None:
