@@ -79,6 +79,7 @@ class BakeOptions(TypedDict, total=False):
     blend: str | None
     correctives: int | Literal["auto"] | None
     clips: Sequence[str]
+    clips_own_weights: bool
     corrective_aim: CorrectiveAimName
     alpha_name: str | None
     beta_name: str | None

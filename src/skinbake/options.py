@@ -390,6 +390,9 @@ BAKE = (
         Option("clips", str, (), By.ALL, "NAMES", is_many=True, help=
             "The clips that play correctives, by name or number, with commas between; by default all. May be "
             "given several times."),
+        Option("clips_own_weights", bool, False, By.ALL, help=
+            "Correct meshes too whose morph targets no clip and no node moves. Clips then play zeros over "
+            "what a page or a script sets."),
         Option("corrective_aim", CorrectiveAim, CorrectiveAim.TRUTHS, By.ALL, help=
             "Fit correctives to true normals, or to those that α and β would give.")),
     *_under("Storage", ENCODING, LAYOUT,

@@ -274,3 +274,32 @@ def test_normals_of_targets_stay_where_correctives_do_not_help(tmp_path: Path) -
     assert result.exit_code == 0 and "NORMAL made for 2 morph targets" in result.output
     assert "only clips play correctives" in result.output
     assert all("NORMAL" in target for target in gltf_reading.read(made).primitive(0)["targets"])
+
+
+@pytest.mark.parametrize("weights", [None, [0.0, 0.0], [0.0, 0.25]])
+def test_morph_targets_that_only_a_page_moves_get_no_channel(
+    weights: list[float] | None, tmp_path: Path
+) -> None:
+    """Weights that a node or mesh sets count as set by the file. Zeros, as exporters write them, do not."""
+
+    def still(content: Any) -> None:
+        _still(content, weights or [])
+        if weights is None:
+            content["meshes"][0].pop("weights")
+
+    given, made = rewritten(SHEET, tmp_path / "in.glb", still), tmp_path / "out.glb"
+    result = invoke("bake", given, "-o", made, "--correctives", "auto", "--json")
+    assert result.exit_code == 0
+    codes = {one["code"] for one in json.loads(result.stdout)["files"][0]["warnings"]}
+    is_free = weights is None or not any(weights)
+    assert ("weights-free" in codes) == is_free
+    assert (made.read_bytes() == given.read_bytes()) == is_free
+    owned = invoke(
+        "bake", given, "-o", tmp_path / "owned.glb", "--correctives", "auto", "--clips-own-weights"
+    )
+    assert owned.exit_code == 0 and "corrective normal" in owned.output
+    assert verify(tmp_path / "owned.glb").exit_code == 0
+    if is_free:
+        back = invoke("strip", tmp_path / "owned.glb", "-o", tmp_path / "back.glb")
+        assert back.exit_code == 0
+        assert (tmp_path / "back.glb").read_bytes() == given.read_bytes()

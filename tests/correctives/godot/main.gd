@@ -38,6 +38,9 @@ func _on_show(arguments: Array) -> void:
 		mesh.custom_aabb = AABB(Vector3.ONE * -1000.0, Vector3.ONE * 2000.0)
 		for surface in mesh.mesh.get_surface_count():
 			mesh.set_surface_override_material(surface, StandardMaterial3D.new())
+		if mesh.name == asked.get("node", ""):
+			for target: int in asked.weights.size():
+				mesh.set_blend_shape_value(target, asked.weights[target])
 	add_child(_scene)
 	var player: AnimationPlayer = _scene.find_children("*", "AnimationPlayer", true, false)[0]
 	player.play(player.get_animation_list()[asked.clip])

@@ -25,14 +25,16 @@ function frame(scene) {
     engine.endFrame();
 }
 
-// The normals that each draw hands on, in the scene.
-window.played = async ({ url, clip, time }) => {
+// The normals that each draw hands on, in the scene. The page sets weights of the morph targets of a node first.
+window.played = async ({ url, clip, time, node, weights = [] }) => {
     const scene = new Scene(engine);
     scene.useRightHandedSystem = true;
     new DirectionalLight('sun', new Vector3(-1, -2, -3), scene);
     scene.activeCamera = new FreeCamera('camera', new Vector3(0, 0, -3), scene);
     const { animationGroups } = await ImportMeshAsync(url, scene, { pluginExtension: '.glb' });
     for (const group of animationGroups) group.stop();
+    const morphed = scene.getMeshByName(node)?.morphTargetManager;
+    weights.forEach((weight, target) => (morphed.getTarget(target).influence = weight));
     animationGroups[clip].start(false);
     animationGroups[clip].pause();
     animationGroups[clip].goToFrame(60 * time);

@@ -28,8 +28,9 @@ camera.setPosition(0, 0, 10);
 app.root.addChild(sun);
 app.root.addChild(camera);
 
-// The normals that each draw hands on, in the scene. isPrecise: morph targets in floats, not in half floats.
-window.played = async ({ url, clip, time, isPrecise = false }) => {
+// The normals that each draw hands on, in the scene. isPrecise: morph targets in floats, not in half floats. The page sets
+// weights of the morph targets of a node first.
+window.played = async ({ url, clip, time, isPrecise = false, node, weights = [] }) => {
     const others = { morphPreferHighPrecision: isPrecise };
     const options = window.optionsFor?.(app, {}, others) ?? others;
     const asset = new pc.Asset(url, 'container', { url, filename: url.split('/').pop() }, null, options);
@@ -41,6 +42,8 @@ window.played = async ({ url, clip, time, isPrecise = false }) => {
     });
     const entity = asset.resource.instantiateRenderEntity();
     app.root.addChild(entity);
+    const morphed = entity.findByName(node)?.render.meshInstances[0].morphInstance;
+    weights.forEach((weight, target) => morphed.setWeight(target, weight));
     entity.addComponent('anim', { activate: true });
     entity.anim.assignAnimation('clip', asset.resource.animations[clip].resource, undefined, 1, false);
     entity.anim.baseLayer.play('clip');

@@ -21,13 +21,16 @@ async function rendererOf(backend) {
 
 window.backend = async (name) => ((await rendererOf(name)).backend?.isWebGPUBackend ? 'webgpu' : 'webgl');
 
-// The normals that each draw hands on, in the scene: the camera stands at the origin.
-window.played = async ({ url, clip, time, backend = 'webgl' }) => {
+// The normals that each draw hands on, in the scene: the camera stands at the origin. The page sets weights of the morph
+// targets of a node first.
+window.played = async ({ url, clip, time, backend = 'webgl', node, weights = [] }) => {
     const renderer = await rendererOf(backend);
     const loader = new GLTFLoader();
     if (window.plugin) loader.register(window.plugin);
     const { scene: model, animations } = await loader.loadAsync(url);
     model.traverse((object) => (object.frustumCulled = false));
+    const morphed = model.getObjectByName(node);
+    weights.forEach((weight, target) => (morphed.morphTargetInfluences[target] = weight));
     const mixer = new THREE.AnimationMixer(model);
     mixer.clipAction(animations[clip]).play();
     mixer.setTime(time);
