@@ -39,8 +39,7 @@ from skinbake.gltf.document import read_document
 from skinbake.gltf.reading.clips import read_clips
 from skinbake.gltf.reading.meshes import skinned_sources
 from skinbake.gradients.baker import bake_primitives
-from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.rest import RestPrimitive
+from skinbake.skinning.rest import Algorithm, RestPrimitive
 from skinbake.threads import Threads
 from skinbake.truth.areas import vertex_areas
 from skinbake.truth.mesh import normalised_weights

@@ -26,8 +26,7 @@ from skinbake.gltf.reading.clips import clip_poses, read_clips
 from skinbake.gltf.reading.meshes import read_primitive, skinned_sources
 from skinbake.gltf.reading.skins import read_skeleton
 from skinbake.measure.tally import ErrorSummary
-from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.rest import RestPrimitive
+from skinbake.skinning.rest import Algorithm, RestPrimitive
 from skinbake.truth.areas import vertex_areas
 from skinbake.truth.mesh import normalised_weights
 from skinbake.truth.operator import gradient_operator

@@ -31,7 +31,7 @@ from skinbake.gltf.reading.meshes import skinned_sources
 from skinbake.gltf.reading.skins import read_skeleton
 from skinbake.measure.tally import ErrorSummary
 from skinbake.shaders.choices import ShaderChoices
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Algorithm
 from skinbake.truth.areas import vertex_areas
 from skinbake.truth.operator import gradient_operator
 from skinbake.truth.truths import rest_frames

@@ -22,7 +22,7 @@ from skinbake.commands.bake_options import BakeOptions
 from skinbake.commands.verify import verify_file
 from skinbake.format.note import BLEND_GRADIENT
 from skinbake.measure.options import VerifyOptions
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Algorithm
 from tests.support import analytic, corpus
 from tests.support.analytic_rest import sample, slots
 from tests.support.baked_files import Editable

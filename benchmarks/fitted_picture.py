@@ -28,7 +28,7 @@ from skinbake.geometry.skinned import IntArray
 from skinbake.gltf.document import read_document
 from skinbake.gltf.reading.clips import read_clips
 from skinbake.gltf.reading.meshes import skinned_sources
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Algorithm
 from skinbake.truth.areas import vertex_areas
 from skinbake.truth.poses import PoseRequest, pose_set
 from tests.support.replay import replay

@@ -11,11 +11,12 @@ from skinbake.geometry.skinned import BoolArray, Float64Array
 from skinbake.gltf.document import Document
 from skinbake.gltf.reading.clips import read_clips
 from skinbake.gltf.reading.meshes import skinned_sources
-from skinbake.measure.angles import MeasuredBlock, lighting_errors, truths_at_rest
-from skinbake.measure.scene import Surface
+from skinbake.measure.angles import MeasuredBlock, lighting_errors
+from skinbake.measure.draws import Surface
 from skinbake.truth.areas import RestAreas
 from skinbake.truth.operator import true_operator
 from skinbake.truth.poses import PoseRequest, PoseSet, draws_of, pose_set
+from skinbake.truth.truths import truths_at_rest
 
 Field = tuple[Float64Array, BoolArray]
 """Errors in degrees (P, V), and whether the true normal exists there (P, V)."""
@@ -73,7 +74,7 @@ def error_fields(
 
     rest = [rest_primitive(view) for view in views]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # as verify measures
-        morphing = Surface(document, views).morphing(poses.morph_weights)
+        morphing = Surface(document, views, lambda: operator).morphing(poses.morph_weights)
         truths = truths_at_rest(operator, rest, len(poses.clips), morphing)
         lighting_errors(
             operator, rest, poses.joint_matrices, method, record, morphing=morphing, at_rest=truths

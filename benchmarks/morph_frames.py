@@ -33,9 +33,8 @@ from skinbake.gltf.writing.additions import Additions
 from skinbake.gltf.writing.output import plan_output
 from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import FileVerdict
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed
-from skinbake.skinning.rest import RestPrimitive
+from skinbake.skinning.rest import Algorithm, RestPrimitive
 from tests.support import analytic, morphing
 from tests.support.replay import replay
 

@@ -30,7 +30,7 @@ from skinbake.jobs.work import Job
 from skinbake.measure.options import VerifyOptions
 from skinbake.measure.reliefs import GOLDEN_TURN, RELIEF_TILT
 from skinbake.report.verify import FileVerdict
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Algorithm
 from tests.support.baking import bake_file
 from tests.support.characters import Array, Character, Placement, Pose, angles, unit
 from tests.support.corpus_folder import find_corpus

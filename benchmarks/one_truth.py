@@ -17,7 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does b
 from skinbake.__main__ import run
 from skinbake.choices import Truth
 from skinbake.measure import measured
-from skinbake.measure.angles import truths_at_rest
+from skinbake.truth.truths import truths_at_rest
 
 
 def main() -> None:

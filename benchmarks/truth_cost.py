@@ -24,7 +24,8 @@ import skinbake
 from benchmarks.processes import SKINBAKE, Command, Rounds, in_turn, median
 from benchmarks.skinned_grid import grid_of, grid_vertices, write_grid
 from skinbake.choices import USUAL_TRUTHS, Method, Truth
-from skinbake.measure.angles import lighting_errors, truths_at_rest
+from skinbake.measure.angles import lighting_errors
+from skinbake.truth.truths import truths_at_rest
 
 BOTH = "both"
 MEASURED = (Method.LBS, Method.DQS)

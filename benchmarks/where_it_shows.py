@@ -29,7 +29,8 @@ from skinbake.freshness.baked_views import sound_views
 from skinbake.geometry.skinned import IntArray
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.reading.clips import Clip, read_clips
-from skinbake.measure.scene import Draw, Scene
+from skinbake.measure.draws import Draw
+from skinbake.measure.scene import Scene, errors_of
 from tests.support.characters import Array
 
 MOMENTS = 49
@@ -88,7 +89,7 @@ class Model:
     def at(self, clip: Clip, moment: float) -> tuple[Array, Array]:
         """Return positions (V, 3) and improvements (V,), 0 where nothing is known."""
         posed = [draw.at(clip, np.array([moment])) for draw in self.draws]
-        errors = [one for draw in posed for one in draw.errors(draw.truths((Truth.TANGENTS,)))]
+        errors = [one for draw in posed for one in errors_of(draw, draw.truths((Truth.TANGENTS,)))]
         standard, accurate = (
             np.concatenate([one[name][0, 0] for one in errors]).astype(np.float64)
             for name in ("standard", "accurate")

@@ -25,14 +25,12 @@ from skinbake.geometry.dual_quaternions import rigid_motions
 from skinbake.gltf.document import read_document
 from skinbake.gltf.reading.clips import read_clips
 from skinbake.gltf.reading.meshes import skinned_sources
-from skinbake.measure.angles import truths_at_rest
-from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.rest import RestPrimitive
+from skinbake.skinning.rest import Algorithm, RestPrimitive
 from skinbake.threads import Threads
 from skinbake.truth.areas import RestAreas
 from skinbake.truth.operator import GradientOperator
 from skinbake.truth.poses import PoseRequest, draws_of, pose_set
-from skinbake.truth.truths import Truths
+from skinbake.truth.truths import Truths, truths_at_rest
 from tests.support.replay import SkinnedSurface, replay
 from tests.support.whole_fields import angular_errors, summarise
 

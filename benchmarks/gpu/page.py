@@ -26,8 +26,8 @@ from benchmarks.gpu.records import (
     measured_errors_of,
 )
 from benchmarks.gpu.variants import PACKED8, STANDARD, VARIANTS
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.counting import multiply_adds
+from skinbake.skinning.rest import Algorithm
 
 FRAME = 16.0
 """Milliseconds of a frame at 60 frames a second, nearly."""

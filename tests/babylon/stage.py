@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from skinbake.shaders.engines import engines_folder
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Algorithm
 from tests.support.characters import Array, Character, Placement
 from tests.support.node import build_page, package_folder, require_node
 from tests.support.stage import Stage, opened_page, page_of

@@ -17,7 +17,7 @@ import pytest
 from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Encoding, Layout, Scheme
 from skinbake.format.encodings import GradientFormat
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Algorithm
 from tests.babylon.stage import DEGREES, expected, opened_stage
 from tests.support import after_bake, corpus, gltf_reading
 from tests.support.baked_files import Editable

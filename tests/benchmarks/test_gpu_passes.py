@@ -28,8 +28,7 @@ from skinbake.commands.verify import verify_file
 from skinbake.format.encodings import rounded
 from skinbake.geometry import frames
 from skinbake.measure.options import VerifyOptions
-from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.rest import RestPrimitive
+from skinbake.skinning.rest import Algorithm, RestPrimitive
 from skinbake.truth.poses import PoseRequest
 from tests.benchmarks.gpu_outputs import Outputs, matrices, smooth_sheet, split_sheet
 from tests.support import corpus

@@ -16,8 +16,8 @@ from skinbake.commands.shader import shader
 from skinbake.errors import ChoiceError
 from skinbake.format.encodings import GradientFormat
 from skinbake.shaders.choices import AttributeText, ShaderChoices, ShaderRequest
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed
+from skinbake.skinning.rest import Algorithm
 from tests.bevy.compose import compose, without_comments
 from tests.bevy.link import link
 from tests.bevy.running import (

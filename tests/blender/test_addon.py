@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 import skinbake
 from skinbake.gltf.document import read_document
 from skinbake.gltf.reading.meshes import read_primitive, skinned_sources
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Algorithm
 from tests.blender.running import Session
 from tests.support import corpus, gltf_reading
 from tests.support.characters import Array, Character, Placement, Pose, angles

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.rest import RestPrimitive
+from skinbake.skinning.rest import Algorithm, RestPrimitive
 from tests.blender.running import outside_python, require_blender
 from tests.support.characters import Array
 from tests.support.replay import replay

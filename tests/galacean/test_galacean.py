@@ -17,7 +17,7 @@ from fixtures.make_fixtures import FOLDER as FIXTURES
 from skinbake.choices import Baseline, Encoding, Layout, Scheme
 from skinbake.format.encodings import GradientFormat
 from skinbake.shaders.engines import engines_folder
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Algorithm
 from tests.support import after_bake, corpus, gltf_reading
 from tests.support.baked_files import Editable
 from tests.support.baking import bake_file

@@ -21,7 +21,7 @@ from fixtures.make_fixtures import FOLDER as FIXTURES
 from skinbake.choices import Encoding, Frame, Layout
 from skinbake.format.encodings import GradientFormat
 from skinbake.shaders.engines import engines_folder
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Algorithm
 from tests.godot.storage import as_stored
 from tests.support import after_bake, browser, corpus
 from tests.support.baked_files import Editable

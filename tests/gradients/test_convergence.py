@@ -9,8 +9,7 @@ import pytest
 
 from skinbake.choices import Weighting
 from skinbake.geometry.skinned import Float64Array
-from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.rest import RestPrimitive
+from skinbake.skinning.rest import Algorithm, RestPrimitive
 from skinbake.truth.areas import vertex_areas
 from tests.support.baked_arrays import bake_one
 from tests.support.baking import bake_settings

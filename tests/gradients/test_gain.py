@@ -14,8 +14,7 @@ from skinbake.gltf.document import read_document
 from skinbake.gltf.reading.clips import clip_poses, read_clips
 from skinbake.gltf.reading.skins import random_poses, read_skeleton
 from skinbake.gradients.baker import BakeSettings, bake_primitives
-from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.rest import RestPrimitive
+from skinbake.skinning.rest import Algorithm, RestPrimitive
 from skinbake.truth.areas import vertex_areas
 from skinbake.truth.mesh import normalised_weights
 from skinbake.truth.operator import gradient_operator

@@ -6,14 +6,16 @@ import numpy as np
 
 from skinbake.choices import Frame
 from skinbake.errors import Place
+from skinbake.format.baked import Baked
+from skinbake.format.note import GradientNote
 from skinbake.geometry.skinned import BakedPrimitive, SkinnedPrimitive
 from skinbake.gltf.asset import PrimitiveSource
-from skinbake.measure.unwritten import UnwrittenBake, cut_out
+from skinbake.measure.guard import cut_out
 
 COUNT = 400
 
 
-def made(generator: np.random.Generator, number: int) -> UnwrittenBake:
+def made(generator: np.random.Generator, number: int) -> Baked:
     """Return a primitive of random triangles, whose positions are of so few that many are copies."""
     positions = generator.choice(np.array([-0.0, 0.0, 0.1, 0.3, 1.0, -2.5, 7.0], np.float32), size=(COUNT, 3))
     weights = np.zeros((COUNT, 4), dtype=np.float32)
@@ -36,7 +38,7 @@ def made(generator: np.random.Generator, number: int) -> UnwrittenBake:
         classes=np.arange(COUNT),
     )
     source = PrimitiveSource(0, number, {}, 1, Place("model.glb"))
-    return UnwrittenBake(source, primitive, baked)
+    return Baked(source, primitive, baked, dict, GradientNote())
 
 
 def test_a_part_has_all_triangles_at_the_places_of_its_vertices() -> None:
@@ -56,7 +58,7 @@ def test_a_part_has_all_triangles_at_the_places_of_its_vertices() -> None:
         ]
         assert names[part.primitive.triangles].tolist() == near
         assert near
-        assert (part.baked.alpha[:, 0] == names).all()
-        assert (names[part.baked.adopting] == part.baked.adopted[:, 0]).all()
-        assert set(names) & set(bakes[number].baked.adopting) == set(part.baked.adopted[:, 0])
+        assert (part.result.alpha[:, 0] == names).all()
+        assert (names[part.result.adopting] == part.result.adopted[:, 0]).all()
+        assert set(names) & set(bakes[number].result.adopting) == set(part.result.adopted[:, 0])
     assert numbers == [0, 1]

@@ -17,7 +17,7 @@ from skinbake.choices import USUAL_TRUTHS, FrameChoice, Gradients, Neighbours, P
 from skinbake.commands.verify import verify_file
 from skinbake.freshness.baked_views import baked_views
 from skinbake.freshness.staleness import surface_operator
-from skinbake.geometry.skinned import SkinnedPrimitive
+from skinbake.geometry.skinned import IntArray, SkinnedPrimitive
 from skinbake.gltf.document import read_document
 from skinbake.gltf.reading.meshes import skinned_sources
 from skinbake.gradients.baker import BakeSettings, bake_primitives
@@ -25,9 +25,8 @@ from skinbake.measure import angles
 from skinbake.measure import angles as lighting
 from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import FileVerdict, Normals
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Vector
-from skinbake.skinning.rest import RestPrimitive
+from skinbake.skinning.rest import Algorithm, RestPrimitive
 from skinbake.truth import blending, normals
 from skinbake.truth.blending import BlendedPrimitive
 from skinbake.truth.mesh import normalised_weights
@@ -514,7 +513,7 @@ def test_a_baseline_and_a_cap_change_what_they_should(tmp_path: Path) -> None:
 class Tilted(BlendedPrimitive):
     """A replay whose algorithm 2 is wrong by 1e-5."""
 
-    def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
+    def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice | IntArray) -> list[Vector]:
         found = super().normals(algorithms, pose, part)
         direct = algorithms.index(Algorithm.LBS_DIRECT)
         x, y, z = found[direct]

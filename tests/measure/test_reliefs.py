@@ -12,7 +12,7 @@ from skinbake.freshness.baked_views import sound_views
 from skinbake.freshness.expected import true_operator_of
 from skinbake.gltf.document import read_document
 from skinbake.measure.reliefs import GOLDEN_TURN, RELIEF_TILT
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Algorithm
 from skinbake.truth.areas import vertex_areas
 from tests.support.baked_files import Editable, source, verify
 from tests.support.baking import bake_file

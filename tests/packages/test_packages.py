@@ -22,7 +22,7 @@ import pytest
 from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Baseline
 from skinbake.shaders.engines import engines_folder
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Algorithm
 from tests.support.characters import Character, Placement, Pose, angles, baked
 from tests.support.node import package_folder, require_node, run_program
 from tests.support.stage import Stage, opened_page, page_of

@@ -30,7 +30,7 @@ from skinbake.measure.scene import Scene, attachments
 from skinbake.render import studio
 from skinbake.render.studio import MODES, Look, Studio
 from skinbake.render.subject import YAW, Camera, Shot, Subject
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Algorithm
 from skinbake.truth.operator import GradientOperator
 from tests.support.baked_files import Editable
 from tests.support.characters import Array, Character, Pose, baked, by_numbers

@@ -16,7 +16,7 @@ from skinbake.gltf.document import read_document
 from skinbake.render.studio import placed
 from skinbake.render.subject import YAW, Camera
 from skinbake.render.thumbnail import SIZE, SUPERSAMPLING, Posed, png, thumbnail
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Algorithm
 from tests.support.baked_files import Editable
 from tests.support.characters import baked
 from tests.support.models import bake, sheet, write_model

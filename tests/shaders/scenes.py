@@ -20,10 +20,9 @@ from skinbake.gltf.document import read_document
 from skinbake.gltf.reading.clips import read_clips
 from skinbake.gltf.reading.meshes import skinned_sources
 from skinbake.shaders.choices import ShaderChoices
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import PosedVertex
 from skinbake.skinning.normal_maps import engine_mapped_normal, in_frame, mapped_normal
-from skinbake.skinning.rest import RestPrimitive
+from skinbake.skinning.rest import Algorithm, RestPrimitive
 from skinbake.truth.poses import PoseRequest, pose_set
 from tests.shaders.combinations import ATTRIBUTES, TEXELS, columns
 from tests.support import analytic, corpus

@@ -23,9 +23,8 @@ from skinbake.commands.shader import ShaderResult, shader
 from skinbake.errors import ChoiceError
 from skinbake.geometry.morphs import Differences, MorphTarget, MorphTargets
 from skinbake.shaders.choices import ALGORITHMS, ShaderChoices, ShaderRequest
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed
-from skinbake.skinning.rest import RestPrimitive
+from skinbake.skinning.rest import Algorithm, RestPrimitive
 from tests.shaders.combinations import label, motion_kind
 from tests.shaders.judged import TOLERANCE, term_lengths
 from tests.shaders.running import done

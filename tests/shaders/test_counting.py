@@ -9,8 +9,8 @@ import pytest
 
 from skinbake.choices import Frame, Language, Lighting, Method
 from skinbake.shaders.choices import ShaderChoices
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.counting import multiply_adds
+from skinbake.skinning.rest import Algorithm
 from tests.shaders.combinations import FRAMES, INFLUENCES, combinations, glsl
 from tests.shaders.spirv_counting import Module
 from tests.support import glslang

@@ -33,9 +33,8 @@ from skinbake.geometry.morphs import (
 )
 from skinbake.geometry.skinned import Float32Array
 from skinbake.shaders.choices import ALGORITHMS, ShaderChoices, ShaderRequest
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed
-from skinbake.skinning.rest import RestPrimitive
+from skinbake.skinning.rest import Algorithm, RestPrimitive
 from tests.shaders.combinations import usage
 from tests.support import analytic, glslang, morphing, opengl
 from tests.support.analytic_rest import rest_primitive, sample

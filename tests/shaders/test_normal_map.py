@@ -10,8 +10,8 @@ import pytest
 from skinbake.choices import Frame, Language, Lighting, Method
 from skinbake.errors import ChoiceError
 from skinbake.shaders.choices import ShaderChoices
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.counting import multiply_adds
+from skinbake.skinning.rest import Algorithm
 from tests.shaders.combinations import glsl
 from tests.shaders.spirv_counting import Module
 from tests.support import analytic, glslang, opengl

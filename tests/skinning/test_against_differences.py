@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Algorithm
 from tests.support import analytic
 from tests.support.analytic_rest import rest_primitive, sample, slots
 from tests.support.replay import replay

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from skinbake.choices import Baseline
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.blended import accurate
 from skinbake.skinning.components import PosedVertex
 from skinbake.skinning.counting import Count, Sign, Tally
+from skinbake.skinning.rest import Algorithm
 from tests.support import analytic
 from tests.support.analytic_rest import rest_primitive, sample, slots
 from tests.support.blended_surface import RIGID, blended_rest, blended_surface

@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.counting import (
     Count,
     Tally,
@@ -16,6 +15,7 @@ from skinbake.skinning.counting import (
     multiply_adds,
     vertex_bytes,
 )
+from skinbake.skinning.rest import Algorithm
 
 # Right margin of the supplemental material's pseudo-code, line by line, n being the paper's N_max.
 PAPER: dict[Algorithm, Callable[[int], list[int]]] = {

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from skinbake.geometry.morphs import Differences, MorphTarget, MorphTargets
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed
-from skinbake.skinning.rest import RestPrimitive
+from skinbake.skinning.rest import Algorithm, RestPrimitive
 from tests.support import analytic, morphing
 from tests.support.analytic import Array
 from tests.support.replay import replay

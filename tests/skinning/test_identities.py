@@ -10,8 +10,7 @@ import pytest
 
 from skinbake.geometry.dual_quaternions import RigidMotions, rigid_motions
 from skinbake.skinning import run
-from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.rest import Options, RestPrimitive
+from skinbake.skinning.rest import Algorithm, Options, RestPrimitive
 from skinbake.skinning.run import Skinning
 from tests.support import analytic
 from tests.support import replay as replaying

@@ -10,9 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from skinbake.geometry.frames import frame_from_normal
 from skinbake.geometry.morphs import Differences, MorphTarget, MorphTargets
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.morphs import morphed
-from skinbake.skinning.rest import RestPrimitive
+from skinbake.skinning.rest import Algorithm, RestPrimitive
 from tests.support import analytic, morphing
 from tests.support.analytic_rest import rest_primitive, sample, slots
 from tests.support.replay import replay

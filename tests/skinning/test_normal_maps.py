@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import PosedVertex
 from skinbake.skinning.counting import multiply_adds
 from skinbake.skinning.normal_maps import engine_mapped_normal, in_frame, mapped_normal
-from skinbake.skinning.rest import RestPrimitive
+from skinbake.skinning.rest import Algorithm, RestPrimitive
 from tests.support import analytic
 from tests.support.analytic_rest import rest_primitive, sample, slots
 from tests.support.replay import SkinnedSurface, replay

@@ -9,8 +9,7 @@ import pytest
 
 from skinbake.choices import Baseline
 from skinbake.options import PUBLISHED_CAP
-from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.rest import RestPrimitive
+from skinbake.skinning.rest import Algorithm, RestPrimitive
 from tests.support import analytic
 from tests.support.analytic_rest import poses, rest_primitive, sample
 from tests.support.replay import replay

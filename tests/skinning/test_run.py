@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Algorithm
 from tests.support import analytic_rest
 from tests.support import replay as replaying
 from tests.support.replay import replay

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from skinbake.geometry.dual_quaternions import polar_quaternions, scaled_motions
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.counting import multiply_adds
+from skinbake.skinning.rest import Algorithm
 from tests.support import analytic
 from tests.support.analytic_rest import poses, rest_primitive, sample, slots
 from tests.support.replay import replay

@@ -20,8 +20,7 @@ from skinbake.geometry.poses import random_rotations
 from skinbake.gltf.document import read_document
 from skinbake.gltf.reading.clips import clip_poses, read_clips
 from skinbake.gltf.reading.skins import random_poses, read_skeleton
-from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.rest import RestPrimitive
+from skinbake.skinning.rest import Algorithm, RestPrimitive
 from tests.support import gltf_reading
 from tests.support.baked_files import Editable
 from tests.support.baking import bake_file

@@ -12,9 +12,9 @@ import numpy as np
 from PIL import Image
 
 from fixtures.make_fixtures import FOLDER
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import PosedVertex
 from skinbake.skinning.normal_maps import engine_mapped_normal, in_frame, mapped_normal
+from skinbake.skinning.rest import Algorithm
 from tests.support.baked_files import Editable
 from tests.support.characters import Array, Character, Placement, angles, unit
 from tests.support.rasterised import covering, eroded

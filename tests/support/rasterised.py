@@ -12,7 +12,7 @@ from skinbake.gltf.document import read_document
 from skinbake.gltf.reading.clips import clip_poses, random_clip, read_clips
 from skinbake.gltf.reading.meshes import skinned_sources
 from skinbake.gltf.reading.skins import read_skeleton
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Algorithm
 from tests.support.characters import Array, unit
 from tests.support.replay import replay
 

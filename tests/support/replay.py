@@ -11,10 +11,9 @@ import numpy.typing as npt
 from skinbake.choices import Baseline
 from skinbake.geometry.dual_quaternions import RIGID_TOLERANCE
 from skinbake.geometry.skinned import FloatArray
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.blended import BlendedSkinning
 from skinbake.skinning.components import PosedVertex
-from skinbake.skinning.rest import Options, RestPrimitive
+from skinbake.skinning.rest import Algorithm, Options, RestPrimitive
 from skinbake.skinning.run import Skinning
 
 BLOCK_BYTES = 65536

@@ -13,7 +13,7 @@ import pytest
 from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Encoding, Layout
 from skinbake.format.encodings import GradientFormat
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Algorithm
 from tests.support.baked_files import Editable
 from tests.support.characters import (
     AS_USUAL,

@@ -16,7 +16,7 @@ from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Encoding, Scheme
 from skinbake.format.encodings import GradientFormat
 from skinbake.shaders.engines import engines_folder
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Algorithm
 from tests.support import after_bake, corpus, gltf_reading, gltf_transform
 from tests.support.baked_files import Editable
 from tests.support.baking import bake_file

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from skinbake.shaders.engines import engines_folder
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Algorithm
 from tests.support.characters import Placement
 from tests.support.node import build_page, package_folder, require_node
 from tests.support.stage import opened_page, page_of

@@ -24,7 +24,7 @@ from skinbake.commands.shader import shader
 from skinbake.errors import ChoiceError
 from skinbake.format.encodings import GradientFormat
 from skinbake.shaders.choices import ShaderChoices, ShaderRequest
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Algorithm
 from tests.support import browser, corpus
 from tests.support.baked_files import Editable
 from tests.support.baking import bake_file

@@ -16,7 +16,7 @@ import pytest
 
 from skinbake.format.encodings import GradientFormat
 from skinbake.shaders.engines import engines_folder
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Algorithm
 from tests.support import corpus
 from tests.support.characters import (
     Array,

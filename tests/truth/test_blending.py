@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from skinbake.choices import Baseline
-from skinbake.geometry.skinned import Float64Array
-from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.rest import Options, RestPrimitive
+from skinbake.geometry.skinned import Float64Array, IntArray
+from skinbake.skinning.rest import Algorithm, Options, RestPrimitive
 from skinbake.truth import blending
 from skinbake.truth.blending import BlendedPrimitive, blended_blocks
 from tests.support.replay import replay
@@ -37,7 +36,7 @@ def surface(slots: int, seed: int = 0) -> RestPrimitive:
     )
 
 
-def rows_of(rest: RestPrimitive, part: slice) -> RestPrimitive:
+def rows_of(rest: RestPrimitive, part: slice | IntArray) -> RestPrimitive:
     names = ("positions", "normals", "tangents", "bitangents", "joints", "weights", "alpha", "beta")
     return replace(rest, **{name: getattr(rest, name)[part] for name in names})
 

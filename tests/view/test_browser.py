@@ -16,9 +16,10 @@ from skinbake.gltf.document import read_document
 from skinbake.gltf.reading.clips import clip_poses, read_clips
 from skinbake.gltf.reading.meshes import skinned_sources
 from skinbake.gltf.reading.skins import read_skeleton
-from skinbake.measure.angles import MeasuredBlock, lighting_errors, truths_at_rest
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.measure.angles import MeasuredBlock, lighting_errors
+from skinbake.skinning.rest import Algorithm
 from skinbake.truth.operator import gradient_operator
+from skinbake.truth.truths import truths_at_rest
 from tests.support import browser, corpus
 from tests.support.baking import bake_file
 from tests.support.characters import Array, Character, Placement, Pose, angles

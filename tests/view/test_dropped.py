@@ -19,8 +19,8 @@ from skinbake.gltf.document import read_document
 from skinbake.gltf.reading.clips import clip_poses, read_clips
 from skinbake.gltf.reading.meshes import skinned_sources
 from skinbake.gltf.reading.skins import read_skeleton
-from skinbake.measure.scene import Surface
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.measure.scene import Scene
+from skinbake.skinning.rest import Algorithm
 from skinbake.truth.poses import PoseRequest, draws_of, pose_set
 from tests.support import browser
 from tests.support.baked_files import Editable
@@ -161,7 +161,7 @@ def test_morph_targets_come_before_skinning(
     clips = read_clips(document)
     ((skin, node),) = draws_of(document, 0, clips)
     poses = pose_set(document, skin, clips, PoseRequest(samples=5), node)
-    morphing = Surface(document, views).morphing(poses.morph_weights)
+    morphing = Scene(document, views).surfaces[0].morphing(poses.morph_weights)
     assert morphing is not None
     take(browsing, path)
     pose = 3

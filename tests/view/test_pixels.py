@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fixtures.make_fixtures import FOLDER
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Algorithm
 from tests.support import browser
 from tests.support.characters import Array, Character, Pose, baked, by_numbers
 from tests.support.mapped import TEXELS, relief_angles, unfolded, with_relief

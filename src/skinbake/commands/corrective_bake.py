@@ -11,7 +11,7 @@ import numpy as np
 from skinbake.choices import USUAL_TRUTHS, CorrectiveAim, Encoding, FrameChoice, Gradients
 from skinbake.commands.bake_options import BakeOptions
 from skinbake.commands.gradient_bake import BakedDocument, bake_gradients
-from skinbake.commands.surface_bake import SurfaceBake, bake_surfaces, unwritten
+from skinbake.commands.surface_bake import SurfaceBake, bake_surfaces
 from skinbake.correctives.fit import (
     LEAST_HELD_BACK,
     LEAST_KEYS,
@@ -35,6 +35,7 @@ from skinbake.format.correctives import (
 )
 from skinbake.format.encodings import GradientFormat
 from skinbake.format.strip import uncorrected
+from skinbake.freshness.baked_views import BakedView, rest_primitive
 from skinbake.freshness.corrective_freshness import PlayedClips, PlayedCorrectives
 from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Cost
@@ -251,7 +252,8 @@ def _fitted(
         if accurate:
             # With the α and β that a bake would give them.
             surface = SurfaceBake.of(document, sources, replace(options, frame=FrameChoice.NORMAL))
-            rest = [bake.rest_primitive() for bake in unwritten(surface.plain(surface.primitives))]
+            bakes = surface.plain(surface.primitives)
+            rest = [rest_primitive(BakedView.unwritten(bake.to_store)) for bake in bakes]
         else:
             rest = [rest_of(one, src.joint_count) for src, one in zip(sources, primitives, strict=True)]
     # A motion is a chosen clip at a node. Nodes that draw alike have one.

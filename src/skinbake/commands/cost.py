@@ -6,8 +6,8 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.counting import Cost, cost_table, multiply_adds, normal_map_cost
+from skinbake.skinning.rest import Algorithm
 from skinbake.wording import counted
 
 SCHEMA = "skinbake.cost/1"

@@ -9,7 +9,7 @@ import numpy as np
 
 from skinbake.choices import Encoding, Scheme
 from skinbake.commands.bake_options import BakeOptions
-from skinbake.commands.surface_bake import PrimitiveBake, bake_surfaces, unwritten
+from skinbake.commands.surface_bake import PrimitiveBake, bake_surfaces
 from skinbake.errors import Chosen, InputError, Message, Notice, Place
 from skinbake.format.attribute_store import tell_level_ignored, tell_stored_otherwise
 from skinbake.format.baked import with_baked
@@ -195,7 +195,7 @@ def _encoding_cost(
     encoding = str(storage.encoding)
     chosen = Chosen("encoding", storage.encoding)
     try:
-        added = added_by_encoding(document, unwritten(bakes), storage)
+        added = added_by_encoding(document, [bake.to_store for bake in bakes], storage)
         if added is not None and added.mean > SUSPECT * added.effect:
             from skinbake.measure.measured import lighting_of  # few encodings lose so much
 

@@ -20,13 +20,13 @@ from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.reading.clips import RANDOM, Clip
 from skinbake.gltf.writing.output import refuse_own_input
-from skinbake.measure.angles import INSIDE_OUT, METHODS, Corrections
-from skinbake.measure.scene import Draw, Scene, claim_draws
+from skinbake.measure.angles import INSIDE_OUT, METHODS
+from skinbake.measure.draws import Corrections, Draw
+from skinbake.measure.scene import Scene, claim_draws
 from skinbake.report.normals import PosedNormals, line
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.blended import BlendedSkinning
 from skinbake.skinning.components import Vector
-from skinbake.skinning.rest import Options, RestPrimitive
+from skinbake.skinning.rest import Algorithm, Options, RestPrimitive
 from skinbake.skinning.run import Skinning
 from skinbake.threads import Threads, thread_count
 from skinbake.truth.blending import sides_of

@@ -25,14 +25,14 @@ from skinbake.gltf.reading.clips import RANDOM, Clip, random_clip, read_clips
 from skinbake.gltf.reading.meshes import reason_to_skip, skinned_sources
 from skinbake.gltf.reading.skins import Skeleton, rest_pose
 from skinbake.gltf.writing.output import refuse_own_input
-from skinbake.measure.scene import LIGHTINGS, Attachment, Draw, Scene, attachments, claim_draws
+from skinbake.measure.draws import Draw
+from skinbake.measure.scene import LIGHTINGS, Attachment, Scene, attachments, claim_draws, errors_of
 from skinbake.render.materials import CLAY, WHITE, Materials
 from skinbake.render.pictures import MILLISECONDS, MOVING, captioned, encoded
 from skinbake.render.studio import Look, Picture, Studio, placed, require_packages
 from skinbake.render.subject import YAW, Shot, Subject
 from skinbake.render.thumbnail import Posed, thumbnail
-from skinbake.skinning.algorithms import Algorithm
-from skinbake.skinning.rest import Options, RestPrimitive
+from skinbake.skinning.rest import Algorithm, Options, RestPrimitive
 from skinbake.skinning.run import Skinning
 from skinbake.wording import counted
 
@@ -348,7 +348,7 @@ def _shots(
     count = len(draws[0].matrices)
     errors: list[dict[str, Float32Array]] = []
     if options.look.mode == "error":
-        errors = [one for draw in draws for one in draw.errors()]
+        errors = [one for draw in draws for one in errors_of(draw)]
         for one in rigid:  # nothing is known of what has no skin
             nothing = np.zeros((2, count, len(one.rest.positions)), np.float32)
             errors.append(dict.fromkeys(LIGHTINGS, nothing))

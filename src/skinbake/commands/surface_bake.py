@@ -35,7 +35,6 @@ from skinbake.version import FIT
 
 if TYPE_CHECKING:
     from skinbake.format.influences import Extended, Limited
-    from skinbake.measure.unwritten import UnwrittenBake
 
 LARGE = 1 << 17
 """The vertices of a surface from which on the digests of its arrays are made beside the bake."""
@@ -68,7 +67,7 @@ def bake_surfaces(
         with stage("guard"):
             from skinbake.measure.guard import UNBAKED, kept_eighths  # it poses: other kinds of bakes do not
 
-            kept = kept_eighths(document, [unwritten(own) for own in made])
+            kept = kept_eighths(document, [[bake.to_store for bake in own] for own in made])
         left = [
             bake.source.place
             for bakes, own in zip(made, kept, strict=True)
@@ -310,8 +309,8 @@ class PrimitiveBake:
         if self.extended is not None:
             # The price of an influence set more, of the types that it has with its adopted joints.
             from skinbake.format.influences import with_adopted
-            from skinbake.skinning.algorithms import Algorithm
             from skinbake.skinning.counting import multiply_adds
+            from skinbake.skinning.rest import Algorithm
 
             before = influences - SLOTS_PER_SET
             added = with_adopted(self.extended.stored, self.result.adopting, self.result.adopted)[-1]
@@ -341,13 +340,6 @@ class PrimitiveBake:
             limited=None if part is None else LimitCost(influences, part.vertices, part.left_out),
             extended=extended,
         )
-
-
-def unwritten(bakes: Sequence[PrimitiveBake]) -> list[UnwrittenBake]:
-    """Return the bakes as a replay reads them, before anything is written."""
-    from skinbake.measure.unwritten import UnwrittenBake
-
-    return [UnwrittenBake(bake.source, bake.primitive, bake.result) for bake in bakes]
 
 
 def _changed(

@@ -24,7 +24,8 @@ from skinbake.gltf.budget import Work
 from skinbake.gltf.document import Document
 from skinbake.gltf.reading.clips import Clip, random_clip, read_clips
 from skinbake.measure.angles import MeasuredBlock
-from skinbake.measure.scene import Draw, attachments, claim_draws
+from skinbake.measure.draws import Draw
+from skinbake.measure.scene import attachments, claim_draws, errors_of, measure
 from skinbake.report.verify import NEGLIGIBLE
 from skinbake.truth.areas import vertex_areas
 
@@ -235,7 +236,7 @@ class _Search:
                     poses = slice(block.pose, block.pose + len(gains))
                     total[poses] += np.maximum(gains, 0.0) @ self.patches[number][rows]
 
-            posed.measure(record, self._truths(number, posed))
+            measure(posed, record, self._truths(number, posed))
             found.append(total)
         return found
 
@@ -267,7 +268,7 @@ class _Search:
         if draw not in moment.errors:
             posed = moment.posed[draw]
             improved = "corrected" if posed.corrections else "accurate"
-            known = posed.errors(self._truths(draw, posed))
+            known = errors_of(posed, self._truths(draw, posed))
             found = np.array(
                 [np.concatenate([one[name][0] for one in known], axis=1) for name in ("standard", improved)],
                 np.float64,

@@ -23,9 +23,8 @@ import numpy as np
 
 from skinbake.geometry.frames import frame_from_normal, unit_normals
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, SkinnedPrimitive
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Vector, cross, dot, scaled
-from skinbake.skinning.rest import Options, RestPrimitive
+from skinbake.skinning.rest import Algorithm, Options, RestPrimitive
 from skinbake.threads import Threads, thread_count
 from skinbake.truth import kernel
 from skinbake.truth.blending import BlendedPrimitive, sides_of

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,6 +27,9 @@ from skinbake.timing import stage
 from skinbake.truth.mesh import normalised_weights
 from skinbake.wording import counted
 
+if TYPE_CHECKING:
+    from skinbake.format.baked import Baked
+
 
 @dataclass(frozen=True, slots=True)
 class BakedView:
@@ -47,6 +51,16 @@ class BakedView:
     changed: tuple[str, ...]
     rounding: Float64Array
     blend: Float64Array | None = None
+
+    @classmethod
+    def unwritten(cls, baked: Baked) -> BakedView:
+        """Return a bake as it will be read, before it is written. Adopted joints have weight 0."""
+        primitive, result = baked.primitive, baked.result
+        joints = np.where(result.adopted_joints >= 0, result.adopted_joints, primitive.joints)
+        now = primitive.with_influences(joints, primitive.weights)
+        frame = frame_vectors(primitive, result.frame)
+        none = np.zeros((len(joints), 2))
+        return cls(baked.source, baked.note, now, result.alpha, result.beta, *frame, (), none)
 
     @property
     def kind(self) -> Gradients:

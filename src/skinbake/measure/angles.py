@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
 
-from skinbake.choices import USUAL_TRUTHS
 from skinbake.geometry import dual_quaternions
-from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, blocks
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray, blocks
+from skinbake.measure.draws import Corrections
 from skinbake.skinning.blended import BlendedSkinning
 from skinbake.skinning.components import Vector, cross, dot, scaled
-from skinbake.skinning.rest import Options, RestPrimitive
+from skinbake.skinning.rest import Algorithm, Options, RestPrimitive
 from skinbake.skinning.run import Skinning, joints_in_use
 from skinbake.threads import Threads, thread_count
 from skinbake.timing import stage
@@ -24,7 +23,7 @@ from skinbake.truth.areas import squared_cross
 from skinbake.truth.blending import BlendedPrimitive, chunks, sides_of
 from skinbake.truth.normals import ClassSums
 from skinbake.truth.operator import GradientOperator
-from skinbake.truth.truths import ChunkMemory, Truths, VertexBlock
+from skinbake.truth.truths import ChunkMemory, Truths, VertexBlock, truths_at_rest
 
 if TYPE_CHECKING:
     from skinbake.truth.morphing import Morphing
@@ -70,28 +69,6 @@ class MeasuredBlock:
     vertex: int
     errors: Float32Array
     valid: BoolArray
-
-
-@dataclass(frozen=True, slots=True)
-class Corrections:
-    """The correctives of a mesh, in the poses of a draw: standard lighting of normals that targets change.
-
-    By primitive, targets are changes of unit normals (K, V, 3), and weights (P, K).
-    """
-
-    targets: Sequence[Float64Array]
-    weights: Sequence[Float64Array]
-
-    def normals(
-        self, primitive: int, skinned: BlendedPrimitive, at: slice, first_pose: int, rows: slice
-    ) -> Vector:
-        """Return the drawn normals of some vertices, components (P, B). first_pose is that of ``at``."""
-        count = at.stop - at.start
-        change = np.zeros((3, rows.stop - rows.start, count))
-        weights = self.weights[primitive][first_pose : first_pose + count]
-        for target, weight in zip(self.targets[primitive], weights.T, strict=True):
-            change += target[rows].T[:, :, None] * weight
-        return tuple(axis.T for axis in skinned.changed_normals(at, rows, change))
 
 
 def not_rigid_joints(primitives: Sequence[RestPrimitive], joint_matrices: Float64Array) -> list[int]:
@@ -147,24 +124,6 @@ def lighting_errors(  # noqa: PLR0913  # five arguments are optional, and by key
                     advance(deformed.shape[2] * (block.part.stop - block.part.start) / vertices)
             identity.close()
     return identity.largest
-
-
-def truths_at_rest(
-    operator: GradientOperator,
-    primitives: Sequence[RestPrimitive],
-    poses: int,
-    morphing: Morphing | None,
-    names: Sequence[str] = USUAL_TRUTHS,
-) -> Truths:
-    """Measure a mesh at rest, for any number of calls of ``lighting_errors`` with so many poses.
-
-    names are one or both of ``USUAL_TRUTHS``.
-    """
-    parts = chunks(len(operator.positions), poses)
-    most = max((part.stop - part.start for part in parts), default=0)
-    with stage("truths"):
-        # Under morph targets, poses are measured one at a time.
-        return Truths.of(operator, primitives, min(most, 1) if morphing else most, names)
 
 
 @dataclass(frozen=True, slots=True)
@@ -393,7 +352,7 @@ Compared: TypeAlias = tuple[FloatArray, FloatArray]
 """What ``compared_normals`` returns for a block."""
 
 
-def primitive_for_direct(primitive: RestPrimitive, part: slice) -> RestPrimitive:
+def primitive_for_direct(primitive: RestPrimitive, part: slice | IntArray) -> RestPrimitive:
     """Return the vertices from which algorithm 2 equals algorithm 3, even in a slightly skewed frame.
 
     n0 is ± t0 × b0. The gradients are in the dual basis: their products with t0 and b0 *are* α and β. NORMAL

@@ -16,9 +16,10 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.reading.clips import MORPH_WEIGHTS, Clip, clip_values, clip_weights
 from skinbake.gltf.reading.skins import PATHS, Skeleton
 from skinbake.measure.angles import MeasuredBlock
+from skinbake.measure.draws import Draw
 from skinbake.measure.measured import Measurement, bakeable
 from skinbake.measure.options import VerifyOptions
-from skinbake.measure.scene import Draw, Scene
+from skinbake.measure.scene import Scene, measure
 from skinbake.report.verify import Check, FileVerdict, Mixture
 
 WORSE, ROUNDING = 1.005, 1e-3
@@ -136,7 +137,7 @@ def _mixture(
             total[0] += float((errors * areas).sum())
             total[1] += float((block.valid * areas).sum())
 
-    mixed.measure(add)
+    measure(mixed, add)
     means = {key: total / max(weight, 1e-300) for key, (total, weight) in sums.items()}
     by_truth = [
         {truth: mean for (of, truth), mean in means.items() if of == lighting}

@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from skinbake.format.baked import Baked
 from skinbake.format.encodings import GradientFormat, rounded, shortened
+from skinbake.freshness.baked_views import BakedView, rest_primitive
 from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.gltf.document import Document
 from skinbake.gltf.reading.clips import read_clips
 from skinbake.measure.tally import ErrorTally
-from skinbake.measure.unwritten import UnwrittenBake
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import dot
-from skinbake.skinning.rest import RestPrimitive
+from skinbake.skinning.rest import Algorithm, RestPrimitive
 from skinbake.truth.areas import RestAreas, angles_between
 from skinbake.truth.blending import blended_blocks
 from skinbake.truth.poses import PoseRequest, PoseSet, pose_set
@@ -73,7 +73,7 @@ def added_error(primitives: Iterable[EncodedPrimitive]) -> AddedError | None:
 
 
 def added_by_encoding(
-    document: Document, bakes: Sequence[UnwrittenBake], storage: GradientFormat
+    document: Document, bakes: Sequence[Baked], storage: GradientFormat
 ) -> AddedError | None:
     """Return the angle between accurate normals with α and β as ``storage`` rounds them, and as float32.
 
@@ -84,14 +84,14 @@ def added_by_encoding(
 
 
 def _primitives(
-    document: Document, bakes: Sequence[UnwrittenBake], storage: GradientFormat
+    document: Document, bakes: Sequence[Baked], storage: GradientFormat
 ) -> Iterator[EncodedPrimitive]:
     clips, sets = read_clips(document), dict[int, PoseSet]()
     for bake in bakes:
-        exact = bake.rest_primitive()
+        exact = rest_primitive(BakedView.unwritten(bake))
         alpha, beta = (
             rounded(slots, storage.encoding, storage.scale).astype(np.float64)
-            for slots in shortened(bake.baked.alpha, bake.baked.beta, storage.scale)
+            for slots in shortened(bake.result.alpha, bake.result.beta, storage.scale)
         )
         for skin in document.asset.skins_of(bake.source.mesh):
             if skin not in sets:

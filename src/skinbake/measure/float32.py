@@ -11,9 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from skinbake.geometry.skinned import Float64Array
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import dot
-from skinbake.skinning.rest import RestPrimitive
+from skinbake.skinning.rest import Algorithm, RestPrimitive
 from skinbake.skinning.run import Skinning
 from skinbake.truth.areas import angles_between
 

@@ -10,29 +10,31 @@ differs from accurate lighting even where α and β are 0. A file without clips 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from skinbake.choices import USUAL_TRUTHS
 from skinbake.errors import InputError, Notice
-from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray, bincount
+from skinbake.format.baked import Baked
+from skinbake.freshness.baked_views import BakedView
+from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray, IntArray, bincount, blocks
 from skinbake.gltf.budget import Cost, shown
 from skinbake.gltf.document import Document, once_a_document
 from skinbake.gltf.reading.clips import animations_of, read_clips
 from skinbake.gltf.reading.scenes import meshes_of_one_skin
 from skinbake.gltf.reading.skins import read_skeleton
+from skinbake.gradients import kernel as loops
 from skinbake.gradients.baker import EIGHTHS
-from skinbake.measure.unwritten import UnwrittenBake, cut_out, joined
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.gradients.surface import bit_patterns
+from skinbake.measure.draws import Draw, PosedBlock, Surface
 from skinbake.skinning.components import cross
-from skinbake.skinning.rest import Options, RestPrimitive
+from skinbake.skinning.rest import Algorithm
 from skinbake.threads import Threads
 from skinbake.truth import kernel
-from skinbake.truth.areas import RestAreas
-from skinbake.truth.blending import BlendedPrimitive, sides_of
-from skinbake.truth.operator import GradientOperator, true_operator
-from skinbake.truth.poses import PoseRequest, pose_set
+from skinbake.truth.operator import true_operator
+from skinbake.truth.poses import PoseRequest, PoseSet, pose_set
 from skinbake.truth.truths import Truths
 from skinbake.wording import counted
 
@@ -81,7 +83,14 @@ TIE = 1e-6
 """The share of an error up to which two are the same. Rounding must not choose between them."""
 
 
-def kept_eighths(document: Document, surfaces: Sequence[Sequence[UnwrittenBake]]) -> list[list[int]]:
+DIGEST_BITS = 16
+"""The digests of positions fill a table of so many bits. In a cache it is read fast."""
+
+ODD = np.array([0x9E3779B1, 0x85EBCA77, 0xC2B2AE3D], dtype=np.uint32)
+"""Odd numbers that spread the bits of a coordinate over the upper half of a product, one for each axis."""
+
+
+def kept_eighths(document: Document, surfaces: Sequence[Sequence[Baked]]) -> list[list[int]]:
     """Return for each surface how many eighths of its α and β each primitive should keep, or ``UNBAKED``.
 
     surfaces are all of the document. Meshes are judged without their morph targets. Those that no clip moves,
@@ -112,7 +121,7 @@ def kept_eighths(document: Document, surfaces: Sequence[Sequence[UnwrittenBake]]
     return kept
 
 
-def _eighths_of(document: Document, bakes: Sequence[UnwrittenBake]) -> list[int]:
+def _eighths_of(document: Document, bakes: Sequence[Baked]) -> list[int]:
     """Return the eighths of each primitive of what the truths take as one surface."""
     kept = [EIGHTHS] * len(bakes)
     skins = tuple(document.asset.skins_of(bakes[0].source.mesh))
@@ -139,9 +148,9 @@ def _eighths_of(document: Document, bakes: Sequence[UnwrittenBake]) -> list[int]
     return kept
 
 
-def _lit(bake: UnwrittenBake) -> BoolArray:
+def _lit(bake: Baked) -> BoolArray:
     """Tell which vertices (V,) of a primitive have α or β other than 0."""
-    by_slot = (bake.baked.alpha != 0.0) | (bake.baked.beta != 0.0)
+    by_slot = (bake.result.alpha != 0.0) | (bake.result.beta != 0.0)
     lit = np.zeros(len(by_slot), dtype=np.bool_)
     for column in by_slot.T:  # a fifth of the time that whole rows take
         lit |= column
@@ -173,8 +182,8 @@ def _evenly_spread(lit: Sequence[BoolArray], count: int) -> tuple[list[IntArray]
 
 
 @once_a_document
-def _poses(document: Document, skins: tuple[int, ...]) -> list[tuple[int, Float64Array]]:
-    """Return the skins that clips move, each with joint matrices (P, J, 4, 4) in which to judge.
+def _poses(document: Document, skins: tuple[int, ...]) -> list[tuple[int, PoseSet]]:
+    """Return the skins that clips move, each with poses in which to judge.
 
     Skins with other joints share the poses, and so do the clips that move a skin. Raises InputError as
     ``pose_set``, or if a clip is broken.
@@ -188,7 +197,7 @@ def _poses(document: Document, skins: tuple[int, ...]) -> list[tuple[int, Float6
         clips = read_clips(document, [numbers[place * len(numbers) // some] for place in range(some)])
         if clips:
             request = PoseRequest(samples=max(1, each // len(clips)), offset=OFFSET)
-            found.append((skin, pose_set(document, skin, clips, request).joint_matrices))
+            found.append((skin, pose_set(document, skin, clips, request)))
     return found
 
 
@@ -206,6 +215,25 @@ class _Light(NamedTuple):
     expected: Float64Array
     weights: Float64Array
     sides: Float64Array
+
+    @classmethod
+    def of(cls, block: PosedBlock, draw: Draw, rows: IntArray) -> _Light:
+        """Return the light of those vertices of a block that are among some rows of its primitive."""
+        start, stop = block.at.rows.start, block.at.rows.stop
+        own = rows[slice(*np.searchsorted(rows, (start, stop)))]
+        every, skinned = slice(0, block.poses.stop - block.poses.start), block.skinned
+        [standard] = skinned.normals((Algorithm.LBS_STANDARD,), every, own)
+        still, added = skinned.tangents(every, own)
+        areas = draw.areas[block.at.primitive][own]
+        sides = np.ones((len(own), every.stop)) if block.side is None else block.side.T[own - start]
+        return cls(
+            np.stack([axis.T for axis in standard]),
+            still,
+            added,
+            block.normals[:, :, own - start],
+            areas[:, None] * block.exist[:, own - start],
+            sides,
+        )
 
     def errors(self, share: float | None) -> Float64Array:
         """Return the angles to both truths (2, B, P) by a share of α and β, None for standard lighting.
@@ -231,46 +259,38 @@ class _Errors(NamedTuple):
     def of(
         cls,
         document: Document,
-        bakes: Sequence[UnwrittenBake],
+        bakes: Sequence[Baked],
         rows: Sequence[IntArray],
         shares: Sequence[Float64Array],
-        poses: Sequence[tuple[int, Float64Array]],
+        poses: Sequence[tuple[int, PoseSet]],
     ) -> _Errors:
         """Light some vertices of each primitive, each of which stands for a share of all.
 
         Raises InputError if they take too much memory.
         """
-        numbers, parts, places = cut_out(bakes, rows)
-        primitive, rest = joined(parts)
-        starts = np.cumsum([0, *(len(part.primitive.positions) for part in parts)])[:-1]
-        looked_at = np.concatenate([start + own for start, own in zip(starts, places, strict=True)])
-        most = max((len(matrices) for _, matrices in poses), default=0)
-        size = most * (
-            BYTES_A_PLACE * len(primitive.positions) + BYTES_A_SAMPLE * len(looked_at) * len(poses)
-        )
+        numbers, cut, places = cut_out(bakes, rows)
+        counts = [len(own) for own in places]
+        most = max((len(own.joint_matrices) for _, own in poses), default=0)
+        vertices = sum(len(part.primitive.positions) for part in cut)
+        size = most * (BYTES_A_PLACE * vertices + BYTES_A_SAMPLE * sum(counts) * len(poses))
         if size > MOST_BYTES:
             message = f"so many triangles meet at its vertices that it would take {shown(size)}"
             raise InputError(message, bakes[0].source.place)
-        operator, lights = true_operator([primitive]), []
-        for skin, matrices in poses:
-            areas = RestAreas(document, skin).of(primitive)[looked_at] * np.concatenate(shares)
-            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no normal gets NaN
-                expected, exist, sides = _true_normals(operator, rest, matrices, looked_at)
-                posed = BlendedPrimitive(rest.rows(looked_at), matrices, Options())
-                every, all_rows = slice(0, len(matrices)), slice(0, len(looked_at))
-                [standard] = posed.normals((Algorithm.LBS_STANDARD,), every, all_rows)
-                still, added = posed.tangents(every, all_rows)
-            lights.append(
-                _Light(
-                    np.stack([axis.T for axis in standard]),
-                    still,
-                    added,
-                    np.ascontiguousarray(expected),
-                    areas[:, None] * exist,
-                    sides,
-                )
-            )
-        return cls(lights, np.repeat(numbers, [len(own) for own in places]), len(bakes))
+        operator = true_operator([part.primitive for part in cut])
+        surface = Surface(document, [BakedView.unwritten(part) for part in cut], lambda: operator)
+        truths, lights = Truths.of(operator, surface.rest, most, USUAL_TRUTHS), []
+        for skin, own in poses:
+            draw = Draw(surface, skin, None, read_skeleton(document, skin), own)
+
+            def light(block: PosedBlock, draw: Draw = draw) -> _Light:
+                return _Light.of(block, draw, places[block.at.primitive])
+
+            with Threads(1) as threads:
+                found = list(draw.true_normals(truths, light, threads))
+            whole = (np.concatenate(parts, axis=-2) for parts in zip(*found, strict=True))
+            lit = _Light(*map(np.ascontiguousarray, whole))
+            lights.append(lit._replace(weights=lit.weights * np.concatenate(shares)[:, None]))
+        return cls(lights, np.repeat(numbers, counts), len(bakes))
 
     def means(self, share: float | None, at_least: float | None = None) -> Float64Array:
         """Return the mean errors (N, 2 S) in the poses of S skins by both truths, 0 without any area.
@@ -287,21 +307,76 @@ class _Errors(NamedTuple):
         return np.array(found).reshape(-1, self.primitives).T
 
 
-def _true_normals(
-    operator: GradientOperator, rest: RestPrimitive, matrices: Float64Array, rows: IntArray
-) -> tuple[Float64Array, BoolArray, Float64Array]:
-    """Return the normals (2, 3, B, P) of some vertices by both truths, where they exist, and the sides.
+def cut_out(
+    bakes: Sequence[Baked], rows: Sequence[IntArray]
+) -> tuple[list[int], list[Baked], list[IntArray]]:
+    """Cut vertices out of primitives in one space, with all vertices at their places and all triangles there.
 
-    rows (B,) ascend. The sides (B, P) are −1 where joints mirror.
+    rows are the vertices of each primitive. Return the numbers of the primitives that have any part, the part
+    of each, and where its vertices are. Only these have all around them that they have in the whole.
     """
-    vertices, poses, count = len(operator.positions), len(matrices), len(rows)
-    deformed = BlendedPrimitive(rest, matrices, Options()).positions(slice(0, poses), slice(0, vertices))
-    truths, sides = Truths.of(operator, [rest], poses, USUAL_TRUTHS), sides_of([rest], matrices)
-    sums = truths.sums(deformed, Threads(1))
-    expected, exist = np.empty((2, 3, count, poses)), np.empty((2, count, poses), dtype=np.bool_)
-    for block in truths.vertex_blocks:
-        first, last = np.searchsorted(rows, (block.part.start, block.part.stop))
-        own, side = rows[first:last] - block.part.start, None if sides is None else sides[:, block.part]
-        normals, exists = truths.normals(block.number, deformed, sums, side)
-        expected[:, :, first:last], exist[:, first:last] = normals[:, :, own], exists[:, own]
-    return expected, exist, np.ones((count, poses)) if sides is None else sides[:, rows].T
+    near = _with_copies([bake.primitive.positions for bake in bakes], rows)
+    numbers: list[int] = []
+    parts: list[Baked] = []
+    places: list[IntArray] = []
+    for number, (bake, own, there) in enumerate(zip(bakes, rows, near, strict=True)):
+        primitive, baked = bake.primitive, bake.result
+        if not len(there):
+            continue
+        used = np.zeros(len(primitive.positions), dtype=np.bool_)
+        used[there] = True
+        # The triangles that have one of the used vertices.
+        corners = primitive.triangles.ravel()
+        at = [block.start + np.flatnonzero(used[corners[block]]) for block in blocks(len(corners))]
+        owners = np.concatenate(at or [np.empty(0, dtype=np.int64)]) // 3
+        triangles = primitive.triangles[owners[np.diff(owners, prepend=-1) > 0]]
+        used[triangles] = True
+        kept = np.flatnonzero(used)
+        adopting = used[baked.adopting]
+        part = replace(
+            primitive,
+            positions=primitive.positions[kept],
+            normals=primitive.normals[kept],
+            tangents=None if primitive.tangents is None else primitive.tangents[kept],
+            joints=primitive.joints[kept],
+            weights=primitive.weights[kept],
+            triangles=np.searchsorted(kept, triangles),
+        )
+        result = baked._replace(
+            alpha=baked.alpha[kept],
+            beta=baked.beta[kept],
+            adopting=np.searchsorted(kept, baked.adopting[adopting]),
+            adopted=baked.adopted[adopting],
+            classes=baked.classes[kept],
+        )
+        numbers.append(number)
+        parts.append(bake._replace(primitive=part, result=result))
+        places.append(np.searchsorted(kept, own))
+    return numbers, parts, places
+
+
+def _with_copies(positions: Sequence[FloatArray], rows: Sequence[IntArray]) -> list[IntArray]:
+    """Return some vertices of primitives, and all others at their places. positions are (V, 3)."""
+    places = np.concatenate([each[own] for each, own in zip(positions, rows, strict=True)])
+    # A table of digests tells that most vertices are at no such place. Only the rest is compared.
+    table = np.zeros(1 << DIGEST_BITS, dtype=np.bool_)
+    table[_digests(places)] = True
+    maybe = [
+        np.concatenate(
+            [part.start + np.flatnonzero(table[_digests(each[part])]) for part in blocks(len(each))]
+        )
+        for each in positions
+    ]
+    candidates = (each[own] for each, own in zip(positions, maybe, strict=True))
+    labels = loops.label_equal_rows(np.concatenate([places, *candidates]))
+    wanted = np.zeros(len(labels), dtype=np.bool_)
+    wanted[labels[: len(places)]] = True
+    found = np.split(wanted[labels[len(places) :]], np.cumsum([*map(len, maybe)])[:-1])
+    return [own[there] for own, there in zip(maybe, found, strict=True)]
+
+
+def _digests(positions: FloatArray) -> IntArray:
+    """Return a number of DIGEST_BITS bits for each position (V, 3), the same for equal ones."""
+    x, y, z = bit_patterns(positions.astype(np.float32, copy=False)).T
+    mixed: IntArray = (x * ODD[0]) ^ (y * ODD[1]) ^ (z * ODD[2])
+    return mixed >> np.uint32(32 - DIGEST_BITS)

@@ -24,12 +24,12 @@ from skinbake.measure.angles import (
     MeasuredBlock,
     lighting_errors,
     not_rigid_joints,
-    truths_at_rest,
 )
+from skinbake.measure.draws import Draw
 from skinbake.measure.float32 import Rounding, rounding_of
 from skinbake.measure.options import VerifyOptions, limits_check
 from skinbake.measure.reliefs import ReliefTallies
-from skinbake.measure.scene import Draw, Scene
+from skinbake.measure.scene import Scene
 from skinbake.measure.tally import Tallies
 from skinbake.report.verify import Check, Figures, FileVerdict, MorphCount, Normals
 from skinbake.skinning.rest import Options, RestPrimitive
@@ -37,7 +37,7 @@ from skinbake.skinning.run import joints_in_use
 from skinbake.timing import stage, tell_steps
 from skinbake.truth import kernel
 from skinbake.truth.poses import PoseSet, described
-from skinbake.truth.truths import Truths
+from skinbake.truth.truths import Truths, truths_at_rest
 from skinbake.wording import counted
 
 if TYPE_CHECKING:

@@ -26,13 +26,12 @@ from skinbake.geometry.morphs import carried_by_normal
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
 from skinbake.gltf.document import Document
 from skinbake.gltf.reading.materials import material_of
-from skinbake.measure.scene import Draw
+from skinbake.measure.draws import Draw
 from skinbake.measure.tally import Tallies
 from skinbake.report.verify import Reliefs
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Vector, cross, dot, plus_scaled, scaled
 from skinbake.skinning.normal_maps import engine_mapped_normal, in_frame, mapped_normal
-from skinbake.skinning.rest import Options, RestPrimitive
+from skinbake.skinning.rest import Algorithm, Options, RestPrimitive
 from skinbake.skinning.run import Skinning
 from skinbake.truth import kernel
 from skinbake.truth.blending import BlendedPrimitive, sides_of

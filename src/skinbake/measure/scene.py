@@ -1,23 +1,23 @@
-"""The scene of a document as arrays: its baked surfaces, the skins that draw them, and their poses.
+"""The scene of a document: its baked surfaces, how nodes draw them, and which poses are affordable.
 
-One ``Draw`` serves verify, dump, pictures and pages. A scene is built from a document with sound bakes, in a
-file or made in memory. What follows from the document is made when it is first asked for, and once.
+It serves verify, dump, pictures and pages. It is built from a document with sound bakes, in a file or made in
+memory.
 """
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from skinbake.choices import USUAL_TRUTHS, Truth
-from skinbake.errors import BudgetError, InputError, Notice, Place
-from skinbake.freshness.baked_views import BakedView, gathered_together, rest_primitive, whole_surfaces
+from skinbake.choices import Truth
+from skinbake.errors import BudgetError, InputError, Notice
+from skinbake.freshness.baked_views import BakedView, gathered_together, whole_surfaces
 from skinbake.freshness.expected import true_operator_of
 from skinbake.freshness.staleness import surface_operator
 from skinbake.geometry.frames import frame_from_normal, unit_normals
@@ -25,16 +25,14 @@ from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, In
 from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import SAMPLES, Cost, Work
 from skinbake.gltf.document import Document
-from skinbake.gltf.reading.clips import Clip, clip_poses, clip_weights, read_clips
+from skinbake.gltf.reading.clips import Clip, clip_poses, read_clips
 from skinbake.gltf.reading.meshes import has_surface, plain_sources, read_primitive
 from skinbake.gltf.reading.scenes import faces_backward, shown_nodes
 from skinbake.gltf.reading.skins import Skeleton, read_node, read_skeleton, rest_pose
-from skinbake.measure.angles import Corrections, MeasuredBlock, lighting_errors, truths_at_rest
-from skinbake.measure.morphing import moving_targets
-from skinbake.skinning.rest import Options, RestPrimitive
+from skinbake.measure.angles import MeasuredBlock, lighting_errors
+from skinbake.measure.draws import HALF_TURN, Draw, Surface
+from skinbake.skinning.rest import RestPrimitive
 from skinbake.timing import stage
-from skinbake.truth.areas import RestAreas
-from skinbake.truth.blending import BlendedPrimitive
 from skinbake.truth.operator import TRUE_CREASE_ANGLE, TRUE_WEIGHTING, GradientOperator
 from skinbake.truth.poses import (
     LEAST_SAMPLES,
@@ -52,10 +50,6 @@ from skinbake.wording import counted, one_or_many
 
 if TYPE_CHECKING:
     from skinbake.freshness.corrective_freshness import PlayedCorrectives
-    from skinbake.truth.morphing import Morphing
-
-HALF_TURN = np.diag([-1.0, 1.0, -1.0, 1.0])
-"""A turn of the whole scene around the vertical."""
 
 LIGHTINGS = ("standard", "accurate", "corrected")
 
@@ -63,201 +57,42 @@ DrawKey: TypeAlias = tuple[int, int | None]
 """A skin, and the node with the morph weights, if there are any."""
 
 
-class Surface:
-    """The baked primitives that the truths take as one surface, whoever draws them.
+def measure(draw: Draw, record: Callable[[MeasuredBlock], None], at_rest: Truths | None = None) -> None:
+    """Measure the errors of lighting by linear blend skinning in a draw, block by block."""
+    lighting_errors(
+        draw.surface.operator,
+        draw.surface.rest,
+        draw.matrices,
+        "lbs",
+        record,
+        morphing=draw.morphing,
+        at_rest=at_rest or draw.truths(),
+        corrections=draw.corrections,
+        direct=False,
+    )
 
-    views are the primitives as the document stores them. bake_operator is an operator of the same primitives
-    that a bake has, if there is one. correctives are the file's own, if it has any.
+
+def errors_of(draw: Draw, at_rest: Truths | None = None) -> list[dict[str, Float32Array]]:
+    """Return by primitive and lighting errors in degrees, and where they are known: (2, P, V).
+
+    The truth is the one in at_rest, by triangles without it.
     """
+    count, names = len(draw.matrices), LIGHTINGS if draw.corrections else LIGHTINGS[:2]
+    found = [
+        {name: np.zeros((2, count, len(rest.positions)), np.float32) for name in names}
+        for rest in draw.surface.rest
+    ]
 
-    def __init__(
-        self,
-        document: Document,
-        views: Sequence[BakedView],
-        correctives: PlayedCorrectives | None = None,
-        bake_operator: GradientOperator | None = None,
-    ) -> None:
-        self.document, self.views, self.correctives = document, views, correctives
-        self._bake_operator = bake_operator
-        self._targets: tuple[list[int], Morphing] | None = None
+    def record(block: MeasuredBlock) -> None:
+        own = found[block.primitive].get(block.lighting)
+        if own is not None:
+            poses = slice(block.pose, block.pose + block.errors.shape[0])
+            rows = slice(block.vertex, block.vertex + block.errors.shape[1])
+            own[0, poses, rows] = np.where(block.valid, block.errors, 0.0)
+            own[1, poses, rows] = block.valid
 
-    @property
-    def place(self) -> Place:
-        """The mesh of the first primitive."""
-        return self.views[0].source.place._replace(primitive=None)
-
-    @cached_property
-    def rest(self) -> list[RestPrimitive]:
-        """The primitives before skinning, in the order of the views."""
-        return [rest_primitive(view) for view in self.views]
-
-    @cached_property
-    def vertices(self) -> int:
-        """The number of vertices of all primitives."""
-        return sum(len(view.now.positions) for view in self.views)
-
-    @cached_property
-    def operator(self) -> GradientOperator:
-        """The operator of the truths over all primitives. Raises InputError if it takes too much memory."""
-        noted = self.views[0].note
-        usual = noted.weighting == TRUE_WEIGHTING and math.isclose(noted.crease_angle, TRUE_CREASE_ANGLE)
-        if self._bake_operator is not None and usual:
-            return self._bake_operator
-        return true_operator_of(self.document, self.views)
-
-    @cached_property
-    def changes(self) -> list[Float64Array]:
-        """The changes (K, V, 3) of unit normals by the correctives, by primitive."""
-        assert self.correctives is not None
-        return self.correctives.of_views(self.views)
-
-    def morphing(self, weights: Float64Array | None) -> Morphing | None:
-        """Return the targets that move in P poses of weights (P, N); None if none does.
-
-        Targets whose weight is 0 in every pose are not read. Raises InputError if one of the others is
-        broken. A search poses a surface some hundred times, mostly by the same targets: they are read once.
-        """
-        if weights is None or not weights.any():
-            return None
-        moving = np.flatnonzero(weights.any(axis=0)).tolist()
-        if self._targets is None or self._targets[0] != moving:
-            from skinbake.truth.morphing import Morphing  # most models have no targets
-
-            counts = [len(view.now.positions) for view in self.views]
-            frames = [view.note.frame for view in self.views]
-            sources = [view.source for view in self.views]
-            read = moving_targets(self.document, sources, counts, moving, frames)
-            self._targets = moving, Morphing(*read, weights[:, moving])
-        return replace(self._targets[1], weights=weights[:, moving])
-
-
-@dataclass(frozen=True, eq=False)
-class Draw:
-    """A surface as one skin draws it, in P poses.
-
-    skin and node are numbers. The node is the one whose morph weights move the surface, None without morph
-    targets. poses are joint matrices and morph weights: those of the rest pose until the draw is posed.
-    corrections are the correctives that its clips play there, if any.
-    """
-
-    surface: Surface
-    skin: int
-    node: int | None
-    skeleton: Skeleton
-    poses: PoseSet
-    corrections: Corrections | None = None
-
-    def posed(self, poses: PoseSet) -> Draw:
-        """Return the draw in other poses, with the correctives that clips play there."""
-        correctives = self.surface.correctives
-        if correctives is None:
-            return replace(self, poses=poses, corrections=None)
-        times = np.array([0.0 if time is None else time for time in poses.times])
-        numbers = poses.numbers or (None,) * len(times)
-        weights = []
-        for view in self.surface.views:
-            mesh = view.source.mesh
-            own = np.zeros((len(times), correctives.targets.get(mesh, 0)))
-            for number in dict.fromkeys(numbers):
-                rows = np.flatnonzero([one == number for one in numbers])
-                own[rows] = correctives.weights(mesh, self.skin, self.node, number, times[rows])
-            weights.append(own)
-        return replace(self, poses=poses, corrections=Corrections(self.surface.changes, weights))
-
-    def at(self, clip: Clip, times: Float64Array, *, turned: bool = True) -> Draw:
-        """Return the draw at times (P,) of a clip. If turned, it faces along +Z."""
-        # A scene of a hundred characters has a hundred times the channels of each.
-        nodes, document = set(self.skeleton.nodes), self.surface.document
-        own = clip._replace(channels=tuple(channel for channel in clip.channels if channel.node in nodes))
-        matrices = clip_poses(self.skeleton, own, times)
-        if turned and faces_backward(document):
-            matrices = HALF_TURN @ matrices
-        weights = None
-        if self.node is not None:
-            weights = clip_weights(self.node, clip, times, document.asset.nodes[self.node].resting_weights())
-        count = len(times)
-        played = (clip.name,) * count, tuple(times.tolist()), weights, (clip.number,) * count
-        return self.posed(PoseSet((), matrices, *played))
-
-    def moved(self, by: Float64Array) -> Draw:
-        """Return the draw with matrices (P, 1, 4, 4) added to the matrices of all joints."""
-        return replace(self, poses=self.poses._replace(joint_matrices=self.matrices + by))
-
-    @property
-    def matrices(self) -> Float64Array:
-        """The joint matrices (P, J, 4, 4)."""
-        return self.poses.joint_matrices
-
-    @property
-    def morphing(self) -> Morphing | None:
-        """The morph targets that move it; None if none does. Raises InputError if one is broken."""
-        return self.surface.morphing(self.poses.morph_weights)
-
-    @cached_property
-    def areas(self) -> list[Float64Array]:
-        """The areas (V,) around the vertices of each primitive at rest, in the squared unit of the scene."""
-        space = RestAreas(self.surface.document, self.skin)
-        return [space.of(view.now) for view in self.surface.views]
-
-    def primitives(self, every: int = 1) -> Iterator[tuple[RestPrimitive, Float64Array]]:
-        """Yield each primitive before skinning, with the matrices of the poses in which it is that.
-
-        With ``every``, only every so many poses count.
-        """
-        morphing = self.morphing
-        if morphing is None:
-            yield from ((rest, self.matrices[::every]) for rest in self.surface.rest)
-            return
-        for pose in range(0, len(self.matrices), every):
-            for rest in morphing.primitives(self.surface.rest, pose):
-                yield rest, self.matrices[pose : pose + 1]
-
-    def positions(self, every: int = 1) -> Iterator[Float64Array]:
-        """Yield positions (P, V, 3) of each primitive: all poses, or one at a time if targets move it."""
-        for rest, matrices in self.primitives(every):
-            whole = slice(0, len(matrices)), slice(0, len(rest.positions))
-            yield BlendedPrimitive(rest, matrices, Options()).positions(*whole).transpose(2, 1, 0)
-
-    def truths(self, names: Sequence[Truth] = USUAL_TRUTHS) -> Truths:
-        """Measure the surface at rest, for ``measure`` in any as many poses without morph targets."""
-        surface = self.surface
-        return truths_at_rest(surface.operator, surface.rest, len(self.matrices), self.morphing, names)
-
-    def measure(self, record: Callable[[MeasuredBlock], None], at_rest: Truths | None = None) -> None:
-        """Measure the errors of lighting by linear blend skinning against true normals, block by block."""
-        lighting_errors(
-            self.surface.operator,
-            self.surface.rest,
-            self.matrices,
-            "lbs",
-            record,
-            morphing=self.morphing,
-            at_rest=at_rest or self.truths(),
-            corrections=self.corrections,
-            direct=False,
-        )
-
-    def errors(self, at_rest: Truths | None = None) -> list[dict[str, Float32Array]]:
-        """Return by primitive and lighting errors in degrees, and where they are known: (2, P, V).
-
-        The truth is the one in at_rest, by triangles without it.
-        """
-        count, names = len(self.matrices), LIGHTINGS if self.corrections else LIGHTINGS[:2]
-        found = [
-            {name: np.zeros((2, count, len(rest.positions)), np.float32) for name in names}
-            for rest in self.surface.rest
-        ]
-
-        def record(block: MeasuredBlock) -> None:
-            own = found[block.primitive].get(block.lighting)
-            if own is not None:
-                poses = slice(block.pose, block.pose + block.errors.shape[0])
-                rows = slice(block.vertex, block.vertex + block.errors.shape[1])
-                own[0, poses, rows] = np.where(block.valid, block.errors, 0.0)
-                own[1, poses, rows] = block.valid
-
-        self.measure(record, at_rest or self.truths((Truth.TRIANGLES,)))
-        return found
+    measure(draw, record, at_rest or draw.truths((Truth.TRIANGLES,)))
+    return found
 
 
 class Scene:
@@ -293,16 +128,26 @@ class Scene:
         surfaces = gathered_together(document, views)
         made = operators or [surface_operator(document, surface) for surface in surfaces]
         scene = cls(document, [view for surface in surfaces for view in surface], correctives)
-        scene._operators = {tuple(map(id, own)): one for own, one in zip(surfaces, made, strict=True)}
+        scene._operators = {
+            tuple(map(id, own)): one
+            for own, one in zip(surfaces, made, strict=True)
+            # The truths weight triangles in one way, whatever the bake was told.
+            if own[0].note.weighting == TRUE_WEIGHTING
+            and math.isclose(own[0].note.crease_angle, TRUE_CREASE_ANGLE)
+        }
         return scene
 
     @cached_property
     def surfaces(self) -> list[Surface]:
         """The surfaces that the truths take as whole."""
-        return [
-            Surface(self.document, views, self.correctives, self._operators.get(tuple(map(id, views))))
-            for views in whole_surfaces(self.document, self.views)
-        ]
+        return [self._surface(views) for views in whole_surfaces(self.document, self.views)]
+
+    def _surface(self, views: Sequence[BakedView]) -> Surface:
+        def welded() -> GradientOperator:
+            made = self._operators.get(tuple(map(id, views)))
+            return true_operator_of(self.document, views) if made is None else made
+
+        return Surface(self.document, views, welded, self.correctives)
 
     def measured(self, clips: Sequence[Clip], request: PoseRequest) -> list[Draw]:
         """Return each surface as often as skins draw it, or nodes if it has morph targets, in asked poses.
@@ -422,7 +267,7 @@ class Scene:
                 if not parts:
                     continue
                 if parts not in surfaces:
-                    surfaces[parts] = Surface(document, [group[part] for part in parts], self.correctives)
+                    surfaces[parts] = self._surface([group[part] for part in parts])
                 skeleton = read_skeleton(document, skin)
                 with np.errstate(over="ignore", invalid="ignore"):  # what is past all numbers is not drawn
                     at_rest = PoseSet((), rest_pose(skeleton), ("rest pose",), (None,))

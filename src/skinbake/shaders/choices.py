@@ -28,7 +28,7 @@ ALGORITHMS = {
     (Method.DQS, Lighting.ACCURATE): 5,
     (Method.DQS, Lighting.EXACT): 6,
 }
-"""The numbers of ``skinning.algorithms.Algorithm``; a missing pair does not exist."""
+"""The numbers of ``skinning.rest.Algorithm``; a missing pair does not exist."""
 
 BLENDED = {Lighting.STANDARD: 4, Lighting.ACCURATE: 6}
 """For blended skinning, the number of its dual quaternions; ``blended.LINEAR`` names what goes with it."""

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from skinbake.geometry.skinned import FloatArray
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import (
     Component,
     PosedVertex,
@@ -29,7 +28,7 @@ from skinbake.skinning.components import (
     reciprocal_root,
     scaled,
 )
-from skinbake.skinning.rest import Options, RestPrimitive
+from skinbake.skinning.rest import Algorithm, Options, RestPrimitive
 from skinbake.skinning.run import Skinning
 
 LINEAR = {

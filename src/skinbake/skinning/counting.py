@@ -17,9 +17,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import RestVertex, Rows, Vector
-from skinbake.skinning.rest import Options
+from skinbake.skinning.rest import Algorithm, Options
 from skinbake.skinning.run import SCALED_STEPS, STEPS
 
 

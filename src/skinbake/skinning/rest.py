@@ -1,8 +1,9 @@
-"""The input of the algorithms: a primitive at rest with its weight gradients, and their options."""
+"""The six algorithms by number, their options, and their input: a primitive at rest with weight gradients."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -21,6 +22,27 @@ def all_slots(others: npt.NDArray[FloatT]) -> npt.NDArray[FloatT]:
     Slot 0 has minus the sum of the others, because the weights of a vertex sum to 1 everywhere.
     """
     return np.concatenate([-others.sum(axis=1, keepdims=True), others], axis=1)
+
+
+class Algorithm(IntEnum):
+    """1–5 of Tarini et al. 2014 (supplemental material), and 6 of ``dqs.exact``.
+
+    1–3 are linear blend skinning, 4–6 dual quaternion skinning. These have two forms: of rigid joints
+    (``dqs``), and of joints that scale, shear or mirror (``dqs_scaled``). The standard lighting of 1 and 4 is
+    called approximated in the paper.
+    """
+
+    LBS_STANDARD = 1
+    LBS_DIRECT = 2
+    LBS_ACCURATE = 3
+    DQS_STANDARD = 4
+    DQS_ACCURATE = 5
+    DQS_EXACT = 6
+
+    @property
+    def uses_dual_quaternions(self) -> bool:
+        """Tell whether it is dual quaternion skinning."""
+        return self >= Algorithm.DQS_STANDARD
 
 
 class Options(NamedTuple):

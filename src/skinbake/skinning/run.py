@@ -12,9 +12,8 @@ import numpy.typing as npt
 from skinbake.geometry.dual_quaternions import RIGID_TOLERANCE, rigid_motions, scaled_motions
 from skinbake.geometry.skinned import BoolArray, FloatArray
 from skinbake.skinning import dqs, dqs_scaled, lbs
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import LineMark, PosedVertex, RestVertex, Rows, Vector
-from skinbake.skinning.rest import Options, RestPrimitive
+from skinbake.skinning.rest import Algorithm, Options, RestPrimitive
 
 # From this number of poses on, components are stored pose by pose; with fewer poses rows are too short.
 _ROWS = 16

@@ -20,10 +20,9 @@ import numpy as np
 
 from skinbake.choices import Baseline
 from skinbake.geometry.poses import determinants
-from skinbake.geometry.skinned import Float64Array, FloatArray, blocks
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.geometry.skinned import Float64Array, FloatArray, IntArray, blocks
 from skinbake.skinning.components import Vector, cofactors, corrected, cross
-from skinbake.skinning.rest import Options, RestPrimitive, all_slots
+from skinbake.skinning.rest import Algorithm, Options, RestPrimitive, all_slots
 from skinbake.truth import kernel
 from skinbake.truth.values import Forms
 
@@ -67,7 +66,7 @@ class BlendedPrimitive:
         joint_matrices: Float64Array,
         options: Options,
         *,
-        direct: Callable[[slice], RestPrimitive] | None = None,
+        direct: Callable[[slice | IntArray], RestPrimitive] | None = None,
     ) -> None:
         """Prepare a primitive. Algorithm 2 needs ``direct``, and starts from its result for a block."""
         self._rest, self._options, self._direct = rest, options, direct
@@ -91,7 +90,7 @@ class BlendedPrimitive:
         self.put_positions(pose, part, posed, 0)
         return posed
 
-    def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[Vector]:
+    def normals(self, algorithms: Sequence[Algorithm], pose: slice, part: slice | IntArray) -> list[Vector]:
         """Return the normals that algorithms 1–3 give some vertices. They are not of unit length."""
         steps = {
             Algorithm.LBS_STANDARD: self._standard,
@@ -112,12 +111,12 @@ class BlendedPrimitive:
         return found
 
     def _forms(
-        self, part: slice, directions: FloatArray | None = None, changes: FloatArray | None = None
+        self, part: slice | IntArray, directions: FloatArray | None = None, changes: FloatArray | None = None
     ) -> Forms:
         rest = self._rest
         return Forms(rest.joints[part], rest.weights[part], rest.positions[part], directions, changes)
 
-    def _standard(self, pose: slice, part: slice) -> Float64Array:
+    def _standard(self, pose: slice, part: slice | IntArray) -> Float64Array:
         """Return T n, T⁻ᵀ n or Σ w cof(M[s]) n: (3, B, P)."""
         normal = self._rest.normals[part]
         if self._options.baseline is Baseline.INVERSE_TRANSPOSE:
@@ -130,7 +129,7 @@ class BlendedPrimitive:
         kernel.blend(self._forms(part, normal[None]), table.of(pose), found[None])
         return found
 
-    def _direct_normals(self, pose: slice, part: slice) -> Float64Array:
+    def _direct_normals(self, pose: slice, part: slice | IntArray) -> Float64Array:
         """Return J⁻ᵀ n: (3, B, P)."""
         if self._direct is None:
             raise ValueError("algorithm 2 was not prepared for")
@@ -140,7 +139,7 @@ class BlendedPrimitive:
         columns = self._forms(part, _axes(len(rest.normals)), gradients)
         return kernel.blended_normals(columns, self._matrices.of(pose), rest.normals)
 
-    def _accurate(self, pose: slice, part: slice) -> Float64Array:
+    def _accurate(self, pose: slice, part: slice | IntArray) -> Float64Array:
         """Return ± t' × b' with the sign of b': (3, B, P)."""
         cap = self._options.cap
         if cap is None or self._rest.joints.shape[1] == 1:
@@ -150,7 +149,7 @@ class BlendedPrimitive:
         t, b = (corrected(tuple(v), tuple(by), cap) for v, by in zip(*self.tangents(pose, part), strict=True))
         return np.stack(cross(t, b))
 
-    def tangents(self, pose: slice, part: slice) -> Float64Array:
+    def tangents(self, pose: slice, part: slice | IntArray) -> Float64Array:
         """Return t' and ± b' of some vertices without α and β, and what these add: (2, 2, 3, B, P)."""
         frame, changes = self._frame_and_changes(part)
         table = self._matrices.of(pose)
@@ -159,7 +158,7 @@ class BlendedPrimitive:
         kernel.blend(self._forms(part, np.zeros_like(frame), changes), table, found[1])
         return found
 
-    def _frame_and_changes(self, part: slice) -> tuple[Float64Array, Float64Array]:
+    def _frame_and_changes(self, part: slice | IntArray) -> tuple[Float64Array, Float64Array]:
         """Return t and ± b (2, B, 3), with the sign of the frame, and α and ± β of all slots (2, B, K)."""
         rest, sign = self._rest, self._handedness[part, None]
         others = rest.alpha[part], sign * rest.beta[part]

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray
-from skinbake.skinning.algorithms import Algorithm
 from skinbake.skinning.components import Rows, Vector, cofactors, cross, dot, linear, quotient, scaled
+from skinbake.skinning.rest import Algorithm
 from skinbake.skinning.run import Skinning
 from skinbake.truth.areas import angles_of_units, units_or_nan
 from skinbake.truth.mesh import Int32Array, WeldedMesh, weights_of_corners

@@ -17,8 +17,9 @@ from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
 from skinbake.skinning.components import dot, scaled
 from skinbake.skinning.rest import RestPrimitive
 from skinbake.threads import Threads
+from skinbake.timing import stage
 from skinbake.truth import kernel
-from skinbake.truth.blending import sample_blocks
+from skinbake.truth.blending import chunks, sample_blocks
 from skinbake.truth.mesh import WeldedMesh
 from skinbake.truth.normals import (
     CarriedNormals,
@@ -127,6 +128,24 @@ class Truths(NamedTuple):
         normals, exist = kernel.true_normals(self.frames, number, deformed, sides, sums)
         # These are both truths in their order, or the last one alone if there are no sums.
         return normals[: len(self.of_mesh)], exist[: len(self.of_mesh)]
+
+
+def truths_at_rest(
+    operator: GradientOperator,
+    primitives: Sequence[RestPrimitive],
+    poses: int,
+    morphing: object,
+    names: Sequence[str] = USUAL_TRUTHS,
+) -> Truths:
+    """Measure a mesh at rest, for any number of calls of ``lighting_errors`` with so many poses.
+
+    names are one or both of ``USUAL_TRUTHS``.
+    """
+    parts = chunks(len(operator.positions), poses)
+    most = max((part.stop - part.start for part in parts), default=0)
+    with stage("truths"):
+        # Under morph targets, poses are measured one at a time.
+        return Truths.of(operator, primitives, min(most, 1) if morphing else most, names)
 
 
 class ChunkMemory:
