@@ -155,8 +155,15 @@ def entry_point() -> None:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, signal.SIG_DFL)
     for stream in (sys.stdout, sys.stderr):
-        if not _settled(stream):
-            code = exit_codes.READER_GONE
+        if not isinstance(stream, io.TextIOWrapper):
+            continue
+        try:
+            stream.flush()
+        except (OSError, ValueError) as error:
+            # Text that it could not write is dropped, so that exit does not fail.
+            with suppress(OSError):  # a stream without a descriptor has nothing to flush at exit
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+            code = exit_codes.READER_GONE if isinstance(error, BrokenPipeError) else code
     sys.exit(code)
 
 
@@ -207,16 +214,3 @@ def _said(text: str, code: int) -> int:
 
 class _Stopped(KeyboardInterrupt):
     """A signal of ``ENDING``. KeyboardInterrupt itself kills Python once it left an exec, even if caught."""
-
-
-def _settled(stream: object) -> bool:
-    """Drop text that a stream could not write, so that exit does not fail. False: its reader has left."""
-    if not isinstance(stream, io.TextIOWrapper):
-        return True
-    try:
-        stream.flush()
-    except (OSError, ValueError) as error:
-        with suppress(OSError):  # a stream without a descriptor has nothing to flush at exit
-            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-        return not isinstance(error, BrokenPipeError)
-    return True

@@ -85,9 +85,11 @@ class Progress:
         now = time.monotonic()
         if self._say.verbosity < 0 or now - self._started < self._due:
             return
-        if self._bar is None and self._say.verbosity < 1 and not _may_be_terminal():
-            return  # nothing would be shown, and rich takes a while to import
         if self._bar is None:
+            # Where rich takes stderr for no terminal, it would show nothing, and its import takes a while.
+            asked = any(os.environ.get(name) for name in ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE"))
+            if self._say.verbosity < 1 and not asked and not sys.stderr.isatty():
+                return
             self._bar = _bar(self._say)
         if self._bar.disable:
             self._log(now)
@@ -144,12 +146,6 @@ class Progress:
         spent = now - self._started
         left = f", {done / spent:.3g}/s, {spent / done * (total - done):.0f} s left" if done else ""
         self._say.details([f"{what}: {done:,} of {total:,}{left}" if total else what])
-
-
-def _may_be_terminal() -> bool:
-    """Tell whether rich may take stderr for a terminal. Its environment variables can ask for that."""
-    asked = any(os.environ.get(name) for name in ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE"))
-    return asked or sys.stderr.isatty()
 
 
 def _bar(say: Console) -> Any:

@@ -61,7 +61,20 @@ def runner_of(plan: Plan[Any], module: str, guess: tuple[float, float]) -> Runne
         raise ChoiceError(limited, reason=OR_CLUSTER)
     if limited and STDIO in {*plan.names, plan.output}:
         raise ChoiceError(limited, reason=(" needs files, not - for stdin or stdout",))
-    _check_elsewhere(plan)
+    # What does not fit a cluster, or URLs.
+    address = plan.dask
+    if address is not None and not ADDRESS.fullmatch(address):
+        raise ChoiceError(
+            "dask", reason=(" needs the address that a scheduler prints, like tcp://host:8786",)
+        )
+    if address and plan.jobs != 1:
+        raise ChoiceError("jobs", reason=OR_CLUSTER)
+    if address and STDIO in {*plan.names, plan.output}:
+        raise ChoiceError("dask", reason=(" needs files or URLs, not - for stdin or stdout",))
+    named = [*plan.names, plan.out_dir or "", plan.output or ""]
+    if plan.skip_unchanged and (address or any(map(is_url, named))):
+        reason = " needs files on this disk, without ", Chosen("dask"), " and URLs"
+        raise ChoiceError("skip_unchanged", reason=reason)
     turns = in_turns([entry for entry, _ in plan.targets]) if plan.out_dir else []
     if plan.dask:
         from skinbake.jobs.remote.dask_runner import DaskRunner
@@ -84,23 +97,6 @@ def runner_of(plan: Plan[Any], module: str, guess: tuple[float, float]) -> Runne
     workers, modules = plan.jobs or usable_cores(), ("skinbake.cli.main", module, "skinbake.jobs.file_work")
     whole = Processes(workers, modules, limits, partial(_large_ones, workers, guess))
     return FirstThese(turns, Processes(1, modules, limits), whole) if turns else whole
-
-
-def _check_elsewhere(plan: Plan[Any]) -> None:
-    """Raise ChoiceError for options that do not fit a cluster, or URLs."""
-    address = plan.dask
-    if address is not None and not ADDRESS.fullmatch(address):
-        raise ChoiceError(
-            "dask", reason=(" needs the address that a scheduler prints, like tcp://host:8786",)
-        )
-    if address and plan.jobs != 1:
-        raise ChoiceError("jobs", reason=OR_CLUSTER)
-    if address and STDIO in {*plan.names, plan.output}:
-        raise ChoiceError("dask", reason=(" needs files or URLs, not - for stdin or stdout",))
-    named = [*plan.names, plan.out_dir or "", plan.output or ""]
-    if plan.skip_unchanged and (address or any(map(is_url, named))):
-        reason = " needs files on this disk, without ", Chosen("dask"), " and URLs"
-        raise ChoiceError("skip_unchanged", reason=reason)
 
 
 def within_limits(call: Callable[[], T], plan: Plan[Any], source: str) -> T:

@@ -163,7 +163,15 @@ class _Pool(Generic[JobT, ReturnT]):
     def results(self) -> Iterator[tuple[int, ReturnT]]:
         while self._unfinished:
             self._hand_out()
-            ready = wait([worker.connection for worker in self._workers], self._until_late())
+            until_late = None  # the seconds until the next worker must be told to stop, or must be killed
+            if (seconds := self._limits.seconds) is not None:
+                ends = [
+                    worker.begun + seconds if worker.late is None else worker.late + GRACE
+                    for worker in self._workers
+                    if worker.sent and worker.is_warm
+                ]
+                until_late = min(LONGEST_WAIT, max(0.0, min(ends) - time.monotonic())) if ends else None
+            ready = wait([worker.connection for worker in self._workers], until_late)
             self._stop_late()
             for connection in ready:
                 worker = next(w for w in self._workers if w.connection is connection)
@@ -183,18 +191,6 @@ class _Pool(Generic[JobT, ReturnT]):
                     finished = self._finished(worker, *message)
                     self._hand_out()  # the workers go on while the caller uses the result
                     yield finished
-
-    def _until_late(self) -> float | None:
-        """Return the seconds until the next worker must be told to stop, or must be killed."""
-        seconds = self._limits.seconds
-        if seconds is None:
-            return None
-        ends = [
-            worker.begun + seconds if worker.late is None else worker.late + GRACE
-            for worker in self._workers
-            if worker.sent and worker.is_warm
-        ]
-        return min(LONGEST_WAIT, max(0.0, min(ends) - time.monotonic())) if ends else None
 
     def _stop_late(self) -> None:
         """Tell a worker to stop if its job takes too long, and kill it if it does not stop.

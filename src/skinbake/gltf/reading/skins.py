@@ -255,22 +255,16 @@ def _rig_of(document: Document, skeleton: Skeleton) -> Rig:
             determinants = (a * adjugate[:, 0]).sum(axis=1)
             pivots[usable] = -(adjugate * moved[:, None]).sum(axis=2) / determinants[:, None]
         pivots[~np.isfinite(pivots).all(axis=1)] = np.nan
-        rig = Rig(parents, pivots, _stored_pose(skeleton, parents))
+        # The upper rows of the joint matrices (1, J, 3, 4) of the nodes as stored, NaN for none. There is no
+        # such pose if no joint is turned or scaled against the joint that carries it.
+        with np.errstate(over="ignore", invalid="ignore"):  # scales may be past all floats
+            stored = rest_pose(skeleton)[:, :, :3]
+            held = np.flatnonzero(parents != NO_PARENT)
+            turned = stored[0, held, :, :3] - stored[0, parents[held], :, :3]
+            sizes = np.linalg.norm(stored[0, parents[held], :, :3], axis=(1, 2))
+            # A turn by a small angle changes the norm of a rotation, √3, by √2 times the angle.
+            counts = np.linalg.norm(turned, axis=(1, 2)) > np.sqrt(2.0 / 3.0) * TURNED * sizes
+            stored[~(np.abs(stored) <= MOST).all(axis=(2, 3))] = np.nan
+        rig = Rig(parents, pivots, stored if counts.any() else stored[:0])
     document.budget.claim(Cost.RIG_JOINT * joints, f"the rig of {counted(joints, 'joint')}", document.place)
     return rig
-
-
-def _stored_pose(skeleton: Skeleton, parents: npt.NDArray[np.int32]) -> Float64Array:
-    """Return the upper rows of the joint matrices (1, J, 3, 4) of the nodes as stored, NaN for none.
-
-    There is no such pose, (0, J, 3, 4), if no joint is turned or scaled against the joint that carries it.
-    """
-    with np.errstate(over="ignore", invalid="ignore"):  # scales may be past all floats
-        stored = rest_pose(skeleton)[:, :, :3]
-        held = np.flatnonzero(parents != NO_PARENT)
-        turned = stored[0, held, :, :3] - stored[0, parents[held], :, :3]
-        sizes = np.linalg.norm(stored[0, parents[held], :, :3], axis=(1, 2))
-        # A turn by a small angle changes the norm of a rotation, √3, by √2 times the angle.
-        counts = np.linalg.norm(turned, axis=(1, 2)) > np.sqrt(2.0 / 3.0) * TURNED * sizes
-        stored[~(np.abs(stored) <= MOST).all(axis=(2, 3))] = np.nan
-    return stored if counts.any() else stored[:0]

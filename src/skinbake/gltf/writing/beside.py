@@ -176,7 +176,15 @@ class Beside:
     def _planned_name(self, name: str, pieces: Iterable[Bytes], *, is_noted: bool = True) -> str:
         """Return the name of a copy, and note the file that will be written or serves."""
         before = signature_of(self._path(name))  # read before the content, so that a later change shows
-        free = self._free_name(name, pieces)
+        # Another file has, or will have, the name: then one that is made from the content.
+        free, planned = name, self._files.get(Path(self._path(name)))
+        differs = planned is not None and content_digest(planned) != content_digest(pieces)
+        if differs or self._occupied(name, pieces):
+            plain = PurePosixPath(name)
+            free = str(plain.with_name(f"{plain.stem}-{content_digest(pieces)}{plain.suffix}"))
+            if self._occupied(free, pieces):
+                message = f"a file of that name with other content is in the way: {free}"
+                raise OutputError(message, Place(str(self._folder)))
         path = Path(self._path(free))
         if not os.path.lexists(path):
             self._files[path] = pieces
@@ -185,26 +193,11 @@ class Beside:
         if self._copies is not None and is_noted:
             made_of = self._home / Path(self._document.name).name
             source = pieces.file.path if isinstance(pieces, FileContent) else str(made_of)
-            plain = Path(self._path(name))
+            wanted = Path(self._path(name))
             self._copies.use(path, source, pieces)
-            if free != name and plain not in self._files:
-                self._copies.in_the_way.setdefault(plain, path)
+            if free != name and wanted not in self._files:
+                self._copies.in_the_way.setdefault(wanted, path)
         return free
-
-    def _free_name(self, name: str, pieces: Iterable[Bytes]) -> str:
-        """Return ``name``, or a name made from the content if another file has or will have that name."""
-        planned = self._files.get(Path(self._path(name)))
-        if (planned is None or content_digest(planned) == content_digest(pieces)) and not self._occupied(
-            name, pieces
-        ):
-            return name
-        path = PurePosixPath(name)
-        other = str(path.with_name(f"{path.stem}-{content_digest(pieces)}{path.suffix}"))
-        if self._occupied(other, pieces):
-            raise OutputError(
-                f"a file of that name with other content is in the way: {other}", Place(str(self._folder))
-            )
-        return other
 
     def _occupied(self, name: str, pieces: Iterable[Bytes]) -> bool:
         """Tell whether another file, or the target, has a name in the target's folder.

@@ -50,7 +50,16 @@ def for_target(document: Document, target: str, *, pack: bool = False) -> Docume
             else:
                 converted = packed(converted, buffer_files=target == STDIO)
         # Of images that stay files, standard output has a word of its own.
-        if target != STDIO or not _tell_loose_images(converted):
+        loose = [uri for image in converted.objects("images") if isinstance(uri := image.get("uri"), str)]
+        count = sum(map(is_relative, loose)) if target == STDIO else 0
+        if count:
+            message = one_or_many(
+                count,
+                f"1 image is a file; on standard output its URI still starts at {document.folder}",
+                f"{count:,} images are files; on standard output their URIs still start at {document.folder}",
+            )
+            document.notices.tell(Notice("images-outside", message, document.place, count))
+        else:
             document.notices.tell(*unpacked)
         if target == STDIO:  # each buffer that is a file becomes a data: URI
             buffers = converted.objects("buffers")
@@ -148,17 +157,3 @@ def _is_hollow(document: Document, buffer: JsonObject) -> bool:
         and meshopt.is_fallback(buffer, document.place)
         and not resources.is_there(uri, document.folder, document.bounds)
     )
-
-
-def _tell_loose_images(document: Document) -> bool:
-    """Tell of images that are files beside standard output; return whether there are any."""
-    loose = [uri for image in document.objects("images") if isinstance(uri := image.get("uri"), str)]
-    count = sum(map(is_relative, loose))
-    if count:
-        message = one_or_many(
-            count,
-            f"1 image is a file; on standard output its URI still starts at {document.folder}",
-            f"{count:,} images are files; on standard output their URIs still start at {document.folder}",
-        )
-        document.notices.tell(Notice("images-outside", message, document.place, count))
-    return count > 0
