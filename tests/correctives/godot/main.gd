@@ -46,4 +46,9 @@ func _on_show(arguments: Array) -> void:
 	player.play(player.get_animation_list()[asked.clip])
 	player.seek(asked.time, true)
 	player.pause()
+	if asked.get("code"):
+		var script := GDScript.new()
+		script.source_code = "static func run(model: Node) -> void:\n" + asked.code.indent("\t")
+		script.reload()
+		script.run(_scene)
 	_window.answer = ""

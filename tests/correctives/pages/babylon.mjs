@@ -25,8 +25,9 @@ function frame(scene) {
     engine.endFrame();
 }
 
-// The normals that each draw hands on, in the scene. The page sets weights of the morph targets of a node first.
-window.played = async ({ url, clip, time, node, weights = [] }) => {
+// The normals that each draw hands on, in the scene. The page sets weights of the morph targets of a node first,
+// and runs code of documentation last.
+window.played = async ({ url, clip, time, node, weights = [], code = '' }) => {
     const scene = new Scene(engine);
     scene.useRightHandedSystem = true;
     new DirectionalLight('sun', new Vector3(-1, -2, -3), scene);
@@ -44,6 +45,7 @@ window.played = async ({ url, clip, time, node, weights = [] }) => {
         await new Promise((resolve) => setTimeout(resolve, 2));
     }
     frame(scene);
+    new Function('scene', code)(scene);
     frame(scene);
     CAPTURE.draws = [];
     CAPTURE.on = true;

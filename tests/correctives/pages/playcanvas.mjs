@@ -29,8 +29,8 @@ app.root.addChild(sun);
 app.root.addChild(camera);
 
 // The normals that each draw hands on, in the scene. isPrecise: morph targets in floats, not in half floats. The page sets
-// weights of the morph targets of a node first.
-window.played = async ({ url, clip, time, isPrecise = false, node, weights = [] }) => {
+// weights of the morph targets of a node first, and runs code of documentation last.
+window.played = async ({ url, clip, time, isPrecise = false, node, weights = [], code = '' }) => {
     const others = { morphPreferHighPrecision: isPrecise };
     const options = window.optionsFor?.(app, {}, others) ?? others;
     const asset = new pc.Asset(url, 'container', { url, filename: url.split('/').pop() }, null, options);
@@ -52,6 +52,7 @@ window.played = async ({ url, clip, time, isPrecise = false, node, weights = [] 
         for (const instance of meshInstances) instance.cull = false;
     }
     app.update(0);
+    new Function('entity', code)(entity);
     app.render();
     CAPTURE.draws = [];
     CAPTURE.on = true;

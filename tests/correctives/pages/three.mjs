@@ -22,8 +22,8 @@ async function rendererOf(backend) {
 window.backend = async (name) => ((await rendererOf(name)).backend?.isWebGPUBackend ? 'webgpu' : 'webgl');
 
 // The normals that each draw hands on, in the scene: the camera stands at the origin. The page sets weights of the morph
-// targets of a node first.
-window.played = async ({ url, clip, time, backend = 'webgl', node, weights = [] }) => {
+// targets of a node first, and stops the clip if it is asked to.
+window.played = async ({ url, clip, time, backend = 'webgl', node, weights = [], isStopped = false }) => {
     const renderer = await rendererOf(backend);
     const loader = new GLTFLoader();
     if (window.plugin) loader.register(window.plugin);
@@ -34,6 +34,7 @@ window.played = async ({ url, clip, time, backend = 'webgl', node, weights = [] 
     const mixer = new THREE.AnimationMixer(model);
     mixer.clipAction(animations[clip]).play();
     mixer.setTime(time);
+    if (isStopped) mixer.stopAllAction();
     const scene = new THREE.Scene();
     scene.add(model, new THREE.DirectionalLight());
     const camera = new THREE.PerspectiveCamera();
