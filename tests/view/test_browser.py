@@ -152,6 +152,7 @@ def test_the_divider_follows_the_mouse_and_the_keys(browsing: Browsing) -> None:
     )
     # While errors are measured, the legend may change, and so all colours.
     page.call("(() => application.stopMeasuring())")
+    page.call("(() => divided.click())")
     before = picture(page)
     box = page.call(
         "(() => { canvas.scrollIntoView(); "
@@ -170,7 +171,7 @@ def test_the_divider_follows_the_mouse_and_the_keys(browsing: Browsing) -> None:
     assert page.call("(() => divider.getAttribute('aria-valuenow'))") == "27"
     page.press("End")
     assert page.call("(() => divider.getAttribute('aria-valuenow'))") == "100"
-    page.call("(() => application.setSplit(0.5))")
+    page.call("(() => { application.setSplit(0.5); divided.click(); })")
 
 
 def test_a_clip_plays_and_its_time_goes_on(browsing: Browsing) -> None:

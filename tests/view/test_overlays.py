@@ -120,8 +120,8 @@ def test_a_character_on_a_large_stage_fills_the_picture_until_all_is_shown(
         application.stopMeasuring();
         application.seek(application.clip.end, true);
         application.applyPose();
-        const { camera, renderer, scene } = application;
-        const { width, height } = renderer.canvas;
+        const { camera, scene } = application;
+        const [width, height] = camera.size;
         return [camera.projected(width / height), scene.parts.map((part) => [...scene.positions(part, 1)])];
     })"""
     file = Editable(TUBE)
@@ -165,8 +165,8 @@ def test_the_whole_model_is_seen_over_its_clip(browsing: browser.Page, tmp_path:
     take(browsing, file.write(tmp_path / "bending.glb"))
     matrix, positions = browsing.call(
         """(() => {
-            const { camera, clip, renderer, scene } = application;
-            const { width, height } = renderer.canvas;
+            const { camera, clip, scene } = application;
+            const [width, height] = camera.size;
             const every = Array.from({ length: 17 }, (_, i) => {
                 scene.pose(clip, clip.start + (i / 16) * (clip.end - clip.start));
                 return [...scene.positions(scene.parts[0], 1)];

@@ -1,4 +1,4 @@
-"""Where a bake shows, on the page: where it opens, the list of places, and one lighting at a time."""
+"""Two panes of one view: where the page opens, its places, equal pixels, and the other lighting on a key."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 import skinbake
 from fixtures.make_fixtures import FOLDER
-from skinbake.commands import where_it_shows
 from skinbake.commands.view import view_file
 from tests.support import browser
 from tests.support.models import edited
@@ -22,11 +22,14 @@ from tests.view.pages import normals, picture, shown, take
 pytestmark = pytest.mark.slow
 
 TUBE = FOLDER / "bent_tube.glb"
+WORDS = re.compile(
+    r"(?P<joint>.+), (?P<clip>.+) (?P<time>[\d.]+) s: (?P<standard>[\d.]+)° → (?P<baked>[\d.]+)°"
+)
 SHOWN = """(() => ({
     clip: application.clip.name, time: application.time, playing: application.isPlaying,
-    target: application.camera.target, eye: [...application.camera.eye], message: message.textContent,
+    target: application.camera.target, distance: application.camera.distance, here: here.textContent,
     places: [...document.querySelectorAll('#places-list button')].map(({ textContent }) => textContent),
-    hidden: places.hidden,
+    hidden: places.hidden, rings: document.querySelectorAll('.ring:not([hidden])').length,
 }))"""
 
 
@@ -34,91 +37,147 @@ SHOWN = """(() => ({
 def browsing() -> Iterator[browser.Page]:
     """Open the page of a fixture, for each test anew: it changes what is shown."""
     with shown(TUBE) as page:
+        page.call("(() => application.stopMeasuring())")
         yield page
 
 
-def test_the_page_opens_close_up_where_the_bake_shows_most(browsing: browser.Page) -> None:
-    """The normals that the page draws differ by more around the point it looks at than anywhere else."""
-    page = browsing
-    found = page.call(SHOWN)
-    assert (found["clip"], found["playing"], found["hidden"]) == ("bend", False, False)
+def panes(page: browser.Page) -> tuple[npt.NDArray[np.int_], npt.NDArray[np.int_]]:
+    """Return the pixels of the panes that lie beside each other."""
+    seen = picture(page).astype(int)
+    half = seen.shape[1] // 2
+    return seen[:, :half], seen[:, seen.shape[1] - half :]
+
+
+def test_the_page_opens_on_the_whole_figure_with_a_ring_where_the_bake_shows_most(
+    browsing: browser.Page,
+) -> None:
+    """The normals of both lightings differ more inside the ring than outside."""
+    found = browsing.call(SHOWN)
+    assert (found["clip"], found["playing"], found["hidden"], found["rings"]) == ("bend", False, False, 2)
     assert found["time"] == pytest.approx(0.5, abs=0.08)
-    first = found["places"][0]
-    words = re.fullmatch(r"([\d.]+)° → ([\d.]+)°, \u2068bend\u2069 at 0\.\d\d s", first)
-    assert words is not None, first
-    assert float(words[1]) > 10 * float(words[2])
-    assert found["message"] == f"Here {words[1]}° → {words[2]}°"
+    words = WORDS.fullmatch(found["places"][0])
+    assert words is not None, found["places"]
+    assert found["here"] == found["places"][0]
+    assert float(words["standard"]) > 10 * float(words["baked"])
     standard, accurate = (
-        normals(page, lighting, clip=0, time=found["time"]) for lighting in ("standard", "fitted")
+        normals(browsing, lighting, clip=0, time=found["time"]) for lighting in ("standard", "fitted")
     )
-    positions = np.array(
-        page.call("(() => [...application.scene.positions(application.scene.parts[0], 1)])")
-    ).reshape(-1, 3)
-    apart = np.degrees(np.arccos(np.clip((standard * accurate).sum(axis=1), -1, 1)))
-    far = np.linalg.norm(positions - found["target"], axis=1)
-    close = far < 0.12 * np.linalg.norm(np.ptp(positions, axis=0))
-    assert 20 < close.sum() < len(far) / 4
-    assert apart[close].mean() > 2 * apart.mean()
-    assert far[apart > 0.8 * apart.max()].min() < 0.08 * np.linalg.norm(np.ptp(positions, axis=0))
-    # It faces the camera.
-    looking = np.array(found["eye"]) - found["target"]
-    looking /= np.linalg.norm(looking)
-    assert (accurate[close] @ looking).max() > 0.9
-
-
-def test_each_place_is_another_view_of_the_model(browsing: browser.Page) -> None:
-    count = len(browsing.call(SHOWN)["places"])
-    assert 2 <= count <= 5
-    views = []
-    for number in range(count):
-        browsing.call(f"(() => document.querySelectorAll('#places-list button')[{number}].click())")
-        found = browsing.call(SHOWN)
-        assert found["places"][number].startswith(found["message"].removeprefix("Here "))
-        views.append(found["target"])
-    apart = [np.linalg.norm(np.subtract(a, b)) for i, a in enumerate(views) for b in views[:i]]
-    assert min(apart) > 0.3
-    browsing.call("(() => home.click())")
-    assert browsing.call(SHOWN)["message"] == ""
-
-
-def test_one_lighting_is_shown_alone_by_key_and_by_button(browsing: browser.Page) -> None:
-    """What one lighting draws on its side of the divider, it draws everywhere when it is alone."""
-    page = browsing
-    page.call(
+    positions, middle, matrix, rings = browsing.call(
         """(() => {
-            document.querySelector('#places-list button').click();
-            application.stopMeasuring();
-            document.querySelector('input[value=normals]').click();
-            application.setSplit(0.5);
-            canvas.focus();
+            const { camera, scene, place } = application;
+            application.draw();
+            const box = canvas.getBoundingClientRect();
+            const rings = [...document.querySelectorAll('.ring')].map((ring) => {
+                const { left, width, top, height } = ring.getBoundingClientRect();
+                return [left + width / 2 - box.left, top + height / 2 - box.top];
+            });
+            const [w, h] = camera.size;
+            return [[...scene.positions(scene.parts[0], 1)], scene.positionOf(place), camera.projected(w / h),
+                { rings, w, h, wide: box.width }];
         })"""
     )
-    seen = {"both": picture(page)}
-    for key in "ab":
-        page.press(key)
-        seen[key] = picture(page)
-        hidden = page.call(
-            """(() => ['.side-left', '.side-right'].map((side) =>
-                getComputedStyle(document.querySelector(side)).visibility))"""
-        )
-        assert hidden == (["visible", "hidden"] if key == "a" else ["hidden", "visible"])
-    middle = seen["both"].shape[1] // 2
-    assert np.array_equal(seen["both"][:, : middle - 2], seen["a"][:, : middle - 2])
-    assert np.array_equal(seen["both"][:, middle + 2 :], seen["b"][:, middle + 2 :])
-    assert np.abs(seen["a"].astype(int) - seen["b"]).max() > 40
-    page.press("b")
-    assert np.array_equal(picture(page), seen["both"])
-    for key in "ba":  # the button goes from one to the other
-        page.call(
-            "(() => flip.click())" if key == "a" else "(() => { application.setSplit(1); flip.click(); })"
-        )
-        assert np.array_equal(picture(page), seen[key])
-    page.call("(() => { application.setSplit(0.5); document.querySelector('input[value=shaded]').click(); })")
+    points = np.array(positions).reshape(-1, 3)
+    apart = np.degrees(np.arccos(np.clip((standard * accurate).sum(axis=1), -1, 1)))
+    far = np.linalg.norm(points - middle, axis=1)
+    close = far < 0.12 * np.linalg.norm(np.ptp(points, axis=0))
+    assert apart[close].mean() > 2 * apart.mean()
+    places = np.column_stack([points, np.ones(len(points))]) @ np.array(matrix).reshape(4, 4)
+    assert np.abs(places[:, :2] / places[:, 3:]).max() < 1, "all of the figure is in the pane"
+    at = np.array([*middle, 1.0]) @ np.array(matrix).reshape(4, 4)
+    x, y = (0.5 + at[0] / at[3] / 2) * rings["w"], (0.5 - at[1] / at[3] / 2) * rings["h"]
+    assert rings["rings"][0] == pytest.approx([x, y], abs=2)
+    assert rings["rings"][1][0] - rings["rings"][0][0] == pytest.approx(rings["wide"] / 2, abs=2)
+
+
+def test_a_click_on_a_place_goes_there_and_another_one_back(browsing: browser.Page) -> None:
+    count = len(browsing.call(SHOWN)["places"])
+    assert 2 <= count <= 5
+    middles = []
+    for number in range(count):
+        click = f"(() => document.querySelectorAll('#places-list button')[{number}].click())"
+        browsing.call(click)
+        near = browsing.call(SHOWN)
+        assert near["here"] == near["places"][number]
+        assert near["rings"] == 2 or near["distance"]
+        middles.append(near["target"])
+        browsing.call(click)
+        whole = browsing.call(SHOWN)
+        assert whole["distance"] > 2 * near["distance"]
+        assert (whole["time"], whole["here"]) == (near["time"], near["here"])
+    apart = [np.linalg.norm(np.subtract(a, b)) for i, a in enumerate(middles) for b in middles[:i]]
+    assert min(apart) > 0.3
+
+
+@pytest.mark.parametrize("size", [(1281, 800), (390, 844)], ids=["beside", "above"])
+def test_both_panes_show_the_same_pixels_where_both_lightings_are_the_same(
+    browsing: browser.Page, size: tuple[int, int]
+) -> None:
+    browsing.show_as(*size, "light")
+    for mode in ("shaded", "reflections", "normals", "error"):
+        differ = []
+        for lighting in ("standard", "fitted"):
+            browsing.call(
+                """((mode, lighting) => {
+                    application.stopMeasuring();
+                    document.querySelector(`input[value=${mode}]`).click();
+                    right.value = lighting;
+                    application.chooseSides();
+                    application.resize();
+                })""",
+                mode,
+                lighting,
+            )
+            seen = picture(browsing).astype(int)
+            if size[0] > size[1]:
+                half = seen.shape[1] // 2
+                first, second = seen[:, :half], seen[:, seen.shape[1] - half :]
+            else:
+                half = seen.shape[0] // 2
+                first, second = seen[:half], seen[seen.shape[0] - half :]
+            assert (first[..., 3] > 200).mean() > 0.02
+            differ.append(int((first != second).any(axis=2).sum()))
+        assert differ[0] == 0, mode
+        assert differ[1] > 100, mode
+    assert browsing.messages() == []
+
+
+def test_while_a_is_held_the_first_pane_shows_the_other_lighting_and_all_else_stands_still(
+    browsing: browser.Page,
+) -> None:
+    page = browsing
+    page.call("(() => { moving.click(); application.play(true); canvas.focus(); })")
+    page.call("(() => new Promise((done) => setTimeout(done, 300)))")
+    state = "(() => [application.time, application.turn, application.camera.eye, left.value])"
+    page.call("(() => canvas.dispatchEvent(new KeyboardEvent('keydown', { key: 'a', bubbles: true })))")
+    begun = page.call(state)
+    held = panes(page)
+    page.call("(() => new Promise((done) => setTimeout(done, 300)))")
+    assert page.call(state) == begun
+    assert begun[3] == "fitted"
+    assert np.array_equal(*held)
+    again = panes(page)
+    assert np.array_equal(held[0], again[0])
+    page.call("(() => application.play(false))")
+    page.call("(() => canvas.dispatchEvent(new KeyboardEvent('keyup', { key: 'a', bubbles: true })))")
+    page.call("((time) => application.seek(time, true))", begun[0])
+    after = panes(page)
+    assert np.array_equal(after[1], held[1]), "the other pane is as it was"
+    assert not np.array_equal(after[0], held[0])
+    assert page.call(state)[3] == "standard"
+
+
+def test_playing_moves_both_panes(browsing: browser.Page) -> None:
+    before = panes(browsing)
+    browsing.call("(() => application.seek(application.clip.start, true))")
+    after = panes(browsing)
+    for one, other in zip(before, after, strict=True):
+        assert (one != other).any(axis=2).mean() > 0.01
 
 
 def test_a_dropped_file_has_no_places(browsing: browser.Page) -> None:
     take(browsing, FOLDER / "seam.glb")
-    assert browsing.call(SHOWN)["hidden"] is True
+    found = browsing.call(SHOWN)
+    assert (found["hidden"], found["rings"]) == (True, 0)
 
 
 def test_a_file_without_clips_opens_on_a_place_in_random_poses(tmp_path: Path) -> None:
@@ -129,9 +188,9 @@ def test_a_file_without_clips_opens_on_a_place_in_random_poses(tmp_path: Path) -
         drawn = normals(page, "standard", clip=0, time=found["time"])
     assert (found["clip"], found["playing"]) == ("Random poses", False)
     assert 0.2 < found["time"] < 8.8  # at 0 and 9 s it rests
-    words = re.match(r"([\d.]+)° → ([\d.]+)°", found["places"][0])
+    words = WORDS.fullmatch(found["places"][0])
     assert words is not None
-    assert float(words[1]) > 5 * float(words[2])
+    assert float(words["standard"]) > 5 * float(words["baked"])
     skinbake.bake(path, path)
     [posed] = skinbake.normals(path, time=found["time"])
     assert posed.clip is None
@@ -149,48 +208,9 @@ def places(path: Path) -> list[dict[str, Any]]:
     return found
 
 
-def test_places_of_vrm_0_lie_where_those_of_the_same_character_do(tmp_path: Path) -> None:
-    """It is searched as it stands before the camera, and shown as it stands in the file."""
+def test_places_of_vrm_0_are_those_of_the_same_character(tmp_path: Path) -> None:
     turned = edited("bent_tube.glb", tmp_path, lambda content: content.update(extensions={"VRM": {}}))
-    first, other = (places(path)[0] for path in (TUBE, turned))
-    assert first["words"] == other["words"]
-    assert other["middle"] == pytest.approx(first["middle"], abs=0.05)  # the same side, at its angle
-    assert np.dot(other["towards"], first["towards"]) > 0.95
-
-
-def test_where_triangles_are_too_many_some_vertices_find_much_the_same_place(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    every = places(TUBE)[0]
-    monkeypatch.setattr(where_it_shows, "TESTS", 1 << 11)
-    some = places(TUBE)[0]
-    assert some["middle"] == pytest.approx(every["middle"], abs=0.3)
-    assert np.dot(some["towards"], every["towards"]) > 0.8
-    angles = [[float(one) for one in re.findall(r"[\d.]+", found["words"])] for found in (every, some)]
-    assert angles[1][0] == pytest.approx(angles[0][0], rel=0.2)
-    assert angles[1][0] > 10 * angles[1][1]
-
-
-def test_a_place_is_found_in_the_moments_that_the_bytes_of_a_file_afford(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """A mesh that many skins draw has many vertices in each moment, and few bytes."""
-    every, moments = places(TUBE), []
-    posed = where_it_shows._Search.moments
-
-    def counted(search: Any, clip: Any, times: Any) -> Any:
-        moments.extend(times)
-        return posed(search, clip, times)
-
-    monkeypatch.setattr(where_it_shows._Search, "moments", counted)
-    places(TUBE)
-    assert len(moments) > 20
-    moments.clear()
-    monkeypatch.setattr(where_it_shows, "LOOKS_FREE", 0)
-    monkeypatch.setattr(where_it_shows, "LOOKS_A_BYTE", 0)
-    [first, *_] = places(TUBE)
-    assert len(moments) == 1
-    assert first["middle"] == pytest.approx(every[0]["middle"], abs=0.5)
+    assert places(TUBE) == places(turned)
 
 
 def test_clips_may_have_one_name(tmp_path: Path) -> None:

@@ -85,7 +85,7 @@ def command(plan: Plan[VerifyOptions], **extras: Any) -> None:
     from skinbake.jobs.verify import Verify
 
     bare = frozenset(entry.source for entry in without_output)
-    commands = [Verify(one, checks, bare) for one in plan.options]
+    commands = [Verify(one, checks, bare, plan.say.verbosity > 0) for one in plan.options]
     sys.exit(work_through(plan, commands, _reporting(plan, extra), plan.options))
 
 

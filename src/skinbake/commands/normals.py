@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skinbake.choices import USUAL_TRUTHS, Baseline, Method
-from skinbake.commands.shown import baked_in_memory
-from skinbake.commands.where_it_shows import telling_pose
+from skinbake.commands.shown import baked_in_memory, telling_pose
 from skinbake.errors import InputError
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.writing import write_file
@@ -65,8 +64,9 @@ def posed_normals(document: Document, request: NormalsRequest) -> Iterator[Posed
         message = "no primitive of it has blend weights that a bake has read: run skinbake bake --blend"
         raise InputError(message, document.place)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what has no normal gets NaN
-        draws = Scene(document, views, correctives).shown()
-        clip, moment, _ = telling_pose(document, draws, request.clip, request.time)
+        scene = Scene(document, views, correctives)
+        clip, moment, _ = telling_pose(scene, request.clip, request.time)
+        draws = scene.shown()
         claim_draws(document, draws, [clip], len(request.methods))
     for draw in draws:
         for method in request.methods:

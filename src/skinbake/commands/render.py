@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from skinbake.choices import Frame
-from skinbake.commands.shown import baked_in_memory, tell_unplaced
-from skinbake.commands.where_it_shows import followed, in_degrees, in_words, telling_pose
+from skinbake.commands.shown import baked_in_memory, followed, tell_unplaced, telling_pose
 from skinbake.errors import ChoiceError, InputError, Notice, SkinbakeError
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.writing import write_file
@@ -32,6 +31,7 @@ from skinbake.render.pictures import MILLISECONDS, MOVING, captioned, encoded
 from skinbake.render.studio import Look, Picture, Studio, placed, require_packages
 from skinbake.render.subject import YAW, Shot, Subject
 from skinbake.render.thumbnail import Posed, thumbnail
+from skinbake.report.verify import in_degrees
 from skinbake.skinning.rest import Algorithm, Options, RestPrimitive
 from skinbake.skinning.run import Skinning
 from skinbake.wording import counted
@@ -119,8 +119,8 @@ def render_file(
     require_packages()
     # What is too large is refused, and what is not a number is not drawn.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        draws = Scene(document, views, correctives).shown()
-        pictures, pose = _pictures(document, draws, sides, own, options, moves=suffix in MOVING)
+        scene = Scene(document, views, correctives)
+        pictures, pose = _pictures(scene, sides, own, options, moves=suffix in MOVING)
     data = encoded(pictures, suffix)
     write_file([data], target, sync=sync)
     for primitive in skinned_sources(document):
@@ -131,19 +131,14 @@ def render_file(
 
 
 def _pictures(
-    document: Document,
-    draws: Sequence[Draw],
-    sides: Sequence[str],
-    own: str,
-    options: RenderOptions,
-    *,
-    moves: bool,
+    scene: Scene, sides: Sequence[str], own: str, options: RenderOptions, *, moves: bool
 ) -> tuple[list[Picture], str]:
     """Return the pictures, and the first pose in words; tell what is missing in them."""
-    clip, moment, spot = telling_pose(document, draws, options.clip, options.time, is_close=options.is_close)
+    document, draws = scene.document, scene.shown()
+    clip, moment, spot = telling_pose(scene, options.clip, options.time, is_close=options.is_close)
     times, pose = _times(clip, moment, options, moves=moves)
     if spot is not None:
-        pose = f"{pose}, close up: {in_words(spot)}"
+        pose = f"{pose}, close up on {spot.joint}: {spot.words}"
     pixels = options.look.width * options.look.height
     work = (Cost.SAMPLED_PIXEL + Cost.DRAWN_PIXEL * len(times)) * pixels
     document.budget.claim(work, f"drawing {counted(len(times), 'picture')}", document.place)
@@ -166,20 +161,19 @@ def _pictures(
         points = np.stack([one.positions(pose) for pose in range(0, len(times), step)])
         if (np.linalg.norm(points - (low + high) / 2, axis=-1) < NEAR * np.linalg.norm(high - low) / 2).all():
             some.append(points)
-    yaw = YAW if spot is None else float(np.arctan2(spot.towards[0], spot.towards[2]))
+    yaw = YAW if spot is None else float(np.arctan2(spot.seen_from[0], spot.seen_from[2]))
     yaws = list(map(float, np.linspace(yaw, yaw + 2 * np.pi, 12))) if options.turntable else [yaw]
     camera, words = placed(some, yaws), list(sides)
     if spot is not None:
-        ball = spot.middle + CLOSE * spot.radius * np.concatenate([np.eye(3), -np.eye(3)])
-        pitch = float(np.arcsin(spot.towards[1]))
-        camera = replace(camera, middle=spot.middle, points=ball, pitch=pitch)
+        (at,) = followed(spot, [draw.at(clip, np.array([moment])) for draw in draws])
+        ball = at + CLOSE * spot.radius * np.concatenate([np.eye(3), -np.eye(3)])
+        camera = replace(camera, middle=at, points=ball, pitch=float(np.arcsin(spot.seen_from[1])))
         if (times == spot.time).all():
             figures = {"standard": spot.standard, own: spot.baked}
             words = [f"{side}, {in_degrees(figures[side])}" for side in sides]
         # The camera stays with the place, which is the same as to move the scene.
-        (at,) = followed(spot, draws[spot.draw].at(clip, np.array([spot.time])))
         moves_by = np.zeros((len(times), 1, 4, 4))
-        moves_by[..., :3, 3] = [[at - now] for now in followed(spot, posed[spot.draw])]
+        moves_by[..., :3, 3] = [[at - now] for now in followed(spot, posed)]
         posed = [draw.moved(moves_by) for draw in posed]
         rigid = [replace(one, matrices=one.matrices + moves_by) for one in rigid]
     layers = [1 + one.material.is_blended for one in subjects]

@@ -15,9 +15,8 @@ import numpy as np
 
 from skinbake.choices import FrameChoice, Gradients, Neighbours, Scheme, Weighting, Weld
 from skinbake.commands.render import small_picture
-from skinbake.commands.shown import baked_in_memory, holds_bake, tell_unplaced
+from skinbake.commands.shown import baked_in_memory, holds_bake, spots_in_clips, tell_unplaced
 from skinbake.commands.verify import verify_document
-from skinbake.commands.where_it_shows import in_words, where_it_shows
 from skinbake.errors import InputError, Notice, Notices, SkinbakeError
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.urls import STDIO
@@ -30,14 +29,23 @@ from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.glb import STDIN
 from skinbake.gltf.reading.materials import tell_images_missing
-from skinbake.gltf.reading.scenes import faces_backward
 from skinbake.gltf.writing.container import for_target
 from skinbake.gltf.writing.output import plan_output, refuse_own_input
 from skinbake.gltf.writing.packing import bytes_of_images, with_images_inside
 from skinbake.gltf.writing.recode import Compression, recoded
 from skinbake.measure.options import VerifyOptions
 from skinbake.measure.scene import Scene
-from skinbake.report.verify import FileVerdict, file_json, first_problem, gain, remarks, shown
+from skinbake.report.verify import (
+    FileVerdict,
+    Spot,
+    Spots,
+    conclusion,
+    file_json,
+    first_problem,
+    gain,
+    remarks,
+    shown,
+)
 from skinbake.timing import stage
 from skinbake.view.index import Listed, index, pages
 from skinbake.view.page import OtherGradients, Shown, page
@@ -80,7 +88,7 @@ def view_file(source: str, target: str | None = None, bounds: Bounds = BESIDE) -
         notes = [f"{before} This page baked it in memory, with the defaults."]
     if corrected or not was_baked:
         document = baked_in_memory(document)
-    verdict = verify_document(corrected or document, VerifyOptions())
+    verdict = verify_document(corrected or document, VerifyOptions(finds_places=True))
     told = tuple(document.notices)
     with document.notices.withheld() as missing:
         made = page_of(document, replace(verdict, notices=told), notes, corrected=corrected)
@@ -132,7 +140,7 @@ def page_of(
             **_findings(verdict),
             "notes": told,
             "limits": limits,
-            "places": _places(document, views, corrected),
+            **_places(document, views, corrected, verdict),
         }
         made = page(Shown(name=name, glb=glb, others=others, findings=findings))
         if len(made) > LARGE_PAGE:
@@ -215,36 +223,47 @@ def _with_influences(view: BakedView, kind: Gradients) -> OtherGradients:
 
 
 def _places(
-    document: Document, views: Sequence[BakedView], corrected: Document | None
-) -> list[dict[str, Any]]:
-    """Return where the bake shows, the best first. The page opens on the first of them."""
+    document: Document, views: Sequence[BakedView], corrected: Document | None, verdict: FileVerdict
+) -> dict[str, list[dict[str, Any]]]:
+    """Return where the bake shows, and where it gets worse. The page opens on the first place."""
     try:
         correctives = PlayedCorrectives(corrected) if corrected else None
-        draws = Scene(document, views, correctives).shown()
-        if not draws:
-            return []
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            spots = where_it_shows(document, draws)
-    except InputError:
-        return []  # a part of it cannot be posed, as the figures say
-    side = np.array([-1.0, 1.0, -1.0]) if faces_backward(document) else np.ones(3)
-    return [
-        {
-            "clip": spot.clip.number,
-            "time": spot.time,
-            "words": in_words(spot),
-            "middle": (side * spot.middle).tolist(),
-            "towards": (side * spot.towards).tolist(),
-            "radius": spot.radius,
-        }
-        for spot in spots
-    ]
+            found = spots_in_clips(Scene(document, views, correctives), verdict.spots)
+    except InputError:  # a part of it cannot be posed, as the figures say
+        found = Spots()
+
+    def listed(spots: Sequence[Spot]) -> list[dict[str, Any]]:
+        return [
+            {
+                "clip": spot.number,
+                "time": spot.time,
+                "where": spot.where,
+                "words": spot.words,
+                "mesh": spot.place.mesh,
+                "primitive": spot.place.primitive,
+                "skin": spot.skin,
+                "vertex": spot.vertex,
+                "towards": spot.seen_from,
+                "radius": spot.radius,
+            }
+            for spot in spots
+            if spot.number is not None
+        ]
+
+    return {"places": listed(found.shows), "worse": listed(found.worse)}
 
 
 def _findings(verdict: FileVerdict) -> dict[str, Any]:
     """Return the verdict in the members of verify's JSON, with problems as sentences."""
-    told = file_json(verdict)
+    told, judged = file_json(verdict), conclusion(verdict)
     return {
+        "verdict": judged
+        and {
+            "words": judged.headline,
+            "remark": judged.sentence,
+            "isGood": judged.short == "clear gain",
+        },
         "by_triangles": told["normals_by_triangles"],
         "by_tangents": told["normals_by_tangents"],
         "primitives": told["primitives"],

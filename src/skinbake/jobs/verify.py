@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 class Verify:
     """Verify the source of a job. ``sources`` has the check of ``--sources`` by its name.
 
-    A name in ``without_output`` is a source, of which that check alone is made.
+    A name in ``without_output`` is a source, of which that check alone is made. finds_places: whether it is
+    found where the bake shows, which is no part of what passes.
     """
 
     undone: ClassVar[str] = "not verified"
@@ -30,14 +31,16 @@ class Verify:
     options: VerifyOptions
     sources: Mapping[str, Check] = field(default_factory=dict)
     without_output: frozenset[str] = frozenset()
+    finds_places: bool = False
 
     def result_of(self, job: Job, *, traced: bool) -> FileVerdict:
         """Verify the file. Raises SkinbakeError if it cannot be read. Nothing is written or traced."""
         if job.source in self.without_output:
             return FileVerdict(job.source, self._checks(job))
+        options = replace(self.options, finds_places=self.finds_places)
 
         def verified(source: str, target: str | None, within: Within) -> FileVerdict:
-            return verify_file(source, self.options, within.bounds)
+            return verify_file(source, options, within.bounds)
 
         found = on_files(job._replace(target=None), verified)
         return replace(found, checks=(*found.checks, *self._checks(job)))

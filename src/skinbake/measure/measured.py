@@ -41,6 +41,7 @@ from skinbake.truth.truths import Truths, truths_at_rest
 from skinbake.wording import counted
 
 if TYPE_CHECKING:
+    from skinbake.measure.places import Places
     from skinbake.truth.morphing import Morphing
 
 MORPHED_BYTES = 64 << 20
@@ -69,6 +70,11 @@ class Measurement:
         self._morphed: dict[int, Morphing] = {}
         self._room = MORPHED_BYTES
         self._reliefs = ReliefTallies(scene.document, Options(options.cap, options.baseline))
+        self._places: Places | None = None
+        if options.finds_places:
+            from skinbake.measure.places import Places  # only reports for people have them
+
+            self._places = Places(scene.document)
 
     def verdict(self) -> FileVerdict:
         """Return a verdict with the checks of the lighting and its figures; tell what spoils them.
@@ -119,7 +125,10 @@ class Measurement:
             moving.setdefault(mesh, set()).update(draw.poses.moving_targets)
         targets = sum(document.asset.meshes[mesh].target_count for mesh in moving)
         morphs = MorphCount(targets, sum(map(len, moving.values()))) if targets else None
-        return replace(verdict, unplayed=unplayed, is_partial=self._scene.is_partial, morphs=morphs)
+        spots = None if self._places is None else self._places.spots()
+        return replace(
+            verdict, unplayed=unplayed, is_partial=self._scene.is_partial, morphs=morphs, spots=spots
+        )
 
     def _measure(self, method: str, draw: Draw, *, again: bool) -> None:
         """Measure a draw by a method; ``again``: another method follows."""
@@ -130,18 +139,24 @@ class Measurement:
         poses, all_areas = draw.poses, draw.areas
         places = (view.source.place for view in draw.surface.views)
         first = self._tallies.begin(places, poses.clips, poses.times)
+        cells = self._places if method == "lbs" else None
+        if cells is not None:
+            cells.begin(draw)
 
         def counted(block: MeasuredBlock) -> Callable[[], None]:
             """Count a block on one of several threads. Return what adds it on one thread, in their order."""
             areas = all_areas[block.primitive][block.vertex : block.vertex + block.errors.shape[1]]
             with stage("figures"):
                 found = kernel.count_errors(block.errors, areas, block.valid)
+                of_cells = None if cells is None else cells.counted(block)
             key = block.truth, method, block.lighting
             start = first + block.primitive, block.pose, block.vertex
 
             def add() -> None:
                 with stage("figures"):
                     self._tallies.take(key, found, start)
+                    if cells is not None:
+                        cells.add(block, of_cells)
 
             return add
 
@@ -158,6 +173,8 @@ class Measurement:
             corrections=draw.corrections,
             advance=self._advance,
         )
+        if cells is not None:
+            cells.end()
         if method != "blend":
             with stage("reliefs"):
                 self._reliefs.measure(method, draw, truths, morphing)

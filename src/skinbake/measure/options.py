@@ -21,6 +21,7 @@ class VerifyOptions:
 
     methods are the requested ones. If empty: both. Limits are degrees, or a factor, of the accurate lighting.
     None sets no limit. They are checked by the named truth, or, if it is None, by each of ``USUAL_TRUTHS``.
+    finds_places: where a bake shows, and where it gets worse, is found too.
     """
 
     methods: tuple[str, ...] = ()
@@ -33,6 +34,7 @@ class VerifyOptions:
     cap: float | None = None
     baseline: Baseline = Baseline.BLENDED
     truth: Truth | None = None
+    finds_places: bool = False
 
     @classmethod
     def of(cls, **given: Any) -> VerifyOptions:

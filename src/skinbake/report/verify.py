@@ -42,6 +42,9 @@ MEMBERS = {
 ROUNDING = 1e-4
 """Below this angle in degrees, a mean error is float32 rounding, and dividing by it is meaningless."""
 
+STEEPEST = (-0.25, 0.6)
+"""The angles above the level, in radians, between which a camera looks at a place."""
+
 NEGLIGIBLE = 0.3
 """The mean error of standard lighting in degrees under which nobody sees that anything is wrong."""
 
@@ -151,6 +154,59 @@ class Mixture:
         return f"{self.name}: {', '.join(told)}"
 
 
+@dataclass(frozen=True, slots=True)
+class Spot:
+    """A place in a pose: what a bake changes there, and from where it is seen.
+
+    number is that of the clip, None in a pose of no clip. standard and baked are mean errors in degrees,
+    weighted by area, by the truth with the smaller difference. place and vertex name its middle, which
+    ``skin`` and ``node`` draw. radius is its size in the scene, and towards (3,) leads out of the surface.
+    """
+
+    clip: str
+    number: int | None
+    time: float | None
+    joint: str
+    standard: float
+    baked: float
+    place: Place
+    vertex: int
+    skin: int
+    node: int | None
+    towards: tuple[float, float, float]
+    radius: float
+
+    @property
+    def where(self) -> str:
+        """Return the joint and the moment for people, like ``upper arm, Walk 2.70 s``."""
+        return f"{self.joint}, {self.clip}" + ("" if self.time is None else f" {self.time:.2f} s")
+
+    @property
+    def words(self) -> str:
+        """Return the mean errors for people, like ``41° → 3.2°``."""
+        return f"{in_degrees(self.standard)} → {in_degrees(self.baked)}"
+
+    @property
+    def seen_from(self) -> tuple[float, float, float]:
+        """Return the direction (3,) to a camera that looks at it, not too steeply."""
+        x, y, z = self.towards
+        yaw, pitch = math.atan2(x, z), min(max(math.asin(max(-1.0, min(y, 1.0))), STEEPEST[0]), STEEPEST[1])
+        return math.cos(pitch) * math.sin(yaw), math.sin(pitch), math.cos(pitch) * math.cos(yaw)
+
+
+def in_degrees(value: float) -> str:
+    """Return an angle as it reads at a glance: "41°", "3.2°"."""
+    return f"{value:.{0 if value >= 10 else 1}f}°"
+
+
+@dataclass(frozen=True, slots=True)
+class Spots:
+    """Where a bake shows, and where it makes lighting worse: the best, and the worst, first."""
+
+    shows: tuple[Spot, ...] = ()
+    worse: tuple[Spot, ...] = ()
+
+
 class OtherBake(NamedTuple):
     """Another bake of the same file: its options, and the mean error in degrees that it leaves.
 
@@ -174,7 +230,7 @@ class FileVerdict:
     left: a bake has left the file unbaked on purpose, and noted it. mixtures are further poses of a file with
     correctives. others are bakes that light the file better, the one to choose first. command is what bakes a
     file without a bake, empty if nothing in it can be baked. is_partial: it was too much work to measure in
-    all poses. unplayed is why no clip was played, None if all could be.
+    all poses. unplayed is why no clip was played, None if all could be. spots are its places, if asked for.
     """
 
     input: str
@@ -195,6 +251,7 @@ class FileVerdict:
     command: str = ""
     is_partial: bool = False
     unplayed: InputError | None = None
+    spots: Spots | None = None
 
     @property
     def by_truth(self) -> dict[str, Normals]:
@@ -316,6 +373,13 @@ def as_text(verdict: FileVerdict) -> str:
         over = f"{verdict.poses}{morphs}"
         lines.append(f"  Angle in degrees between each method's normals and the true ones, over {over}.")
         lines += _relief_lines(verdict.reliefs)
+    if verdict.spots is not None:
+        for title, spots in (
+            ("Where it shows", verdict.spots.shows),
+            ("Where it gets worse, by over 5° by every truth", verdict.spots.worse),
+        ):
+            lines.append(f"  {title}:{'' if spots else ' nowhere in these poses'}")
+            lines += [f"    {printable(spot.where)}: {spot.words}" for spot in spots]
     lines += [f"  Correctives {printable(mixture.words)}." for mixture in verdict.mixtures]
     lines += [f"  {printable(remark)}" for remark in _scaled(verdict)]
     return "\n".join([*lines, *_advised(verdict)])
@@ -418,6 +482,13 @@ class Conclusion:
     short: str = ""
     leave: bool = False
 
+    @property
+    def headline(self) -> str:
+        """Return the verdict in a few words, like "Clear gain", or "Leave it unbaked"."""
+        if self.leave and self.short == "little to win":
+            return "Leave it unbaked"
+        return self.sentence.partition(":")[0].rstrip(".")
+
 
 def conclusion(verdict: FileVerdict) -> Conclusion | None:
     """Return what a verdict comes to; None for a file that was not read now."""
@@ -444,6 +515,10 @@ def conclusion(verdict: FileVerdict) -> Conclusion | None:
             meet = f"{judged.step}, or "
         else:
             judged = _on_gain(found.figures, f"skinbake view {name}", advised=advised)
+            if not judged.leave and any(one.code == "normals-off-surface" for one in verdict.notices):
+                told = judged.sentence.partition(": ")[2]
+                sentence = f"Normals do not belong to the surface: {told}"
+                judged = Conclusion(sentence, "do what the warning says")
             meet = "leave it unbaked by bake --leave-under, or " if judged.leave else ""
         return replace(judged, step=f"{meet}change the limit") if failed else judged
     if any(check.name == "structure" and check.outcome == "skipped" for check in verdict.checks):

@@ -1,9 +1,10 @@
 // The page: what is chosen, what is drawn, and when.
 
-import { Camera } from './camera.js';
+import { Camera, CLOSE } from './camera.js';
 import { Chart, isKnown } from './chart.js';
-import { degrees, isolated, showFigures, showNotes } from './figures.js';
+import { degrees, showFigures, showNotes } from './figures.js';
 import { fromBase64, gradientsOf, ReadError, readModel } from './reader.js';
+import { plus } from './matrices.js';
 import { LIGHTINGS, pause, Renderer } from './renderer.js';
 import { Scene } from './scene.js';
 
@@ -22,6 +23,7 @@ const PATIENCE = 250; // Milliseconds that a first frame waits for its images.
 const SLICE = [10, 100]; // Milliseconds of measuring at a time: as long as it had to wait, within these.
 const LOST = 'The browser has lost the GPU. If the model does not come back, reload the page.';
 const CONTROLS = 'canvas, .open, .side, .divider, .bar, .transport';
+const LENS = 0.36; // The share of a pane that shows the place from close up.
 const OF_SHADED = ['textures', 'moving']; // What is chosen for this mode alone.
 
 const byId = Object.fromEntries([...document.querySelectorAll('[id]')].map((element) => [element.id, element]));
@@ -40,7 +42,7 @@ class Application {
         this.scene = new Scene(renderer);
         this.camera = new Camera(byId.canvas, () => this.changed());
         this.chart = new Chart(byId.chart, byId['chart-key'], byId['chart-words'], (time, stays) => this.look(time, stays));
-        Object.assign(this, { split: 0.5, mode: 'shaded', speed: 1, isPlaying: false, turn: 0.9 });
+        Object.assign(this, { split: 0.5, mode: 'shaded', speed: 1, isPlaying: false, turn: 0, places: [] });
         this.setLegend(10);
         this.listen();
         new ResizeObserver(() => this.resize()).observe(byId.canvas);
@@ -55,7 +57,9 @@ class Application {
         byId.left.addEventListener('change', () => this.chooseSides());
         byId.right.addEventListener('change', () => this.chooseSides());
         byId.home.addEventListener('click', () => this.goHome());
-        byId.flip.addEventListener('click', () => this.setSplit(this.split < 0.5 ? 1 : 0));
+        byId.divided.addEventListener('change', () => this.arrange());
+        byId.flip.addEventListener('pointerdown', () => this.hold(true));
+        for (const kind of ['pointerup', 'pointercancel', 'blur']) addEventListener(kind, () => this.hold(false));
         byId.open.addEventListener('change', () => {
             this.take([...byId.open.files]);
             byId.open.value = ''; // A file may be baked anew and chosen again.
@@ -69,12 +73,12 @@ class Application {
         this.listenToContext();
         document.addEventListener('keydown', (event) => {
             if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest('select')) return;
-            const alone = { a: 1, b: 0 }[event.key]; // One lighting alone, or both again.
-            if (alone !== undefined) this.setSplit(this.split === alone ? 0.5 : alone);
+            if (event.key.toLowerCase() === 'a') this.hold(true);
             if (event.key !== ' ' || event.target.closest('button, input, select, label')) return;
             event.preventDefault();
             this.play(!this.isPlaying);
         });
+        document.addEventListener('keyup', () => this.hold(false));
     }
 
     listenToDivider() {
@@ -156,7 +160,7 @@ class Application {
     async show(model, given) {
         this.stopMeasuring();
         this.isShown = false;
-        this.given = given;
+        Object.assign(this, { given, clip: null });
         const own = (this.showing = {});
         const loading = this.scene.show(model);
         loading.then(() => this.changed());
@@ -173,13 +177,20 @@ class Application {
         const { middle, radius, low } = this.scene.bounds();
         const skinned = this.scene.parts.filter(({ skin }) => skin !== undefined);
         const isMixed = skinned.length > 0 && skinned.length < this.scene.parts.length;
+        this.subjects = isMixed ? skinned : this.scene.parts;
         this.ground = [middle[0], low, middle[2], 2.4 * radius];
         this.measures = new Map();
+        this.chart.expected = 1.5 * (given.by_triangles?.lbs?.standard.mean ?? 6);
+        Object.assign(this, { place: null, isClose: false });
+        this.arrange();
         this.camera.frame(middle, radius, isMixed ? this.scene.bounds(skinned) : undefined, model.facesBackward ? Math.PI : 0);
-        const places = (given.places ?? []).filter(({ clip }) => this.clipOf(clip));
-        this.listPlaces(places);
+        const [places, worse] = [given.places ?? [], given.worse].map((list) => list?.filter(({ clip }) => this.clipOf(clip)));
+        byId.worse.hidden = !worse;
+        byId['worse-words'].textContent = worse?.length ? 'Over 5° farther off than standard lighting, by both truths.' : 'Nowhere by over 5°, by both truths, in the poses measured.';
+        this.places = [...this.listPlaces('places', places), ...this.listPlaces('worse', worse ?? [])];
+        byId.places.hidden = !places.length;
         this.choose(this.scene.clips[0]);
-        if (places.length) this.go(places[0]);
+        if (places.length) this.go(places[0], false);
         await Promise.race([loading, pause(PATIENCE)]);
         if (this.showing !== own) return;
         this.draw();
@@ -196,27 +207,71 @@ class Application {
         return this.scene.clips.find((clip) => clip.number === number);
     }
 
-    listPlaces(places) {
-        byId.places.hidden = !places.length;
-        byId['places-list'].replaceChildren(
-            ...places.map((place) => {
+    // Show a list of places. Return them with their buttons.
+    listPlaces(name, places) {
+        const buttons = places.map((place) => {
+            const button = document.createElement('button');
+            Object.assign(button, { type: 'button', className: 'button', textContent: `${place.where}: ${place.words}` });
+            button.addEventListener('click', () => this.go(place, !(this.isClose && this.place === place)));
+            return [place, button];
+        });
+        byId[`${name}-list`].replaceChildren(
+            ...buttons.map(([, button]) => {
                 const item = document.createElement('li');
-                const button = document.createElement('button');
-                Object.assign(button, { type: 'button', className: 'button', textContent: `${place.words}, ${isolated(this.clipOf(place.clip).name)} at ${place.time.toFixed(2)} s` });
-                button.addEventListener('click', () => this.go(place));
                 item.append(button);
                 return item;
             })
         );
+        return buttons;
     }
 
-    // Go to a place, a clip and a moment at which the bake shows, close up.
-    go({ clip, time, words, ...place }) {
-        this.choose(this.clipOf(clip));
-        this.seek(time, true);
-        this.camera.look(place);
-        this.turn = this.camera.yaw - this.camera.facing + 0.45; // The light comes from beside the camera.
-        this.tell(`Here ${words}`);
+    // Go to the clip and the moment of a place: to all of the figure with the place marked, or close up.
+    go(place, isClose) {
+        Object.assign(this, { place, isClose });
+        this.choose(this.clipOf(place.clip));
+        this.seek(place.time, true);
+        this.arrange();
+        this.applyPose();
+        const seen = isClose ? { middle: this.scene.positionOf(place), radius: CLOSE * place.radius } : this.scene.bounds(this.subjects, [place.time]);
+        this.camera.show(seen.middle, seen.radius, place.towards);
+        if (seen.size) this.camera.turnAside(seen.size);
+        for (const [one, button] of this.places) button.setAttribute('aria-pressed', String(isClose && one === place));
+    }
+
+    // Lay out both panes, or one picture with a divider.
+    arrange() {
+        const { clientWidth: width, clientHeight: height } = byId.canvas;
+        this.isDivided = byId.divided.checked;
+        byId.divider.hidden = !this.isDivided;
+        document.body.dataset.panes = this.isDivided ? 'divided' : height > width ? 'stacked' : 'beside';
+        this.hasLens = Boolean(this.place && !this.isClose && !this.isDivided);
+        document.body.dataset.lens = this.hasLens && height <= width ? 'below' : '';
+        [[, , ...this.camera.size]] = this.boxes(width, height);
+        byId.here.hidden = !this.place;
+        byId.here.textContent = this.place ? `${this.place.where}: ${this.place.words}` : '';
+        this.changed();
+    }
+
+    // The boxes of the panes, [left, bottom, width, height], and of the lenses in them: beside or below the figure.
+    boxes(width, height) {
+        if (this.isDivided) return [0, 1].map(() => [0, 0, width, height]);
+        const isStacked = height > width;
+        const [w, h] = isStacked ? [width, Math.floor(height / 2)] : [Math.floor(width / 2), height];
+        const [x, y] = isStacked ? [0, height - h] : [width - w, 0];
+        const share = this.hasLens ? LENS : 0;
+        const part = isStacked ? [Math.round(share * w), 0] : [0, Math.round(share * h)];
+        const panes = isStacked ? [[0, y], [0, 0]] : [[0, 0], [x, 0]];
+        const figures = panes.map(([left, bottom]) => [left, bottom + part[1], w - part[0], h - part[1]]);
+        if (!this.hasLens) return figures;
+        return [...figures, ...panes.map(([left, bottom]) => (isStacked ? [left + w - part[0], bottom, part[0], h] : [left, bottom, w, part[1]]))];
+    }
+
+    // While it is held, the first pane shows the other lighting. All else stands still.
+    hold(isHeld) {
+        if (Boolean(this.isHeld) === isHeld) return;
+        this.isHeld = isHeld;
+        byId.left.value = this.sides[Number(isHeld)];
+        this.changed();
     }
 
     fillSides() {
@@ -245,7 +300,6 @@ class Application {
     setSplit(share) {
         this.split = Math.max(0, Math.min(1, share));
         byId.divider.style.left = `${100 * this.split}%`;
-        document.body.dataset.only = ['right', '', 'left'][Math.floor(this.split) + Math.ceil(this.split)];
         byId.divider.setAttribute('aria-valuenow', String(Math.round(100 * this.split)));
         this.changed();
     }
@@ -275,7 +329,7 @@ class Application {
         byId.clip.value = String(this.scene.clips.indexOf(clip));
         Object.assign(byId.time, { min: clip.start, max: clip.end, step: Math.max((clip.end - clip.start) / 1000, 1e-4) });
         this.seek(clip.start);
-        if (this.isShown) this.measure(clip);
+        this.isShown ? this.measure(clip) : this.showChart();
     }
 
     seek(time, stops = false) {
@@ -314,14 +368,18 @@ class Application {
     // Measure the errors of all lightings over a clip, a pose at a time, between the frames.
     measure(clip) {
         this.stopMeasuring();
+        this.showChart();
+        this.measureAll(clip, (this.measuring = {}));
+    }
+
+    measuresOf(clip) {
         if (!this.measures.has(clip)) {
             const times = Array.from({ length: SAMPLES }, (_, i) => clip.start + (i / (SAMPLES - 1)) * (clip.end - clip.start));
             const lightings = Object.keys(NAMES).filter((name) => name !== 'truth' && !this.scene.reasonWithout(name));
             const lines = Object.fromEntries(lightings.map((name) => [name, new Array(SAMPLES)]));
             this.measures.set(clip, { times, lines, next: 0 });
         }
-        this.showChart();
-        this.measureAll(clip, (this.measuring = {}));
+        return this.measures.get(clip);
     }
 
     stopMeasuring() {
@@ -330,7 +388,7 @@ class Application {
 
     // Measure when the browser and the GPU have nothing else to do.
     async measureAll(clip, own) {
-        const lightings = Object.keys(this.measures.get(clip).lines);
+        const lightings = Object.keys(this.measuresOf(clip).lines);
         await this.renderer.compiled(this.renderer.prepare(lightings, 'normals', false));
         let isMore = true;
         while (isMore) {
@@ -378,14 +436,15 @@ class Application {
     }
 
     showChart() {
-        const found = this.measures?.get(this.clip);
-        if (!found) return;
+        if (!this.clip) return;
+        const found = this.measuresOf(this.clip);
         const shown = [...new Set(this.sides)].filter((lighting) => found.lines[lighting]);
         this.chart.set(this.clip, found.times, found.lines, shown, NAMES);
     }
 
     goHome() {
-        this.tell('');
+        this.isClose = false;
+        this.arrange();
         this.camera.home();
     }
 
@@ -401,12 +460,12 @@ class Application {
         if (!this.isShown) return;
         const step = this.last ? Math.min((now - this.last) / 1000, 0.25) : 0;
         this.last = now;
-        if (this.isPlaying) {
+        if (this.isPlaying && !this.isHeld) {
             const { start, end } = this.clip;
             const length = end - start;
             if (length > 0) this.seek(start + ((this.time - start + step * this.speed) % length));
         }
-        const isTurning = byId.moving.checked && this.mode === 'shaded' && !calm.matches;
+        const isTurning = byId.moving.checked && this.mode === 'shaded' && !calm.matches && !this.isHeld;
         if (isTurning) this.turn += 0.7 * step;
         this.draw();
         if (this.isPlaying || isTurning) this.changed();
@@ -428,16 +487,26 @@ class Application {
             this.scene.uploadTruth(method);
             this.uploaded.add(method);
         }
-        const { canvas } = byId;
-        const projected = this.camera.projected(canvas.width / canvas.height || 1);
-        const turn = this.turn + this.camera.facing;
-        const light = [Math.sin(turn) * 0.75, 0.6, Math.cos(turn) * 0.75];
-        const size = Math.hypot(...light);
+        const { width, height } = byId.canvas;
+        const middle = this.place && this.scene.positionOf(this.place);
+        const cameras = [this.camera, middle && this.camera.near({ ...this.place, middle })];
+        const boxes = this.boxes(width, height);
+        const at = Math.round(this.split * width);
+        const sides = this.isHeld ? [this.sides[1], this.isDivided ? this.sides[0] : this.sides[1]] : this.sides;
+        const views = boxes.map((box, i) => ({
+            lighting: sides[i % 2],
+            box,
+            edges: !this.isDivided ? [0, box[2]] : i ? [at, width] : [0, at],
+            projected: cameras[i >> 1].projected(box[2] / box[3] || 1),
+            eye: cameras[i >> 1].eye,
+        }));
+        const { projected } = views[0];
+        this.showRings(views, middle);
+        const [right, up, back] = this.camera.axes;
+        const [cosine, sine] = [Math.cos(this.turn), Math.sin(this.turn)];
         this.renderer.draw({
-            sides: [[this.sides[0], 0, this.split], [this.sides[1], this.split, 1]],
-            projected,
-            eye: this.camera.eye,
-            light: light.map((value) => value / size),
+            views,
+            studio: [...plus(right.map((one) => cosine * one), back, -sine), ...up, ...plus(back.map((one) => cosine * one), right, sine)],
             mode: this.mode,
             legend: this.legend,
             stops: HEAT.flatMap(rgb),
@@ -450,10 +519,24 @@ class Application {
         this.showReadings();
     }
 
+    // Put a ring around the place in each pane.
+    showRings(views, middle) {
+        const ratio = byId.canvas.width / byId.canvas.clientWidth;
+        document.querySelectorAll('.ring').forEach((ring, i) => {
+            const { projected: m, box: [left, bottom, width, height] } = views[i];
+            ring.hidden = !this.hasLens || !middle;
+            if (ring.hidden) return;
+            const [x, y, , w] = [0, 1, 2, 3].map((row) => m[row] * middle[0] + m[4 + row] * middle[1] + m[8 + row] * middle[2] + m[12 + row]);
+            const size = Math.max(28, (m[5] * this.place.radius * height) / w / ratio);
+            const place = [left + (0.5 + x / w / 2) * width, byId.canvas.height - bottom - (0.5 + y / w / 2) * height].map((one) => one / ratio - size / 2);
+            Object.assign(ring.style, { transform: `translate(${place[0]}px, ${place[1]}px)`, width: `${size}px`, height: `${size}px` });
+        });
+    }
+
     showReadings() {
         this.sides.forEach((side, i) => {
             const mean = this.chart.at(side, this.time);
-            const text = LIGHTINGS[side].isTrue ? 'by triangles' : isKnown(mean) ? `${degrees(mean)} mean error` : mean === null ? 'no true normals' : '…';
+            const text = LIGHTINGS[side].isTrue ? 'by triangles' : isKnown(mean) ? `${degrees(mean)} mean error` : mean === null ? 'no true normals' : 'measuring the mean error';
             const output = byId[i ? 'right-error' : 'left-error'];
             if (output.textContent !== text) output.textContent = text;
         });
@@ -465,6 +548,7 @@ class Application {
         const [width, height] = [Math.round(canvas.clientWidth * ratio), Math.round(canvas.clientHeight * ratio)];
         if (canvas.width === width && canvas.height === height) return;
         Object.assign(canvas, { width, height });
+        this.arrange();
         if (this.isShown) this.draw();
     }
 }

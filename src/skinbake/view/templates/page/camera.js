@@ -4,11 +4,11 @@ import { cross, lookAt, minus, normalised, perspective, plus, product } from './
 
 const ANGLE = (32 * Math.PI) / 180;
 const STEEPEST = 1.5;
-const CLOSE = 1.3; // What is seen close up, in radii of the place.
+export const CLOSE = 1.3; // What is seen close up, in radii of the place.
 
 export class Camera {
     constructor(element, changed) {
-        Object.assign(this, { element, changed, yaw: 0.45, pitch: 0.16, target: [0, 0, 0], facing: 0, distance: 3, radius: 1, closest: 1 });
+        Object.assign(this, { element, changed, yaw: 0.45, pitch: 0.16, target: [0, 0, 0], facing: 0, distance: 3, radius: 1, closest: 1, size: [1, 1] });
         this.pointers = new Map();
         element.addEventListener('pointerdown', (event) => this.press(event));
         element.addEventListener('pointermove', (event) => this.move(event));
@@ -33,28 +33,39 @@ export class Camera {
         this.show(this.middle, this.radius);
     }
 
-    show(target, radius) {
-        Object.assign(this, { target, yaw: 0.45 + this.facing, pitch: 0.16, distance: this.fitting(radius) });
+    show(target, radius, [x, y, z] = [Math.sin(0.45 + this.facing), 0.16, Math.cos(0.45 + this.facing)]) {
+        Object.assign(this, { target, yaw: Math.atan2(x, z), pitch: Math.asin(y), distance: this.fitting(radius) });
         this.changed();
     }
 
+    // Turn by up to 45° to where a box of a size is widest.
+    turnAside([x, , z]) {
+        const wide = (turn) => Math.abs(x * Math.cos(this.yaw + turn)) + Math.abs(z * Math.sin(this.yaw + turn));
+        this.yaw += [0, 0.2, -0.2, 0.4, -0.4, 0.6, -0.6, 0.8, -0.8].reduce((best, turn) => (wide(turn) > 1.02 * wide(best) ? turn : best));
+    }
+
+    // size is that of the pane in which it draws.
     fitting(radius) {
-        const { clientWidth: width, clientHeight: height } = this.element;
-        const aspect = Math.min(1, (width || 1) / (height || 1));
-        return (0.98 * radius) / Math.sin(ANGLE / 2) / Math.max(aspect, 0.45);
+        const [width, height] = this.size;
+        return (0.98 * radius) / Math.sin(ANGLE / 2) / Math.max(Math.min(1, width / height), 0.45);
     }
 
-    // Look at a place from close up. towards leads from it to the camera.
-    look({ middle, towards, radius }) {
-        const [x, y, z] = towards;
-        Object.assign(this, { target: middle, yaw: Math.atan2(x, z), pitch: Math.asin(y), distance: this.fitting(CLOSE * radius) });
-        this.changed();
+    // The same camera before a place, from close up.
+    near({ middle, radius }) {
+        return Object.assign(Object.create(this), { target: middle, distance: this.fitting(CLOSE * radius) });
     }
 
     get eye() {
         const flat = Math.cos(this.pitch);
         const away = [flat * Math.sin(this.yaw), Math.sin(this.pitch), flat * Math.cos(this.yaw)];
         return plus(this.target, away, this.distance);
+    }
+
+    // Its right, up and back, as columns.
+    get axes() {
+        const back = normalised(minus(this.eye, this.target));
+        const right = normalised(cross([0, 1, 0], back));
+        return [right, cross(back, right), back];
     }
 
     projected(aspect) {
@@ -90,10 +101,8 @@ export class Camera {
     }
 
     pan(dx, dy) {
-        const away = normalised(minus(this.eye, this.target));
-        const side = normalised(cross([0, 1, 0], away));
-        const up = cross(away, side);
-        const step = (2 * this.distance * Math.tan(ANGLE / 2)) / (this.element.clientHeight || 1);
+        const [side, up] = this.axes;
+        const step = (2 * this.distance * Math.tan(ANGLE / 2)) / this.size[1];
         this.target = plus(plus(this.target, side, -dx * step), up, dy * step);
     }
 

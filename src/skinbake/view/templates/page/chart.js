@@ -6,7 +6,7 @@ const [LEFT, BOTTOM, TOP] = [30, 20, 6];
 export class Chart {
     // look is called with a time, and with whether it is to stay.
     constructor(element, key, words, look) {
-        Object.assign(this, { element, key, words, look, lines: {}, shown: [], names: {} });
+        Object.assign(this, { element, key, words, look, lines: {}, shown: [], names: {}, expected: 10 });
         element.addEventListener('pointermove', (event) => this.point(event, false));
         element.addEventListener('pointerdown', (event) => this.point(event, true));
         element.addEventListener('pointerleave', () => this.look(null, false));
@@ -24,14 +24,14 @@ export class Chart {
         if (!clip || !times) return;
         const [width, height] = [element.clientWidth, element.clientHeight];
         const known = shown.flatMap((lighting) => lines[lighting].filter(isKnown));
-        this.most = nice(Math.max(0.1, ...known));
+        this.most = nice(Math.max(0.1, ...(known.length ? known : [this.expected])));
         this.x = (time) => LEFT + ((time - clip.start) / (clip.end - clip.start || 1)) * (width - LEFT - 2);
         const y = (mean) => TOP + (1 - mean / this.most) * (height - TOP - BOTTOM);
         const svg = make('svg', { 'aria-hidden': 'true' });
         for (const share of [0, 0.5, 1]) {
             const at = y(share * this.most);
             svg.append(make('line', { class: 'grid', x1: LEFT, x2: width, y1: at, y2: at }));
-            if (known.length) svg.append(label(`${short(share * this.most)}°`, LEFT - 6, at + 4, 'end')); // No scale before it is known.
+            svg.append(label(`${short(share * this.most)}°`, LEFT - 6, at + 4, 'end'));
         }
         svg.append(label(`${clip.start.toFixed(1)} s`, LEFT, height - 4, 'start'));
         svg.append(label(`${clip.end.toFixed(1)} s`, width - 2, height - 4, 'end'));

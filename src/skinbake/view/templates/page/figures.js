@@ -12,24 +12,23 @@ const ROWS = [
 ];
 
 export function showFigures(byId, given) {
-    const { by_triangles: triangles, by_tangents: tangents, poses } = given;
+    const { by_triangles: triangles, by_tangents: tangents, poses, verdict } = given;
     const [first, other] = byTruth(triangles, tangents).filter(({ gain }) => gain);
-    byId.headline.hidden = !first;
+    byId.headline.hidden = !verdict && !first;
+    byId.gain.textContent = verdict?.words ?? '';
+    byId.gain.classList.toggle('is-good', Boolean(verdict?.isGood));
+    byId['gain-words'].textContent = verdict?.remark ?? '';
     const measured = { ...triangles, ...tangents };
     const isMeasured = Object.keys(measured).length > 0;
     byId.table.parentElement.hidden = !isMeasured;
     if (!isMeasured) return;
     if (first) {
-        byId.gain.textContent = times(first.gain);
-        byId.gain.classList.toggle('is-loss', first.gain < 1);
         const name = first.corrected ? 'Corrected' : 'Accurate';
+        const how = measured.lbs ? '' : measured.dqs ? ', with dual quaternions' : ', blended with dual quaternions';
         byId['gain-words'].textContent =
-            (first.gain < 1
-                ? `${name} lighting is not nearer to the true normals of this file than standard lighting: `
-                : `${name} lighting is that much nearer to the true normals than standard lighting: `) +
-            `${degrees(bakedOf(first).mean)} instead of ${degrees(first.standard.mean)} in the mean, ${first.truth}` +
-            (measured.lbs ? '.' : measured.dqs ? ', with dual quaternions.' : ', blended with dual quaternions.') +
-            (other ? ` The gain ${other.truth} is ${times(other.gain)}.` : '');
+            `${name} lighting is off by ${degrees(bakedOf(first).mean)} in the mean, standard lighting by ${degrees(first.standard.mean)}${how}: ` +
+            `a gain of ${times(first.gain)} ${first.truth}${other ? `, of ${times(other.gain)} ${other.truth}` : ''}. ` +
+            'By triangles: true normals are those of the deformed triangles. By tangents: they stand on the deformed tangents.';
     }
     byId.table.replaceChildren(tableOf(triangles, tangents));
     byId['table-words'].textContent = `By skinbake verify, over ${poses}. Two truths, found in two ways.`;

@@ -1,4 +1,4 @@
-// Draw a model in WebGL 2: each half of the canvas with its own lighting, and read normals back.
+// Draw a model in WebGL 2: each pane of the canvas with its own lighting, and read normals back.
 
 import { readImage, samplingOf, shownTextures } from './reader.js';
 import {
@@ -22,7 +22,7 @@ export const LIGHTINGS = {
 
 export class Renderer {
     constructor(canvas) {
-        const gl = canvas.getContext('webgl2', { antialias: true, alpha: true });
+        const gl = canvas.getContext('webgl2', { antialias: false, alpha: true });
         if (!gl) throw new Error('it is drawn by WebGL 2, which this browser does not have, or has switched off');
         Object.assign(this, { canvas, gl, texts: {}, parts: [] });
         this.begin();
@@ -33,6 +33,7 @@ export class Renderer {
         Object.assign(this, { programs: new Map(), buffers: [], arrays: [], textures: [] });
         this.parallel = this.gl.getExtension('KHR_parallel_shader_compile');
         this.square = this.squareArray();
+        this.sheets = [];
         this.startGround();
     }
 
@@ -372,19 +373,48 @@ export class Renderer {
         return places;
     }
 
-    // Draw everything. sides are [lighting, from, to] in shares of the width.
-    // depthOf gives the depth of a part's middle.
-    draw({ sides, projected, eye, light, mode, legend, stops, unknown, ink, ground, isTextured, depthOf }) {
-        const { gl, canvas } = this;
-        const { width, height } = canvas;
-        gl.viewport(0, 0, width, height);
-        gl.disable(gl.SCISSOR_TEST);
+    // What is drawn on: samples of pixels, and pixels. All views are drawn in one corner and then copied to their
+    // places, so that equal views are equal in every pixel.
+    sheet() {
+        const { gl, canvas: { width, height } } = this;
+        if (this.sheets.width === width && this.sheets.height === height) return this.sheets;
+        for (const { frame, buffers } of this.sheets) [gl.deleteFramebuffer(frame), ...buffers.map((one) => gl.deleteRenderbuffer(one))];
+        this.sheets = [4, 0].map((samples) => {
+            const frame = gl.createFramebuffer();
+            gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
+            const buffers = [[gl.COLOR_ATTACHMENT0, gl.RGBA8], [gl.DEPTH_ATTACHMENT, gl.DEPTH_COMPONENT24]].map(([place, format]) => {
+                const buffer = gl.createRenderbuffer();
+                gl.bindRenderbuffer(gl.RENDERBUFFER, buffer);
+                gl.renderbufferStorageMultisample(gl.RENDERBUFFER, samples, format, width, height);
+                gl.framebufferRenderbuffer(gl.FRAMEBUFFER, place, gl.RENDERBUFFER, buffer);
+                return buffer;
+            });
+            return { frame, buffers };
+        });
+        return Object.assign(this.sheets, { width, height });
+    }
+
+    // Copy a part of the sheet, from one left edge to another, to the place of its box on the canvas.
+    copy([samples, pixels], [left, bottom, , height], [from, to]) {
+        const { gl } = this;
+        for (const [source, target, x, y] of [[samples, pixels, 0, 0], [pixels, null, left, bottom]]) {
+            gl.bindFramebuffer(gl.READ_FRAMEBUFFER, source.frame);
+            gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, target && target.frame);
+            gl.disable(gl.SCISSOR_TEST);
+            gl.blitFramebuffer(from, 0, to, height, x + from, y, x + to, y + height, gl.COLOR_BUFFER_BIT, gl.NEAREST);
+        }
+        gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    }
+
+    // Draw everything in each of the views: a lighting, the box [left, bottom, width, height] of its camera in pixels,
+    // the left and the right edge of what is shown of it, its projection and eye. depthOf gives the depth of a part's middle.
+    draw({ views, studio, mode, legend, stops, unknown, ink, ground, isTextured, depthOf }) {
+        const { gl } = this;
+        const sheet = this.sheet();
         gl.clearColor(0, 0, 0, 0);
-        gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
         gl.enable(gl.DEPTH_TEST);
         gl.depthFunc(gl.LEQUAL); // A layer on another one is seen, as three.js has it.
         gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-        this.drawGround(projected, ground, ink);
         if (!this.model) return;
         // What blends is drawn after all others, the farthest first: what is solid of it, then the rest, which hides nothing.
         const shown = new Map(this.parts.map((part) => [part, this.shownMaterial(part, isTextured, mode)]));
@@ -393,15 +423,18 @@ export class Renderer {
         blended.sort((a, b) => depths.get(b) - depths.get(a));
         const solid = [...this.parts.filter((part) => !shown.get(part).isBlended), ...blended];
         const passes = [...solid.map((part) => [part, { ...shown.get(part), isBlended: false }]), ...blended.map((part) => [part, shown.get(part)])];
-        gl.enable(gl.SCISSOR_TEST);
-        for (const [lighting, from, to] of sides) {
-            const [left, right] = [Math.round(from * width), Math.round(to * width)];
-            if (right <= left) continue;
-            gl.scissor(left, 0, right - left, height);
+        for (const { lighting, box, edges: [from, to], projected, eye } of views) {
+            if (to <= from) continue;
+            gl.bindFramebuffer(gl.FRAMEBUFFER, sheet[0].frame);
+            gl.viewport(0, 0, box[2], box[3]);
+            gl.enable(gl.SCISSOR_TEST);
+            gl.scissor(from, 0, to - from, box[3]);
+            gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+            this.drawGround(projected, ground, ink);
             for (const [part, material] of passes) {
                 const places = this.bound(part, lighting, projected, mode, material.has);
                 gl.uniform3fv(places.eye, eye);
-                gl.uniform3fv(places.light, light);
+                gl.uniformMatrix3fv(places.studio, false, studio);
                 gl.uniform1f(places.legend, legend);
                 gl.uniform3fv(places.stops, stops);
                 gl.uniform3fv(places.unknown, unknown);
@@ -412,9 +445,10 @@ export class Renderer {
                     gl.drawElements(gl.TRIANGLES, part.primitive.triangles.length, gl.UNSIGNED_INT, 0);
                 }
             }
+            gl.depthMask(true);
+            gl.disable(gl.BLEND);
+            this.copy(sheet, box, [from, to]);
         }
-        gl.depthMask(true);
-        gl.disable(gl.BLEND);
         gl.bindVertexArray(null);
     }
 
@@ -500,11 +534,13 @@ export class Renderer {
         });
         gl.bindBuffer(gl.ARRAY_BUFFER, null);
         gl.bindBuffer(gl.TRANSFORM_FEEDBACK_BUFFER, null);
+        gl.bindFramebuffer(gl.FRAMEBUFFER, this.sheet()[0].frame); // A draw on the canvas itself would clear it.
         gl.enable(gl.RASTERIZER_DISCARD);
         gl.beginTransformFeedback(gl.POINTS);
         gl.drawArrays(gl.POINTS, 0, count);
         gl.endTransformFeedback();
         gl.disable(gl.RASTERIZER_DISCARD);
+        gl.bindFramebuffer(gl.FRAMEBUFFER, null);
         const found = buffers.map((buffer, i) => {
             gl.bindBufferBase(gl.TRANSFORM_FEEDBACK_BUFFER, i, null);
             const values = new Float32Array(3 * count);

@@ -147,6 +147,18 @@ export class Scene {
         return found;
     }
 
+    // Where a vertex of a skinned primitive is in this pose.
+    positionOf({ mesh, primitive, skin, vertex }) {
+        const wanted = this.model.primitives.get(`${mesh}/${primitive}/true`);
+        const part = this.parts.find((one) => one.primitive === wanted && one.skin === skin);
+        if (!part) return null;
+        const cut = (row, size) => row.subarray(size * vertex, size * (vertex + 1));
+        const [joints, weights] = [wanted.joints, wanted.weights].map((rows) => rows.map((row) => cut(row, 4)));
+        const found = [0, 0, 0];
+        skinned({ joints, weights, count: 1 }, cut((this.morphed.get(part) ?? wanted).positions, 3), this.posed.skins[skin], null, found, 0);
+        return found;
+    }
+
     // The depth of the middle of a part in this pose.
     depth(part, projected) {
         const found = this.positions(part, Math.ceil(part.primitive.count / OF_MIDDLE));
@@ -158,13 +170,13 @@ export class Scene {
     }
 
     // The box around some parts over some poses of their clip: its middle, half its diagonal, its lowest point.
-    bounds(parts = this.parts) {
+    bounds(parts = this.parts, times = [0, 0.25, 0.5, 0.75, 1].map((share) => this.clip.start + share * (this.clip.end - this.clip.start))) {
         const { clip, time } = this;
         const low = [Infinity, Infinity, Infinity];
         const high = low.map((value) => -value);
         const step = Math.ceil(parts.reduce((sum, { primitive }) => sum + primitive.count, 0) / BOUNDING);
-        for (const share of [0, 0.25, 0.5, 0.75, 1]) {
-            this.pose(clip, clip.start + share * (clip.end - clip.start));
+        for (const one of times) {
+            this.pose(clip, one);
             for (const part of parts) {
                 const positions = this.positions(part, step);
                 for (let i = 0; i < positions.length; i++) {
@@ -176,7 +188,8 @@ export class Scene {
         }
         this.pose(clip, time);
         const middle = plus(low, high).map((value) => value / 2);
-        return { middle, radius: Math.hypot(...plus(high, low, -1)) / 2, low: low[1] };
+        const size = plus(high, low, -1);
+        return { middle, radius: Math.hypot(...size) / 2, low: low[1], size };
     }
 }
 

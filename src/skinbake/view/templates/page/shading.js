@@ -160,7 +160,7 @@ export function fragmentText(mode, has) {
 
 const FRAGMENT_TEXT = `${varyings('in')}
 uniform vec3 eye;
-uniform vec3 light;
+uniform mat3 studio; // right, up, and back from what is seen
 uniform float legend;
 uniform vec3 stops[5];
 uniform vec3 unknown;
@@ -199,18 +199,24 @@ vec3 mapped(vec3 n)
 }
 #endif
 
+// The key light grazes what faces the camera, the rim comes from behind, and a softbox is reflected.
+const vec3 KEY = vec3(-0.80, 0.48, 0.36), RIM = vec3(0.72, 0.38, -0.58);
+
 vec3 shaded(vec3 n, vec3 v, vec3 base)
 {
-    vec3 h = normalize(light + v);
-    float nl = max(dot(n, light), 0.0), nh = max(dot(n, h), 0.0), nv = max(dot(n, v), 1e-3);
+    vec3 key = studio * KEY, h = normalize(key + v);
+    float nl = max(dot(n, key), 0.0), nh = max(dot(n, h), 0.0), nv = max(dot(n, v), 1e-3);
     float a2 = roughness * roughness * roughness * roughness;
     float d = nh * nh * (a2 - 1.0) + 1.0;
     float k = (roughness + 1.0) * (roughness + 1.0) / 8.0;
     float shine = 0.04 + 0.96 * pow(1.0 - max(dot(v, h), 0.0), 5.0);
     float specular = shine * a2 / (d * d) / (4.0 * (nl * (1.0 - k) + k) * (nv * (1.0 - k) + k));
-    vec3 sky = mix(vec3(0.16, 0.15, 0.145), vec3(0.36, 0.39, 0.43), 0.5 + 0.5 * n.y);
-    float rim = pow(1.0 - nv, 4.0) * 0.12;
-    return base * (sky + 1.1 * nl * vec3(1.0, 0.98, 0.94)) + vec3(nl * specular * 1.2) + rim * sky;
+    vec3 sky = mix(vec3(0.10, 0.10, 0.105), vec3(0.27, 0.29, 0.32), 0.5 + 0.5 * dot(n, studio[1]));
+    float rim = max(dot(n, studio * RIM), 0.0) * (0.35 + 0.65 * pow(1.0 - nv, 2.0));
+    vec3 r = reflect(-v, n) * studio; // in the studio
+    vec2 at = smoothstep(vec2(0.34, 0.5) + 0.3 * roughness, vec2(0.34, 0.5) - 0.3 * roughness, abs(r.xy / max(r.z, 0.05) - vec2(0.62, 0.3)));
+    float box = at.x * at.y * step(0.0, r.z) * (0.05 + 0.95 * pow(1.0 - nv, 5.0));
+    return base * (sky + 1.25 * nl * vec3(1.0, 0.98, 0.94) + 0.55 * rim * vec3(0.9, 0.95, 1.0)) + vec3(1.2 * nl * specular + 1.6 * box);
 }
 
 vec3 heat(float share)
