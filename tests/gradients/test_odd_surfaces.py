@@ -15,9 +15,9 @@ from skinbake.geometry.skinned import Float64Array, SkinnedPrimitive
 from skinbake.gradients.baker import slots_of_surface
 from skinbake.gradients.influences import weight_field
 from skinbake.gradients.surface import concatenate_fields
-from skinbake.gradients.weld import weld
-from skinbake.truth.mesh import weld_classes
-from skinbake.truth.operator import expected_alpha_beta, gradient_operator
+from skinbake.gradients.weld import rigid_parts_apart, weld
+from skinbake.truth.mesh import weld_classes, with_rigid_parts
+from skinbake.truth.operator import expected_alpha_beta, gradient_operator, is_sound
 from tests.support.kernels import use_numpy
 from tests.support.labels import as_met
 from tests.support.odd_surfaces import odd_rig, odd_surface, rough_sheet
@@ -38,6 +38,32 @@ def test_verify_welds_what_bake_welds(crease: float) -> None:
         positions, normals = joined(parts, "positions"), joined(parts, "normals")
         found = weld(positions, normals, field, crease_angle=np.radians(crease))
         assert as_met(found) == as_met(weld_classes(parts, crease_angle_degrees=crease)), seed
+
+
+def test_verify_finds_the_rigid_parts_that_bake_finds() -> None:
+    """In primitives that share points, each moved by one of two joints; a part may be one triangle."""
+    apart = 0
+    for seed in range(200):
+        random = np.random.default_rng(seed)
+        points, bound = random.normal(size=(20, 3)), random.integers(0, 2, 20)
+        parts = []
+        for _ in range(3):
+            own = random.permutation(20)[: random.integers(6, 20)]
+            triangles = random.integers(0, len(own) - 2, (random.integers(2, 10), 3))
+            weights, normals = np.tile([1.0, 0.0], (len(own), 1)), np.tile([0.0, 0.0, 1.0], (len(own), 1))
+            joints = np.stack([bound[own], 1 - bound[own]], axis=1)
+            parts.append(SkinnedPrimitive(points[own], normals, None, joints, weights, triangles))
+        starts = np.cumsum([0, *(len(part.positions) for part in parts)])
+        ends, field = starts[1:].tolist(), concatenate_fields([weight_field(part)[0] for part in parts])
+        triangles = np.concatenate(
+            [part.triangles + start for part, start in zip(parts, starts[:-1], strict=True)]
+        )
+        triangles = triangles[is_sound(joined(parts, "positions"), triangles)]
+        welded = weld_classes(parts)
+        found = rigid_parts_apart(welded, triangles, field, ends)
+        assert as_met(found) == as_met(with_rigid_parts(welded, parts, triangles)), seed
+        apart += int(found.max() - welded.max())
+    assert apart > 50
 
 
 def baked(

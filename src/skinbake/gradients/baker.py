@@ -26,7 +26,7 @@ from skinbake.gradients import kernel
 from skinbake.gradients.influences import ADOPTING_SUM, needs_tiny_weights, weight_field
 from skinbake.gradients.surface import Surface, SurfaceSlots, WeightDefects, WeightField, concatenate_fields
 from skinbake.gradients.tangents import ChosenFrame, chosen_frame, frame_vectors
-from skinbake.gradients.weld import weld
+from skinbake.gradients.weld import rigid_parts_apart, weld
 from skinbake.timing import stage
 
 EIGHTHS = 8
@@ -249,6 +249,7 @@ def _gathered(primitives: Sequence[SkinnedPrimitive], crease_angle: float) -> _G
     with stage("weld"):
         normals = _concatenate([primitive.normals for primitive in primitives])
         classes = weld(positions, normals, field, crease_angle=crease_angle)
+        classes = rigid_parts_apart(classes, triangles, field, ends)
     degenerate = [len(mask) - int(np.count_nonzero(mask)) for mask in masks]
     return _Gathered(positions, triangles, field, classes, normals, ends, defects, degenerate)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -44,12 +46,7 @@ def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crea
     keys = np.empty((len(copies), 1 + field.joints.shape[1]), dtype=np.uint64)
     for rows in blocks(len(copies)):
         keys[rows, 0] = labels[copies[rows]]
-        # Joint and float32 weight of every influence, in joint order, other slots last.
-        part = field.rows(copies[rows])
-        weights = np.ascontiguousarray(part.weights.astype(np.float32)).view(np.uint32).astype(np.uint64)
-        influences = (part.joints.astype(np.uint64) << np.uint64(32)) | weights
-        influences[part.weights == 0] = np.iinfo(np.uint64).max
-        keys[rows, 1:] = np.sort(influences, axis=1)
+        keys[rows, 1:] = _influence_keys(field.rows(copies[rows]))
     points = kernel.label_equal_rows(keys)
     oriented = kernel.label_equal_rows(_oriented_keys(points, normals, copies))
     # One row for each normal of a point is left to compare by angle.
@@ -60,6 +57,50 @@ def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crea
     # The labels of copies come after all others, so that none is used twice.
     labels[copies] = len(labels) + linked[oriented]
     return number_as_met(labels)
+
+
+def _influence_keys(field: WeightField) -> npt.NDArray[np.uint64]:
+    """Return the keys (N, K) of influences: joint and float32 weight, in joint order, other slots last."""
+    weights = np.ascontiguousarray(field.weights.astype(np.float32)).view(np.uint32).astype(np.uint64)
+    keys = (field.joints.astype(np.uint64) << np.uint64(32)) | weights
+    keys[field.weights == 0] = np.iinfo(np.uint64).max
+    keys.sort(axis=1)
+    return keys
+
+
+def rigid_parts_apart(
+    classes: Labels, triangles: IntArray, field: WeightField, ends: Sequence[int]
+) -> Labels:
+    """Return the weld classes (V,) of a surface, with the copies in rigid parts in classes of their own.
+
+    A part is what the triangles of one primitive connect over its weld classes. It is rigid if it has one set
+    of influences. No pose bends it, so its normals at rest, moved along, are the true ones, also where it
+    meets a bending part of another primitive. classes, triangles (T, 3), field and ends are those of
+    ``Surface``.
+    """
+    owners = np.repeat(np.arange(len(ends)), np.diff(ends, prepend=0))
+    if np.array_equal(owners[first_rows(classes)][classes], owners):
+        return classes  # usual: no two primitives meet
+    # Parts get the least number of the copies that they connect.
+    copies = number_as_met(classes.astype(np.int64) * len(ends) + owners).astype(np.int32)
+    corners = copies[triangles]
+    parts = np.arange(int(copies.max()) + 1, dtype=np.int32)
+    while True:
+        before = parts.copy()
+        np.minimum.at(parts, corners, parts[corners].min(axis=1, keepdims=True))
+        parts = parts[parts]
+        if np.array_equal(parts, before):
+            break
+    bends = np.zeros(len(triangles), np.bool_)
+    for rows in blocks(len(triangles)):
+        keys = _influence_keys(field.rows(triangles[rows].ravel())).reshape(-1, 3, field.joints.shape[1])
+        bends[rows] = (keys[:, :1] != keys[:, 1:]).any(axis=(1, 2))
+    # Copies without triangles are not drawn, and stay with those that bend.
+    bending, rigid, meets = np.zeros((3, len(classes)), np.bool_)
+    bending[parts[corners[bends, 0]]] = True
+    rigid[corners[~bending[parts[corners[:, 0]]]]] = True
+    meets[classes[triangles[bends]]] = True
+    return number_as_met(2 * classes.astype(np.int64) + (rigid[copies] & meets[classes]))
 
 
 def _oriented_keys(points: Labels, normals: FloatArray, copies: IntArray) -> npt.NDArray[np.unsignedinteger]:

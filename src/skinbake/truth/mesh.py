@@ -202,8 +202,37 @@ def weld_classes(
     nodes = row_numbers(np.column_stack([places, (normals + 0.0).view(np.int64)]))
     firsts = _first_rows(nodes)
     pairs = _close_pairs(places[firsts], normals[firsts], np.radians(crease_angle_degrees), claim)
-    classes = _components(pairs, len(firsts))[nodes]
-    # In the order of their first vertices: neighbours are then near in memory too.
+    return _in_order(_components(pairs, len(firsts))[nodes])
+
+
+def with_rigid_parts(
+    classes: Int64Array, primitives: Sequence[SkinnedPrimitive], triangles: IntArray
+) -> Int64Array:
+    """Return the weld classes (V,) in which parts that cannot bend weld with none that can.
+
+    classes are of ``weld_classes``, triangles (T, 3) index the vertices of all primitives. Triangles of one
+    primitive that share a class are of one part. If all corners of a part have equal influences, its normals
+    move as it does, and are known.
+    """
+    owners = np.repeat(np.arange(len(primitives)), [len(primitive.positions) for primitive in primitives])
+    copies = row_numbers(np.column_stack([classes, owners]))
+    count = int(copies.max(initial=-1)) + 1
+    if count == int(classes.max(initial=-1)) + 1:
+        return classes  # no class has vertices of two primitives
+    joints, shares = influence_keys(primitives)
+    influences = row_numbers(np.hstack([joints, shares.view(np.int32)]))[triangles]
+    bends = (influences != influences[:, :1]).any(axis=1)
+    corners = copies[triangles]
+    parts = _components(np.concatenate([corners[:, :2], corners[:, 1:]]), count)
+    # Vertices without triangles are of neither kind. They stay with the bending ones.
+    rigid = np.zeros(count, dtype=bool)
+    rigid[corners[~np.isin(parts[corners[:, 0]], parts[corners[bends, 0]])]] = True
+    meeting = np.isin(classes, classes[triangles[bends]])
+    return _in_order(row_numbers(np.column_stack([classes, rigid[copies] & meeting])))
+
+
+def _in_order(classes: Int64Array) -> Int64Array:
+    """Return the classes (V,) in the order of their first vertices: neighbours are then near in memory."""
     firsts = _first_rows(classes)
     numbers = np.empty(len(firsts), dtype=np.int64)
     numbers[np.argsort(firsts)] = np.arange(len(firsts))

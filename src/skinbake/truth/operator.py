@@ -33,6 +33,7 @@ from skinbake.truth.mesh import (
     carrying_slots,
     weights_of_corners,
     weld_classes,
+    with_rigid_parts,
 )
 from skinbake.truth.values import SparseRows
 
@@ -93,9 +94,10 @@ def gradient_operator(
     """Build the gradient operator over the welded vertices of one mesh.
 
     A vertex takes the weighted mean of the triangles' gradients over the corners of its weld class
-    (``weld_classes``). The mean divides by the total weight of *all* corners, so that the gradients of
-    weights that sum to one sum to zero. With e1, e2 a corner's edges, θ its angle and A = |e1 × e2|, its
-    weight is A / (|e1|² |e2|²) for ``max``, θ for ``angle``, A for ``area``, θ A for ``angle-area``.
+    (``weld_classes``, ``with_rigid_parts``). The mean divides by the total weight of *all* corners, so that
+    the gradients of weights that sum to one sum to zero. With e1, e2 a corner's edges, θ its angle and A =
+    |e1 × e2|, its weight is A / (|e1|² |e2|²) for ``max``, θ for ``angle``, A for ``area``, θ A for
+    ``angle-area``.
 
     Triangles that are lines or points, or have a non-finite corner, are ignored. Raises InputError for an
     index outside its primitive, and ValueError for an unknown weighting. ``claim`` is called with the number
@@ -119,6 +121,7 @@ def gradient_operator(
     triangles = triangles[is_sound(positions, triangles)]
     # Which vertices are one point.
     classes = weld_classes(primitives, crease_angle_degrees=crease_angle_degrees, claim=claim)
+    classes = with_rigid_parts(classes, primitives, triangles)
     # The corners of each class.
     places = classes[triangles].ravel()
     count = int(classes.max(initial=-1)) + 1
