@@ -46,11 +46,13 @@ def test_verify_finds_the_rigid_parts_that_bake_finds() -> None:
     for seed in range(200):
         random = np.random.default_rng(seed)
         points, bound = random.normal(size=(20, 3)), random.integers(0, 2, 20)
+        most = random.choice([1.0, 0.99, 0.995, 0.98], 20, p=[0.6, 0.2, 0.1, 0.1])
+        shares = np.stack([most, 1.0 - most], axis=1).astype(np.float32)
         parts = []
         for _ in range(3):
             own = random.permutation(20)[: random.integers(6, 20)]
             triangles = random.integers(0, len(own) - 2, (random.integers(2, 10), 3))
-            weights, normals = np.tile([1.0, 0.0], (len(own), 1)), np.tile([0.0, 0.0, 1.0], (len(own), 1))
+            weights, normals = shares[own], np.tile([0.0, 0.0, 1.0], (len(own), 1))
             joints = np.stack([bound[own], 1 - bound[own]], axis=1)
             parts.append(SkinnedPrimitive(points[own], normals, None, joints, weights, triangles))
         starts = np.cumsum([0, *(len(part.positions) for part in parts)])

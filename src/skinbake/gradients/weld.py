@@ -10,7 +10,14 @@ import numpy.typing as npt
 from skinbake.geometry.frames import has_direction, unit_vectors
 from skinbake.geometry.skinned import BoolArray, FloatArray, IntArray, bincount, blocks
 from skinbake.gradients import kernel
-from skinbake.gradients.surface import Labels, WeightField, bit_patterns, first_rows, number_as_met
+from skinbake.gradients.surface import (
+    NO_JOINT,
+    Labels,
+    WeightField,
+    bit_patterns,
+    first_rows,
+    number_as_met,
+)
 
 PAIRED_GROUP = 32
 """Groups of at most this many distinct normals are compared pair by pair. Larger groups grow step by step."""
@@ -20,6 +27,9 @@ PAIRS = 1 << 16
 
 LINKED_GROUP = 4096
 """Points with more distinct normals than this weld equal normals only. Comparing all would take minutes."""
+
+RIGID = np.float32(0.99)
+"""The weight of its joint at each vertex of a rigid part. Tools leave traces of other joints there."""
 
 ROUNDING = 1e-12
 """The slack in the length of a chord. The sides of a prism of 24 meet at 15°, the crease angle itself."""
@@ -46,7 +56,12 @@ def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crea
     keys = np.empty((len(copies), 1 + field.joints.shape[1]), dtype=np.uint64)
     for rows in blocks(len(copies)):
         keys[rows, 0] = labels[copies[rows]]
-        keys[rows, 1:] = _influence_keys(field.rows(copies[rows]))
+        # Joint and float32 weight of every influence, in joint order, other slots last.
+        part = field.rows(copies[rows])
+        weights = np.ascontiguousarray(part.weights.astype(np.float32)).view(np.uint32).astype(np.uint64)
+        influences = (part.joints.astype(np.uint64) << np.uint64(32)) | weights
+        influences[part.weights == 0] = np.iinfo(np.uint64).max
+        keys[rows, 1:] = np.sort(influences, axis=1)
     points = kernel.label_equal_rows(keys)
     oriented = kernel.label_equal_rows(_oriented_keys(points, normals, copies))
     # One row for each normal of a point is left to compare by angle.
@@ -59,23 +74,14 @@ def weld(positions: FloatArray, normals: FloatArray, field: WeightField, *, crea
     return number_as_met(labels)
 
 
-def _influence_keys(field: WeightField) -> npt.NDArray[np.uint64]:
-    """Return the keys (N, K) of influences: joint and float32 weight, in joint order, other slots last."""
-    weights = np.ascontiguousarray(field.weights.astype(np.float32)).view(np.uint32).astype(np.uint64)
-    keys = (field.joints.astype(np.uint64) << np.uint64(32)) | weights
-    keys[field.weights == 0] = np.iinfo(np.uint64).max
-    keys.sort(axis=1)
-    return keys
-
-
 def rigid_parts_apart(
     classes: Labels, triangles: IntArray, field: WeightField, ends: Sequence[int]
 ) -> Labels:
     """Return the weld classes (V,) of a surface, with the copies in rigid parts in classes of their own.
 
-    A part is what the triangles of one primitive connect over its weld classes. It is rigid if it has one set
-    of influences. No pose bends it, so its normals at rest, moved along, are the true ones, also where it
-    meets a bending part of another primitive. classes, triangles (T, 3), field and ends are those of
+    A part is what the triangles of one primitive connect over its weld classes. It is rigid if one joint has
+    RIGID of all its weights. No pose bends it, so its normals at rest, moved along, are the true ones, also
+    where it meets a bending part of another primitive. classes, triangles (T, 3), field and ends are those of
     ``Surface``.
     """
     owners = np.repeat(np.arange(len(ends)), np.diff(ends, prepend=0))
@@ -91,10 +97,12 @@ def rigid_parts_apart(
         parts = parts[parts]
         if np.array_equal(parts, before):
             break
-    bends = np.zeros(len(triangles), np.bool_)
-    for rows in blocks(len(triangles)):
-        keys = _influence_keys(field.rows(triangles[rows].ravel())).reshape(-1, 3, field.joints.shape[1])
-        bends[rows] = (keys[:, :1] != keys[:, 1:]).any(axis=(1, 2))
+    # A triangle bends if not one and the same joint moves its corners.
+    slot = field.weights.argmax(axis=1)[:, None]
+    leads = np.take_along_axis(field.joints, slot, axis=1)[:, 0]
+    leads[np.take_along_axis(field.weights, slot, axis=1)[:, 0].astype(np.float32) < RIGID] = NO_JOINT
+    first, second, third = leads[triangles].T
+    bends = (first == NO_JOINT) | (first != second) | (first != third)
     # Copies without triangles are not drawn, and stay with those that bend.
     bending, rigid, meets = np.zeros((3, len(classes)), np.bool_)
     bending[parts[corners[bends, 0]]] = True

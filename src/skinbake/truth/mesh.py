@@ -172,6 +172,9 @@ def carrying_slots(primitive: SkinnedPrimitive) -> BoolArray:
 MOST_NORMALS = 4096
 """The number of different normals at one point above which only equal ones weld, as in bake."""
 
+LEAST_RIGID = np.float32(0.99)
+"""The weight from which a joint moves a vertex as if alone (docs/reference/gradients.md)."""
+
 HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)
 """2⁶⁴ divided by the golden ratio (Knuth, *The art of computer programming*, 6.4)."""
 
@@ -211,17 +214,18 @@ def with_rigid_parts(
     """Return the weld classes (V,) in which parts that cannot bend weld with none that can.
 
     classes are of ``weld_classes``, triangles (T, 3) index the vertices of all primitives. Triangles of one
-    primitive that share a class are of one part. If all corners of a part have equal influences, its normals
-    move as it does, and are known.
+    primitive that share a class are of one part. If a joint has at least LEAST_RIGID of the weight at all
+    corners of a part, its normals move as it does, and are known.
     """
     owners = np.repeat(np.arange(len(primitives)), [len(primitive.positions) for primitive in primitives])
     copies = row_numbers(np.column_stack([classes, owners]))
     count = int(copies.max(initial=-1)) + 1
     if count == int(classes.max(initial=-1)) + 1:
         return classes  # no class has vertices of two primitives
-    joints, shares = influence_keys(primitives)
-    influences = row_numbers(np.hstack([joints, shares.view(np.int32)]))[triangles]
-    bends = (influences != influences[:, :1]).any(axis=1)
+    joints, weights = joint_weights(primitives)
+    held = weights.astype(np.float32) >= LEAST_RIGID
+    movers = np.where(held, joints, -1).max(axis=1)[triangles]
+    bends = (movers[:, 0] < 0) | (movers.min(axis=1) < movers.max(axis=1))
     corners = copies[triangles]
     parts = _components(np.concatenate([corners[:, :2], corners[:, 1:]]), count)
     # Vertices without triangles are of neither kind. They stay with the bending ones.
