@@ -69,13 +69,13 @@ def cases(folder: Path) -> list[Case]:
     bake = ("bake", str(FIXTURE), "-o", str(baked), "-q", "--no-sync")
     return [
         Case("--help", ("--help",), Budget(8, 0.8, "click")),
-        Case("bake", bake, Budget(123, 1.9)),
+        Case("bake", bake, Budget(120, 1.9)),
         Case(
             "bake of a surface for several threads",
             ("bake", str(large), "-o", str(folder / "out.glb"), "-q", "--no-sync", "--threads", "2"),
-            Budget(123, 1.9),
+            Budget(120, 1.9),
         ),
-        Case("verify", ("verify", str(baked), "--poses", "random:1", "-q"), Budget(132, 2.0)),
+        Case("verify", ("verify", str(baked), "--poses", "random:1", "-q"), Budget(125, 2.0)),
     ]
 
 

@@ -28,9 +28,8 @@ from skinbake.commands.bake import bake_file
 from skinbake.errors import InputError, OutputError, Place, SkinbakeError
 from skinbake.jobs import processes
 from skinbake.jobs.file_work import FileWork
-from skinbake.jobs.runners import InThisProcess
 from skinbake.jobs.verify import Verify
-from skinbake.jobs.work import Job
+from skinbake.jobs.work import InThisProcess, Job
 from skinbake.measure.options import VerifyOptions
 from skinbake.timing import Told, stage
 from skinbake.truth.poses import PoseRequest

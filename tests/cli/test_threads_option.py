@@ -16,7 +16,7 @@ from skinbake import threads
 from skinbake.errors import InputError
 from skinbake.gradients.by_loops import PART
 from skinbake.jobs.processes import Processes
-from skinbake.jobs.runners import InThisProcess
+from skinbake.jobs.work import InThisProcess
 from tests.support.command_line import document, invoke
 from tests.support.models import FOLDER
 

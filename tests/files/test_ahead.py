@@ -16,8 +16,8 @@ import pytest
 
 from skinbake.commands import bake
 from skinbake.commands.bake import bake_document
-from skinbake.files import ahead
 from skinbake.files.folders import beneath
+from skinbake.files.temporary import Ahead
 from skinbake.gltf.writing import output
 from skinbake.threads import threads_limited
 from tests.support import khronos
@@ -54,10 +54,10 @@ def at_once(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 def seen(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[tuple[int, bytes]]:
     """Note the mode and the bytes of each temporary file in the folder when the kernel begins."""
     found: list[tuple[int, bytes]] = []
-    begin = ahead.Ahead.begin
-    begun: list[ahead.Ahead] = []
+    begin = Ahead.begin
+    begun: list[Ahead] = []
 
-    def noted(self: ahead.Ahead, *arguments: Any) -> None:
+    def noted(self: Ahead, *arguments: Any) -> None:
         begin(self, *arguments)
         begun.append(self)
 
@@ -68,7 +68,7 @@ def seen(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[tuple[int, byt
         found.extend((stat.S_IMODE(path.stat().st_mode), path.read_bytes()) for path in files)
         return bake_document(document, options)
 
-    monkeypatch.setattr(ahead.Ahead, "begin", noted)
+    monkeypatch.setattr(Ahead, "begin", noted)
     monkeypatch.setattr("skinbake.commands.bake.bake_document", look)
     return found
 
@@ -286,16 +286,16 @@ def test_a_process_that_is_stopped_in_the_kernel_leaves_the_source(
 
 
 @pytest.fixture
-def begun(tmp_path: Path) -> Callable[..., ahead.Ahead]:
-    def make(*pieces: bytes) -> ahead.Ahead:
-        one = ahead.Ahead(is_itself=False)
+def begun(tmp_path: Path) -> Callable[..., Ahead]:
+    def make(*pieces: bytes) -> Ahead:
+        one = Ahead(is_itself=False)
         one.begin(tmp_path / "a", tmp_path, 2, pieces)
         return one
 
     return make
 
 
-def test_a_file_that_is_handed_over_is_not_removed(begun: Callable[..., ahead.Ahead], tmp_path: Path) -> None:
+def test_a_file_that_is_handed_over_is_not_removed(begun: Callable[..., Ahead], tmp_path: Path) -> None:
     first, second, third, last = b"ab", b"cde", b"fg", b"h"
     with begun(second, third) as one, beneath(str(tmp_path), ()) as folder:
         assert one.part(folder, [first, second, third, last]) == slice(1, 3)
@@ -307,7 +307,7 @@ def test_a_file_that_is_handed_over_is_not_removed(begun: Callable[..., ahead.Ah
 
 @pytest.mark.parametrize("pieces", [(b"ab", b"cde"), (b"a", b"cde", b"fg"), (b"ab", b"fg"), ()])
 def test_pieces_or_places_that_differ_take_no_part(
-    pieces: tuple[bytes, ...], begun: Callable[..., ahead.Ahead], tmp_path: Path
+    pieces: tuple[bytes, ...], begun: Callable[..., Ahead], tmp_path: Path
 ) -> None:
     """Equal bytes are not compared: pieces are known by identity."""
     known = {b"cde": b"cde", b"fg": b"fg"}

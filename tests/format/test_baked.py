@@ -21,7 +21,7 @@ from skinbake.choices import Encoding, FrameChoice, Layout, Neighbours, Scheme, 
 from skinbake.errors import InputError, Place
 from skinbake.format.baked import AttributeNames
 from skinbake.format.encodings import GradientFormat
-from skinbake.gltf.codecs.views import view_bytes
+from skinbake.gltf.codecs.meshopt import view_bytes
 from skinbake.gltf.document import read_document
 from skinbake.gltf.resources import encode_data_uri
 from skinbake.gltf.writing import additions

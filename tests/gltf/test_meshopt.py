@@ -15,8 +15,8 @@ from fixtures.builder import AnyArray, JsonObject, pack_glb
 from skinbake.commands.inspect import inspect_file
 from skinbake.errors import InputError, Place
 from skinbake.gltf.codecs import meshopt as codec
+from skinbake.gltf.codecs.meshopt import view_bytes
 from skinbake.gltf.codecs.meshopt_filters import unfiltered
-from skinbake.gltf.codecs.views import view_bytes
 from skinbake.gltf.document import read_document
 from skinbake.gltf.reading.meshes import read_primitive, skinned_sources
 from tests.support import corpus

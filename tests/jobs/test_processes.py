@@ -20,8 +20,7 @@ import pytest
 from skinbake.errors import SkinbakeError
 from skinbake.jobs import processes, starting
 from skinbake.jobs.processes import Processes
-from skinbake.jobs.runners import FirstThese, InThisProcess, in_order
-from skinbake.jobs.work import Job
+from skinbake.jobs.work import FirstThese, InThisProcess, Job, in_order
 from skinbake.jobs.worker import BASE, Limits
 from skinbake.timing import heard
 from tests.jobs.file_works import baking

@@ -227,8 +227,7 @@ def work_through(
     go together, and InputError if a cluster or a state file cannot be used.
     """
     from skinbake.jobs.file_work import FileWork
-    from skinbake.jobs.runners import in_order
-    from skinbake.jobs.work import Job
+    from skinbake.jobs.work import Job, in_order
     from skinbake.report.totals import (
         Totals,
         closing_line,

@@ -52,7 +52,7 @@ def runner_of(plan: Plan[Any], module: str, guess: tuple[float, float]) -> Runne
     byte of it. A file that has limits of its own gets a process that keeps them. Raises ChoiceError for
     options that do not go together, and InputError if a cluster cannot be used.
     """
-    from skinbake.jobs.runners import FirstThese, InThisProcess
+    from skinbake.jobs.work import FirstThese, InThisProcess
 
     limited = next((name for name in ("timeout", "isolate") if getattr(plan, name)), None)
     if limited and sys.platform == "emscripten":

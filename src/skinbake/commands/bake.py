@@ -11,8 +11,8 @@ from skinbake.choices import FrameChoice, Scheme
 from skinbake.commands.bake_options import DEFAULTS, BakeOptions
 from skinbake.commands.gradient_bake import BakedDocument, bake_gradients
 from skinbake.errors import Chosen, InputError, Notice, Skipped, noticed, skipped, warnings_in
-from skinbake.files.ahead import Ahead
 from skinbake.files.bounds import OWN_FOLDERS, Within
+from skinbake.files.temporary import Ahead
 from skinbake.files.urls import STDIO
 from skinbake.files.versions import digests_of, version_of
 from skinbake.format.note import Left as LeftNote

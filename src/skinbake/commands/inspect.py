@@ -16,7 +16,7 @@ from skinbake.freshness.staleness import made_states
 from skinbake.geometry.skinned import SkinnedPrimitive
 from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Cost
-from skinbake.gltf.codecs.views import bytes_beside
+from skinbake.gltf.codecs.meshopt import bytes_beside
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.reading.meshes import (
     has_float_tangents,

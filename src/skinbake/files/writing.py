@@ -29,7 +29,7 @@ if BY_DESCRIPTOR:  # pragma: no branch: Windows, browsers
     import fcntl
 
 if TYPE_CHECKING:
-    from skinbake.files.ahead import Ahead
+    from skinbake.files.temporary import Ahead
 
 MOST_PIECES = 512
 """Pieces of one call: POSIX promises 16, every system with writev accepts 1,024."""

@@ -19,7 +19,7 @@ from skinbake.errors import BudgetError, InputError, Place, UnsupportedFeatureEr
 from skinbake.geometry.triangles import TRIANGLES
 from skinbake.gltf.asset import Shape
 from skinbake.gltf.budget import Work
-from skinbake.gltf.codecs.views import view_bytes
+from skinbake.gltf.codecs.meshopt import view_bytes
 from skinbake.gltf.document import Document, once_a_document
 from skinbake.gltf.json_access import JsonObject, entries_of, index, integer, member, reference
 from skinbake.wording import counted

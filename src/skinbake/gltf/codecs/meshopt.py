@@ -1,4 +1,4 @@
-"""Buffer views compressed by meshoptimizer: EXT_meshopt_compression, and its successor KHR_.
+"""Bytes of buffer views, also compressed by meshoptimizer: EXT_meshopt_compression, and its successor KHR_.
 
 Both store the same codecs. The latter adds version 1 of the attribute codec and the COLOR filter. A file is
 read in the same way, whichever of the two names it uses.
@@ -14,8 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.errors import InputError, Place
+from skinbake.gltf.budget import Work
 from skinbake.gltf.codecs import codec
-from skinbake.gltf.json_access import JsonObject, integer, member, text
+from skinbake.gltf.document import Document, once_a_document
+from skinbake.gltf.json_access import JsonObject, index, integer, member, text
+from skinbake.gltf.resources import is_data_uri
 from skinbake.wording import counted
 
 KHRONOS, VENDOR = "KHR_meshopt_compression", "EXT_meshopt_compression"
@@ -158,3 +161,52 @@ def encoded(values: npt.NDArray[Any], mode: str, name: str, level: int) -> tuple
         if np.array_equal(meshopt.decode_index_buffer(compressed, len(indices), size), indices):
             return compressed, TRIANGLES
     return bytes(meshopt.encode_index_sequence(indices)), INDICES
+
+
+@once_a_document
+def view_bytes(document: Document, view_index: int, place: Place) -> memoryview:
+    """Return the bytes of one buffer view, decoded once if meshopt compressed them.
+
+    Raises InputError if the view does not fit its buffer, or cannot be decoded.
+    """
+    view = document.objects("bufferViews")[view_index]
+    name = extension_of(view, place)
+    if name is None:
+        return stored_bytes(document, view, f"buffer view {view_index}", place)
+    packed = packing(view, name, f"buffer view {view_index}", place)
+    what = f"the {name} of buffer view {view_index}"
+    data = stored_bytes(document, view["extensions"][name], what, place)
+    check_length(data, packed, what, place)
+    size = packed.count * packed.stride
+    document.budget.claim(Work(bytes=size, unpacked=size, packed=len(data)), "compressed data", place)
+    return decoded(data, packed, what, place)
+
+
+def stored_bytes(document: Document, holder: JsonObject, what: str, place: Place) -> memoryview:
+    """Return the stored bytes that ``buffer``, ``byteOffset`` and ``byteLength`` of an object name.
+
+    ``what`` names the object in messages.
+    """
+    buffer_index = index(holder, "buffer", len(document.objects("buffers")), place)
+    if buffer_index is None:
+        raise InputError(f"{what} names no buffer", place)
+    start = integer(holder, "byteOffset", place, default=0)
+    length = integer(holder, "byteLength", place, minimum=1)
+    data = document.buffer(buffer_index)
+    if start + length > len(data):
+        raise InputError(
+            f"{what} ends at byte {start + length} of buffer {buffer_index}, which has {len(data)}", place
+        )
+    return data[start : start + length]
+
+
+def bytes_beside(document: Document) -> int:
+    """Return the bytes of the buffers that lie in files beside a document."""
+    beside = [
+        number
+        for number, buffer in enumerate(document.objects("buffers"))
+        if isinstance(uri := buffer.get("uri"), str)
+        and not is_data_uri(uri)
+        and not is_fallback(buffer, document.place)
+    ]
+    return sum(len(document.buffer(number)) for number in beside)

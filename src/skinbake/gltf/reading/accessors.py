@@ -13,7 +13,7 @@ from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.gltf.asset import Shape, component_dtype
 from skinbake.gltf.budget import Work
 from skinbake.gltf.codecs import draco
-from skinbake.gltf.codecs.views import view_bytes
+from skinbake.gltf.codecs.meshopt import view_bytes
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, integer, member
 from skinbake.wording import counted, one_or_many

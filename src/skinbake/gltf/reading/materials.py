@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from skinbake.errors import InputError, Notice
 from skinbake.files import Bytes
 from skinbake.gltf.asset import PrimitiveSource
-from skinbake.gltf.codecs.views import view_bytes
+from skinbake.gltf.codecs.meshopt import view_bytes
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import (
     JsonObject,

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 from skinbake.errors import InputError, Notice, OutputError, Place, not_written
 from skinbake.files import Bytes
-from skinbake.files.ahead import Ahead
 from skinbake.files.bounds import OutsideError, RefusedError, below, bounded_path, relative_names
+from skinbake.files.temporary import Ahead
 from skinbake.files.urls import STDIO
 from skinbake.files.versions import Signature, Version
 from skinbake.files.writing import TakenError, check_target, write_files, write_stdout

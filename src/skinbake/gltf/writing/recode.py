@@ -19,7 +19,7 @@ from skinbake.geometry.triangles import TRIANGLES
 from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.codecs import draco, meshopt
-from skinbake.gltf.codecs.views import view_bytes
+from skinbake.gltf.codecs.meshopt import view_bytes
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import (
     JsonObject,
