@@ -79,10 +79,12 @@ let changes = 0;
 
 // three.js puts its chunks together when it compiles a program, after all hooks of the material. So the hooks
 // may come and go. Meshes without the constants of a bake run three.js's own lines alone.
+// A library that is loaded later may replace some.
 function changeChunks() {
-    if (ShaderChunk.skinnormal_vertex.includes('skinbake')) return;
+    const missing = Object.entries(CHUNKS).filter(([name, texts]) => !texts.every((text) => ShaderChunk[name].includes(text)));
+    if (!missing.length) return;
     changes++;
-    for (const [name, [before, after]] of Object.entries(CHUNKS)) {
+    for (const [name, [before, after]] of missing) {
         usual[name] = ShaderChunk[name];
         ShaderChunk[name] = `${before}${ShaderChunk[name]}${after}`;
     }
@@ -162,6 +164,7 @@ function verifyProgram(renderer, mesh, material, before) {
     const isUpToDate = !isDual || attributes.morphSkinbakeStorage;
     if (!attributes.normal && isUpToDate) return { ...found, lighting: 'unlit' };
     if (!before?.repaired && !material.isRawShaderMaterial) {
+        changeChunks();
         renew(material);
         return { ...found, lighting: 'not drawn', repaired: true };
     }

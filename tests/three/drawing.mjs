@@ -771,6 +771,25 @@ const api = {
         return report;
     },
 
+    // Normals of an unbaked and of a baked character after a library has replaced a chunk of skinning.
+    async replaced({ unbaked, ...options }) {
+        const three = THREE.ShaderChunk.skinning_pars_vertex;
+        const other = await load({ ...options, url: unbaked, plugin: false });
+        const { scene } = await load(options);
+        THREE.ShaderChunk.skinning_pars_vertex = `${three}\n// as a library has it\n`;
+        const found = [];
+        for (const root of [other.scene, scene]) {
+            for (const mesh of skinnedMeshes(root)) mesh.material = new THREE.MeshStandardMaterial({ name: 'new' });
+            for (let frame = 0; frame < 3; frame++) await draw(root);
+            found.push((await draw(root)).map(({ values }) => base64(values)));
+        }
+        const report = told(skinbake.applySkinbake(scene).meshes);
+        skinbake.dispose(scene);
+        const restored = THREE.ShaderChunk.skinning_pars_vertex.includes('as a library has it');
+        THREE.ShaderChunk.skinning_pars_vertex = three;
+        return { draws: found, report, restored, world: skinnedMeshes(scene)[0].matrixWorld.toArray() };
+    },
+
     // Normals of a morphed character by a material that skins, but does not morph.
     async unmorphed(options) {
         const { scene } = await load(options);

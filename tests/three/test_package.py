@@ -702,6 +702,18 @@ def test_a_material_with_a_shader_of_its_own_is_told_of_once(stage: ThreeStage) 
     assert stage.page.messages() == [f'skinbake: "hero" has three.js\'s standard lighting: {reason}']
 
 
+def test_a_library_that_replaces_a_chunk_later_hides_no_character(stage: ThreeStage) -> None:
+    """A program of unbaked characters would not link if the other chunks still called our functions."""
+    character = stage.character(TUBE, BENT)
+    plain = stage.models / "plain.glb"
+    plain.write_bytes(TUBE.read_bytes())
+    found = stage.call("replaced", {**character.told(Placement()), "unbaked": f"/models/{plain.name}"})
+    (unbaked,), (own,) = found["draws"]
+    assert largest(unbaked, expected(character, found["world"], Algorithm.LBS_STANDARD)) < DEGREES
+    assert largest(own, expected(character, found["world"])) < DEGREES
+    assert (found["report"], found["restored"]) == ([["accurate", ""]], True)
+
+
 def test_a_material_that_skins_without_morphing_compiles(stage: ThreeStage) -> None:
     path = baked(with_morphs(stage.models, TUBE), stage.models)
     found = stage.call("unmorphed", Character(path, BENT, (0.7, -0.4)).told(Placement()))

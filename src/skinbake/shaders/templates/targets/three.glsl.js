@@ -24,6 +24,7 @@ export const METHOD = '@{ method }';
 
 export const DECLARATIONS = /* glsl */ `
 #if defined(USE_SKINNING) && !defined(SKINBAKE_STANDARD)
+#define SKINBAKE_SKINS // a library may replace the chunk that this stands in: then the others leave three.js as it is
 
 attribute vec4 morphSkinbakeAlpha;
 attribute vec4 morphSkinbakeBeta;
@@ -108,7 +109,7 @@ vec3 skinbake_viewed(vec3 n)
 `;
 
 export const BEFORE_NORMAL = /* glsl */ `
-#if defined(USE_SKINNING) && !defined(SKINBAKE_STANDARD)
+#ifdef SKINBAKE_SKINS
 vec3 skinbakeMorphedNormal = objectNormal;
 #ifdef SKINBAKE_NORMAL_MAP
 vec3 skinbakeCotangent = vec3(0.0);
@@ -121,7 +122,7 @@ vec3 skinbakeThird = vec3(0.0); // n' = t' x b', which the other two belong to
 // After three.js's own chunk, whose results are overwritten. three.js has M[s] = bindMatrixInverse * bone *
 // bindMatrix; the outer two act on vectors here, which is cheaper.
 export const AFTER_NORMAL = /* glsl */ `
-#if defined(USE_SKINNING) && !defined(SKINBAKE_STANDARD)
+#ifdef SKINBAKE_SKINS
 if (skinbake_isBaked()) {
     vec3 p;
     {
@@ -240,13 +241,13 @@ if (skinbake_isBaked()) {
 `;
 
 export const BEFORE_POSITION = /* glsl */ `
-#if defined(USE_SKINNING) && !defined(SKINBAKE_STANDARD)
+#ifdef SKINBAKE_SKINS
 vec3 skinbakeUnskinned = transformed;
 #endif
 `;
 
 export const AFTER_POSITION = /* glsl */ `
-#if defined(USE_SKINNING) && !defined(SKINBAKE_STANDARD)
+#ifdef SKINBAKE_SKINS
 if (skinbake_isBaked() && skinbake_hasDualQuaternions()) {
     skinbake_Frame frame = skinbake_frame(vec3(0.0, 0.0, 1.0));
     mat4 M[4] = mat4[4](boneMatX, boneMatY, boneMatZ, boneMatW);
@@ -267,7 +268,7 @@ varying vec2 vSkinbakeLengths;
 export const AFTER_VARYINGS = /* glsl */ `
 #if defined(SKINBAKE_NORMAL_MAP) && defined(USE_TANGENT) && !defined(FLAT_SHADED) && !defined(SKINBAKE_STANDARD)
 vSkinbakeLengths = vec2(1.0);
-#ifdef USE_SKINNING
+#ifdef SKINBAKE_SKINS
 if (skinbake_isBaked()) {
     vTangent = skinbake_viewed(skinbakeCotangent);
     vBitangent = skinbake_viewed(skinbakeCobitangent);
