@@ -23,6 +23,8 @@ export const state = (globalThis[Symbol.for('skinbake.three')] ??= {
     prints: new WeakMap(), // geometry, or metadata -> { skinbake, prints }: of its arrays when it was first seen
     meshes: new WeakMap(), // mesh -> WeakMap of material -> { program, lighting, reason, repaired }
     standard: new WeakSet(), // meshes that lighting() has switched
+    disposed: new WeakSet(), // meshes that dispose() has given back, and whose geometries others may still use
+    users: new WeakMap(), // geometry -> { known, meshes: WeakRefs }, of those that were asked for or drawn with it
     lit: new WeakMap(), // material (WebGLRenderer) or mesh (WebGPURenderer) -> time of its last accurate draw
     told: new WeakMap(), // mesh -> messages
     passed: new WeakSet(), // geometries that were not asked for: they are told of once
@@ -65,7 +67,8 @@ function light(roots, method) {
     if (isBare && !isWanted) tellOfNone(roots[0]);
     for (const root of roots) {
         root.traverse((object) => {
-            if (!object.isMesh || object.isSkinnedMesh || problemOfGeometry(object.geometry) === NOT_BAKED) return;
+            // Classes of libraries that have a skeleton skin by chunks.
+            if (!object.isMesh || object.isSkinnedMesh || object.skeleton || problemOfGeometry(object.geometry) === NOT_BAKED) return;
             tell(object, `three.js does not skin ${kindOf(object)}`);
         });
     }
@@ -90,6 +93,8 @@ function likeWorst(meshes, problems, method) {
 
 function takeUp(mesh, method) {
     takeOwnHooks(mesh);
+    state.disposed.delete(mesh);
+    use(mesh);
     const { skinbake } = mesh.geometry.userData;
     if (isObject(skinbake)) state.methods.set(skinbake, method);
     const adopted = adopt(mesh.geometry, method);
@@ -119,7 +124,7 @@ export function lighting(root, which) {
 }
 
 /**
- * Undo applySkinbake for the skinned meshes below an object, and for all meshes with the same geometries.
+ * Undo applySkinbake for the skinned meshes below an object. Clones, which share their geometries, stay as they are.
  *
  * @param {Object3D} root - A scene, a model, or a mesh.
  */
@@ -127,6 +132,8 @@ export function dispose(root) {
     for (const mesh of skinnedMeshes(root)) {
         state.standard.delete(mesh);
         state.meshes.delete(mesh);
+        state.disposed.add(mesh);
+        if (isUsedBeside(mesh)) continue;
         const { userData } = mesh.geometry;
         if (isObject(userData.skinbake)) state.methods.set(userData.skinbake, undefined);
         state.passed.add(mesh.geometry);
@@ -136,6 +143,22 @@ export function dispose(root) {
     for (const backend of state.backends.values()) backend.uninstall();
     state.backends.clear();
 }
+
+function use(mesh) {
+    const { geometry } = mesh;
+    if (!state.users.has(geometry)) state.users.set(geometry, { known: new WeakSet(), meshes: [] });
+    const { known, meshes } = state.users.get(geometry);
+    if (!known.has(mesh)) meshes.push(new WeakRef(mesh));
+    known.add(mesh);
+}
+
+// Whether a mesh that lives and was not disposed of has the geometry of another one.
+function isUsedBeside({ geometry }) {
+    const meshes = (state.users.get(geometry)?.meshes ?? []).map((one) => one.deref());
+    return meshes.some((mesh) => mesh?.geometry === geometry && !state.disposed.has(mesh));
+}
+
+const isSwitched = (mesh) => state.standard.has(mesh) || state.disposed.has(mesh);
 
 // Add a renderer that this page may use. classes are those of three.js, and oldest is the first revision that will do.
 export function serve(name, backend, classes, revision, oldest) {
@@ -187,6 +210,7 @@ class MeshReport {
         const problem = strangeness(this.mesh) || (adopted ?? { problem: problemOfGeometry(geometry) }).problem;
         if (problem) return ['standard', problem];
         if (!adopted) return methodOf(geometry) ? UNDRAWN : ['standard', NOT_ASKED];
+        if (state.disposed.has(this.mesh)) return ['standard', NOT_ASKED];
         if (state.standard.has(this.mesh)) return ['standard', 'lighting() has switched it'];
         const unfit = adopted.unfit.get(this.mesh);
         if (unfit) return ['standard', unfit];
@@ -519,7 +543,7 @@ function jointsOf({ skinIndex, skinWeight }) {
 // Whether a mesh with a baked geometry is drawn as three.js does. Once a pose does not suit dual quaternions, it
 // stays so until applySkinbake is called again.
 export function isStandard(mesh, { joints, unfit }) {
-    if (state.standard.has(mesh) || unfit.has(mesh)) return true;
+    if (isSwitched(mesh) || unfit.has(mesh)) return true;
     const bone = firstDistorted(mesh.skeleton, joints);
     if (!bone) return false;
     const rule = 'is not rigid up to one transform common to all joints, which dual quaternions need';
@@ -735,9 +759,12 @@ function beforeDraw(renderer, scene, camera, geometry, material) {
 // Look whether a geometry has what the shader reads. A new one has not, and one that was changed.
 function meet(renderer, mesh, geometry) {
     const adopted = state.geometries.get(geometry);
-    if (adopted && !adopted.problem && state.backends.size > 0) count(geometry, adopted);
+    if (adopted && !adopted.problem && state.backends.size > 0) {
+        count(geometry, adopted);
+        use(mesh);
+    }
     // A mesh that is switched reads nothing of it.
-    if (adopted && (adopted.problem || state.standard.has(mesh) || isIntact(geometry, adopted))) return;
+    if (adopted && (adopted.problem || isSwitched(mesh) || isIntact(geometry, adopted))) return;
     forget(geometry);
     const method = adopted?.method ?? methodOf(geometry);
     if (method) adoptDrawn(renderer, mesh, geometry, method);
@@ -789,7 +816,7 @@ function afterDraw(renderer, scene, camera, geometry, material) {
     const adopted = state.geometries.get(geometry);
     if (!adopted || adopted.problem) return;
     show(geometry, adopted);
-    if (state.standard.has(this) || adopted.unfit.has(this) || !isIntact(geometry, adopted)) return;
+    if (isSwitched(this) || adopted.unfit.has(this) || !isIntact(geometry, adopted)) return;
     const drawn = state.meshes.get(this) ?? state.meshes.set(this, new WeakMap()).get(this);
     const backend = state.backends.get(renderer.isWebGLRenderer ? 'webgl' : 'webgpu');
     const before = drawn.get(material);
@@ -825,7 +852,7 @@ function prepare(renderer, mesh, geometry, material) {
     const adopted = state.geometries.get(geometry);
     if (!adopted || adopted.problem) return;
     const { isWebGLRenderer } = renderer;
-    const isOff = isWebGLRenderer ? isStandard(mesh, adopted) : state.standard.has(mesh) || adopted.unfit.has(mesh);
+    const isOff = isWebGLRenderer ? isStandard(mesh, adopted) : isSwitched(mesh) || adopted.unfit.has(mesh);
     const isPlain = isSettled(isWebGLRenderer ? material : mesh, isOff);
     state.backends.get(isWebGLRenderer ? 'webgl' : 'webgpu')?.choose(mesh, material, isPlain);
     show(geometry, adopted);

@@ -679,9 +679,13 @@ const api = {
         const world = skinnedMeshes(model)[0].matrixWorld.toArray();
         skinbake.lighting(other, 'accurate');
         const again = (await draw(scene)).map(({ values }) => base64(values));
+        skinbake.dispose(other);
+        const one = (await draw(scene)).map(({ values }) => base64(values));
+        skinbake.applySkinbake(other);
+        const back = (await draw(scene)).map(({ values }) => base64(values));
         skinbake.dispose(scene);
         const disposed = (await draw(scene)).map(({ values }) => base64(values));
-        return { draws, again, disposed, world, attributes: Object.keys(skinnedMeshes(model)[0].geometry.attributes) };
+        return { draws, again, one, back, disposed, world, attributes: Object.keys(skinnedMeshes(model)[0].geometry.attributes) };
     },
 
     // Normals of each draw of two characters, and the attributes that its program reads: while one is switched, then

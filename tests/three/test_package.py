@@ -668,12 +668,13 @@ def test_metadata_of_an_accessor_is_found(stage: ThreeStage) -> None:
     assert found["report"] == found["loaded"] == [["accurate", ""]]
 
 
-def test_clones_share_all_and_are_switched_apart(stage: ThreeStage) -> None:
+def test_clones_share_all_and_are_switched_and_disposed_of_apart(stage: ThreeStage) -> None:
     character = stage.character(TUBE, BENT)
     found = stage.call("clones", character.told(Placement()))
     accurate = expected(character, found["world"])
     standard = expected(character, found["world"], Algorithm.LBS_STANDARD)
     pairs = [(found["draws"], (accurate, standard)), (found["again"], (accurate, accurate))]
+    pairs += [(found["one"], (accurate, standard)), (found["back"], (accurate, accurate))]
     for draws, wanted in [*pairs, (found["disposed"], (standard, standard))]:
         assert len(draws) == 2
         both = [
