@@ -16,11 +16,6 @@ export interface MeshReport {
     readonly reason: string;
 }
 
-export interface SkinbakeReport {
-    /** One entry for each skinned mesh, baked or not. */
-    readonly meshes: readonly MeshReport[];
-}
-
 /**
  * Make the options of a container asset: the fifth parameter of `new Asset()`. Its baked skinned meshes are lit
  * accurately wherever the application draws them. `others` are further options of the asset.
@@ -28,7 +23,7 @@ export interface SkinbakeReport {
 export function skinbakeOptions(app: AppBase, options?: SkinbakeOptions, others?: object): object;
 
 /** Tell the lighting of the skinned meshes below an entity. Another root is a TypeError. */
-export function skinbakeReport(root: Entity): SkinbakeReport;
+export function report(root: Entity): MeshReport[];
 
 /** Switch the skinned meshes below an entity to PlayCanvas's own lighting, or back. */
 export function lighting(root: Entity, which: 'standard' | 'accurate'): void;

@@ -74,10 +74,10 @@ export function skinbakeOptions(app, { method = METHOD } = {}, others = {}) {
  * Tell the lighting of the skinned meshes below an entity. An entry stays up to date.
  *
  * @param {Entity} root - A model, or the root of the scene.
- * @returns {SkinbakeReport} What each skinned mesh is drawn with.
+ * @returns {MeshReport[]} What each skinned mesh is drawn with, baked or not.
  */
-export function skinbakeReport(root) {
-    return { meshes: skinned(root).map((instance) => new MeshReport(instance)) };
+export function report(root) {
+    return skinned(root).map((instance) => new MeshReport(instance));
 }
 
 /**

@@ -72,7 +72,17 @@ function light(roots, method) {
             tell(object, `three.js does not skin ${kindOf(object)}`);
         });
     }
-    return { meshes: meshes.map((mesh) => new MeshReport(mesh)) };
+    return meshes.map((mesh) => new MeshReport(mesh));
+}
+
+/**
+ * Tell the lighting of the skinned meshes below an object. An entry stays up to date.
+ *
+ * @param {Object3D} root - A scene, a model, or a mesh.
+ * @returns {MeshReport[]} What each skinned mesh is drawn with, baked or not.
+ */
+export function report(root) {
+    return skinnedMeshes(root).map((mesh) => new MeshReport(mesh));
 }
 
 // Between parts of one skin in two lightings, a seam would show.

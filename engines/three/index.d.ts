@@ -26,18 +26,16 @@ export interface MeshReport {
     readonly normalMap: 'accurate' | 'derivatives' | 'standard' | 'none';
 }
 
-export interface SkinbakeReport {
-    /** One entry for each skinned mesh, baked or not. */
-    readonly meshes: readonly MeshReport[];
-}
-
 /** Light the baked skinned meshes below an object accurately. Doing it again repairs what was changed since. */
-export function applySkinbake(root: Object3D, options?: SkinbakeOptions): SkinbakeReport;
+export function applySkinbake(root: Object3D, options?: SkinbakeOptions): MeshReport[];
+
+/** Tell the lighting of the skinned meshes below an object, baked or not. applySkinbake returns the same. */
+export function report(root: Object3D): MeshReport[];
 
 /** Switch the skinned meshes below an object to three.js's own lighting, or back. */
 export function lighting(root: Object3D, which: 'standard' | 'accurate'): void;
 
-/** Undo applySkinbake for the skinned meshes below an object, and for all meshes with the same geometries. */
+/** Undo applySkinbake for the skinned meshes below an object. Clones, which share their geometries, stay as they are. */
 export function dispose(root: Object3D): void;
 
 /** A plugin of GLTFLoader. The loaded object has the report in `userData.skinbake`. */

@@ -31,7 +31,7 @@ import {
     VARYINGS,
 } from './shaders.js';
 
-export { dispose, lighting } from './core.js';
+export { dispose, lighting, report } from './core.js';
 
 /**
  * Light the baked skinned meshes below an object accurately. Meshes that are not baked stay as they are.
@@ -39,7 +39,7 @@ export { dispose, lighting } from './core.js';
  *
  * @param {Object3D} root - A scene, a model, or a mesh.
  * @param {{ method?: 'lbs' | 'dqs' }} [options] - Linear blending, as three.js has it, or dual quaternions.
- * @returns {SkinbakeReport} What each skinned mesh is drawn with. It stays up to date.
+ * @returns {MeshReport[]} What each skinned mesh is drawn with, baked or not. It stays up to date.
  */
 export function applySkinbake(root, { method = METHOD } = {}) {
     serveWebGL();

@@ -80,7 +80,7 @@ import {
     WIDTH,
 } from './core.js';
 
-export { dispose, lighting } from './core.js';
+export { dispose, lighting, report } from './core.js';
 
 const METHOD = 'lbs';
 
@@ -90,7 +90,7 @@ const METHOD = 'lbs';
  *
  * @param {Object3D} root - A scene, a model, or a mesh.
  * @param {{ method?: 'lbs' | 'dqs' }} [options] - Linear blending, as three.js has it, or dual quaternions.
- * @returns {SkinbakeReport} What each skinned mesh is drawn with. It stays up to date.
+ * @returns {MeshReport[]} What each skinned mesh is drawn with, baked or not. It stays up to date.
  */
 export function applySkinbake(root, { method = METHOD } = {}) {
     serveWebGPU();

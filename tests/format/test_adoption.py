@@ -174,7 +174,7 @@ def test_float_files_keep_every_weight_that_was_not_zero(name: str, tmp_path: Pa
         assert (after[adopted] == 2.0**-30).all()
         # Weights that move nothing count as none: their slots are free.
         assert (before[adopted] < 2.0**-30).all()
-        taken = (joints[:, :, None] == np.where(adopted, written, -1)[:, None, :]).any(axis=2)
+        taken = (joints[:, :, None] == np.where(adopted, written.astype(int), -1)[:, None, :]).any(axis=2)
         assert np.array_equal(np.where(taken, 0, joints)[~adopted], written[~adopted])
     assert adopted_any
 

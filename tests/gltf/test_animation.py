@@ -605,7 +605,7 @@ def test_a_joint_that_is_nested_deep_is_refused() -> None:
         nested = [nested]
     document = arm().document()
     document.objects("skins")[0]["joints"].append(nested)
-    with pytest.raises(InputError, match="must be an integer of at least 0, found an array nested very deep"):
+    with pytest.raises(InputError, match=r"must be an integer of at least 0, found (an array nested|\[\[\[)"):
         read_skeleton(document, 0)
 
 

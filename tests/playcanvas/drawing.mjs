@@ -169,7 +169,7 @@ export async function draw(options) {
         instance.cull = false;
         if (mapped) map(app, instance.material, mapped, anisotropic);
     }
-    const report = skinbake.skinbakeReport(entity).meshes;
+    const report = skinbake.report(entity);
     app.update(0);
     const [instance] = skinned(entity);
     const look = () => ({
@@ -375,7 +375,7 @@ export async function told(options) {
     one.app.root.addChild(entity);
     await CHANGES[options.change ?? ''](one, entity);
     for (const frame of [1, 2]) one.app.render();
-    const report = skinbake.skinbakeReport(entity).meshes.map(({ lighting, reason }) => [lighting, reason]);
+    const report = skinbake.report(entity).map(({ lighting, reason }) => [lighting, reason]);
     entity.destroy();
     return report;
 }
@@ -398,7 +398,7 @@ async function unloaded(app, url) {
     const entity = asset.resource.instantiateRenderEntity();
     app.root.addChild(entity);
     app.render();
-    const { lighting } = skinbake.skinbakeReport(entity).meshes[0];
+    const { lighting } = skinbake.report(entity)[0];
     if (lighting !== 'accurate') throw new Error(lighting);
     const material = new WeakRef(skinned(entity)[0].material);
     entity.destroy();
@@ -434,7 +434,7 @@ export async function together({ urls: [slow, quick] }) {
         const entity = asset.resource.instantiateRenderEntity();
         app.root.addChild(entity);
         app.render();
-        const report = skinbake.skinbakeReport(entity).meshes.map(({ lighting, reason }) => [lighting, reason]);
+        const report = skinbake.report(entity).map(({ lighting, reason }) => [lighting, reason]);
         entity.destroy();
         return report;
     });
@@ -475,7 +475,7 @@ export async function watchedOver({ url }) {
     const { app } = await application('webgl2');
     const asset = await loaded(app, { url });
     const entity = asset.resource.instantiateRenderEntity();
-    const reportOf = () => skinbake.skinbakeReport(entity).meshes.map(({ lighting, reason }) => [lighting, reason]);
+    const reportOf = () => skinbake.report(entity).map(({ lighting, reason }) => [lighting, reason]);
     const found = { outside: reportOf() };
     app.root.addChild(entity);
     app.render();
@@ -487,7 +487,7 @@ export async function watchedOver({ url }) {
     instance.material = new pc.LitMaterial(); // without the chunk that it needs
     app.render();
     found.failed = reportOf();
-    const { meshes } = skinbake.skinbakeReport(entity);
+    const meshes = skinbake.report(entity);
     entity.destroy();
     found.destroyed = meshes.map(({ lighting, reason }) => [lighting, reason]);
     return found;
@@ -497,8 +497,8 @@ export async function watchedOver({ url }) {
 export async function refused() {
     const { app } = await application('webgl2');
     const attempts = [
-        () => skinbake.skinbakeReport(undefined),
-        () => skinbake.skinbakeReport(app),
+        () => skinbake.report(undefined),
+        () => skinbake.report(app),
         () => skinbake.lighting({}, 'standard'),
         () => skinbake.skinbakeOptions({ method: 'dqs' }),
         () => skinbake.skinbakeOptions(app.scene),

@@ -268,8 +268,8 @@ const api = {
         const draws = (await draw(scene)).map(({ values }) => base64(values));
         const now = skinnedMeshes(scene)[0];
         renderer.shadowMap.enabled = false;
-        const report = options.plugin === false ? [] : told(skinbake.applySkinbake(now).meshes);
-        const result = { draws, report, loaded: told(userData.skinbake?.meshes ?? []), world: now.matrixWorld.toArray() };
+        const report = options.plugin === false ? [] : told(skinbake.applySkinbake(now));
+        const result = { draws, report, loaded: told(userData.skinbake ?? []), world: now.matrixWorld.toArray() };
         skinbake.dispose(scene);
         skinbake.dispose(mesh);
         skinbake.dispose(original);
@@ -294,7 +294,7 @@ const api = {
     async reports(options) {
         const { scene } = await load(options);
         await draw(scene);
-        const report = told(skinbake.applySkinbake(scene).meshes);
+        const report = told(skinbake.applySkinbake(scene));
         skinbake.dispose(scene);
         return report;
     },
@@ -360,7 +360,7 @@ const api = {
             mesh.name = name;
             const [{ values: first }] = await draw(scene, 0);
             const [{ values: later }] = await draw(scene);
-            const [report] = told(skinbake.applySkinbake(scene, options).meshes);
+            const [report] = told(skinbake.applySkinbake(scene, options));
             const [{ values: again }] = await draw(scene);
             const draws = [first, later, again].map(base64);
             found[name] = { draws, report, world: mesh.matrixWorld.toArray(), isAltered: name in ALTERED };
@@ -369,7 +369,7 @@ const api = {
                 skinbake.applySkinbake(scene, options);
                 const [{ values }] = await draw(scene);
                 found.undone = { ...found[name], draws: [base64(values)], isAltered: false };
-                [found.undone.report] = told(skinbake.applySkinbake(scene, options).meshes);
+                [found.undone.report] = told(skinbake.applySkinbake(scene, options));
             }
             skinbake.dispose(scene);
             skinbake.dispose(original);
@@ -398,7 +398,7 @@ const api = {
         const found = { read };
         skinbake.lighting(scene, 'accurate');
         await draw(scene);
-        [[found.lighting]] = told(skinbake.applySkinbake(scene).meshes);
+        [[found.lighting]] = told(skinbake.applySkinbake(scene));
         skinbake.dispose(scene);
         return found;
     },
@@ -413,7 +413,7 @@ const api = {
         mesh.geometry.setIndex(new THREE.BufferAttribute(index.array.slice(0, 3 * triangles), 1));
         VRMUtils.removeUnnecessaryVertices(scene);
         const [{ values }] = await draw(scene);
-        const report = told(skinbake.applySkinbake(scene).meshes);
+        const report = told(skinbake.applySkinbake(scene));
         skinbake.dispose(scene);
         skinbake.dispose(original);
         return { normals: base64(values), report, world: mesh.matrixWorld.toArray() };
@@ -431,9 +431,9 @@ const api = {
             });
         }
         await draw(scene);
-        const reports = told(skinbake.applySkinbake(scene).meshes);
+        const reports = told(skinbake.applySkinbake(scene));
         mesh.name = 'freed';
-        reports.push(...told(skinbake.applySkinbake(scene, { method: 'dqs' }).meshes));
+        reports.push(...told(skinbake.applySkinbake(scene, { method: 'dqs' })));
         skinbake.dispose(scene);
         return reports;
     },
@@ -460,7 +460,7 @@ const api = {
             shader.vertexShader = shader.vertexShader.replace(chunk, `${chunk}\n${lines}`);
         };
         const [{ values }] = await draw(scene);
-        const report = told(skinbake.applySkinbake(scene).meshes);
+        const report = told(skinbake.applySkinbake(scene));
         skinbake.dispose(scene);
         return { normals: base64(values), report, world: mesh.matrixWorld.toArray() };
     },
@@ -481,7 +481,7 @@ const api = {
             shader.vertexShader = `${declared}\n${shader.vertexShader}`.replace('#include <project_vertex>', `${moved}\n#include <project_vertex>`);
         };
         const draws = (await draw(scene)).map(({ values: found }) => base64(found));
-        const report = told(skinbake.applySkinbake(scene).meshes);
+        const report = told(skinbake.applySkinbake(scene));
         skinbake.dispose(scene);
         return { draws, report, world: mesh.matrixWorld.toArray() };
     },
@@ -499,7 +499,7 @@ const api = {
             if (material[1]?.visible === false) mesh.geometry.addGroup(30, Infinity, 1);
             mesh.material = material;
             await draw(scene);
-            [[found[name]]] = told(skinbake.applySkinbake(scene).meshes);
+            [[found[name]]] = told(skinbake.applySkinbake(scene));
             skinbake.dispose(scene);
         }
         return found;
@@ -523,7 +523,7 @@ const api = {
         const draws = (await draw(scene)).map(({ values }) => base64(values));
         const [mesh] = skinnedMeshes(model);
         const materials = [mesh.material].flat().map(({ isMToonMaterial, isOutline }) => [isMToonMaterial, isOutline]);
-        const report = told(skinbake.applySkinbake(scene).meshes);
+        const report = told(skinbake.applySkinbake(scene));
         skinbake.dispose(scene);
         skinbake.dispose(original);
         return { draws, materials, report, world: mesh.matrixWorld.toArray() };
@@ -538,7 +538,7 @@ const api = {
         const found = [];
         const look = async (report) => {
             const draws = (await draw(scene)).map(({ values }) => base64(values));
-            found.push({ draws, report: told(report?.meshes ?? []) });
+            found.push({ draws, report: told(report ?? []) });
         };
         await look();
         for (let round = 0; round < 2; round++) {
@@ -577,7 +577,7 @@ const api = {
         for (const one of all) renderer.render(scene, one);
         CAPTURE.on = false;
         const draws = CAPTURE.draws.map(({ values, instances }) => ({ values: base64(values), instances }));
-        const report = told(skinbake.applySkinbake(scene).meshes);
+        const report = told(skinbake.applySkinbake(scene));
         skinbake.dispose(scene);
         skinbake.dispose(original);
         const views = cameras.map((one) => one.matrixWorldInverse.toArray());
@@ -625,7 +625,7 @@ const api = {
         const draws = (await draw(scene)).map(({ values }) => base64(values));
         const copy = await import('/three/build/three.core.js?copy');
         const other = Object.assign(new copy.SkinnedMesh(mesh.geometry, mesh.material), { name: 'other' });
-        const report = told(skinbake.applySkinbake(other).meshes);
+        const report = told(skinbake.applySkinbake(other));
         skinbake.dispose(scene);
         return { draws, report, hooked: own.userData.hooked, world: own.matrixWorld.toArray() };
     },
@@ -637,7 +637,7 @@ const api = {
         const [mesh] = skinnedMeshes(scene);
         const original = mesh.clone();
         await draw(scene, 1);
-        const [report] = skinbake.applySkinbake(mesh).meshes;
+        const [report] = skinbake.applySkinbake(mesh);
         mesh.geometry = COPIES[copy](mesh.geometry);
         const frames = [];
         const reports = [report.lighting];
@@ -662,7 +662,7 @@ const api = {
         for (let frame = 0; frame < 3; frame++) effect.render(scene, camera);
         const isSame = mesh.onBeforeRender === onBeforeRender;
         const draws = (await draw(scene)).map(({ values }) => base64(values));
-        const report = told(skinbake.applySkinbake(scene).meshes);
+        const report = told(skinbake.applySkinbake(scene));
         skinbake.dispose(scene);
         return { isSame, draws, report, world: mesh.matrixWorld.toArray() };
     },
@@ -750,7 +750,7 @@ const api = {
             if (object.isSkinnedMesh) object.material = new THREE.MeshStandardMaterial();
         });
         const draws = await draw(scene, 2);
-        const lightings = skinbake.applySkinbake(scene).meshes.map((report) => report.lighting);
+        const lightings = skinbake.applySkinbake(scene).map((report) => report.lighting);
         skinbake.dispose(scene);
         return {
             draws: draws.length,
@@ -770,7 +770,7 @@ const api = {
             fragmentShader: `varying vec3 vNormal; void main() { gl_FragColor = vec4(vNormal, 1.0); }`,
         });
         await draw(scene);
-        const report = told(skinbake.applySkinbake(scene).meshes);
+        const report = told(skinbake.applySkinbake(scene));
         skinbake.dispose(scene);
         return report;
     },
@@ -787,7 +787,7 @@ const api = {
             for (let frame = 0; frame < 3; frame++) await draw(root);
             found.push((await draw(root)).map(({ values }) => base64(values)));
         }
-        const report = told(skinbake.applySkinbake(scene).meshes);
+        const report = told(skinbake.applySkinbake(scene));
         skinbake.dispose(scene);
         const restored = THREE.ShaderChunk.skinning_pars_vertex.includes('as a library has it');
         THREE.ShaderChunk.skinning_pars_vertex = three;
@@ -867,7 +867,7 @@ const api = {
         mesh.material = new THREE.MeshNormalMaterial({ side: THREE.DoubleSide });
         const position = await drawPositions(scene);
         const [normal] = (await draw(scene)).map(({ values }) => base64(values));
-        const report = told(skinbake.applySkinbake(scene, options).meshes);
+        const report = told(skinbake.applySkinbake(scene, options));
         const found = { position, normal, report, world: mesh.matrixWorld.toArray() };
         skinbake.dispose(scene);
         const { matrixWorldInverse, projectionMatrix } = camera;
@@ -882,7 +882,7 @@ const api = {
         let report;
         const look = async () => {
             const draws = (await draw(scene)).map(({ values }) => base64(values));
-            found.push({ draws, report: report ? told(report.meshes) : [] });
+            found.push({ draws, report: report ? told(report) : [] });
         };
         const { scene: plain } = await load({ ...options, plugin: false });
         stretch(scene.add(plain), true);
@@ -948,7 +948,7 @@ const api = {
                 await drawPositions(scene);
             }
             const report = skinbake.applySkinbake(scene, { method: 'dqs' });
-            found.push({ position: await drawPositions(scene), report: told(report.meshes) });
+            found.push({ position: await drawPositions(scene), report: told(report) });
             skinbake.dispose(scene);
             mesh.material.dispose(); // With its program, which the next one would have.
         }

@@ -146,7 +146,7 @@ const api = {
         const target = new THREE.RenderTarget(size, size, { type: THREE.FloatType });
         renderer.setRenderTarget(target);
         renderer.setClearColor(0x000000, 0);
-        const report = plugin ? skinbake.applySkinbake(scene, options).meshes : [];
+        const report = plugin ? skinbake.applySkinbake(scene, options) : [];
         for (let frame = 0; frame < 3; frame++) {
             renderer.render(scene, camera);
             await null;
@@ -196,7 +196,7 @@ const api = {
         renderer.backend.createNodeBuilder = createNodeBuilder;
         renderer.shadowMap.enabled = false;
         const world = mesh.matrixWorld.toArray();
-        const report = skinbake.applySkinbake(scene).meshes.map((one) => [one.lighting, one.reason]);
+        const report = skinbake.applySkinbake(scene).map((one) => [one.lighting, one.reason]);
         skinbake.dispose(scene);
         skinbake.dispose(original);
         return { draws, world, report };
@@ -236,7 +236,7 @@ const api = {
             change(mesh);
             mesh.name = name;
             const draws = (await draw(renderer, scene, camera)).map(({ values }) => base64(values));
-            const report = name === 'alone' ? [] : skinbake.applySkinbake(scene).meshes.map((one) => [one.lighting, one.reason]);
+            const report = name === 'alone' ? [] : skinbake.applySkinbake(scene).map((one) => [one.lighting, one.reason]);
             found[name] = { draws, report, world: mesh.matrixWorld.toArray() };
             if (name !== 'alone') skinbake.dispose(scene);
         }
@@ -255,7 +255,7 @@ const api = {
         const found = [];
         const look = async (report) => {
             const draws = (await draw(renderer, scene, camera)).map(({ values }) => base64(values));
-            found.push({ draws, report: (report?.meshes ?? []).map((one) => [one.lighting, one.reason]) });
+            found.push({ draws, report: (report ?? []).map((one) => [one.lighting, one.reason]) });
         };
         await look();
         const report = skinbake.applySkinbake(scene);
@@ -336,7 +336,7 @@ const api = {
         skinbake.lighting(scene, 'accurate');
         if (renderer.backend.isWebGPUBackend) renderer.setRenderTarget(new THREE.RenderTarget(SIZE, SIZE));
         const version = group.version;
-        const report = skinbake.applySkinbake(scene).meshes;
+        const report = skinbake.applySkinbake(scene);
         renderer.render(scene, camera);
         const found = { version, report: report.map((one) => [one.lighting, one.reason]) };
         skinbake.dispose(scene);
@@ -404,7 +404,7 @@ const api = {
             return { draws: draws.length, more: renderer.info.memory.programs - before };
         };
         const found = [await count(1), await count(99)];
-        const lightings = skinbake.applySkinbake(scene).meshes.map((report) => report.lighting);
+        const lightings = skinbake.applySkinbake(scene).map((report) => report.lighting);
         skinbake.dispose(scene);
         return { found, lightings: [...new Set(lightings)] };
     },
@@ -423,7 +423,7 @@ const api = {
         for (const options of characters) {
             const { scene: model, userData } = await load(options);
             scene.add(model);
-            reports.push(...userData.skinbake.meshes);
+            reports.push(...userData.skinbake);
             const [{ geometry }] = skinnedMeshes(model);
             const { count } = geometry.attributes.position;
             geometry.setAttribute('color', new THREE.BufferAttribute(new Float32Array(3 * count).fill(1), 3));
@@ -481,7 +481,7 @@ const api = {
             renderer.dispose();
         }
         CAPTURE.names = ['v_normalViewGeometry'];
-        const report = skinbake.applySkinbake(scene, options).meshes.map((one) => [one.lighting, one.reason]);
+        const report = skinbake.applySkinbake(scene, options).map((one) => [one.lighting, one.reason]);
         const { matrixWorldInverse, projectionMatrix } = camera;
         const world = mesh.matrixWorld.toArray();
         skinbake.dispose(scene);
@@ -499,7 +499,7 @@ const api = {
         const look = async () => {
             await new Promise(requestAnimationFrame); // Joints are moved once for each of them.
             const draws = (await draw(renderer, scene, camera)).map(({ values }) => base64(values));
-            found.push({ draws, report: (report?.meshes ?? []).map((one) => [one.lighting, one.reason]) });
+            found.push({ draws, report: (report ?? []).map((one) => [one.lighting, one.reason]) });
         };
         const { scene: plain } = await load({ ...options, plugin: false });
         stretch(scene.add(plain), true);
@@ -551,7 +551,7 @@ const api = {
             renderer.render(scene, new THREE.PerspectiveCamera());
             versions.push(mesh.material.version);
         }
-        const reported = report.meshes.map((one) => [one.lighting, one.reason]);
+        const reported = report.map((one) => [one.lighting, one.reason]);
         skinbake.dispose(scene);
         return { versions, calls, report: reported };
     },
@@ -598,7 +598,7 @@ const api = {
         mesh.name = 'hero';
         mesh.material = new Still({ name: 'own' });
         for (let frame = 0; frame < 3; frame++) renderer.render(scene, new THREE.PerspectiveCamera());
-        const report = skinbake.applySkinbake(mesh).meshes.map((one) => [one.lighting, one.reason]);
+        const report = skinbake.applySkinbake(mesh).map((one) => [one.lighting, one.reason]);
         skinbake.dispose(scene);
         return report;
     },

@@ -186,7 +186,7 @@ const api = {
         const meshes = skinnedMeshes(scene);
         if (material) meshes.forEach((mesh) => (mesh.material = MATERIALS[material]()));
         const skinbake = module && (await imported(module));
-        const reports = skinbake ? skinbake.applySkinbake(scene, { method }).meshes : [];
+        const reports = skinbake ? skinbake.applySkinbake(scene, { method }) : [];
         const result = meshes.map((mesh) => ({
             patched: reports.filter((report) => report.lighting !== 'standard').length,
             world: mesh.matrixWorld.toArray(),
@@ -261,7 +261,7 @@ const api = {
         const report = skinbake?.applySkinbake(all, { method });
         drawn(all, seen, size, size);
         const image = base64(drawn(all, seen, size, size));
-        const told = report?.meshes.map(({ lighting, normalMap }) => `${lighting} ${normalMap}`);
+        const told = report?.map(({ lighting, normalMap }) => `${lighting} ${normalMap}`);
         skinbake?.dispose(all);
         mesh.material.dispose();
         return { image, told, world: mesh.matrixWorld.toArray() };
@@ -285,7 +285,7 @@ const api = {
             }
             const report = applySkinbake(model);
             renderer.render(scene, new THREE.PerspectiveCamera());
-            return report.meshes.map(({ lighting }) => lighting).join();
+            return report.map(({ lighting }) => lighting).join();
         });
         renderer.shadowMap.enabled = false;
         dispose(model);
@@ -321,7 +321,7 @@ const api = {
             const [mesh] = skinnedMeshes(scene);
             mesh.name = name;
             changes[name](mesh.geometry);
-            found.push(applySkinbake(scene).meshes[0].lighting);
+            found.push(applySkinbake(scene)[0].lighting);
             dispose(scene);
         }
         return found;

@@ -26,7 +26,7 @@ geometry.userData.skinbake = {
     version: 1, frame: 'normal', influences: 4, alpha: ['_SKINBAKE_ALPHA_0'], beta: ['_SKINBAKE_BETA_0'],
 };
 const mesh = new THREE.SkinnedMesh(geometry, new THREE.MeshNormalMaterial());
-const [report] = applySkinbake(mesh).meshes;
+const [report] = applySkinbake(mesh);
 const found = [report.lighting, THREE.ShaderChunk.skinnormal_vertex === before];
 dispose(mesh);
 console.log(JSON.stringify([...found, THREE.ShaderChunk.skinnormal_vertex === before]));

@@ -2,7 +2,7 @@
 
 import { Scene, SkinnedMesh } from 'three';
 import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
-import { applySkinbake, dispose, lighting, SkinbakePlugin, type SkinbakeReport } from 'skinbake-three';
+import { applySkinbake, dispose, lighting, type MeshReport, report, SkinbakePlugin } from 'skinbake-three';
 import { applySkinbake as applyToNodes } from 'skinbake-three/webgpu';
 
 export async function show(scene: Scene): Promise<string[]> {
@@ -10,14 +10,14 @@ export async function show(scene: Scene): Promise<string[]> {
     loader.register((parser) => new SkinbakePlugin(parser, { method: 'dqs' }));
     const gltf = await loader.loadAsync('hero.glb');
     scene.add(gltf.scene);
-    const report: SkinbakeReport = applySkinbake(scene, { method: 'lbs' });
+    const found: MeshReport[] = [...applySkinbake(scene, { method: 'lbs' }), ...report(scene)];
     applyToNodes(scene);
     lighting(scene, 'standard');
     dispose(scene);
-    const meshes: SkinnedMesh[] = report.meshes.map((one) => one.mesh);
+    const meshes: SkinnedMesh[] = found.map((one) => one.mesh);
     // @ts-expect-error: the methods are lbs and dqs
     applySkinbake(scene, { method: 'other' });
     // @ts-expect-error: there are two lightings
     lighting(scene, 'other');
-    return [...meshes.map((mesh) => mesh.name), ...report.meshes.map((one) => `${one.lighting}: ${one.reason}`)];
+    return [...meshes.map((mesh) => mesh.name), ...found.map((one) => `${one.lighting}: ${one.reason}`)];
 }

@@ -15,6 +15,6 @@ window.show = async ({ url, pose }) => {
     mixer.clipAction(model.animations[pose.clip]).play();
     mixer.setTime(pose.time);
     model.traverse((object) => (object.frustumCulled = false));
-    const { meshes } = applySkinbake(hero.object3D);
+    const meshes = applySkinbake(hero.object3D);
     return worldNormals(meshes[0], () => scene.camera, () => {});
 };

@@ -16,6 +16,6 @@ window.show = async ({ url, pose }) => {
     viewer.currentTime = pose.time;
     const symbol = Object.getOwnPropertySymbols(viewer).find(({ description }) => description === 'scene');
     const scene = viewer[symbol];
-    const { meshes } = applySkinbake(scene);
+    const meshes = applySkinbake(scene);
     return worldNormals(meshes[0], () => scene.camera, () => viewer[symbol].queueRender());
 };

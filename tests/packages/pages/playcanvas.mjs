@@ -1,7 +1,7 @@
 // A page of PlayCanvas: window.show() draws a model and returns the normals of its vertices.
 
 import * as pc from 'playcanvas';
-import { skinbakeOptions, skinbakeReport } from 'skinbake-playcanvas';
+import { skinbakeOptions, report } from 'skinbake-playcanvas';
 
 CAPTURE.names = ['vNormalW'];
 
@@ -37,7 +37,7 @@ window.show = async ({ url, pose }) => {
         app.render();
         CAPTURE.on = false;
     }
-    const [{ lighting, reason }] = skinbakeReport(entity).meshes;
+    const [{ lighting, reason }] = report(entity);
     const world = [...instance.node.getWorldTransform().data];
     return { values: [...CAPTURE.draws[0].values], report: [lighting, reason], world };
 };

@@ -21,6 +21,6 @@ window.show = async ({ url, pose }) => {
         CAPTURE.on = false;
         await null;
     }
-    const [{ mesh, lighting, reason }] = userData.skinbake.meshes;
+    const [{ mesh, lighting, reason }] = userData.skinbake;
     return { values: [...CAPTURE.draws[0].values], report: [lighting, reason], world: mesh.matrixWorld.toArray() };
 };

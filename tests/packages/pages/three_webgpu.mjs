@@ -31,7 +31,7 @@ window.show = async ({ url, pose, backend }) => {
     const values = isWebGPU
         ? (await WEBGPU_CAPTURE.read(draw)).varying.filter((_, index) => index % 4 < 3)
         : draw.values;
-    const [{ mesh, lighting, reason }] = userData.skinbake.meshes;
+    const [{ mesh, lighting, reason }] = userData.skinbake;
     const used = isWebGPU ? 'webgpu' : 'webgl';
     return { values: [...values], report: [lighting, reason], world: mesh.matrixWorld.toArray(), backend: used };
 };

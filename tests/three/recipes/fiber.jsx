@@ -50,7 +50,7 @@ window.show = async ({ url, pose }) => {
         CAPTURE.on = false;
         const values = CAPTURE.draws.at(-1).values;
         const reports = [];
-        scene.traverse((o) => { if (o.isSkinnedMesh) reports.push(...applySkinbake(o).meshes.map((one) => [one.lighting, one.mesh.material.color.getHexString(), o.matrixWorld.toArray()])); });
+        scene.traverse((o) => { if (o.isSkinnedMesh) reports.push(...applySkinbake(o).map((one) => [one.lighting, one.mesh.material.color.getHexString(), o.matrixWorld.toArray()])); });
         found.push({ values: btoa(Array.from(new Uint8Array(values.buffer), (c) => String.fromCharCode(c)).join('')), reports });
     }
     return { found, world };
