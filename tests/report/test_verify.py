@@ -25,6 +25,7 @@ from skinbake.report.verify import (
     as_line,
     as_text,
     by_worse_truth,
+    conclusion,
     gain,
 )
 from tests.support.schemas import VERIFY
@@ -204,6 +205,31 @@ def test_a_verdict_ends_in_a_conclusion_and_the_next_step(
     found = replace(PASSED, figures=by_truths(lit(*triangles), without_direct(lit(*tangents))))
     for text in (as_brief(found), as_text(found)):
         assert text.splitlines()[-1] == f"  {line}"
+
+
+@pytest.mark.parametrize(
+    ("figures", "headline"),
+    [
+        ((4.0, 1.0), "Clear gain"),
+        ((4.0, 3.0), "Small gain"),
+        ((5.5, 5.0), "Leave it unbaked"),
+        ((0.29, 0.1), "Nothing to correct"),
+    ],
+)
+def test_a_page_begins_with_the_verdict_in_words(figures: tuple[float, float], headline: str) -> None:
+    found = conclusion(replace(PASSED, figures=by_truths(lit(*figures), without_direct(lit(*figures)))))
+    assert found is not None
+    assert found.headline == headline
+
+
+def test_normals_that_do_not_belong_to_the_surface_have_no_clear_gain() -> None:
+    """Both lightings are then those of another shape, and a gain says little."""
+    gains = replace(PASSED, figures=by_truths(lit(4.0, 1.0), without_direct(lit(4.0, 1.0))))
+    leaning = Notice("normals-off-surface", "normals lean", Place("hero.glb", mesh=0, primitive=0))
+    found = conclusion(replace(gains, notices=(leaning,)))
+    assert found is not None
+    assert (found.short, found.headline) == ("", "Normals do not belong to the surface")
+    assert found.step == "do what the warning says"
 
 
 def test_a_brief_verdict_has_the_figures_by_triangles() -> None:

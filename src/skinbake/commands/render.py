@@ -161,13 +161,13 @@ def _pictures(
         points = np.stack([one.positions(pose) for pose in range(0, len(times), step)])
         if (np.linalg.norm(points - (low + high) / 2, axis=-1) < NEAR * np.linalg.norm(high - low) / 2).all():
             some.append(points)
-    yaw = YAW if spot is None else float(np.arctan2(spot.seen_from[0], spot.seen_from[2]))
+    yaw = YAW if spot is None else float(np.arctan2(spot.towards[0], spot.towards[2]))
     yaws = list(map(float, np.linspace(yaw, yaw + 2 * np.pi, 12))) if options.turntable else [yaw]
     camera, words = placed(some, yaws), list(sides)
     if spot is not None:
         (at,) = followed(spot, [draw.at(clip, np.array([moment])) for draw in draws])
         ball = at + CLOSE * spot.radius * np.concatenate([np.eye(3), -np.eye(3)])
-        camera = replace(camera, middle=at, points=ball, pitch=float(np.arcsin(spot.seen_from[1])))
+        camera = replace(camera, middle=at, points=ball, pitch=float(np.arcsin(spot.towards[1])))
         if (times == spot.time).all():
             figures = {"standard": spot.standard, own: spot.baked}
             words = [f"{side}, {in_degrees(figures[side])}" for side in sides]

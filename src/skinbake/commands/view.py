@@ -244,7 +244,7 @@ def _places(
                 "primitive": spot.place.primitive,
                 "skin": spot.skin,
                 "vertex": spot.vertex,
-                "towards": spot.seen_from,
+                "towards": spot.towards,
                 "radius": spot.radius,
             }
             for spot in spots

@@ -30,6 +30,12 @@ FOLD = 90.0
 WORSE = 5.0
 """Degrees by which a bake is farther off than standard lighting, by every truth, where it gets worse."""
 
+NEAR = 0.004
+"""What lies so near before a place does not hide it, as a share of the model's size."""
+
+TURNS, PITCHES = (0.0, 0.4, -0.4, 0.8, -0.8), (0.16, 0.5, -0.2)
+"""The directions from which a place may be seen, in radians: around it, and above the level."""
+
 STILL = 0.005
 """A clip stands still if no number of a joint's rotation and scale changes by more, of the largest one."""
 
@@ -274,8 +280,9 @@ def _spot(one: _Candidate) -> Spot:
         np.add.at(moved, rest.joints[own], rest.weights[own])
     joint = int(moved.argmax())
     towards *= np.sign(np.linalg.det(draw.matrices[one.pose, joint, :3, :3])) or 1.0
-    length = float(np.linalg.norm(towards))
-    x, y, z = (towards / length).tolist() if length > 0 else (0.0, 0.0, 1.0)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        outward = np.nan_to_num(towards / np.linalg.norm(towards))
+        x, y, z = _seen_from(positions, positions[triangles], vertex, outward)
     primitive = int(np.searchsorted(cells.starts, vertex, side="right")) - 1
     number, clip, time = _moment(one)
     return Spot(
@@ -293,6 +300,37 @@ def _spot(one: _Candidate) -> Spot:
         radius=1.0 * float(np.sqrt(np.square(positions[members] - positions[vertex]).sum(axis=1).mean()))
         or 1.0,
     )
+
+
+def _seen_from(
+    positions: Float64Array, corners: Float64Array, vertex: int, outward: Float64Array
+) -> tuple[float, float, float]:
+    """Return the direction (3,) to a camera that sees a vertex, not too steeply, and the model at its widest.
+
+    positions are (V, 3), corners of triangles (T, 3, 3). Triangles of other draws are not in the way.
+    """
+    wide = np.ptp(positions, axis=0)
+    first, second, third = (corners[:, corner] for corner in range(3))
+    start = positions[vertex] + NEAR * np.linalg.norm(wide) * outward
+    one, other, away = second - first, third - first, start - first
+    best, score = (0.0, 0.0, 1.0), -1.0
+    yaw = np.arctan2(outward[0], outward[2])
+    for turn in TURNS:
+        for pitch in PITCHES:
+            x, y, z = np.cos(pitch) * np.sin(yaw + turn), np.sin(pitch), np.cos(pitch) * np.cos(yaw + turn)
+            ray = np.array([x, y, z])
+            # Möller and Trumbore 1997: where the ray meets the plane of a triangle.
+            across = np.cross(ray, other)
+            volume = (one * across).sum(axis=1)
+            u = (away * across).sum(axis=1) / volume
+            turned = np.cross(away, one)
+            v, far = (turned @ ray) / volume, (other * turned).sum(axis=1) / volume
+            is_hidden = ((u > 0) & (v > 0) & (u + v < 1) & (far > 0)).any()
+            spread = abs(z) * wide[0] + abs(x) * wide[2] + wide[1]
+            found = spread * max(float(ray @ outward), 0.05) * (0.01 if is_hidden else 1.0)
+            if found > score:
+                best, score = (float(x), float(y), float(z)), found
+    return best
 
 
 def _called(draw: Draw, joint: int) -> str:

@@ -42,9 +42,6 @@ MEMBERS = {
 ROUNDING = 1e-4
 """Below this angle in degrees, a mean error is float32 rounding, and dividing by it is meaningless."""
 
-STEEPEST = (-0.25, 0.6)
-"""The angles above the level, in radians, between which a camera looks at a place."""
-
 NEGLIGIBLE = 0.3
 """The mean error of standard lighting in degrees under which nobody sees that anything is wrong."""
 
@@ -160,7 +157,7 @@ class Spot:
 
     number is that of the clip, None in a pose of no clip. standard and baked are mean errors in degrees,
     weighted by area, by the truth with the smaller difference. place and vertex name its middle, which
-    ``skin`` and ``node`` draw. radius is its size in the scene, and towards (3,) leads out of the surface.
+    ``skin`` and ``node`` draw. radius is its size in the scene, and towards (3,) leads to who sees it.
     """
 
     clip: str
@@ -185,13 +182,6 @@ class Spot:
     def words(self) -> str:
         """Return the mean errors for people, like ``41° → 3.2°``."""
         return f"{in_degrees(self.standard)} → {in_degrees(self.baked)}"
-
-    @property
-    def seen_from(self) -> tuple[float, float, float]:
-        """Return the direction (3,) to a camera that looks at it, not too steeply."""
-        x, y, z = self.towards
-        yaw, pitch = math.atan2(x, z), min(max(math.asin(max(-1.0, min(y, 1.0))), STEEPEST[0]), STEEPEST[1])
-        return math.cos(pitch) * math.sin(yaw), math.sin(pitch), math.cos(pitch) * math.cos(yaw)
 
 
 def in_degrees(value: float) -> str:

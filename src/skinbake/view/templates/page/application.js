@@ -234,7 +234,6 @@ class Application {
         this.applyPose();
         const seen = isClose ? { middle: this.scene.positionOf(place), radius: CLOSE * place.radius } : this.scene.bounds(this.subjects, [place.time]);
         this.camera.show(seen.middle, seen.radius, place.towards);
-        if (seen.size) this.camera.turnAside(seen.size);
         for (const [one, button] of this.places) button.setAttribute('aria-pressed', String(isClose && one === place));
     }
 

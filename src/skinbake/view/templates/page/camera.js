@@ -38,12 +38,6 @@ export class Camera {
         this.changed();
     }
 
-    // Turn by up to 45° to where a box of a size is widest.
-    turnAside([x, , z]) {
-        const wide = (turn) => Math.abs(x * Math.cos(this.yaw + turn)) + Math.abs(z * Math.sin(this.yaw + turn));
-        this.yaw += [0, 0.2, -0.2, 0.4, -0.4, 0.6, -0.6, 0.8, -0.8].reduce((best, turn) => (wide(turn) > 1.02 * wide(best) ? turn : best));
-    }
-
     // size is that of the pane in which it draws.
     fitting(radius) {
         const [width, height] = this.size;

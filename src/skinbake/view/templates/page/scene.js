@@ -188,8 +188,7 @@ export class Scene {
         }
         this.pose(clip, time);
         const middle = plus(low, high).map((value) => value / 2);
-        const size = plus(high, low, -1);
-        return { middle, radius: Math.hypot(...size) / 2, low: low[1], size };
+        return { middle, radius: Math.hypot(...plus(high, low, -1)) / 2, low: low[1] };
     }
 }
 
