@@ -229,10 +229,9 @@ def verify(
     methods
         ``lbs``, ``dqs`` or both. If empty: both.
     poses, samples, angle, seed
-        ``animation`` samples each clip of the file ``samples`` times, its two ends included (in a loop they
-        are one pose), and takes 24 random poses if there is no clip. ``random`` takes ``samples`` poses,
-        ``random:8`` takes 8. Each turns each joint by at most ``angle`` degrees. ``rest`` takes the rest
-        pose.
+        ``animation`` samples each clip of the file in the middle of ``samples`` equal parts, and takes 24
+        random poses if there is no clip. ``random`` takes ``samples`` poses, ``random:8`` takes 8. Each turns
+        each joint by at most ``angle`` degrees. ``rest`` takes the rest pose.
     baseline, cap
         As ``--baseline`` and ``--cap``.
     max_mean_error, max_p95_error, min_gain

@@ -427,9 +427,9 @@ VERIFY = (
         Option("poses", POSES, str(PoseKind.ANIMATION), By.ALL, "WHICH", help=
             "animation (the file's own clips), random or random:N, or rest."),
         Option("samples", Range(1, is_whole=True), None, By.ALL, "N", help=
-            "Poses of each clip, evenly from its first moment to its last, which are the same pose in a "
-            "loop: take 3 or more. By default about 60 in all, at least 3 for each clip. A file without "
-            "clips has 24 random poses; --poses random:N gives another number."),
+            "Poses of each clip, in the middle of as many equal parts of it. By default about 60 in all, at "
+            "least 3 for each clip. A file without clips has 24 random poses; --poses random:N gives another "
+            "number."),
         Option("angle", Range(0, 180), 30.0, By.ALL, "DEG", help=
             "Largest rotation of a joint in random poses."),
         Option("seed", Range(0, is_whole=True), 0, By.ALL, "N", help="Seed of random poses."),

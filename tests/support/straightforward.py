@@ -34,10 +34,12 @@ class Character:
     def read(path: Path, clip: int = 0) -> Character:
         return Character(gltf_reading.read(path), clip)
 
-    def first_and_last_key(self) -> tuple[float, float]:
+    def middles(self, count: int) -> list[float]:
+        """The middles of equal parts of the clip, from its first key to its last."""
         samplers = self.file.content["animations"][self.clip]["samplers"]
         times = np.concatenate([self.file.values(sampler["input"]).ravel() for sampler in samplers])
-        return float(times.min()), float(times.max())
+        first, part = float(times.min()), float(np.ptp(times)) / count
+        return [first + part * (number + 0.5) for number in range(count)]
 
     def joint_matrices(self, time: float) -> list[Array]:
         nodes = self.file.content["nodes"]

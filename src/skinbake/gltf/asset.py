@@ -35,6 +35,9 @@ from skinbake.wording import counted
 SET = re.compile(r"(?:JOINTS|WEIGHTS)_(0|[1-9]\d{0,8})", re.ASCII)
 """The name of an attribute that holds influences."""
 
+NUMBERED = re.compile(r"\(animation \d+\)$", re.ASCII)
+"""How the name of an animation ends that shares it with others."""
+
 REST = {
     "translation": np.zeros(3),
     "rotation": np.array([0.0, 0.0, 0.0, 1.0]),
@@ -438,11 +441,14 @@ class Asset:
         names = [name if isinstance(name, str) else "" for name in stored]
         called = [name or f"animation {number}" for number, name in enumerate(names)]
         uses = Counter(called)
+        # A name that ends like these gets its number too: it could be the same as one of them.
+        called = [
+            f"{name} (animation {number})" if uses[name] > 1 or NUMBERED.search(name) else name
+            for number, name in enumerate(called)
+        ]
         return tuple(
-            Animation(
-                number, content, names[number], name if uses[name] == 1 else f"{name} (animation {number})"
-            )
-            for number, (content, name) in enumerate(zip(self.objects("animations"), called, strict=True))
+            Animation(number, content, names[number], called[number])
+            for number, content in enumerate(self.objects("animations"))
         )
 
     @cached_property

@@ -39,7 +39,7 @@ class PoseRequest(NamedTuple):
 
     samples is the number of samples of each clip (None: SHARED_SAMPLES for all), or the number of random
     poses. angle is the largest random rotation of a joint, in radians. offset is where a sample lies in each
-    of N equal parts of a clip, from 0 to 1. None: samples go from the clip's first moment to its last.
+    of N equal parts of a clip, from 0 to 1: never at both ends, where most clips stand in the same pose.
     most is the largest number of poses of a skin, which evenly spread clips share (None: no limit).
     """
 
@@ -47,7 +47,7 @@ class PoseRequest(NamedTuple):
     samples: int | None = None
     angle: float = float(np.radians(30.0))
     seed: int = 0
-    offset: float | None = None
+    offset: float = 0.5
     most: int | None = None
 
     @property
@@ -289,10 +289,7 @@ def _sampled(plan: PosePlan, joint_names: tuple[str, ...], known: dict[object, F
     matrices, weights, names, times = [], [], [], []
     numbers: list[int | None] = []
     for clip in plan.sampled:
-        # At both ends and evenly between, or at the same place in each of as many equal parts.
-        at = np.linspace(clip.start, clip.duration, each)
-        if offset is not None:
-            at = clip.start + (clip.duration - clip.start) * (np.arange(each) + offset) / each
+        at = clip.start + (clip.duration - clip.start) * (np.arange(each) + offset) / each
         key = plan.key(clip)
         if key not in known:
             known[key] = plan.skeleton.transforms(clip_values(clip, at), None, each)
@@ -313,12 +310,7 @@ def _sampled(plan: PosePlan, joint_names: tuple[str, ...], known: dict[object, F
 def described(request: PoseRequest, sets: Sequence[PoseSet], seconds: float) -> str:
     """Return a description of the poses, like ``60 poses of 3 clips``. seconds is the clips' total length."""
     poses = max((len(poses.clips) for poses in sets), default=0)
-    clips = {
-        clip
-        for poses in sets
-        for clip, time in zip(poses.clips, poses.times, strict=True)
-        if time is not None
-    }
+    clips = {number for poses in sets for number in poses.numbers}
     if request.kind is PoseKind.REST:
         return "the rest pose"
     if clips:

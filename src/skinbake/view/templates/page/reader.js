@@ -460,7 +460,7 @@ function clipNames(animations) {
     const names = animations.map(({ name }, number) => String(name || `animation ${number}`));
     const counts = new Map();
     for (const name of names) counts.set(name, (counts.get(name) ?? 0) + 1);
-    return names.map((name, number) => (counts.get(name) === 1 ? name : `${name} (animation ${number})`));
+    return names.map((name, number) => (counts.get(name) === 1 && !/\(animation \d+\)$/.test(name) ? name : `${name} (animation ${number})`));
 }
 
 function readClip(source, animation, number, name, nodes) {
