@@ -22,7 +22,7 @@ from skinbake.correctives.fit import (
     fitted,
     held_back_times,
 )
-from skinbake.correctives.surface import Surface, rest_of
+from skinbake.correctives.surface import CorrectedSurface
 from skinbake.errors import Chosen, InputError, Message, Notice, Place, warnings_in
 from skinbake.format.baked import with_baked
 from skinbake.format.correctives import (
@@ -35,7 +35,7 @@ from skinbake.format.correctives import (
 )
 from skinbake.format.encodings import GradientFormat
 from skinbake.format.strip import uncorrected
-from skinbake.freshness.baked_views import BakedView, rest_primitive
+from skinbake.freshness.baked_views import BakedView
 from skinbake.freshness.corrective_freshness import PlayedClips, PlayedCorrectives
 from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Cost
@@ -46,14 +46,12 @@ from skinbake.gltf.reading.morphs import targets_without_normal
 from skinbake.gltf.reading.scenes import meshes_of_one_skin
 from skinbake.gltf.reading.skins import read_skeleton
 from skinbake.measure.corrected import corrected_lighting, worse_primitives
+from skinbake.measure.draws import Draw, Surface
 from skinbake.measure.measured import bakeable
-from skinbake.measure.morphing import moving_targets
 from skinbake.measure.options import VerifyOptions
 from skinbake.report.bake import CorrectiveCounts, MorphCounts
 from skinbake.report.verify import NEGLIGIBLE
 from skinbake.timing import stage
-from skinbake.truth.areas import RestAreas
-from skinbake.truth.morphing import Morphing
 from skinbake.truth.operator import true_operator
 from skinbake.truth.poses import PosePlan, PoseRequest, pose_work
 from skinbake.wording import counted
@@ -251,32 +249,35 @@ def _fitted(
         primitives = [read_primitive(document, source) for source in sources]
         if accurate:
             # With the α and β that a bake would give them.
-            surface = SurfaceBake.of(document, sources, replace(options, frame=FrameChoice.NORMAL))
-            bakes = surface.plain(surface.primitives)
-            rest = [rest_primitive(BakedView.unwritten(bake.to_store)) for bake in bakes]
+            given = SurfaceBake.of(document, sources, replace(options, frame=FrameChoice.NORMAL))
+            views = [BakedView.unwritten(bake.to_store) for bake in given.plain(given.primitives)]
         else:
-            rest = [rest_of(one, src.joint_count) for src, one in zip(sources, primitives, strict=True)]
+            views = [BakedView.unbaked(*pair) for pair in zip(sources, primitives, strict=True)]
     # A motion is a chosen clip at a node. Nodes that draw alike have one.
     nodes, plans = _nodes(document, meshes, clips), dict[int, PosePlan]()
     for node in (node for of_mesh in nodes.values() for node in of_mesh.values()):
         skin = document.asset.nodes[node].skin or 0
         plans[node] = PosePlan.of(document, skin, clips, PoseRequest(), node)
-    moving = _moving_targets(plans.values())
+    moving, place = _moving_targets(plans.values()), sources[0].place
+    surface = Surface(
+        document,
+        views,
+        lambda: true_operator(primitives, claim=document.budget.welding(place)),
+        moving=moving,
+    )
+    draws = {node: Draw.at_rest(surface, plan.skin, plan.node) for node, plan in plans.items()}
     motions = [
-        Motion(node, plan, clip, moving)
+        Motion(node, draws[node], clip)
         for node, plan in plans.items()
         for clip in plan.sampled
         if clip.number in chosen
     ]
     if not motions:
-        none = tuple(np.zeros((0, len(one.positions), 3)) for one in rest)
+        none = tuple(np.zeros((0, len(one.positions), 3)) for one in primitives)
         nothing = Correctives(none, (), Figures((), ()), 1.0, 0)
         return [(place, nothing, None) for place in places]
-    place = sources[0].place
-    vertices = sum(len(one.positions) for one in rest)
-    _claim_fit(document, motions, len(sources), vertices, place)
-    operator = true_operator(primitives, claim=document.budget.welding(place))
-    areas = np.concatenate([RestAreas(document, motions[0].plan.skin).of(one) for one in primitives])
+    _claim_fit(surface, motions, len(moving))
+    areas = np.concatenate(motions[0].draw.areas)
     # The primitives of each mesh, which is given its own targets and weights.
     parts, start = [], 0
     for mesh in meshes:
@@ -285,14 +286,12 @@ def _fitted(
         start += count
     with stage("fit"):
         # Morph targets stand at the means of the weights that clips play.
-        morphing = None
+        mean = None
         if moving:
-            means = [one.weights(held_back_times(one.clip, len(motions))).mean(axis=0) for one in motions]
-            sizes = [len(one.positions) for one in rest]
-            targets, authored = moving_targets(document, sources, sizes, moving)
-            morphing = Morphing(targets, authored, np.mean(means, axis=0)[None])
+            held = [one.at(held_back_times(one.clip, len(motions))).poses.morph_weights for one in motions]
+            mean = np.mean([one.mean(axis=0) for one in held if one is not None], axis=0)[None]
         made = fitted(
-            Surface.of(operator, rest, morphing),
+            CorrectedSurface.of(surface, mean),
             parts,
             motions,
             areas,
@@ -376,19 +375,18 @@ def _moving_targets(plans: Iterable[PosePlan]) -> list[int]:
     return sorted(found)
 
 
-def _claim_fit(
-    document: Document, motions: Sequence[Motion], primitives: int, vertices: int, place: Place
-) -> None:
-    """Count the work of fitting primitives of so many vertices to motions. Raises InputError."""
+def _claim_fit(surface: Surface, motions: Sequence[Motion], targets: int) -> None:
+    """Count the work of fitting a surface to motions, which so many targets move. Raises InputError."""
     poses = LEAST_KEYS + LEAST_HELD_BACK
-    work = Cost.FITTED_KEY * (vertices * LEAST_KEYS * len(motions))
+    work = Cost.FITTED_KEY * (surface.vertices * LEAST_KEYS * len(motions))
     for motion in motions:
-        work += Cost.FITTED_MOTION + pose_work(motion.plan.skeleton, [motion.clip], poses)
-        if motion.targets:
-            of_pose = Cost.MEASURED_MORPH + Cost.MEASURED_TARGET * len(motion.targets)
-            work += of_pose * (primitives * poses)
-    what = f"{counted(vertices, 'vertex', 'vertices')} to {counted(len(motions), 'clip')}"
-    document.budget.claim(work, f"fitting {what} of its skins (--clips chooses some)", place)
+        work += Cost.FITTED_MOTION + pose_work(motion.draw.skeleton, [motion.clip], poses)
+        if targets:
+            of_pose = Cost.MEASURED_MORPH + Cost.MEASURED_TARGET * targets
+            work += of_pose * (len(surface.views) * poses)
+    what = f"{counted(surface.vertices, 'vertex', 'vertices')} to {counted(len(motions), 'clip')}"
+    fitting = f"fitting {what} of its skins (--clips chooses some)"
+    surface.document.budget.claim(work, fitting, surface.views[0].source.place)
 
 
 def _weights(nodes: Mapping[int, int], made: Correctives, idle: dict[int, list[Clip]]) -> list[ClipWeights]:

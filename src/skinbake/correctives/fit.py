@@ -18,12 +18,12 @@ import numpy as np
 
 from skinbake.choices import USUAL_TRUTHS
 from skinbake.correctives.principal import gram, leading, refined, scaled_to
-from skinbake.correctives.surface import Surface
+from skinbake.correctives.surface import CorrectedSurface
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
 from skinbake.gltf.budget import Cost, Work
-from skinbake.gltf.reading.clips import Clip, clip_poses, clip_weights
+from skinbake.gltf.reading.clips import Clip
+from skinbake.measure.draws import Draw
 from skinbake.skinning.rest import RestPrimitive
-from skinbake.truth.poses import PosePlan
 
 MOST_TARGETS = 4
 """The targets that ``auto`` adds at most. glTF guarantees eight morphed attributes, two of each target."""
@@ -66,22 +66,15 @@ WORSE = 1.005
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """A clip as it moves what a node draws. targets are the N morph targets that move in any clip."""
+    """A clip as it moves what a node draws."""
 
     node: int
-    plan: PosePlan
+    draw: Draw
     clip: Clip
-    targets: Sequence[int] = ()
 
-    def weights(self, times: Float64Array) -> Float64Array:
-        """Return the weights (P, N) of the morph targets at times (P,)."""
-        if self.plan.resting is None:
-            return np.zeros((len(times), 0))
-        return clip_weights(self.node, self.clip, times, self.plan.resting)[:, self.targets]
-
-    def at(self, times: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """Return the joint matrices (P, J, 4, 4) at times (P,), and the weights of the morph targets."""
-        return clip_poses(self.plan.skeleton, self.clip, times), self.weights(times)
+    def at(self, times: Float64Array) -> Draw:
+        """Return the draw at times (P,) of the clip, in the space of the file."""
+        return self.draw.at(self.clip, times, turned=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +139,7 @@ class Form:
 
 
 def fitted(
-    surface: Surface,
+    surface: CorrectedSurface,
     meshes: Sequence[slice],
     motions: Sequence[Motion],
     areas: FloatArray,
@@ -172,8 +165,10 @@ def fitted(
         times.append(own)
         parts.append(changes)
     shares, changes = np.concatenate([_shares(own) for own in times]), np.concatenate(parts)
-    played = [motion.weights(own) for motion, own in zip(motions, times, strict=True)]
-    normals = None if surface.morphing is None else surface.normals(np.concatenate(played))
+    normals = None
+    if surface.morphing is not None:
+        played = (surface.normals(one.at(own)) for one, own in zip(motions, times, strict=True))
+        normals = np.concatenate(list(played))
     starts = np.cumsum([0, *(len(one.positions) for one in surface.rest)])
     tried = []
     for mesh in meshes:
@@ -220,12 +215,12 @@ def _fit(
 
 
 def _keyed(
-    surface: Surface, motion: Motion, areas: FloatArray, most: int, clips: int, *, accurate: bool
+    surface: CorrectedSurface, motion: Motion, areas: FloatArray, most: int, clips: int, *, accurate: bool
 ) -> tuple[Float64Array, Float32Array]:
     """Return key times (N,) of a clip, and the changes (N, V, 2) there: no more than ``most``."""
 
     def changes_at(times: Float64Array) -> Float32Array:
-        return surface.changes(*motion.at(times), accurate=accurate)
+        return surface.changes(motion.at(times), accurate=accurate)
 
     start, end = motion.clip.start, motion.clip.duration
     first = min(max(FIRST_KEYS // clips, LEAST_KEYS), most) if end > start else 1
@@ -293,18 +288,17 @@ def held_back_times(clip: Clip, clips: int) -> Float64Array:
 
 
 def summed_errors(
-    surface: Surface,
+    surface: CorrectedSurface,
     targets: Sequence[Float64Array],
-    posed: tuple[Float64Array, Float64Array],
+    posed: Draw,
     weights: Sequence[Float64Array],
 ) -> tuple[Float64Array, Float64Array]:
     """Return the summed errors of standard and of corrected lighting, (U, V) each, over poses, in degrees.
 
-    posed are joint matrices and the weights of the file's own targets (``Motion.at``). targets (K, V, 3) and
-    weights (P, K) belong to the primitives. A pose without a truth adds 0.
+    targets (K, V, 3) and weights (P, K) belong to the primitives. A pose without a truth adds 0.
     """
     standard, corrected = np.zeros((2, len(USUAL_TRUTHS), surface.count))
-    for poses, block in surface.posed(*posed):
+    for poses, block in surface.posed(posed):
         rows, part, number = block.at.rows, block.at.part, block.at.primitive
         plain = block.at_rest[:, :, None]
         moved = np.zeros((3, plain.shape[1], poses.stop - poses.start))
@@ -320,7 +314,7 @@ def summed_errors(
 
 
 def _helpful(
-    surface: Surface,
+    surface: CorrectedSurface,
     meshes: Sequence[slice],
     motions: Sequence[Motion],
     times: Sequence[Float64Array],

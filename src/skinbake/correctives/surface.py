@@ -16,26 +16,18 @@ pose. δ then stays in one plane, at right angles to the mean of these sums over
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass
 
 import numpy as np
 
-from skinbake.geometry.frames import frame_from_normal, unit_normals
-from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, SkinnedPrimitive
+from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array
+from skinbake.measure.draws import POSES, Draw, PosedBlock, Surface
 from skinbake.skinning.components import Vector, cross, dot, scaled
-from skinbake.skinning.rest import Algorithm, Options, RestPrimitive
+from skinbake.skinning.rest import Algorithm, RestPrimitive
 from skinbake.threads import Threads, thread_count
 from skinbake.truth import kernel
-from skinbake.truth.blending import BlendedPrimitive, sides_of
-from skinbake.truth.mesh import normalised_weights
 from skinbake.truth.morphing import Morphing
-from skinbake.truth.normals import ClassSums
-from skinbake.truth.operator import GradientOperator
 from skinbake.truth.truths import Truths, VertexBlock
-
-POSES = 32
-"""The poses in work at a time."""
 
 LARGEST = 2.0
 """The longest δ: it turns a normal by 63°. A longer one changes the angle little, and its targets much."""
@@ -47,29 +39,8 @@ GRID = 2.0**-16
 """δ is rounded to multiples of this number, 0.001°. What processors compute differently is far smaller."""
 
 
-def rest_of(primitive: SkinnedPrimitive, joint_count: int) -> RestPrimitive:
-    """Return the data of a primitive for a replay, float64, with a frame from NORMAL and without gradients.
-
-    Joints past the skin's become 0.
-    """
-    joints = np.where(primitive.joints < joint_count, primitive.joints, 0)
-    normals = unit_normals(primitive.normals)
-    tangents, bitangents = frame_from_normal(normals)
-    none = np.zeros((len(joints), joints.shape[1] - 1))
-    return RestPrimitive(
-        positions=primitive.positions.astype(np.float64),
-        normals=normals.astype(np.float64),
-        tangents=tangents.astype(np.float64),
-        bitangents=bitangents.astype(np.float64),
-        joints=joints,
-        weights=normalised_weights(primitive.weights, joints),
-        alpha=none,
-        beta=none,
-    )
-
-
 @dataclass(frozen=True, slots=True)
-class PosedBlock:
+class CorrectedBlock:
     """Some vertices of a surface in P poses.
 
     at_rest (3, B) are the normals that correctives change, as morph targets add them up. normals (U, 3, B, P)
@@ -97,114 +68,81 @@ class PosedBlock:
 
 
 @dataclass(frozen=True, slots=True)
-class Surface:
-    """The primitives of a mesh that are lit as one surface, and their truths at rest.
+class CorrectedSurface:
+    """A surface whose normals at rest are to be corrected, and its truths at rest.
 
-    rest have a frame from NORMAL; their α and β come from a bake where they are aimed at or compared.
-    morphing are their morph targets, if any, with the weights of one pose: a mean of all. frames are those of
-    the primitives under these weights: δ is along their tangents.
+    The primitives have a frame from NORMAL; their α and β come from a bake where they are aimed at.
+    morphing are their morph targets, if any, with the weights of one pose: a mean of all. frames are the
+    primitives under these weights: δ is along their tangents.
     """
 
-    rest: Sequence[RestPrimitive]
+    surface: Surface
     truths: Truths
     morphing: Morphing | None
     frames: Sequence[RestPrimitive]
 
     @classmethod
-    def of(
-        cls, operator: GradientOperator, rest: Sequence[RestPrimitive], morphing: Morphing | None = None
-    ) -> Surface:
-        """Measure a mesh at rest."""
+    def of(cls, surface: Surface, mean: Float64Array | None = None) -> CorrectedSurface:
+        """Measure a surface at rest. mean (1, N) are the mean weights of the morph targets that move it."""
+        rest, morphing = surface.rest, surface.morphing(mean)
         frames = rest if morphing is None else morphing.primitives(rest, 0)
-        return cls(rest, Truths.of(operator, rest, POSES), morphing, frames)
+        return cls(surface, Truths.of(surface.operator, rest, POSES), morphing, frames)
 
     @property
     def count(self) -> int:
         """The number of vertices of all primitives."""
-        return sum(len(one.positions) for one in self.rest)
+        return self.surface.vertices
 
-    def posed(
-        self, matrices: Float64Array, weights: Float64Array, *, accurate: bool = False
-    ) -> Iterator[tuple[slice, PosedBlock]]:
-        """Yield all vertices in all poses of joint matrices (P, J, 4, 4): the poses, and the block.
+    @property
+    def rest(self) -> Sequence[RestPrimitive]:
+        """The primitives before skinning."""
+        return self.surface.rest
 
-        weights (P, N) belong to the morph targets. accurate asks for the normals of α and β, too. The
-        order does not depend on the number of threads.
+    def posed(self, draw: Draw, *, accurate: bool = False) -> Iterator[tuple[slice, CorrectedBlock]]:
+        """Yield all vertices in all poses of a draw: the poses, and the block.
+
+        accurate asks for the normals of α and β, too.
         """
-        sides = sides_of(self.rest, matrices)
         algorithm = Algorithm.LBS_ACCURATE if accurate else Algorithm.LBS_STANDARD
+
+        def measured(block: PosedBlock) -> tuple[slice, CorrectedBlock]:
+            every, rows = slice(0, block.poses.stop - block.poses.start), block.at.rows
+            drawn = block.skinned.normals([algorithm], every, rows)[0]
+            if accurate and block.side is not None:
+                drawn = scaled(block.side, drawn)
+            summed = block.rest.summed_normals(rows).T.astype(np.float64)
+            columns = block.skinned.columns(every, rows)
+            return block.poses, CorrectedBlock(block.at, summed, block.normals, block.exist, columns, drawn)
+
         with Threads(thread_count()) as threads:
-            for poses, rest, truths in self._at_rest(weights):
-                blended = [BlendedPrimitive(one, matrices[poses], Options()) for one in rest]
-                count = poses.stop - poses.start
-                deformed = np.empty((3, self.count, count))
-                for block in truths.vertex_blocks:
-                    rows, first = block.rows, block.part.start
-                    blended[block.primitive].put_positions(slice(0, count), rows, deformed, first)
-                sums = truths.sums(deformed, threads)
+            yield from draw.true_normals(self.truths, measured, threads)
 
-                def measured(
-                    block: VertexBlock,
-                    poses: slice = poses,
-                    rest: Sequence[RestPrimitive] = rest,
-                    truths: Truths = truths,
-                    blended: Sequence[BlendedPrimitive] = blended,
-                    deformed: Float64Array = deformed,
-                    sums: ClassSums | None = sums,
-                ) -> PosedBlock:
-                    side = None if sides is None else sides[poses, block.part]
-                    one, every = blended[block.primitive], slice(0, poses.stop - poses.start)
-                    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-                        normals, exist = truths.normals(block.number, deformed, sums, side)
-                        drawn = one.normals([algorithm], every, block.rows)[0]
-                        if accurate and side is not None:
-                            drawn = scaled(side, drawn)
-                        summed = rest[block.primitive].summed_normals(block.rows).T.astype(np.float64)
-                        columns = one.columns(every, block.rows)
-                        return PosedBlock(block, summed, normals, exist, columns, drawn)
-
-                for found in threads.each(measured, truths.vertex_blocks):
-                    yield poses, found
-
-    def _at_rest(self, weights: Float64Array) -> Iterator[tuple[slice, Sequence[RestPrimitive], Truths]]:
-        """Yield some poses of all, and the primitives and truths that morph targets make of those at rest."""
-        edges = (np.flatnonzero((weights[1:] != weights[:-1]).any(axis=1)) + 1).tolist()
-        for first, last in pairwise([0, *edges, len(weights)]):
-            rest, truths = self.rest, self.truths
-            if self.morphing is not None:
-                rest, truths = replace(self.morphing, weights=weights).posed(rest, truths, first)
-            for start in range(first, last, POSES):
-                yield slice(start, min(start + POSES, last)), rest, truths
-
-    def normals(self, weights: Float64Array) -> Float32Array:
-        """Return the normals that morph targets of weights (P, N) add up to: (P, V, 3).
+    def normals(self, draw: Draw) -> Float32Array:
+        """Return the normals that morph targets add up to in the poses of a draw: (P, V, 3).
 
         They are along the frames in whose plane δ is, with the normal last.
         """
-        assert self.morphing is not None
-        morphing = replace(self.morphing, weights=weights)
-        found = np.empty((len(weights), self.count, 3), dtype=np.float32)
+        morphing = draw.morphing
+        assert morphing is not None
+        found = np.empty((len(draw.matrices), self.count, 3), dtype=np.float32)
         for pose, of_pose in enumerate(found):
             start = 0
             for one, frame in zip(morphing.primitives(self.rest, pose), self.frames, strict=True):
                 end = start + len(one.positions)
-                summed = one.summed_normals(slice(None))
+                summed = one.summed_normals(slice(None)).astype(np.float64)
                 for axis, vectors in enumerate((frame.tangents, frame.bitangents, frame.normals)):
                     of_pose[start:end, axis] = (summed * vectors).sum(axis=1)
                 start = end
         return found
 
-    def changes(
-        self, matrices: Float64Array, weights: Float64Array, *, accurate: bool = False
-    ) -> Float32Array:
+    def changes(self, draw: Draw, *, accurate: bool = False) -> Float32Array:
         """Return δ in the poses along t0 and b0 of the frame from NORMAL: (P, V, 2), NaN without a truth.
 
-        matrices are joint matrices (P, J, 4, 4), and weights (P, N) belong to the morph targets. accurate:
-        toward the normals of α and β, not the true ones.
+        accurate: toward the normals of α and β, not the true ones.
         """
-        found = np.empty((len(matrices), self.count, 2), dtype=np.float32)
+        found = np.empty((len(draw.matrices), self.count, 2), dtype=np.float32)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # without a truth: NaN
-            for poses, block in self.posed(matrices, weights, accurate=accurate):
+            for poses, block in self.posed(draw, accurate=accurate):
                 if accurate:
                     aim = np.stack([component.T for component in block.accurate])
                 else:

@@ -59,8 +59,15 @@ class BakedView:
         joints = np.where(result.adopted_joints >= 0, result.adopted_joints, primitive.joints)
         now = primitive.with_influences(joints, primitive.weights)
         frame = frame_vectors(primitive, result.frame)
-        none = np.zeros((len(joints), 2))
-        return cls(baked.source, baked.note, now, result.alpha, result.beta, *frame, (), none)
+        note, none = baked.note._replace(frame=str(result.frame)), np.zeros((len(joints), 2))
+        return cls(baked.source, note, now, result.alpha, result.beta, *frame, (), none)
+
+    @classmethod
+    def unbaked(cls, source: PrimitiveSource, now: SkinnedPrimitive) -> BakedView:
+        """Return a primitive whose α and β are 0, with a frame from NORMAL."""
+        frame = frame_vectors(now, Frame.NORMAL)
+        none, note = np.zeros((len(now.joints), now.joints.shape[1] - 1)), GradientNote(frame=Frame.NORMAL)
+        return cls(source, note, now, none, none, *frame, (), np.zeros((len(none), 2)))
 
     @property
     def kind(self) -> Gradients:

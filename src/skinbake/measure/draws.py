@@ -21,7 +21,7 @@ from skinbake.geometry.skinned import BoolArray, Float64Array
 from skinbake.gltf.document import Document
 from skinbake.gltf.reading.clips import Clip, clip_poses, clip_weights
 from skinbake.gltf.reading.scenes import faces_backward
-from skinbake.gltf.reading.skins import Skeleton
+from skinbake.gltf.reading.skins import Skeleton, read_skeleton, rest_pose
 from skinbake.skinning.components import Vector
 from skinbake.skinning.rest import Options, RestPrimitive
 from skinbake.threads import Threads
@@ -48,7 +48,8 @@ class Surface:
     """The baked primitives that the truths take as one surface, whoever draws them.
 
     views are the primitives as the document stores them, or as it will. welded gives the operator of the
-    truths over all of them. correctives are the file's own, if it has any.
+    truths over all of them. correctives are the file's own, if it has any. moving are the morph targets that
+    move it, None for those with a weight in the poses.
     """
 
     def __init__(
@@ -57,9 +58,10 @@ class Surface:
         views: Sequence[BakedView],
         welded: Callable[[], GradientOperator],
         correctives: PlayedCorrectives | None = None,
+        moving: Sequence[int] | None = None,
     ) -> None:
         self.document, self.views, self.correctives = document, views, correctives
-        self._welded = welded
+        self._welded, self._moving = welded, moving
         self._targets: tuple[list[int], Morphing] | None = None
 
     @property
@@ -94,9 +96,10 @@ class Surface:
         Targets whose weight is 0 in every pose are not read. Raises InputError if one of the others is
         broken. A search poses a surface some hundred times, mostly by the same targets: they are read once.
         """
-        if weights is None or not weights.any():
+        moving = self._moving
+        if weights is None or not (weights.any() if moving is None else moving):
             return None
-        moving = np.flatnonzero(weights.any(axis=0)).tolist()
+        moving = np.flatnonzero(weights.any(axis=0)).tolist() if moving is None else list(moving)
         if self._targets is None or self._targets[0] != moving:
             from skinbake.measure.morphing import moving_targets  # most models have no targets
             from skinbake.truth.morphing import Morphing
@@ -163,6 +166,14 @@ class Draw:
     skeleton: Skeleton
     poses: PoseSet
     corrections: Corrections | None = None
+
+    @classmethod
+    def at_rest(cls, surface: Surface, skin: int, node: int | None) -> Draw:
+        """Return a draw in the rest pose, without morph weights. Raises InputError for a broken skin."""
+        skeleton = read_skeleton(surface.document, skin)
+        with np.errstate(over="ignore", invalid="ignore"):  # what is past all numbers is not drawn
+            poses = PoseSet((), rest_pose(skeleton), ("rest pose",), (None,))
+        return cls(surface, skin, node, skeleton, poses)
 
     def posed(self, poses: PoseSet) -> Draw:
         """Return the draw in other poses, with the correctives that clips play there."""

@@ -28,7 +28,7 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.reading.clips import Clip, clip_poses, read_clips
 from skinbake.gltf.reading.meshes import has_surface, plain_sources, read_primitive
 from skinbake.gltf.reading.scenes import faces_backward, shown_nodes
-from skinbake.gltf.reading.skins import Skeleton, read_node, read_skeleton, rest_pose
+from skinbake.gltf.reading.skins import Skeleton, read_node, rest_pose
 from skinbake.measure.angles import MeasuredBlock, lighting_errors
 from skinbake.measure.draws import HALF_TURN, Draw, Surface
 from skinbake.skinning.rest import RestPrimitive
@@ -268,10 +268,7 @@ class Scene:
                     continue
                 if parts not in surfaces:
                     surfaces[parts] = self._surface([group[part] for part in parts])
-                skeleton = read_skeleton(document, skin)
-                with np.errstate(over="ignore", invalid="ignore"):  # what is past all numbers is not drawn
-                    at_rest = PoseSet((), rest_pose(skeleton), ("rest pose",), (None,))
-                found.append(Draw(surfaces[parts], skin, node, skeleton, at_rest))
+                found.append(Draw.at_rest(surfaces[parts], skin, node))
         return found
 
 
