@@ -156,8 +156,7 @@ class Accessor:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Node:
+class Node(NamedTuple):
     """A node of the hierarchy."""
 
     asset: Asset
@@ -357,8 +356,7 @@ class PrimitiveSource(NamedTuple):
         ]
 
 
-@dataclass(frozen=True, slots=True)
-class Animation:
+class Animation(NamedTuple):
     """An animation; ``called`` is its name, with its number where others share the name."""
 
     number: int
