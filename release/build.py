@@ -54,7 +54,8 @@ def main() -> None:
     found = [f"{path.name}: {fault}" for path in built for fault in faults(path)]
     if found:
         sys.exit("\n".join(found))
-    compiled = [str(path) for path in built if "-abi3-" in path.name]
+    # abi3audit reads no WebAssembly: tests/release/test_cross.py looks at what those loops import.
+    compiled = [str(path) for path in built if "-abi3-" in path.name and BROWSER not in path.name]
     _run("abi3audit", "--strict", *compiled)
 
 

@@ -7,16 +7,22 @@ each command, from its declaration. A warning is an error, and so is a link to n
 
 from __future__ import annotations
 
+import importlib.metadata
 import os
 import re
 import shutil
 import subprocess
 import sys
+import tempfile
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
 import click
 
+from release.contents import LOOPS, PACKAGE
+from release.cross import BROWSER, compile_loops
+from release.wheels import zipped
 from skinbake.cli.help import EVERYTHING
 from skinbake.cli.main import main as main_command
 
@@ -124,6 +130,26 @@ def commands() -> str:
     return "\n".join(text)
 
 
+def put_trial(target: Path) -> None:
+    """Put the page that bakes in the browser into a folder, and skinbake with what it imports as a zip."""
+    shutil.copytree(Path(__file__).with_name("try"), target, dirs_exist_ok=True)
+    contents = {"in_browser.py": Path(__file__).with_name("in_browser.py").read_bytes()}
+    for path in PACKAGE.rglob("*"):
+        if path.is_file() and path.suffix not in {".c", ".h", ".pyc", ".pyd", ".so"}:
+            contents[path.relative_to(PACKAGE.parent).as_posix()] = path.read_bytes()
+    for path in REPOSITORY.glob("engines/*/*.js"):
+        contents[f"skinbake/{path.relative_to(REPOSITORY).as_posix()}"] = path.read_bytes()
+    with tempfile.TemporaryDirectory() as temporary:
+        for module in LOOPS:
+            name, compiled = compile_loops(module, REPOSITORY, BROWSER, Path(temporary))
+            contents[f"skinbake/{name}"] = compiled
+    for needed in ("click", "jinja2", "markupsafe"):
+        for one in importlib.metadata.files(needed) or ():
+            if one.suffix == ".py" or "licenses" in one.parts:
+                contents[one.as_posix()] = Path(str(one.locate())).read_bytes()
+    (target / "skinbake.zip").write_bytes(zipped(contents, zipfile.ZIP_DEFLATED))
+
+
 def build(site: Path = SITE) -> int:
     """Build the site anew. Return the exit code of Sphinx."""
     shutil.rmtree(site, ignore_errors=True)
@@ -140,6 +166,7 @@ def build(site: Path = SITE) -> int:
         str(Path(__file__).parent),
     ]
     sphinx = [sys.executable, "-m", "sphinx", *options, str(site / "source"), str(site / "html")]
+    put_trial(site / "html" / "try")
     return subprocess.run(sphinx, check=False).returncode
 
 

@@ -6,6 +6,7 @@ the browser reads from descriptor 3 and writes to 4.
 
 from __future__ import annotations
 
+import base64
 import functools
 import http.server
 import json
@@ -97,6 +98,11 @@ class Page:
         """Return the addresses that the page has asked for so far, without what it holds itself."""
         self._collect()
         return [address for address in self._requests if not address.startswith(("data:", "blob:"))]
+
+    def screenshot(self) -> bytes:
+        """Return all of the page as it looks, a PNG."""
+        shot = self._send("Page.captureScreenshot", captureBeyondViewport=True)
+        return base64.b64decode(shot["data"])
 
     def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
         """Press the mouse at a place, move it to another one, and let it go."""
