@@ -257,11 +257,12 @@ def _places(
 def _findings(verdict: FileVerdict) -> dict[str, Any]:
     """Return the verdict in the members of verify's JSON, with problems as sentences."""
     told, judged = file_json(verdict), conclusion(verdict)
+    remark = judged.sentence.removeprefix(f"{judged.headline}: ") if judged else ""
     return {
         "verdict": judged
         and {
             "words": judged.headline,
-            "remark": judged.sentence,
+            "remark": f"{remark[:1].upper()}{remark[1:]}",
             "isGood": judged.short == "clear gain",
         },
         "by_triangles": told["normals_by_triangles"],

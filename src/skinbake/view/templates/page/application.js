@@ -267,7 +267,7 @@ class Application {
 
     // While it is held, the first pane shows the other lighting. All else stands still.
     hold(isHeld) {
-        if (Boolean(this.isHeld) === isHeld) return;
+        if (!this.sides || Boolean(this.isHeld) === isHeld) return;
         this.isHeld = isHeld;
         byId.left.value = this.sides[Number(isHeld)];
         this.changed();
