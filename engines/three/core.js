@@ -162,10 +162,10 @@ function use(mesh) {
     known.add(mesh);
 }
 
-// Whether a mesh that lives and was not disposed of has the geometry of another one.
+// Whether another mesh has this geometry, and was not disposed of. One without a parent was taken out by the page.
 function isUsedBeside({ geometry }) {
     const meshes = (state.users.get(geometry)?.meshes ?? []).map((one) => one.deref());
-    return meshes.some((mesh) => mesh?.geometry === geometry && !state.disposed.has(mesh));
+    return meshes.some((mesh) => mesh?.parent && mesh.geometry === geometry && !state.disposed.has(mesh));
 }
 
 const isSwitched = (mesh) => state.standard.has(mesh) || state.disposed.has(mesh);
