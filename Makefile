@@ -19,7 +19,7 @@ unexport PYTHONHOME PYTHONPATH PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .PHONY: help bake setup setup-blender test test-all check lint fixtures golden picture table scores bench speeds man
-.PHONY: docs dist try-dist fuzz fuzz-native fuzz-coverage faults clean
+.PHONY: docs dist release-check try-dist fuzz fuzz-native fuzz-coverage faults clean
 
 help: ## List the targets
 	@awk 'BEGIN { FS = ":.*## " } /^[a-z-]+:.*## / { printf "  make %-13s %s\n", $$1, $$2 }' Makefile
@@ -88,6 +88,9 @@ docs: $(DEV) ## Build the documentation's site and the page that bakes into buil
 
 dist: .venv/dist.stamp ## Build the sdist, the wheels of seven systems and of browsers, and the wheel without compiled loops into dist/
 	$(BIN)/python -m release.build
+
+release-check: .venv/dist.stamp ## Say what PyPI, npm and the site would refuse of what dist and docs have built
+	$(BIN)/python -m release.check
 
 try-dist: dist $(DEV) ## Try them with each Python at hand, and on the other systems that Linux can run (a quarter of an hour)
 	$(BIN)/python -m pytest tests/release/test_cross.py

@@ -5,7 +5,9 @@ Without a compiler the package installs all the same, and `bake` and `verify` ru
 """
 
 import os
+import re
 import sys
+import tomllib
 from pathlib import Path
 
 from setuptools import Extension, setup
@@ -31,6 +33,22 @@ def loops(name: str, source: str) -> Extension:
     )
 
 
+def readme() -> str:
+    """Return README.md for PyPI, where links into the repository need its address, if it is given."""
+    text = Path("README.md").read_text("utf-8")
+    settings = tomllib.loads(Path("pyproject.toml").read_text("utf-8"))
+    url = settings["project"]["urls"].get("Repository")
+    [version] = re.findall(
+        r'^__version__ = "(.+)"', Path("src/skinbake/version.py").read_text("utf-8"), re.MULTILINE
+    )
+    links = r"(!?)(\[[^\]]*\]\()(?!https?://|#)([^)]+\))"
+    whole = rf"\g<1>\g<2>{url}/KIND/v{version}/\g<3>"
+    shown = re.sub(
+        links, lambda found: found.expand(whole).replace("KIND", "raw" if found[1] else "blob"), text
+    )
+    return shown if url else text
+
+
 class WithEngines(build_py):
     """Put the JavaScript of engines/ into the package. An editable install reads it where it is."""
 
@@ -54,4 +72,5 @@ if __name__ == "__main__":  # release/ imports the flags
         "options": {"bdist_wheel": {"py_limited_api": "cp311"}},
     }
     pure = os.environ.get("SKINBAKE_PURE") == "1"
-    setup(cmdclass={"build_py": WithEngines}, **({} if pure else compiled))
+    described = {"long_description": readme(), "long_description_content_type": "text/markdown"}
+    setup(cmdclass={"build_py": WithEngines}, **described, **({} if pure else compiled))

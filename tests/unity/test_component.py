@@ -6,6 +6,8 @@ the component on stand-ins for Unity's types; DXC and lavapipe run the pass over
 
 from __future__ import annotations
 
+import json
+import re
 import subprocess
 from pathlib import Path
 
@@ -17,13 +19,15 @@ from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Language, Stage
 from skinbake.commands.shader import shader
 from skinbake.shaders.choices import ShaderRequest
+from skinbake.version import __version__
 from tests.shaders.running import done
 from tests.support import analytic, dxc, glslang, webgpu
 from tests.support.gltf_reading import read
 from tests.support.tools import required_program
 
 STUB = Path(__file__).parent / "stub" / "UnityEngine.cs"
-COMPONENT = Path(__file__).parents[2] / "engines" / "unity" / "Skinbake.cs"
+PACKAGE = Path(__file__).parents[2] / "engines" / "unity"
+COMPONENT = PACKAGE / "Runtime" / "Skinbake.cs"
 TIMEOUT_SECONDS = 120
 MIRROR = np.diag([-1.0, 1.0, 1.0])
 STRIDE = 40
@@ -51,8 +55,24 @@ def mirrored(matrices: analytic.Array) -> analytic.Array:
     return found
 
 
+def test_the_package_has_the_version_of_skinbake_and_an_identity_for_each_of_its_files() -> None:
+    """Unity leaves out a file of an installed package that has no .meta beside it."""
+    package = json.loads((PACKAGE / "package.json").read_text("utf-8"))
+    assert (package["name"], package["version"]) == ("com.skinbake.unity", __version__)
+    assert json.loads((PACKAGE / "Runtime" / "Skinbake.asmdef").read_text("utf-8"))["name"] == "Skinbake"
+    files = {path for path in PACKAGE.rglob("*") if path.suffix != ".meta"}
+    metas = {path: path.with_name(path.name + ".meta").read_text("utf-8") for path in files}
+    guids = {
+        found[1] for text in metas.values() if (found := re.search(r"^guid: ([0-9a-f]{32})$", text, re.M))
+    }
+    assert len(guids) == len(files) == len([*PACKAGE.rglob("*.meta")])
+
+
 @pytest.mark.slow
-def test_the_component_has_the_pass_give_accurate_normals_and_tangents(program: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("pipeline", ["scriptable", "built-in"])
+def test_the_component_has_the_pass_give_accurate_normals_and_tangents(
+    program: Path, tmp_path: Path, pipeline: str
+) -> None:
     path = tmp_path / "baked.glb"
     skinbake.bake(FOLDER / "mirrored_tangent.glb", path, layout="texcoord", frame="tangent")
     [posed] = skinbake.normals(path)
@@ -80,7 +100,7 @@ def test_the_component_has_the_pass_give_accurate_normals_and_tangents(program: 
     ]
     parts += [place.astype("<f4"), np.array([0.5, 0.5, 0.5, 0.5], "<f4")]
     (tmp_path / "mesh").write_bytes(b"".join(part.tobytes() for part in parts))
-    run(required_program("mono", "mono-runtime"), program, tmp_path / "mesh", tmp_path)
+    run(required_program("mono", "mono-runtime"), program, tmp_path / "mesh", tmp_path, pipeline)
     # The pass over what the component has uploaded.
     lines = [line.split() for line in (tmp_path / "numbers").read_text().splitlines()]
     numbers = {name.removeprefix("skinbake_draw_"): values for name, *values in lines}

@@ -11,6 +11,12 @@ from click.shell_completion import CompletionItem
 
 from skinbake.options import Option, Range, Text
 
+ELSEWHERE = {
+    "unity": "Unity takes no such shader. Bake with --correctives: docs/unity.md",
+    "unreal": "Unreal takes no such shader. Bake with --correctives: docs/unreal.md",
+}
+"""Words for which skinbake has another way, and the page that shows it."""
+
 
 class Words(click.Choice[str]):
     """The type of an option whose values are words. It asks about a word that is nearly one of them."""
@@ -20,6 +26,8 @@ class Words(click.Choice[str]):
         from skinbake.wording import did_you_mean
 
         message = super().get_invalid_choice_message(value, ctx)
+        if other := ELSEWHERE.get(str(value).lower()):
+            return f"{message} {other}"
         meant = did_you_mean(str(value), map(str, self.choices))
         return f"{message} {meant[0].upper()}{meant[1:]}" if meant else message
 

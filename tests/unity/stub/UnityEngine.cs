@@ -165,7 +165,11 @@ namespace UnityEngine
         public void Dispatch(int kernel, int x, int y, int z) { groups = x + " " + y + " " + z; }
     }
 
-    public class Camera { }
+    public class Camera
+    {
+        public delegate void CameraCallback(Camera camera);
+        public static CameraCallback onPreRender;
+    }
 
     static class Program
     {
@@ -209,17 +213,27 @@ namespace UnityEngine
             renderer.rootBone = new Transform { position = Structs<Vector3>(1)[0], rotation = Structs<Quaternion>(1)[0] };
             var component = new Skinbake { pass = new ComputeShader(), beside = renderer };
             Call(component, "OnEnable");
-            RenderPipelineManager.Draw();
+            Draw(arguments[2]);
             if (component.pass.groups != null)
                 throw new Exception("it corrects before Unity has skinned");
             renderer.isSkinned = true;
-            RenderPipelineManager.Draw();
+            Draw(arguments[2]);
             Call(component, "OnDisable");
+            if (Camera.onPreRender != null)
+                throw new Exception("it listens after it was disabled");
             component.pass.numbers.Add("groups " + component.pass.groups);
             component.pass.numbers.Add("alive " + GraphicsBuffer.alive);
             File.WriteAllLines(Path.Combine(arguments[1], "numbers"), component.pass.numbers);
             foreach (var buffer in component.pass.buffers)
                 File.WriteAllBytes(Path.Combine(arguments[1], buffer.Key), buffer.Value ?? new byte[0]);
+        }
+
+        static void Draw(string pipeline)
+        {
+            if (pipeline == "built-in")
+                Camera.onPreRender(new Camera());
+            else
+                RenderPipelineManager.Draw();
         }
 
         static void Call(object component, string name)

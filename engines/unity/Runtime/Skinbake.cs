@@ -47,12 +47,14 @@ public class Skinbake : MonoBehaviour
         geometry = new GraphicsBuffer(GraphicsBuffer.Target.Raw, vertices.Length * Stride / 4, 4);
         geometry.SetData(vertices);
         joints = new GraphicsBuffer(GraphicsBuffer.Target.Structured, skinned.bones.Length, 64);
-        RenderPipelineManager.beginContextRendering += Correct; // in the built-in pipeline: Camera.onPreRender
+        RenderPipelineManager.beginContextRendering += CorrectFrame;
+        Camera.onPreRender += CorrectCamera; // Unity calls it in the built-in pipeline alone
     }
 
     void OnDisable()
     {
-        RenderPipelineManager.beginContextRendering -= Correct;
+        RenderPipelineManager.beginContextRendering -= CorrectFrame;
+        Camera.onPreRender -= CorrectCamera;
         geometry.Dispose();
         joints.Dispose();
     }
@@ -63,7 +65,18 @@ public class Skinbake : MonoBehaviour
         return vertex < set.Length ? new Vector2(set[vertex].x, 1 - set[vertex].y) : new Vector2(0, 0);
     }
 
-    void Correct(ScriptableRenderContext context, List<Camera> cameras)
+    void CorrectFrame(ScriptableRenderContext context, List<Camera> cameras)
+    {
+        Correct();
+    }
+
+    void CorrectCamera(Camera camera)
+    {
+        Correct();
+    }
+
+    // A second call in a frame gives the same normals: it begins with those at rest.
+    void Correct()
     {
         using (GraphicsBuffer posed = skinned.GetVertexBuffer())
         {
