@@ -43,7 +43,7 @@ def _draw_on_paper() -> None:
                     errors = shot.errors.get(lighting)
                     rest = shot.morphed.get(lighting, {}).get(number, subject.rest)
                     studio._rows(subject, rest, None if errors is None else errors[number])
-                self._scene(subject, shot, look)
+                self._scene(subject, shot, look, subject.material.ranges[0])
             return np.zeros((look.height, look.width, 3), np.uint8)
 
     render.Studio = Paper  # type: ignore[attr-defined]  # only for the fuzzer

@@ -58,8 +58,8 @@ def tube(folder: Path, material: dict[str, Any], *images: dict[str, str]) -> Pat
 @pytest.mark.slow
 @pytest.mark.usefixtures("device")
 def test_an_image_of_one_colour_is_that_factor(tmp_path: Path) -> None:
-    """The image holds 2.2nd roots of the linear factors, as the page reads it."""
-    red, half = image([(255, 0, 0)] * 2), round(255 * 0.25 ** (1 / 2.2))
+    """The image holds the linear factors as sRGB has them."""
+    red, half = image([(255, 0, 0)] * 2), round(255 * (1.055 * 0.25 ** (1 / 2.4) - 0.055))
     grey = image([(half, half, half)] * 2)
     flat = image([(128, 128, 255)] * 2)
     base = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}

@@ -1,4 +1,4 @@
-"""Bodies of material that blends, in colours that glow, and their pictures by three.js."""
+"""Characters without light, bodies that blend in colours that glow, and their pictures by three.js."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from PIL import Image
 from fixtures.builder import JsonObject
 from tests.support import browser
 from tests.support.characters import Array
-from tests.support.models import Part, write_model
+from tests.support.gltf_reading import read
+from tests.support.models import Part, rewritten, write_model
 from tests.support.node import package_folder, require_node
 from tests.support.stage import opened_page, page_of
 
@@ -173,6 +174,39 @@ def _png(rows: Sequence[Sequence[tuple[int, ...]]]) -> str:
     return "data:image/png;base64," + base64.b64encode(data.getvalue()).decode()
 
 
+REAL = [
+    "public/Barbarian/Barbarian.glb",
+    "public/Robot/robot.glb",
+    "public/Fox/fox.glb",
+    "public/CesiumMan/CesiumMan.glb",
+    "public/Mannequiny/mannequiny-0.3.0.glb",
+    "public/BaseFemale/BaseFemale.glb",
+    "public/RobotMantis/animated_robot_mantis.glb",
+    "public/Tentacle/InfiniteSkinnedTentacle.glb",
+    "public/Butterfly/animated_butterfly.glb",
+    "public/VRM/cryptovoxels.vrm",
+    "derived/decoded/bath_day.glb",
+    "cases/unlit.glb",
+]
+"""Characters of the corpus: images, MASK, BLEND, both sides, colours of vertices, many materials."""
+
+
+def flat(source: Path, target: Path, alpha: float = 1.0, material: JsonObject | None = None) -> Path:
+    """Write a file that no light reaches, its colours with an alpha, its materials with more members."""
+    file = read(source)
+    for one in file.content["materials"]:
+        one.setdefault("extensions", {})["KHR_materials_unlit"] = {}
+        pbr = one.setdefault("pbrMetallicRoughness", {})
+        pbr["baseColorFactor"] = [
+            *pbr.get("baseColorFactor", [1, 1, 1, 1])[:3],
+            alpha * pbr.get("baseColorFactor", [1])[-1],
+        ]
+        one.update(material or {})
+    used = {*file.content.get("extensionsUsed", []), "KHR_materials_unlit", "KHR_texture_transform"}
+    file.content["extensionsUsed"] = sorted(used)
+    return rewritten(file, target)
+
+
 class Three:
     """A page on which three.js draws."""
 
@@ -221,12 +255,12 @@ SCENES = [
 """Primitives, the time of the clip, and whether they are double-sided."""
 
 
-def share_apart(found: Array, wanted: Array) -> float:
+def share_apart(found: Array, wanted: Array, tolerance: float = TOLERANCE) -> float:
     """Return the share of a drawn body's pixels that are unlike all pixels around the same place there."""
     padded = np.pad(wanted, ((1, 1), (1, 1), (0, 0)), mode="edge")
     height, width = wanted.shape[:2]
     near = [padded[y : y + height, x : x + width] for y in range(3) for x in range(3)]
-    apart = np.min([np.abs(found - one).max(axis=2) for one in near], axis=0) > TOLERANCE
+    apart = np.min([np.abs(found - one).max(axis=2) for one in near], axis=0) > tolerance
     body = np.abs(wanted - wanted[0, 0]).max(axis=2) > TOLERANCE
     assert body.mean() > 0.02
     return float(apart.sum() / body.sum())

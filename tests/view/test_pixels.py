@@ -100,7 +100,10 @@ def shaded(drawn: Fragments, eye: Array, turn: float) -> Array:
     sky = (1 - up) * np.array([0.16, 0.15, 0.145]) + up * np.array([0.36, 0.39, 0.43])
     rim = (1 - nv) ** 4 * 0.12
     colour = CLAY * (sky + 1.1 * nl * np.array([1.0, 0.98, 0.94])) + nl * specular * 1.2 + rim * sky
-    return np.asarray(np.clip((colour / (1 + 0.18 * colour)) ** (1 / 2.2), 0, 1))
+    toned = colour / (1 + 0.18 * colour)
+    return np.asarray(
+        np.clip(np.where(toned <= 0.0031308, 12.92 * toned, 1.055 * toned ** (1 / 2.4) - 0.055), 0, 1)
+    )
 
 
 def unit_fields(vectors: Array) -> Array:

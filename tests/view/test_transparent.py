@@ -1,4 +1,4 @@
-"""What blends on the page: drawn as three.js draws it, and a body that is solid as a solid body."""
+"""Materials on the page: real characters as three.js draws them, and what blends."""
 
 from __future__ import annotations
 
@@ -8,15 +8,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support import browser
+from tests.support import browser, corpus
 from tests.support.characters import Array
-from tests.support.transparent import LIMBS, SCENES, Primitives, Three, body, share_apart, three
+from tests.support.transparent import (
+    LIMBS,
+    REAL,
+    SCENES,
+    TOLERANCE,
+    Primitives,
+    Three,
+    body,
+    flat,
+    share_apart,
+    three,
+)
 from tests.view.pages import picture, shown, take
 
 pytestmark = pytest.mark.slow
 
 LEVELS = 3
 """Of 255."""
+FILTERED = 0.02
+"""The share of pixels that filtering changes: thin stripes of CesiumMan."""
 APART = 0.01
 """The share of pixels, beside edges, that lighting or sampling changes."""
 
@@ -51,7 +64,9 @@ def drawn(page: browser.Page, path: Path, time: float) -> tuple[Array, Array]:
     take(page, path)
     page.call(
         """((time) => {
-            application.choose(application.scene.clips[0]);
+            const { scene } = application;
+            const still = { name: '', start: 0, end: 0, channels: [] };
+            application.choose(scene.model.clips.length ? scene.clips[0] : still);
             application.stopMeasuring();
             application.seek(time, true);
             for (const side of [left, right]) side.value = 'standard';
@@ -65,6 +80,43 @@ def drawn(page: browser.Page, path: Path, time: float) -> tuple[Array, Array]:
     aspect = found.shape[1] / found.shape[0]
     matrix = page.call("((aspect) => [...application.camera.projected(aspect)])", aspect)
     return found, np.array(matrix).reshape(4, 4).T
+
+
+@pytest.mark.parametrize("source", REAL)
+def test_a_character_without_light_is_drawn_as_by_three(
+    browsing: browser.Page, drawing: Three, tmp_path: Path, source: str
+) -> None:
+    """Images, factors, colours of vertices, masks and sides, and which surface is before which."""
+    as_by_three(browsing, drawing, flat(corpus.require_corpus() / source, tmp_path / "flat.glb"))
+
+
+def test_a_moved_image_is_drawn_as_by_three(browsing: browser.Page, drawing: Three, tmp_path: Path) -> None:
+    moved = {"offset": [0.3, -0.2], "rotation": 0.7, "scale": [0.9, 0.6]}
+    image = {"index": 0, "extensions": {"KHR_texture_transform": moved}}
+    material = {"pbrMetallicRoughness": {"baseColorTexture": image}}
+    source = corpus.require_corpus() / "public/CesiumMan/CesiumMan.glb"
+    as_by_three(browsing, drawing, flat(source, tmp_path / "moved.glb", material=material))
+
+
+def as_by_three(browsing: browser.Page, drawing: Three, path: Path) -> None:
+    found, matrix = drawn(browsing, path, 0.3)
+    wanted = drawing.picture(path, 0.3, matrix, (found.shape[1], found.shape[0]))
+    assert share_apart(found, wanted) < FILTERED
+
+
+@pytest.mark.parametrize("source", REAL[:3])
+@pytest.mark.parametrize("alpha", [0.8, 0.95])
+def test_a_whole_character_that_blends_shows_its_nearest_surface(
+    browsing: browser.Page, tmp_path: Path, source: str, alpha: float
+) -> None:
+    """Its triangles come in any order. What lies behind shows by as much as they let through, not more."""
+    path = corpus.require_corpus() / source
+    blended = {"alphaMode": "BLEND", "doubleSided": True}
+    pictures = [
+        drawn(browsing, flat(path, tmp_path / f"{mode['alphaMode']}.glb", alpha, mode), 0.3)[0]
+        for mode in ({**blended, "alphaMode": "OPAQUE"}, blended)
+    ]
+    assert share_apart(pictures[1], pictures[0], 255 * (1 - alpha) + TOLERANCE) < FILTERED
 
 
 @pytest.mark.parametrize("is_double", [True, False], ids=["seen from both sides", "from one side"])

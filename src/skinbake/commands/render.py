@@ -176,7 +176,7 @@ def _pictures(
         moves_by[..., :3, 3] = [[at - now] for now in followed(spot, posed)]
         posed = [draw.moved(moves_by) for draw in posed]
         rigid = [replace(one, matrices=one.matrices + moves_by) for one in rigid]
-    layers = [1 + one.material.is_blended for one in subjects]
+    layers = [1 + len(one.material.ranges[1]) for one in subjects]
     projected = camera.projected(yaws[0], options.look.width / options.look.height)
     _refuse_layers(document, posed, rigid, layers, projected)
     studio = Studio(subjects, camera)

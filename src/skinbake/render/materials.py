@@ -44,11 +44,13 @@ FORMATS = ("PNG", "JPEG", "WEBP")
 PNG_DEPTH = 24
 """The place of the byte of a PNG that holds the bits of a sample."""
 
-HOLE = 0.5
-"""The alpha under which blending leaves a hole where there is none."""
+HOLE, SOLID, EVERY = 0.5, 0.99, 1e9
+"""Ranges of alpha in which what blends is drawn. From SOLID on nothing behind shows through, to the eye. From
+HOLE on it hides what is drawn behind it later, so that triangles in any order cost the picture the smaller
+part of a colour only. Without blending, what is under it is a hole."""
 
-SOLID = 0.99
-"""The alpha from which on nothing behind shows through, to the eye."""
+Range = tuple[float, float]
+"""The least alpha that is drawn, and what alpha must be below: EVERY for what does not blend."""
 
 COPIES = 3
 """The copies of an encoded image that Pillow holds while it decodes."""
@@ -92,8 +94,8 @@ NEAREST = 9728
 class Material:
     """Linear factors, and images by use: ``base``, ``normal``, ``emissive``; where and how they lie.
 
-    Alpha under cutoff is not drawn, or, if is_blended, drawn with what lies behind. is_double: it is seen
-    from behind too. is_plain: colours of vertices are not drawn either.
+    Alpha under cutoff is not drawn. is_double: it is seen from behind too. is_unlit: no light reaches it.
+    is_plain: colours of vertices are not drawn either.
     """
 
     base: tuple[float, ...] = CLAY
@@ -103,10 +105,18 @@ class Material:
     cutoff: float = 0.0
     is_blended: bool = False
     is_double: bool = False
+    is_unlit: bool = False
     is_plain: bool = False
     images: Mapping[str, Levels] = field(default_factory=dict)
     placements: Mapping[str, Placement] = field(default_factory=dict)
     samplings: Mapping[str, Sampling] = field(default_factory=dict)
+
+    @property
+    def ranges(self) -> tuple[Range, tuple[Range, ...]]:
+        """The range of alpha that is drawn as a solid, and those that are drawn after all solids."""
+        if not self.is_blended:
+            return (self.cutoff, EVERY), ()
+        return (SOLID, EVERY), ((HOLE, SOLID), (0.0, HOLE))
 
     def with_images(self, uses: Container[str]) -> Material:
         """Return it without the images of other uses, and without the factors that belong to these."""
@@ -155,8 +165,9 @@ class Materials:
             base=(*CLAY[:3], found.base[3]),
             emissive=BLACK,
             roughness=CLAY_ROUGHNESS,
-            cutoff=found.cutoff if is_lit or not found.is_blended else HOLE,
+            cutoff=HOLE if found.is_blended else found.cutoff,
             is_blended=found.is_blended and is_lit,
+            is_unlit=False,
             is_plain=True,
             images=images,
             placements={use: found.placements[use] for use in images},
@@ -169,16 +180,17 @@ class Materials:
     def _read(self, stored: StoredMaterial) -> Material:
         named = stored.textures
         images = {use: levels for use, one in named.items() if (levels := self._image(one)) is not None}
-        base = stored.base or (WHITE if "base" in images else CLAY)
+        base = stored.base or (WHITE if "base" in images or stored.is_unlit else CLAY)
         return Material(
             # A factor that belongs to an image says little without it.
             base=CLAY if "base" in named and "base" not in images else base,
             emissive=BLACK if "emissive" in named and "emissive" not in images else stored.emissive or BLACK,
             roughness=float(np.clip(stored.roughness, *ROUGHNESS)),
             normal_scale=named["normal"].strength if "normal" in named else 1.0,
-            cutoff={"MASK": stored.cutoff, "BLEND": SOLID}.get(stored.mode, 0.0),
+            cutoff=stored.cutoff if stored.mode == "MASK" else 0.0,
             is_blended=stored.mode == "BLEND",
             is_double=stored.is_double,
+            is_unlit=stored.is_unlit,
             images=images,
             placements={
                 use: Placement(named[use].texcoord, named[use].offset, named[use].rotation, named[use].scale)

@@ -8,7 +8,8 @@ struct Scene {
     flags: u32,
     legend: f32,
     normal_scale: f32,
-    cutoff: f32,
+    least: f32, // the least alpha that is drawn, and what it must be below
+    below: f32,
 }
 struct Varying {
     @builtin(position) position: vec4<f32>,
@@ -25,6 +26,7 @@ const HAS_NORMAL_MAP = 1u;
 const HAS_TANGENTS = 2u;
 const IS_TURNED = 4u; // seen from behind
 const IS_BLENDED = 8u;
+const IS_UNLIT = 16u;
 @group(0) @binding(0) var<storage, read> joints: array<mat4x4<f32>>;
 @group(0) @binding(1) var<storage, read> rows: array<array<vec4<f32>, ROW>>;
 @group(0) @binding(2) var<uniform> scene: Scene;
@@ -48,7 +50,9 @@ fn vertex(@builtin(vertex_index) index: u32) -> Varying {
         vec2<f32>(row[0].w, row[1].w), COTANGENT, COBITANGENT, row[4], row[5].xy, row[6]);
 }
 
-fn linear(c: vec3<f32>) -> vec3<f32> { return pow(c, vec3<f32>(2.2)); }
+fn encoded(c: vec3<f32>) -> vec3<f32> {
+    return mix(12.92 * c, 1.055 * pow(c, vec3<f32>(1.0 / 2.4)) - 0.055, step(vec3<f32>(0.0031308), c));
+}
 
 // The normal of a normal map, whose frame comes from the shader, or from what changes between pixels.
 fn mapped(n: vec3<f32>, texel: vec3<f32>, in: Varying, px: vec3<f32>, py: vec3<f32>, ux: vec2<f32>, uy: vec2<f32>) -> vec3<f32> {
@@ -107,10 +111,8 @@ fn fragment(in: Varying, @builtin(front_facing) is_front: bool) -> @location(0) 
     let r = reflect(-v, n);
     let at = asin(clamp(r.y * 0.94 + r.x * 0.34, -1.0, 1.0)) * 4.5;
     let width = max(fwidth(at), 1e-4);
-    let base = scene.base * in.color * vec4<f32>(linear(texel.rgb), texel.a);
-    // What blends was drawn from the cutoff on before, as a solid.
-    let is_blended = (scene.flags & IS_BLENDED) != 0u;
-    if ((base.a < scene.cutoff) != is_blended) {
+    let base = scene.base * in.color * texel;
+    if (base.a < scene.least || base.a >= scene.below) {
         discard;
     }
     var color = 0.5 + 0.5 * n;
@@ -119,9 +121,9 @@ fn fragment(in: Varying, @builtin(front_facing) is_front: bool) -> @location(0) 
         if ((scene.flags & HAS_NORMAL_MAP) != 0u) {
             n = mapped(n, slope, in, px, py, ux, uy);
         }
-        let lit = shaded(n, v, base.rgb) + scene.emissive.rgb * linear(glow);
-        color = pow(lit / (1.0 + 0.18 * lit), vec3<f32>(1.0 / 2.2));
-        if (is_blended) {
+        let lit = shaded(n, v, base.rgb) + scene.emissive.rgb * glow;
+        color = encoded(select(lit / (1.0 + 0.18 * lit), base.rgb, (scene.flags & IS_UNLIT) != 0u));
+        if ((scene.flags & IS_BLENDED) != 0u) {
             alpha = base.a;
         }
     } else if (scene.mode == 1u) {

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from skinbake.choices import Frame, Language, Lighting
 from skinbake.errors import Place, UnsupportedFeatureError
 from skinbake.geometry.skinned import Float64Array
-from skinbake.render.materials import Levels, Sampling
+from skinbake.render.materials import EVERY, Levels, Range, Sampling
 from skinbake.render.subject import YAW, Camera, Shot, Subject
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.shaders.text import shader_made
@@ -76,7 +76,7 @@ class Studio:
             self._buffer(subject.triangles.astype(np.uint32).tobytes(), _usage("INDEX"))
             for subject in subjects
         ]
-        self._images: dict[int, Any] = {}
+        self._images: dict[tuple[int, bool], Any] = {}
         self._samplers: dict[Sampling, Any] = {}
 
     def picture(self, shot: Shot, sides: Sequence[str], look: Look) -> Picture:
@@ -123,8 +123,7 @@ class Studio:
                 "depth_store_op": "discard",
             },
         )
-        # What blends is drawn after all others, the farthest first: what is solid of it, then the rest, which
-        # hides nothing.
+        # What blends is drawn after all others, the farthest first: what is solid of it, then the rest.
         blended = [number for number, one in enumerate(self._subjects) if one.material.is_blended]
         if len(blended) > 1:
             towards, nearness = self._camera.axes(shot.yaw)[2], {}
@@ -136,9 +135,10 @@ class Studio:
                 nearness[number] = float((places.min(axis=1) + places.max(axis=1)) / 2 @ towards)
             blended.sort(key=nearness.__getitem__)
         for number in [number for number in range(len(self._subjects)) if number not in blended] + blended:
-            self._draw(step, number, shot, lighting, look, blends=False)
+            self._draw(step, number, shot, lighting, look, self._subjects[number].material.ranges[0])
         for number in blended:
-            self._draw(step, number, shot, lighting, look, blends=True)
+            for alphas in self._subjects[number].material.ranges[1]:
+                self._draw(step, number, shot, lighting, look, alphas)
         step.end()
         self._device.queue.submit([encoder.finish()])
         data = self._device.queue.read_texture(
@@ -150,14 +150,13 @@ class Studio:
         means: npt.NDArray[np.float32] = samples[..., :3].astype(np.float32).mean(axis=(1, 3))
         return means.round().astype(np.uint8)
 
-    def _draw(self, step: Any, number: int, shot: Shot, lighting: str, look: Look, *, blends: bool) -> None:
+    def _draw(self, step: Any, number: int, shot: Shot, lighting: str, look: Look, alphas: Range) -> None:
         subject = self._subjects[number]
-        subject = replace(subject, material=replace(subject.material, is_blended=blends))
         matrices = shot.matrices[subject.pose_set].transpose(0, 2, 1).astype(np.float32).tobytes()
         buffers = (
             self._buffer(matrices),
             self._rows(number, shot, lighting),
-            self._buffer(self._scene(subject, shot, look), _usage("UNIFORM")),
+            self._buffer(self._scene(subject, shot, look, alphas), _usage("UNIFORM")),
         )
         material = subject.material
         samplers = (self._sampler(material.samplings.get(use, Sampling())) for use in IMAGES)
@@ -165,9 +164,9 @@ class Studio:
         bound = [*({"buffer": buffer} for buffer in buffers), *samplers, *views]
         step.set_index_buffer(self._indices[number], "uint32")
         # The faces that each time are not drawn. Backs that blend are drawn first, as by three.js.
-        both = ["front", "back"] if blends else ["none"]
+        both = ["front", "back"] if alphas[1] < EVERY else ["none"]
         for culled in both if material.is_double or subject.is_mirrored else ["back"]:
-            pipeline = self._pipeline(subject, lighting, culled)
+            pipeline = self._pipeline(subject, lighting, culled, alphas)
             step.set_pipeline(pipeline)
             group = self._device.create_bind_group(
                 layout=pipeline.get_bind_group_layout(0),
@@ -198,14 +197,15 @@ class Studio:
             raise UnsupportedFeatureError(message, Place("render"))
         return self._buffer(rows.tobytes())
 
-    def _scene(self, subject: Subject, shot: Shot, look: Look) -> bytes:
+    def _scene(self, subject: Subject, shot: Shot, look: Look, alphas: Range) -> bytes:
         """Return the bytes of the uniforms: see ``Scene`` in the text of the stages."""
         aspect, material = look.width / look.height, subject.material
         flags = [
             "normal" in material.images,
             subject.tangents is not None,
             material.is_double and not subject.is_mirrored,
-            material.is_blended,
+            alphas[1] < EVERY,
+            material.is_unlit,
         ]
         parts = [
             self._camera.projected(shot.yaw, aspect).T,
@@ -216,7 +216,7 @@ class Studio:
         ]
         floats = b"".join(np.asarray(part, np.float32).tobytes() for part in parts)
         modes = np.array([MODES.index(look.mode), sum(flag << n for n, flag in enumerate(flags))], np.uint32)
-        others = np.array([look.legend, material.normal_scale, material.cutoff, 0, 0, 0], np.float32)
+        others = np.array([look.legend, material.normal_scale, *alphas, 0, 0], np.float32)
         return floats + modes.tobytes() + others.tobytes()
 
     def _sampler(self, sampling: Sampling) -> Any:
@@ -237,12 +237,14 @@ class Studio:
 
         if levels is None:
             levels = ONE_PIXEL[use]
-        if id(levels) not in self._images:
+        key = id(levels), use == "normal"
+        if key not in self._images:
             height, width = levels[0].shape[:2]
             with _held():
                 texture = self._device.create_texture(
                     size=(width, height, 1),
-                    format="rgba8unorm",
+                    # Of colours the device filters what light adds up to, as three.js has it.
+                    format="rgba8unorm" if use == "normal" else "rgba8unorm-srgb",
                     mip_level_count=len(levels),
                     usage=wgpu.TextureUsage.TEXTURE_BINDING | wgpu.TextureUsage.COPY_DST,
                 )
@@ -253,17 +255,18 @@ class Studio:
                     {"bytes_per_row": 4 * level.shape[1], "rows_per_image": level.shape[0]},
                     (level.shape[1], level.shape[0], 1),
                 )
-            self._images[id(levels)] = texture
-        return self._images[id(levels)]
+            self._images[key] = texture
+        return self._images[key]
 
-    def _pipeline(self, subject: Subject, lighting: str, culled: str) -> Any:
-        material, slots = subject.material, subject.rest.joints.shape[1]
+    def _pipeline(self, subject: Subject, lighting: str, culled: str, alphas: Range) -> Any:
+        slots, blends = subject.rest.joints.shape[1], alphas[1] < EVERY
+        hides = not blends or alphas[0] > 0
         if lighting == "corrected":  # standard lighting, of other normals
             lighting = "standard"
         if subject.is_rigid:  # its normals are right under any scale
             lighting = "accurate"
         frame = Frame.TANGENT if subject.in_their_frame else Frame.NORMAL
-        key = (lighting, slots, subject.is_mirrored, frame, culled, material.is_blended)
+        key = (lighting, slots, subject.is_mirrored, frame, culled, blends, hides)
         if key in self._pipelines:
             return self._pipelines[key]
         stages = key[:4]  # the text of the stages depends on no more
@@ -271,7 +274,7 @@ class Studio:
             self._modules[stages] = self._device.create_shader_module(code=shader(*stages))
         module = self._modules[stages]
         target: dict[str, Any] = {"format": "rgba8unorm"}
-        if material.is_blended:
+        if blends:
             over = {"src_factor": "one", "dst_factor": "one-minus-src-alpha", "operation": "add"}
             target["blend"] = {"color": over, "alpha": over}
         self._pipelines[key] = self._device.create_render_pipeline(
@@ -284,7 +287,7 @@ class Studio:
             },
             depth_stencil={
                 "format": "depth32float",
-                "depth_write_enabled": not material.is_blended,
+                "depth_write_enabled": hides,
                 "depth_compare": "less-equal",  # a layer on another one is seen, as three.js has it
             },
             multisample={"count": 4},

@@ -509,6 +509,12 @@ export function shownTextures(material) {
     return Object.entries(every).filter(([, info]) => info);
 }
 
+// The toon materials of VRM name KHR_materials_unlit for viewers that do not know them, and are lit.
+export function isUnlit({ extensions, materials }, material) {
+    const { KHR_materials_unlit: unlit, VRMC_materials_mtoon: toon } = material.extensions ?? {};
+    return Boolean(unlit && !toon && extensions?.VRM?.materialProperties?.[materials.indexOf(material)]?.shader !== 'VRM/MToon');
+}
+
 const [NEAREST, LINEAR, REPEAT, CLAMP_TO_EDGE, MIRRORED_REPEAT] = [9728, 9729, 10497, 33071, 33648];
 
 // How the image of a texture is read beyond its edges and between its pixels, in the numbers of glTF, which are WebGL's.

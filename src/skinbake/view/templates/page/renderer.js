@@ -1,14 +1,16 @@
 // Draw a model in WebGL 2: each pane of the canvas with its own lighting, and read normals back.
 
-import { readImage, samplingOf, shownTextures } from './reader.js';
+import { isUnlit, readImage, samplingOf, shownTextures } from './reader.js';
 import {
     fragmentText, GROUND_FRAGMENT_TEXT, GROUND_VERTEX_TEXT, LOCATIONS, RIGID_TEXT, TEXCOORDS, textName, vertexText,
 } from './shading.js';
 
 const CAPTURED = ['v_position', 'v_normal'];
 const CLAY = [0.60, 0.585, 0.56, 1];
-const HOLE = 0.5;
-const SOLID = 0.99; // The alpha from which on nothing behind shows through, to the eye.
+
+// What blends is drawn by ranges of alpha: from SOLID on nothing behind shows through, to the eye. From HOLE on it hides
+// what is drawn behind it later, so that triangles in any order cost the picture the smaller part of a colour only.
+const [HOLE, SOLID, EVERY] = [0.5, 0.99, 1e9];
 
 // How each lighting is drawn: the algorithm, the kind of its α and β, and whether its normals are the true ones.
 export const LIGHTINGS = {
@@ -187,6 +189,7 @@ export class Renderer {
             expected: {},
             named: shownTextures(material).map(([name]) => name),
             base: pbr.baseColorFactor ?? [1, 1, 1, 1],
+            isUnlit: isUnlit(this.model.json, material),
             isUncoloured: !pbr.baseColorTexture && !pbr.baseColorFactor,
             emissive: material.emissiveFactor ?? [0, 0, 0],
             roughness: Math.min(Math.max(pbr.roughnessFactor ?? 1, 0.3), 0.8),
@@ -198,18 +201,19 @@ export class Renderer {
         const load = async ([name, { index }]) => {
             made.expected[name] = true;
             const image = await readImage(this.model, index);
-            if (image) made.maps[name] = this.texture(image, samplingOf(this.model, index));
+            if (image) made.maps[name] = this.texture(image, samplingOf(this.model, index), name !== 'normal');
         };
         made.loading = Promise.all(shownTextures(material).map(load));
         return made;
     }
 
-    texture(image, { wraps, magnified }) {
+    // A texture. Of colours the GPU filters what light adds up to, as three.js has it.
+    texture(image, { wraps, magnified }, isColour) {
         const { gl } = this;
         const texture = gl.createTexture();
         this.textures.push(texture);
         gl.bindTexture(gl.TEXTURE_2D, texture);
-        gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, image);
+        gl.texImage2D(gl.TEXTURE_2D, 0, isColour ? gl.SRGB8_ALPHA8 : gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, image);
         gl.generateMipmap(gl.TEXTURE_2D);
         gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
         gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, magnified);
@@ -416,13 +420,17 @@ export class Renderer {
         gl.depthFunc(gl.LEQUAL); // A layer on another one is seen, as three.js has it.
         gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
         if (!this.model) return;
-        // What blends is drawn after all others, the farthest first: what is solid of it, then the rest, which hides nothing.
+        // What blends is drawn after all others, the farthest first: what is solid of it, then the rest.
         const shown = new Map(this.parts.map((part) => [part, this.shownMaterial(part, isTextured, mode)]));
         const blended = this.parts.filter((part) => shown.get(part).isBlended);
         const depths = new Map(blended.length > 1 ? blended.map((part) => [part, depthOf(part)]) : []);
         blended.sort((a, b) => depths.get(b) - depths.get(a));
-        const solid = [...this.parts.filter((part) => !shown.get(part).isBlended), ...blended];
-        const passes = [...solid.map((part) => [part, { ...shown.get(part), isBlended: false }]), ...blended.map((part) => [part, shown.get(part)])];
+        const solid = this.parts.filter((part) => !shown.get(part).isBlended);
+        const passes = [
+            ...solid.map((part) => [part, shown.get(part).cutoff, EVERY]),
+            ...blended.map((part) => [part, SOLID, EVERY]),
+            ...blended.flatMap((part) => [[part, HOLE, SOLID], [part, 0, HOLE]]),
+        ];
         for (const { lighting, box, edges: [from, to], projected, eye } of views) {
             if (to <= from) continue;
             gl.bindFramebuffer(gl.FRAMEBUFFER, sheet[0].frame);
@@ -431,15 +439,21 @@ export class Renderer {
             gl.scissor(from, 0, to - from, box[3]);
             gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
             this.drawGround(projected, ground, ink);
-            for (const [part, material] of passes) {
+            for (const [part, least, below] of passes) {
+                const material = shown.get(part);
+                const blends = below < EVERY;
                 const places = this.bound(part, lighting, projected, mode, material.has);
                 gl.uniform3fv(places.eye, eye);
                 gl.uniformMatrix3fv(places.studio, false, studio);
                 gl.uniform1f(places.legend, legend);
                 gl.uniform3fv(places.stops, stops);
                 gl.uniform3fv(places.unknown, unknown);
+                gl.uniform2f(places.alphas, least, below);
+                gl.uniform1i(places.is_blended, Number(blends));
+                blends ? gl.enable(gl.BLEND) : gl.disable(gl.BLEND);
+                gl.depthMask(!blends || least > 0);
                 this.setMaterial(part, places, material);
-                for (const face of this.culledFaces(material)) {
+                for (const face of this.culledFaces(material.own, blends)) {
                     face ? gl.enable(gl.CULL_FACE) : gl.disable(gl.CULL_FACE);
                     if (face) gl.cullFace(face);
                     gl.drawElements(gl.TRIANGLES, part.primitive.triangles.length, gl.UNSIGNED_INT, 0);
@@ -479,7 +493,7 @@ export class Renderer {
         const isLit = mode === 'shaded';
         const isPlain = !isTextured || !isLit || !own;
         const isBlended = Boolean(own?.isBlended && isLit);
-        const cutoff = own?.isBlended ? (isLit ? SOLID : HOLE) : own?.cutoff ?? 0;
+        const cutoff = own?.isBlended ? HOLE : own?.cutoff ?? 0;
         const { texcoordOf } = primitive;
         const isShown = (name) => name in texcoordOf && (!isPlain || (name === 'base' && (isBlended || cutoff > 0)));
         const maps = Object.fromEntries(Object.entries(own?.[kind] ?? {}).filter(([name]) => isShown(name)));
@@ -487,10 +501,11 @@ export class Renderer {
         if (!isPlain && primitive.colors) has.push('HAS_COLORS');
         if (isPlain && maps.base) has.push('IS_PLAIN');
         if (maps.normal && primitive.tangents) has.push('HAS_TANGENTS');
+        if (!isPlain && own.isUnlit) has.push('IS_UNLIT');
         return { own, isPlain, maps, has, isBlended, cutoff };
     }
 
-    setMaterial(part, places, { own, isPlain, maps, isBlended, cutoff }) {
+    setMaterial(part, places, { own, isPlain, maps }) {
         const { gl } = this;
         Object.entries(maps).forEach(([name, texture], i) => {
             gl.activeTexture(gl.TEXTURE1 + i);
@@ -500,24 +515,20 @@ export class Renderer {
         gl.uniform1i(places.is_turned, Number(own?.isDouble === true && !this.isMirrored));
         // An image that is missing or cannot be shown is left out, with the factor that belongs to it.
         const isLost = (name) => isPlain || (own.named.includes(name) && !maps[name]);
-        const isClay = isLost('base') || (own.isUncoloured && !part.primitive.colors);
+        const isClay = isLost('base') || (own.isUncoloured && !own.isUnlit && !part.primitive.colors);
         gl.uniform4fv(places.base_factor, !isClay ? own.base : isPlain && own ? [...CLAY.slice(0, 3), own.base[3]] : CLAY);
         gl.uniform3fv(places.emissive_factor, isLost('emissive') ? [0, 0, 0] : own.emissive);
         gl.uniform1f(places.roughness, isPlain ? 0.42 : own.roughness);
         gl.uniform1f(places.normal_scale, own?.normalScale ?? 1);
-        gl.uniform1f(places.cutoff, cutoff);
-        gl.uniform1i(places.is_blended, Number(isBlended));
-        isBlended ? gl.enable(gl.BLEND) : gl.disable(gl.BLEND);
-        gl.depthMask(!isBlended);
         const isTurned = part.skin === undefined && isMirroring(this.pose.nodes[part.node]);
         gl.frontFace(isTurned || (part.skin !== undefined && this.isMirrored) ? gl.CW : gl.CCW);
     }
 
     // The faces that each time are not drawn. Of what blends, those seen from behind come first, as in three.js.
-    culledFaces({ own, isBlended }) {
+    culledFaces(own, blends) {
         const { gl } = this;
         if (!own?.isDouble && !this.isMirrored) return [gl.BACK];
-        return isBlended ? [gl.FRONT, gl.BACK] : [null];
+        return blends ? [gl.FRONT, gl.BACK] : [null];
     }
 
     // The positions and unit normals that the vertex shader gives a part under a lighting: (3, V) numbers each.

@@ -168,7 +168,7 @@ uniform vec4 base_factor;
 uniform vec3 emissive_factor;
 uniform float roughness;
 uniform float normal_scale;
-uniform float cutoff;
+uniform vec2 alphas; // the least alpha that is drawn, and what it must be below
 uniform bool is_turned; // seen from behind
 uniform bool is_blended;
 uniform sampler2D base_map;
@@ -176,7 +176,7 @@ uniform sampler2D normal_map;
 uniform sampler2D emissive_map;
 out vec4 result;
 
-vec3 linear(vec3 c) { return pow(c, vec3(2.2)); }
+vec3 encoded(vec3 c) { return mix(12.92 * c, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c)); }
 
 #ifdef NORMAL_TEXCOORD
 vec3 mapped(vec3 n)
@@ -237,26 +237,30 @@ void main()
 #ifdef IS_PLAIN
     base.a *= texel.a;
 #else
-    base *= vec4(linear(texel.rgb), texel.a);
+    base *= texel;
 #endif
 #endif
-    if ((base.a < cutoff) != is_blended) discard; // What blends was drawn from the cutoff on before, as a solid.
+    if (base.a < alphas.x || base.a >= alphas.y) discard;
     vec3 n = normalize(v_normal);
     vec3 v = normalize(eye - v_position);
     if (is_turned && !gl_FrontFacing) n = -n;
     vec3 color;
     float alpha = 1.0;
 #ifdef MODE_SHADED
+#ifdef IS_UNLIT
+    color = encoded(base.rgb);
+#else
 #ifdef NORMAL_TEXCOORD
     n = mapped(n);
 #endif
     color = shaded(n, v, base.rgb);
 #ifdef EMISSIVE_TEXCOORD
-    color += emissive_factor * linear(texture(emissive_map, EMISSIVE_TEXCOORD).rgb);
+    color += emissive_factor * texture(emissive_map, EMISSIVE_TEXCOORD).rgb;
 #else
     color += emissive_factor;
 #endif
-    color = pow(color / (1.0 + 0.18 * color), vec3(1.0 / 2.2));
+    color = encoded(color / (1.0 + 0.18 * color));
+#endif
     if (is_blended) alpha = base.a;
 #endif
 #ifdef MODE_REFLECTIONS
