@@ -26,33 +26,16 @@ from skinbake.wording import did_you_mean
 OWN_CONFIG, SHARED_CONFIG = "skinbake.toml", "pyproject.toml"
 """The configuration file of skinbake alone, and that of all tools of a Python project."""
 
-LARGEST_CONFIG = 1 << 20
-"""The size in bytes of the largest configuration file that is read."""
+LARGEST_CONFIG = 1 << 16
+"""The bytes of the largest configuration file. tomllib takes 10 s for a key of so many, made to be slow."""
 
 REPOSITORY = ".git"
 """The name that the root of a repository has. No search goes beyond it."""
 
-MENTION = re.compile(rb"""tool["']?\s*\.\s*["']?skinbake""")
-"""The bytes without which pyproject.toml says nothing to skinbake. It is not parsed then."""
-
 META = "skinbake.configured"
-
-MOST_PARTS = 64
-_PART = rb"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+"""
-DEEP_KEY = re.compile(rb"(?<![\w-])(?:%s){%d}" % (_PART, MOST_PARTS - 1))
-"""A key of so many parts between dots, wherever it stands: ``a.b.c``. tomllib takes the square of them."""
-
-LONGEST_TEXT = 4096
-"""The characters of a pattern or another text. No path is longer."""
-
-LARGEST_INTEGER = 2**63
-"""The size of the integers that TOML promises. Larger ones are neither texts nor floats."""
 
 MOST_PARSED = 1 << 21
 """The number of characters that are parsed to find the line of a message."""
-
-MOST_NAMED = 3
-"""The number of overrides that a message names."""
 
 PER_FILE = ("bake", "verify")
 """The commands that have options which may differ from file to file."""
@@ -161,10 +144,10 @@ class Configured(NamedTuple):
         return {name: setting.converted for name, setting in every}
 
     def origin_of(self, chosen: Sequence[int]) -> str:
-        """Return where overrides are. The last of them win, and are named."""
+        """Return where the last three overrides are, which win."""
         return ", ".join(
             f"{self.configuration.place(('overrides', number, 'files'))}: {spelt(('overrides', number))}"
-            for number in chosen[-MOST_NAMED:]
+            for number in chosen[-3:]
         )
 
 
@@ -189,8 +172,7 @@ def load(ctx: click.Context, param: click.Parameter, value: str | bool | None) -
     ctx.meta[META] = None
     if has_none:
         return
-    paths = _candidates() if value is None else iter([str(value)])
-    found = next(filter(None, map(read_configuration, paths)), None)
+    found = _nearest() if value is None else read_configuration(str(value))
     if found is not None:
         configured = ctx.meta[META] = configured_options(found, ctx)
         ctx.default_map = {name: setting.value for name, setting in configured.settings.items()}
@@ -213,24 +195,18 @@ def searched_folders() -> Iterator[str]:
         folder = above
 
 
-def _candidates() -> Iterator[str]:
-    """Yield the files that may have options, the nearest first, relative to the current folder."""
-    try:
-        start = os.path.realpath(os.curdir)
-    except OSError:
-        return  # the current folder was deleted
-    for folder in searched_folders():
-        own, shared = os.path.join(folder, OWN_CONFIG), os.path.join(folder, SHARED_CONFIG)
-        if os.path.lexists(own):
-            yield os.path.relpath(own, start)
-        if os.path.lexists(shared):
-            from skinbake.files.folders import open_regular
-
-            is_mentioned = False
-            with suppress(OSError), os.fdopen(open_regular(shared), "rb") as file:
-                is_mentioned = MENTION.search(file.read(LARGEST_CONFIG)) is not None
-            if is_mentioned:
-                yield os.path.relpath(shared, start)
+def _nearest() -> Configuration | None:
+    """Return the configuration of the nearest folder that has one, by its path from the current folder."""
+    with suppress(FileNotFoundError):  # the current folder was deleted
+        for folder in searched_folders():
+            own, shared = (
+                os.path.relpath(os.path.join(folder, name)) for name in (OWN_CONFIG, SHARED_CONFIG)
+            )
+            if os.path.lexists(own):
+                return read_configuration(own)
+            if os.path.isfile(shared) and (found := read_configuration(shared)) is not None:
+                return found
+    return None
 
 
 def read_configuration(path: str) -> Configuration | None:
@@ -246,32 +222,27 @@ def read_configuration(path: str) -> Configuration | None:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise ConfigurationError(f"{path} cannot be read: {reason}") from error
+    is_shared = os.path.basename(path) == SHARED_CONFIG
+    if is_shared and b"skinbake" not in data:
+        return None
     if len(data) > LARGEST_CONFIG:
         raise ConfigurationError(f"{path} is larger than {LARGEST_CONFIG:,} bytes, too large for options")
-    if DEEP_KEY.search(data):
-        raise ConfigurationError(f"{path} has a key of {MOST_PARTS} parts or more, too many for options")
     import tomllib
 
     try:
         text = data.decode("utf-8-sig").replace("\r\n", "\n")
         tables = tomllib.loads(text)
-        waiting: list[Any] = [tables]
-        while waiting:
-            value = waiting.pop()
-            if isinstance(value, int) and not -LARGEST_INTEGER <= value < LARGEST_INTEGER:
-                raise ValueError
-            waiting += value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
     except (ValueError, RecursionError) as error:
-        fault = "an integer has more than 64 bits"
+        fault = str(error)
         if isinstance(error, UnicodeDecodeError):
             fault = "it is not text in UTF-8"
         elif isinstance(error, RecursionError):
             fault = "it is nested too deep"
-        elif isinstance(error, tomllib.TOMLDecodeError):
-            fault = f"{error}{'; text stands in quotes' if str(error).startswith('Invalid value') else ''}"
+        elif fault.startswith("Invalid value"):
+            fault += "; text stands in quotes"
         raise ConfigurationError(f"{path} is not valid TOML: {fault}") from error
     found = Configuration(path, os.path.realpath(os.path.dirname(path) or os.curdir), text, (), tables)
-    if os.path.basename(path) != SHARED_CONFIG:
+    if not is_shared:
         return found
     above = ("tool", "skinbake")
     inner = _at(tables, above)
@@ -304,27 +275,23 @@ def configured_options(configuration: Configuration, ctx: click.Context) -> Conf
             if key not in {"files", *PER_FILE}:
                 message = "unknown key: expected files, bake or verify"
                 configuration.refuse((*keys, key), message, ["files", *PER_FILE])
-        patterns = _patterns(configuration, (*keys, "files"), table.get("files"))
+        patterns, files = table.get("files"), (*keys, "files")
+        if patterns is None:
+            configuration.refuse(keys, 'it needs files = ["…"], the patterns of the files that it is for')
+        if (
+            not isinstance(patterns, list)
+            or not patterns
+            or not all(isinstance(one, str) for one in patterns)
+        ):
+            configuration.refuse(files, "expected an array of patterns")
+        for pattern in patterns:
+            if not pattern or "\\" in pattern or {"", ".", ".."} & {*pattern.split("/")}:
+                expected = f"expected a path from the folder of {configuration.name}, with / between folders"
+                configuration.refuse(files, f"{pattern!r}: {expected}, and *, ? or ** for any")
         inner = configuration.table((*keys, name), table.get(name, {})) if name in PER_FILE else {}
-        overrides.append(Override(patterns, _checked(configuration, ctx, (*keys, name), inner, By.OVERRIDE)))
+        settings_of = _checked(configuration, ctx, (*keys, name), inner, By.OVERRIDE)
+        overrides.append(Override(tuple(patterns), settings_of))
     return Configured(configuration, settings, tuple(overrides))
-
-
-def _patterns(configuration: Configuration, keys: Keys, value: object) -> tuple[str, ...]:
-    if value is None:
-        configuration.refuse(keys[:-1], 'it needs files = ["…"], the patterns of the files that it is for')
-    if not isinstance(value, list) or not value or not all(isinstance(one, str) for one in value):
-        configuration.refuse(keys, "expected an array of patterns")
-    for pattern in value:
-        if len(pattern) > LONGEST_TEXT:
-            configuration.refuse(keys, f"a pattern has {len(pattern):,} characters: expected a path")
-        if not pattern or "\\" in pattern or {"", ".", ".."} & {*pattern.split("/")}:
-            configuration.refuse(
-                keys,
-                f"{pattern!r}: expected a path from the folder of {configuration.name}, with / between "
-                "folders, and *, ? or ** for any",
-            )
-    return tuple(value)
 
 
 def _checked(
@@ -389,13 +356,12 @@ def _converted(
         configuration.refuse(
             keys, 'expected "animations" or "random:N"; a file is given on the command line, by --fit-poses'
         )
-    for text in value if isinstance(value, list) else [value]:
-        if isinstance(text, str) and len(text) > LONGEST_TEXT:
-            configuration.refuse(keys, f"a text has {len(text):,} characters, over {LONGEST_TEXT:,}")
     try:
         return option.type_cast_value(ctx, value)
     except click.BadParameter as error:
         configuration.refuse(keys, error.message)
+    except OverflowError:
+        configuration.refuse(keys, "the number is too large")
 
 
 def matches(parts: Sequence[str], pattern: str) -> bool:
