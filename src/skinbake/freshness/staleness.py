@@ -13,6 +13,7 @@ import numpy as np
 
 from skinbake.choices import Gradients, Weighting, Weld
 from skinbake.errors import BudgetError, InputError, Notice
+from skinbake.format.digests import slots_digest
 from skinbake.format.morph_targets import morph_digest
 from skinbake.format.note import MorphTargets, made_targets
 from skinbake.freshness.baked_views import BakedView, gathered_together
@@ -23,22 +24,17 @@ from skinbake.freshness.expected import (
     expected_slots,
     former_weights,
     given_weights,
+    noted_rig,
     paid_share,
     prepared_rig_fit,
     weights_before,
 )
-from skinbake.freshness.without_poses import (
-    BAKE_AGAIN,
-    BAKE_LAST,
-    WITHOUT_POSES,
-    has_poses,
-    problems_without_poses,
-    rig_changed,
-)
+from skinbake.geometry.poses import is_fingerprint_of
 from skinbake.geometry.skinned import Float64Array, FloatArray
 from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document
+from skinbake.gltf.reading.accessors import read_attribute
 from skinbake.gltf.reading.meshes import read_primitive
 from skinbake.gltf.reading.morphs import read_targets
 from skinbake.report.verify import Check
@@ -47,6 +43,12 @@ from skinbake.threads import Threads
 from skinbake.truth.mesh import free_slots
 from skinbake.truth.operator import GradientOperator, gradient_operator
 from skinbake.wording import counted
+
+BAKE_AGAIN = "run skinbake bake again"
+
+BAKE_LAST = "Bake last: run skinbake bake on the file that the last tool wrote"
+
+WITHOUT_POSES = "the poses of the fit are not in the file, so α/β were checked by their digest"
 
 NAMED = 16
 """The number of primitives that a message names. Each of a thousand stale ones would name all others."""
@@ -418,3 +420,40 @@ def _digest_of_targets(document: Document, source: PrimitiveSource, noted: Morph
     assert read is not None
     moves = dict(zip(made, (target.positions for target in read.targets), strict=True))
     return morph_digest(primitive, moves)
+
+
+def has_poses(document: Document, view: BakedView) -> bool:
+    """Tell whether the poses of a fit follow from the file as it is now."""
+    if view.kind is Gradients.SURFACE or view.note.poses is None:
+        return True
+    rig = noted_rig(document, view)
+    return rig is not None and is_fingerprint_of(rig.fingerprint, view.note.poses.fingerprint)
+
+
+def rig_changed(document: Document, view: BakedView) -> bool:
+    """Tell whether the rig is another one than the noted one, or is gone."""
+    if view.kind is Gradients.SURFACE or view.note.rig is None:
+        return False
+    rig = noted_rig(document, view)
+    return rig is None or rig.digest != view.note.rig
+
+
+def problems_without_poses(document: Document, views: Sequence[BakedView]) -> Iterator[Notice]:
+    """Yield a problem for each view whose arrays, skeleton or α/β changed: its fit cannot be made again.
+
+    It was made to poses of clips of another file or that changed, or of nodes that are stored otherwise.
+    """
+    gone = "the poses that α/β were fitted to are not in the file"
+    for view in views:
+        attributes, place = view.source.attributes, view.source.place
+        stored = {
+            name: read_attribute(document, attributes, name, place).values for name in view.note.slot_names
+        }
+        if view.changed:
+            message = f"{', '.join(view.changed)} changed since its bake, and {gone}. {BAKE_LAST}"
+            yield Notice("stale", message, place)
+        elif rig_changed(document, view):
+            message = "The skeleton changed since the bake (its hierarchy or its bind pose)"
+            yield Notice("stale", f"{message}: {BAKE_AGAIN}", place)
+        elif view.note.poses is None or slots_digest(stored) != view.note.poses.slots:
+            yield Notice("stale", f"α/β changed since its bake, and {gone}: {BAKE_AGAIN}", place)

@@ -276,6 +276,7 @@ class _Errors(NamedTuple):
         if size > MOST_BYTES:
             message = f"so many triangles meet at its vertices that it would take {shown(size)}"
             raise InputError(message, bakes[0].source.place)
+        # Weights from before adoption: what a slot adopts has none yet, and tears no surface apart.
         operator = true_operator([part.primitive for part in cut])
         surface = Surface(document, [BakedView.unwritten(part) for part in cut], lambda: operator)
         truths, lights = Truths.of(operator, surface.rest, most, USUAL_TRUTHS), []
@@ -287,6 +288,7 @@ class _Errors(NamedTuple):
 
             with Threads(1) as threads:
                 found = list(draw.true_normals(truths, light, threads))
+            # Fancy indices give arrays of any order in memory; the loops read rows.
             whole = (np.concatenate(parts, axis=-2) for parts in zip(*found, strict=True))
             lit = _Light(*map(np.ascontiguousarray, whole))
             lights.append(lit._replace(weights=lit.weights * np.concatenate(shares)[:, None]))

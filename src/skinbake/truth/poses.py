@@ -291,6 +291,7 @@ def _sampled(plan: PosePlan, joint_names: tuple[str, ...], known: dict[object, F
     for clip in plan.sampled:
         at = clip.start + (clip.duration - clip.start) * (np.arange(each) + offset) / each
         key = plan.key(clip)
+        # Sampling takes the time; a bind pose is one product for each joint.
         if key not in known:
             known[key] = plan.skeleton.transforms(clip_values(clip, at), None, each)
         if key not in skinned:
