@@ -142,6 +142,7 @@ BAKE = """(async (held, lighting, encoding) => {
     const given = new DataTransfer();
     for (const [name, text] of held) given.items.add(new File([bytes(text)], name));
     let saved = new Blob([]);
+    element('state').textContent = ''; // what is left there tells of the file before
     const made = URL.createObjectURL;
     URL.createObjectURL = (blob) => { saved = blob; return made.call(URL, blob); };
     if (held.length) document.dispatchEvent(new DragEvent('drop', { dataTransfer: given }));
