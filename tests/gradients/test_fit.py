@@ -356,14 +356,14 @@ def sampled_fit(primitive: SkinnedPrimitive, rig: Rig) -> tuple[Float64Array, Fl
     for each in own:  # what no slot holds goes to the first one, as in the shader
         each[:, 0] = -each[:, 1:].sum(axis=1)
     in_poses = [rows_of_pose(primitive, rig, pose, maps, (t0, b0), own, true_normals) for pose in rig.poses]
-    found, rays = [], np.zeros((2, len(positions)))
+    found, rays = [], np.zeros((4, len(positions)))
     for tangent, name in enumerate(("alpha", "beta")):
         slopes, columns = (ANGLE * np.stack(parts, axis=1) for parts in zip(*rows[name], strict=True))
         poses = [each[tangent] for each in in_poses]
         fit, ray = solved(primitive, rig, carried, own[tangent], slopes, columns, poses)
         found.append(fit)
         rays += ray
-    share = np.clip(RAY * rays[0] / rays[1], 0.0, 1.0)[:, None]
+    share = np.clip(np.minimum(RAY * rays[0] / rays[1], 2.0 * RAY * rays[2] / rays[3]), 0.0, 1.0)[:, None]
     return share * found[0], share * found[1]
 
 
@@ -451,9 +451,10 @@ def solved(
     """Solve each vertex by numpy's lstsq, with rows for all pulls, for all slots but the first.
 
     The first slot takes minus the sum, so a row for all slots loses the first one's number from each other.
-    Return A and B (2, V) too, by which the summed squared tilt of s α is E0 − 2 s A + s² B.
+    Return A and B (4, V) too, by which the summed squared tilt of s α is E0 − 2 s A + s² B: those of poses
+    and turns, and those of turns alone.
     """
-    result, rays = np.zeros((len(base), base.shape[1] - 1)), np.zeros((2, len(base)))
+    result, rays = np.zeros((len(base), base.shape[1] - 1)), np.zeros((4, len(base)))
     # The chain of the test's rig has all its joints, one after the other.
     chains = [range(len(CHAIN))] if rig.parents.tolist() == list(CHAIN) else []
     for vertex, joints in enumerate(primitive.joints):
@@ -469,6 +470,7 @@ def solved(
                 tilts.append(np.sqrt(TOGETHER) * columns[vertex, rows].sum(axis=0))
                 right.append(-np.sqrt(TOGETHER) * slopes[vertex, rows].sum())
         pulls = [ANGLE * np.sqrt(squares[joint]) * carried[joint, joints] for joint in parting]
+        count = len(tilts)
         for posed in poses:
             tilts.append(posed.rises[vertex, 1:] - posed.rises[vertex, 0])
             right.append(-posed.slopes[vertex])
@@ -480,7 +482,8 @@ def solved(
             np.concatenate([matrix, pulled]), np.concatenate([right_side, wanted]), rcond=None
         )[0]
         along = matrix @ result[vertex]
-        rays[:, vertex] = along @ right_side, along @ along
+        for number, part in enumerate((slice(None), slice(count))):
+            rays[2 * number :][:2, vertex] = along[part] @ right_side[part], along[part] @ along[part]
     return result, rays
 
 

@@ -91,8 +91,9 @@ def fitted(
     unknowns[np.arange(len(named)), pairs.last] = False
     # The squared tilts and the pulls to ∇, in the poses and by the turns.
     tilts, pulls = _Form.zeros(*named.shape), _Form.zeros(*named.shape)
-    _add_poses(tilts, pulls, vertices, surface, turns, named, pairs.last, given)
     _add_turns(tilts, pulls, vertices, turns, pairs, unknowns, given)
+    turned = _Form(tilts.matrix.copy(), tilts.right.copy())
+    _add_poses(tilts, pulls, vertices, surface, turns, named, pairs.last, given)
     system = _Form(*(one + STIFFNESS * other for one, other in zip(tilts, pulls, strict=True)))
     # A pull of each unknown alone decides where nothing else does.
     trace = np.where(unknowns, np.einsum("vkk->vk", system.matrix), 0.0).sum(axis=1)
@@ -113,18 +114,33 @@ def fitted(
         own[rows[fits], pairs.last[rows[fits]]] = -values[fits].sum(axis=1)
     steepest = np.maximum(turns.slopes[vertices.classes], np.linalg.norm(given, axis=2).max(axis=1))
     change = bounded(own - given, steepest)
-    # The ray to standard lighting, E(s) = E0 − 2 s A + s² B: all copies of a point go as far.
-    a, b = tilts.along(np.where(unknowns[:, :, None], given + change, 0.0))
-    rays = np.where(usable[:, None], np.stack([a, b], axis=1), 0.0)
-    along, square = summed_rows(vertices.classes, rays, len(turns.sound)).T
-    shares = np.divide(RAY * along, square, out=np.ones_like(square), where=square > FLAT_TILT)
-    share = np.where(np.isnan(shares), 1.0, shares.clip(0.0, 1.0))[vertices.classes, None]
+    # The rays to standard lighting.
+    own = np.where(unknowns[:, :, None], given + change, 0.0)
+    share = np.minimum(
+        *(
+            _kept(most, form.along(own), usable, vertices.classes)
+            for most, form in ((RAY, tilts), (2.0 * RAY, turned))
+        )
+    )
     moves = np.einsum("vkt,vti->vki", change, turns.tangents[vertices.classes])
     alpha, beta = (
         share * (plain + np.einsum("vki,vi->vk", moves, axis))
         for plain, axis in zip((vertices.alpha, vertices.beta), vertices.frame, strict=True)
     )
     return alpha, beta
+
+
+def _kept(
+    most: float, along: tuple[Float64Array, Float64Array], usable: BoolArray, classes: IntArray
+) -> Float64Array:
+    """Return the part of α and β (V, 1) that is ``most`` times the best one, from 0 to 1.
+
+    along are A and B of the vertices, E(s) = E0 − 2 s A + s² B. All copies of a point go as far.
+    """
+    rays = np.where(usable[:, None], np.stack(along, axis=1), 0.0)
+    a, b = summed_rows(classes, rays, int(classes.max(initial=-1)) + 1).T
+    shares = np.divide(most * a, b, out=np.ones_like(b), where=b > FLAT_TILT)
+    return np.where(np.isnan(shares), 1.0, shares.clip(0.0, 1.0))[classes, None]
 
 
 def bounded(change: Float64Array, steepest: Float64Array) -> Float64Array:

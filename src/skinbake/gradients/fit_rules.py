@@ -41,6 +41,10 @@ RAY = 1.5
 """The part of α and β that is kept, over the best part for the poses and turns of the fit.
 
 At 2 the fit would be as good there as standard lighting. At 1 it costs 7 % by formula.
+
+By the turns alone it is twice as much: what harms most turns must not stay for the clips' sake. Without that,
+17 of 176 tubes are lit worse than by standard lighting outside their clips, and with it none, by the drawn
+triangles. In their clips twelve characters lose 1.6 % by it in the mean, and one of them 17 %.
 """
 
 EVEN = 1e-9

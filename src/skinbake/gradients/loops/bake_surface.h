@@ -32,7 +32,7 @@ static ALWAYS_INLINE ClassGradients find_gradients(Work *work, Shape shape, Memb
     const Surface *s = work->surface;
     ClassGradients found = {0, 0, 0, 0, 0, 0.0};
     work->scratch.frame.sound = 0;
-    work->scratch.ray = (Ray){0.0, 0.0};
+    work->scratch.ray = work->scratch.turned = (Ray){0.0, 0.0};
     if (corners.count == 0)
         return found;
     /* The sums over the ring: gradients, and the turns of joints if they are fitted to a rig. */
@@ -61,15 +61,21 @@ static ALWAYS_INLINE size_t primitive_of(const Baked *out, size_t vertex)
     return least;
 }
 
+/* The part of α and β that a ray leaves, `most` times the best one. */
+static ALWAYS_INLINE double share_of(const FitSettings *fit, Ray ray, double most)
+{
+    const double share = most * ray.along / ray.square;
+    return ray.square > fit->flat_tilt && share < 1.0 ? fmax(0.0, share) : 1.0;
+}
+
 /* Shrink α and β of the vertices of a class as far as that lights its poses and turns better (twin: fit.fitted). */
 static ALWAYS_INLINE void shrink_class(const Work *work, size_t slots, Members vertices)
 {
     const FitSettings *fit = &work->surface->fit;
-    const Ray ray = work->scratch.ray;
-    double share = fit->ray * ray.along / ray.square;
-    if (!(ray.square > fit->flat_tilt) || !(share < 1.0))
+    const double share =
+        fmin(share_of(fit, work->scratch.ray, fit->ray), share_of(fit, work->scratch.turned, 2.0 * fit->ray));
+    if (share == 1.0)
         return;
-    share = fmax(0.0, share);
     for (size_t n = 0; n < vertices.count; n++)
         for (size_t k = 0; k + 1 < slots; k++) {
             const size_t at = vertices.first[n] * (slots - 1) + k;

@@ -197,7 +197,7 @@ typedef struct {
                           unless no vertex follows. From first_spare on they are of one vertex. With a rig */
     PosedRing *posed;   /* pose_ring: the class in each group of poses. With a rig */
     double *ends;       /* pose_ring, by local number and group: where the joint takes the class. With a rig */
-    Ray ray;            /* fit_vertex adds those of each vertex. With a rig */
+    Ray ray, turned;    /* fit_vertex adds those of each vertex, and of its turns alone. With a rig */
     size_t first_spare; /* the first spare row of the turns, of nodes without a turn of their own; always the same */
     int32_t *turning_numbers; /* find_turning: the local numbers of the joints that turn. With a rig */
     int known_turnings;       /* whether the way is of these joints: find_turning tells, plan_way makes it so */
@@ -207,7 +207,7 @@ typedef struct {
     Vector *gradients; /* project_fitted, by slot; move_gradients changes them. With a rig */
     double *shares;    /* project_fitted, by slot: of the lengths of all gradients. With a rig */
     double *kept;      /* project_fitted: the turns of the class, while a fit adds to them. With a rig */
-    double *matrix;    /* fit_unknowns: two of MOST_FITTED squared, for vertices of many slots. With a rig */
+    double *matrix;    /* fit_unknowns: three of MOST_FITTED squared, for vertices of many slots. With a rig */
     double *lanes;     /* add_poses: sums by pose, four numbers each; see LANES. With a rig */
     Curl *curls;       /* gather_turns: as many as the way has. With a rig */
 } Scratch;
@@ -234,7 +234,7 @@ static Status allocate_fit(Scratch *w, const Surface *s)
     w->shares = malloc((size_t)s->slots * sizeof *w->shares);
     w->nodes = malloc((joints + 1) * sizeof *w->nodes);
     w->node_of = malloc((joints + 1) * sizeof *w->node_of);
-    w->matrix = malloc(2 * MOST_FITTED * MOST_FITTED * sizeof *w->matrix);
+    w->matrix = malloc(3 * MOST_FITTED * MOST_FITTED * sizeof *w->matrix);
     w->lanes = malloc(AT_ONCE * LANES(MOST_FITTED) * sizeof *w->lanes);
     w->posed = malloc((s->pose_groups + 1) * sizeof *w->posed);
     w->ends = malloc((room * s->pose_groups * 3 + 1) * AT_ONCE * sizeof *w->ends);

@@ -457,17 +457,32 @@ static ALWAYS_INLINE void move_gradients(const Surface *s, const Fitted *fitted,
     }
 }
 
+/* Add to a ray through α of the unknowns (twin: fit._Form.along). */
+static ALWAYS_INLINE void add_ray(Ray *ray, Form tilts, const Pair *own)
+{
+    for (size_t i = 0; i < tilts.unknowns; i++) {
+        const Pair along = multiply_pairs(own[i], tilts.right[i]);
+        ray->along += part(along, 0) + part(along, 1);
+        for (size_t k = 0; k <= i; k++) {
+            const Pair square = multiply_pairs(own[i], own[k]);
+            ray->square +=
+                (k < i ? 2.0 : 1.0) * tilts.matrix[i * tilts.stride + k] * (part(square, 0) + part(square, 1));
+        }
+    }
+}
+
 /* Fit the gradients of some unknowns. */
 static ALWAYS_INLINE void fit_unknowns(const Surface *s, size_t unknowns, int32_t used, Vector position, const Way *way,
                                        const Fitted *fitted, Scratch *w)
 {
-    double few[2 * (FEW_FITTED - 1) * (FEW_FITTED - 1)];
-    Pair right[2 * MOST_FITTED];
+    double few[3 * (FEW_FITTED - 1) * (FEW_FITTED - 1)];
+    Pair right[3 * MOST_FITTED];
     const int large = unknowns >= FEW_FITTED;
     const size_t stride = large ? MOST_FITTED : FEW_FITTED - 1;
     double *matrix = large ? w->matrix : few;
     Forms forms = {{matrix, right, unknowns, stride}, {matrix + stride * stride, right + stride, unknowns, stride}};
     Form tilts = forms.tilts, system = forms.pulls;
+    Form turned = {matrix + 2 * stride * stride, right + 2 * stride, unknowns, stride};
     for (size_t i = 0; i < unknowns; i++) {
         tilts.right[i] = system.right[i] = both(0.0);
         for (size_t k = 0; k <= i; k++)
@@ -477,9 +492,12 @@ static ALWAYS_INLINE void fit_unknowns(const Surface *s, size_t unknowns, int32_
     /* Turns by the angle of the fit, in place of those by a radian. */
     const double angle = s->fit.turn * s->fit.turn;
     for (size_t i = 0; i < unknowns; i++) {
-        tilts.right[i] = scaled(angle, tilts.right[i]), system.right[i] = scaled(angle, system.right[i]);
-        for (size_t k = 0; k <= i; k++)
-            tilts.matrix[i * stride + k] *= angle, system.matrix[i * stride + k] *= angle;
+        turned.right[i] = tilts.right[i] = scaled(angle, tilts.right[i]);
+        system.right[i] = scaled(angle, system.right[i]);
+        for (size_t k = 0; k <= i; k++) {
+            turned.matrix[i * stride + k] = tilts.matrix[i * stride + k] *= angle;
+            system.matrix[i * stride + k] *= angle;
+        }
     }
     add_poses(s, used, fitted, &forms, w);
     for (size_t i = 0; i < unknowns; i++) {
@@ -488,16 +506,8 @@ static ALWAYS_INLINE void fit_unknowns(const Surface *s, size_t unknowns, int32_
             system.matrix[i * stride + k] += tilts.matrix[i * stride + k];
     }
     move_gradients(s, fitted, system, w);
-    /* The ray through α of the unknowns (twin: fit._Form.along). */
-    const Pair *own = system.right;
-    for (size_t i = 0; i < unknowns; i++) {
-        const Pair along = multiply_pairs(own[i], tilts.right[i]);
-        w->ray.along += part(along, 0) + part(along, 1);
-        for (size_t k = 0; k <= i; k++) {
-            const Pair square = multiply_pairs(own[i], own[k]);
-            w->ray.square += (k < i ? 2.0 : 1.0) * tilts.matrix[i * stride + k] * (part(square, 0) + part(square, 1));
-        }
-    }
+    add_ray(&w->ray, tilts, system.right);
+    add_ray(&w->turned, turned, system.right);
 }
 
 /* Fit the gradients by slot of one vertex to the rig. */
