@@ -124,7 +124,7 @@ def lit_by_kinds(path: Path) -> Model | None:
 
 def figures(models: Sequence[Model]) -> Iterator[str]:
     """Yield the lines of the page's part."""
-    yield "Error left of that of `surface`, by tangents / triangles: the mean over the models.\n"
+    yield "Error left of that of `surface`, by triangles / tangents: the mean over the models.\n"
     others = [kind for kind in KINDS if kind != "surface"]
     yield f"| poses | models | {' | '.join(f'`{kind}`'.replace(', ', '`, `') for kind in others)} |"
     yield "|---|--:|" + "--:|" * len(others)
