@@ -27,7 +27,7 @@ from skinbake.freshness.baked_views import baked_views, rest_primitive
 from skinbake.gltf.document import read_document
 from skinbake.gltf.reading.clips import read_clips
 from skinbake.gltf.reading.meshes import skinned_sources
-from skinbake.skinning.algorithms import Algorithm
+from skinbake.skinning.rest import Algorithm
 from skinbake.truth.areas import vertex_areas
 from skinbake.truth.poses import PoseRequest, pose_set
 from tests.support.analytic_rigs import Tube, tubes
