@@ -232,6 +232,18 @@ struct skinbake_ScaledMotion {
     vec4 turn;
 };
 
+// A motion that has a rotation. A joint that leaves a line or a point, as at scale 0, has none: its turn is 0, and moved has
+// the columns of the matrix. It takes another's.
+skinbake_ScaledMotion skinbake_turning(skinbake_ScaledMotion Q, vec4 turn)
+{
+    if (dot(Q.turn, Q.turn) > 0.0) return Q;
+    for (int i = 0; i < 4; i++)
+        Q.moved[i] = vec4(turn.w * Q.moved[i].xyz + cross(Q.moved[i].xyz, turn.xyz), -dot(Q.moved[i].xyz,
+                turn.xyz));
+    Q.turn = turn;
+    return Q;
+}
+
 // The vector of a over a quaternion, which is given as itself / its squared length.
 vec3 skinbake_over(vec4 a, vec4 divisor)
 {
@@ -242,13 +254,14 @@ vec3 skinbake_over(vec4 a, vec4 divisor)
 #ifndef SKINBAKE_SCALED_MOTION
 #define SKINBAKE_SCALED_MOTION
 // The unit quaternion of the rotation R in the polar decomposition M = R S, or in that of -M where M mirrors, by Newton's
-// iteration (Higham 1986). A joint that flattens does not mirror. One that leaves a line or a point does not turn.
+// iteration (Higham 1986). A joint that flattens does not mirror. One that leaves a line or a point has no
+// rotation: zeros.
 vec4 skinbake_turn(mat3 M)
 {
     mat3 R = M * (1.0 / max(sqrt(dot(M[0], M[0]) + dot(M[1], M[1]) + dot(M[2], M[2])), 1e-30));
     mat3 C = mat3(cross(R[1], R[2]), cross(R[2], R[0]), cross(R[0], R[1]));
     float area = sqrt(dot(C[0], C[0]) + dot(C[1], C[1]) + dot(C[2], C[2]));
-    if (area <= 1e-6) return vec4(0.0, 0.0, 0.0, 1.0);
+    if (area <= 1e-6) return vec4(0.0, 0.0, 0.0, 0.0);
     // The cofactors have the same rotation, and an extent where M has none.
     R = R * (dot(R[0], C[0]) < -1e-6 * area ? -1.0 : 1.0) + C * (1.0 / area);
     R = R * (1.0 / pow(dot(cross(R[0], R[1]), R[2]), 1.0 / 3.0));
@@ -270,8 +283,10 @@ skinbake_ScaledMotion skinbake_scaled_motion(mat4 M)
     vec4 turn = skinbake_turn(mat3(M));
     skinbake_ScaledMotion Q;
     for (int i = 0; i < 4; i++)
-        Q.moved[i] = vec4(turn.w * M[i].xyz + cross(M[i].xyz, turn.xyz), -dot(M[i].xyz, turn.xyz));
-    Q.turn = turn;
+        Q.moved[i] = vec4(M[i].xyz, 0.0);
+    Q.turn = vec4(0.0, 0.0, 0.0, 0.0);
+    if (dot(turn, turn) > 0.0)
+        return skinbake_turning(Q, turn);
     return Q;
 }
 #endif
@@ -282,6 +297,23 @@ skinbake_ScaledMotion skinbake_scaled_motion(mat4 M)
 skinbake_Vertex skinbake_dqs_scaled(vec3 p, skinbake_Frame frame, skinbake_ScaledMotion Q[8], vec4 weights_0,
         vec4 weights_1, vec3 alpha_0, vec4 alpha_1, vec3 beta_0, vec4 beta_1)
 {
+    vec4 pivot = Q[0].turn;
+    if (dot(pivot, pivot) == 0.0) pivot = Q[1].turn;
+    if (dot(pivot, pivot) == 0.0) pivot = Q[2].turn;
+    if (dot(pivot, pivot) == 0.0) pivot = Q[3].turn;
+    if (dot(pivot, pivot) == 0.0) pivot = Q[4].turn;
+    if (dot(pivot, pivot) == 0.0) pivot = Q[5].turn;
+    if (dot(pivot, pivot) == 0.0) pivot = Q[6].turn;
+    if (dot(pivot, pivot) == 0.0) pivot = Q[7].turn;
+    if (dot(pivot, pivot) == 0.0) pivot.w = 1.0;
+    Q[0] = skinbake_turning(Q[0], pivot);
+    Q[1] = skinbake_turning(Q[1], pivot);
+    Q[2] = skinbake_turning(Q[2], pivot);
+    Q[3] = skinbake_turning(Q[3], pivot);
+    Q[4] = skinbake_turning(Q[4], pivot);
+    Q[5] = skinbake_turning(Q[5], pivot);
+    Q[6] = skinbake_turning(Q[6], pivot);
+    Q[7] = skinbake_turning(Q[7], pivot);
     float s1 = dot(Q[1].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0; // 1: q and -q are the same rotation
     float s2 = dot(Q[2].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0;
     float s3 = dot(Q[3].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0;
@@ -361,6 +393,15 @@ skinbake_Vertex skinbake_dqs_scaled(vec3 p, skinbake_Frame frame, skinbake_Scale
 skinbake_Vertex skinbake_dqs_scaled(vec3 p, skinbake_Frame frame, skinbake_ScaledMotion Q[4], vec4 weights_0,
         vec3 alpha_0, vec3 beta_0)
 {
+    vec4 pivot = Q[0].turn;
+    if (dot(pivot, pivot) == 0.0) pivot = Q[1].turn;
+    if (dot(pivot, pivot) == 0.0) pivot = Q[2].turn;
+    if (dot(pivot, pivot) == 0.0) pivot = Q[3].turn;
+    if (dot(pivot, pivot) == 0.0) pivot.w = 1.0;
+    Q[0] = skinbake_turning(Q[0], pivot);
+    Q[1] = skinbake_turning(Q[1], pivot);
+    Q[2] = skinbake_turning(Q[2], pivot);
+    Q[3] = skinbake_turning(Q[3], pivot);
     float s1 = dot(Q[1].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0; // 1: q and -q are the same rotation
     float s2 = dot(Q[2].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0;
     float s3 = dot(Q[3].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0;
@@ -801,19 +842,30 @@ struct skinbake_ScaledMotion {
     turn: vec4<f32>,
 }
 
+// A motion that has a rotation. A joint that leaves a line or a point, as at scale 0, has none: its turn is 0, and moved has
+// the columns of the matrix. It takes another's.
+fn skinbake_turning(given: skinbake_ScaledMotion, turn: vec4<f32>) -> skinbake_ScaledMotion {
+    if (dot(given.turn, given.turn) > 0.0) { return given; }
+    var Q = given;
+    for (var i = 0; i < 4; i++) { Q.moved[i] = skinbake_product(Q.moved[i], turn); }
+    Q.turn = turn;
+    return Q;
+}
+
 // The vector of a over a quaternion, which is given as itself / its squared length.
 fn skinbake_over(a: vec4<f32>, divisor: vec4<f32>) -> vec3<f32> {
     return divisor.w * a.xyz - a.w * divisor.xyz + cross(divisor.xyz, a.xyz);
 }
 
 // The unit quaternion of the rotation R in the polar decomposition M = R S, or in that of -M where M mirrors, by Newton's
-// iteration (Higham 1986). A joint that flattens does not mirror. One that leaves a line or a point does not turn.
+// iteration (Higham 1986). A joint that flattens does not mirror. One that leaves a line or a point has no
+// rotation: zeros.
 fn skinbake_turn(M: mat4x4<f32>) -> vec4<f32> {
     var R = mat3x3<f32>(M[0].xyz, M[1].xyz, M[2].xyz);
     R = R * (1.0 / max(sqrt(dot(R[0], R[0]) + dot(R[1], R[1]) + dot(R[2], R[2])), 1e-30));
     let C = mat3x3<f32>(cross(R[1], R[2]), cross(R[2], R[0]), cross(R[0], R[1]));
     let area = sqrt(dot(C[0], C[0]) + dot(C[1], C[1]) + dot(C[2], C[2]));
-    if (area <= 1e-6) { return vec4<f32>(0.0, 0.0, 0.0, 1.0); }
+    if (area <= 1e-6) { return vec4<f32>(); }
     // The cofactors have the same rotation, and an extent where M has none.
     R = R * select(1.0, -1.0, dot(R[0], C[0]) < -1e-6 * area) + C * (1.0 / area);
     R = R * (1.0 / pow(dot(cross(R[0], R[1]), R[2]), 1.0 / 3.0));
@@ -832,21 +884,37 @@ fn skinbake_turn(M: mat4x4<f32>) -> vec4<f32> {
 // pass over the joints: once per joint and frame, not per vertex.
 fn skinbake_scaled_motion(M: mat4x4<f32>) -> skinbake_ScaledMotion {
     let turn = skinbake_turn(M);
-    return skinbake_ScaledMotion(
-        mat4x4<f32>(
-            skinbake_product(vec4<f32>(M[0].xyz, 0.0), turn),
-            skinbake_product(vec4<f32>(M[1].xyz, 0.0), turn),
-            skinbake_product(vec4<f32>(M[2].xyz, 0.0), turn),
-            skinbake_product(vec4<f32>(M[3].xyz, 0.0), turn)),
-        turn);
+    let still = mat4x4<f32>(vec4<f32>(M[0].xyz, 0.0), vec4<f32>(M[1].xyz, 0.0), vec4<f32>(M[2].xyz, 0.0),
+            vec4<f32>(M[3].xyz, 0.0));
+    let Q = skinbake_ScaledMotion(still, vec4<f32>());
+    if (dot(turn, turn) > 0.0) { return skinbake_turning(Q, turn); }
+    return Q;
 }
 
 #if NUM_BONE_INFLUENCERS > 4
 // The frame moves by the derivative of the quotient p' = g / b: b mixes the joints' turns, and g what M p is times them.
-// Q: the scaled motions of slots 0 to 7.
-fn skinbake_dqs_scaled(p: vec3<f32>, frame: skinbake_Frame, Q: array<skinbake_ScaledMotion, 8>,
+// given: the scaled motions of slots 0 to 7.
+fn skinbake_dqs_scaled(p: vec3<f32>, frame: skinbake_Frame, given: array<skinbake_ScaledMotion, 8>,
         weights_0: vec4<f32>, weights_1: vec4<f32>, alpha_0: vec3<f32>, alpha_1: vec4<f32>,
         beta_0: vec3<f32>, beta_1: vec4<f32>) -> skinbake_Vertex {
+    var Q = given;
+    var pivot = Q[0].turn;
+    if (dot(pivot, pivot) == 0.0) { pivot = Q[1].turn; }
+    if (dot(pivot, pivot) == 0.0) { pivot = Q[2].turn; }
+    if (dot(pivot, pivot) == 0.0) { pivot = Q[3].turn; }
+    if (dot(pivot, pivot) == 0.0) { pivot = Q[4].turn; }
+    if (dot(pivot, pivot) == 0.0) { pivot = Q[5].turn; }
+    if (dot(pivot, pivot) == 0.0) { pivot = Q[6].turn; }
+    if (dot(pivot, pivot) == 0.0) { pivot = Q[7].turn; }
+    if (dot(pivot, pivot) == 0.0) { pivot.w = 1.0; }
+    Q[0] = skinbake_turning(Q[0], pivot);
+    Q[1] = skinbake_turning(Q[1], pivot);
+    Q[2] = skinbake_turning(Q[2], pivot);
+    Q[3] = skinbake_turning(Q[3], pivot);
+    Q[4] = skinbake_turning(Q[4], pivot);
+    Q[5] = skinbake_turning(Q[5], pivot);
+    Q[6] = skinbake_turning(Q[6], pivot);
+    Q[7] = skinbake_turning(Q[7], pivot);
     let s1 = select(1.0, -1.0, dot(Q[1].turn, Q[0].turn) < 0.0); // 1: q and -q are the same rotation
     let s2 = select(1.0, -1.0, dot(Q[2].turn, Q[0].turn) < 0.0);
     let s3 = select(1.0, -1.0, dot(Q[3].turn, Q[0].turn) < 0.0);
@@ -917,9 +985,19 @@ fn skinbake_dqs_scaled(p: vec3<f32>, frame: skinbake_Frame, Q: array<skinbake_Sc
 }
 #else
 // The frame moves by the derivative of the quotient p' = g / b: b mixes the joints' turns, and g what M p is times them.
-// Q: the scaled motions of slots 0 to 3.
-fn skinbake_dqs_scaled(p: vec3<f32>, frame: skinbake_Frame, Q: array<skinbake_ScaledMotion, 4>,
+// given: the scaled motions of slots 0 to 3.
+fn skinbake_dqs_scaled(p: vec3<f32>, frame: skinbake_Frame, given: array<skinbake_ScaledMotion, 4>,
         weights_0: vec4<f32>, alpha_0: vec3<f32>, beta_0: vec3<f32>) -> skinbake_Vertex {
+    var Q = given;
+    var pivot = Q[0].turn;
+    if (dot(pivot, pivot) == 0.0) { pivot = Q[1].turn; }
+    if (dot(pivot, pivot) == 0.0) { pivot = Q[2].turn; }
+    if (dot(pivot, pivot) == 0.0) { pivot = Q[3].turn; }
+    if (dot(pivot, pivot) == 0.0) { pivot.w = 1.0; }
+    Q[0] = skinbake_turning(Q[0], pivot);
+    Q[1] = skinbake_turning(Q[1], pivot);
+    Q[2] = skinbake_turning(Q[2], pivot);
+    Q[3] = skinbake_turning(Q[3], pivot);
     let s1 = select(1.0, -1.0, dot(Q[1].turn, Q[0].turn) < 0.0); // 1: q and -q are the same rotation
     let s2 = select(1.0, -1.0, dot(Q[2].turn, Q[0].turn) < 0.0);
     let s3 = select(1.0, -1.0, dot(Q[3].turn, Q[0].turn) < 0.0);

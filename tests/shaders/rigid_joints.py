@@ -75,7 +75,7 @@ def assert_like_scaled_motions(found: Single, given: Single) -> None:
     """found (R, 20), up to the sign."""
     matrices = np.swapaxes(given.reshape(-1, 4, 4), 1, 2)
     wanted = joint_scaled_motions(matrices).reshape(-1, 20).astype(np.float64)
-    sign = np.sign(np.sum(found[:, 16:] * wanted[:, 16:], axis=1, keepdims=True))
+    sign = np.where(np.sum(found[:, 16:] * wanted[:, 16:], axis=1, keepdims=True) < 0, -1.0, 1.0)
     apart = np.abs(sign * found - wanted)
     assert apart[:, 16:].max() <= 4 * TOLERANCE
     assert apart[:, :16].max() <= 4 * TOLERANCE * REACH

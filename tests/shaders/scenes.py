@@ -5,7 +5,7 @@ A scene is float32 throughout, so that the shader and every replay begin with th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
 
@@ -187,7 +187,7 @@ class Scene:
         """
         if choices.scaled_joints:
             found = np.swapaxes(scaled_motions(self.matrices), 2, 3).reshape(-1, 20)
-            found[::2] *= -1
+            found[::2] *= np.where(found.reshape(-1, 5, 4)[::2, 4].any(axis=1, keepdims=True), -1, 1)
             return np.roll(found.reshape(-1, 5, 4), -1, axis=2).reshape(-1, 20).astype(np.float32)
         if choices.method is Method.LBS:
             return self.columns_of_matrices()
@@ -242,6 +242,13 @@ def irregular(influences: int, *, stretches: bool) -> Scene:
     for field in fields(scene):
         getattr(scene, field.name).flags.writeable = False  # all tests have the same one
     return scene
+
+
+def with_hidden_joint(scene: Scene) -> Scene:
+    """Return a scene with one more pose: the second, in which a joint has scale 0."""
+    hidden = scene.matrices[1:2].copy()
+    hidden[:, 1, :3, :3] = 0.0
+    return replace(scene, matrices=np.concatenate([scene.matrices, hidden]))
 
 
 def _bent(rng: np.random.Generator, degrees: float = 80.0) -> Wide:

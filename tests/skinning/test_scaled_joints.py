@@ -112,13 +112,64 @@ def test_a_joint_that_flattens_does_not_turn_over(noise: float) -> None:
 
 @pytest.mark.parametrize("scales", [(0, 0, 0), (0, 2, 0), (1e-9, 2, 1e-9)])
 @pytest.mark.parametrize("turn", [(1, 0, 0, 0), (0.5, 0.5, -0.5, 0.5)])
-def test_a_joint_that_leaves_a_line_or_a_point_does_not_turn(
+def test_a_joint_that_leaves_a_line_or_a_point_has_no_rotation(
     scales: tuple[float, ...], turn: tuple[float, ...]
 ) -> None:
     """No rotation follows from it, and that of an arbitrary basis would jump from pose to pose."""
     matrix = rotation_of(np.array(turn)) @ np.diag(scales)
-    np.testing.assert_array_equal(polar_quaternions(matrix), [1, 0, 0, 0])
-    np.testing.assert_array_equal(polar_quaternions(-matrix), [1, 0, 0, 0])
+    np.testing.assert_array_equal(polar_quaternions(matrix), [0, 0, 0, 0])
+    np.testing.assert_array_equal(polar_quaternions(-matrix), [0, 0, 0, 0])
+
+
+@pytest.mark.parametrize("hidden", range(3))
+def test_a_joint_of_scale_0_brings_no_rotation_into_the_mix(hidden: int) -> None:
+    """The surface is that of a joint that turns like the vertex's first other one, and shrinks to a point."""
+    surface = sample()
+    matrices, quaternions = stretched_joints("strong", "sheared")
+    # A root that turns by 180°.
+    matrices = np.diag([-1.0, -1.0, 1.0, 1.0]) @ matrices
+    quaternions = analytic.hamilton(np.array([0.0, 0.0, 0.0, 1.0]), quaternions)
+    matrices[hidden, :3, :3] = 0.0
+    order = slots(surface)
+    first = np.where(order[:, 0] == hidden, order[:, 1], order[:, 0])
+    found = replay(Algorithm.DQS_EXACT, rest_primitive(surface, order), matrices[None])
+    seen = 0
+    for other in set(range(3)) - {hidden}:
+        own = first == other
+        turns = quaternions.copy()
+        turns[hidden] = quaternions[other]
+        skinning = blend_about_the_vertex(matrices, turns, np.full(len(own), other))
+        expected = skinning(surface.positions, surface.weights)
+        np.testing.assert_allclose(found.positions[0][own], expected[own], atol=1e-12)
+        # Where nearly all of a vertex is in one point, its normal is rounding.
+        lit = own & (surface.weights[:, hidden] < 0.99)
+        truth = analytic.skinned_normals(surface.u, surface.v, skinning)
+        assert analytic.degrees_between(found.normals[0], truth)[lit].max() < EXACT_DEGREES
+        seen += int(lit.sum())
+    assert seen > len(surface.u) / 3
+
+
+def test_a_joint_of_scale_0_takes_its_own_vertices_to_where_it_is() -> None:
+    surface = sample()
+    matrices, _ = stretched_joints("medium", "scaled")
+    matrices[1, :3, :3] = 0.0
+    rest = rest_primitive(surface, slots(surface, heaviest_first=False))
+    alone = replace(rest, weights=np.tile([0.0, 1.0, 0.0], (len(surface.u), 1)))
+    for algorithm in DUAL_QUATERNIONS:
+        found = replay(algorithm, alone, matrices[None]).positions[0]
+        np.testing.assert_allclose(found, np.tile(matrices[1, :3, 3], (len(found), 1)), atol=1e-9)
+
+
+@pytest.mark.parametrize("algorithm", DUAL_QUATERNIONS)
+def test_a_root_that_turns_turns_all_with_a_joint_of_scale_0_too(algorithm: Algorithm) -> None:
+    rest = rest_primitive(sample())
+    matrices, _ = stretched_joints("strong", "sheared")
+    matrices[1, :3, :3] = 0.0
+    half = np.diag([-1.0, -1.0, 1.0, 1.0])
+    before, after = (replay(algorithm, rest, one[None]) for one in (matrices, half @ matrices))
+    for field in ("positions", "normals", "tangents"):
+        there, here = getattr(before, field)[0], getattr(after, field)[0]
+        np.testing.assert_allclose(here, there @ half[:3, :3], atol=1e-11)
 
 
 def test_a_joint_without_numbers_does_not_turn() -> None:

@@ -148,8 +148,8 @@ def polar_quaternions(linear: FloatArray) -> Float64Array:
 
     M = R S is the polar decomposition, with a rotation R and a symmetric S. If M mirrors, R is that of −M:
     then a mirror that all joints share turns all of them alike, and leaves their relative rotations. A matrix
-    that flattens has an R too: it does not mirror. One that leaves a line or a point has many, and one that
-    is not finite none: they get the identity.
+    that flattens has an R too: it does not mirror. One that leaves a line or a point has many, of which none
+    follows from it: it gets zeros. One that is not finite gets the identity.
     """
     matrices = np.asarray(linear, dtype=np.float64)
     finite = np.all(np.isfinite(matrices), axis=(-2, -1))[..., None, None]
@@ -159,24 +159,27 @@ def polar_quaternions(linear: FloatArray) -> Float64Array:
     # A joint that flattens does not mirror: its last axis may take either sign.
     signs = np.where((mirrors & ~flat)[..., None], -np.ones(3), np.ones(3))
     signs[..., 2] = np.where(mirrors, -1.0, 1.0)
-    has_plane = finite & (stretches[..., 1] > FLATTENED * stretches[..., 0])[..., None, None]
-    return quaternions_from_rotations(np.where(has_plane, (left * signs[..., None, :]) @ right, np.eye(3)))
+    has_plane = (stretches[..., 1] > FLATTENED * stretches[..., 0])[..., None, None]
+    rotations = np.where(finite & has_plane, (left * signs[..., None, :]) @ right, np.eye(3))
+    return np.where(has_plane[..., 0], quaternions_from_rotations(rotations), 0.0)
 
 
 def scaled_motions(joint_matrices: FloatArray) -> Float64Array:
     """Return joint matrices (..., 4, 4) as what ``skinning.dqs_scaled`` blends: (..., 4, 5) float64.
 
     Row k is component k of five quaternions, the scalar part first: of the columns of M times r, vectors with
-    scalar part 0, and of r itself, that of ``polar_quaternions``. Any matrix will do.
+    scalar part 0, and of r itself, that of ``polar_quaternions``. Any matrix will do: of one without a
+    rotation, the columns are times 1, and r is 0.
     """
     matrices = np.asarray(joint_matrices, dtype=np.float64)
-    rotation = polar_quaternions(matrices[..., :3, :3])
+    turns = polar_quaternions(matrices[..., :3, :3])
+    rotation = np.where(turns.any(axis=-1, keepdims=True), turns, [1.0, 0.0, 0.0, 0.0])
     # (0, v) r = (−v · r, r₀ v + v × r) for the four columns v.
     columns = np.swapaxes(matrices[..., :3, :], -1, -2)
     scalar, vector = rotation[..., None, :1], rotation[..., None, 1:]
     real = -np.sum(columns * vector, axis=-1, keepdims=True)
     products = np.concatenate([real, scalar * columns + np.cross(columns, vector)], axis=-1)
-    return np.swapaxes(np.concatenate([products, rotation[..., None, :]], axis=-2), -1, -2)
+    return np.swapaxes(np.concatenate([products, turns[..., None, :]], axis=-2), -1, -2)
 
 
 _X_Y_Z_W = (1, 2, 3, 0)
@@ -214,9 +217,9 @@ def joint_scaled_motions(joint_matrices: FloatArray) -> Float32Array:
     """Return what shaders of ``--scaled-joints`` read for each joint: (..., J, 5, 4) float32.
 
     joint_matrices (..., J, 4, 4), floating, indexed [row, column], may scale, shear and mirror. The first
-    four quaternions are the columns of the matrix times its rotation, the fifth is the rotation, of length 1
-    (``polar_quaternions``). Each is (x, y, z, w) with the scalar last. These are ``moved`` and ``turn`` of
-    the shaders. Raises ValueError for another shape.
+    four quaternions are the columns of the matrix times its rotation, the fifth is the rotation, of length 1,
+    or 0 if the matrix has none (``scaled_motions``). Each is (x, y, z, w) with the scalar last. These are
+    ``moved`` and ``turn`` of the shaders. Raises ValueError for another shape.
     """
     rows = scaled_motions(_checked(joint_matrices))
     return np.swapaxes(rows, -1, -2)[..., _X_Y_Z_W].astype(np.float32)

@@ -15,6 +15,9 @@ Along a curve with tangent t the weights change by α. The derivative of P B = G
 
     Ḃ = Σ α σ r[s]        Ġ = Σ w σ (M[s] t) r[s] + Σ α σ (M[s] p) r[s]        t' = vec((Ġ − P Ḃ) B⁻¹)
 
+A joint that leaves a line or a point, as at scale 0, has no rotation of its own. It brings none into the mix:
+at each vertex it takes that of the first slot that has one (``with_rotations``).
+
 A joint is a matrix of four rows, the scalar part first, and five columns (``scaled_motions``): columns 0 to 2
 are the columns of M[s] times r[s], column 3 is the translation times r[s], and column 4 is r[s].
 """
@@ -22,6 +25,8 @@ are the columns of M[s] times r[s], column 3 is the translation times r[s], and 
 from __future__ import annotations
 
 from collections.abc import Sequence
+
+import numpy as np
 
 from skinbake.skinning.components import (
     Component,
@@ -139,6 +144,30 @@ def exact(vertex: RestVertex, motions: Sequence[Rows], options: Options, line: L
     line(9)  # the mix applied to n0, for normal maps
     carried = _over(linear(mixed, vertex.normal), divisor)
     return with_normal_map(posed, carried, vertex.handedness, line, first=10)
+
+
+def with_rotations(motions: Sequence[Rows]) -> Sequence[Rows]:
+    """Return the motions of a vertex's slots, arrays, after each without a rotation has got another's."""
+    turns = [_rotation(motion) for motion in motions]
+    lacking = [np.logical_not(np.any(turn, axis=0)) for turn in turns]
+    if not any(where.any() for where in lacking):
+        return motions
+    # The first that there is, or the identity.
+    pivot: Vector = tuple(map(np.full_like, turns[0], (1, 0, 0, 0)))
+    for turn, where in zip(reversed(turns), reversed(lacking), strict=True):
+        pivot = tuple(map(np.where, [where] * 4, pivot, turn))
+    found = []
+    for motion, where in zip(motions, lacking, strict=True):
+        columns = [_times(column[1:], pivot) for column in list(zip(*motion, strict=True))[:4]] + [pivot]
+        rows = zip(motion, zip(*columns, strict=True), strict=True)
+        found.append(tuple(tuple(map(np.where, [where] * 5, new, old)) for old, new in rows))
+    return found
+
+
+def _times(vector: Vector, rotation: Vector) -> Vector:
+    """Return the quaternion (0, v) r."""
+    real = -dot(vector, rotation[1:])
+    return (real, *plus_cross(scaled(rotation[0], vector), vector, rotation[1:]))
 
 
 _Rates = tuple[Sequence[Component], Sequence[Vector], Sequence[Vector]]

@@ -61,14 +61,18 @@ def dqs_positions(
     skinning: Skinning, pose: slice, part: slice, out: Float64Array, first_row: int = 0
 ) -> None:
     """Write p' by dual quaternions for some vertices to rows of out (3, V, P)."""
+    if skinning.lacks_rotations:
+        from skinbake.truth import by_numpy  # few clips hide a part
+
+        return by_numpy.dqs_positions(skinning, pose, part, out, first_row)
     rest = skinning.vertices.rest.rows(part)
-    loops.dqs_positions(*_moved_by_dqs(skinning, rest), out, pose.start, first_row)
+    return loops.dqs_positions(*_moved_by_dqs(skinning, rest), out, pose.start, first_row)
 
 
 def dqs_normals(skinning: Skinning, pose: slice, part: slice) -> Float64Array:
     """Return the normals of algorithms 4–6 for some vertices: (3, 3, B, P). They are not of unit length."""
-    if skinning.options.cap is not None:
-        from skinbake.truth import by_numpy  # few ask for it
+    if skinning.options.cap is not None or skinning.lacks_rotations:
+        from skinbake.truth import by_numpy  # few ask for it, and few clips hide a part
 
         return by_numpy.dqs_normals(skinning, pose, part)
     rest = skinning.vertices.rest.rows(part)

@@ -157,6 +157,18 @@ struct skinbake_ScaledMotion {
     vec4 turn;
 };
 
+// A motion that has a rotation. A joint that leaves a line or a point, as at scale 0, has none: its turn is 0, and moved has
+// the columns of the matrix. It takes another's.
+skinbake_ScaledMotion skinbake_turning(skinbake_ScaledMotion Q, vec4 turn)
+{
+    if (dot(Q.turn, Q.turn) > 0.0) return Q;
+    for (int i = 0; i < 4; i++)
+        Q.moved[i] = vec4(turn.w * Q.moved[i].xyz + cross(Q.moved[i].xyz, turn.xyz), -dot(Q.moved[i].xyz,
+                turn.xyz));
+    Q.turn = turn;
+    return Q;
+}
+
 // The vector of a over a quaternion, which is given as itself / its squared length.
 vec3 skinbake_over(vec4 a, vec4 divisor)
 {
@@ -167,13 +179,14 @@ vec3 skinbake_over(vec4 a, vec4 divisor)
 #ifndef SKINBAKE_SCALED_MOTION
 #define SKINBAKE_SCALED_MOTION
 // The unit quaternion of the rotation R in the polar decomposition M = R S, or in that of -M where M mirrors, by Newton's
-// iteration (Higham 1986). A joint that flattens does not mirror. One that leaves a line or a point does not turn.
+// iteration (Higham 1986). A joint that flattens does not mirror. One that leaves a line or a point has no
+// rotation: zeros.
 vec4 skinbake_turn(mat3 M)
 {
     mat3 R = M * (1.0 / max(sqrt(dot(M[0], M[0]) + dot(M[1], M[1]) + dot(M[2], M[2])), 1e-30));
     mat3 C = mat3(cross(R[1], R[2]), cross(R[2], R[0]), cross(R[0], R[1]));
     float area = sqrt(dot(C[0], C[0]) + dot(C[1], C[1]) + dot(C[2], C[2]));
-    if (area <= 1e-6) return vec4(0.0, 0.0, 0.0, 1.0);
+    if (area <= 1e-6) return vec4(0.0, 0.0, 0.0, 0.0);
     // The cofactors have the same rotation, and an extent where M has none.
     R = R * (dot(R[0], C[0]) < -1e-6 * area ? -1.0 : 1.0) + C * (1.0 / area);
     R = R * (1.0 / pow(dot(cross(R[0], R[1]), R[2]), 1.0 / 3.0));
@@ -195,8 +208,10 @@ skinbake_ScaledMotion skinbake_scaled_motion(mat4 M)
     vec4 turn = skinbake_turn(mat3(M));
     skinbake_ScaledMotion Q;
     for (int i = 0; i < 4; i++)
-        Q.moved[i] = vec4(turn.w * M[i].xyz + cross(M[i].xyz, turn.xyz), -dot(M[i].xyz, turn.xyz));
-    Q.turn = turn;
+        Q.moved[i] = vec4(M[i].xyz, 0.0);
+    Q.turn = vec4(0.0, 0.0, 0.0, 0.0);
+    if (dot(turn, turn) > 0.0)
+        return skinbake_turning(Q, turn);
     return Q;
 }
 #endif
@@ -208,6 +223,15 @@ skinbake_ScaledMotion skinbake_scaled_motion(mat4 M)
 skinbake_Vertex skinbake_dqs_scaled(vec3 p, skinbake_Frame frame, skinbake_ScaledMotion Q[4], vec4 weights_0,
         vec3 alpha_0, vec3 beta_0)
 {
+    vec4 pivot = Q[0].turn;
+    if (dot(pivot, pivot) == 0.0) pivot = Q[1].turn;
+    if (dot(pivot, pivot) == 0.0) pivot = Q[2].turn;
+    if (dot(pivot, pivot) == 0.0) pivot = Q[3].turn;
+    if (dot(pivot, pivot) == 0.0) pivot.w = 1.0;
+    Q[0] = skinbake_turning(Q[0], pivot);
+    Q[1] = skinbake_turning(Q[1], pivot);
+    Q[2] = skinbake_turning(Q[2], pivot);
+    Q[3] = skinbake_turning(Q[3], pivot);
     float s1 = dot(Q[1].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0; // 1: q and -q are the same rotation
     float s2 = dot(Q[2].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0;
     float s3 = dot(Q[3].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0;

@@ -94,19 +94,30 @@ struct skinbake_ScaledMotion {
     turn: vec4<f32>,
 }
 
+// A motion that has a rotation. A joint that leaves a line or a point, as at scale 0, has none: its turn is 0, and moved has
+// the columns of the matrix. It takes another's.
+fn skinbake_turning(given: skinbake_ScaledMotion, turn: vec4<f32>) -> skinbake_ScaledMotion {
+    if (dot(given.turn, given.turn) > 0.0) { return given; }
+    var Q = given;
+    for (var i = 0; i < 4; i++) { Q.moved[i] = skinbake_product(Q.moved[i], turn); }
+    Q.turn = turn;
+    return Q;
+}
+
 // The vector of a over a quaternion, which is given as itself / its squared length.
 fn skinbake_over(a: vec4<f32>, divisor: vec4<f32>) -> vec3<f32> {
     return divisor.w * a.xyz - a.w * divisor.xyz + cross(divisor.xyz, a.xyz);
 }
 
 // The unit quaternion of the rotation R in the polar decomposition M = R S, or in that of -M where M mirrors, by Newton's
-// iteration (Higham 1986). A joint that flattens does not mirror. One that leaves a line or a point does not turn.
+// iteration (Higham 1986). A joint that flattens does not mirror. One that leaves a line or a point has no
+// rotation: zeros.
 fn skinbake_turn(M: mat4x4<f32>) -> vec4<f32> {
     var R = mat3x3<f32>(M[0].xyz, M[1].xyz, M[2].xyz);
     R = R * (1.0 / max(sqrt(dot(R[0], R[0]) + dot(R[1], R[1]) + dot(R[2], R[2])), 1e-30));
     let C = mat3x3<f32>(cross(R[1], R[2]), cross(R[2], R[0]), cross(R[0], R[1]));
     let area = sqrt(dot(C[0], C[0]) + dot(C[1], C[1]) + dot(C[2], C[2]));
-    if (area <= 1e-6) { return vec4<f32>(0.0, 0.0, 0.0, 1.0); }
+    if (area <= 1e-6) { return vec4<f32>(); }
     // The cofactors have the same rotation, and an extent where M has none.
     R = R * select(1.0, -1.0, dot(R[0], C[0]) < -1e-6 * area) + C * (1.0 / area);
     R = R * (1.0 / pow(dot(cross(R[0], R[1]), R[2]), 1.0 / 3.0));
@@ -125,19 +136,27 @@ fn skinbake_turn(M: mat4x4<f32>) -> vec4<f32> {
 // pass over the joints: once per joint and frame, not per vertex.
 fn skinbake_scaled_motion(M: mat4x4<f32>) -> skinbake_ScaledMotion {
     let turn = skinbake_turn(M);
-    return skinbake_ScaledMotion(
-        mat4x4<f32>(
-            skinbake_product(vec4<f32>(M[0].xyz, 0.0), turn),
-            skinbake_product(vec4<f32>(M[1].xyz, 0.0), turn),
-            skinbake_product(vec4<f32>(M[2].xyz, 0.0), turn),
-            skinbake_product(vec4<f32>(M[3].xyz, 0.0), turn)),
-        turn);
+    let still = mat4x4<f32>(vec4<f32>(M[0].xyz, 0.0), vec4<f32>(M[1].xyz, 0.0), vec4<f32>(M[2].xyz, 0.0),
+            vec4<f32>(M[3].xyz, 0.0));
+    let Q = skinbake_ScaledMotion(still, vec4<f32>());
+    if (dot(turn, turn) > 0.0) { return skinbake_turning(Q, turn); }
+    return Q;
 }
 
 // The frame moves by the derivative of the quotient p' = g / b: b mixes the joints' turns, and g what M p is times them.
-// Q: the scaled motions of slots 0 to 3.
-fn skinbake_dqs_scaled(p: vec3<f32>, frame: skinbake_Frame, Q: array<skinbake_ScaledMotion, 4>,
+// given: the scaled motions of slots 0 to 3.
+fn skinbake_dqs_scaled(p: vec3<f32>, frame: skinbake_Frame, given: array<skinbake_ScaledMotion, 4>,
         weights_0: vec4<f32>, alpha_0: vec3<f32>, beta_0: vec3<f32>) -> skinbake_Vertex {
+    var Q = given;
+    var pivot = Q[0].turn;
+    if (dot(pivot, pivot) == 0.0) { pivot = Q[1].turn; }
+    if (dot(pivot, pivot) == 0.0) { pivot = Q[2].turn; }
+    if (dot(pivot, pivot) == 0.0) { pivot = Q[3].turn; }
+    if (dot(pivot, pivot) == 0.0) { pivot.w = 1.0; }
+    Q[0] = skinbake_turning(Q[0], pivot);
+    Q[1] = skinbake_turning(Q[1], pivot);
+    Q[2] = skinbake_turning(Q[2], pivot);
+    Q[3] = skinbake_turning(Q[3], pivot);
     let s1 = select(1.0, -1.0, dot(Q[1].turn, Q[0].turn) < 0.0); // 1: q and -q are the same rotation
     let s2 = select(1.0, -1.0, dot(Q[2].turn, Q[0].turn) < 0.0);
     let s3 = select(1.0, -1.0, dot(Q[3].turn, Q[0].turn) < 0.0);

@@ -415,13 +415,14 @@ class Pose:
 
 	## A joint matrix as skinbake_ScaledMotion in the shader: four of moved, then turn, the rotation R in the polar
 	## decomposition M = R S, or in that of -M where M mirrors, by Newton's iteration (Higham 1986). A joint that flattens
-	## does not mirror. One that leaves a line or a point does not turn.
+	## does not mirror. One that leaves a line or a point has no rotation: its columns are those of the matrix, and turn is 0.
 	static func _motion(pose: Transform3D) -> Array[Vector4]:
 		var columns: Array[Vector3] = [pose.basis.x, pose.basis.y, pose.basis.z, pose.origin]
 		var basis := _over(pose.basis, maxf(_length(pose.basis), 1e-30))
 		var cofactors := Basis(basis.y.cross(basis.z), basis.z.cross(basis.x), basis.x.cross(basis.y))
 		var area := _length(cofactors)
 		var turn := Quaternion.IDENTITY
+		var length := 0.0
 		if area > 1e-6:
 			# The cofactors have the same rotation, and an extent where the matrix has none.
 			var side := -1.0 if basis.x.dot(cofactors.x) < -1e-6 * area else 1.0
@@ -435,12 +436,13 @@ class Pose:
 				if squares < 3.00001:
 					break
 			turn = basis.orthonormalized().get_rotation_quaternion()
+			length = 1.0
 		var axis := Vector3(turn.x, turn.y, turn.z)
 		var found: Array[Vector4] = []
 		for column in columns:
 			var moved := turn.w * column + column.cross(axis)
 			found.append(Vector4(moved.x, moved.y, moved.z, -column.dot(axis)))
-		found.append(Vector4(turn.x, turn.y, turn.z, turn.w))
+		found.append(length * Vector4(turn.x, turn.y, turn.z, turn.w))
 		return found
 
 	static func _length(basis: Basis) -> float:

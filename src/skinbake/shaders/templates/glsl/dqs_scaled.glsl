@@ -2,6 +2,14 @@
 // Q: the scaled motions of @{ slot_words }.
 skinbake_Vertex skinbake_dqs_scaled(vec3 p, skinbake_Frame frame, skinbake_ScaledMotion Q[@{ influences }]@{ params(weight_params + gradient_params) })
 {
+    vec4 pivot = Q[0].turn;
+//% for slot in others
+    if (dot(pivot, pivot) == 0.0) pivot = Q[@{ slot.index }].turn;
+//% endfor
+    if (dot(pivot, pivot) == 0.0) pivot.w = 1.0;
+//% for slot in slots
+    Q[@{ slot.index }] = skinbake_turning(Q[@{ slot.index }], pivot);
+//% endfor
 //% for slot in others
     float s@{ slot.index } = dot(Q[@{ slot.index }].turn, Q[0].turn) < 0.0 ? -1.0 : 1.0;@{ " // 1: q and -q are the same rotation" if loop.first }
 //% endfor

@@ -7,6 +7,17 @@ struct skinbake_ScaledMotion {
     vec4 turn;
 };
 
+// A motion that has a rotation. A joint that leaves a line or a point, as at scale 0, has none: its turn is 0, and moved has
+// the columns of the matrix. It takes another's.
+skinbake_ScaledMotion skinbake_turning(skinbake_ScaledMotion Q, vec4 turn)
+{
+    if (dot(Q.turn, Q.turn) > 0.0) return Q;
+    for (int i = 0; i < 4; i++)
+        Q.moved[i] = vec4(turn.w * Q.moved[i].xyz + cross(Q.moved[i].xyz, turn.xyz), -dot(Q.moved[i].xyz, turn.xyz));
+    Q.turn = turn;
+    return Q;
+}
+
 // The vector of a over a quaternion, which is given as itself / its squared length.
 vec3 skinbake_over(vec4 a, vec4 divisor)
 {

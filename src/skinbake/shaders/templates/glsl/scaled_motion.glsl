@@ -1,13 +1,14 @@
 #ifndef SKINBAKE_SCALED_MOTION
 #define SKINBAKE_SCALED_MOTION
 // The unit quaternion of the rotation R in the polar decomposition M = R S, or in that of -M where M mirrors, by Newton's
-// iteration (Higham 1986). A joint that flattens does not mirror. One that leaves a line or a point does not turn.
+// iteration (Higham 1986). A joint that flattens does not mirror. One that leaves a line or a point has no
+// rotation: zeros.
 vec4 skinbake_turn(mat3 M)
 {
     mat3 R = M * (1.0 / max(sqrt(dot(M[0], M[0]) + dot(M[1], M[1]) + dot(M[2], M[2])), 1e-30));
     mat3 C = mat3(cross(R[1], R[2]), cross(R[2], R[0]), cross(R[0], R[1]));
     float area = sqrt(dot(C[0], C[0]) + dot(C[1], C[1]) + dot(C[2], C[2]));
-    if (area <= 1e-6) return vec4(0.0, 0.0, 0.0, 1.0);
+    if (area <= 1e-6) return vec4(0.0, 0.0, 0.0, 0.0);
     // The cofactors have the same rotation, and an extent where M has none.
     R = R * (dot(R[0], C[0]) < -1e-6 * area ? -1.0 : 1.0) + C * (1.0 / area);
     R = R * (1.0 / pow(dot(cross(R[0], R[1]), R[2]), 1.0 / 3.0));
@@ -28,8 +29,10 @@ skinbake_ScaledMotion skinbake_scaled_motion(mat4 M)
     vec4 turn = skinbake_turn(mat3(M));
     skinbake_ScaledMotion Q;
     for (int i = 0; i < 4; i++)
-        Q.moved[i] = vec4(turn.w * M[i].xyz + cross(M[i].xyz, turn.xyz), -dot(M[i].xyz, turn.xyz));
-    Q.turn = turn;
+        Q.moved[i] = vec4(M[i].xyz, 0.0);
+    Q.turn = vec4(0.0, 0.0, 0.0, 0.0);
+    if (dot(turn, turn) > 0.0)
+        return skinbake_turning(Q, turn);
     return Q;
 }
 #endif

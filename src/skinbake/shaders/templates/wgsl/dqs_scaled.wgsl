@@ -1,6 +1,15 @@
 // The frame moves by the derivative of the quotient p' = g / b: b mixes the joints' turns, and g what M p is times them.
-// Q: the scaled motions of @{ slot_words }.
-fn skinbake_dqs_scaled(p: vec3<f32>, frame: skinbake_Frame, Q: array<skinbake_ScaledMotion, @{ influences }>@{ params(weight_params + gradient_params) }) -> skinbake_Vertex {
+// given: the scaled motions of @{ slot_words }.
+fn skinbake_dqs_scaled(p: vec3<f32>, frame: skinbake_Frame, given: array<skinbake_ScaledMotion, @{ influences }>@{ params(weight_params + gradient_params) }) -> skinbake_Vertex {
+    var Q = given;
+    var pivot = Q[0].turn;
+//% for slot in others
+    if (dot(pivot, pivot) == 0.0) { pivot = Q[@{ slot.index }].turn; }
+//% endfor
+    if (dot(pivot, pivot) == 0.0) { pivot.w = 1.0; }
+//% for slot in slots
+    Q[@{ slot.index }] = skinbake_turning(Q[@{ slot.index }], pivot);
+//% endfor
 //% for slot in others
     let s@{ slot.index } = select(1.0, -1.0, dot(Q[@{ slot.index }].turn, Q[0].turn) < 0.0);@{ " // 1: q and -q are the same rotation" if loop.first }
 //% endfor

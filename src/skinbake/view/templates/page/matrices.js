@@ -102,7 +102,8 @@ export function dualQuaternion(m, scale) {
 }
 
 // The unit quaternion of the rotation R in the polar decomposition M = R S, or in that of -M where M mirrors, by Newton's
-// iteration (Higham 1986). A joint that flattens does not mirror. One that leaves a line or a point does not turn.
+// iteration (Higham 1986). A joint that flattens does not mirror. One that leaves a line or a point has no
+// rotation: zeros.
 export function polarQuaternion(m) {
     const mixed = (a, x, b, y) => a.map((column, i) => column.map((value, row) => x * value + y * b[i][row]));
     const over = (columns, divisor) => mixed(columns, 1 / divisor, columns, 0);
@@ -112,7 +113,7 @@ export function polarQuaternion(m) {
     turn = over(turn, lengthOf(turn) || 1);
     let cofactors = cofactorsOf(turn);
     const area = lengthOf(cofactors);
-    if (!(area > FLATTENED)) return [0, 0, 0, 1];
+    if (!(area > FLATTENED)) return [0, 0, 0, 0];
     // The cofactors have the same rotation, and an extent where M has none.
     turn = mixed(turn, dot(turn[0], cofactors[0]) < -FLATTENED * area ? -1 : 1, cofactors, 1 / area);
     turn = over(turn, Math.cbrt(dot(turn[0], cofactorsOf(turn)[0])));

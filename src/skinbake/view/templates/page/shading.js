@@ -29,7 +29,8 @@ const MOTIONS = {
     dqs_exact: ['mat2x4', 'Q', 'return mat2x4(texel(joint, 4), texel(joint, 5));'],
     dqs_scaled: ['skinbake_ScaledMotion', 'Q', `skinbake_ScaledMotion made;
     made.turn = texel(joint, 4);
-    for (int i = 0; i < 4; i++) made.moved[i] = skinbake_product(vec4(texel(joint, i).xyz, 0.0), made.turn);
+    vec4 turn = made.turn == vec4(0.0) ? vec4(0.0, 0.0, 0.0, 1.0) : made.turn;
+    for (int i = 0; i < 4; i++) made.moved[i] = skinbake_product(vec4(texel(joint, i).xyz, 0.0), turn);
     return made;`],
 };
 

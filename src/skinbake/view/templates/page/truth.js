@@ -211,14 +211,18 @@ export function skinned(primitive, positions, matrices, motions, found, start) {
 
 // Where joints scale: the quotient of Σ w (M p) r and Σ w r, both of one hemisphere.
 function byTurns(joints, weights, vertex, x, y, z, matrices, turns, found, at) {
-    const pivot = turns[joints[0][4 * vertex]];
+    // A joint without a rotation takes that of the first slot that has one.
+    const hasTurn = (joint) => turns[joint].some((value) => value !== 0);
+    const sets = joints.map((of) => of.subarray(4 * vertex, 4 * vertex + 4));
+    const turning = hasTurn(sets[0][0]) ? sets[0][0] : sets.flatMap((of) => [...of]).find(hasTurn);
+    const pivot = turns[turning] ?? [0, 0, 0, 1];
     let gx = 0, gy = 0, gz = 0, g = 0, bx = 0, by = 0, bz = 0, b = 0;
     for (let set = 0; set < joints.length; set++) {
         for (let i = 4 * vertex; i < 4 * vertex + 4; i++) {
             const w = weights[set][i];
             if (w === 0) continue;
             const m = matrices[joints[set][i]];
-            const [rx, ry, rz, r] = turns[joints[set][i]];
+            const [rx, ry, rz, r] = hasTurn(joints[set][i]) ? turns[joints[set][i]] : pivot;
             const side = rx * pivot[0] + ry * pivot[1] + rz * pivot[2] + r * pivot[3] < 0 ? -w : w;
             const px = m[0] * x + m[4] * y + m[8] * z + m[12];
             const py = m[1] * x + m[5] * y + m[9] * z + m[13];
