@@ -1,4 +1,4 @@
-"""``skinbake verify --html``: the page of one file, and the index of several."""
+"""``skinbake verify --html``: the page of one file, and the sheet of several."""
 
 from __future__ import annotations
 
@@ -19,10 +19,12 @@ from skinbake.commands.view import write_report
 from skinbake.errors import InputError, Notice, Notices, Place
 from skinbake.files.bounds import BESIDE
 from skinbake.measure.options import VerifyOptions
-from skinbake.report.verify import Check, FileVerdict
-from skinbake.view.index import Listed, index
+from skinbake.report.verify import Check, Entry, FileVerdict
+from skinbake.view.index import Listed
+from skinbake.view.index import sheet as sheet_of
 from tests.support.baked_files import Editable, baked
 from tests.support.command_line import invoke
+from tests.support.gltf_reading import read
 from tests.support.models import bake, sheet, write_model
 
 FLAT = Notice("limit", "it is flat", Place("a.glb", 2, "Body"))
@@ -39,11 +41,11 @@ def given(page: Path) -> dict[str, Any]:
 
 
 def rows(page: Path) -> list[tuple[str, str, str | None]]:
-    """Return name, outcome and link of each file of an index."""
+    """Return name, outcome and link of each file of a sheet."""
     text = page.read_text(encoding="utf-8")
     found = re.findall(
-        r'<tr><td class="file">(?:<a href="([^"]*)">)?<(?:img|span) class="picture"[^>]*>(?:</span>)?'
-        r'<span class="name">([^<]*)</span>(?:</a>)?</td><td data-value="([\w ]+)">',
+        r'<tr><td class="file">(?:<a href="([^"]*)">)?<span class="pictures">.*?'
+        r'<span class="name">([^<]*)</span>(?:</a>)?</td><td class="told" data-value="([\w ]+)">',
         text,
     )
     return [(Path(name).name, outcome, link or None) for link, name, outcome in found]
@@ -80,9 +82,14 @@ def test_a_failed_check_names_the_place_of_each_problem(tmp_path: Path) -> None:
 
 
 def test_the_page_of_one_file_takes_no_small_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Only an index shows small pictures."""
+    """Only a sheet shows small pictures."""
     drawn: list[object] = []
-    monkeypatch.setattr(view, "small_picture", drawn.append)
+
+    def pictures(*given: object) -> list[bytes]:
+        drawn.append(given)
+        return []
+
+    monkeypatch.setattr(view, "small_pictures", pictures)
     bake(SEAM, tmp_path / "seam.glb")
     page = tmp_path / "report.html"
     result = invoke("verify", tmp_path / "seam.glb", "--poses", "rest", "--html", page)
@@ -118,7 +125,7 @@ def test_a_large_page_of_a_report_says_how_to_shrink_it(
     assert told.count("show a copy with smaller images or fewer clips") == count
 
 
-def test_several_files_give_an_index_with_the_worst_first(tmp_path: Path) -> None:
+def test_several_files_give_a_sheet_with_the_largest_gain_first(tmp_path: Path) -> None:
     folder = tmp_path / "models"
     folder.mkdir()
     for source in (TUBE, SEAM):
@@ -128,16 +135,16 @@ def test_several_files_give_an_index_with_the_worst_first(tmp_path: Path) -> Non
     result = invoke("verify", folder, "--html", page, "--min-gain", "50")
     assert result.exit_code == exit_codes.INPUT
     assert rows(page) == [
-        ("broken.glb", "failed", None),
-        ("seam.glb", "failed", "all/0003-seam.html"),
         ("bent_tube.glb", "failed", "all/0001-bent_tube.html"),
+        ("seam.glb", "failed", "all/0003-seam.html"),
+        ("broken.glb", "failed", None),
     ]
-    for _, _, link in rows(page)[1:]:
+    for _, _, link in rows(page)[:2]:
         assert link is not None
         assert given(tmp_path / link)["limits"] == ["gain at least 50×"]
     text = page.read_text(encoding="utf-8")
     assert "3 files, 3 failed" in text
-    assert text.count('<img class="picture" src="data:image/png;base64,') == 2
+    assert text.count('<img class="picture" src="data:image/png;base64,') == 8
     assert "Limits: gain at least 50×." in text
     assert "not a GLB" in text
 
@@ -161,7 +168,7 @@ def test_a_page_that_fails_leaves_the_pages_of_the_others(tmp_path: Path) -> Non
     }
 
 
-def test_the_index_has_the_figures_by_triangles(tmp_path: Path) -> None:
+def test_the_sheet_has_the_figures_by_triangles(tmp_path: Path) -> None:
     for source in (TUBE, SEAM):
         bake(source, tmp_path / source.name)
     result = invoke("verify", *(tmp_path / source.name for source in (TUBE, SEAM)), "--json")
@@ -173,6 +180,7 @@ def test_the_index_has_the_figures_by_triangles(tmp_path: Path) -> None:
     row = next(line for line in text.splitlines() if "bent_tube.glb" in line)
     cells = re.findall(r'data-label="(\w+)" data-value="([^"]+)"', row)
     values = [shown["standard"]["mean"], shown["accurate"]["mean"], shown["gain"]]
+    values.append(2 * 3 * 4 * len(read(tmp_path / TUBE.name).attribute("POSITION")))  # α and β, as floats
     assert [float(value) for _, value in cells] == pytest.approx(values)
     assert "by triangles" in text
     assert "by tangents" not in text
@@ -190,9 +198,29 @@ def test_files_that_are_not_baked_say_so(tmp_path: Path) -> None:
         assert given(tmp_path / str(rows(page)[0][2]))["outcome"] == outcome
 
 
-def test_names_are_text_in_the_index() -> None:
+def test_a_sheet_has_the_figures_that_a_bake_would_give(tmp_path: Path) -> None:
+    """Of a file without a bake: as of its bake, with the same pictures, and the command that makes it."""
+    bake(TUBE, tmp_path / "baked" / TUBE.name)
+    invoke("verify", TUBE, tmp_path / "baked" / TUBE.name, "--html", tmp_path / "all.html")
+    plain, baked_too = numbers(tmp_path / "all.html")
+    assert plain == baked_too
+    text = (tmp_path / "all.html").read_text(encoding="utf-8")
+    pictures = re.findall(r'src="data:image/png;base64,([^"]*)"', text)
+    assert pictures[:4] == pictures[4:]
+    assert len(set(pictures)) == 4
+    assert text.count("Clear gain") == 2
+    steps = re.findall("Next: (.*?)</span>", text)
+    assert sorted(step.split()[1] for step in steps) == ["bake", "view"]
+    told = given(tmp_path / "all" / "0001-bent_tube.html")
+    assert "This page baked it in memory, with the defaults." in told["notes"][0]
+    assert told["by_triangles"] == given(tmp_path / "all" / "0002-bent_tube.html")["by_triangles"]
+
+
+def test_names_are_text_in_the_sheet() -> None:
     name = "<img src=x onerror=alert(1)>\"'&.glb"
-    page = index([Listed(name=name, link='x".html', outcome="failed", remark="<script>1</script>")], "<b>")
+    page = sheet_of(
+        [Listed(name=name, link='x".html', outcome="failed", remark="<script>1</script>")], "<b>", "verify"
+    )
     text = page.decode()
     assert "<img" not in text.replace('<img class="picture"', "")
     assert text.count("<script") == 1
@@ -214,25 +242,24 @@ def numbers(page: Path) -> list[list[str]]:
     return [re.findall(r'class="number"[^>]*>([^<]*)<', line) for line in lines]
 
 
-def test_the_index_shows_figures_with_two_decimals(tmp_path: Path) -> None:
+def test_the_sheet_shows_figures_with_two_decimals(tmp_path: Path) -> None:
     bake(TUBE, tmp_path / "tube.glb")
     page = tmp_path / "all.html"
     invoke("verify", tmp_path / "tube.glb", SEAM, "--html", page)
     entry = json.loads(invoke("verify", tmp_path / "tube.glb", "--json").stdout)["files"][0]
     assert entry["normals_by_tangents"]["lbs"]["gain"] > entry["normals_by_triangles"]["lbs"]["gain"]
     told = entry["normals_by_triangles"]["lbs"]
-    assert ["{standard[mean]:.2f}° {accurate[mean]:.2f}° {gain:.2f}×".format(**told).split()] == [
-        row for row in numbers(page) if "—" not in row
-    ]
+    wanted = "{standard[mean]:.2f}° {accurate[mean]:.2f}° {gain:.2f}×".format(**told).split()
+    assert wanted in [row[:3] for row in numbers(page)]
 
 
 @pytest.mark.parametrize(
     ("gain", "shown"),
     [(2.2, "2.20×"), (12.345, "12.35×"), (1234.4, "1,234×"), (0.996, "0.996×"), (0.99, "0.99×")],
 )
-def test_the_index_rounds_gains_as_the_text_of_verify_does(gain: float, shown: str, tmp_path: Path) -> None:
+def test_the_sheet_rounds_gains_as_the_text_of_verify_does(gain: float, shown: str, tmp_path: Path) -> None:
     (tmp_path / "all.html").write_bytes(
-        index([Listed(name="a.glb", link=None, outcome="passed", gain=gain)], "")
+        sheet_of([Listed(name="a.glb", link=None, outcome="passed", gain=gain)], "", "verify")
     )
     assert numbers(tmp_path / "all.html")[0][2] == shown
 
@@ -241,33 +268,67 @@ def verdict(name: str, *checks: Check, error: InputError | None = None) -> FileV
     return FileVerdict(name, checks, error=error)
 
 
+def test_a_folder_is_shown_as_a_sheet_of_pages(tmp_path: Path) -> None:
+    folder = tmp_path / "models"
+    folder.mkdir()
+    for source in (TUBE, SEAM):
+        (folder / source.name).write_bytes(source.read_bytes())
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    page = tmp_path / "all.html"
+    result = invoke("view", folder, "-o", page)
+    assert (result.exit_code, result.stderr) == (exit_codes.OK, "")
+    assert [name for name, _, _ in rows(page)] == ["bent_tube.glb", "seam.glb"]
+    assert all(given(tmp_path / str(link))["by_triangles"] for _, _, link in rows(page))
+    assert {path: path.read_bytes() for path in folder.iterdir()} == before
+    (folder / "broken.glb").write_bytes(b"glTF")
+    assert invoke("view", folder, "-o", page).exit_code == exit_codes.INPUT
+    assert rows(page)[0] == ("broken.glb", "failed", None)
+
+
+def test_a_folder_needs_the_name_of_a_page_and_replaces_no_foreign_one(tmp_path: Path) -> None:
+    folder = tmp_path / "models"
+    folder.mkdir()
+    for source in (TUBE, SEAM):
+        (folder / source.name).write_bytes(source.read_bytes())
+    for options in ([], ["-o", "-"]):
+        result = invoke("view", folder, *options)
+        assert result.exit_code == exit_codes.USAGE
+        assert "name the page of its characters by -o PAGE" in " ".join(result.stderr.split())
+    own = tmp_path / "all" / "0002-seam.html"
+    own.parent.mkdir()
+    own.write_text("<!doctype html>my own page")
+    assert invoke("view", folder, "-o", tmp_path / "all.html").exit_code == exit_codes.USAGE
+    assert own.read_text() == "<!doctype html>my own page"
+
+
 @pytest.mark.parametrize(
     ("told", "remark"),
     [
         (
             verdict("a.glb", Check("limits", "failed", (FLAT, replace(FLAT, message="and bent")))),
-            'failed mesh 2 "Body": it is flat (and 1 more)',
+            'Failed mesh 2 "Body": it is flat (and 1 more)',
         ),
         (
             verdict("a.glb", error=InputError("it is flat", Place("a.glb", 2, "Body"))),
-            'failed mesh 2 "Body": it is flat',
+            'Failed mesh 2 "Body": it is flat',
         ),
-        (verdict("a.glb", error=InputError("it is flat")), "failed it is flat"),
+        (verdict("a.glb", error=InputError("it is flat")), "Failed it is flat"),
         (
             verdict("a.glb", Check("structure", "passed"), Check("lighting", "skipped", (), "no normals")),
-            "passed no normals",
+            "Passed no normals",
         ),
-        (verdict("a.glb", Check("structure", "skipped", (), "nothing in it is baked")), "not baked"),
-        (FileVerdict("a.glb", up_to_date=True), "passed before, up to date"),
+        (verdict("a.glb", Check("structure", "skipped", (), "nothing in it is baked")), "Not baked"),
+        (FileVerdict("a.glb", up_to_date=True), "Passed before, up to date"),
     ],
 )
-def test_the_index_says_why_a_file_failed_or_has_no_figures(told: FileVerdict, remark: str) -> None:
-    text = index([view._listed(told, None, None)], "").decode()
+def test_the_sheet_says_why_a_file_failed_or_has_no_figures(told: FileVerdict, remark: str) -> None:
+    text = sheet_of([view._listed(told, None, Entry(told))], "", "verify").decode()
     (outcome,) = re.findall(r'data-value="(?:passed|failed|not baked)">(.*?)</td>', text)
-    assert html.unescape(re.sub("<[^>]*>", "", outcome)) == remark
+    words = html.unescape(re.sub("<[^>]*>", "", outcome.replace("<br>", " ")))
+    assert words.partition(" Next: ")[0] == remark
 
 
-def test_the_index_tells_of_limits_that_differ(tmp_path: Path) -> None:
+def test_the_sheet_tells_of_limits_that_differ(tmp_path: Path) -> None:
     (tmp_path / "skinbake.toml").write_text(
         "[verify]\nmax-mean-error = 90\n"
         '[[overrides]]\nfiles = ["**/seam.glb"]\nverify = { min-gain = 0.5 }\n',
@@ -293,13 +354,15 @@ def test_files_without_a_gain_come_last_unless_they_failed(tmp_path: Path) -> No
         Listed(name="poor.glb", link=None, outcome="failed", gain=0.9),
         Listed(name="broken.glb", link=None, outcome="failed"),
     ]
-    (tmp_path / "all.html").write_bytes(index(files, ""))
-    names = ["broken.glb", "poor.glb", "little.glb", "good.glb", "plain.glb", "rigid.glb"]
+    (tmp_path / "all.html").write_bytes(sheet_of(files, "", "verify"))
+    names = ["poor.glb", "broken.glb", "good.glb", "little.glb", "plain.glb", "rigid.glb"]
     assert [name for name, _, _ in rows(tmp_path / "all.html")] == names
 
 
-def test_a_name_of_several_lines_is_one_line_in_the_index() -> None:
-    text = index([Listed(name="a\nb.glb", link=None, outcome="failed", remark="c\td")], "").decode()
+def test_a_name_of_several_lines_is_one_line_in_the_sheet() -> None:
+    text = sheet_of(
+        [Listed(name="a\nb.glb", link=None, outcome="failed", remark="c\td")], "", "verify"
+    ).decode()
     assert '<span class="name">a\\nb.glb</span>' in text
     assert "c\\td" in text
 

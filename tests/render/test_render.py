@@ -345,7 +345,7 @@ def test_the_scene_with_a_character_is_drawn(
         del file.content[name]
     file.content.update(scenes)
     document = read_document(str(file.write(tmp_path / "scenes.glb")))
-    assert render.small_picture(document) is not None
+    assert render.small_pictures(document)
     assert [draw.skin for draw in Scene(document, sound_views(document)).shown()] == drawn
 
 

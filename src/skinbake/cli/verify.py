@@ -85,8 +85,11 @@ def command(plan: Plan[VerifyOptions], **extras: Any) -> None:
     from skinbake.jobs.verify import Verify
 
     bare = frozenset(entry.source for entry in without_output)
-    commands = [Verify(one, checks, bare, plan.say.verbosity > 0) for one in plan.options]
-    sys.exit(work_through(plan, commands, _reporting(plan, extra), plan.options))
+    made = pages_of(plan, extra.html)
+    commands = [
+        Verify(one, checks, bare, plan.say.verbosity > 0, made, sync=not plan.no_sync) for one in plan.options
+    ]
+    sys.exit(work_through(plan, commands, reporting(plan, extra), plan.options))
 
 
 def _check_extra(plan: Plan[VerifyOptions], extra: Extra) -> None:
@@ -111,14 +114,20 @@ def _check_extra(plan: Plan[VerifyOptions], extra: Extra) -> None:
         "--state": plan.notes_at,
     }
     check_reports(reports, (entry.file for entry in plan.inputs))
-    if extra.html and not is_one:
-        from skinbake.view.index import pages
-
-        for page in pages(extra.html, plan.names):
-            check_earlier(str(page), is_page, "--html: ")
+    for page in pages_of(plan, extra.html).values():
+        check_earlier(str(page), is_page, "--html: ")
 
 
-def _reporting(plan: Plan[VerifyOptions], extra: Extra) -> Reporting[FileVerdict]:
+def pages_of(plan: Plan[VerifyOptions], target: str | None) -> Mapping[str, Path]:
+    """Return the paths of the pages beside a sheet by source, none if there is no sheet of several files."""
+    if target is None or len(plan.targets) == 1:
+        return {}
+    from skinbake.view.index import pages
+
+    return dict(zip(plan.names, pages(target, plan.names), strict=True))
+
+
+def reporting(plan: Plan[VerifyOptions], extra: Extra) -> Reporting[FileVerdict]:
     """Return how verdicts are reported, counted and written. The verdict on a single file is in full."""
     from skinbake.report.verify import (
         OUTCOMES,
@@ -145,7 +154,7 @@ def _reporting(plan: Plan[VerifyOptions], extra: Extra) -> Reporting[FileVerdict
         if verdict.error is not None:
             say.error(verdict.error)
         if not plan.as_json:
-            say.verdict(words_of(verdict))
+            say.verdict(words_of(verdict.entry.verdict if verdict.entry else verdict))
 
     def write(verdicts: Sequence[FileVerdict]) -> int:
         code = exit_codes.OK
@@ -166,7 +175,13 @@ def _reporting(plan: Plan[VerifyOptions], extra: Extra) -> Reporting[FileVerdict
         notices = Notices()
         try:
             folder, failed = write_report(
-                verdicts, options, target, bounds.__getitem__, notices, sync=not plan.no_sync
+                verdicts,
+                options,
+                target,
+                bounds.__getitem__,
+                notices,
+                command=plan.command,
+                sync=not plan.no_sync,
             )
         except SkinbakeError as error:
             say.error(error)

@@ -20,7 +20,7 @@ from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import LAYERS, Cost
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.reading.accessors import read_accessor
-from skinbake.gltf.reading.clips import RANDOM, Clip, random_clip, read_clips
+from skinbake.gltf.reading.clips import RANDOM, Clip
 from skinbake.gltf.reading.meshes import reason_to_skip, skinned_sources
 from skinbake.gltf.reading.skins import Skeleton, rest_pose
 from skinbake.gltf.writing.output import refuse_own_input
@@ -29,9 +29,9 @@ from skinbake.measure.scene import LIGHTINGS, Attachment, Scene, attachments, cl
 from skinbake.render.materials import CLAY, WHITE, Materials
 from skinbake.render.pictures import MILLISECONDS, MOVING, captioned, encoded
 from skinbake.render.studio import Look, Picture, Studio, placed, require_packages
-from skinbake.render.subject import YAW, Shot, Subject
-from skinbake.render.thumbnail import Posed, thumbnail
-from skinbake.report.verify import in_degrees
+from skinbake.render.subject import YAW, Camera, Shot, Subject
+from skinbake.render.thumbnail import Posed, thumbnails
+from skinbake.report.verify import Spot, Spots, in_degrees
 from skinbake.skinning.rest import Algorithm, Options, RestPrimitive
 from skinbake.skinning.run import Skinning
 from skinbake.wording import counted
@@ -166,8 +166,7 @@ def _pictures(
     camera, words = placed(some, yaws), list(sides)
     if spot is not None:
         (at,) = followed(spot, [draw.at(clip, np.array([moment])) for draw in draws])
-        ball = at + CLOSE * spot.radius * np.concatenate([np.eye(3), -np.eye(3)])
-        camera = replace(camera, middle=at, points=ball, pitch=float(np.arcsin(spot.towards[1])))
+        camera = _close_to(spot, at, camera)
         if (times == spot.time).all():
             figures = {"standard": spot.standard, own: spot.baked}
             words = [f"{side}, {in_degrees(figures[side])}" for side in sides]
@@ -186,6 +185,12 @@ def _pictures(
     for view in () if in_clay else (view for draw in draws for view in draw.surface.views):
         tell_unplaced(document, view, "picture")
     return pictures, pose
+
+
+def _close_to(spot: Spot, middle: Float64Array, camera: Camera) -> Camera:
+    """Return the camera that looks at a place from close by."""
+    ball = middle + CLOSE * spot.radius * np.concatenate([np.eye(3), -np.eye(3)])
+    return replace(camera, middle=middle, points=ball, pitch=float(np.arcsin(spot.towards[1])))
 
 
 def _refuse_layers(
@@ -224,34 +229,67 @@ def _refuse_layers(
         )
 
 
-def small_picture(document: Document) -> bytes | None:
-    """Return a PNG of a baked file in the middle of its first clip; None if nothing of it can be drawn.
+def small_pictures(
+    document: Document, corrected: Document | None = None, known: Spots | None = None
+) -> list[bytes]:
+    """Return PNGs of a baked file in clay: the whole figure, then the place where the bake shows most.
 
-    It needs no device and no extra.
+    Each comes by standard lighting and by that of the bake, or of the correctives of ``corrected``, in the
+    pose that shows most; known are the places, if they were measured. There is no place if the bake shows
+    nowhere, and no picture if nothing can be drawn.
+    They need no device and no extra: the replay lights each vertex, and normals are interpolated as on a GPU.
     """
-    found = list[Posed]()
     try:
-        draws = Scene(document, sound_views(document)).shown()
-        clip = next(iter(read_clips(document)), None) or random_clip(document)
-        times = np.array([(clip.start + clip.duration) / 2])
+        correctives = PlayedCorrectives(corrected) if corrected else None
+        scene = Scene(document, sound_views(document), correctives)
+        if not (draws := scene.shown()):
+            return []
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # only numbers are drawn
-            for draw in draws:
-                primitives = draw.at(clip, times).primitives()
-                for view, (rest, matrices) in zip(draw.surface.views, primitives, strict=True):
-                    skinning = Skinning.of(rest, matrices, dual_quaternions=False, options=Options())
-                    every = slice(0, 1), slice(0, len(rest.positions))
-                    (lit,) = skinning.run((Algorithm.LBS_ACCURATE,), *every)
-                    positions, normals = (
-                        np.stack([np.asarray(axis, np.float64)[0] for axis in vector], axis=-1)
-                        for vector in (lit.position, lit.normal)
-                    )
-                    found.append(Posed(positions, normals, view.now.triangles))
+            try:
+                clip, moment, spot = telling_pose(scene, None, None, is_close=True, known=known)
+            except InputError:
+                clip, moment, spot = telling_pose(scene, None, None, known=known)
+            posed_draws = [draw.at(clip, np.array([moment])) for draw in draws]
+            found = [one for draw in posed_draws for one in _in_clay(draw)]
+            middle = next(followed(spot, posed_draws)) if spot else None
+            for one in attachments(document):
+                posed = one.at(document, clip, np.array([moment]))
+                normals = one.rest.normals @ np.linalg.pinv(posed.matrices[0, 0, :3, :3])
+                found.append(Posed(posed.positions(0), np.stack([normals, normals]), one.triangles))
     except SkinbakeError:
-        return None
+        return []
     sound = [part.positions[(np.abs(part.positions) < MOST).all(axis=1)] for part in found]
     if not sum(map(len, sound)):
-        return None
-    return thumbnail(found, placed(sound, [YAW]))
+        return []
+    if spot is None or middle is None:
+        return thumbnails(found, placed(sound, [YAW]))
+    camera = placed(sound, [float(np.arctan2(spot.towards[0], spot.towards[2]))])
+    return [*thumbnails(found, camera), *thumbnails(found, _close_to(spot, middle, camera))]
+
+
+def _in_clay(draw: Draw) -> Iterator[Posed]:
+    """Yield each primitive of a draw in its first pose, by standard lighting and by the bake's."""
+    morphing, standard, accurate = draw.morphing, draw.surface.rest, draw.surface.rest
+    if morphing is not None:
+        standard, accurate = morphing.standard(standard, 0), morphing.accurate(accurate, 0)
+    how = Algorithm.LBS_ACCURATE
+    if draw.corrections is not None:
+        played = zip(standard, draw.corrections.targets, draw.corrections.weights, strict=True)
+        changed = [(one, np.einsum("k,kvi->vi", weights[0], targets)) for one, targets, weights in played]
+        accurate = [replace(one, normals=one.normals + change) for one, change in changed]
+        how = Algorithm.LBS_STANDARD
+    turned = (np.linalg.det(rest_pose(draw.skeleton)[0, :, :3, :3]) < 0).any()
+    for view, *both in zip(draw.surface.views, standard, accurate, strict=True):
+        lit = []
+        for rest, algorithm in zip(both, (Algorithm.LBS_STANDARD, how), strict=True):
+            skinning = Skinning.of(rest, draw.matrices, dual_quaternions=False, options=Options())
+            lit += skinning.run((algorithm,), slice(0, 1), slice(0, len(rest.positions)))
+        positions, *normals = (
+            np.stack([np.asarray(axis, np.float64)[0] for axis in vector], axis=-1)
+            for vector in (lit[0].position, *(one.normal for one in lit))
+        )
+        triangles = view.now.triangles[:, ::-1] if turned else view.now.triangles
+        yield Posed(positions, np.stack(normals), triangles)
 
 
 def _times(clip: Clip, moment: float, options: RenderOptions, *, moves: bool) -> tuple[Float64Array, str]:

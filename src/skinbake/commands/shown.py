@@ -124,19 +124,25 @@ def spots_at(scene: Scene, clip: Clip, times: Float64Array) -> Spots:
 
 
 def telling_pose(
-    scene: Scene, asked: str | None, time: float | None, *, is_close: bool = False
+    scene: Scene,
+    asked: str | None,
+    time: float | None,
+    *,
+    is_close: bool = False,
+    known: Spots | None = None,
 ) -> tuple[Clip, float, Spot | None]:
     """Return a clip by its name or number, a time in it in seconds, and for a close-up the best place then.
 
     Where they are not asked for, the bake shows most there. If it shows nowhere, they are the middle of the
-    first clip. The place is one in the scene that ``Draw.at`` gives. Raises ChoiceError for a clip that does
-    not exist, and for a time outside it. Raises InputError if a close-up has no place, or if the work is too
-    much.
+    first clip. known is as in ``spots_in_clips``. The place is one in the scene that ``Draw.at`` gives.
+    Raises ChoiceError for a clip that does not exist, and for a time outside it. Raises InputError if a
+    close-up has no place, or if the work is too much.
     """
     document, spots = scene.document, tuple[Spot, ...]()
     clips = asked_clips(document, asked) or [random_clip(document)]
     if time is None or len(clips) > 1:
-        spots = spots_in_clips(scene, asked=None if asked is None else clips).shows
+        found = spots_in_clips(scene, known, None if asked is None else clips).shows
+        spots = tuple(spot for spot in found if spot.number is not None)
     every = [*clips, random_clip(document)]
     clip = next(one for one in every if not spots or one.number == spots[0].number)
     if time is None:

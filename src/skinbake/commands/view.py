@@ -14,7 +14,7 @@ from urllib.parse import quote
 import numpy as np
 
 from skinbake.choices import FrameChoice, Gradients, Neighbours, Scheme, Weighting, Weld
-from skinbake.commands.render import small_picture
+from skinbake.commands.render import small_pictures
 from skinbake.commands.shown import baked_in_memory, holds_bake, spots_in_clips, tell_unplaced
 from skinbake.commands.verify import verify_document
 from skinbake.errors import InputError, Notice, Notices, SkinbakeError
@@ -36,9 +36,11 @@ from skinbake.gltf.writing.recode import Compression, recoded
 from skinbake.measure.options import VerifyOptions
 from skinbake.measure.scene import Scene
 from skinbake.report.verify import (
+    Entry,
     FileVerdict,
     Spot,
     Spots,
+    baked_lighting,
     conclusion,
     file_json,
     first_problem,
@@ -47,7 +49,7 @@ from skinbake.report.verify import (
     shown,
 )
 from skinbake.timing import stage
-from skinbake.view.index import Listed, index, pages
+from skinbake.view.index import Listed, pages, sheet
 from skinbake.view.page import OtherGradients, Shown, page
 from skinbake.view.texts import INFLUENCES
 from skinbake.wording import counted
@@ -85,7 +87,7 @@ def view_file(source: str, target: str | None = None, bounds: Bounds = BESIDE) -
         before = "The bake of the file is damaged." if holds_bake(document) else "The file was not baked."
         if corrective_notes(document):
             before = LEFT_OUT
-        notes = [f"{before} This page baked it in memory, with the defaults."]
+        notes = [f"{before} {IN_MEMORY}"]
     if corrected or not was_baked:
         document = baked_in_memory(document)
     verdict = verify_document(corrected or document, VerifyOptions(finds_places=True))
@@ -153,6 +155,7 @@ def page_of(
         return made
 
 
+IN_MEMORY = "This page baked it in memory, with the defaults."
 LEFT_OUT = "The correctives of the file are damaged. The page draws what α and β would give in place of them."
 COMPARED = "The file has correctives. What α and β would give was baked in memory, with the defaults."
 
@@ -285,14 +288,51 @@ def _findings(verdict: FileVerdict) -> dict[str, Any]:
     }
 
 
-def _page(document: Document, verdict: FileVerdict, options: VerifyOptions) -> bytes:
-    """Return the page of a file that was verified, with its verdict and limits."""
-    notes, corrected = [], document if PlayedCorrectives.sound(document) else None
+def _page(
+    source: str, verdict: FileVerdict, options: VerifyOptions, bounds: Bounds
+) -> tuple[bytes, FileVerdict, Document, Document | None]:
+    """Return the page of a file that was verified, the verdict on it, and what it shows as ``page_of`` does.
+
+    A file without a bake is baked in memory, and its verdict has the figures of that bake.
+    """
+    document, notes = read_document(source, bounds), list[str]()
+    if verdict.found_no_bake:
+        try:
+            with document.notices.withheld():
+                document = baked_in_memory(document)
+        except InputError:
+            pass  # nothing in it can be baked: its page shows it as it is
+        else:
+            measured = verify_document(document, VerifyOptions(finds_places=True))
+            kept = {name: getattr(verdict, name) for name in ("input", "checks", "command", "notices")}
+            verdict, notes = replace(measured, **kept), [f"The file was not baked. {IN_MEMORY}"]
+    corrected = None
     if corrective_notes(document):
-        notes = [] if corrected else [LEFT_OUT]
+        corrected = document if PlayedCorrectives.sound(document) else None
+        notes += [] if corrected else [LEFT_OUT]
         with document.notices.withheld():
             document = baked_in_memory(document)
-    return page_of(document, verdict, notes, limits_in_words(options), corrected)
+    page = page_of(document, verdict, notes, limits_in_words(options), corrected)
+    return page, verdict, document, corrected
+
+
+def entry_of(
+    verdict: FileVerdict, options: VerifyOptions, path: Path, bounds: Bounds, *, sync: bool = True
+) -> Entry:
+    """Write the page of a file that was verified, and return what a sheet shows of it, or why it cannot."""
+    try:
+        page, verdict, document, corrected = _page(verdict.input, verdict, options, bounds)
+        pictures = tuple(small_pictures(document, corrected, verdict.spots))
+        write_files(path.parent, {path: [page]}, str(path), sync=sync)
+        size = sum(
+            document.asset.accessors[accessor].described(view.source.place)[1]
+            for view in ([] if corrected else sound_views(document))
+            for name in view.note.slot_names
+            if (accessor := document.asset.accessor_of(view.source, name)) is not None
+        )
+        return Entry(verdict, pictures, size or None, tuple(document.notices))
+    except SkinbakeError as error:
+        return Entry(verdict, error=error)
 
 
 def write_report(
@@ -302,52 +342,49 @@ def write_report(
     bounds: Callable[[str], Bounds],
     notices: Notices,
     *,
+    command: str = "verify",
     sync: bool = True,
 ) -> tuple[Path | None, list[SkinbakeError]]:
-    """Write the page of one verdict, or an index and the pages of several in a folder of its name.
+    """Write the page of one verdict, or a sheet and the pages of several in a folder of its name.
 
     ``options`` belong to each input. ``bounds`` gives the folders in which the document of an input may
-    name files. A file that cannot be read, or was not verified again, has no page. The index tells the limits
+    name files. A file that cannot be read, or was not verified again, has no page. The sheet tells the limits
     that are the same for all, and that there are others. Return the folder of the pages, None if there is
-    none, and the errors of single pages, which the index goes without. ``notices`` are told what pages lack.
-    Raises SkinbakeError if the page of a single verdict, or the index, cannot be written.
+    none, and the errors of single pages, which the sheet goes without. ``notices`` are told what pages lack.
+    Raises SkinbakeError if the page of a single verdict, or the sheet, cannot be written.
     """
     if len(verdicts) == 1 and verdicts[0].error is None and not verdicts[0].up_to_date:
         source = verdicts[0].input
-        document = read_document(source, bounds(source))
-        page = _page(document, verdicts[0], options[source])
+        page, _, document, _ = _page(source, verdicts[0], options[source], bounds(source))
         notices.tell(*document.notices)
         write_file([page], target, sync=sync)
         return None, []
     listed, folder, failed = list[Listed](), None, list[SkinbakeError]()
     for verdict, path in zip(verdicts, pages(target, [one.input for one in verdicts]), strict=True):
-        link = picture = None
-        if verdict.error is None and not verdict.up_to_date:
-            try:
-                document = read_document(verdict.input, bounds(verdict.input))
-                page = _page(document, verdict, options[verdict.input])
-                picture = small_picture(document)
-                write_files(path.parent, {path: [page]}, str(path), sync=sync)
-            except SkinbakeError as error:
-                failed.append(error)
-            else:
-                folder = path.parent
-                notices.tell(*document.notices)
-                link = f"{quote(folder.name)}/{path.name}"
-        listed.append(_listed(verdict, link, picture))
+        entry, source = verdict.entry, verdict.input
+        link: str | None = None
+        if entry is None and verdict.error is None and not verdict.up_to_date:
+            entry = entry_of(verdict, options[source], path, bounds(source), sync=sync)
+        if entry is not None and entry.error is not None:
+            failed.append(entry.error)
+        elif entry is not None:
+            folder, link = path.parent, f"{quote(path.parent.name)}/{path.name}"
+            notices.tell(*entry.notices)
+        listed.append(_listed(verdict, link, entry or Entry(verdict)))
     # A sentence on the limits of all files.
     limits = [limits_in_words(options[verdict.input]) for verdict in verdicts]
     common = [limit for limit in limits[0] if all(limit in others for others in limits)]
     if any(len(own) > len(common) for own in limits):
         common.append("others that differ between files, on their pages")
     sentence = f"Limits: {', '.join(common)}." if common else "No limits were asked for."
-    write_file([index(listed, sentence)], target, sync=sync)
+    write_file([sheet(listed, "" if command == "view" else sentence, command)], target, sync=sync)
     return folder, failed
 
 
-def _listed(verdict: FileVerdict, link: str | None, picture: bytes | None) -> Listed:
-    """Return the entry of a file in the index, with why it failed, or why it has no figures."""
-    figures = found.figures if (found := shown(verdict)) else {}
+def _listed(verdict: FileVerdict, link: str | None, entry: Entry) -> Listed:
+    """Return the row of a file in the sheet, with why it failed, or why it has no figures."""
+    figures = found.figures if (found := shown(entry.verdict)) else {}
+    judged = conclusion(entry.verdict)
     skipped = [check.remark for check in verdict.checks if check.outcome == "skipped"]
     if verdict.error is not None:
         where = verdict.error.place.within_file if verdict.error.place else ""
@@ -361,12 +398,15 @@ def _listed(verdict: FileVerdict, link: str | None, picture: bytes | None) -> Li
     return Listed(
         name=verdict.input,
         link=link,
-        picture=picture,
+        pictures=entry.pictures,
         outcome=verdict.outcome,
         remark=remark,
+        verdict=judged.short if judged else "",
+        step=judged.step if judged else "",
         standard=figures["standard"].mean if figures else None,
-        accurate=figures["accurate"].mean if figures else None,
+        accurate=figures[baked_lighting(figures)].mean if figures else None,
         gain=gain(figures) if figures else None,
+        byte_length=entry.byte_length,
     )
 
 

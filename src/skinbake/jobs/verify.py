@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from skinbake.commands.verify import verify_file
@@ -23,7 +24,8 @@ class Verify:
     """Verify the source of a job. ``sources`` has the check of ``--sources`` by its name.
 
     A name in ``without_output`` is a source, of which that check alone is made. finds_places: whether it is
-    found where the bake shows, which is no part of what passes.
+    found where the bake shows, which is no part of what passes. ``pages`` has the path of the page to write
+    of a source for a sheet, and sync tells whether to wait until it is on the disk.
     """
 
     undone: ClassVar[str] = "not verified"
@@ -32,15 +34,23 @@ class Verify:
     sources: Mapping[str, Check] = field(default_factory=dict)
     without_output: frozenset[str] = frozenset()
     finds_places: bool = False
+    pages: Mapping[str, Path] = field(default_factory=dict)
+    sync: bool = True
 
     def result_of(self, job: Job, *, traced: bool) -> FileVerdict:
         """Verify the file. Raises SkinbakeError if it cannot be read. Nothing is written or traced."""
         if job.source in self.without_output:
             return FileVerdict(job.source, self._checks(job))
-        options = replace(self.options, finds_places=self.finds_places)
+        options = replace(self.options, finds_places=self.finds_places or job.source in self.pages)
 
         def verified(source: str, target: str | None, within: Within) -> FileVerdict:
-            return verify_file(source, options, within.bounds)
+            verdict = verify_file(source, options, within.bounds)
+            if job.source not in self.pages:
+                return verdict
+            from skinbake.commands.view import entry_of  # most runs make no pages
+
+            path = self.pages[job.source]
+            return replace(verdict, entry=entry_of(verdict, options, path, within.bounds, sync=self.sync))
 
         found = on_files(job._replace(target=None), verified)
         return replace(found, checks=(*found.checks, *self._checks(job)))

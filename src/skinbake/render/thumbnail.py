@@ -11,32 +11,34 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.geometry.skinned import Float64Array, IntArray
-from skinbake.render.subject import YAW, Camera
+from skinbake.render.subject import Camera
 
-SIZE = (192, 144)
+SIZE = (176, 176)
 SUPERSAMPLING = 2
 AT_ONCE = 1 << 20
 """The number of pixels that are tried at a time."""
 
-LIGHT = np.array([0.35, 0.75, 0.56])
+LIGHT = np.array([-0.66, 0.60, 0.45])
+"""Where the light comes from, as the camera sees it: it grazes the surface from the left and above."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posed:
-    """A surface in one pose: positions and normals (V, 3), triangles (T, 3)."""
+    """A surface in one pose: positions (V, 3), triangles (T, 3), and normals (L, V, 3) by L lightings."""
 
     positions: Float64Array
     normals: Float64Array
     triangles: IntArray
 
 
-def thumbnail(surfaces: list[Posed], camera: Camera) -> bytes:
-    """Return a PNG of grey and alpha. What is not finite is left out."""
+def thumbnails(surfaces: list[Posed], camera: Camera) -> list[bytes]:
+    """Return a PNG of grey and alpha for each lighting. What is not finite is left out."""
     width, height = (SUPERSAMPLING * side for side in SIZE)
-    matrix = camera.projected(YAW, width / height)
-    grey = np.zeros(width * height)
+    yaw = camera.yaws[0]
+    matrix, axes = camera.projected(yaw, width / height), camera.axes(yaw)
+    grey = np.zeros((len(surfaces[0].normals), width * height))
     depths = np.full(width * height, np.inf)
-    towards, light = camera.axes(YAW)[2], LIGHT / np.linalg.norm(LIGHT)
+    towards, light = axes[2], LIGHT @ axes / np.linalg.norm(LIGHT)
     half = (light + towards) / np.linalg.norm(light + towards)
     # Positions may be of any size; what overflows lies outside the picture.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -44,28 +46,31 @@ def thumbnail(surfaces: list[Posed], camera: Camera) -> bytes:
             # places (V, 3): pixels from the upper left corner, and the depth
             clip = np.column_stack([surface.positions, np.ones(len(surface.positions))]) @ matrix.T
             places = (clip[:, :3] / clip[:, 3:] * [1, -1, 1] * 0.5 + 0.5) * [width, height, 1.0]
+            (x, y), (u, v) = np.diff(places[surface.triangles, :2], axis=1).transpose(1, 2, 0)
+            is_behind = x * v > y * u  # y goes down
             for pixels, depth, triangles, shares in _fragments(places, surface.triangles, (width, height)):
-                # Clay from 0 to 1: ambient, from above, diffuse and a highlight (Blinn 1977). A surface seen
-                # from behind is lit like its front.
-                n = np.einsum("fk,fki->fi", shares, surface.normals[surface.triangles[triangles]])
-                n /= np.linalg.norm(n, axis=1, keepdims=True)
-                n = np.where((n @ towards)[:, None] < 0, -n, n)
-                lit = 0.30 + 0.16 * n[:, 1] + 0.52 * np.maximum(n @ light, 0)
+                # Clay from 0 to 1: ambient, from above, diffuse and a highlight (Blinn 1977). A triangle seen
+                # from behind is lit like its front, whatever its normals say.
+                n = np.einsum("fk,lfki->lfi", shares, surface.normals[:, surface.triangles[triangles]])
+                n /= np.linalg.norm(n, axis=2, keepdims=True)
+                n[:, is_behind[triangles]] *= -1
+                lit = 0.24 + 0.14 * n[..., 1] + 0.66 * np.maximum(n @ light, 0)
                 lit += 0.25 * np.maximum(n @ half, 0) ** 40
                 shades = np.clip(lit, 0, 1) ** (1 / 1.4)
-                sound = np.isfinite(shades) & np.isfinite(depth)
+                sound = np.isfinite(shades).all(axis=0) & np.isfinite(depth)
                 order = np.flatnonzero(sound)[np.argsort(-depth[sound], kind="stable")]
                 order = order[depth[order] < depths[pixels[order]]]
                 # Of several values for one pixel, the last one stays: the nearest.
-                grey[pixels[order]], depths[pixels[order]] = shades[order], depth[order]
+                grey[:, pixels[order]], depths[pixels[order]] = shades[:, order], depth[order]
     covered = np.isfinite(depths).astype(np.float64)
-    means = [
+    *means, alpha = (
         part.reshape(SIZE[1], SUPERSAMPLING, SIZE[0], SUPERSAMPLING).mean(axis=(1, 3))
-        for part in (grey * covered, covered)
+        for part in (*(grey * covered), covered)
+    )
+    shown = [np.divide(mean, alpha, out=np.zeros_like(alpha), where=alpha > 0) for mean in means]
+    return [
+        png(np.stack([255 * one, 255 * alpha], axis=2).round().clip(0, 255).astype(np.uint8)) for one in shown
     ]
-    alpha = means[1]
-    shown = np.divide(means[0], alpha, out=np.zeros_like(alpha), where=alpha > 0)
-    return png(np.stack([255 * shown, 255 * alpha], axis=2).round().clip(0, 255).astype(np.uint8))
 
 
 def _fragments(

@@ -208,6 +208,22 @@ class OtherBake(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
+class Entry:
+    """What the sheet of several files shows of one, whose page is written.
+
+    verdict has the figures of a bake in memory if the file has none. pictures are PNGs: the whole figure and
+    the best place, each by standard lighting and by the bake's. byte_length is that of α and β. notices are
+    what the page tells. error: the page could not be made.
+    """
+
+    verdict: FileVerdict
+    pictures: tuple[bytes, ...] = ()
+    byte_length: int | None = None
+    notices: tuple[Notice, ...] = ()
+    error: SkinbakeError | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class FileVerdict:
     """The result of verify for one file.
 
@@ -221,6 +237,7 @@ class FileVerdict:
     correctives. others are bakes that light the file better, the one to choose first. command is what bakes a
     file without a bake, empty if nothing in it can be baked. is_partial: it was too much work to measure in
     all poses. unplayed is why no clip was played, None if all could be. spots are its places, if asked for.
+    entry is that of a sheet, if any.
     """
 
     input: str
@@ -242,6 +259,7 @@ class FileVerdict:
     is_partial: bool = False
     unplayed: InputError | None = None
     spots: Spots | None = None
+    entry: Entry | None = None
 
     @property
     def by_truth(self) -> dict[str, Normals]:
@@ -509,6 +527,8 @@ def conclusion(verdict: FileVerdict) -> Conclusion | None:
                 told = judged.sentence.partition(": ")[2]
                 sentence = f"Normals do not belong to the surface: {told}"
                 judged = Conclusion(sentence, "do what the warning says")
+            elif verdict.command and not judged.leave:
+                judged = replace(judged, step=f"{verdict.command} {name}")
             meet = "leave it unbaked by bake --leave-under, or " if judged.leave else ""
         return replace(judged, step=f"{meet}change the limit") if failed else judged
     if any(check.name == "structure" and check.outcome == "skipped" for check in verdict.checks):

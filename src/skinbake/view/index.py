@@ -1,4 +1,4 @@
-"""The index of the pages of several files: which passed, and how much each gains."""
+"""The sheet of several files: a picture of each by both lightings, and how much each gains."""
 
 from __future__ import annotations
 
@@ -23,21 +23,25 @@ UNSAFE = re.compile("[^A-Za-z0-9._-]+")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Listed:
-    """One file of the index: its name, the link to its page and a small PNG (None: it has none), its figures.
+    """One file of the sheet: its name, the link to its page (None: it has none), its pictures and figures.
 
-    standard and accurate are mean errors in degrees by triangles, gain is their ratio; None if they were not
-    measured. outcome is passed, failed, or not baked. remark says why a file failed, or why it has no
-    figures.
+    pictures are PNGs of the whole figure and of its best place, each by standard lighting and by the bake's,
+    or none. standard and accurate are mean errors in degrees by triangles, gain is their ratio; None if they
+    were not measured. outcome is passed, failed, or not baked. remark says why a file failed, or why it has
+    no figures. verdict and step conclude. byte_length is that of α and β.
     """
 
     name: str
     link: str | None
-    picture: bytes | None = None
+    pictures: Sequence[bytes] = ()
     outcome: str
     remark: str = ""
+    verdict: str = ""
+    step: str = ""
     standard: float | None = None
     accurate: float | None = None
     gain: float | None = None
+    byte_length: int | None = None
 
 
 def pages(target: str, inputs: Sequence[str]) -> list[Path]:
@@ -50,16 +54,17 @@ def pages(target: str, inputs: Sequence[str]) -> list[Path]:
     return [folder / f"{number:04}-{name}.html" for number, name in enumerate(names, 1)]
 
 
-def index(files: Sequence[Listed], limits: str) -> bytes:
-    """Return the index as UTF-8: files that failed first, then by gain, the smallest first.
+def sheet(files: Sequence[Listed], limits: str, command: str) -> bytes:
+    """Return the sheet as UTF-8: files that failed first, then by gain, the largest first.
 
-    limits is a sentence on the limits.
+    limits is a sentence on the limits, command the one that writes the sheet.
     """
     outcomes = Counter(one.outcome for one in files)
     parts = [f"{outcomes[word]:,} {word}" for word in ("not baked", "failed") if outcomes[word]]
     summary = ", ".join([counted(len(files), "file"), *(parts or ["all passed"])])
     values = {
         "version": html.escape(__version__),
+        "command": command,
         "summary": summary,
         "limits": html.escape(limits),
         "rows": "\n".join(map(_row, sorted(files, key=_order))),
@@ -68,34 +73,42 @@ def index(files: Sequence[Listed], limits: str) -> bytes:
 
 
 def _order(one: Listed) -> tuple[bool, float, str]:
-    """Order files that failed first. Without a gain, a file that failed comes first, and others come last."""
-    has_failed = one.outcome == "failed"
-    without = 0.0 if has_failed else math.inf
-    return not has_failed, without if one.gain is None else one.gain, one.name
+    """Order files that failed first. Files without a gain come last."""
+    return one.outcome != "failed", math.inf if one.gain is None else -one.gain, one.name
 
 
 def _row(one: Listed) -> str:
-    name = html.escape(printable(one.name))
-    words = f'{_picture(one.picture)}<span class="name">{name}</span>'
+    name, figures = html.escape(printable(one.name)), (one.standard, one.accurate)
+    words = f'{_pictures(one)}<span class="name">{name}</span>'
     shown = words if one.link is None else f'<a href="{html.escape(one.link)}">{words}</a>'
-    style = one.outcome.replace(" ", "-")
-    remark = f" {html.escape(printable(one.remark))}" if one.remark else ""
+    told = one.verdict or one.outcome
+    lines = [(one.outcome if one.outcome == "failed" else told.replace(" ", "-"), told.capitalize())]
+    remarks = [one.outcome if one.verdict else "", one.remark, f"Next: {one.step}." if one.step else ""]
+    lines += [("quiet", remark) for remark in remarks if remark]
+    said = "<br>".join(
+        f'<span class="{html.escape(kind)}">{html.escape(printable(line))}</span>' for kind, line in lines
+    )
     cells = [
         f'<td class="file">{shown}</td>',
-        f'<td data-value="{one.outcome}"><span class="{style}">{one.outcome}</span>{remark}</td>',
-        _number("Standard", one.standard, "{:.2f}°".format),
-        _number("Accurate", one.accurate, "{:.2f}°".format),
+        f'<td class="told" data-value="{one.outcome}">{said}</td>',
+        *(
+            _number(label, value, "{:.2f}°".format)
+            for label, value in zip(("Standard", "Accurate"), figures, strict=True)
+        ),
         _number("Gain", one.gain, lambda gain: f"{gain_in_words(gain)}×"),
+        _number("Bytes", one.byte_length, lambda size: f"{size / 1000:,.1f} kB"),
     ]
     return f"<tr>{''.join(cells)}</tr>"
 
 
-def _picture(png: bytes | None) -> str:
-    """Return a picture, or the empty place of one. It says no more than the name beside it."""
-    if png is None:
-        return '<span class="picture"></span>'
-    data = base64.b64encode(png).decode()
-    return f'<img class="picture" src="data:image/png;base64,{data}" width="96" height="72" alt="">'
+def _pictures(one: Listed) -> str:
+    """Return pictures by standard lighting and by the bake's in turns. They say no more than the figures."""
+    found = ""
+    for number, png in enumerate(one.pictures):
+        data, side = base64.b64encode(png).decode(), ("standard", "accurate")[number % 2]
+        image = f'<img class="picture" src="data:image/png;base64,{data}" width="176" height="176" alt="">'
+        found += f'<span class="quiet">{image}{side}</span>'
+    return f'<span class="pictures">{found}</span>'
 
 
 def _number(label: str, value: float | None, shown: Callable[[float], str]) -> str:
