@@ -17,7 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.marked import write_between
-from skinbake.choices import Baseline, Truth
+from skinbake.choices import USUAL_TRUTHS, Baseline, Truth
 from skinbake.commands.bake import bake_file
 from skinbake.commands.bake_options import BakeOptions
 from skinbake.errors import SkinbakeError
@@ -98,13 +98,13 @@ def measured(paths: list[Path]) -> Iterator[Model]:
             verdict = verified(target, VerifyOptions(("lbs",)))
             other = verified(target, VerifyOptions(("lbs",), baseline=Baseline.INVERSE_TRANSPOSE))
         vertices = sum(counts.vertices for _, counts in result.primitives)
-        lbs = verdict.by_truth.get(Truth.TANGENTS, {}).get("lbs", {})
+        lbs = verdict.by_truth.get(Truth.TRIANGLES, {}).get("lbs", {})
         if verdict.passed and (vertices < FEWEST or gain(lbs) is None):
             continue
         key = vertices, round(lbs["standard"].mean, 2) if lbs else None
         if key not in seen:
             seen.add(key)
-            yield Model(name, vertices, verdict, gain(other.by_truth.get(Truth.TANGENTS, {}).get("lbs", {})))
+            yield Model(name, vertices, verdict, gain(other.by_truth.get(Truth.TRIANGLES, {}).get("lbs", {})))
 
 
 def told_apart(paths: list[Path]) -> list[str]:
@@ -116,8 +116,8 @@ def told_apart(paths: list[Path]) -> list[str]:
 def table(models: Iterable[Model]) -> Iterator[str]:
     """Yield the lines of the table."""
     yield (
-        "| model | vertices | by tangents: standard | accurate | gain | over i. t. "
-        "| by triangles: standard | accurate | gain |"
+        "| model | vertices | by triangles: standard | accurate | gain | over i. t. "
+        "| by tangents: standard | accurate | gain |"
     )
     yield "|---|--:|--:|--:|--:|--:|--:|--:|--:|"
     for model in models:
@@ -126,18 +126,16 @@ def table(models: Iterable[Model]) -> Iterator[str]:
 
 def row(model: Model) -> Iterator[str]:
     """Yield the cells of one model."""
-    lbs, by_triangles = (
-        model.verdict.by_truth.get(truth, {}).get("lbs", {}) for truth in (Truth.TANGENTS, Truth.TRIANGLES)
-    )
+    first, second = (model.verdict.by_truth.get(truth, {}).get("lbs", {}) for truth in USUAL_TRUTHS)
     yield (
         model.name
         + ("" if " clip" in model.verdict.poses else " (random)")
         + ("" if model.verdict.passed else " (**does not verify**)")
     )
     yield f"{model.vertices:,}"
-    yield from means(lbs)
+    yield from means(first)
     yield times(model.other_gain)
-    yield from means(by_triangles)
+    yield from means(second)
 
 
 def means(figures: dict[str, ErrorFigures]) -> Iterator[str]:

@@ -57,7 +57,7 @@ def baked(path: Path, neighbours: Neighbours) -> tuple[float, float]:
     options = BakeOptions(neighbours=neighbours, generate_normals=True)
     result = bake_document(read_document(str(path)), options)
     verdict = verify_document(result.document, VerifyOptions(methods=(Method.LBS,)))
-    normals = verdict.by_truth.get("tangents", {})
+    normals = verdict.by_truth.get("triangles", {})
     counts = [count for _, count in result.primitives]
     lost = sum(count.lost_gradient * count.gradient for count in counts) / sum(c.gradient for c in counts)
     return lost, normals[Method.LBS][Lighting.ACCURATE].mean
