@@ -134,7 +134,7 @@ export function lighting(root, which) {
 }
 
 /**
- * Undo applySkinbake for the skinned meshes below an object. Clones, which share their geometries, stay as they are.
+ * Undo applySkinbake for the skinned meshes below an object. Clones in a scene, which share their geometries, stay.
  *
  * @param {Object3D} root - A scene, a model, or a mesh.
  */
@@ -162,12 +162,13 @@ function use(mesh) {
     known.add(mesh);
 }
 
-// Whether another mesh has this geometry, and was not disposed of. One without a parent was taken out by the page.
+// Whether another mesh in a scene has this geometry, and was not disposed of.
 function isUsedBeside({ geometry }) {
     const meshes = (state.users.get(geometry)?.meshes ?? []).map((one) => one.deref());
-    return meshes.some((mesh) => mesh?.parent && mesh.geometry === geometry && !state.disposed.has(mesh));
+    return meshes.some((mesh) => mesh?.geometry === geometry && !state.disposed.has(mesh) && isInScene(mesh));
 }
 
+const isInScene = ({ parent, isScene }) => (parent ? isInScene(parent) : isScene === true);
 const isSwitched = (mesh) => state.standard.has(mesh) || state.disposed.has(mesh);
 
 // Add a renderer that this page may use. classes are those of three.js, and oldest is the first revision that will do.

@@ -35,7 +35,7 @@ export function report(root: Object3D): MeshReport[];
 /** Switch the skinned meshes below an object to three.js's own lighting, or back. */
 export function lighting(root: Object3D, which: 'standard' | 'accurate'): void;
 
-/** Undo applySkinbake for the skinned meshes below an object. Clones, which share their geometries, stay as they are. */
+/** Undo applySkinbake for the skinned meshes below an object. Clones in a scene, which share their geometries, stay. */
 export function dispose(root: Object3D): void;
 
 /** A plugin of GLTFLoader. The loaded object has the report in `userData.skinbake`. */

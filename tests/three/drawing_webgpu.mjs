@@ -378,7 +378,7 @@ const api = {
             scene.add(model, new THREE.DirectionalLight());
             const [mesh] = skinnedMeshes(model);
             Object.assign(mesh, { name: 'hero', material: new THREE.MeshStandardNodeMaterial({ name: 'nodes' }) });
-            const [{ meshes }] = modules.map((module) => module.applySkinbake(scene));
+            const [meshes] = modules.map((module) => module.applySkinbake(scene));
             const draws = (await draw(renderer, scene, new THREE.PerspectiveCamera())).map(({ values }) => base64(values));
             const report = meshes.map((one) => [one.lighting, one.reason]);
             found.push({ draws, report, world: mesh.matrixWorld.toArray() });
