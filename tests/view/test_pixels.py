@@ -41,6 +41,7 @@ def browsing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[browser
                 for (const id of ['textures', 'moving']) document.getElementById(id).checked = false;
                 for (const side of [left, right]) side.value = 'fitted';
                 application.chooseSides();
+                divided.checked = true;
                 application.goHome();
             })""",
             TIME,
@@ -66,12 +67,17 @@ def test_pixels_are_those_of_the_replay(
     found = picture(page)[::-1].astype(np.float64)
     height, width = found.shape[:2]
     algorithm = Algorithm.LBS_ACCURATE if lighting == "fitted" else Algorithm.LBS_STANDARD
-    matrix, eye, turn = page.call(
-        "((aspect) => [application.camera.projected(aspect), application.camera.eye, application.turn])",
+    matrix, eye, axes = page.call(
+        """((aspect) => {
+            const { camera } = application;
+            return [camera.projected(aspect), camera.eye, camera.axes];
+        })""",
         width / height,
     )
     drawn = fragments(path, algorithm, TIME, np.array(matrix).reshape(4, 4).T, (width, height))
-    wanted = 255 * (shaded(drawn, np.array(eye), turn) if mode == "shaded" else 0.5 + 0.5 * drawn.normals)
+    wanted = 255 * (
+        shaded(drawn, np.array(eye), np.array(axes)) if mode == "shaded" else 0.5 + 0.5 * drawn.normals
+    )
     inside = eroded(drawn.covered, SILHOUETTE)
     assert inside.sum() > 10_000
     difference = np.abs(found[..., :3] - wanted)[inside]
@@ -79,15 +85,18 @@ def test_pixels_are_those_of_the_replay(
     assert np.percentile(difference, 99) < 4 * MEAN
 
 
-def shaded(drawn: Fragments, eye: Array, turn: float) -> Array:
-    """Return the colours (H, W, 3) of clay under the page's light: GGX, Schlick and a sky of two colours."""
+def shaded(drawn: Fragments, eye: Array, studio: Array) -> Array:
+    """Return the colours (H, W, 3) of clay under the page's light: GGX, Schlick, a sky, a rim and a softbox.
+
+    studio has right, up and back of the camera as rows.
+    """
 
     def dot(a: Array, b: Array) -> Array:
         return np.asarray((a * b).sum(axis=-1, keepdims=True))
 
     n = drawn.normals
     v = unit_fields(eye - drawn.positions)
-    light = unit_fields(np.array([0.75 * np.sin(turn), 0.6, 0.75 * np.cos(turn)]))
+    light, behind = np.array([-0.80, 0.48, 0.36]) @ studio, np.array([0.72, 0.38, -0.58]) @ studio
     h = unit_fields(light + v)
     nl, nh, nv = np.maximum(dot(n, light), 0), np.maximum(dot(n, h), 0), np.maximum(dot(n, v), 1e-3)
     roughness = 0.42
@@ -96,10 +105,18 @@ def shaded(drawn: Fragments, eye: Array, turn: float) -> Array:
     k = (roughness + 1) ** 2 / 8
     shine = 0.04 + 0.96 * (1 - np.maximum(dot(v, h), 0)) ** 5
     specular = shine * spread / (4 * (nl * (1 - k) + k) * (nv * (1 - k) + k))
-    up = 0.5 + 0.5 * n[..., 1:2]
-    sky = (1 - up) * np.array([0.16, 0.15, 0.145]) + up * np.array([0.36, 0.39, 0.43])
-    rim = (1 - nv) ** 4 * 0.12
-    colour = CLAY * (sky + 1.1 * nl * np.array([1.0, 0.98, 0.94])) + nl * specular * 1.2 + rim * sky
+    up = 0.5 + 0.5 * (n @ studio[1])[..., None]
+    sky = (1 - up) * np.array([0.10, 0.10, 0.105]) + up * np.array([0.27, 0.29, 0.32])
+    rim = np.maximum(dot(n, behind), 0) * (0.35 + 0.65 * (1 - nv) ** 2)
+    mirrored = (2 * dot(n, v) * n - v) @ studio.T
+    far = np.abs(mirrored[..., :2] / np.maximum(mirrored[..., 2:], 0.05) - np.array([0.62, 0.3]))
+    share = np.clip((np.array([0.34, 0.5]) + 0.3 * roughness - far) / (0.6 * roughness), 0, 1)
+    box = (share**2 * (3 - 2 * share)).prod(axis=-1, keepdims=True) * (mirrored[..., 2:] >= 0)
+    shine = 1.2 * nl * specular + 1.6 * box * (0.05 + 0.95 * (1 - nv) ** 5)
+    colour = (
+        CLAY * (sky + 1.25 * nl * np.array([1.0, 0.98, 0.94]) + 0.55 * rim * np.array([0.9, 0.95, 1.0]))
+        + shine
+    )
     toned = colour / (1 + 0.18 * colour)
     return np.asarray(
         np.clip(np.where(toned <= 0.0031308, 12.92 * toned, 1.055 * toned ** (1 / 2.4) - 0.055), 0, 1)
@@ -170,6 +187,7 @@ def pixels_apart(character: Character, lighting: str, algorithm: Algorithm) -> A
                 for (const side of [left, right]) side.value = lighting;
                 application.chooseSides();
                 document.querySelector('input[value=shaded]').click();
+                divided.checked = true;
                 application.goHome();
             })""",
             TIME,

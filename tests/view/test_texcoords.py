@@ -63,6 +63,7 @@ def drawn(
             textures.checked = images;
             for (const side of [left, right]) side.value = lighting;
             application.chooseSides();
+            divided.checked = true;
             application.goHome();
         })""",
         lighting,

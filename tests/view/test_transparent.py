@@ -71,6 +71,7 @@ def drawn(page: browser.Page, path: Path, time: float) -> tuple[Array, Array]:
             application.seek(time, true);
             for (const side of [left, right]) side.value = 'standard';
             application.chooseSides();
+            divided.checked = true;
             application.goHome();
             application.ground = [0, 0, 0, 0];
         })""",

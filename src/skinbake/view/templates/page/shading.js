@@ -215,7 +215,7 @@ vec3 shaded(vec3 n, vec3 v, vec3 base)
     vec3 sky = mix(vec3(0.10, 0.10, 0.105), vec3(0.27, 0.29, 0.32), 0.5 + 0.5 * dot(n, studio[1]));
     float rim = max(dot(n, studio * RIM), 0.0) * (0.35 + 0.65 * pow(1.0 - nv, 2.0));
     vec3 r = reflect(-v, n) * studio; // in the studio
-    vec2 at = smoothstep(vec2(0.34, 0.5) + 0.3 * roughness, vec2(0.34, 0.5) - 0.3 * roughness, abs(r.xy / max(r.z, 0.05) - vec2(0.62, 0.3)));
+    vec2 at = 1.0 - smoothstep(vec2(0.34, 0.5) - 0.3 * roughness, vec2(0.34, 0.5) + 0.3 * roughness, abs(r.xy / max(r.z, 0.05) - vec2(0.62, 0.3)));
     float box = at.x * at.y * step(0.0, r.z) * (0.05 + 0.95 * pow(1.0 - nv, 5.0));
     return base * (sky + 1.25 * nl * vec3(1.0, 0.98, 0.94) + 0.55 * rim * vec3(0.9, 0.95, 1.0)) + vec3(1.2 * nl * specular + 1.6 * box);
 }
