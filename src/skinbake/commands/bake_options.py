@@ -205,5 +205,5 @@ class BakeOptions:
         return {name: count for name, count in bits.items() if count is not None}
 
 
-DEFAULTS = BakeOptions()
-"""A bake without options."""
+DEFAULTS, OF_SURFACE = BakeOptions(), BakeOptions(gradients=Gradients.SURFACE)
+"""A bake without options; and the α and β that are made soonest, for what only measures or welds by them."""

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from skinbake.choices import USUAL_TRUTHS, CorrectiveAim, Encoding, FrameChoice, Gradients
-from skinbake.commands.bake_options import BakeOptions
+from skinbake.choices import USUAL_TRUTHS, CorrectiveAim, Encoding, FrameChoice
+from skinbake.commands.bake_options import OF_SURFACE, BakeOptions
 from skinbake.commands.gradient_bake import BakedDocument, bake_gradients
 from skinbake.commands.surface_bake import SurfaceBake, bake_surfaces
 from skinbake.correctives.fit import (
@@ -74,9 +74,6 @@ Unreal drops changes of 0.1 or less.
 
 UNIT_LENGTH = 1e-2
 """How far the length of a stored normal may be from 1 without a difference to its targets: bytes are."""
-
-OF_SURFACE = BakeOptions(gradients=Gradients.SURFACE)
-"""The α and β that are made soonest, for what needs some only to measure or to weld."""
 
 
 def bake_correctives(

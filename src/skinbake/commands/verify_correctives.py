@@ -6,7 +6,7 @@ from dataclasses import replace
 from time import perf_counter
 
 from skinbake.choices import PoseKind
-from skinbake.commands.bake_options import DEFAULTS
+from skinbake.commands.bake_options import DEFAULTS, OF_SURFACE
 from skinbake.commands.gradient_bake import bake_gradients
 from skinbake.errors import Notice
 from skinbake.format.strip import uncorrected
@@ -46,6 +46,10 @@ def corrected_verdict(document: Document, options: VerifyOptions) -> FileVerdict
     with document.notices.withheld(), stage("α and β"):
         plain, _ = uncorrected(document)
         gradients = bake_gradients(plain, bakeable(plain), DEFAULTS).document
+        if any(notice.code == "standard-is-better" for notice in gradients.notices):
+            # The bake leaves a primitive to standard lighting: the paper's α and β leave none.
+            plain, _ = uncorrected(document)
+            gradients = bake_gradients(plain, bakeable(plain), OF_SURFACE).document
     played = PlayedCorrectives(document)
     verdict, drawn = corrected_lighting(played, gradients, options)
     targets = played.targets
