@@ -251,7 +251,7 @@ def small_pictures(
                 clip, moment, spot = telling_pose(scene, None, None, known=known)
             posed_draws = [draw.at(clip, np.array([moment])) for draw in draws]
             found = [one for draw in posed_draws for one in _in_clay(draw)]
-            middle = next(followed(spot, posed_draws)) if spot else None
+            middle = next(followed(spot, posed_draws), None) if spot else None
             for one in attachments(document):
                 posed = one.at(document, clip, np.array([moment]))
                 normals = one.rest.normals @ np.linalg.pinv(posed.matrices[0, 0, :3, :3])
