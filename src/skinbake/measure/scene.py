@@ -111,6 +111,7 @@ class Scene:
         self.document, self.views, self.correctives = document, views, correctives
         self.is_partial = False
         self._operators: dict[tuple[int, ...], GradientOperator] = {}
+        self._made: dict[tuple[int, ...], Surface] = {}
 
     @classmethod
     def of_bakes(
@@ -143,11 +144,16 @@ class Scene:
         return [self._surface(views) for views in whole_surfaces(self.document, self.views)]
 
     def _surface(self, views: Sequence[BakedView]) -> Surface:
+        """Return the surface of views, made once: what is measured is often what is shown."""
+        key = tuple(map(id, views))
+
         def welded() -> GradientOperator:
-            made = self._operators.get(tuple(map(id, views)))
+            made = self._operators.get(key)
             return true_operator_of(self.document, views) if made is None else made
 
-        return Surface(self.document, views, welded, self.correctives)
+        if key not in self._made:
+            self._made[key] = Surface(self.document, views, welded, self.correctives)
+        return self._made[key]
 
     def measured(self, clips: Sequence[Clip], request: PoseRequest) -> list[Draw]:
         """Return each surface as often as skins draw it, or nodes if it has morph targets, in asked poses.
@@ -259,16 +265,12 @@ class Scene:
         meshes = {mesh for mesh, _ in shown}
         found = []
         for group in whole_surfaces(document, [view for view in self.views if view.source.mesh in meshes]):
-            surfaces: dict[tuple[int, ...], Surface] = {}
             for skin, node in draws_of(document, group[0].source.mesh, clips):
                 # Skins may draw meshes crosswise: each mesh by one of them here, by the other in another
                 # scene.
-                parts = tuple(part for part, view in enumerate(group) if (view.source.mesh, skin) in shown)
-                if not parts:
-                    continue
-                if parts not in surfaces:
-                    surfaces[parts] = self._surface([group[part] for part in parts])
-                found.append(Draw.at_rest(surfaces[parts], skin, node))
+                views = [view for view in group if (view.source.mesh, skin) in shown]
+                if views:
+                    found.append(Draw.at_rest(self._surface(views), skin, node))
         return found
 
 
