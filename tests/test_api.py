@@ -433,6 +433,7 @@ class TestModels:
         assert json.loads(twice.to_json()) == json.loads(once.to_json())
         assert twice.binary_blob() == once.binary_blob()
 
+    @pytest.mark.slow
     @corpus.needed
     def test_files_beside_a_model_are_found_in_its_folder(self, tmp_path: Path) -> None:
         model = pygltflib.GLTF2().load(corpus.model("pbrTest/pbrTest.gltf"))

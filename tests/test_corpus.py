@@ -123,6 +123,7 @@ def written(folder: Path) -> dict[str, bytes]:
 
 
 class TestRealModels:
+    @pytest.mark.slow
     def test_every_one_bakes_or_passes_through(self, runs: list[Run]) -> None:
         found = Counter(run.result.status for run in runs)
         assert found == {"baked": BAKED, "unchanged": UNCHANGED}
@@ -143,12 +144,14 @@ class TestRealModels:
             count += bool({DRACO, *MESHOPT} & before)
         assert count == COMPRESSED
 
+    @pytest.mark.slow
     def test_verify_passes_every_one_that_was_compressed(self, runs: list[Run]) -> None:
         for run in baked(runs):
             if {DRACO, *MESHOPT} & set(read(run.source).content.get("extensionsUsed", [])):
                 verdict = verify_file(str(run.target), VerifyOptions())
                 assert verdict.passed, run.source
 
+    @pytest.mark.slow
     def test_every_skinned_primitive_of_a_baked_model_has_its_attributes(self, runs: list[Run]) -> None:
         for run in baked(runs):
             _, after = run.models()
@@ -159,6 +162,7 @@ class TestRealModels:
                 count += found is not None
             assert count == len(run.result.primitives)
 
+    @pytest.mark.slow
     def test_real_models_change_by_the_additions_only(self, runs: list[Run]) -> None:
         for run in baked(runs):
             before, after = run.models()
@@ -172,6 +176,7 @@ class TestRealModels:
             if run.result.status == "unchanged":
                 assert run.target.read_bytes() == run.source.read_bytes()
 
+    @pytest.mark.slow
     def test_baking_twice_is_baking_once(self, runs: list[Run], tmp_path: Path) -> None:
         for number, run in enumerate(baked(runs)):
             folder = tmp_path / str(number)
@@ -184,6 +189,7 @@ class TestRealModels:
             )
             assert twice == once, run.source
 
+    @pytest.mark.slow
     def test_strip_gives_the_original_back(self, runs: list[Run], tmp_path: Path) -> None:
         for number, run in enumerate(baked(runs)):
             target = tmp_path / str(number) / run.target.name
@@ -301,6 +307,7 @@ class TestBrokenFiles:
             if attempted(source, target).status == "failed":
                 assert target.read_bytes() == b"old"
 
+    @pytest.mark.slow
     def test_no_broken_file_crashes_inspect_or_strip(self, tmp_path: Path) -> None:
         for source, _ in corpus.invalid_models():
             target = str(tmp_path / source.name)

@@ -96,6 +96,7 @@ def test_a_fresh_bake_of_any_skins_and_clips_verifies(seed: int, kind: str, tmp_
     assert answer.exit_code == 0, answer.messages
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_fresh_bake_of_three_hundred_skins_verifies(kind: str, tmp_path: Path) -> None:
     model = Editable(write_model(tmp_path / "model.glb", [sheet()], joints=JOINTS))
@@ -139,6 +140,7 @@ def test_a_fresh_bake_beside_a_clip_past_float32_verifies_or_is_refused(kind: st
     assert "animations-broken" in [one["code"] for one in answer.file["warnings"]]
 
 
+@pytest.mark.slow
 @corpus.needed
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", ["fresh_held_two_skins.glb", "dup_weights_channel.glb"])

@@ -261,6 +261,7 @@ def mutated_sheet(seed: int) -> bytes:
     return model.to_glb()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loops", ["compiled", "numpy"])
 def test_no_bake_of_mutated_weights_adds_a_finding_of_the_validator(
     loops: str, monkeypatch: pytest.MonkeyPatch
@@ -319,6 +320,7 @@ def test_a_bake_by_either_kernel_is_fresh_for_both(tmp_path: Path, monkeypatch: 
                 assert checks["freshness"]["outcome"] == "passed", (target, kernel, checks["freshness"])
 
 
+@pytest.mark.slow
 def test_no_bake_leaves_a_sum_of_weights_that_tiny_ones_made_valid() -> None:
     """The validator allows Σw to be off by 2e-7 for each weight that is not 0, also for those of 1e-20.
 

@@ -7,6 +7,8 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 import skinbake
 from benchmarks.peers import REPOSITORY
 from benchmarks.skinned_grid import grid_of, write_grid
@@ -36,6 +38,7 @@ def test_a_truth_measures_the_same_without_the_other(tmp_path: Path) -> None:
     assert verified() == whole
 
 
+@pytest.mark.slow
 def test_a_whole_process_measures_by_the_truths_that_it_names(tmp_path: Path) -> None:
     grid, baked = tmp_path / "grid.glb", tmp_path / "baked.glb"
     write_grid(grid, grid_of(64))

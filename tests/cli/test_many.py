@@ -135,6 +135,7 @@ def test_errors_survive_the_way_between_processes(error: SkinbakeError) -> None:
     assert (str(copy), copy.message, copy.place) == (str(error), error.message, error.place)
 
 
+@pytest.mark.slow
 def test_results_and_verdicts_survive_it(mixed: Path, tmp_path: Path) -> None:
     bake = FileWork((bake_work(),), is_timed=True)
     verify = FileWork((Verify(VerifyOptions(poses=PoseRequest(PoseKind.RANDOM, 1))),), is_timed=True)
@@ -181,6 +182,7 @@ class TestWhatIsSaidAtTheEnd:
         assert lines[0].startswith(f"error: {mixed / 'broken.glb'}: ")
         assert lines[1].startswith(f"error: {mixed / 'text.gltf'}: ")
 
+    @pytest.mark.slow
     def test_checks_that_fail_are_listed_once_more(self, tmp_path: Path) -> None:
         invoke("bake", FOLDER / "seam.glb", FOLDER / "two_sets.glb", "--out-dir", tmp_path)
         result = invoke("verify", tmp_path, "--poses", "rest", "--min-gain", "1000", "--max-mean-error", "0")
@@ -403,6 +405,7 @@ class TestProgress:
         monkeypatch.setenv("FORCE_COLOR", "1")
         monkeypatch.delenv("NO_COLOR", raising=False)
 
+    @pytest.mark.slow
     @pytest.mark.usefixtures("terminal")
     @pytest.mark.parametrize("command", ["bake", "verify"])
     def test_a_terminal_gets_a_bar(self, command: str, tmp_path: Path) -> None:

@@ -285,6 +285,7 @@ def test_quiet_leaves_errors_only(warned: Path, tmp_path: Path) -> None:
     assert result.stderr.startswith("error: ")
 
 
+@pytest.mark.slow
 def test_verbose_says_more(warned: Path) -> None:
     plain = run("bake", warned, "--dry-run")
     more = run("bake", warned, "--dry-run", "-v")
@@ -524,6 +525,7 @@ def test_what_cannot_be_shown_is_told_in_one_sentence(target: str, tmp_path: Pat
     assert result.stderr.strip() == f"error: {path}: nothing in it can be shown: it has no POSITION"
 
 
+@pytest.mark.slow
 def test_json_on_stdin_is_told_from_a_file_of_json() -> None:
     data = b'{"asset": {"version": "2.0"}}'
     process = run("bake", "-", "-o", "-", stdin=data)

@@ -244,6 +244,7 @@ class TestForFile:
         monkeypatch.chdir(tmp_path)
         assert invoke(*match.group(1).split()[1:]).stdout == text
 
+    @pytest.mark.slow
     def test_stdin_is_a_file_too(self, tmp_path: Path) -> None:
         file = baked(TWO_SETS, tmp_path)
         process = run("shader", "--lang", "wgsl", "--for", "-", stdin=file.read_bytes())

@@ -66,6 +66,7 @@ def test_the_list_of_commands_imports_none_of_them() -> None:
     assert "logging" not in loaded
 
 
+@pytest.mark.slow
 def test_a_small_bake_imports_nothing_that_only_verify_needs(tmp_path: Path) -> None:
     loaded = modules("bake", str(SEAM), "-o", str(tmp_path / "out.glb"), "-q")
     assert "numpy" in loaded
@@ -91,6 +92,7 @@ def test_version_is_the_package_s() -> None:
     assert process.stdout.decode() == f"skinbake, version {skinbake.__version__}, file format {VERSION}\n"
 
 
+@pytest.mark.slow
 def test_the_script_is_installed_and_does_the_same(tmp_path: Path) -> None:
     script = shutil.which("skinbake", path=str(Path(sys.executable).parent))
     if script is None:
@@ -143,6 +145,7 @@ def test_a_name_that_is_no_text_is_a_name(tmp_path: Path) -> None:
         assert process.returncode == 0, (arguments, process.stderr)
 
 
+@pytest.mark.slow
 def test_lone_surrogates_in_a_mesh_s_name_can_be_shown(tmp_path: Path) -> None:
     path = edited("seam.glb", tmp_path, lambda content: content["meshes"][0].update(name="\ud800"))
     process = run("inspect", path, env={"PYTHONIOENCODING": "utf-8"})
@@ -249,6 +252,7 @@ run()
         assert (process.returncode, process.stderr) == (code, b"")
 
 
+@pytest.mark.slow
 def test_a_short_run_spends_no_time_on_garbage(tmp_path: Path) -> None:
     """Python looked 80 times during the imports, and at exit once more through all that they had made."""
     script = """

@@ -104,6 +104,7 @@ def test_no_command_prints_a_control_character_of_a_file(evil: Path) -> None:
         assert not any(line.startswith(b"forged") for line in text.splitlines()), (pattern, text)
 
 
+@pytest.mark.slow
 def test_metadata_of_a_bake_forges_no_line(tmp_path: Path) -> None:
     model = baked(FOLDER / "bent_tube.glb", tmp_path / "tube.glb")
     metadata = model.content["meshes"][0]["primitives"][0]["extras"]["skinbake"]

@@ -76,6 +76,7 @@ def test_several_files_return_the_worst_code_and_all_are_told(good: Path, bad: P
         jsonschema.validate(document, VERIFY)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "options"),
     [

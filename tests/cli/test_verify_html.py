@@ -81,6 +81,7 @@ def test_a_failed_check_names_the_place_of_each_problem(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_the_page_of_one_file_takes_no_small_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Only a sheet shows small pictures."""
     drawn: list[object] = []
@@ -112,6 +113,7 @@ def test_a_page_is_small_beside_its_model(tmp_path: Path) -> None:
     assert rest < 420_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_large_page_of_a_report_says_how_to_shrink_it(
     count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

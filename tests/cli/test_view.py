@@ -83,6 +83,7 @@ def test_a_damaged_bake_is_said_and_replaced_in_memory(tmp_path: Path) -> None:
     assert [notice.code for notice in document.notices] == ["bake-damaged"]
 
 
+@pytest.mark.slow
 def test_the_same_file_gives_the_same_page(tmp_path: Path) -> None:
     pages = [invoke("view", TUBE, "-o", "-").stdout_bytes for _ in range(2)]
     assert pages[0] == pages[1]
@@ -136,6 +137,7 @@ def test_a_page_that_links_to_a_model_is_refused(tmp_path: Path) -> None:
     assert (tmp_path / "hero.gltf").read_text() == "{}"
 
 
+@pytest.mark.slow
 def test_view_replaces_pages_of_skinbake_only(tmp_path: Path) -> None:
     page = tmp_path / "hero.html"
     page.write_text("<!doctype html>my own page")

@@ -222,6 +222,7 @@ def test_what_a_later_tool_breaks_of_a_blend_is_a_problem(
         assert 1 <= problem["count"] < 400
 
 
+@pytest.mark.slow
 def test_vertices_in_another_order_keep_a_blend_fresh(tmp_path: Path) -> None:
     bake(with_blend_weights(TUBE, tmp_path / "in.glb"), tmp_path / "out.glb")
     jobs = [(tmp_path / "out.glb", tmp_path / "moved.glb", "reorder")]

@@ -308,6 +308,7 @@ def test_nodes_are_not_read_once_for_each_mesh_with_correctives(drawn: bool, tmp
     assert nodes.reads < 10
 
 
+@pytest.mark.slow
 def test_streams_of_draco_are_steps_of_work(tmp_path: Path) -> None:
     """500 primitives that share their arrays, in 41 KB, took 25 s to be refused."""
     source = write_model(tmp_path / "in.glb", [sheet(NORMAL=None)], change=with_meshes(250))
@@ -335,6 +336,7 @@ def test_clips_that_say_the_same_are_sampled_once(tmp_path: Path) -> None:
     assert every.work().steps - a_clip.steps == 40 * (one.work().steps - a_clip.steps)
 
 
+@pytest.mark.slow
 def test_poses_that_are_too_much_work_are_left_out_with_a_notice(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -351,6 +353,7 @@ def test_poses_that_are_too_much_work_are_left_out_with_a_notice(
     assert not notice
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clips", [1, 150])
 def test_skins_that_are_too_much_work_are_left_out_with_a_notice(clips: int, tmp_path: Path) -> None:
     """A scene of 250 skins in 20 KB was baked, and verify refused it."""
@@ -363,6 +366,7 @@ def test_skins_that_are_too_much_work_are_left_out_with_a_notice(clips: int, tmp
     assert 50 < int(found[1]) < 150
 
 
+@pytest.mark.slow
 def test_each_mesh_is_measured_in_its_first_skin_before_any_in_its_second(tmp_path: Path) -> None:
     def change(content: JsonObject) -> None:
         with_skins(150)(content)

@@ -70,6 +70,7 @@ def test_a_file_that_was_left_differs_by_its_note_alone(folder: Path, tmp_path: 
     assert (tmp_path / "back.gltf").read_bytes() == (FOLDER / LITTLE).read_bytes()
 
 
+@pytest.mark.slow
 def test_a_gate_passes_what_was_left_on_purpose(folder: Path) -> None:
     code, [left, much] = verified(folder, "--require-baked", "--min-gain", "1.2")
     assert code == 0
@@ -83,6 +84,7 @@ def test_a_gate_passes_what_was_left_on_purpose(folder: Path) -> None:
     assert "  left unbaked by bake --leave-under\n" in invoke("inspect", alone).stdout
 
 
+@pytest.mark.slow
 def test_a_gate_passes_a_file_without_normals_that_was_left(tmp_path: Path) -> None:
     fox, out = FOLDER / "characters/fox.glb", tmp_path / "out"
     assert invoke("bake", fox, "--out-dir", out, "--leave-under", "1.5", "--generate-normals").exit_code == 0
@@ -91,6 +93,7 @@ def test_a_gate_passes_a_file_without_normals_that_was_left(tmp_path: Path) -> N
     assert verified(fox, "--min-gain", "1.5")[0] == 1
 
 
+@pytest.mark.slow
 def test_a_gate_fails_what_was_forgotten_or_gains_too_little(tmp_path: Path) -> None:
     code, [plain] = verified(FOLDER / LITTLE, "--min-gain", "1.2")
     assert (code, plain["left"]) == (1, False)
@@ -99,6 +102,7 @@ def test_a_gate_fails_what_was_forgotten_or_gains_too_little(tmp_path: Path) -> 
     assert code == 1
 
 
+@pytest.mark.slow
 def test_a_gate_asks_no_gain_where_there_is_nothing_to_correct(tmp_path: Path) -> None:
     """Turns of at most 2 degrees leave nothing to correct, whatever the gain is."""
     invoke("bake", FOLDER / LITTLE, "-o", tmp_path / "little.gltf")

@@ -324,6 +324,7 @@ def test_a_note_says_that_an_option_finds_no_targets(tmp_path: Path, option: str
     assert ("adds nothing: nothing here has a morph target without NORMAL" in said) == ("normals" in option)
 
 
+@pytest.mark.slow
 def test_a_real_face_is_lit_several_times_nearer_in_its_own_clip(tmp_path: Path) -> None:
     source = corpus.case("face_rig_run.glb")
     errors = []
@@ -346,6 +347,7 @@ def skinned_errors(path: Path) -> list[float]:
     ]
 
 
+@pytest.mark.slow
 def test_six_numbers_halve_the_error_of_the_rule_on_a_real_face(tmp_path: Path) -> None:
     """Against the bake whose NORMAL is made, which follows the rule; in the clip and in random poses."""
     source = corpus.case("face_rig_run.glb")
@@ -369,6 +371,7 @@ def test_what_is_made_for_targets_is_fresh_in_another_order(option: str, tmp_pat
         assert result.exit_code == 0, result.output
 
 
+@pytest.mark.slow
 @given(st.data())
 def test_a_digest_of_targets_sees_edits_and_no_order(data: st.DataObject) -> None:
     """Vertices and triangles change places, each triangle begins elsewhere, and vertices are copied."""
@@ -405,6 +408,7 @@ def test_a_digest_of_targets_sees_edits_and_no_order(data: st.DataObject) -> Non
     assert digest(rest, triangles, dense, 2) != first
 
 
+@pytest.mark.slow
 def test_numbers_light_a_morphed_and_skinned_tube_nearer_than_the_rule(tmp_path: Path) -> None:
     source = without_normals(TUBE, tmp_path / "in.glb")
     found = {}

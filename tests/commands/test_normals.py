@@ -157,6 +157,7 @@ def test_correctives_are_the_targets_that_a_clip_plays_under_standard_lighting(t
     assert after < 0.1 * before
 
 
+@pytest.mark.slow
 def test_a_dump_has_the_same_numbers_as_lines_of_json(tmp_path: Path) -> None:
     path, dump = tmp_path / "sheet.glb", tmp_path / "sheet.jsonl"
     skinbake.bake(FOLDER / "two_primitives.glb", path)
@@ -188,6 +189,7 @@ def same(numbers: list[float | None], array: Array) -> None:
     assert np.allclose(read_back, array.ravel(), rtol=1e-8, atol=1e-12, equal_nan=True)
 
 
+@pytest.mark.slow
 def test_by_default_the_pose_is_the_one_in_which_the_bake_shows_most(tube: Path, tmp_path: Path) -> None:
     [posed] = skinbake.normals(tube)
     assert posed.clip == "bend"
@@ -219,6 +221,7 @@ def test_morph_targets_and_their_weights_are_in_the_pose(tmp_path: Path) -> None
     assert np.abs(posed.positions - still.positions - moved).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_a_file_without_clips_is_dumped_in_a_random_pose(tmp_path: Path) -> None:
     path = edited("bent_tube.glb", tmp_path, lambda content: content.pop("animations"))
     skinbake.bake(path, path)

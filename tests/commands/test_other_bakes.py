@@ -41,6 +41,7 @@ def with_targets(target: Path, *, zeros: bool) -> Path:
     return file.write(target)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("zeros", [False, True])
 def test_morph_normals_are_named_with_what_they_leave(tmp_path: Path, zeros: bool) -> None:
     source = with_targets(tmp_path / "in.glb", zeros=zeros)
@@ -55,6 +56,7 @@ def test_morph_normals_are_named_with_what_they_leave(tmp_path: Path, zeros: boo
     assert "leave the file unbaked" not in text
 
 
+@pytest.mark.slow
 def test_a_file_with_correctives_is_told_of_morph_normals_too(tmp_path: Path) -> None:
     """Correctives that one of two clips plays leave the normals of the other one as they are."""
     file = Editable(with_targets(tmp_path / "in.glb", zeros=True))
@@ -66,6 +68,7 @@ def test_a_file_with_correctives_is_told_of_morph_normals_too(tmp_path: Path) ->
     assert best["error"] * 1.1 < left_by(now)
 
 
+@pytest.mark.slow
 def test_the_best_of_both_kinds_are_named_by_what_they_leave(tmp_path: Path) -> None:
     """A real figure of few vertices: the kind of the file itself comes first."""
     source = corpus.model("RiggedFigure/RiggedFigure.gltf")

@@ -76,6 +76,7 @@ def test_surface_gradients_know_no_pose(_model: Path, tmp_path: Path) -> None:
     assert verify(turned(path, 10.0, "other.glb")).failed == []
 
 
+@pytest.mark.slow
 @corpus.needed
 def test_a_fit_to_the_stored_pose_lights_that_pose_better(tmp_path: Path) -> None:
     path = baked(corpus.model(POSED), tmp_path)

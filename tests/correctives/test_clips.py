@@ -100,6 +100,7 @@ def test_a_clip_that_plays_nothing_may_have_the_name_of_one_that_does(tmp_path: 
     assert answer.exit_code == 0, answer.messages
 
 
+@pytest.mark.slow
 def test_a_name_chooses_all_clips_that_have_it(tmp_path: Path) -> None:
     source = with_clips(tmp_path / "tube.glb", [MIXAMO, "run", MIXAMO])
     assert playing(baked(source, "--clips", MIXAMO)) == [True, False, True]

@@ -24,6 +24,7 @@ def bake(source: Path, target: Path, *options: str, code: int = 0) -> str:
     return result.output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", ["float32", "snorm16", "packed8"])
 def test_normals_of_posed_triangles_are_nearer_than_those_of_standard_lighting(
     tmp_path: Path, encoding: str
@@ -34,6 +35,7 @@ def test_normals_of_posed_triangles_are_nearer_than_those_of_standard_lighting(
         assert corrected < 0.5 * standard
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", [TUBE, SHEET], ids=lambda path: path.stem)
 @pytest.mark.parametrize("suffix", [".glb", ".gltf"])
 def test_strip_gives_the_input_back_and_a_second_bake_changes_nothing(
@@ -58,6 +60,7 @@ def test_strip_gives_the_input_back_and_a_second_bake_changes_nothing(
     assert report["errors"] == before["errors"] and report["warnings"] == before["warnings"]
 
 
+@pytest.mark.slow
 def test_every_target_of_every_primitive_has_what_others_have(tmp_path: Path) -> None:
     bake(parted(tmp_path / "in.glb"), tmp_path / "out.glb", "3")
     file = gltf_reading.read(tmp_path / "out.glb")
@@ -74,6 +77,7 @@ def test_every_target_of_every_primitive_has_what_others_have(tmp_path: Path) ->
     assert mesh["extras"]["targetNames"] == [f"corrective normal {number}" for number in (1, 2, 3)]
 
 
+@pytest.mark.slow
 def test_targets_and_weights_of_the_file_come_first_and_keep_their_values(tmp_path: Path) -> None:
     bake(SHEET, tmp_path / "sheet.glb", "2")
     before, after = gltf_reading.read(SHEET), gltf_reading.read(tmp_path / "sheet.glb")
@@ -94,6 +98,7 @@ def _drawer(file: gltf_reading.GltfFile) -> int:
     return next(number for number, node in enumerate(file.content["nodes"]) if "skin" in node)
 
 
+@pytest.mark.slow
 def test_a_clip_that_is_left_out_plays_zeros(tmp_path: Path) -> None:
     source = corpus.model("RiggedElf/RiggedElf.gltf")
     names = [one["name"] for one in json.loads(source.read_text())["animations"]]

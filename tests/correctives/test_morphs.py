@@ -153,6 +153,7 @@ VARIANTS: list[Callable[[Any], None]] = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", VARIANTS, ids=lambda change: change.__name__)
 def test_correctives_fit_the_morph_weights_that_play(change: Callable[[Any], None], tmp_path: Path) -> None:
     given, made = rewritten(SHEET, tmp_path / "in.glb", change), tmp_path / "out.glb"
@@ -165,6 +166,7 @@ def test_correctives_fit_the_morph_weights_that_play(change: Callable[[Any], Non
     assert figures["corrected"]["mean"] < 0.3 * figures["standard"]["mean"]
 
 
+@pytest.mark.slow
 @corpus.needed
 @pytest.mark.parametrize(
     "name", ["correctives_clip_plays_morphs", "morphs_without_normal_in_clip", "default_morph_weights"]
@@ -210,6 +212,7 @@ def lacking_in_parts(content: Any) -> None:
             target.pop("NORMAL")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".glb", ".gltf"])
 @pytest.mark.parametrize(
     "change", [one_without_normal, none_with_normal, lacking_in_parts], ids=lambda change: change.__name__
@@ -248,6 +251,7 @@ def test_normals_of_targets_and_correctives_go_together(
     assert report["errors"] == before["errors"] and report["warnings"] == before["warnings"]
 
 
+@pytest.mark.slow
 def test_made_normals_of_targets_that_changed_are_stale(tmp_path: Path) -> None:
     given, made = rewritten(SHEET, tmp_path / "in.glb", none_with_normal), tmp_path / "out.glb"
     invoke("bake", given, "-o", made, "--correctives", "auto", "--morph-normals")

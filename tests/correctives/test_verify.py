@@ -92,6 +92,7 @@ def test_what_no_longer_fits_is_stale(
     assert code in {one["code"] for found in answer.file["checks"] for one in found["problems"]}
 
 
+@pytest.mark.slow
 def test_a_face_moves_its_own_targets_while_it_is_measured(tmp_path: Path) -> None:
     answer = verify(made(SHEET, tmp_path / "sheet.glb"))
     assert answer.file["morphs"]["moving"]
@@ -122,6 +123,7 @@ def test_inspect_names_the_clips_that_play_them(tube: Path) -> None:
     assert len(gltf_reading.read(tube).primitive(0)["targets"]) == 2
 
 
+@pytest.mark.slow
 def test_pages_say_where_they_leave_damaged_correctives_out(tube: Path, tmp_path: Path) -> None:
     def without_entries(content: Any) -> None:
         content["meshes"][0]["extras"]["skinbake"]["primitives"] = []
@@ -151,6 +153,7 @@ def _of_three(target: Path) -> Path:
     return joined([TUBE, parted(target.with_name("parts.glb")), SHEET], target)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [(), ("--encoding", "packed8"), ("--clips", "breathe")], ids=str)
 def test_the_figures_of_a_bake_are_those_of_verify(options: tuple[str, ...], tmp_path: Path) -> None:
     given, target = _of_three(tmp_path / "in.glb"), tmp_path / "out.glb"

@@ -145,6 +145,7 @@ def test_schemas_are_sound_and_named_as_their_files(kind: str) -> None:
     assert schema["$id"] == SCHEMAS[kind].name
 
 
+@pytest.mark.slow
 def test_the_metadata_of_every_option_fits_the_schemas(written: list[tuple[str, JsonObject]]) -> None:
     for kind, note in written:
         validator(kind).validate(note)

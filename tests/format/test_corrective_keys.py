@@ -71,6 +71,7 @@ def test_two_keys_at_one_time_become_the_last_one() -> None:
     assert at(merged, 0.75)[0] == pytest.approx(4.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["LINEAR", "STEP", "CUBICSPLINE"])
 @pytest.mark.parametrize("owner", ["nodes", "meshes"])
 def test_what_a_pointer_to_one_weight_plays_stands_in_the_channel_too(
@@ -124,6 +125,7 @@ def test_a_pointer_to_all_morph_weights_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "out.glb").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["i1", "u1", "i2", "u2"])
 def test_weights_stored_as_integers_come_back_byte_for_byte(kind: str, tmp_path: Path) -> None:
     file = Editable(SHEET)

@@ -96,6 +96,7 @@ def assert_influences_of_source(path: Path) -> None:
         assert np.array_equal(found, wanted)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["copy", "dedup", "resample", "unlit"])
 def test_former_influences_are_found_after_another_tool_has_renumbered_them(
     command: str, tmp_path: Path
@@ -153,6 +154,7 @@ def test_a_broken_note_on_the_former_draco_stream_restores_nothing(
     assert after["extensions"][draco.EXTENSION]["bufferView"] == extension["bufferView"]
 
 
+@pytest.mark.slow
 def test_many_accessors_that_share_their_bytes_are_not_all_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

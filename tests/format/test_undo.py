@@ -171,6 +171,7 @@ def check_tools(source: Path, folder: Path, bakes: Mapping[str, list[str]], tool
         assert {key for key in before if before[key] != after.get(key)} == set(), result.name
 
 
+@pytest.mark.slow
 def test_strip_and_a_bake_after_common_tools_give_valid_files_with_the_data_of_others(tmp_path: Path) -> None:
     bakes = {"default": [], "correctives in packed8": CORRECTIVES["correctives in packed8"]}
     check_tools(TUBE, tmp_path, bakes, ["copy", "quantize"])
@@ -433,6 +434,7 @@ def test_a_pointer_to_a_weight_goes_with_its_target_alone(
     assert "KHR_animation_pointer" in content["extensionsUsed"]
 
 
+@pytest.mark.slow
 def test_normals_that_a_user_gives_a_target_later_stay(tmp_path: Path) -> None:
     """The bake has filled the target with zeros."""
     source = rewritten(
@@ -452,6 +454,7 @@ def test_normals_that_a_user_gives_a_target_later_stay(tmp_path: Path) -> None:
     assert (back.values(first(back.content)["targets"][0]["NORMAL"]) == 0.5).all()
 
 
+@pytest.mark.slow
 def test_a_former_sampler_is_known_by_its_values_not_by_its_number(tmp_path: Path) -> None:
     """Two meshes have a target each, and samplers of one shape: a tool exchanges these."""
     file = Editable(MORPHED)

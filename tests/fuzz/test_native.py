@@ -8,6 +8,7 @@ import pytest
 from fuzz.native import arrays, kernel, loops
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("executions", [kernel.executions, loops.executions], ids=["bake", "verify"])
 def test_the_loops_take_the_arguments_as_they_are(executions: object) -> None:
     assert callable(executions)

@@ -72,6 +72,7 @@ def test_a_broken_part_is_refused_only_where_it_is_read() -> None:
         len(asset.parents)
 
 
+@pytest.mark.slow
 def test_no_room_but_gltf_and_format_touches_the_json_of_a_file() -> None:
     """They read records: a call of ``objects``, or a member ``json`` of anything but a note, is none."""
     found = []

@@ -208,6 +208,7 @@ COMMANDS: list[Callable[[Path], list[str | Path]]] = [
 ]
 
 
+@pytest.mark.slow
 @LINUX
 @pytest.mark.parametrize("command", COMMANDS)
 def test_zeros_that_no_byte_backs_are_refused(command: Callable[[Path], Any], tmp_path: Path) -> None:
@@ -220,6 +221,7 @@ def test_zeros_that_no_byte_backs_are_refused(command: Callable[[Path], Any], tm
     assert peak < 200 * MIB
 
 
+@pytest.mark.slow
 @LINUX
 @pytest.mark.parametrize("count", [1 << 20, float(1 << 20)])
 @pytest.mark.parametrize("command", COMMANDS)
@@ -272,6 +274,7 @@ def test_json_that_is_not_sound_is_refused_where_it_is_read(json: JsonObject, tm
     assert len(skinned_sources(document)) == 1
 
 
+@pytest.mark.slow
 @LINUX
 @pytest.mark.parametrize("name", ["p10.gltf", "p40.gltf"])
 def test_the_bombs_of_the_audit_are_refused(name: str, tmp_path: Path) -> None:
@@ -297,6 +300,7 @@ def test_max_memory_bounds_what_a_child_takes(
     assert peak < (limit + 80) * MIB
 
 
+@pytest.mark.slow
 @LINUX
 def test_one_node_that_is_listed_as_many_joints_is_counted(tmp_path: Path) -> None:
     def spoil(root: JsonObject) -> None:

@@ -563,6 +563,7 @@ class TestStandardStreams:
         back = self.run("strip", "-", "-o", "-", data=process.stdout)
         assert (back.returncode, back.stdout) == (0, (FOLDER / "seam.glb").read_bytes())
 
+    @pytest.mark.slow
     def test_a_gltf_becomes_one_glb_with_everything_inside(self, tmp_path: Path) -> None:
         def move(content: JsonObject) -> None:
             content["buffers"][1]["uri"] = "more.bin"
@@ -589,6 +590,7 @@ class TestStandardStreams:
             assert process.returncode == 0, process.stderr
             assert read(tmp_path / name).has_attribute(ALPHA)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("data", [b"", b"{}", b"glTF\x02\0\0\0\xff\0\0\0"])
     def test_what_is_no_glb_on_stdin_is_an_input_error(self, data: bytes) -> None:
         process = self.run("bake", "-", "-o", "-", data=data)

@@ -94,6 +94,7 @@ def exact(value: Any) -> str:
     return json.dumps(value)
 
 
+@pytest.mark.slow
 @given(VALUES, st.sampled_from([None, "  ", "\t"]), st.booleans(), st.integers(0, 1 << 32))
 def test_additions_leave_the_text_and_can_be_undone(
     entry: Any, indent: str | None, ascii_only: bool, seed: int

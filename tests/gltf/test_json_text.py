@@ -52,6 +52,7 @@ def test_broken_texts_are_refused(text: str) -> None:
         json_text.parsed(text)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("objects", [False, True])
 def test_deep_texts_come_back_as_they_were_or_are_refused(objects: bool) -> None:
     text = nested(100, objects=objects)

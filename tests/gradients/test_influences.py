@@ -249,6 +249,7 @@ def notices_of(name: str, tmp_path: Path) -> dict[str, int]:
     return {notice.code: notice.count for notice in result.notices}
 
 
+@pytest.mark.slow
 def test_real_files_defects_are_counted_once_each(tmp_path: Path) -> None:
     def count(name: str, code: str) -> int:
         """Count by plain loops over the independently read file."""

@@ -109,6 +109,7 @@ def test_triangles_that_are_there_twice_have_no_plane_to_lean_from() -> None:
     assert notices_of(turned(partly, 60.0)) != []
 
 
+@pytest.mark.slow
 def test_of_a_large_mesh_some_are_looked_at() -> None:
     whole = turned(smooth(300, 200), 60.0, 0.5)
     lean = lean_of(whole)
@@ -265,6 +266,7 @@ def test_real_models_are_sound_but_for_two(path: Path) -> None:
     assert sum(notice.count for notice in found) == wanted
 
 
+@pytest.mark.slow
 @corpus.needed
 @pytest.mark.parametrize("degrees", [60, 180])
 def test_inspect_bake_and_verify_say_it(tmp_path: Path, degrees: int) -> None:

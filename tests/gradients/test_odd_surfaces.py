@@ -40,6 +40,7 @@ def test_verify_welds_what_bake_welds(crease: float) -> None:
         assert as_met(found) == as_met(weld_classes(parts, crease_angle_degrees=crease)), seed
 
 
+@pytest.mark.slow
 def test_verify_finds_the_rigid_parts_that_bake_finds() -> None:
     """In primitives that share points, each moved by one of two joints; a part may be one triangle."""
     apart = 0
@@ -76,6 +77,7 @@ def baked(
     return np.concatenate([np.hstack(pair) for pair in slots]).astype(np.float64)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weighting", list(Weighting))
 def test_verify_expects_what_bake_stores(weighting: Weighting, monkeypatch: pytest.MonkeyPatch) -> None:
     for seed in SEEDS:

@@ -68,6 +68,7 @@ def bakes(options: str, **environment: str) -> dict[str, bytes]:
         return {path.name: path.read_bytes() for path in Path(folder).iterdir()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "other"),
     [("", HASWELL), *((options, PRESCOTT) for options in OPTIONS)],

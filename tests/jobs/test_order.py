@@ -39,6 +39,7 @@ def files(folder: Path, sizes: dict[str, int]) -> None:
         os.truncate(folder / name, size)
 
 
+@pytest.mark.slow
 def test_a_huge_file_begins_before_small_ones(tmp_path: Path, begun: list[str]) -> None:
     sizes = {f"{number:02}.glb": len(SMALL) for number in range(60)}
     files(tmp_path / "in", {**sizes, "m.glb": 30 << 20, "p.glb": 60 << 20, "z.glb": 20 << 20})

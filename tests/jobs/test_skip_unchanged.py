@@ -449,6 +449,7 @@ class TestTheStateFile:
             assert ("up to date" in result.stdout) == (damage is None)
             assert path.read_bytes().startswith(HEADER)
 
+    @pytest.mark.slow
     @LINUX
     def test_where_it_cannot_be_written_files_are_baked_all_the_same(
         self, models: Path, tmp_path: Path
@@ -477,6 +478,7 @@ class TestTheStateFile:
         assert found == (FIRST if damage == "empty" else AGAIN | {TEXTURED: "baked"})
         assert baking() == AGAIN
 
+    @pytest.mark.slow
     def test_records_that_lie_about_digests_are_not_believed(self, baking: Baking) -> None:
         baking()
         path = baking.out / STATE

@@ -59,6 +59,7 @@ def codes(folder: Path, *options: str | Path) -> dict[str, list[str]]:
     return found
 
 
+@pytest.mark.slow
 def test_outputs_of_unchanged_sources_pass_wherever_the_notes_are(art: Path, tmp_path: Path) -> None:
     assert codes(art) == {}
     notes = art.with_name("build") / ".skinbake-state.jsonl"
@@ -67,11 +68,13 @@ def test_outputs_of_unchanged_sources_pass_wherever_the_notes_are(art: Path, tmp
     assert codes(art, "--state", tmp_path / "notes.jsonl") == {}
 
 
+@pytest.mark.slow
 def test_times_do_not_count_but_bytes(art: Path) -> None:
     os.utime(art / "a.glb", (2e9, 2e9))
     assert codes(art) == {}
 
 
+@pytest.mark.slow
 def test_each_kind_of_difference_is_named_until_the_folder_is_baked_again(art: Path) -> None:
     build = art.with_name("build")
     shutil.copyfile(FOLDER / "hard_edge.glb", art / "a.glb")
@@ -94,11 +97,13 @@ def test_each_kind_of_difference_is_named_until_the_folder_is_baked_again(art: P
     assert codes(art) == {}
 
 
+@pytest.mark.slow
 def test_an_output_that_was_removed_is_missing(art: Path) -> None:
     (art.with_name("build") / "a.glb").unlink()
     assert codes(art) == {"art/a.glb": ["output-missing"]}
 
 
+@pytest.mark.slow
 def test_files_that_were_left_or_cannot_be_baked_count_too(art: Path) -> None:
     shutil.copyfile(FOLDER / "bent_tube.glb", art / "left.glb")
     baked(art, "--leave-under", "999")
@@ -149,6 +154,7 @@ def test_what_cannot_be_compared_is_a_usage_error(art: Path) -> None:
         assert invoke("verify", *arguments).exit_code == 2
 
 
+@pytest.mark.slow
 def test_a_forged_record_reads_no_file_elsewhere(art: Path, tmp_path: Path) -> None:
     """It names a file outside both folders, with its right digest."""
     other = tmp_path / "other.glb"

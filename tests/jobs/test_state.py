@@ -199,6 +199,7 @@ def random_value(chance: random.Random, depth: int = 0) -> Any:
     return chance.choice(kinds[: 3 if depth > 3 else 5])()
 
 
+@pytest.mark.slow
 def test_random_records_neither_fail_nor_hold(forge: Forge, tmp_path: Path) -> None:
     """Records with members replaced by anything, and the file's bytes too."""
     chance = random.Random(0)

@@ -355,6 +355,7 @@ def test_commands_that_read_no_urls_say_so(command: list[str], tmp_path: Path) -
     assert "this command reads no URLs. Copy the file" in " ".join(result.stderr.split())
 
 
+@pytest.mark.slow
 def test_the_url_of_a_file_of_this_disk_can_be_viewed(tmp_path: Path) -> None:
     source = copied("seam.glb", tmp_path)
     for number, name in enumerate((str(source), f"file://{source}")):

@@ -26,6 +26,7 @@ print(before - resident())
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc keeps freed memory")
 def test_freed_memory_goes_back_to_the_system() -> None:
     process = subprocess.run([sys.executable, "-c", KEPT], capture_output=True, text=True, check=True)

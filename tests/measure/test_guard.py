@@ -64,6 +64,7 @@ def noted(path: Path) -> Any:
     return Editable(path).metadata().get("kept")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [robot, spring, scaled_chain, six_vertices])
 def test_small_models_are_lit_no_worse_than_standard_in_their_clips(
     make: Callable[[Generator], Made], tmp_path: Path

@@ -4,6 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.support.baked_files import baked, source
 
 
@@ -16,6 +18,7 @@ def test_verify_imports_without_its_heavy_libraries() -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, "\n", "")
 
 
+@pytest.mark.slow
 def test_verify_runs_without_what_takes_longer_to_import_than_a_file_to_verify(tmp_path: Path) -> None:
     program = (
         "import sys\n"

@@ -136,6 +136,7 @@ def test_clips_of_pointers_are_measured_as_those_of_nodes(name: str, tmp_path: P
     assert found[0].file["morphs"] == found[1].file["morphs"]
 
 
+@pytest.mark.slow
 def test_the_worst_sample_is_where_it_says(tmp_path: Path) -> None:
     path = baked(source(CESIUM_MAN), tmp_path)
     found = figures(path, "--samples", "3", "--method", "lbs")["lbs"]
@@ -388,6 +389,7 @@ def folder(path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_command_line_passes_limits_on(tmp_path: Path) -> None:
     path = baked(source("bent_tube.glb"), tmp_path)
     for option, keeps, breaks in (
@@ -402,6 +404,7 @@ def test_the_command_line_passes_limits_on(tmp_path: Path) -> None:
         assert (answer.exit_code, answer.failed) == (1, ["limits"])
 
 
+@pytest.mark.slow
 @corpus.needed
 def test_dual_quaternions_take_joints_that_mirror_and_scale(tmp_path: Path) -> None:
     path = baked(source("AFrameHands/leftHandLow.glb"), tmp_path)
@@ -429,6 +432,7 @@ def test_a_scaled_joint_is_named(tmp_path: Path) -> None:
     assert 3.0 * figures["exact"]["mean"] < figures["standard"]["mean"]
 
 
+@pytest.mark.slow
 @corpus.needed
 def test_mirroring_joints_are_told_and_measured(tmp_path: Path) -> None:
     """A left hand that is a right hand under a negative scale, with a clip of CUBICSPLINE keys."""
@@ -510,6 +514,7 @@ def test_random_poses_are_reproducible_and_obey_seed_and_angle(tmp_path: Path) -
     assert verify(path).file["poses"].endswith("(no animation moves its joints)")
 
 
+@pytest.mark.slow
 def test_a_baseline_and_a_cap_change_what_they_should(tmp_path: Path) -> None:
     path = baked(source("bent_tube.glb"), tmp_path)
     plain = figures(path, "--method", "lbs", "--samples", "6")["lbs"]

@@ -166,6 +166,7 @@ def test_a_tally_of_blocks_is_that_of_the_samples_one_by_one(seed: int) -> None:
     assert summary.undefined == (np.isnan(errors) & counted).sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1e-12, 1e-6, 1.0, 1e6, 1e12])
 def test_percentiles_of_lengths_of_any_scale_are_at_most_a_128th_too_large(scale: float) -> None:
     rng = np.random.default_rng(9)

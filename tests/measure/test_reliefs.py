@@ -167,12 +167,14 @@ def test_mapped_normals_at_rest_have_no_error(tmp_path: Path) -> None:
     assert max(found[lighting]["max"] for lighting in ("standard", "engine_frame", "accurate")) < 0.01
 
 
+@pytest.mark.slow
 def test_morph_targets_take_the_relief_along(tmp_path: Path) -> None:
     found = verify(baked(with_map(tmp_path, "morphed_sheet.glb")), "--method", "lbs").file["reliefs"]
     means = {name: found["normals"]["lbs"][name]["mean"] for name in ("standard", "engine_frame", "accurate")}
     assert means["accurate"] < 0.6 * means["engine_frame"] < 0.6 * means["standard"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frame", ["tangent", "normal"])
 @pytest.mark.parametrize("numbers", [4, 6])
 def test_numbers_of_morph_targets_stretch_the_relief_as_they_stretch_the_surface(

@@ -143,6 +143,7 @@ def test_the_truths_owe_nothing_to_the_weld_of_the_bake(tmp_path: Path) -> None:
     assert mesh == pytest.approx(whole, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["CesiumMan/CesiumMan.glb", "RobotMantis/animated_robot_mantis.glb"])
 def test_the_truths_of_real_characters_owe_nothing_to_the_weld_either(name: str, tmp_path: Path) -> None:
     cut = cut_into_meshes(halved(corpus.character(name), tmp_path / "half.glb"), tmp_path / "cut.glb")

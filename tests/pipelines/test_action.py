@@ -197,6 +197,7 @@ def test_no_hook_runs_code_of_the_repository(hook: dict[str, Any], runner: Runne
     assert done.returncode in {0, 1}, done.stderr  # 1: they are not baked
 
 
+@pytest.mark.slow
 def test_a_folder_that_looks_like_a_repository_runs_nothing(runner: Runner) -> None:
     """Git would take its settings, which name a program that tells of changed files."""
     art, ran = runner.workspace / "art", runner.own / "ran"

@@ -236,6 +236,7 @@ class TestTwoSources:
             bake(f"clean/{name}", source=f"art/{name}")
         assert files(here / "build") == files(here / "clean")
 
+    @pytest.mark.slow
     def test_files_of_one_name_in_two_folders_are_replaced(self, here: Path) -> None:
         """Each target names a file of that name, and another target notes it."""
         content = json.loads(Path("art/hero.gltf").read_text("utf-8"))
@@ -280,6 +281,7 @@ class TestTwoSources:
         pictures = {path.read_bytes() for path in Path("build/skins").glob("*.png")}
         assert pictures == {before, Path("art", PICTURE).read_bytes()}
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("options", [(), ("--skip-unchanged",), ("--jobs", "2", "--isolate")])
     def test_a_shared_buffer_is_replaced_for_both_at_once(self, options: tuple[str, ...], here: Path) -> None:
         shutil.copyfile("art/hero.gltf", "art/twin.gltf")
@@ -440,6 +442,7 @@ class Stopped(BaseException):
 
 
 class TestInterrupted:
+    @pytest.mark.slow
     def test_between_any_two_steps_the_output_is_whole(
         self, here: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:

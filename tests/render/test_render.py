@@ -413,6 +413,7 @@ def test_a_picture_that_links_to_a_model_is_refused(tmp_path: Path) -> None:
     assert "is the name of a model" in " ".join(result.stderr.split())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("former", ["PNG", "WEBP", "GIF", ""])
 def test_a_picture_of_any_kind_is_replaced(tmp_path: Path, device: None, former: str) -> None:
     target = tmp_path / "picture.png"
@@ -640,6 +641,7 @@ def test_without_its_extra_it_says_what_to_install(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_without_a_device_one_line_says_why_and_what_to_install(tmp_path: Path) -> None:
     """wgpu's reason has several lines."""
     nowhere = {"VK_DRIVER_FILES": "/nowhere", "VK_ICD_FILENAMES": "/nowhere", "WGPU_BACKEND_TYPE": "Vulkan"}

@@ -301,6 +301,7 @@ def test_a_pass_gives_what_the_replay_gives(
         assert_like_the_replay(name, done(name, answers[name]), one, leaves_out_tangents=number == 0)
 
 
+@pytest.mark.slow
 def test_a_pass_compiles_for_direct3d() -> None:
     for choices in CASES:
         text = shader_text(replace(choices, language=Language.HLSL))

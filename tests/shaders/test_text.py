@@ -48,6 +48,7 @@ def outside_functions(text: str) -> str:
 
 @pytest.mark.parametrize("language", Language)
 class TestEveryText:
+    @pytest.mark.slow
     def test_every_combination_has_a_text(self, language: Language) -> None:
         plain = Counter(
             (choices.method, choices.algorithm, choices.frame)
@@ -73,6 +74,7 @@ class TestEveryText:
             assert not text.endswith("\n\n"), name
             assert not re.search(r"[ \t]$", text, re.MULTILINE), name
 
+    @pytest.mark.slow
     def test_is_functions_and_structs_and_nothing_else(self, language: Language) -> None:
         for name, (_, text) in texts(language).items():
             assert not IMPURE.search(code(text)), name
@@ -130,6 +132,7 @@ class TestEveryText:
             assert set(re.findall(r"\b(?:weights|alpha|beta)_\d+\.\w+", code(text))) == expected, name
 
 
+@pytest.mark.slow
 def test_the_same_choices_give_the_same_text() -> None:
     for choices, text in texts(Language.WGSL).values():
         assert shader_text(choices) == text

@@ -314,6 +314,7 @@ class TestGltfReading:
         with pytest.raises(ValueError, match="leaves its buffer"):
             model.buffer_view(0)
 
+    @pytest.mark.slow
     def test_agrees_with_the_bounds_that_real_files_declare(self) -> None:
         for path in corpus.valid_models():
             model = read(path)

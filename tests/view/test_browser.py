@@ -209,6 +209,7 @@ def test_pointing_at_the_chart_shows_the_pose_and_leaving_it_goes_back(browsing:
     assert page.call("(() => application.time)") == pytest.approx(start)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("extensions", "side"), [({"VRM": {}}, -1), ({"VRM": {}, "VRMC_vrm": {}}, 1), ({}, 1)]
 )

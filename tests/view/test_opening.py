@@ -65,6 +65,7 @@ def test_the_clip_that_bends_is_shown_where_it_bends_most(
     assert abs(time - BENT) < 0.08  # it may show more a little before or after, seen from elsewhere
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("more", "number"), [([], RANDOM), ([held(BENT)], RANDOM), ([empty, None], 3)])
 def test_random_poses_are_shown_if_all_clips_stand_still(
     tmp_path: Path, more: list[Callable[[JsonObject], JsonObject] | None], number: int
@@ -79,6 +80,7 @@ def test_random_poses_are_shown_if_all_clips_stand_still(
     assert opened(edited(TUBE, tmp_path, change))[0] == number
 
 
+@pytest.mark.slow
 def test_of_equal_clips_the_first_is_shown(tmp_path: Path) -> None:
     def change(content: JsonObject) -> None:
         content["animations"] *= 3

@@ -83,6 +83,7 @@ def test_a_value_is_never_filled_in_again() -> None:
         filled_page(empty)
 
 
+@pytest.mark.slow
 def test_a_large_page_says_what_makes_it_large(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An image of a megabyte, and a limit of a megabyte in place of fifty."""
     noise = np.random.default_rng(0).integers(0, 256, (600, 600, 3), np.uint8)

@@ -148,6 +148,7 @@ PACKED = """(() => {
 })"""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lighting", "algorithm", "frame"),
     [("fitted", 3, "tangent"), ("dqs", 6, "tangent"), ("fitted", 3, "normal"), ("dqs", 6, "normal")],
@@ -160,6 +161,7 @@ def test_pixels_of_a_relief_are_those_of_the_replay(
     assert np.percentile(apart, 99) < RELIEF_DEGREES
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("numbers", "frame"), [(4, "tangent"), (6, "tangent"), (6, "normal")])
 def test_pixels_of_a_relief_follow_the_numbers_of_morph_targets(
     tmp_path: Path, numbers: int, frame: str
