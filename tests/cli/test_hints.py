@@ -176,9 +176,7 @@ def test_a_mistyped_folder_is_asked_about(tmp_path: Path) -> None:
     assert (code, "buid: no such file or folder; did you mean 'build'?" in text) == (3, True)
 
 
-@pytest.mark.parametrize(
-    "command", [["view"], ["render", "-o", "a.png"], ["shader", "--lang", "glsl", "--for"]]
-)
+@pytest.mark.parametrize("command", [["render", "-o", "a.png"], ["shader", "--lang", "glsl", "--for"]])
 @pytest.mark.parametrize("name", ["build", "pack.glb"])
 def test_a_folder_for_one_file_says_so(command: list[str], name: str, tmp_path: Path) -> None:
     (tmp_path / name).mkdir()

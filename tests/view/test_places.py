@@ -109,7 +109,7 @@ def test_a_click_on_a_place_goes_there_and_another_one_back(browsing: browser.Pa
 
 
 @pytest.mark.parametrize("size", [(1281, 800), (390, 844)], ids=["beside", "above"])
-def test_both_panes_show_the_same_pixels_where_both_lightings_are_the_same(
+def test_two_panes_show_the_same_pixels_where_both_lightings_are_the_same(
     browsing: browser.Page, size: tuple[int, int]
 ) -> None:
     browsing.show_as(*size, "light")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from skinbake.cli import exit_codes
 from skinbake.cli.console import ended_by_errors
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import expanded, path_on_disk
@@ -18,7 +19,7 @@ from skinbake.cli.plan import Plan, planned
 from skinbake.cli.runners import within_limits
 from skinbake.cli.targets import check_earlier, check_named, is_model_name, is_page
 from skinbake.cli.verify import Extra, pages_of, reporting
-from skinbake.errors import printable
+from skinbake.errors import InputError, Place, printable
 from skinbake.files.urls import STDIO
 from skinbake.wording import counted
 
@@ -105,6 +106,9 @@ def _write_sheet(plan: Plan[Any], folder: str, target: str | None) -> int:
     from skinbake.measure.options import VerifyOptions
 
     inputs = expanded([folder])
+    if missing := next((entry.missing for entry in inputs if entry.missing), None):
+        plan.say.error(InputError(missing, Place(folder)))
+        return exit_codes.INPUT
     whole: Plan[VerifyOptions] = replace(
         plan,
         arguments=[folder],
