@@ -49,8 +49,11 @@ MOST_PICTURES = 120
 NEAR = 1.5
 """What hangs on a character lies within so many radii of the box around it."""
 
-CLOSE = 1.3
-"""What is seen close up, in radii of the place, as on the page."""
+CLOSE, KNOWN = 1.3, 0.12
+"""What is seen close up, in radii of the place, as on the page; and the least of it, in sizes of the figure.
+
+From nearer nobody recognises the place.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +192,8 @@ def _pictures(
 
 def _close_to(spot: Spot, middle: Float64Array, camera: Camera) -> Camera:
     """Return the camera that looks at a place from close by."""
-    ball = middle + CLOSE * spot.radius * np.concatenate([np.eye(3), -np.eye(3)])
+    size = float(np.linalg.norm(np.ptp(camera.points, axis=0)))
+    ball = middle + max(CLOSE * spot.radius, KNOWN * size) * np.concatenate([np.eye(3), -np.eye(3)])
     return replace(camera, middle=middle, points=ball, pitch=float(np.arcsin(spot.towards[1])))
 
 

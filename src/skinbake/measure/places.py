@@ -174,7 +174,9 @@ class Places:
         shows = [one for one in _apart(best) if one.figures[0] >= NEGLIGIBLE]
         shows = [one for one in shows if one.value >= LEAST * max(other.value for other in shows)]
         worse = _apart(sorted(self._worse, key=lambda one: -one.value))
-        return Spots(tuple(map(_spot, shows)), tuple(map(_spot, worse)))
+        # A picture is of a place that can be seen: one deep in a fold comes after those.
+        seen_first = sorted(map(_spot, shows), key=lambda spot: spot.is_hidden)
+        return Spots(tuple(seen_first), tuple(map(_spot, worse)))
 
 
 def _stands_still(draw: Draw) -> BoolArray:
@@ -282,7 +284,7 @@ def _spot(one: _Candidate) -> Spot:
     towards *= np.sign(np.linalg.det(draw.matrices[one.pose, joint, :3, :3])) or 1.0
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         outward = np.nan_to_num(towards / np.linalg.norm(towards))
-        x, y, z = _seen_from(positions, positions[triangles], vertex, outward)
+        towards, is_hidden = _seen_from(positions, positions[triangles], vertex, outward)
     primitive = int(np.searchsorted(cells.starts, vertex, side="right")) - 1
     number, clip, time = _moment(one)
     return Spot(
@@ -296,16 +298,19 @@ def _spot(one: _Candidate) -> Spot:
         vertex=vertex - int(cells.starts[primitive]),
         skin=draw.skin,
         node=draw.node,
-        towards=(x, y, z),
+        towards=towards,
         radius=1.0 * float(np.sqrt(np.square(positions[members] - positions[vertex]).sum(axis=1).mean()))
         or 1.0,
+        is_hidden=is_hidden,
     )
 
 
 def _seen_from(
     positions: Float64Array, corners: Float64Array, vertex: int, outward: Float64Array
-) -> tuple[float, float, float]:
+) -> tuple[tuple[float, float, float], bool]:
     """Return the direction (3,) to a camera that sees a vertex, not too steeply, and the model at its widest.
+
+    With it: whether the vertex is hidden even so.
 
     positions are (V, 3), corners of triangles (T, 3, 3). Triangles of other draws are not in the way.
     """
@@ -313,7 +318,7 @@ def _seen_from(
     first, second, third = (corners[:, corner] for corner in range(3))
     start = positions[vertex] + NEAR * np.linalg.norm(wide) * outward
     one, other, away = second - first, third - first, start - first
-    best, score = (0.0, 0.0, 1.0), -1.0
+    best, score = ((0.0, 0.0, 1.0), True), -1.0
     yaw = np.arctan2(outward[0], outward[2])
     for turn in TURNS:
         for pitch in PITCHES:
@@ -325,11 +330,11 @@ def _seen_from(
             u = (away * across).sum(axis=1) / volume
             turned = np.cross(away, one)
             v, far = (turned @ ray) / volume, (other * turned).sum(axis=1) / volume
-            is_hidden = ((u > 0) & (v > 0) & (u + v < 1) & (far > 0)).any()
+            is_hidden = bool(((u > 0) & (v > 0) & (u + v < 1) & (far > 0)).any())
             spread = abs(z) * wide[0] + abs(x) * wide[2] + wide[1]
             found = spread * max(float(ray @ outward), 0.05) * (0.01 if is_hidden else 1.0)
             if found > score:
-                best, score = (float(x), float(y), float(z)), found
+                best, score = ((float(x), float(y), float(z)), is_hidden), found
     return best
 
 

@@ -46,6 +46,7 @@ def thumbnails(surfaces: list[Posed], camera: Camera) -> list[bytes]:
             # places (V, 3): pixels from the upper left corner, and the depth
             clip = np.column_stack([surface.positions, np.ones(len(surface.positions))]) @ matrix.T
             places = (clip[:, :3] / clip[:, 3:] * [1, -1, 1] * 0.5 + 0.5) * [width, height, 1.0]
+            places[clip[:, 2] < 0] = np.nan  # a triangle with a corner before the near plane is left out
             (x, y), (u, v) = np.diff(places[surface.triangles, :2], axis=1).transpose(1, 2, 0)
             is_behind = x * v > y * u  # y goes down
             for pixels, depth, triangles, shares in _fragments(places, surface.triangles, (width, height)):

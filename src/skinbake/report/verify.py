@@ -158,6 +158,7 @@ class Spot:
     number is that of the clip, None in a pose of no clip. standard and baked are mean errors in degrees,
     weighted by area, by the truth with the smaller difference. place and vertex name its middle, which
     ``skin`` and ``node`` draw. radius is its size in the scene, and towards (3,) leads to who sees it.
+    is_hidden: other triangles of the draw are in front of it from wherever it was looked at.
     """
 
     clip: str
@@ -172,6 +173,7 @@ class Spot:
     node: int | None
     towards: tuple[float, float, float]
     radius: float
+    is_hidden: bool = False
 
     @property
     def where(self) -> str:
