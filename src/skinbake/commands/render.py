@@ -49,7 +49,7 @@ MOST_PICTURES = 120
 NEAR = 1.5
 """What hangs on a character lies within so many radii of the box around it."""
 
-CLOSE, KNOWN = 1.3, 0.12
+CLOSE, KNOWN = 1.3, 0.1
 """What is seen close up, in radii of the place, as on the page; and the least of it, in sizes of the figure.
 
 From nearer nobody recognises the place.
