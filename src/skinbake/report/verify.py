@@ -66,7 +66,7 @@ class Check:
     outcome: Outcome
     problems: tuple[Notice, ...] = ()
     remark: str = ""
-    seconds: float | None = field(default=None, compare=False)
+    seconds: float | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -123,7 +124,7 @@ def moving_clips(document: Document, skin: int, clips: Sequence[Clip], node: int
     return found
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class PosePlan:
     """The poses of one skin, and of the node that draws a mesh with it, before they are made.
 
@@ -151,7 +152,7 @@ class PosePlan:
         moving = moving_clips(document, skin, clips, morphed)
         return cls(skin, read_skeleton(document, skin), tuple(moving), request, morphed, resting)
 
-    @property
+    @cached_property
     def sampled(self) -> Sequence[Clip]:
         """The clips that are sampled; none if random poses replace them, or if the pose is at rest."""
         if self.request.kind is not PoseKind.ANIMATION or not any(
@@ -162,7 +163,7 @@ class PosePlan:
         some = count if most is None else min(count, max(1, most // LEAST_SAMPLES))
         return [self.clips[number * count // some] for number in range(some)]
 
-    @property
+    @cached_property
     def of_each(self) -> int:
         """The number of poses that are made at a time: all of a clip, or all."""
         clips, most = max(1, len(self.sampled)), self.request.most
