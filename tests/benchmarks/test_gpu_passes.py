@@ -232,4 +232,4 @@ def assert_like_verify(errors: list[dict[str, Any]], folder: Path) -> None:
             assert means[name, truth] == pytest.approx(figures["lbs"][lighting].mean, abs=1e-3)
         assert means["DQS exact", truth] == pytest.approx(figures["dqs"]["exact"].mean, abs=1e-3)
     # The rule of the recompute is that of this truth, up to the edge in place of a tangent.
-    assert all(means[name, "triangles"] < 0.1 < means[name, "tangents"] for name in RECOMPUTES)
+    assert all(5 * means[name, "triangles"] < 1.0 < means[name, "tangents"] for name in RECOMPUTES)

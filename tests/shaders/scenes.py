@@ -118,9 +118,11 @@ class Scene:
         if choices.normal_map:
             vectors[2:] = [self._mapped(choices, found, texel) for texel in TEXELS]
         if choices.mirrored_joints:
-            first = np.linalg.det(self.matrices[:, :, :3, :3].astype(np.float64))[:, self.joints[:, 0]]
+            sides = np.sign(np.linalg.det(self.matrices[:, :, :3, :3].astype(np.float64)))
+            # A joint of scale 0 has no side: what it hides lies on that of the others, which share one.
+            sides = np.where(sides == 0, sides[:, :1], sides)
             for number in range(1, 4 if choices.normal_map else 2):
-                vectors[number] *= np.sign(first)[:, :, None]
+                vectors[number] *= sides[:, self.joints[:, 0], None]
         return np.stack(vectors, axis=2).reshape(-1, 4, 3)
 
     def _mapped(self, choices: ShaderChoices, found: SkinnedSurface, texel: tuple[float, ...]) -> Wide:

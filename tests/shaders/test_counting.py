@@ -190,11 +190,11 @@ def test_a_normal_map_adds_to_the_text_what_the_page_says(
 @pytest.mark.slow
 @pytest.mark.parametrize("influences", [2, 4, 8])
 def test_joints_that_scale_cost_what_the_replay_counts(influences: int) -> None:
-    """The text mixes the translations too, which nothing reads: 4 N more."""
+    """The text mixes the translations too, which nothing reads, and looks which joints turn: 17 N more."""
     choices = ShaderChoices(
         Language.GLSL, Method.DQS, Lighting.EXACT, influences, Frame.NORMAL, scaled_joints=True
     )
     module = Module(glslang.disassembly(glslang.spirv(glsl([choices], "450"))))
     found = module.multiply_adds("skinbake_dqs_scaled")
     expected = sum(multiply_adds(Algorithm.DQS_EXACT, influences, scaled_joints=True).values())
-    assert found == pytest.approx(expected + 4 * influences, rel=SHARE)
+    assert found == pytest.approx(expected + 17 * influences, rel=SHARE)
