@@ -309,6 +309,7 @@ def test_a_bake_by_either_kernel_is_fresh_for_both(tmp_path: Path, monkeypatch: 
                 if made.exit_code == 0:
                     bakes.setdefault(kernel, []).append(target)
     assert len(bakes["compiled"]) == len(bakes["numpy"]) > 12
+    fresh = 0
     for kernel in ("compiled", "numpy"):
         with monkeypatch.context() as patch:
             if kernel == "numpy":
@@ -317,7 +318,12 @@ def test_a_bake_by_either_kernel_is_fresh_for_both(tmp_path: Path, monkeypatch: 
                 verdict = invoke("verify", target, "--poses", "rest", "--method", "lbs", "--json")
                 [told] = json.loads(verdict.stdout)["files"]
                 checks = {check["name"]: check for check in told["checks"]}
+                # Standard lighting may be better at every part of a fit: then nothing was baked.
+                if checks["structure"]["outcome"] == "skipped":
+                    continue
+                fresh += 1
                 assert checks["freshness"]["outcome"] == "passed", (target, kernel, checks["freshness"])
+    assert fresh > 4 * 8
 
 
 @pytest.mark.slow

@@ -24,7 +24,7 @@ from tests.support.node import SUPPORT, require_node
 REPOSITORY = Path(__file__).resolve().parents[2]
 PAGES = ("README.md", "docs/*.md", "docs/reference/*.md", "engines/*/README.md")
 BLOCK = re.compile(
-    r"^(?:<!-- (?P<note>.*?) -->\n)?```(?P<kind>sh|console|bash)\n(?P<text>.*?)^```", re.S | re.M
+    r"^(?:<!-- (?P<note>(?:(?!-->).)*?) -->\n)?```(?P<kind>sh|console|bash)\n(?P<text>.*?)^```", re.S | re.M
 )
 TUBE = FOLDER / "bent_tube.glb"
 
