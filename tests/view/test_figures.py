@@ -157,7 +157,7 @@ def test_primitives_have_the_figures_by_triangles() -> None:
     for primitive in given:
         own = primitive["normals_by_triangles"]["lbs"]
         expected += [f"{own[name]['mean']:.2f}" for name in ("standard", "accurate")]
-        assert own["gain"] < 0.9 * primitive["normals_by_tangents"]["lbs"]["gain"], "told apart"
+        assert own["gain"] < 0.98 * primitive["normals_by_tangents"]["lbs"]["gain"], "told apart"
     assert [text for text in rows if not text.endswith("×")] == expected
     assert "by triangles" in words
     assert "by tangents" not in words
