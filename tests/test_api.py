@@ -65,6 +65,7 @@ def test_the_examples_of_the_docstrings_run(examples: dict[str, Any]) -> None:
     assert (found.failed, found.attempted > 8) == (0, True)
 
 
+@pytest.mark.slow
 def test_the_examples_of_the_page_run(examples: dict[str, Any]) -> None:
     page = str(ROOT / "docs" / "python.md")
     found = doctest.testfile(page, module_relative=False, globs=examples, encoding="utf-8")
@@ -92,6 +93,7 @@ def test_an_import_brings_nothing_heavy() -> None:
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.slow
 def test_results_are_the_entries_of_json(tmp_path: Path) -> None:
     baked, again = tmp_path / "baked.glb", str(tmp_path / "again.glb")
     entry = document(invoke("bake", TUBE, "-o", baked, "--encoding", "packed8", "--json"))["files"][0]

@@ -228,6 +228,7 @@ class TestRealModels:
                     first, second = (model.stored_attribute(ALPHA, mesh, part) for model in models)
                     assert first.tobytes() == second.tobytes()
 
+    @pytest.mark.slow
     def test_inspect_reads_every_result(self, runs: list[Run]) -> None:
         for run in baked(runs):
             bakes = [primitive.bake for primitive in inspect_file(str(run.target)).primitives]

@@ -151,6 +151,7 @@ def test_a_bake_verifies_repeats_and_is_undone(
             assert read(back).binary_chunk == read(source).binary_chunk
 
 
+@pytest.mark.slow
 @settings(PROPERTIES, max_examples=EXAMPLES)
 @given(meshes())
 def test_alpha_and_beta_of_all_slots_sum_to_zero(mesh: Mesh) -> None:

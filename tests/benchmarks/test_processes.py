@@ -18,6 +18,7 @@ def python(program: str) -> list[str]:
     return [sys.executable, "-c", program]
 
 
+@pytest.mark.slow
 def test_the_memory_is_the_commands_own() -> None:
     held = np.ones(100 * MIB // 8)
     empty, full = run(python("pass")), run(python(HUNDRED_MIB))

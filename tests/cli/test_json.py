@@ -134,6 +134,7 @@ def test_strip(tmp_path: Path) -> None:
     assert [warning["code"] for warning in found["warnings"]] == ["nothing-baked"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["\ud800", 'quo"te\\', "line\nbreak", "α 😀"])
 def test_any_name_that_json_can_hold_comes_through(name: str, tmp_path: Path) -> None:
     path = edited("seam.glb", tmp_path, lambda content: content["meshes"][0].update(name=name))

@@ -210,6 +210,7 @@ class TestWhatIsSaidAtTheEnd:
         assert invoke("bake", *models, "--out-dir", tmp_path).stderr == ""
         assert "2 files: 2 baked, in " in invoke("bake", *models, "--out-dir", tmp_path, "-v").stderr
 
+    @pytest.mark.slow
     def test_very_many_do(self, tmp_path: Path) -> None:
         for number in range(21):
             shutil.copyfile(FOLDER / "seam.glb", tmp_path / f"{number}.glb")
@@ -365,6 +366,7 @@ class TestTimings:
         (line,) = [line for line in result.stderr.splitlines() if "sleeping" in line]
         assert float(line.split()[1]) >= 0.06
 
+    @pytest.mark.slow
     def test_verify(self, tmp_path: Path) -> None:
         invoke("bake", FOLDER / "seam.glb", "-o", tmp_path / "a.glb")
         result = invoke("verify", tmp_path / "a.glb", "--poses", "rest", "--timings", "--json")

@@ -165,6 +165,7 @@ def test_an_image_takes_no_more_than_it_claims(kind: str, mode: str, side: int, 
     assert claimed < 64 * side * side
 
 
+@pytest.mark.slow
 def test_a_webp_is_refused_by_its_header(tmp_path: Path) -> None:
     from skinbake.render.materials import decoded
 

@@ -183,6 +183,7 @@ def test_a_full_disk_behind_stdout_is_an_output_error(command: str) -> None:
     assert b"Traceback" not in process.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["bake {} -o -", "inspect {} --json", "bake --help"])
 def test_a_reader_that_goes_away_gets_no_traceback(command: str) -> None:
     process = shell(f"set -o pipefail; skinbake {command.format(FOLDER / 'bent_tube.glb')} | true")

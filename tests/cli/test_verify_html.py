@@ -101,11 +101,13 @@ def test_the_page_of_one_file_takes_no_small_picture(tmp_path: Path, monkeypatch
     assert len(drawn) == 2
 
 
+@pytest.mark.slow
 def test_the_page_of_a_plain_view_has_no_limits(tmp_path: Path) -> None:
     invoke("view", TUBE, "-o", tmp_path / "page.html")
     assert given(tmp_path / "page.html")["limits"] is None
 
 
+@pytest.mark.slow
 def test_a_page_is_small_beside_its_model(tmp_path: Path) -> None:
     bake(TUBE, tmp_path / "tube.glb")
     invoke("verify", tmp_path / "tube.glb", "--html", tmp_path / "report.html")
@@ -151,6 +153,7 @@ def test_several_files_give_a_sheet_with_the_largest_gain_first(tmp_path: Path) 
     assert "not a GLB" in text
 
 
+@pytest.mark.slow
 def test_a_page_that_fails_leaves_the_pages_of_the_others(tmp_path: Path) -> None:
     """The file that is verified first can no longer be read when its page is made."""
     for source in (TUBE, SEAM):
@@ -230,6 +233,7 @@ def test_names_are_text_in_the_sheet() -> None:
     assert 'href="x&quot;.html"' in text
 
 
+@pytest.mark.slow
 def test_a_page_says_what_the_text_says_of_the_figures(tmp_path: Path) -> None:
     bake(TUBE, tmp_path / "tube.glb")
     result = invoke("verify", tmp_path / "tube.glb", "--poses", "rest", "--html", tmp_path / "report.html")
@@ -404,6 +408,7 @@ def test_html_replaces_earlier_pages_of_its_folder_only(tmp_path: Path) -> None:
     assert page.read_bytes() == kept
 
 
+@pytest.mark.slow
 def test_a_page_that_cannot_be_written_is_said(tmp_path: Path) -> None:
     bake(TUBE, tmp_path / "tube.glb")
     result = invoke("verify", tmp_path / "tube.glb", "--html", tmp_path / "tube.glb" / "report.html")

@@ -34,6 +34,7 @@ def files(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+@pytest.mark.slow
 def test_a_file_that_is_not_baked_is_baked_in_memory_only(tmp_path: Path) -> None:
     source = tmp_path / "tube.glb"
     source.write_bytes(TUBE.read_bytes())
@@ -59,6 +60,7 @@ def test_the_storage_of_a_bake_in_memory_is_no_news(tmp_path: Path) -> None:
     assert not list(document.notices)
 
 
+@pytest.mark.slow
 def test_a_baked_file_is_shown_as_it_is(tmp_path: Path) -> None:
     bake(TUBE, tmp_path / "tube.glb", encoding="packed8")
     result = invoke("view", tmp_path / "tube.glb", "-o", tmp_path / "page.html")
@@ -66,6 +68,7 @@ def test_a_baked_file_is_shown_as_it_is(tmp_path: Path) -> None:
     assert "baked it in memory" not in (tmp_path / "page.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_a_damaged_bake_is_said_and_replaced_in_memory(tmp_path: Path) -> None:
     bake(TUBE, tmp_path / "tube.glb")
     file = Editable(tmp_path / "tube.glb")
@@ -90,6 +93,7 @@ def test_the_same_file_gives_the_same_page(tmp_path: Path) -> None:
     assert pages[0].startswith(b"<!doctype html>")
 
 
+@pytest.mark.slow
 def test_the_page_names_nothing_on_the_network(tmp_path: Path) -> None:
     page = invoke("view", TUBE, "-o", "-").stdout
     assert "default-src 'none'" in page
@@ -157,6 +161,7 @@ def test_pages_of_view_and_reports_of_verify_replace_each_other(tmp_path: Path) 
         assert invoke(command, TUBE, option, page).exit_code == exit_codes.OK
 
 
+@pytest.mark.slow
 def test_the_short_suffix_is_one_of_a_page_too(tmp_path: Path) -> None:
     assert invoke("view", TUBE, "-o", tmp_path / "page.HTM").exit_code == exit_codes.OK
 

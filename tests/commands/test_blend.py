@@ -57,6 +57,7 @@ def test_the_gradient_of_a_joint_s_weight_is_the_one_that_alpha_and_beta_hold(
     np.testing.assert_allclose(found, expected, atol=2e-6 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["glb", "gltf", "draco", "meshopt"])
 def test_strip_gives_the_input_back_and_a_second_bake_changes_nothing(tmp_path: Path, kind: str) -> None:
     given = with_blend_weights(TUBE, tmp_path / "in.glb")
@@ -117,6 +118,7 @@ def test_alpha_and_beta_are_those_of_a_bake_without_a_blend(tmp_path: Path) -> N
     assert note["blend"] == {"weights": NAME, "gradient": GRADIENT}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["every", "blend"])
 def test_verify_measures_the_blended_surface(tmp_path: Path, method: str) -> None:
     given = with_blend_weights(TUBE, tmp_path / "in.glb")
@@ -313,6 +315,7 @@ def test_a_surface_has_blend_weights_everywhere_or_nowhere(tmp_path: Path) -> No
     assert f"primitive 1: it has no attribute {NAME}, and other primitives of the same surface" in said
 
 
+@pytest.mark.slow
 def test_a_mesh_without_blend_weights_is_left_to_linear_blending_with_a_notice(tmp_path: Path) -> None:
     file = Editable(with_blend_weights(TUBE, tmp_path / "in.glb"))
     other = json.loads(json.dumps(file.content["meshes"][0]))

@@ -186,6 +186,7 @@ def test_zeros_in_normal_where_points_move_count_as_no_normal(
     assert (tmp_path / "again.glb").read_bytes() == (tmp_path / "out.glb").read_bytes()
 
 
+@pytest.mark.slow
 def test_bake_and_verify_tell_of_zeros_in_normal_as_of_no_normal(tmp_path: Path) -> None:
     source = with_zero_normals(TUBE, tmp_path / "in.glb", keep=1)
     twin = without_normals(TUBE, tmp_path / "twin.glb", keep=1, weights=[0.8, 0.5])
@@ -246,6 +247,7 @@ def test_targets_without_normal_are_advice_that_fails_no_build(tmp_path: Path) -
     assert skinbake.bake(model, warnings_as_errors=True) != model
 
 
+@pytest.mark.slow
 def test_verify_measures_the_gain(tmp_path: Path) -> None:
     source = without_normals(TUBE, tmp_path / "in.glb", weights=[0.8, 0.5])
     errors = []
@@ -430,6 +432,7 @@ def test_targets_that_have_normal_get_four_numbers_and_the_primitive_an_attribut
     assert base["type"] == "VEC4" and "bufferView" not in base
 
 
+@pytest.mark.slow
 def test_standard_lighting_is_measured_as_engines_show_it_without_the_numbers(tmp_path: Path) -> None:
     source = without_normals(TUBE, tmp_path / "in.glb", weights=[0.8, 0.5])
     errors = []

@@ -88,6 +88,7 @@ def test_a_bake_with_a_clear_gain_and_one_without_a_better_one_name_none(tmp_pat
     assert (little.file["conclusion"], little.file["others"]) == ("little to win", [])
 
 
+@pytest.mark.slow
 def test_a_missed_limit_names_a_bake_that_is_nearer(tmp_path: Path) -> None:
     """A real coarse cylinder, which α and β hardly help."""
     source = corpus.model("RiggedSimple/RiggedSimple.gltf")

@@ -53,6 +53,7 @@ def gain(answer: Answer) -> float:
     return float(primitive["normals_by_tangents"]["lbs"]["gain"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [FIGURE, QUAD, CYLINDER])
 def test_a_measured_bake_is_the_remedy_and_the_default_helps(tmp_path: Path, name: str) -> None:
     model = corpus.model(name)

@@ -118,6 +118,7 @@ def test_reports_tell_clips_of_one_name_by_their_numbers(tmp_path: Path) -> None
     assert f"{MIXAMO} (animation 0), {MIXAMO} (animation 1)" in invoke("inspect", target).output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", ["none", "its own"])
 def test_a_fresh_bake_of_a_mesh_under_two_skins_of_which_one_moves_verifies(
     joint: str, tmp_path: Path

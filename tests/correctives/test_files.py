@@ -129,6 +129,7 @@ def test_a_file_has_one_kind_of_bake(tmp_path: Path) -> None:
     assert said.endswith("corrected.glb shows where.\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", ["1", "3"])
 def test_bytes_do_not_depend_on_the_number_of_threads(tmp_path: Path, threads: str) -> None:
     bake(TUBE, tmp_path / "any.glb")
@@ -150,6 +151,7 @@ def test_options_of_gradients_are_refused(tmp_path: Path, option: list[str], wor
     assert words in bake(TUBE, tmp_path / "out.glb", "auto", *option, code=2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("least", "status"), [("1.2", "baked"), ("1e6", "left")])
 def test_a_file_with_little_to_win_is_left_with_a_note(tmp_path: Path, least: str, status: str) -> None:
     target = tmp_path / "out.glb"

@@ -183,6 +183,7 @@ def test_files_of_strangers_gain_what_their_clips_show(name: str, tmp_path: Path
     assert figures["corrected"]["mean"] < 0.2 * figures["standard"]["mean"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [outside, by_mesh, by_node], ids=lambda change: change.__name__)
 def test_mixtures_are_measured_at_the_morph_weights_that_play(
     change: Callable[[Any], None], tmp_path: Path

@@ -100,6 +100,7 @@ def test_a_face_moves_its_own_targets_while_it_is_measured(tmp_path: Path) -> No
     assert figures["corrected"]["mean"] < 0.3 * figures["standard"]["mean"]
 
 
+@pytest.mark.slow
 def test_every_primitive_has_figures(tmp_path: Path) -> None:
     answer = verify(made(parted(tmp_path / "in.glb"), tmp_path / "out.glb"))
     assert len(answer.file["primitives"]) == 3

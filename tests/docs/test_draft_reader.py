@@ -79,6 +79,7 @@ def test_a_reader_of_the_draft_alone_lights_every_fixture_alike(source: Path, tm
     assert_told_alike(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "options"),
     [

@@ -172,6 +172,7 @@ def test_only_additions_and_the_same_again(name: str, storage: GradientFormat, t
     assert second.read_bytes() == first.read_bytes()
 
 
+@pytest.mark.slow
 def test_the_validator_finds_nothing(tmp_path: Path) -> None:
     written = []
     for layout in (Layout.TEXCOORD, Layout.CUSTOM):
@@ -185,6 +186,7 @@ def test_the_validator_finds_nothing(tmp_path: Path) -> None:
         assert not khronos.new_findings(reports[FOLDER / path.name], reports[path])
 
 
+@pytest.mark.slow
 def test_two_bakes_of_one_file_differ_in_additions_only(tmp_path: Path) -> None:
     """From one layout to another without a trace, over the primitives of every fixture."""
     for name in FIXTURES:

@@ -18,6 +18,7 @@ first(1)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "missed"),
     [

@@ -90,6 +90,7 @@ def test_a_case_is_its_seeds() -> None:
     assert [make_case(seed, MODELS) for seed in range(50)] == [make_case(seed, MODELS) for seed in range(50)]
 
 
+@pytest.mark.slow
 def test_seeds_give_many_kinds_of_cases() -> None:
     cases = [make_case(seed, MODELS) for seed in range(400)]
     assert {case.arguments[0] for case in cases} == set(COMMANDS) - {"example", "cost"}  # these read no file

@@ -677,6 +677,7 @@ TWINS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "original", "tolerance"), TWINS)
 def test_real_twins_have_the_same_gradients_within_their_quantisation(
     name: str, original: str, tolerance: float, tmp_path: Path

@@ -460,6 +460,7 @@ assert resource.getrlimit(resource.RLIMIT_AS) == before
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has the limit")
 def test_threads_of_a_program_keep_the_memory_that_it_has() -> None:
     """A limit of the process holds for all of them, and two decoders would restore each other's.

@@ -227,6 +227,7 @@ class TestNesting:
             assert "its JSON cannot be parsed: its arrays and objects are nested too deep" in result.stderr
         assert not out.exists()
 
+    @pytest.mark.slow
     def test_a_note_that_is_nested_deep_is_a_problem_of_the_file(self, tmp_path: Path) -> None:
         """Whatever the metadata says, it is a problem of the file."""
         whole = tmp_path / "whole.glb"

@@ -113,6 +113,7 @@ def test_additions_leave_the_text_and_can_be_undone(
         assert undone == former.text
 
 
+@pytest.mark.slow
 @given(VALUES, st.sampled_from([None, " "]), st.integers(0, 1 << 32))
 def test_any_change_is_written(entry: Any, indent: str | None, seed: int) -> None:
     random = Random(seed)

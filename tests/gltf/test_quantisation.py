@@ -173,6 +173,7 @@ def skin_of(model: GltfFile, mesh: int) -> Floats:
     return model.matrices(model.content["skins"][node["skin"]]["inverseBindMatrices"])
 
 
+@pytest.mark.slow
 def test_a_real_character_quantised_by_another_tool(tmp_path: Path) -> None:
     """Each of its six skinned meshes is dequantised by the inverse bind matrices of a skin of its own.
 

@@ -229,6 +229,7 @@ def without_poses(rig: Rig) -> Rig:
     return replace(rig, poses=rig.poses[:0])
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_kernel")
 @pytest.mark.parametrize("corners", [3, 4, 6])
 def test_rings_whose_normal_lies_in_their_triangles_keep_the_gradient(corners: int) -> None:

@@ -219,6 +219,7 @@ def test_groups_of_every_size_weld_alike(count: int, crease: float) -> None:
     assert len(set(found)) == 5 if crease == 15.0 else len(set(found)) > 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "expected"), [(4096, 5), (4097, 4097)])
 def test_points_of_very_many_normals_weld_equal_ones_only(count: int, expected: int) -> None:
     part = copies(normals=[*directions(count, seed=1), *directions(count, seed=1)], dtype=np.float64)

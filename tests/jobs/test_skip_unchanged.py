@@ -214,6 +214,7 @@ def test_a_bake_by_changed_code_of_one_version_is_another_bake(
     assert baking() == FIRST
 
 
+@pytest.mark.slow
 def test_the_code_is_all_that_is_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     copy = tmp_path / "skinbake"
     shutil.copytree(Path(skinbake.__file__).parent, copy, ignore=shutil.ignore_patterns("__pycache__"))
@@ -272,6 +273,7 @@ class TestInPlace:
         next(baking_in_place.folder.glob("skinbake-*.bin")).write_bytes(b"")
         assert baking_in_place()[TEXTURED] != "up-to-date"
 
+    @pytest.mark.slow
     def test_changed_options_bake_in_place_again(self, baking_in_place: Baking) -> None:
         baking_in_place()
         assert baking_in_place("--weighting", "area") == FIRST
@@ -538,6 +540,7 @@ class TestVerify:
         assert verify() == {"bad.glb": (False, False), "good.glb": (True, False)}
         assert verify() == {"bad.glb": (False, False), "good.glb": (True, True)}
 
+    @pytest.mark.slow
     def test_changed_limits_and_changed_bytes_are_verified_again(
         self, verify: Callable[..., dict[str, tuple[bool, bool]]], tmp_path: Path
     ) -> None:
@@ -559,6 +562,7 @@ class TestVerify:
         assert verify()["good.glb"] == (True, True)  # baked anew, it has the bytes that passed
 
 
+@pytest.mark.slow
 def test_every_fixture_is_up_to_date_after_its_bake(tmp_path: Path) -> None:
     inputs = [FOLDER / name for name in FIXTURES]
     for status in ("baked", "up-to-date"):

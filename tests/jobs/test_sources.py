@@ -112,6 +112,7 @@ def test_files_that_were_left_or_cannot_be_baked_count_too(art: Path) -> None:
     assert codes(art) == {"build/left.glb": ["source-changed"]}
 
 
+@pytest.mark.slow
 def test_junit_has_a_case_of_each_file_and_skipped_files_are_checked(art: Path, tmp_path: Path) -> None:
     notes, report = tmp_path / "verified.jsonl", tmp_path / "report.xml"
     skip = ("--skip-unchanged", "--state", notes)

@@ -113,6 +113,7 @@ def test_outputs_in_a_storage_are_those_on_a_disk(protocol: str, tmp_path: Path)
     assert "props/maps/wood.png" in expected
 
 
+@pytest.mark.slow
 def test_the_disk_on_either_side(tmp_path: Path) -> None:
     names, wanted, _ = baked_locally(tmp_path)
     bake_all(names, str(tmp_path / "lib"), "memory://there")
@@ -135,6 +136,7 @@ def test_a_file_in_another_folder_is_out_of_another_storages_reach(tmp_path: Pat
     assert stored("memory://out") == {}
 
 
+@pytest.mark.slow
 def test_in_place_and_into_the_other_container(tmp_path: Path) -> None:
     names, _, _ = baked_locally(tmp_path)
     upload(tmp_path / "lib", "s3://b/lib")

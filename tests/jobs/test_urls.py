@@ -45,6 +45,7 @@ def library(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_folders_and_patterns_behind_urls(library: Path) -> None:
     result = invoke("bake", "memory://lib/", "--out-dir", "memory://out", "--json")
     assert result.exit_code == 0
@@ -76,6 +77,7 @@ def test_folders_and_patterns_behind_urls(library: Path) -> None:
     assert verified.exit_code == 0
 
 
+@pytest.mark.slow
 def test_outputs_are_not_taken_for_inputs(library: Path) -> None:
     for _ in range(2):
         assert invoke("bake", "memory://lib", "--out-dir", "memory://lib/out").exit_code == 0
@@ -302,6 +304,7 @@ class PlainWeb(AbstractFileSystem):  # type: ignore[misc]  # fsspec is untyped
         return {"name": path, "type": "file", "size": len(self.cat_file(path))}
 
 
+@pytest.mark.slow
 def test_a_folder_of_a_web_server_is_baked_as_one_of_this_disk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,6 +9,7 @@ import pytest
 from tests.support.baked_files import baked, source
 
 
+@pytest.mark.slow
 def test_verify_imports_without_its_heavy_libraries() -> None:
     program = (
         "import sys, skinbake.truth.operator, skinbake.truth.truths, skinbake.truth.areas\n"

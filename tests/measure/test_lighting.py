@@ -307,6 +307,7 @@ def test_a_limit_that_is_exceeded_fails(tmp_path: Path, options: dict[str, Any],
     assert not verdict.passed
 
 
+@pytest.mark.slow
 def test_a_figure_is_told_with_the_decimals_that_show_which_side_of_its_limit_it_is_on(
     tmp_path: Path,
 ) -> None:

@@ -30,6 +30,7 @@ def answers() -> dict[str, dict[str, Any]]:
     return answers
 
 
+@pytest.mark.slow
 def test_the_joints_of_a_sound_file_are_read_and_compared(answers: dict[str, dict[str, Any]]) -> None:
     assert answers["sound"]["first"].startswith("a tool has changed the order of its joints")
     assert answers["sound"]["reads"] == 3 * 4 + 3

@@ -77,6 +77,7 @@ EDITS: dict[str, Callable[[int], object]] = {
 
 
 class TestOneSource:
+    @pytest.mark.slow
     @pytest.mark.parametrize("what", EDITS)
     def test_four_edits_leave_a_clean_build(self, what: str, here: Path) -> None:
         bake("build/hero.gltf")
@@ -167,6 +168,7 @@ class TestOneSource:
             bake("build/hero.glb", source="art/hero.glb")
             assert files(here / "build") == clean("art/hero.glb")
 
+    @pytest.mark.slow
     def test_gradients_in_another_folder_than_the_buffers_are_replaced_too(self, here: Path) -> None:
         """A former target that names a buffer outside its own folder counted as none."""
         (here / "art" / "deep").mkdir()
@@ -203,6 +205,7 @@ class TestOneSource:
             bake(f"{folder}/hero.gltf", "--encoding", "snorm16")
         assert files(here / "build") == files(here / "clean")
 
+    @pytest.mark.slow
     def test_a_removed_copy_is_made_again(self, here: Path) -> None:
         call = ["bake", "art", "--out-dir", "build", "--skip-unchanged", "--json"]
         assert invoke(*call).exit_code == 0
@@ -214,6 +217,7 @@ class TestOneSource:
             assert files(here / "build") == whole, name
             assert {one["status"] for one in document(invoke(*call))["files"]} == {"up-to-date"}
 
+    @pytest.mark.slow
     def test_passing_over_what_is_unchanged_leaves_a_clean_build(self, here: Path) -> None:
         call = ["bake", "art", "--out-dir", "build", "--skip-unchanged", "--json"]
         for number in range(1, 4):

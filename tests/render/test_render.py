@@ -450,6 +450,7 @@ def test_a_model_that_is_too_large_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "picture.png").exists()
 
 
+@pytest.mark.slow
 def test_more_vertices_than_a_device_draws_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: None
 ) -> None:
@@ -525,6 +526,7 @@ def test_vertices_that_nodes_draw_without_a_skin_are_work_each_time(
         attachments(read_document(path))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("call", ["create_texture", "create_buffer_with_data"])
 def test_a_device_without_enough_memory_is_told(
     call: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: None
@@ -569,6 +571,7 @@ def measure_errors(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) ->
     render.render_file(str(path), str(folder / "a.png"), render.RenderOptions(Look(64, 48, "error")))
 
 
+@pytest.mark.slow
 def test_the_errors_are_those_of_a_pose_that_bends_much(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -599,6 +602,7 @@ def test_welding_counts_to_the_memory_of_a_file(tmp_path: Path, monkeypatch: pyt
         measure_errors(FOLDER / "seam.glb", tmp_path, monkeypatch)
 
 
+@pytest.mark.slow
 def test_a_surface_is_welded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The search for the worst pose needs the welded surface, and so does the picture of this pose."""
     claimed: list[int] = []

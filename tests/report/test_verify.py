@@ -85,6 +85,7 @@ FAILED = FileVerdict(
 UNREADABLE = FileVerdict("no.glb", error=InputError("cannot be read", Place("no.glb")))
 
 
+@pytest.mark.slow
 def test_json_is_as_the_schema_has_it() -> None:
     document = as_json([PASSED, FAILED, UNREADABLE], exit_code=3)
     jsonschema.validate(document, VERIFY)
@@ -123,6 +124,7 @@ def test_a_loss_never_reads_as_a_gain_of_one(factor: float, shown: str, colour: 
     assert f"Little to win: {shown[:-1]} times nearer" in text or factor > 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "member",
     [
@@ -142,6 +144,7 @@ def test_the_schema_notices_a_missing_member(member: str) -> None:
         jsonschema.validate(document, VERIFY)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("count", "words"),
     [
@@ -308,6 +311,7 @@ def test_little_to_win_is_not_said_of_an_unsound_bake_or_beside_other_advice() -
 OTHERS = (OtherBake("--gradients fitted", 0.8), OtherBake("--correctives auto", 0.5))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("accurate", [3.9, 2.5, 1.0])
 def test_bakes_that_are_better_are_named_in_words_and_in_json(accurate: float) -> None:
     found = replace(PASSED, figures=by_truths(lit(4.0, accurate)), others=OTHERS)

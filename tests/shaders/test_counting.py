@@ -156,6 +156,7 @@ def test_the_counter_counts() -> None:
     assert found == EXPRESSIONS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "lighting", "scaled_joints", "cost"),
     [

@@ -106,6 +106,7 @@ def test_lighting_without_derivatives_has_no_normal_map(method: Method, lighting
     assert caught.value.option == "normal_map"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frame", [Frame.TANGENT, Frame.NORMAL])
 @pytest.mark.parametrize(
     ("method", "lighting"),

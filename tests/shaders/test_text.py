@@ -90,6 +90,7 @@ class TestEveryText:
             macros = re.findall(r"#\w+ (\w+)", code(text))
             assert [found for found in macros if not found.startswith("SKINBAKE_")] == [], name
 
+    @pytest.mark.slow
     def test_no_function_is_dead(self, language: Language) -> None:
         """The header names each function that the text does not call, or the function is for the host."""
         for name, (choices, text) in texts(language).items():

@@ -126,6 +126,7 @@ def summed_normals(points: analytic.Sample, names: tuple[str, str]) -> Array:
     return morphing.unit(total)
 
 
+@pytest.mark.slow
 def test_four_numbers_err_as_normal_itself_does_between_weights() -> None:
     """Their error is that of the sum of NORMAL, carried by the exact map: in the mean over targets and bends.
 

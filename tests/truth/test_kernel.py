@@ -834,6 +834,7 @@ for turn in range(12):
 """
 
 
+@pytest.mark.slow
 def test_arrays_that_change_meanwhile_never_lead_the_loops_astray() -> None:
     """Another thread writes to the arrays while the compiled loops, without the GIL, read them."""
     process = subprocess.run([sys.executable, "-c", RACE], capture_output=True, timeout=120, check=False)

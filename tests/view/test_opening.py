@@ -51,6 +51,7 @@ def empty(content: JsonObject) -> JsonObject:
     return {"name": "empty", "channels": [], "samplers": []}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "first", [[held(STRAIGHT)], [empty, held(STRAIGHT)], [held(STRAIGHT, f"{n}") for n in range(45)], []]
 )
