@@ -339,6 +339,7 @@ CALLS: dict[str, tuple[Callable[..., Any], list[Any]]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CALLS)
 def test_a_value_of_another_type_is_refused_by_the_name_of_its_option(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -136,6 +136,7 @@ class TestRealModels:
                 assert "nothing-baked" in codes
                 assert REASONS & set(codes)
 
+    @pytest.mark.slow
     def test_what_came_compressed_leaves_compressed(self, runs: list[Run]) -> None:
         count = 0
         for run in runs:

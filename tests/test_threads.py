@@ -75,6 +75,7 @@ def test_a_worker_process_has_one_thread(monkeypatch: pytest.MonkeyPatch) -> Non
         assert 1 <= thread_count() <= MOST
 
 
+@pytest.mark.slow
 def test_figures_are_the_same_to_the_last_bit_at_any_number_of_threads(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

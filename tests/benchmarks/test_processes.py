@@ -54,6 +54,7 @@ def test_a_process_on_one_core_sees_one_core() -> None:
     assert run(python(asked), one_core=True).printed.strip() == "1"
 
 
+@pytest.mark.slow
 def test_commands_take_turns_and_the_first_round_does_not_count(tmp_path: Path) -> None:
     log = tmp_path / "log"
     commands = {name: python(f"open({str(log)!r}, 'a').write({name!r})") for name in "AB"}

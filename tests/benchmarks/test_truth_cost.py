@@ -18,6 +18,7 @@ from skinbake.choices import USUAL_TRUTHS, Truth
 FIGURES = {Truth.TRIANGLES: "normals_by_triangles", Truth.TANGENTS: "normals_by_tangents"}
 
 
+@pytest.mark.slow
 def test_a_truth_measures_the_same_without_the_other(tmp_path: Path) -> None:
     grid, baked = tmp_path / "grid.glb", tmp_path / "baked.glb"
     write_grid(grid, grid_of(64))

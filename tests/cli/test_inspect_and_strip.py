@@ -162,6 +162,7 @@ class TestInspect:
 
 
 class TestStrip:
+    @pytest.mark.slow
     def test_a_folder_comes_back_as_it_was(self, tmp_path: Path) -> None:
         inputs = [FOLDER / name for name in FIXTURES]
         assert invoke("bake", *inputs, "--out-dir", tmp_path / "baked").exit_code == 0

@@ -12,6 +12,7 @@ from tests.support.models import FIXTURES, FOLDER, SHARED, bake, edited, sheet, 
 from tests.support.schemas import BAKE, INSPECT, STRIP, checked
 
 
+@pytest.mark.slow
 def test_bake_of_every_fixture(tmp_path: Path) -> None:
     inputs = [FOLDER / name for name in FIXTURES]
     result = invoke("bake", *inputs, "--out-dir", tmp_path, "--json")
@@ -49,6 +50,7 @@ def test_bake_as_float32_has_nothing_to_measure() -> None:
     assert [primitive["bytes_per_vertex"] for primitive in file["primitives"]] == [24]
 
 
+@pytest.mark.slow
 def test_bake_with_a_limit_of_influences(tmp_path: Path) -> None:
     inputs = [FOLDER / name for name in FIXTURES]
     result = invoke("bake", *inputs, "--out-dir", tmp_path, "--json", "--limit-influences", "4")

@@ -151,12 +151,14 @@ def test_results_and_verdicts_survive_it(mixed: Path, tmp_path: Path) -> None:
 
 
 class TestWhatIsSaidAtTheEnd:
+    @pytest.mark.slow
     def test_failures_whose_lines_are_in_sight_are_told_once(self, mixed: Path, tmp_path: Path) -> None:
         lines = invoke("bake", mixed, "--out-dir", tmp_path / "out").stderr.splitlines()
         assert sum(str(mixed / "broken.glb") in line for line in lines) == 1
         assert sum(str(mixed / "text.gltf") in line for line in lines) == 1
         assert lines[-1].startswith("15 files: 12 baked, 1 unchanged, 2 failed, in ")
 
+    @pytest.mark.slow
     def test_failures_of_many_files_are_listed_once_more(self, mixed: Path, tmp_path: Path) -> None:
         for number in range(6):
             shutil.copyfile(FOLDER / "seam.glb", mixed / f"more{number}.glb")
@@ -168,6 +170,7 @@ class TestWhatIsSaidAtTheEnd:
         assert lines[start + 3].startswith("21 files: 18 baked, 1 unchanged, 2 failed, in ")
         assert len(lines) == start + 4
 
+    @pytest.mark.slow
     def test_a_single_failure_is_not_listed_once_more(self, mixed: Path, tmp_path: Path) -> None:
         (mixed / "text.gltf").unlink()
         for number in range(7):
@@ -176,6 +179,7 @@ class TestWhatIsSaidAtTheEnd:
         assert result.exit_code == 3
         assert "failed:" not in result.stderr
 
+    @pytest.mark.slow
     def test_a_quiet_run_names_each_failure_once(self, mixed: Path, tmp_path: Path) -> None:
         lines = invoke("bake", mixed, "--out-dir", tmp_path / "out", "-q").stderr.splitlines()
         assert len(lines) == 2
@@ -426,6 +430,7 @@ class TestProgress:
         models = [FOLDER / name for name in FIXTURES if name != "foreign_joints.glb"]
         assert without_rate(invoke("bake", *models, "--dry-run").stderr) == ""
 
+    @pytest.mark.slow
     def test_a_talkative_log_gets_a_line_now_and_then(self, tmp_path: Path) -> None:
         for number in range(30):
             shutil.copyfile(FOLDER / "seam.glb", tmp_path / f"{number:02}.glb")

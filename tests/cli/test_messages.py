@@ -268,6 +268,7 @@ def test_a_small_share_that_is_left_out_asks_for_nothing() -> None:
     assert (0 < float(found[1]) < 5, found[2]) == (True, "")
 
 
+@pytest.mark.slow
 def test_one_line_closes_each_file(tmp_path: Path) -> None:
     result = invoke("bake", *(FOLDER / name for name in FIXTURES), "--out-dir", tmp_path)
     lines = result.stdout.splitlines()

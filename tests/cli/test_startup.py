@@ -235,6 +235,7 @@ def test_a_signal_at_exit_needs_no_traceback(number: signal.Signals) -> None:
     assert (process.returncode, process.stderr) == (-number, b"")
 
 
+@pytest.mark.slow
 @LINUX
 def test_ctrl_c_while_click_is_imported_needs_no_traceback() -> None:
     script = """

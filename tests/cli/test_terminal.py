@@ -118,6 +118,7 @@ def test_metadata_of_a_bake_forges_no_line(tmp_path: Path) -> None:
     assert b"\n  structure  failed\n" in said("verify", model.path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", [["bake", "--dry-run"], ["verify"], ["inspect"]])
 def test_errors_are_no_exception(command: list[str], evil: Path, tmp_path: Path) -> None:
     path = edited("bent_tube.glb", tmp_path, broken)

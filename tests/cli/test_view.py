@@ -188,6 +188,7 @@ def test_a_page_may_not_replace_a_file_of_the_model(tmp_path: Path) -> None:
         view_file(str(path), str(tmp_path / "data.html"))
 
 
+@pytest.mark.slow
 def test_a_missing_image_is_said_and_left_out(tmp_path: Path) -> None:
     def with_image(content: JsonObject) -> None:
         content["images"] = [{"uri": "skin.png"}]
@@ -218,6 +219,7 @@ def test_what_bake_and_verify_both_say_is_said_once(tmp_path: Path) -> None:
     assert page.count("do not sum to 1") == 1
 
 
+@pytest.mark.slow
 def test_normals_that_were_generated_are_said(tmp_path: Path) -> None:
     path = write_model(tmp_path / "bare.glb", [sheet(NORMAL=None)])
     said = invoke("view", path, "-o", tmp_path / "page.html").stderr
@@ -234,6 +236,7 @@ def test_an_image_that_is_named_often_is_held_once(tmp_path: Path) -> None:
     assert (tmp_path / "page.html").stat().st_size < 600_000
 
 
+@pytest.mark.slow
 def test_images_in_ktx2_and_influences_that_are_too_many_are_said(tmp_path: Path) -> None:
     def with_image(content: JsonObject) -> None:
         content["images"] = [{"uri": "skin.ktx2"}]

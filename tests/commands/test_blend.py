@@ -86,6 +86,7 @@ def test_strip_gives_the_input_back_and_a_second_bake_changes_nothing(tmp_path: 
     assert GRADIENT not in gltf_reading.read(plain).primitive(0)["attributes"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [
@@ -138,6 +139,7 @@ def test_verify_measures_the_blended_surface(tmp_path: Path, method: str) -> Non
     assert answer.failed == ["freshness"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weight", [0.0, 1.0])
 def test_constant_blend_weights_of_0_and_1_have_the_figures_of_one_method(
     tmp_path: Path, weight: float
@@ -234,6 +236,7 @@ def test_vertices_in_another_order_keep_a_blend_fresh(tmp_path: Path) -> None:
     assert answer.file["normals_by_tangents"]["blend"]["accurate"]["mean"] < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
 def test_normalised_integers_are_read_as_0_to_1(tmp_path: Path, kind: type[np.unsignedinteger[Any]]) -> None:
     file = Editable(TUBE)

@@ -111,6 +111,7 @@ def test_a_gate_asks_no_gain_where_there_is_nothing_to_correct(tmp_path: Path) -
     assert verified(model, *poses, "--angle", "30")[0] == 1
 
 
+@pytest.mark.slow
 def test_a_bake_without_the_option_bakes_what_was_left(folder: Path, tmp_path: Path) -> None:
     [left] = folder.glob("*.gltf")
     for source, target in ((left, "again"), (FOLDER / LITTLE, "fresh")):
@@ -129,6 +130,7 @@ def test_an_earlier_bake_is_undone_in_place(tmp_path: Path) -> None:
     assert not any(name.startswith("_SKINBAKE") or "ALPHA" in name for name in names)
 
 
+@pytest.mark.slow
 def test_a_run_that_skips_unchanged_files_skips_what_was_left(tmp_path: Path) -> None:
     options = (FOLDER / LITTLE, "--out-dir", tmp_path / "out", "--skip-unchanged", "--json")
     statuses = [

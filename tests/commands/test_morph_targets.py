@@ -259,6 +259,7 @@ def test_verify_measures_the_gain(tmp_path: Path) -> None:
     assert errors[1] < errors[0] / 5
 
 
+@pytest.mark.slow
 def test_edited_targets_make_them_stale_and_inspect_and_verify_say_so(tmp_path: Path) -> None:
     for name, prepare in (("skinned", lambda path: path), ("plain", unskinned)):
         source = prepare(without_normals(TUBE, tmp_path / f"{name}.glb"))
@@ -453,6 +454,7 @@ def test_an_attribute_of_the_name_is_refused(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_numbers_of_edited_targets_are_stale(tmp_path: Path) -> None:
     bake(without_normals(TUBE, tmp_path / "in.glb"), tmp_path / "out.glb", "--morph-frames")
     assert verify(tmp_path / "out.glb").exit_code == 0

@@ -133,6 +133,7 @@ def test_the_worst_normals_of_verify_are_found_again(
                 assert abs(error - lightings[lighting]["max"]) < 0.01, (truth, method, lighting)
 
 
+@pytest.mark.slow
 def test_correctives_are_the_targets_that_a_clip_plays_under_standard_lighting(tmp_path: Path) -> None:
     path, time = tmp_path / "tube.glb", 0.41
     skinbake.bake(TUBE, path, correctives=2)

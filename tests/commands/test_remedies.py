@@ -76,6 +76,7 @@ def wrung(content: JsonObject) -> None:
     content["nodes"][3]["rotation"] = [*-turn, np.cos(half)]
 
 
+@pytest.mark.slow
 def test_exact_lighting_is_named_where_only_accurate_dual_quaternions_are_worse(
     tmp_path: Path,
 ) -> None:

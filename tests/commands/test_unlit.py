@@ -79,6 +79,7 @@ def test_an_unlit_model_passes_after_prune(tmp_path: Path) -> None:
         assert "--generate-normals" not in result.stderr
 
 
+@pytest.mark.slow
 def test_lit_primitives_of_a_mesh_are_baked_as_if_the_unlit_ones_were_not_there(tmp_path: Path) -> None:
     def alone(content: JsonObject) -> None:
         del content["meshes"][0]["primitives"][0]

@@ -83,6 +83,7 @@ def three(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return baked(with_clips(tmp_path_factory.mktemp("three") / "tube.glb", ["a", "b", "c"]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "names", [[MIXAMO] * 3, [None] * 3, ["", None, "animation 0"], [MIXAMO, "run", MIXAMO]], ids=str
 )
@@ -92,6 +93,7 @@ def test_a_fresh_bake_of_clips_that_share_a_name_verifies(names: list[str | None
     assert "of 3 clips" in answer.file["poses"]
 
 
+@pytest.mark.slow
 def test_a_clip_that_plays_nothing_may_have_the_name_of_one_that_does(tmp_path: Path) -> None:
     """As of two clips of Mixamo's name of which one alone is corrected."""
     path = baked(with_clips(tmp_path / "tube.glb", [MIXAMO, MIXAMO]), "--clips", "1")
@@ -107,6 +109,7 @@ def test_a_name_chooses_all_clips_that_have_it(tmp_path: Path) -> None:
     assert playing(baked(source, "--clips", f"{MIXAMO} (animation 2),run")) == [False, True, True]
 
 
+@pytest.mark.slow
 def test_reports_tell_clips_of_one_name_by_their_numbers(tmp_path: Path) -> None:
     source = with_clips(tmp_path / "tube.glb", [MIXAMO, MIXAMO])
     target = tmp_path / "baked.glb"

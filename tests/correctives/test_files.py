@@ -115,6 +115,7 @@ def test_an_unknown_clip_is_an_error_with_the_known_ones(tmp_path: Path) -> None
     assert not (tmp_path / "out.glb").exists()
 
 
+@pytest.mark.slow
 def test_a_file_has_one_kind_of_bake(tmp_path: Path) -> None:
     assert invoke("bake", TUBE, "-o", tmp_path / "gradients.glb").exit_code == 0
     said = bake(tmp_path / "gradients.glb", tmp_path / "out.glb", code=3)
@@ -201,6 +202,7 @@ def test_a_file_that_another_tool_has_written_anew_is_fresh_and_can_be_stripped(
         assert new == pytest.approx(rest if old is None else old, abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "damage",
     [
@@ -265,6 +267,7 @@ def test_a_mesh_that_does_not_bend_gets_none_and_no_warning(tmp_path: Path) -> N
     assert (tmp_path / "out.glb").read_bytes() == given.read_bytes()
 
 
+@pytest.mark.slow
 def test_rigid_meshes_beside_one_that_bends_cause_no_warning(tmp_path: Path) -> None:
     """Their normals are right already."""
     file = Editable(TUBE)

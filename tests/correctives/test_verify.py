@@ -30,6 +30,7 @@ def checks(answer: Answer) -> dict[str, str]:
     return {check["name"]: check["outcome"] for check in answer.file["checks"]}
 
 
+@pytest.mark.slow
 def test_corrected_lighting_is_measured_beside_the_others(tube: Path) -> None:
     answer = verify(tube)
     assert checks(answer) == {"structure": "passed", "freshness": "passed"}

@@ -35,6 +35,7 @@ pytestmark = pytest.mark.skipif(os.name == "nt", reason="links need rights there
 COUNT = 20_000
 
 
+@pytest.mark.slow
 def test_every_name_means_the_same_below_its_folder_on_posix_and_on_windows() -> None:
     """The judge is pathlib's reading of both systems, not the code that made the names."""
     accepted = 0

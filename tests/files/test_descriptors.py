@@ -56,6 +56,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS.values(), ids=COMMANDS)
 def test_a_command_leaves_no_descriptor_open(command: str, folder: Path) -> None:
     """The first run opens what stays open on purpose, like the libraries that it imports."""

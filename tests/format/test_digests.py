@@ -69,6 +69,7 @@ def changed(path: Path) -> set[str]:
     return set(primitive.bake.changed)
 
 
+@pytest.mark.slow
 def test_a_fresh_bake_is_up_to_date(tmp_path: Path) -> None:
     for name in FIXTURES:
         bake(FOLDER / name, tmp_path / name)

@@ -188,6 +188,7 @@ def test_float32_is_stored_as_it_is() -> None:
     assert not back.rounding.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", SCALED)
 def test_baking_twice_is_baking_once(encoding: Encoding, tmp_path: Path) -> None:
     for name in ("two_sets.glb", TWO_MATERIALS, "foreign_joints.glb"):

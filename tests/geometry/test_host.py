@@ -108,6 +108,7 @@ def test_joint_matrices_of_other_shapes_are_refused(shape: tuple[int, ...]) -> N
             prepare(np.zeros(shape))
 
 
+@pytest.mark.slow
 def test_importing_skinbake_imports_no_numpy() -> None:
     code = (
         "import skinbake, sys; assert 'numpy' not in sys.modules; "

@@ -623,6 +623,7 @@ def test_the_rig_of_many_meshes_is_made_once(tmp_path: Path) -> None:
     assert len({id(rig) for rig, _ in found}) == 1
 
 
+@pytest.mark.slow
 def test_a_clip_that_points_to_one_morph_weight_moves_it(tmp_path: Path) -> None:
     target = tmp_path / "baked.glb"
     given = corpus.case("turn4/pointer_one_weight.glb")

@@ -355,6 +355,7 @@ def test_a_mesh_that_is_drawn_more_often_than_its_file_is_long_is_not_measured(
         verify_file(str(tmp_path / "out.glb"), VerifyOptions())
 
 
+@pytest.mark.slow
 def test_targets_that_are_sparse_alone_are_read(tmp_path: Path) -> None:
     """Two hundred targets of 20,000 vertices claim 48 MB of zeros, of a file of 1 MB."""
     from skinbake.gltf.reading.morphs import read_targets

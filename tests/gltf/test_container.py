@@ -104,6 +104,7 @@ class TestEmbedded:
         assert_same_accessors(before, after)
         assert after.has_attribute(ALPHA)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         "options",
         [

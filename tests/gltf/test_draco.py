@@ -42,6 +42,7 @@ def values(document: Document, accessor: int) -> Any:
     return read_accessor(document, accessor, document.place).values
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CORPUS)
 def test_reads_what_the_reference_decoder_reads(name: str) -> None:
     path = corpus.model(name)

@@ -295,6 +295,7 @@ def test_an_image_counts_for_max_memory_before_it_is_read(tmp_path: Path) -> Non
     assert not (tmp_path / "out.glb").exists()
 
 
+@pytest.mark.slow
 def test_skip_unchanged_knows_the_option(tmp_path: Path) -> None:
     source = with_files(tmp_path / "in", {"skin.png": ONE_PIXEL}, a="skin.png")
     state = tmp_path / "s"

@@ -69,6 +69,7 @@ def test_max_weighted_normals_converge(triangulation: Triangulation, order: floa
     assert math.log(drop) / math.log(spacing) >= order
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [700, 1500, 3000])
 def test_max_weights_have_at_most_0_6_of_the_published_weightings_error_on_random_triangulations(
     count: int,
@@ -80,6 +81,7 @@ def test_max_weights_have_at_most_0_6_of_the_published_weightings_error_on_rando
     assert best <= 0.6 * published
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weighting", [Weighting.ANGLE, Weighting.AREA, Weighting.ANGLE_AREA])
 def test_max_is_the_best_of_the_weightings_on_an_irregular_triangulation(weighting: Weighting) -> None:
     best, other = (

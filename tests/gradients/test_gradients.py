@@ -98,6 +98,7 @@ def test_a_baked_fixture_holds_the_gradients_of_libigl(
     assert_agrees(name, tmp_path, weighting)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
 def test_a_baked_model_holds_the_gradients_of_libigl(name: str, tmp_path: Path) -> None:
     assert_agrees(name, tmp_path)

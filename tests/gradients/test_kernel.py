@@ -186,6 +186,7 @@ def test_loops_and_numpy_fit_fixtures_alike(
         assert_fits_agree(primitives, rig, weighting, monkeypatch)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
 def test_loops_and_numpy_fit_real_models_alike(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     meshes = rigged_meshes_of(path_of(name))
@@ -632,6 +633,7 @@ def test_loops_and_numpy_ignore_what_has_no_area_without_a_warning(
     assert not table[-1].any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["bent_tube.glb", CESIUM_MAN])
 def test_loops_and_numpy_fit_around_what_has_no_area(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     [(primitives, rig)] = rigged_meshes_of(path_of(name))

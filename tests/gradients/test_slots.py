@@ -193,6 +193,7 @@ def test_slots_are_filled_as_a_loop_over_vertices_fills_them(name: str, neighbou
     assert adopts == (neighbours == "adopt")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*FILES, HAND_U16, "weights_u16.glb"])
 def test_what_was_one_point_before_the_bake_is_one_point_after(name: str, tmp_path: Path) -> None:
     before, after = meshes_of(path_of(name)), meshes_of(bake_to(name, tmp_path))

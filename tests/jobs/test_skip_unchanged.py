@@ -199,12 +199,14 @@ def test_a_folder_that_may_be_read_too_is_another_bake(tmp_path: Path) -> None:
     assert baking(*allowed) == {"seam.glb": "up-to-date"}
 
 
+@pytest.mark.slow
 def test_a_bake_by_another_version_is_another_bake(baking: Baking, monkeypatch: pytest.MonkeyPatch) -> None:
     baking()
     monkeypatch.setattr(state, "__version__", "0.1.1")
     assert baking() == FIRST
 
 
+@pytest.mark.slow
 def test_a_bake_by_changed_code_of_one_version_is_another_bake(
     baking: Baking, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -229,6 +231,7 @@ def test_the_code_is_all_that_is_installed(tmp_path: Path, monkeypatch: pytest.M
         before = state.code_digest()
 
 
+@pytest.mark.slow
 def test_a_tree_that_moves_as_a_whole_stays_up_to_date(baking: Baking, tmp_path: Path) -> None:
     baking()
     (tmp_path / "moved").mkdir()
@@ -240,6 +243,7 @@ def test_a_tree_that_moves_as_a_whole_stays_up_to_date(baking: Baking, tmp_path:
     assert Baking(tmp_path / "moved" / "other", moved.out)() == FIRST  # from elsewhere, URIs may differ
 
 
+@pytest.mark.slow
 def test_an_output_of_another_name_is_another_output(models: Path, tmp_path: Path) -> None:
     options = ["--skip-unchanged", "--state", str(tmp_path / "state"), "--json"]
     for name, status in (
@@ -266,6 +270,7 @@ class TestInPlace:
         assert baking_in_place() == AGAIN
         assert stamps(baking_in_place.folder) == before
 
+    @pytest.mark.slow
     def test_what_is_replaced_is_baked_again(self, baking_in_place: Baking) -> None:
         baking_in_place()
         shutil.copyfile(FOLDER / "seam.glb", baking_in_place.folder / "seam.glb")
@@ -296,6 +301,7 @@ class TestWhileItRuns:
 
         return follow
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("place", ["out", "in"])
     def test_an_output_that_somebody_else_has_overwritten_is_not_ours(
         self,
@@ -310,6 +316,7 @@ class TestWhileItRuns:
         then(lambda source, target: None)
         assert "up-to-date" not in one().values()
 
+    @pytest.mark.slow
     def test_a_picture_that_somebody_else_has_overwritten_is_not_ours(
         self, baking: Baking, then: Callable[[Callable[[str, str], object]], None]
     ) -> None:
@@ -319,6 +326,7 @@ class TestWhileItRuns:
         then(lambda source, target: None)
         assert baking()[TEXTURED] == "baked"
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("young", [0, state.YOUNG])
     def test_an_input_that_changes_meanwhile_is_not_the_one_that_was_read(
         self,
@@ -396,6 +404,7 @@ def test_failures_are_tried_again(models: Path, tmp_path: Path) -> None:
     assert "--require-baked" not in (tmp_path / "out" / STATE).read_text()
 
 
+@pytest.mark.slow
 def test_a_dry_run_tells_and_keeps_nothing(baking: Baking) -> None:
     assert baking("--dry-run") == FIRST
     assert not baking.out.exists()
@@ -463,6 +472,7 @@ class TestTheStateFile:
         assert process.stderr.count(b"error: ") == 1
         assert (tmp_path / "out" / "seam.glb").exists()
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("damage", ["cut", "garbage", "empty", "foreign line"])
     def test_a_damaged_record_costs_a_bake(self, damage: str, baking: Baking) -> None:
         baking()
@@ -551,6 +561,7 @@ class TestVerify:
         flip(tmp_path / "built" / "good.glb")
         assert verify()["good.glb"][1] is False
 
+    @pytest.mark.slow
     def test_bake_and_verify_may_share_a_state_file(
         self, verify: Callable[..., dict[str, tuple[bool, bool]]], tmp_path: Path
     ) -> None:

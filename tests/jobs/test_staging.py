@@ -94,6 +94,7 @@ def in_words(result: object, *names: tuple[str, str]) -> str:
     return text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("protocol", ["memory", "s3", "file", "torn"])
 def test_outputs_in_a_storage_are_those_on_a_disk(protocol: str, tmp_path: Path) -> None:
     names, expected, locally = baked_locally(tmp_path)

@@ -84,6 +84,7 @@ def test_outputs_are_not_taken_for_inputs(library: Path) -> None:
     assert stored("memory://lib/out").keys() == tree(library / "here").keys()
 
 
+@pytest.mark.slow
 def test_images_behind_urls_are_packed(library: Path) -> None:
     folder = library / "lib" / "images"
     path = edited("seam.glb", folder, lambda content: content.update(images=[{"uri": "skin.png"}]))
@@ -98,6 +99,7 @@ def test_images_behind_urls_are_packed(library: Path) -> None:
     assert stored("memory://images")["packed.glb"] == expected
 
 
+@pytest.mark.slow
 def test_urls_in_several_processes(library: Path) -> None:
     sources = [f"file://{library}/lib"] * 1
     result = invoke("bake", *sources, "--out-dir", f"file://{library}/away", "--jobs", "2")

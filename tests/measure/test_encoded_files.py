@@ -193,6 +193,7 @@ def test_numbers_in_texture_coordinates_are_held_as_closely_as_others(tmp_path: 
     assert "freshness" in after(edit, path).failed
 
 
+@pytest.mark.slow
 def test_what_all_of_it_is_for(tmp_path: Path) -> None:
     """The error against the true normals grows by no more than the angle that the encoding adds."""
     figures = {}

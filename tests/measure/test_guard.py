@@ -102,6 +102,7 @@ def test_eyes_that_clips_move_are_lit_no_worse_than_standard(tmp_path: Path) -> 
     assert (errors(answer, "accurate") <= 1.01 * errors(answer, "standard") + 0.001).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("name", ["CesiumMan/CesiumMan.glb", "cases/horse_two_meshes.glb"])
 def test_characters_with_scaled_joints_are_lit_no_worse_than_standard(

@@ -480,6 +480,7 @@ def with_keys(path: Path, target: Path, keys: list[int], times: list[float], met
     return model.write(target)
 
 
+@pytest.mark.slow
 def test_interpolations_are_sampled_as_gltf_has_them(tmp_path: Path) -> None:
     """Bent, then at rest at 1 s, or the other way round. Sampled at ½ s, where smoothstep is ½ too."""
     path = baked(source("bent_tube.glb"), tmp_path)
@@ -498,6 +499,7 @@ def test_interpolations_are_sampled_as_gltf_has_them(tmp_path: Path) -> None:
         assert means["CUBICSPLINE", first, last] == pytest.approx(means["LINEAR", first, last], rel=1e-4)
 
 
+@pytest.mark.slow
 def test_random_poses_are_reproducible_and_obey_seed_and_angle(tmp_path: Path) -> None:
     path = baked(source("seam.glb"), tmp_path)
     random = ("--poses", "random:5")

@@ -29,6 +29,7 @@ FEW = ("--poses", "random:2", "--method", "lbs")
 Array = npt.NDArray[np.float64]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["u1", "u2", "f4"])
 @pytest.mark.parametrize("name", MODELS)
 def test_a_limited_file_verifies_and_strip_brings_back_every_byte(

@@ -83,6 +83,7 @@ def test_morphs_are_counted_and_told(tmp_path: Path) -> None:
     assert verify(path, "--poses", "random:8").file["morphs"] == {"targets": 3, "moving": 3}
 
 
+@pytest.mark.slow
 def test_weights_of_zero_are_the_file_without_them_bit_for_bit(tmp_path: Path) -> None:
     plain = verify(baked(source("bent_tube.glb"), tmp_path), "--samples", "5").file["normals_by_tangents"]
     path = tube(tmp_path)
@@ -130,6 +131,7 @@ def test_targets_that_change_after_a_bake_make_it_no_staler(tmp_path: Path) -> N
     assert verify(file.write(path)).failed == []
 
 
+@pytest.mark.slow
 def test_lbs_and_dqs_share_morphed_surfaces_that_are_small(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -165,6 +167,7 @@ def test_the_morphed_fixture_is_better_lit_in_either_frame(tmp_path: Path) -> No
         assert answer.file["normals_by_tangents"]["lbs"]["gain"] > 12
 
 
+@pytest.mark.slow
 def test_targets_of_tangents_carry_the_tangent_frame(tmp_path: Path) -> None:
     path = morphed(baked(source("mirrored_tangent.glb"), tmp_path), tmp_path / "moved.glb", targets=1)
     by_normal = lbs(path)["accurate"]["mean"]
@@ -173,6 +176,7 @@ def test_targets_of_tangents_carry_the_tangent_frame(tmp_path: Path) -> None:
     assert by_tangent > 1.3 * by_normal
 
 
+@pytest.mark.slow
 def test_targets_of_tangents_do_not_touch_the_normal_frame(tmp_path: Path) -> None:
     path = baked(source("mirrored_tangent.glb"), tmp_path, bake_settings(frame=FrameChoice.NORMAL))
     path = morphed(path, tmp_path / "moved.glb", targets=1)
@@ -303,6 +307,7 @@ def test_random_poses_move_two_targets_at_a_time_and_turn_joints_as_without(tmp_
 # Broken files
 
 
+@pytest.mark.slow
 def test_a_broken_target_is_refused_where_it_moves_and_only_there(tmp_path: Path) -> None:
     path = tube(tmp_path)
     file = Editable(path)

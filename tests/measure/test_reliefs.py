@@ -136,6 +136,7 @@ def test_errors_of_mapped_normals_are_those_of_a_skinned_relief(
     assert means[best] < 0.6 * means["engine_frame"] < means["standard"]
 
 
+@pytest.mark.slow
 def test_a_limit_can_ask_for_mapped_normals(tmp_path: Path) -> None:
     path = baked(with_map(tmp_path))
     answer = verify(path, *SAME)
@@ -154,6 +155,7 @@ def _copied(folder: Path) -> Path:
     return target
 
 
+@pytest.mark.slow
 def test_a_map_of_the_clear_coat_counts_and_a_mesh_without_tangents_does_not(tmp_path: Path) -> None:
     coated = verify(baked(with_map(tmp_path, coat=True)), *SAME).file
     assert coated["reliefs"]["normals"]["lbs"]["accurate"]["mean"] > 0

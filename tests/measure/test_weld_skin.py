@@ -53,6 +53,7 @@ def test_a_cut_mesh_has_the_bits_of_the_whole(own_skins: bool, tmp_path: Path) -
     assert verify(tmp_path / "apart.glb", *FEW).exit_code == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["CesiumMan/CesiumMan.glb", "Fox/fox.glb", "hand_l-weights-u8.glb"])
 def test_a_character_cut_in_half_is_baked_as_the_whole(name: str, tmp_path: Path) -> None:
     """Of the gradients of the surface: a fit is held back by the primitive."""

@@ -120,6 +120,7 @@ class TestOneSource:
         assert len(before - after) == len(after - before) == 1
         assert not Path("art", NOTES).exists()
 
+    @pytest.mark.slow
     def test_two_documents_with_the_same_gradients_have_a_buffer_each(self, here: Path) -> None:
         shutil.copyfile("art/hero.gltf", "art/twin.gltf")
         for name in ("hero", "twin"):
@@ -133,6 +134,7 @@ class TestOneSource:
         assert len([name for name in files(here / "art") if name.startswith("skinbake-")]) == 1
         assert invoke("verify", "art/twin.gltf", "--poses", "random:1").exit_code == 0
 
+    @pytest.mark.slow
     def test_a_copy_of_the_document_by_hand_can_be_baked_and_stripped_without_its_gradients(
         self, here: Path
     ) -> None:
@@ -154,6 +156,7 @@ class TestOneSource:
             assert invoke("bake", "art/hero.gltf", "--in-place", "--weighting", weighting).exit_code == 0
             assert len([name for name in files(here / "art") if name.startswith("skinbake-")]) == 1
 
+    @pytest.mark.slow
     def test_copies_of_a_glb_are_replaced_and_removed(self, here: Path) -> None:
         from pygltflib import GLTF2, Image
 
@@ -297,6 +300,7 @@ class TestTwoSources:
             assert invoke("bake", "art", "--out-dir", "clean").exit_code == 0
             assert files(here / "build") == files(here / "clean")
 
+    @pytest.mark.slow
     def test_a_shared_buffer_stays_when_one_of_two_sources_loses_it(self, here: Path) -> None:
         (here / "art" / "deep").mkdir()
         content = json.loads(Path("art/hero.gltf").read_text("utf-8"))
@@ -315,6 +319,7 @@ class TestTwoSources:
 class TestForeignFiles:
     """Nothing is replaced or removed that an earlier bake has not written."""
 
+    @pytest.mark.slow
     def test_files_that_were_there_first(self, here: Path) -> None:
         (here / "build" / "skins").mkdir(parents=True)
         Path("build", SHARED_BIN).write_bytes(b"mine")

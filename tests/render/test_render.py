@@ -468,6 +468,7 @@ def test_more_vertices_than_a_device_draws_are_refused(
     assert not (tmp_path / "picture.png").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("times", [1, 5, 300])
 @pytest.mark.parametrize("skinned", [True, False])
 def test_triangles_that_cover_the_picture_hundreds_of_times_are_refused(

@@ -49,6 +49,7 @@ def test_every_wgsl_text_compiles(implementation: webgpu.Implementation) -> None
     assert {name: answer.complaint for name, answer in found.items() if answer.complaint} == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", VERSIONS)
 def test_texts_can_be_included_together(version: str) -> None:
     """The same text twice, and texts that differ: influences, methods, frames, caps, storages, morphs."""

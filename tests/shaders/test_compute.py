@@ -545,6 +545,7 @@ def assert_like_the_replay(name: str, results: bytes, given: Pass, *, leaves_out
         assert (rows[:-1, POSED.tangent // 4 + 3][clear] == np.sign(sides[clear])).all(), name
 
 
+@pytest.mark.slow
 def test_the_cases_have_what_they_are_for() -> None:
     assert {choices.algorithm for choices in CASES} == {1, 2, 3, 4, 5, 6}
     assert {choices.influence_sets for choices in CASES} == {1, 2}

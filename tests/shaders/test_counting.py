@@ -98,6 +98,7 @@ def on_gpu(stem: str, outputs: Sequence[str]) -> int:
     return Module(glslang.disassembly(module)).multiply_adds("main")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("stem", "outputs"), ON_GPU)
 def test_a_gpu_runs_what_the_outputs_need(stem: str, outputs: str) -> None:
     assert on_gpu(stem, outputs.split()) == ON_GPU[stem, outputs]
@@ -138,6 +139,7 @@ EXPRESSIONS = {
 }
 
 
+@pytest.mark.slow
 def test_the_counter_counts() -> None:
     """Expressions over vec3 a, b, c, float s, mat3 m and a sign h, with their multiply-adds."""
     functions = [

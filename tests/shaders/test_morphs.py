@@ -242,6 +242,7 @@ void main()
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["es", "desktop"])
 @pytest.mark.parametrize("morphs", [Morphs.FRAMES, Morphs.FRAMES_NORMAL])
 def test_opengl_moves_the_frame_by_numbers_as_the_replay_does(kind: str, morphs: Morphs) -> None:

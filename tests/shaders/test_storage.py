@@ -151,6 +151,7 @@ def test_a_shader_decodes_what_the_file_holds(
     assert (np.abs(result - expected) <= DECODING * np.abs(expected)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "influences"), [("bent_tube.glb", 4), ("two_sets.glb", 8)])
 def test_a_shader_assembles_what_the_texture_coordinates_hold(
     name: str, influences: int, tmp_path: Path
@@ -206,6 +207,7 @@ def test_glsl_compiles_with_its_own_example(
 
 
 class TestText:
+    @pytest.mark.slow
     def test_the_text_has_the_file_s_scale_as_a_constant(self, tmp_path: Path) -> None:
         model = baked(FOLDER / "bent_tube.glb", tmp_path / "tube.glb", storage=PACKED8)
         scale = (note(model.content) or {})["scale"]

@@ -320,6 +320,7 @@ def test_true_normals_are_those_of_numpy(poses: int, sided: bool) -> None:
     assert missing, "some vertices are broken or have no n0"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weighting", list(Weighting))
 def test_truths_of_odd_surfaces_are_those_of_numpy(weighting: Weighting) -> None:
     exist = 0

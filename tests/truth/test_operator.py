@@ -353,6 +353,7 @@ def test_a_slot_without_weight_gets_the_gradient_of_the_joint_it_names() -> None
 # Invariance
 
 
+@pytest.mark.slow
 def test_very_many_slots_take_little_memory() -> None:
     """64 sets that repeat one: tables of all pairs of slots, or of slots by entries, would take 200 MB."""
     surface = analytic_surface(1500, "random")

@@ -80,6 +80,7 @@ def two_meshes(folder: Path, scale: float) -> Path:
     return model.write(folder / f"times_{scale}.glb")
 
 
+@pytest.mark.slow
 def test_a_mesh_in_other_units_counts_as_much(tmp_path: Path) -> None:
     one, other = (
         measured(baked(two_meshes(tmp_path, scale), folder(tmp_path, scale))) for scale in (1.0, 100.0)

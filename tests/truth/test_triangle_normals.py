@@ -110,6 +110,7 @@ def test_a_mirror_keeps_normals_outside() -> None:
     assert angular_errors(true_normals(primitive, mirrored, n0, sides)[0], n0 @ mirror).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_truth_by_triangles_converges_to_the_normals_of_the_skinned_surface() -> None:
     means = []
     for count in (700, 5600):
