@@ -460,8 +460,8 @@ VERIFY = (
     *_under("Reports", JSON,
         Option("junit", str, None, By.NOBODY, "FILE", help="Also write the results as JUnit XML."),
         Option("html", str, None, By.NOBODY, "PAGE", help=
-            "Also write a page that shows the file and its results; for several files an index, and their "
-            "pages in a folder of its name."),
+            "Also write a page that shows the file and its results; for several files a sheet of "
+            "pictures, and their pages in a folder of its name."),
         Option("dump_normals", str, None, By.NOBODY, "FILE", help=
             "Also write positions, normals of every lighting, and true normals of one pose, as JSON lines."),
         SUMMARY, TIMINGS),

@@ -106,8 +106,8 @@ def _write_sheet(plan: Plan[Any], folder: str, target: str | None) -> int:
     from skinbake.measure.options import VerifyOptions
 
     inputs = expanded([folder])
-    if missing := next((entry.missing for entry in inputs if entry.missing), None):
-        plan.say.error(InputError(missing, Place(folder)))
+    if all(entry.missing for entry in inputs):  # one folder in it that cannot be opened is a row
+        plan.say.error(InputError(inputs[0].missing or "", Place(folder)))
         return exit_codes.INPUT
     whole: Plan[VerifyOptions] = replace(
         plan,
