@@ -209,6 +209,11 @@ def test_the_page_bakes_the_bytes_of_the_command_line(
 @pytest.mark.slow
 def test_the_example_is_baked_and_its_picture_shown(trial: Trial) -> None:
     trial.page.show_as(1000, 1400, "light")
+    # A page that was shown before may end its loading late.
+    trial.page.call(
+        "(() => new MutationObserver(([{ target }]) => target.dispatchEvent(new Event('load')))"
+        ".observe(document.getElementById('view'), { attributeFilter: ['src'] }))"
+    )
     found = trial.bake()
     assert (found["state"], found["saves"], found["shows"]) == ("Done.", True, True)
     assert found["command"] == "skinbake bake arm.glb -o arm-baked.glb"

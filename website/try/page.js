@@ -10,6 +10,8 @@ const start = new Blob([`import ${JSON.stringify(new URL('worker.js', location.h
 const worker = new Worker(URL.createObjectURL(start), { type: 'module' });
 worker.postMessage({ runtime });
 let last = null; // the files that were taken last
+let shown = ''; // the page of `skinbake view`, which the frame asks for: its load event may still be of the page before
+addEventListener('message', ({ source }) => { if (source === view.contentWindow) source.postMessage(shown, '*'); });
 
 const hear = {
   state: ({ text }) => { state.textContent = text; },
@@ -21,7 +23,7 @@ const hear = {
   },
   picture: ({ page }) => {
     view.hidden = false;
-    view.onload = () => { view.onload = null; view.contentWindow.postMessage(page, '*'); };
+    shown = page;
     view.src = 'frame.html';
   },
 };
