@@ -10,8 +10,10 @@ from pathlib import Path
 import pytest
 
 from tests.pipelines.programs import environment_with_skinbake
+from tests.support import gltf_reading, gltf_transform
 from tests.support.command_line import document, invoke
 from tests.support.models import FOLDER
+from tests.support.node import SUPPORT
 from tests.support.strictness import missing_tool
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -20,9 +22,10 @@ BUILDS = {
     "ninja": [["ninja"]],
     "cmake": [["cmake", "-B", "build"], ["cmake", "--build", "build"]],
     "npm": [["npm", "run", "--silent", "build"]],
+    "gltf-transform": [["npm", "run", "--silent", "build"]],
 }
 ENCODINGS = {"VEC4 SHORT normalised": "snorm16", "VEC4 BYTE normalised": "packed8"}
-NEEDED = {"cmake": ("cmake", "make")}
+NEEDED = {"cmake": ("cmake", "make"), "gltf-transform": ("node", "npm")}
 
 
 class Build:
@@ -36,6 +39,9 @@ class Build:
         self.commands = BUILDS[tool]
         self.folder = folder / "models"
         shutil.copytree(EXAMPLES / tool, self.folder)
+        if tool == "gltf-transform":
+            gltf_transform.require_node()
+            (self.folder / "node_modules").symlink_to(SUPPORT / "node_modules")
         (self.folder / "art").mkdir()
         shutil.copyfile(FOLDER / "seam.glb", self.folder / "art" / "hero.glb")
         self._calls = folder / "bin" / "calls"
@@ -102,6 +108,21 @@ def test_a_build_bakes_what_changed_and_fails_where_verify_fails(tool: str, tmp_
 
 
 @pytest.mark.slow
+def test_ninja_bakes_what_is_added_to_the_list_and_nothing_else(tmp_path: Path) -> None:
+    build = Build("ninja", tmp_path)
+    assert build() == (True, ["bake", "verify"])
+    added = "old/my hero.glb"
+    (build.folder / "art" / "old").mkdir()
+    shutil.copy(build.folder / "art" / "hero.glb", build.folder / "art" / added)
+    models = build.folder / "models.txt"
+    models.write_text(f"{models.read_text()}\n{added}\n")
+    build.made_newer(models)
+    assert build() == (True, ["bake", "verify"])
+    assert (build.folder / "build" / added).is_file()
+    assert build() == (True, [])
+
+
+@pytest.mark.slow
 def test_make_takes_names_with_spaces(tmp_path: Path) -> None:
     build = Build("make", tmp_path)
     (build.folder / "art" / "hero.glb").rename(build.folder / "art" / "my old hero.glb")
@@ -113,7 +134,7 @@ def test_make_takes_names_with_spaces(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("tool", ["make", "cmake", "npm"])
+@pytest.mark.parametrize("tool", ["make", "cmake", "npm", "gltf-transform"])
 def test_models_in_folders_of_art_are_built_too(tool: str, tmp_path: Path) -> None:
     build = Build(tool, tmp_path)
     shutil.copytree(build.folder / "art", build.folder / "art" / "old" / "heroes")
@@ -125,8 +146,9 @@ def test_models_in_folders_of_art_are_built_too(tool: str, tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_the_npm_script_passes_over_what_has_not_changed(tmp_path: Path) -> None:
-    build = Build("npm", tmp_path)
+@pytest.mark.parametrize("tool", ["npm", "gltf-transform"])
+def test_the_npm_script_passes_over_what_has_not_changed(tool: str, tmp_path: Path) -> None:
+    build = Build(tool, tmp_path)
     assert build() == (True, ["bake", "verify"])
     assert build.encoding() == "snorm16"
     before = build.baked.stat().st_mtime_ns
@@ -139,6 +161,15 @@ def test_the_npm_script_passes_over_what_has_not_changed(tmp_path: Path) -> None
 
     build.configure("min-gain = 1", "min-gain = 1000000")
     assert build() == (False, ["bake", "verify"])
+
+
+@pytest.mark.slow
+def test_gltf_transform_runs_before_skinbake(tmp_path: Path) -> None:
+    build = Build("gltf-transform", tmp_path)
+    assert build()[0]
+    found = gltf_reading.read(build.baked).content
+    assert found["asset"]["generator"].startswith("glTF-Transform")
+    assert "EXT_meshopt_compression" in found["extensionsUsed"]
 
 
 def test_every_example_is_run() -> None:
