@@ -1,4 +1,4 @@
-"""Build the sdist and the wheels into dist/: ``python -m release.build``.
+"""Build the sdist and the wheels into dist/, and zips for Blender into build/: ``python -m release.build``.
 
 The wheels of seven systems and of browsers have compiled loops, for every Python from 3.11 on (abi3). zig
 compiles all of them on any one system. One more wheel has none and fits every system: numpy does their work,
@@ -14,6 +14,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from engines.blender.build import build_all
 from release.contents import LOOPS, REPOSITORY, faults
 from release.cross import BROWSER, SYSTEMS, compile_loops
 from release.wheels import with_modules
@@ -57,6 +58,11 @@ def main() -> None:
     # abi3audit reads no WebAssembly: tests/release/test_cross.py looks at what those loops import.
     compiled = [str(path) for path in built if "-abi3-" in path.name and BROWSER not in path.name]
     _run("abi3audit", "--strict", *compiled)
+    # A registry would be sent all of dist/, and takes no zips.
+    for path in build_all(
+        REPOSITORY / "build", TARGET, REPOSITORY / "build" / "blender" / "wheels-by-system"
+    ):
+        print(f"{path.relative_to(REPOSITORY)}: {path.stat().st_size:,} bytes")
 
 
 if __name__ == "__main__":

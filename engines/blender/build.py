@@ -2,8 +2,9 @@
 
 The zip holds the add-on, and as wheels skinbake and the libraries that it needs and Blender does not have.
 Blender unpacks the wheels into its own Python when it installs the zip. Wheels fit one system and one version
-of Python. So a zip serves the system on which it is built, and either Blender 4.5 and 5.0 (Python 3.11) or
-later ones (Python 3.13). The same sources and wheels give the same bytes.
+of Python. So a zip serves one system, and either Blender 4.5 and 5.0 (Python 3.11) or later ones (Python
+3.13). From a terminal, the system is that of the build; ``make dist`` calls ``build_all``. The same sources
+and wheels give the same bytes.
 """
 
 from __future__ import annotations
@@ -36,36 +37,69 @@ COMPILED = ("gradients/_kernel", "truth/_loops")
 BLENDERS: dict[str, tuple[str, str | None]] = {"3.11": ("4.5.0", "5.1.0"), "3.13": ("5.1.0", None)}
 """By version of Python: the first Blender that has it, and the first one that no longer has it."""
 
+PLATFORMS = {
+    "linux-x64": ("manylinux_2_17_x86_64", "manylinux_2_28_x86_64"),
+    "macos-arm64": ("macosx_11_0_arm64", "macosx_14_0_arm64"),
+    "windows-x64": ("win_amd64",),
+}
+"""By Blender's name of a system: the platform of skinbake's wheel, then others that libraries have."""
+
 SYSTEMS = {"darwin": "macos"}
 MACHINES = {"x86_64": "x64", "amd64": "x64", "aarch64": "arm64"}
 """Blender's names, where they differ from Python's."""
 
 
-def build(folder: Path, python: str, wheels: Path) -> Path:
-    """Write the zip into a folder, with the libraries whose wheels lie in another one. Return its path."""
+def build_all(folder: Path, skinbake_wheels: Path, wheels: Path) -> list[Path]:
+    """Write the zips of all systems and Blenders into a folder. Return their paths.
+
+    skinbake_wheels is a folder with a wheel of skinbake for each system. Those of the libraries are
+    downloaded into folders below another one, unless they are there.
+    """
+    made = []
+    for system, platforms in PLATFORMS.items():
+        [own] = skinbake_wheels.glob(f"skinbake-{__version__}-*-{platforms[0]}.whl")
+        for python in BLENDERS:
+            libraries = wheels / f"{system}-{python}"
+            if not _fitting(libraries, python):
+                download(libraries, python, platforms)
+            made.append(build(folder, python, libraries, system, (own.name, own.read_bytes())))
+    return made
+
+
+def build(
+    folder: Path, python: str, wheels: Path, system: str = "", own: tuple[str, bytes] | None = None
+) -> Path:
+    """Write a zip into a folder, with the libraries whose wheels lie in another one. Return its path.
+
+    system is Blender's name of it, by default that of this one. own is the name and the bytes of skinbake's
+    wheel, by default of the skinbake that runs this.
+    """
+    system = system or this_system()
     libraries = _library_wheels(wheels, python)
     contents = addon_files() | {f"wheels/{path.name}": path.read_bytes() for path in libraries}
-    name, wheel = skinbake_wheel()
+    name, wheel = own or skinbake_wheel()
     contents[f"wheels/{name}"] = wheel
-    contents["blender_manifest.toml"] = _manifest(python, [key for key in contents if key.endswith(".whl")])
+    held = [key for key in contents if key.endswith(".whl")]
+    contents["blender_manifest.toml"] = _manifest(python, system, held)
     folder.mkdir(parents=True, exist_ok=True)
-    target = folder / f"skinbake-blender-{__version__}-{system()}-py{python.replace('.', '')}.zip"
+    target = folder / f"skinbake-blender-{__version__}-{system}-py{python.replace('.', '')}.zip"
     # Wheels are compressed already.
     target.write_bytes(zipped(contents, zipfile.ZIP_STORED))
     return target
 
 
-def download(folder: Path, python: str) -> None:
-    """Have pip fetch the wheels of the libraries for this system."""
+def download(folder: Path, python: str, platforms: Iterable[str] = ()) -> None:
+    """Have pip fetch the wheels of the libraries, by default for this system."""
     with (REPOSITORY / "pyproject.toml").open("rb") as file:
         dependencies = tomllib.load(file)["project"]["dependencies"]
     wanted = [line for line in dependencies if line.startswith(LIBRARIES)]
     options = ["--no-deps", "--only-binary", ":all:", "--python-version", python, "--dest", str(folder)]
+    options += [word for platform in platforms for word in ("--platform", platform)]
     pip = [sys.executable, "-I", "-m", "pip", "download", "--quiet", "--disable-pip-version-check"]
     subprocess.run([*pip, *options, *wanted], check=True)
 
 
-def system() -> str:
+def this_system() -> str:
     """Return Blender's name of this system, such as ``linux-x64``."""
     name, machine = platform.system().lower(), platform.machine().lower()
     return f"{SYSTEMS.get(name, name)}-{MACHINES.get(machine, machine)}"
@@ -128,12 +162,12 @@ def _fitting(folder: Path, python: str) -> list[Path]:
     return [path for path, parts in wheels if tag in parts[-3].split(".") or parts[-2] in {"abi3", "none"}]
 
 
-def _manifest(python: str, wheels: Iterable[str]) -> bytes:
+def _manifest(python: str, system: str, wheels: Iterable[str]) -> bytes:
     """Return the manifest of the add-on with what a build knows. It goes before the tables of TOML."""
     first, last = BLENDERS[python]
     known = [f'version = "{__version__}"', f'blender_version_min = "{first}"']
     known += [f'blender_version_max = "{last}"'] if last else []
-    known += [f'platforms = ["{system()}"]', "wheels = ["]
+    known += [f'platforms = ["{system}"]', "wheels = ["]
     known += [*(f'    "./{wheel}",' for wheel in sorted(wheels)), "]"]
     head, table, rest = (ADDON / "blender_manifest.toml").read_text(encoding="utf-8").partition("\n[")
     return f"{head}{chr(10).join(known)}\n{table}{rest}".encode()

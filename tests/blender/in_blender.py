@@ -227,6 +227,10 @@ def choices(folder: Path) -> Results:
     }
     return {
         "usual": export(folder / "usual.glb"),
+        "correctives": export(
+            folder / "correctives.glb",
+            settings={"correctives": "auto", "neighbours": "drop", "layout": "custom"},
+        ),
         "others": export(folder / "others.glb", settings=others),
         "separate": export(folder / "separate.gltf", export_format="GLTF_SEPARATE"),
         "draco": export(folder / "draco.glb", export_draco_mesh_compression_enable=True),

@@ -144,6 +144,15 @@ def test_every_format_of_the_exporter_is_baked(session: Session, name: str) -> N
     assert verdict["passed"], verdict["checks"]
 
 
+def test_correctives_are_baked_without_what_they_do_not_read(session: Session) -> None:
+    outcome = session.results["choices"]["correctives"]
+    assert (outcome["status"], outcome["raised"]) == ("baked", None), text_of(outcome)
+    assert outcome["gain"] > 2
+    mesh = gltf_reading.read(session.files / "correctives.glb").content["meshes"][0]
+    assert mesh["extras"]["targetNames"][0].startswith("corrective normal")
+    assert "_SKINBAKE_ALPHA_0" not in mesh["primitives"][0]["attributes"]
+
+
 def test_the_panel_offers_the_options(session: Session) -> None:
     before = session.results["panel"]
     assert ["prop", "Bake on export"] in before

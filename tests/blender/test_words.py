@@ -26,6 +26,7 @@ baking = addon_module("baking")
 options = addon_module("options")
 
 SAVED = {
+    "correctives": {"none": 0, "auto": -1, "1": 1, "2": 2, "4": 4, "8": 8},
     "gradients": {"fitted": 0, "surface": 1},
     "frame": {"auto": 0, "tangent": 1, "normal": 2},
     "encoding": {"float32": 0, "snorm16": 1, "packed8": 2},
@@ -48,6 +49,8 @@ def test_the_panel_offers_the_declared_values() -> None:
     offered = {name: [item[0] for item in items] for name, (_, items) in options.CHOICES.items()}
     assert [int(value) for value in offered.pop("limit_influences")] == [0, 4, 8]
     declared: dict[str, Any] = {one.name: one.values for one in BAKE}
+    assert offered.pop("correctives") == ["none", "auto", "1", "2", "4", "8"]
+    assert [declared["correctives"].read(value) for value in ("auto", 1, 8)] == ["auto", 1, 8]
     assert {name: set(values) for name, values in offered.items()} == {
         name: set(declared[name]) for name in offered
     }
@@ -100,6 +103,23 @@ def test_a_measurement_tells_the_gain_by_triangles_and_judges_by_the_lower_one(t
     )
     shown = verdict["normals_by_triangles"]["lbs"]["gain"]
     assert f", gain {shown:.2f}x, over 60 poses of 1 clip" in outcome.lines[-1].text
+
+
+def test_correctives_are_measured_by_what_the_file_shows(tmp_path: Path) -> None:
+    outcome = baked("bent_tube.glb", tmp_path, measure=True, correctives=1, encoding="snorm16")
+    assert outcome.status == "baked"
+    assert outcome.lines[0].text.startswith("bent_tube.glb: baked: correctives: 1 mesh, 1 morph target, ")
+    lbs = skinbake.verify(tmp_path / "bent_tube.glb", methods=["lbs"])["normals_by_triangles"]["lbs"]
+    shown = f"error of normals {lbs['standard']['mean']:.2f}° -> {lbs['corrected']['mean']:.2f}°, gain "
+    assert outcome.lines[1].text.startswith(shown)
+    assert f"{lbs['corrected']['mean']:.2f}" != f"{lbs['accurate']['mean']:.2f}"
+
+
+def test_correctives_without_a_clip_say_what_is_missing(tmp_path: Path) -> None:
+    outcome = baked("seam.glb", tmp_path, correctives="auto")
+    assert (outcome.status, [line.level for line in outcome.lines]) == ("unchanged", ["INFO", "WARNING"])
+    assert outcome.lines[0].text == "seam.glb: the plain export was kept"
+    assert "only clips play correctives" in outcome.lines[1].text
 
 
 def test_a_measurement_says_that_nothing_bends(tmp_path: Path) -> None:
@@ -295,13 +315,35 @@ def test_the_zip_says_what_it_fits(
         manifest = tomllib.loads(archive.read("blender_manifest.toml").decode())
         names = set(archive.namelist())
     assert (manifest["blender_version_min"], manifest.get("blender_version_max")) == blenders
-    assert manifest["platforms"] == [build.system()]
+    assert manifest["platforms"] == [build.this_system()]
     assert {name.removeprefix("./") for name in manifest["wheels"]} <= names
     assert len(manifest["wheels"]) == len(build.LIBRARIES) + 1
     tags = {name.split("-")[2] for name in manifest["wheels"] if "skinbake" not in name}
     assert tags == {f"cp{python.replace('.', '')}"}
     assert manifest["permissions"]["files"]
     assert {"__init__.py", "baking.py", "options.py", "panel.py", "settings.py", "LICENSE"} <= names
+
+
+def test_each_system_and_each_blender_has_a_zip_with_its_own_wheels(tmp_path: Path) -> None:
+    wheels = tmp_path / "wheels"
+    for system, platforms in build.PLATFORMS.items():
+        own = f"skinbake-{skinbake.__version__}-cp311-abi3-{platforms[0]}.whl"
+        (tmp_path / own).write_bytes(system.encode())
+        for python in build.BLENDERS:
+            (wheels / f"{system}-{python}").mkdir(parents=True)
+            tag = f"cp{python.replace('.', '')}"
+            for library in build.LIBRARIES:
+                (wheels / f"{system}-{python}" / f"{library}-1-{tag}-{tag}-{platforms[-1]}.whl").touch()
+    zips = build.build_all(tmp_path / "zips", tmp_path, wheels)
+    assert len({path.name for path in zips}) == len(build.PLATFORMS) * len(build.BLENDERS)
+    for path in zips:
+        with zipfile.ZipFile(path) as archive:
+            manifest = tomllib.loads(archive.read("blender_manifest.toml").decode())
+            [system] = manifest["platforms"]
+            [own] = [name for name in manifest["wheels"] if "skinbake-" in name]
+            assert archive.read(own.removeprefix("./")) == system.encode()
+        assert f"-{system}-py" in path.name
+        assert all(name.endswith(build.PLATFORMS[system], 0, -len(".whl")) for name in manifest["wheels"])
 
 
 @pytest.mark.slow

@@ -258,7 +258,7 @@ def test_a_brief_verdict_has_the_figures_by_triangles() -> None:
         ),
         (
             FileVerdict("a b.glb", (Check("structure", "skipped"),), command="skinbake bake"),
-            ["  There is no bake to judge. Next: skinbake bake 'a b.glb'."],
+            ["  There is no bake to judge. Next: skinbake bake 'a b.glb' --out-dir baked."],
         ),
         (FileVerdict("a.glb", up_to_date=True), []),
         (

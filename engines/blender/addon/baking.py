@@ -87,7 +87,9 @@ def bake_export(path: str, options: Mapping[str, Any], *, measure: bool) -> Outc
         return _failed(path, f"{type(error).__name__}: {error}")
     warnings = _warnings(result["warnings"])
     if result["status"] != "baked":
-        return Outcome(path, "unchanged", (_unchanged(path, result["skipped"]), *warnings))
+        is_told = bool(warnings) and options.get("correctives") is not None
+        line = Line("INFO", f"{Path(path).name}: {KEPT}") if is_told else _unchanged(path, result["skipped"])
+        return Outcome(path, "unchanged", (line, *warnings))
     lines = (Line("INFO", f"{Path(path).name}: {_baked(result)}"), *warnings)
     if not measure:
         return Outcome(path, "baked", lines)
@@ -109,6 +111,12 @@ def _unchanged(path: str, skipped: int) -> Line:
 
 def _baked(result: Mapping[str, Any]) -> str:
     """Return what bake did, with what the encoding and the limit of influences cost."""
+    if correctives := result["correctives"]:
+        targets = " or ".join(str(count) for count in sorted({mesh["targets"] for mesh in correctives}))
+        added = sum(mesh["added_bytes"] for mesh in correctives)
+        meshes = "1 mesh" if len(correctives) == 1 else f"{len(correctives)} meshes"
+        plural = "" if targets == "1" else "s"
+        return f"baked: correctives: {meshes}, {targets} morph target{plural}, {added:,} bytes added"
     primitives = result["primitives"]
     vertices = sum(primitive["vertices"] for primitive in primitives)
     added = sum(primitive["added_bytes"] for primitive in primitives)
@@ -174,7 +182,7 @@ def _figures(verdict: Mapping[str, Any]) -> tuple[tuple[Line, ...], float | None
         return (), None
     lbs = truths[0]
     lowest = min((found["gain"] for found in truths if found["gain"] is not None), default=None)
-    standard, accurate = lbs["standard"]["mean"], lbs["accurate"]["mean"]
+    standard, accurate = lbs["standard"]["mean"], lbs.get("corrected", lbs["accurate"])["mean"]
     if lbs["gain"] is None and max(found["standard"]["mean"] for found in truths) < SHOWN:
         text = "nothing bends: standard normals are right already"
     else:

@@ -19,6 +19,23 @@ Item = tuple[str, str, str, int]
 """A value, its label, its description, and its number. Scenes save the number, so it keeps its meaning."""
 
 CHOICES: dict[str, tuple[str, tuple[Item, ...]]] = {
+    "correctives": (
+        "Correctives",
+        (
+            ("none", "None", "Bake α and β, for engines that have the shader of skinbake", 0),
+            (
+                "auto",
+                "Automatic",
+                "For Unity, Unreal and other engines without that shader: up to 4 morph targets of normals, "
+                "which the exported animations play",
+                -1,
+            ),
+            *(
+                (str(count), str(count), f"At most {count} such morph targets", count)
+                for count in (1, 2, 4, 8)
+            ),
+        ),
+    ),
     "gradients": (
         "Gradients",
         (
@@ -85,6 +102,9 @@ CHOICES: dict[str, tuple[str, tuple[Item, ...]]] = {
     ),
 }
 """By name: the label, and the values. Where the declared default is none, it is the first."""
+
+WITH_CORRECTIVES = "correctives", "frame", "encoding"
+"""The options that a bake of correctives reads."""
 
 CREASE_LABEL = "Crease angle"
 """The name of the crease angle, which is a number."""

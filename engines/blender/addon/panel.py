@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from typing import Any
 
-from .options import CHOICES
+from .options import CHOICES, WITH_CORRECTIVES
 
 CHARACTERS = 56
 """The width of the dialog's sidebar. Blender cuts off what is longer."""
@@ -23,10 +23,11 @@ def draw(context: Any, layout: Any) -> None:
     header.label(text="Correct lighting (skinbake)")
     if body is None:
         return
-    options = body.column()
-    options.active = settings.enabled
+    read = {*WITH_CORRECTIVES, "measure"}
     for name in (*CHOICES, "crease_angle", "measure"):
-        options.prop(settings, name)
+        option = body.column()
+        option.active = settings.enabled and (settings.correctives == "none" or name in read)
+        option.prop(settings, name)
     for line in outcome.lines:
         _draw_line(body.column(align=True), line.level, line.text)
 

@@ -7,7 +7,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, PointerProperty, StringProperty
 
 from .baking import Outcome
-from .options import CHOICES, CREASE_LABEL, DECLARED
+from .options import CHOICES, CREASE_LABEL, DECLARED, WITH_CORRECTIVES
 
 
 def _choice(name: str) -> Any:
@@ -28,6 +28,7 @@ class BakeSettings(bpy.types.PropertyGroup):
         description="Verify the baked file, and measure its lighting over its animations",
         default=True,
     )
+    correctives: _choice("correctives")
     gradients: _choice("gradients")
     frame: _choice("frame")
     encoding: _choice("encoding")
@@ -49,7 +50,11 @@ class BakeSettings(bpy.types.PropertyGroup):
         chosen: dict[str, Any] = {name: getattr(self, name) for name in CHOICES}
         chosen["crease_angle"] = round(math.degrees(self.crease_angle), 4)
         chosen["limit_influences"] = int(self.limit_influences) or None
-        return chosen
+        if self.correctives == "none":
+            return chosen | {"correctives": None}
+        if self.correctives != "auto":
+            chosen["correctives"] = int(self.correctives)
+        return {name: chosen[name] for name in WITH_CORRECTIVES}
 
 
 class BakeLine(bpy.types.PropertyGroup):

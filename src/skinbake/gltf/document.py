@@ -358,7 +358,7 @@ def _parse_json(data: bytes, budget: Budget, place: Place) -> json_access.JsonOb
     else:
         version = json_access.text(asset, "version", place)
     if version is None:
-        raise InputError('its glTF version is unknown: "asset.version" is missing', place)
+        raise InputError('it is JSON, but not glTF: "asset.version" is missing', place)
     least = json_access.text(asset, "minVersion", place) or "2.0"
     if version.split(".")[0] != "2" or least != "2.0":
         wanted = version if least == "2.0" else least

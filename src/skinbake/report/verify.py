@@ -530,11 +530,15 @@ def conclusion(verdict: FileVerdict) -> Conclusion | None:
                 sentence = f"Normals do not belong to the surface: {told}"
                 judged = Conclusion(sentence, "do what the warning says")
             elif verdict.command and not judged.leave:
-                judged = replace(judged, step=f"{verdict.command} {name}")
+                judged = replace(judged, step=f"{verdict.command} {name} --out-dir baked")
             meet = "leave it unbaked by bake --leave-under, or " if judged.leave else ""
         return replace(judged, step=f"{meet}change the limit") if failed else judged
     if any(check.name == "structure" and check.outcome == "skipped" for check in verdict.checks):
-        step = f"{verdict.command} {name}" if verdict.command else f"skinbake inspect {name} shows why"
+        step = (
+            f"{verdict.command} {name} --out-dir baked"
+            if verdict.command
+            else f"skinbake inspect {name} shows why"
+        )
         return Conclusion("There is no bake to judge.", step)
     again = (
         f"skinbake view {name} shows them"
