@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import numpy as np
 import pytest
 
@@ -17,6 +18,7 @@ from tests.support import corpus
 from tests.support.baked_files import Answer, Editable, baked, verify
 from tests.support.command_line import document, invoke
 from tests.support.models import FOLDER
+from tests.support.schemas import BAKE
 
 Generator = np.random.Generator
 Made = tuple[Mesh, list[Motion]]
@@ -199,11 +201,23 @@ def test_a_primitive_is_left_to_standard_lighting_where_all_parts_of_the_fit_are
     assert (tmp_path / "back.glb").read_bytes() == source.read_bytes()
 
 
-def test_a_file_of_which_nothing_is_lit_better_passes_through(tmp_path: Path) -> None:
+def test_a_file_of_which_nothing_is_lit_better_is_left_with_a_note(tmp_path: Path) -> None:
     source, target = random_rigs.write(195, tmp_path), tmp_path / "out.glb"
-    [file] = document(invoke("bake", source, "-o", target, "--json"))["files"]
-    assert [one["code"] for one in file["warnings"]] == ["standard-is-better", "nothing-baked"]
-    assert target.read_bytes() == source.read_bytes()
+    result = document(invoke("bake", source, "-o", target, "--json", "--require-baked"))
+    jsonschema.validate(result, BAKE)
+    [file] = result["files"]
+    assert (file["status"], file["left"]["reason"]) == ("left", "standard lighting is better")
+    assert [one["code"] for one in file["warnings"]] == ["standard-is-better"]
+    answer = verify(target, "--require-baked", "--min-gain", "1.2")
+    assert (answer.exit_code, answer.file["left"]) == (0, True)
+    assert answer.file["checks"][0]["remark"] == (
+        "left unbaked by bake --gradients fitted: standard lighting is better"
+    )
+    assert verify(source, "--require-baked").exit_code == 1
+    assert invoke("strip", target, "-o", tmp_path / "back.glb", "-q").exit_code == 0
+    assert (tmp_path / "back.glb").read_bytes() == source.read_bytes()
+    assert invoke("bake", target, "--in-place", "--gradients", "surface").exit_code == 0
+    assert verify(target).failed == []
 
 
 def test_a_model_that_gains_keeps_all(tmp_path: Path) -> None:

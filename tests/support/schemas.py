@@ -170,8 +170,8 @@ BAKE = strict(
                             strict(
                                 {
                                     "gain": {"type": ["number", "null"], "minimum": 0},
-                                    "standard_error": {"type": "number", "minimum": 0},
-                                    "under": {"type": "number", "minimum": 0},
+                                    "standard_error": {"type": ["number", "null"], "minimum": 0},
+                                    "under": {"type": ["number", "null"], "minimum": 0},
                                     "reason": {"type": "string"},
                                 }
                             ),

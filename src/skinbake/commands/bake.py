@@ -34,6 +34,9 @@ from skinbake.gltf.writing.output import (
 from skinbake.report.bake import FileResult, Left
 from skinbake.timing import stage
 
+FITTED = "--gradients fitted"
+"""The option that leaves what every part of its fit lights worse."""
+
 JSON_A_PRIMITIVE = 1450
 """About as many bytes of JSON are added for a primitive."""
 
@@ -191,25 +194,29 @@ def bake_document(
             made = bake_gradients(document, sources, options)
             baked = {place for place, _ in made.primitives}
             held = [source for source in sources if source.place not in baked]
-            left_by += [(source, "--gradients fitted") for source in held]
+            left_by += [(source, FITTED) for source in held]
             left_out += len(held)
+            if held and not made.is_baked:
+                made = made._replace(left=Left(reason="standard lighting is better"))
         else:
             from skinbake.commands.corrective_bake import bake_correctives  # most bakes add α and β
 
             made = bake_correctives(document, sources, options)
         made = made._replace(skipped=left_out)
-        left = _left(made, options, told)
+        left = made.left or _left(made, options, told)
     noted = None
     if left is not None:
-        note = LeftNote(gain=left.gain, standard_error=left.standard_error, under=left.under)
+        by = FITTED if made.left else ""
+        note = LeftNote(by=by, gain=left.gain, standard_error=left.standard_error, under=left.under)
         noted = with_left(document, note)
     if noted is None:
         document.notices.tell(*told)
         if not made.is_baked:
-            return made
+            return made._replace(left=None)
         return made._replace(document=with_left_primitives(made.document, left_by))
     # Of a bake that is not written, only its advice counts.
-    document.notices.tell(*(one for one in told if one.is_advice and options.correctives is None))
+    is_advised = options.correctives is None
+    document.notices.tell(*(one for one in told if made.left or (one.is_advice and is_advised)))
     return BakedDocument(noted, skipped=left_out, left=left)
 
 

@@ -155,7 +155,8 @@ def _unbaked(
         # by a bake that generates them.
         found = [] if left.gain is None else [f"gain {left.gain:.15g}"]
         found += [] if left.standard_error is None else [f"standard lighting {left.standard_error:.15g}° off"]
-        remark = f"left unbaked by bake --leave-under: {', '.join(found) or 'little to win'}"
+        still = "standard lighting is better" if left.by else "little to win"
+        remark = f"left unbaked by bake {left.by or '--leave-under'}: {', '.join(found) or still}"
         check = Check("structure", "skipped", (), remark)
         document.notices.tell(*(notice for notice in notices if notice.code != "no-normals"))
         return FileVerdict(document.name, (check,), left=True)

@@ -32,7 +32,7 @@ SEEN = 0.0001
 """Below this angle in degrees, the exact value does not matter."""
 
 Status = Literal["baked", "left", "unchanged", "up-to-date", "failed"]
-"""``left``: left unbaked, with a note, because there is little to win.
+"""``left``: left unbaked, with a note, because there is little or nothing to win.
 
 ``unchanged``: passed through, because nothing in it can be baked.
 
@@ -144,16 +144,16 @@ class EncodingCost(NamedTuple):
 
 
 class Left(NamedTuple):
-    """Why --leave-under has left a file unbaked.
+    """Why a bake has left a file unbaked: by --leave-under, or as the fit lights nothing in it better.
 
     gain is the lower one, None where accurate lighting is exact, or where there is no bake. standard_error is
-    the mean of standard lighting in degrees. under is the gain that was asked for. reason is what the numbers
-    do not say, perhaps nothing.
+    the mean of standard lighting in degrees. under is the gain that was asked for. Both are None without
+    --leave-under. reason is what the numbers do not say, perhaps nothing.
     """
 
-    gain: float | None
-    standard_error: float
-    under: float
+    gain: float | None = None
+    standard_error: float | None = None
+    under: float | None = None
     reason: str = ""
 
 
@@ -234,7 +234,8 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
     if result.left is not None:
         left = result.left
         found = [f"gain {gain_in_words(left.gain)}x"] if left.gain is not None else []
-        found += [] if left.reason and not found else [f"standard lighting {left.standard_error:.2f}° off"]
+        if left.standard_error is not None and (found or not left.reason):
+            found.append(f"standard lighting {left.standard_error:.2f}° off")
         return f"{names}: left unbaked: {', '.join([*found, *([left.reason] if left.reason else [])])}"
     counts = [count for _, count in result.primitives]
     parts = [f"{result.status}: {_baked(counts)}" if counts else result.status]

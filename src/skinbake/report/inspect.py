@@ -40,7 +40,7 @@ class AttributeSummary:
     byte_length: int
 
 
-LEFT = "left unbaked by bake --leave-under"
+LEFT = "left unbaked on purpose"
 
 
 @dataclass(frozen=True, slots=True)

@@ -508,7 +508,7 @@ def conclusion(verdict: FileVerdict) -> Conclusion | None:
     if failed and failed != ["limits"]:
         return Conclusion(f"Failed: {', '.join(failed)}.", "do what the error says, then verify again")
     if verdict.left:
-        return Conclusion("A bake has left it as it is, by --leave-under.", "nothing")
+        return Conclusion("A bake has left it as it is, on purpose.", "nothing")
     name, found = shlex.quote(printable(verdict.input)), _worse(verdict)
     if found is not None:
         # Whether a notice advises to bake in another way, not to leave the file.
