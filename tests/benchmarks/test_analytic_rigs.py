@@ -23,13 +23,22 @@ from benchmarks.analytic_rigs import (
 )
 from fixtures import skinned_normals_test as asset
 from skinbake.choices import Gradients
-from tests.support.analytic_rigs import Tube, tubes
+from tests.support.analytic_rigs import SHAPES, Tube, tubes
 
 STEEP = 3
 """A seed of tubes of which some were lit worse than by standard lighting outside their clips."""
 
-REGRET = {CLIP: 1.5, TURNED: 1.25}
-"""How much larger than that of ``surface`` the error of the fit may be by formula, in the mean."""
+REGRET = {
+    "bend": {CLIP: (0.65, 0.90), TURNED: (0.73, 0.85)},
+    "twist": {CLIP: (2.33, 0.13), TURNED: (2.20, 0.10)},
+    "stretch": {CLIP: (1.81, 0.09), TURNED: (1.27, 0.08)},
+    "all": {CLIP: (1.12, 0.23), TURNED: (0.97, 0.22)},
+}
+"""How large the error of the fit may be by formula, over that of ``surface`` and of standard lighting.
+
+It is the mean over the shapes, and at most 2 % or 0.02 above what was measured: a change of the fit that
+costs more is seen. Twisted tubes are nearly exact with ``surface``: an eighteenth of standard lighting.
+"""
 
 
 @cache
@@ -59,18 +68,22 @@ def test_at_most_five_of_176_tubes_are_lit_worse_than_by_standard_lighting_outsi
 
 
 @pytest.mark.parametrize("kind", POSES)
-def test_the_regret_by_formula_is_bounded(kind: str) -> None:
-    found = lit(range(STEEP, STEEP + 1))
-    assert ratio(found, kind, FORMULA, LIGHTINGS[1]) < REGRET[kind]
-    assert ratio(found, kind, FORMULA, STANDARD) < 0.5
+@pytest.mark.parametrize("motion", REGRET)
+def test_the_regret_by_formula_is_bounded(motion: str, kind: str) -> None:
+    found = [one for one in lit(range(STEEP, STEEP + 1)) if one.tube.motion == motion]
+    assert len(found) == len(SHAPES)
+    over_surface, over_standard = REGRET[motion][kind]
+    assert ratio(found, kind, FORMULA, LIGHTINGS[1]) < over_surface
+    assert ratio(found, kind, FORMULA, STANDARD) < over_standard
 
 
-def test_skinned_normals_test_is_lit_within_a_quarter_of_a_degree() -> None:
-    """0.22° in the mean, where the gradients of the surface leave 0.16°."""
+def test_skinned_normals_test_is_lit_within_a_third_of_a_degree() -> None:
+    """0.217° in the mean, where the gradients of the surface leave 0.164°."""
     fitted = parts(Gradients.FITTED)
     assert len(fitted) == len(asset.PARTS) - 1
-    assert max(fitted.values()) < 0.31
-    assert np.mean(list(fitted.values())) < 0.222
+    for part, most in {"Bend": 0.301, "Twist": 0.214, "Scale": 0.135, "NormalMap": 0.229}.items():
+        assert fitted[part] < most
+    assert np.mean(list(fitted.values())) < 0.219
 
 
 @pytest.mark.parametrize("shape", ["bumps", "ellipse"])

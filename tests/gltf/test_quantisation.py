@@ -174,14 +174,15 @@ def skin_of(model: GltfFile, mesh: int) -> Floats:
 
 
 @pytest.mark.slow
-def test_a_real_character_quantised_by_another_tool(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("gradients", "off"), [("surface", 6e-4), ("fitted", 2e-3)])
+def test_a_real_character_quantised_by_another_tool(gradients: str, off: float, tmp_path: Path) -> None:
     """Each of its six skinned meshes is dequantised by the inverse bind matrices of a skin of its own.
 
     Weights became bytes, too, and influences were re-sorted: so joints are compared, not slots, and by the
     factor that fits all vertices best, from which a byte's rounding averages out.
     """
-    plain = baked(corpus.model(PLAIN), tmp_path / PLAIN)
-    quantised = baked(corpus.model(QUANTISED), tmp_path / QUANTISED)
+    plain = baked(corpus.model(PLAIN), tmp_path / PLAIN, gradients=gradients)
+    quantised = baked(corpus.model(QUANTISED), tmp_path / QUANTISED, gradients=gradients)
     assert not khronos.new_findings(
         khronos.validate(corpus.model(QUANTISED)), khronos.validate(tmp_path / QUANTISED)
     )
@@ -198,8 +199,9 @@ def test_a_real_character_quantised_by_another_tool(tmp_path: Path) -> None:
             continue
         factor = float((ours * theirs).sum() / (theirs * theirs).sum())
         # A weight's rounding of 1/510 is some 1 % of what a weight changes by along an edge; of hundreds of
-        # edges a fifth of that is left. s differs from mesh to mesh by 4 % and more.
-        assert factor == pytest.approx(scale, rel=2e-3)
+        # edges a fifth of that is left, and more of fewer: of those that the fit changes most. s differs from
+        # mesh to mesh by 4 % and more.
+        assert factor == pytest.approx(scale, rel=off)
         scales.append(scale)
     assert len(scales) >= 3
     assert max(scales) < 0.9
