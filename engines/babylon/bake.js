@@ -163,6 +163,31 @@ export function staleOf(gltf, arrays) {
     return found;
 }
 
+const MOVES = ['_SKINBAKE_MORPH', '_SKINBAKE_MORPH_UP'];
+
+// Return the names of the numbers by which the morph targets of a primitive move the frame, as a file has them at each
+// target: one name for four numbers, two for six; none without such numbers.
+export function movesOf({ accessors }, mesh, index) {
+    const noted = mesh?.extras?.skinbake?.morphTargets?.[index];
+    const targets = mesh?.primitives[index].targets ?? [];
+    const names = { 4: MOVES.slice(0, 1), 6: MOVES }[noted?.frames] ?? [];
+    const isSound = (target) => names.every((name) => accessors[target[name]]?.componentType === FLOAT);
+    return noted?.targets === targets.length && targets.every(isSound) ? names : [];
+}
+
+// Say of a file once what an engine misses that does not read these numbers.
+export function tellOfUnreadMoves(gltf, engine) {
+    for (const mesh of gltf.meshes ?? []) {
+        const isUnread = (primitive, index) => metadataOf(gltf, primitive) && movesOf(gltf, mesh, index).length > 0;
+        const targets = mesh.primitives.filter(isUnread).flatMap((primitive) => primitive.targets);
+        if (!targets.length) continue;
+        const isBare = targets.some(({ NORMAL, POSITION }) => NORMAL === undefined && POSITION !== undefined);
+        const remedy = isBare ? ', and its targets lack NORMAL: bake it with --morph-normals too' : '';
+        const why = `${engine} does not read the numbers of --morph-frames${remedy}`;
+        console.warn(`skinbake: "${mesh.name}" has a frame that follows NORMAL under morph targets: ${why}`);
+    }
+}
+
 // A sum of all components, by random factors from -1 to 1.
 export function printOf(count, valueAt) {
     let sum = 0;

@@ -3,18 +3,19 @@
 // Everything that a shader needs lies on the geometry, because a geometry survives what materials do not:
 // clone(), copy(), another material, a hook that is set later, a mesh that is written anew around it.
 
-import { changeSince, FLOAT, FRAMES, isLeft, isLike, isObject, namesOf, NOT_BAKED, printOf, problemOf } from './bake.js';
+import { changeSince, FLOAT, FRAMES, isLeft, isLike, isObject, movesOf, namesOf, NOT_BAKED, printOf, problemOf } from './bake.js';
 
 // GLTFExporter leaves out attributes whose names begin with "morph".
-export const ATTRIBUTES = ['Alpha', 'Beta', 'Tangent', 'Storage', 'Dual', 'Moved'].map((name) => `morphSkinbake${name}`);
-export const [ALPHA, BETA, TANGENT, STORAGE, DUAL, MOVED] = ATTRIBUTES;
-const METHODS = { lbs: 0, dqs: 1 };
+export const ATTRIBUTES = ['Alpha', 'Beta', 'Tangent', 'Storage', 'Dual', 'Moved', 'Capped'].map((name) => `morphSkinbake${name}`);
+export const [ALPHA, BETA, TANGENT, STORAGE, DUAL, MOVED, CAPPED] = ATTRIBUTES;
+const METHODS = { lbs: 0, dqs: 2 };
+const CAPS = [1e-6, 1e6]; // shaders square it in float32
 
 // Copies of this module on one page share what they know.
 export const state = (globalThis[Symbol.for('skinbake.three')] ??= {
     geometries: new WeakMap(), // geometry -> { problem, constants, arrays, unfit }
-    // metadata -> method, of geometries that were asked for; undefined after dispose(). Their clones have it too.
-    methods: new WeakMap(),
+    // metadata -> { method, cap } of geometries that were asked for; undefined after dispose(). Their clones have it too.
+    options: new WeakMap(),
     moves: new WeakMap(), // metadata -> how the morph targets of the mesh that first had it move the frame
     sheet: undefined, // texture of these numbers, of all geometries
     rows: new Set(), // { first, count } of the rows of the sheet that are in use
@@ -33,20 +34,20 @@ export const state = (globalThis[Symbol.for('skinbake.three')] ??= {
     collected: new FinalizationRegistry(() => state.count--),
 });
 
-export function apply(root, method) {
-    return light([root], method);
+export function apply(root, options) {
+    return light([root], options);
 }
 
 const left = new WeakSet(); // scenes of files that are meant to have no bake
 
 // What GLTFLoader has loaded: it waits for what a plugin returns. The report is in userData.skinbake.
-export function applyToAll(gltf, parser, method) {
+export function applyToAll(gltf, parser, options) {
     const meshes = gltf.scenes.flatMap(skinnedMeshes);
     if (isLeft(parser.json)) gltf.scenes.forEach((scene) => left.add(scene));
     meshes.forEach((mesh) => takeMetadata(mesh, parser));
     const act = () => {
         gltf.userData ??= {};
-        gltf.userData.skinbake = light(gltf.scenes, method);
+        gltf.userData.skinbake = light(gltf.scenes, options);
         return null;
     };
     const loading = meshes.map((mesh) => takeMoves(mesh, parser)).filter(Boolean);
@@ -55,12 +56,16 @@ export function applyToAll(gltf, parser, method) {
 
 const asInFile = ({ userData }) => ({ extras: userData });
 
-function light(roots, method) {
+function light(roots, options) {
+    const { method, cap } = options;
     if (METHODS[method] === undefined) throw new Error(`skinbake: method ${method} is neither lbs nor dqs`);
+    if (cap !== undefined && !(cap >= CAPS[0] && cap <= CAPS[1])) {
+        throw new Error(`skinbake: cap ${cap} is not a number from ${CAPS.join(' to ')}`);
+    }
     install();
     const meshes = roots.flatMap(skinnedMeshes);
-    const problems = new Map(meshes.map((mesh) => [mesh, strangeness(mesh) || takeUp(mesh, method)]));
-    likeWorst(meshes, problems, method);
+    const problems = new Map(meshes.map((mesh) => [mesh, strangeness(mesh) || takeUp(mesh, options)]));
+    likeWorst(meshes, problems, options);
     for (const [mesh, problem] of problems) if (problem && problem !== NOT_BAKED) tell(mesh, problem);
     const isWanted = roots.some((root) => left.has(root)) || isLeft({ meshes: meshes.map(asInFile) });
     const isBare = meshes.length && [...problems.values()].every((problem) => problem === NOT_BAKED);
@@ -86,7 +91,7 @@ export function report(root) {
 }
 
 // Between parts of one skin in two lightings, a seam would show.
-function likeWorst(meshes, problems, method) {
+function likeWorst(meshes, problems, options) {
     const noteOf = (mesh) => mesh.geometry.userData.skinbake;
     const stale = new Map(); // skeleton -> the first mesh that does not fit its bake
     for (const mesh of meshes) {
@@ -97,17 +102,17 @@ function likeWorst(meshes, problems, method) {
         if (!other || problems.get(mesh)) continue;
         state.fits.set(noteOf(mesh), `"${other.name}", of the same skin, does not fit its bake: bake last`);
         forget(mesh.geometry);
-        problems.set(mesh, takeUp(mesh, method));
+        problems.set(mesh, takeUp(mesh, options));
     }
 }
 
-function takeUp(mesh, method) {
+function takeUp(mesh, options) {
     takeOwnHooks(mesh);
     state.disposed.delete(mesh);
     use(mesh);
     const { skinbake } = mesh.geometry.userData;
-    if (isObject(skinbake)) state.methods.set(skinbake, method);
-    const adopted = adopt(mesh.geometry, method);
+    if (isObject(skinbake)) state.options.set(skinbake, options);
+    const adopted = adopt(mesh.geometry, options);
     adopted.unfit?.delete(mesh);
     tellOfMoves(mesh, adopted);
     return adopted.problem;
@@ -145,7 +150,7 @@ export function dispose(root) {
         state.disposed.add(mesh);
         if (isUsedBeside(mesh)) continue;
         const { userData } = mesh.geometry;
-        if (isObject(userData.skinbake)) state.methods.set(userData.skinbake, undefined);
+        if (isObject(userData.skinbake)) state.options.set(userData.skinbake, undefined);
         state.passed.add(mesh.geometry);
         forget(mesh.geometry);
     }
@@ -220,7 +225,7 @@ class MeshReport {
         const adopted = state.geometries.get(geometry);
         const problem = strangeness(this.mesh) || (adopted ?? { problem: problemOfGeometry(geometry) }).problem;
         if (problem) return ['standard', problem];
-        if (!adopted) return methodOf(geometry) ? UNDRAWN : ['standard', NOT_ASKED];
+        if (!adopted) return optionsOf(geometry) ? UNDRAWN : ['standard', NOT_ASKED];
         if (state.disposed.has(this.mesh)) return ['standard', NOT_ASKED];
         if (state.standard.has(this.mesh)) return ['standard', 'lighting() has switched it'];
         const unfit = adopted.unfit.get(this.mesh);
@@ -280,20 +285,16 @@ function takeMetadata(mesh, { json, associations }) {
     }
 }
 
-const MOVES = ['_SKINBAKE_MORPH', '_SKINBAKE_MORPH_UP'];
 export const WIDTH = 2048; // texels of a row of a texture
 const MOST_ROWS = 8192; // WebGPU has them everywhere, and WebGL 2 nearly so
 
 // Load the numbers by which morph targets move the frame. Return a promise, or undefined where a file has none.
 function takeMoves(mesh, parser) {
     const { meshes, primitives = 0 } = parser.associations.get(mesh) ?? {};
-    const { extras, primitives: all } = parser.json.meshes?.[meshes] ?? {};
-    const noted = extras?.skinbake?.morphTargets?.[primitives];
-    const names = { 4: MOVES.slice(0, 1), 6: MOVES }[noted?.frames];
-    const targets = all?.[primitives].targets ?? [];
-    if (!names || noted.targets !== targets.length || !isObject(mesh.geometry.userData.skinbake)) return undefined;
-    const indices = targets.flatMap((target) => names.map((name) => target[name]));
-    if (!indices.every((index) => parser.json.accessors[index]?.componentType === FLOAT)) return undefined;
+    const made = parser.json.meshes?.[meshes];
+    const names = movesOf(parser.json, made, primitives);
+    if (!names.length || !isObject(mesh.geometry.userData.skinbake)) return undefined;
+    const indices = made.primitives[primitives].targets.flatMap((target) => names.map((name) => target[name]));
     const loading = Promise.all(indices.map((index) => parser.getDependency('accessor', index)));
     return loading.then((columns) => keepMoves(mesh, columns, names.length));
 }
@@ -425,14 +426,15 @@ function printIn(attribute) {
 }
 
 // Give a geometry the attributes that the shader reads.
-function adopt(geometry, method) {
+function adopt(geometry, options) {
     const adopted = state.geometries.get(geometry);
     if (adopted && !adopted.problem) {
         // What has been changed since is put right.
-        if (isIntact(geometry, adopted) && adopted.method === method) return adopted;
+        const isSame = adopted.options.method === options.method && adopted.options.cap === options.cap;
+        if (isIntact(geometry, adopted) && isSame) return adopted;
         forget(geometry);
     }
-    const made = madeOf(geometry, method);
+    const made = madeOf(geometry, options);
     state.geometries.set(geometry, made);
     if (made.problem) withoutOurs(geometry); // A clone has them.
     else count(geometry, made);
@@ -459,7 +461,7 @@ function uncount(adopted) {
     state.collected.unregister(adopted);
 }
 
-function madeOf(geometry, method) {
+function madeOf(geometry, options) {
     const metadata = geometry.userData.skinbake;
     const { attributes } = geometry;
     const problem = problemOfGeometry(geometry) || misfitOf(geometry, metadata);
@@ -476,16 +478,18 @@ function madeOf(geometry, method) {
         define(attributes, TANGENT, attributes.tangent, false);
         sources.push(['tangent', attributes.tangent]);
     }
-    const constants = constantsOf(geometry, method);
-    const storage = hasStorage(geometry, method) ? attributes[STORAGE] : storageOf(geometry, constants);
+    const constants = constantsOf(geometry, options);
+    const storage = hasStorage(geometry, options) ? attributes[STORAGE] : storageOf(geometry, constants);
     define(attributes, STORAGE, storage, true);
-    // Nothing reads these: WebGPURenderer makes other programs for geometries that have attributes of other names.
-    if (method === 'dqs') define(attributes, DUAL, storage, true);
+    const isDual = options.method === 'dqs';
     const targets = constants[3] ? [...geometry.morphAttributes.position] : [];
-    if (targets.length) define(attributes, MOVED, storage, true);
-    else delete attributes[MOVED]; // toJSON() has written it
-    const joints = method === 'dqs' ? jointsOf(attributes) : [];
-    return { problem: '', sources, targets, arrays, method, constants, joints, unfit: new WeakMap() };
+    // Nothing reads these: WebGPURenderer makes other programs for geometries that have attributes of other names.
+    for (const [name, isMeant] of [[DUAL, isDual], [CAPPED, options.cap], [MOVED, targets.length]]) {
+        if (isMeant) define(attributes, name, storage, true);
+        else delete attributes[name]; // toJSON() may have written it
+    }
+    const joints = isDual ? jointsOf(attributes) : [];
+    return { problem: '', sources, targets, arrays, options, constants, joints, unfit: new WeakMap() };
 }
 
 const TYPES = [Int8Array, Uint8Array, Int16Array, Uint16Array]; // as glTF numbers them, from 5120 on
@@ -596,18 +600,18 @@ function hasProduct(e, a, b, product) {
     return Math.abs(e[a] * e[b] + e[a + 1] * e[b + 1] + e[a + 2] * e[b + 2] - product) <= RIGID;
 }
 
-function constantsOf(geometry, method) {
+function constantsOf(geometry, { method, cap = 0 }) {
     const { encoding, scale, frame } = geometry.userData.skinbake;
-    return [encoding ? scale : 1, FRAMES[frame], METHODS[method], placeOf(geometry)];
+    return [encoding ? scale : 1, FRAMES[frame] + METHODS[method], cap, placeOf(geometry)];
 }
 
 const FOR_ALL = 1 << 30; // instances
 
 // Whether a geometry has the constants already, as a clone has.
-function hasStorage(geometry, method) {
+function hasStorage(geometry, options) {
     const { array, meshPerAttribute } = geometry.attributes[STORAGE] ?? {};
     if (geometry.isInstancedBufferGeometry || meshPerAttribute !== FOR_ALL) return false;
-    return constantsOf(geometry, method).every((value, index) => Math.fround(value) === array[index]);
+    return constantsOf(geometry, options).every((value, index) => Math.fround(value) === array[index]);
 }
 
 // One element for all vertices and instances. Where the attributes say how many instances there are, one for each
@@ -777,8 +781,8 @@ function meet(renderer, mesh, geometry) {
     // A mesh that is switched reads nothing of it.
     if (adopted && (adopted.problem || isSwitched(mesh) || isIntact(geometry, adopted))) return;
     forget(geometry);
-    const method = adopted?.method ?? methodOf(geometry);
-    if (method) adoptDrawn(renderer, mesh, geometry, method);
+    const options = adopted?.options ?? optionsOf(geometry);
+    if (options) adoptDrawn(renderer, mesh, geometry, options);
     else meetUnasked(mesh, geometry);
     // Without alpha and beta, the shader must not take it for a baked one.
     if (!state.geometries.has(geometry)) delete geometry.attributes[STORAGE];
@@ -802,24 +806,24 @@ function meetUnasked(mesh, geometry) {
     }
 }
 
-// Return the method of a geometry that was asked for, or of a clone of it: also one that toJSON() has written, whose
+// Return the options of a geometry that was asked for, or of a clone of it: also one that toJSON() has written, whose
 // metadata is another object.
-function methodOf({ attributes, userData: { skinbake } }) {
+function optionsOf({ attributes, userData: { skinbake } }) {
     if (!isObject(skinbake) || state.backends.size === 0) return undefined;
-    if (state.methods.has(skinbake)) return state.methods.get(skinbake);
+    if (state.options.has(skinbake)) return state.options.get(skinbake);
     if (!attributes[STORAGE]) return undefined;
-    return attributes[DUAL] ? 'dqs' : 'lbs';
+    return { method: attributes[DUAL] ? 'dqs' : 'lbs', cap: attributes[STORAGE].getZ(0) || undefined };
 }
 
 // WebGLRenderer does not upload attributes that come during a frame: then the next frame has them. Those of a clone
 // are there. WebGPURenderer needs all in this frame.
-function adoptDrawn(renderer, mesh, geometry, method) {
+function adoptDrawn(renderer, mesh, geometry, options) {
     const act = () => {
-        const adopted = adopt(geometry, method);
+        const adopted = adopt(geometry, options);
         if (adopted.problem) tell(mesh, adopted.problem);
         else tellOfMoves(mesh, adopted);
     };
-    if (renderer.isWebGLRenderer && !hasStorage(geometry, method)) queueMicrotask(act);
+    if (renderer.isWebGLRenderer && !hasStorage(geometry, options)) queueMicrotask(act);
     else act();
 }
 
@@ -850,7 +854,7 @@ function beforeShadow(renderer, object, camera, shadowCamera, geometry, material
     meet(renderer, this, geometry);
     prepare(renderer, this, geometry, material);
     const adopted = state.geometries.get(geometry);
-    if (renderer.isWebGLRenderer && adopted?.method === 'dqs') state.backends.get('webgl')?.renew(material);
+    if (renderer.isWebGLRenderer && adopted?.options?.method === 'dqs') state.backends.get('webgl')?.renew(material);
 }
 
 function afterShadow(renderer, object, camera, shadowCamera, geometry) {

@@ -10,6 +10,8 @@ export type DrawnLighting = 'accurate' | 'standard' | 'unlit' | 'not drawn';
 export interface SkinbakeOptions {
     /** Linear blending, which is three.js's own, or dual quaternions. */
     method?: 'lbs' | 'dqs';
+    /** The largest correction of a tangent, in parts of its length, from 1e-6 to 1e6. By default, none. */
+    cap?: number;
 }
 
 /** What one skinned mesh is drawn with. It is read from the program that drew it, and stays up to date. */
@@ -44,5 +46,6 @@ export class SkinbakePlugin implements GLTFLoaderPlugin {
     readonly name: string;
     readonly parser: GLTFParser;
     readonly method: 'lbs' | 'dqs';
+    readonly cap?: number;
     afterRoot(gltf: GLTF): Promise<void> | null;
 }

@@ -17,7 +17,7 @@ import {
     ShaderLib,
     SkinnedMesh,
 } from 'three';
-import { apply, applyToAll, DUAL, framedBy, MOVED, serve, sheetOf, watch } from './core.js';
+import { apply, applyToAll, CAPPED, DUAL, framedBy, MOVED, serve, sheetOf, watch } from './core.js';
 import {
     AFTER_ANISOTROPY,
     AFTER_FRAME,
@@ -26,6 +26,7 @@ import {
     AFTER_VARYINGS,
     BEFORE_NORMAL,
     BEFORE_POSITION,
+    CAP,
     DECLARATIONS,
     METHOD,
     VARYINGS,
@@ -38,26 +39,28 @@ export { dispose, lighting, report } from './core.js';
  * Doing it again repairs what was changed since.
  *
  * @param {Object3D} root - A scene, a model, or a mesh.
- * @param {{ method?: 'lbs' | 'dqs' }} [options] - Linear blending, as three.js has it, or dual quaternions.
+ * @param {{ method?: 'lbs' | 'dqs', cap?: number }} [options] - Linear blending, as three.js has it, or dual
+ * quaternions; and the largest correction of a tangent, in parts of its length. It has no limit by default.
  * @returns {MeshReport[]} What each skinned mesh is drawn with, baked or not. It stays up to date.
  */
-export function applySkinbake(root, { method = METHOD } = {}) {
+export function applySkinbake(root, { method = METHOD, cap = CAP } = {}) {
     serveWebGL();
-    return apply(root, method);
+    return apply(root, { method, cap });
 }
 
-/** A plugin of GLTFLoader: `loader.register((parser) => new SkinbakePlugin(parser))`. */
+/** A plugin of GLTFLoader, with the options of applySkinbake: `loader.register((parser) => new SkinbakePlugin(parser))`. */
 export class SkinbakePlugin {
-    constructor(parser, { method = METHOD } = {}) {
+    constructor(parser, { method = METHOD, cap = CAP } = {}) {
         this.name = 'SKINBAKE';
         this.parser = parser;
         this.method = method;
+        this.cap = cap;
     }
 
     // The report is in userData.skinbake of what the loader returns.
     afterRoot(gltf) {
         serveWebGL();
-        return applyToAll(gltf, this.parser, this.method);
+        return applyToAll(gltf, this.parser, this);
     }
 }
 
@@ -107,7 +110,8 @@ const failed = new WeakSet(); // materials whose program does not link with alph
 const unmapped = new WeakSet(); // materials whose program does not link with what normal maps need
 
 // With SKINBAKE_STANDARD, the program of a material is three.js's own. With the others, normal maps and anisotropy
-// follow the surface, and morph targets move the frame by their numbers. Materials that meshes share keep those.
+// follow the surface, morph targets move the frame by their numbers, and corrections are capped. Materials that meshes
+// share keep those.
 function choose(mesh, material, isSettled) {
     const { defines = {}, isRawShaderMaterial, isNodeMaterial } = material;
     if (isRawShaderMaterial || isNodeMaterial) return;
@@ -117,6 +121,7 @@ function choose(mesh, material, isSettled) {
         SKINBAKE_STANDARD: isSettled || failed.has(material),
         SKINBAKE_NORMAL_MAP: !unmapped.has(material) && (had('SKINBAKE_NORMAL_MAP') || framedBy(mesh, material) === 'tangent'),
         SKINBAKE_SHEET: !isShadow && (had('SKINBAKE_SHEET') || mesh.geometry.hasAttribute(MOVED)),
+        SKINBAKE_CAP: !isShadow && (had('SKINBAKE_CAP') || mesh.geometry.hasAttribute(CAPPED)),
     };
     // Of a page's own uniforms, which it may copy or write to a file, this one is no part.
     if (wanted.SKINBAKE_SHEET && material.isShaderMaterial) {

@@ -7,6 +7,7 @@
 // Basis, Revisited", JCGT 6(1), 2017.
 
 export const METHOD = 'lbs';
+export const CAP = undefined;
 
 export const DECLARATIONS = /* glsl */ `
 #if defined(USE_SKINNING) && !defined(SKINBAKE_STANDARD)
@@ -15,7 +16,7 @@ export const DECLARATIONS = /* glsl */ `
 attribute vec4 morphSkinbakeAlpha;
 attribute vec4 morphSkinbakeBeta;
 attribute vec4 morphSkinbakeTangent;
-attribute vec4 morphSkinbakeStorage; // scale; frame: 2 normal, 3 tangent; 1 for dual quaternions; row of the sheet
+attribute vec4 morphSkinbakeStorage; // scale; frame: 2 normal, 3 tangent, and 2 more for dual quaternions; cap; row of the sheet
 #ifdef SKINBAKE_SHEET
 uniform highp sampler2D skinbakeSheet; // of the numbers of morph targets, for all meshes
 
@@ -33,13 +34,36 @@ bool skinbake_isBaked()
 
 bool skinbake_hasTangentFrame()
 {
-    return morphSkinbakeStorage.y > 2.5;
+    return (int(morphSkinbakeStorage.y) & 1) == 1;
 }
 
 bool skinbake_hasDualQuaternions()
 {
-    return morphSkinbakeStorage.z > 0.5;
+    return morphSkinbakeStorage.y > 3.5;
 }
+
+#ifndef SKINBAKE_DERIVATIVE
+#define SKINBAKE_DERIVATIVE
+// The derivative of p + delta along t, if the mix b changes at the rate db. delta = k h, and i is as in the caller.
+vec3 skinbake_derivative(mat2x4 b, float k, vec3 p, vec3 i, vec3 delta, vec3 t, mat2x4 db)
+{
+    vec3 di = b[0].w * t + db[1].xyz + cross(b[0].xyz, t) + db[0].w * p + cross(db[0].xyz, p);
+    vec3 dh = b[0].w * db[1].xyz + cross(b[0].xyz, di) + cross(db[0].xyz, i)
+            + db[0].w * b[1].xyz - db[1].w * b[0].xyz - b[1].w * db[0].xyz - dot(b[0], db[0]) * delta;
+    return t + k * dh;
+}
+#endif
+
+#ifndef SKINBAKE_CAP // then no mesh of the material has a cap, and none costs anything
+#define SKINBAKE_CAPPED
+#define SKINBAKE_DERIVATIVE_CAPPED
+#define skinbake_capped(base, correction, cap) ((base) + (correction))
+
+vec3 skinbake_derivative(mat2x4 b, float k, vec3 p, vec3 i, vec3 delta, vec3 t, mat2x4 db, float cap)
+{
+    return skinbake_derivative(b, k, p, i, delta, t, db);
+}
+#endif
 
 
 #ifndef SKINBAKE_VERTEX
@@ -142,15 +166,28 @@ float skinbake_hemisphere(mat2x4 joint, mat2x4 pivot)
 }
 #endif
 
-#ifndef SKINBAKE_DERIVATIVE
-#define SKINBAKE_DERIVATIVE
+#ifndef SKINBAKE_CAPPED
+#define SKINBAKE_CAPPED
+// base + correction. The correction is shortened to at most cap * |base|.
+vec3 skinbake_capped(vec3 base, vec3 correction, float cap)
+{
+    float allowed = cap * cap * dot(base, base);
+    float square = dot(correction, correction);
+    bool too_long = square > allowed && allowed > 0.0;
+    return base + (too_long ? sqrt(allowed / square) : 1.0) * correction;
+}
+#endif
+
+#ifndef SKINBAKE_DERIVATIVE_CAPPED
+#define SKINBAKE_DERIVATIVE_CAPPED
 // The derivative of p + delta along t, if the mix b changes at the rate db. delta = k h, and i is as in the caller.
-vec3 skinbake_derivative(mat2x4 b, float k, vec3 p, vec3 i, vec3 delta, vec3 t, mat2x4 db)
+vec3 skinbake_derivative(mat2x4 b, float k, vec3 p, vec3 i, vec3 delta, vec3 t, mat2x4 db, float cap)
 {
     vec3 di = b[0].w * t + db[1].xyz + cross(b[0].xyz, t) + db[0].w * p + cross(db[0].xyz, p);
     vec3 dh = b[0].w * db[1].xyz + cross(b[0].xyz, di) + cross(db[0].xyz, i)
             + db[0].w * b[1].xyz - db[1].w * b[0].xyz - b[1].w * db[0].xyz - dot(b[0], db[0]) * delta;
-    return t + k * dh;
+    vec3 turn = cross(b[0].xyz, b[0].w * t + cross(b[0].xyz, t));
+    return skinbake_capped(t + k * turn, k * (dh - turn), cap);
 }
 #endif
 
@@ -178,8 +215,8 @@ skinbake_Vertex skinbake_dqs_exact(vec3 p, skinbake_Frame frame, mat2x4 Q[4], ve
     mat2x4 D3 = s3 * Q[3] - Q[0];
     mat2x4 db_t = alpha_0.x * D1 + alpha_0.y * D2 + alpha_0.z * D3; // 5
     mat2x4 db_b = beta_0.x * D1 + beta_0.y * D2 + beta_0.z * D3; // 6
-    v.tangent = skinbake_derivative(b, k, p, i, delta, frame.tangent, db_t); // 7
-    v.bitangent = skinbake_derivative(b, k, p, i, delta, frame.bitangent, db_b); // 8
+    v.tangent = skinbake_derivative(b, k, p, i, delta, frame.tangent, db_t, morphSkinbakeStorage.z); // 7
+    v.bitangent = skinbake_derivative(b, k, p, i, delta, frame.bitangent, db_b, morphSkinbakeStorage.z); // 8
     v.normal = frame.handedness * cross(v.tangent, v.bitangent); // 9
     vec3 carried = frame.normal + k * cross(b[0].xyz, b[0].w * frame.normal + cross(b[0].xyz,
             frame.normal)); // 10
@@ -305,6 +342,18 @@ vec3 skinbake_moved(mat4 M, vec3 p)
 }
 #endif
 
+#ifndef SKINBAKE_CAPPED
+#define SKINBAKE_CAPPED
+// base + correction. The correction is shortened to at most cap * |base|.
+vec3 skinbake_capped(vec3 base, vec3 correction, float cap)
+{
+    float allowed = cap * cap * dot(base, base);
+    float square = dot(correction, correction);
+    bool too_long = square > allowed && allowed > 0.0;
+    return base + (too_long ? sqrt(allowed / square) : 1.0) * correction;
+}
+#endif
+
 // The frame moves by the derivative of the skinned position along t0 and b0.
 // M: the joint matrices of slots 0 to 3.
 skinbake_Vertex skinbake_lbs_accurate(vec3 p, skinbake_Frame frame, mat4 M[4], vec4 weights_0, vec3 alpha_0,
@@ -322,8 +371,10 @@ skinbake_Vertex skinbake_lbs_accurate(vec3 p, skinbake_Frame frame, mat4 M[4], v
     vec3 d2 = q2 - q0;
     vec3 d3 = q3 - q0;
     skinbake_Vertex v;
-    v.tangent = T * frame.tangent + alpha_0.x * d1 + alpha_0.y * d2 + alpha_0.z * d3; // 4
-    v.bitangent = T * frame.bitangent + beta_0.x * d1 + beta_0.y * d2 + beta_0.z * d3; // 5
+    v.tangent = skinbake_capped(T * frame.tangent, alpha_0.x * d1 + alpha_0.y * d2 + alpha_0.z * d3,
+            morphSkinbakeStorage.z); // 4
+    v.bitangent = skinbake_capped(T * frame.bitangent, beta_0.x * d1 + beta_0.y * d2 + beta_0.z * d3,
+            morphSkinbakeStorage.z); // 5
     v.normal = frame.handedness * cross(v.tangent, v.bitangent); // 6
     v.position = q0 + weights_0.y * d1 + weights_0.z * d2 + weights_0.w * d3; // 7
     return v;

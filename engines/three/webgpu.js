@@ -46,10 +46,12 @@ import {
     normalViewGeometry,
     OnObjectUpdate,
     positionLocal,
+    positionPrevious,
     reference,
     referenceBuffer,
     select,
     skinning,
+    sqrt,
     tangentLocal,
     texture,
     textureSize,
@@ -67,6 +69,7 @@ import {
     applyToAll,
     ATTRIBUTES,
     BETA,
+    CAPPED,
     coordinatesOf,
     DUAL,
     framedBy,
@@ -89,26 +92,28 @@ const METHOD = 'lbs';
  * Doing it again repairs what was changed since.
  *
  * @param {Object3D} root - A scene, a model, or a mesh.
- * @param {{ method?: 'lbs' | 'dqs' }} [options] - Linear blending, as three.js has it, or dual quaternions.
+ * @param {{ method?: 'lbs' | 'dqs', cap?: number }} [options] - Linear blending, as three.js has it, or dual
+ * quaternions; and the largest correction of a tangent, in parts of its length. It has no limit by default.
  * @returns {MeshReport[]} What each skinned mesh is drawn with, baked or not. It stays up to date.
  */
-export function applySkinbake(root, { method = METHOD } = {}) {
+export function applySkinbake(root, { method = METHOD, cap } = {}) {
     serveWebGPU();
-    return apply(root, method);
+    return apply(root, { method, cap });
 }
 
-/** A plugin of GLTFLoader: `loader.register((parser) => new SkinbakePlugin(parser))`. */
+/** A plugin of GLTFLoader, with the options of applySkinbake: `loader.register((parser) => new SkinbakePlugin(parser))`. */
 export class SkinbakePlugin {
-    constructor(parser, { method = METHOD } = {}) {
+    constructor(parser, { method = METHOD, cap } = {}) {
         this.name = 'SKINBAKE';
         this.parser = parser;
         this.method = method;
+        this.cap = cap;
     }
 
     // The report is in userData.skinbake of what the loader returns.
     afterRoot(gltf) {
         serveWebGPU();
-        return applyToAll(gltf, this.parser, this.method);
+        return applyToAll(gltf, this.parser, this);
     }
 }
 
@@ -128,7 +133,7 @@ function choose(mesh, material, isPlain) {
     for (const one of new Set([mesh.material, material].flat())) one.needsUpdate = true;
 }
 
-// Scale; frame: 2 normal, 3 tangent; 1 for dual quaternions; row of the sheet.
+// Scale; frame: 2 normal, 3 tangent, and 2 more for dual quaternions; cap; row of the sheet.
 function constantsOf(object, isDual) {
     asked.set(object, isDual);
     const adopted = state.geometries.get(object.geometry);
@@ -168,35 +173,33 @@ function light(builder, position, normal) {
         passRelief(tangentLocal, cross(normalLocal, tangentLocal).mul(tangent.w), null);
     }
     If(constants.y.greaterThan(1.5), () => {
-        const isTangentFrame = constants.y.greaterThan(2.5);
+        const isTangentFrame = int(constants.y).bitAnd(1).equal(1).toVar();
         const rest = restFrame(tangent, isTangentFrame);
         const byNormal = geometry.morphAttributes.normal ? morphed(rest, normal) : rest;
         const frame = geometry.hasAttribute(MOVED) ? movedFrame(object, rest, byNormal, constants.w) : byNormal;
         const bind = reference('bindMatrix', 'mat4');
         const back = reference('bindMatrixInverse', 'mat4');
         const turned = (matrix, vector) => matrix.mul(vec4(vector, 0)).xyz;
-        const moved = {
-            position: bind.mul(vec4(position, 1)).xyz.toVar(),
-            tangent: turned(bind, frame.tangent).toVar(),
-            bitangent: turned(bind, frame.bitangent).toVar(),
-        };
-        const bones = boneMatrices(builder);
-        const stored = gradients(builder);
+        const inBind = bind.mul(vec4(position, 1)).xyz.toVar();
         const joints = attribute('skinIndex', 'uvec4');
-        const slots = {
-            M: [joints.x, joints.y, joints.z, joints.w].map((joint) => bones.element(joint).toVar()),
-            weights: attribute('skinWeight', 'vec4'),
-            alpha: decoded(stored(0), constants.x),
-            beta: decoded(stored(1), constants.x),
-        };
-        const found = isDual ? dualQuaternions(moved, slots) : blended(moved, slots);
-        if (isDual) positionLocal.assign(back.mul(vec4(found.position, 1)).xyz);
-        const image = turned(back, found.tangent).toVar();
-        const other = turned(back, found.bitangent).toVar();
+        const matricesOf = (bones) => parts(joints).map((joint) => bones.element(joint).toVar());
+        const stored = gradients(builder);
+        const weights = attribute('skinWeight', 'vec4');
+        const cap = geometry.hasAttribute(CAPPED) ? constants.z : null;
+        const move = isDual ? dualQuaternions : blended;
+        const moved = move(inBind, matricesOf(boneMatrices(builder, 'bone')), weights, cap);
+        if (isDual) positionLocal.assign(back.mul(vec4(moved.position, 1)).xyz);
+        if (isDual && builder.needsPreviousData()) {
+            const before = move(inBind, matricesOf(boneMatrices(builder, 'previousBone')), weights);
+            positionPrevious.assign(back.mul(vec4(before.position, 1)).xyz);
+        }
+        const alongOf = (vector, which) => moved.along(turned(bind, vector).toVar(), decoded(stored(which), constants.x));
+        const image = turned(back, alongOf(frame.tangent, 0)).toVar();
+        const other = turned(back, alongOf(frame.bitangent, 1)).toVar();
         normalLocal.assign(cross(image, other).mul(frame.handedness));
         if (tangent && hasRelief(builder)) {
             if (isDual || geometry.hasAttribute(MOVED)) {
-                carried.assign(turned(back, found.carried(turned(bind, frame.normal))));
+                carried.assign(turned(back, moved.carried(turned(bind, frame.normal))));
             }
             const first = cross(other, carried).mul(frame.handedness).toVar();
             const second = cross(carried, image).mul(frame.handedness).toVar();
@@ -393,15 +396,19 @@ function movedFrame(mesh, rest, byNormal, place) {
     };
 }
 
-function boneMatrices(builder) {
+// Return what reads the joints of a skeleton: kind is bone, or previousBone for those of the frame before.
+function boneMatrices(builder, kind) {
     const { skeleton } = builder.object;
+    const isOurs = kind === 'previousBone' && keepPrevious(builder.object);
     const count = skeleton.bones.length;
-    if (count * 64 <= builder.getUniformBufferLimit()) return referenceBuffer('skeleton.boneMatrices', 'mat4', count);
+    if (isOurs || count * 64 <= builder.getUniformBufferLimit()) {
+        return referenceBuffer(`skeleton.${kind}Matrices`, 'mat4', count);
+    }
     if (skeleton.boneTexture === null) skeleton.computeBoneTexture();
-    const matrices = texture(skeleton.boneTexture);
+    const matrices = texture(skeleton[`${kind}Texture`]);
     OnObjectUpdate(({ object }) => {
         if (object.skeleton.boneTexture === null) object.skeleton.computeBoneTexture();
-        matrices.value = object.skeleton.boneTexture;
+        matrices.value = object.skeleton[`${kind}Texture`];
     });
     const element = (index) => {
         const size = int(textureSize(matrices).x).toVar();
@@ -413,27 +420,56 @@ function boneMatrices(builder) {
     return { element };
 }
 
+const latest = new WeakMap(); // skeleton -> { frameId, matrices } of its last frame
+
+// Keep the joints of the frame before, which three.js does itself from 0.187 on. Return whether that is done here. It comes
+// after three.js's skinning, which moves the joints.
+function keepPrevious({ skeleton }) {
+    if (skeleton.previousBoneMatrices !== undefined && !latest.has(skeleton)) return false;
+    const act = (kept, frameId) => {
+        const { boneMatrices } = kept;
+        if (!latest.has(kept)) {
+            kept.previousBoneMatrices = boneMatrices.slice();
+            latest.set(kept, { frameId, matrices: boneMatrices.slice() });
+        }
+        const last = latest.get(kept);
+        if (last.frameId === frameId) return;
+        kept.previousBoneMatrices.set(last.matrices);
+        last.matrices.set(boneMatrices);
+        last.frameId = frameId;
+    };
+    act(skeleton);
+    OnObjectUpdate(({ object, frameId }) => act(object.skeleton, frameId));
+    return true;
+}
+
+// base + correction. The correction is shortened to at most cap * |base|, if there is a cap.
+function capped(base, correction, cap) {
+    if (!cap) return base.add(correction);
+    const allowed = cap.mul(cap).mul(dot(base, base)).toVar();
+    const square = dot(correction, correction).toVar();
+    const isTooLong = square.greaterThan(allowed).and(allowed.greaterThan(0));
+    return base.add(correction.mul(select(isTooLong, sqrt(allowed.div(square)), float(1))));
+}
+
 const sum = (terms) => terms.reduce((total, term) => total.add(term));
 const parts = (vector) => [vector.x, vector.y, vector.z, vector.w];
 
 // The frame moves by the derivative of the skinned position along t0 and b0: algorithm 3.
-function blended({ position, tangent, bitangent }, { M, weights, alpha, beta }) {
+function blended(position, M, weights, cap) {
     const w = parts(weights);
     const q = M.map((matrix) => matrix.mul(vec4(position, 1)).xyz.toVar());
     const d = q.slice(1).map((one) => one.sub(q[0]).toVar());
+    const carried = (n) => sum(M.map((matrix, slot) => matrix.mul(vec4(n, 0)).xyz.mul(w[slot]))).toVar();
     const along = (vector, slopes) =>
-        sum([
-            ...M.map((matrix, slot) => matrix.mul(vec4(vector, 0)).xyz.mul(w[slot])),
-            ...d.map((one, slot) => one.mul(parts(slopes)[slot])),
-        ]).toVar();
-    const carried = (n) => sum(M.map((matrix, slot) => matrix.mul(vec4(n, 0)).xyz.mul(w[slot])));
-    return { tangent: along(tangent, alpha), bitangent: along(bitangent, beta), carried };
+        capped(carried(vector), sum(d.map((one, slot) => one.mul(parts(slopes)[slot]))).toVar(), cap).toVar();
+    return { along, carried };
 }
 
 // The frame moves by the derivative of the blended motion: algorithm 6 of skinbake. A parent of the skeleton may
 // scale, shear or mirror all joints alike. The motions that the inverse of M[0] leaves are rigid even so. They are
 // blended, and M[0] moves the result: for rigid joints that is the same blend.
-function dualQuaternions({ position: p, tangent, bitangent }, { M, weights, alpha, beta }) {
+function dualQuaternions(p, M, weights, cap) {
     const columns = (matrix) => [0, 1, 2, 3].map((column) => matrix.element(column).xyz);
     const [a, b, c, origin] = columns(M[0]).map((column) => column.toVar());
     const cofactors = [cross(b, c), cross(c, a), cross(a, b)].map((column) => column.toVar());
@@ -459,6 +495,7 @@ function dualQuaternions({ position: p, tangent, bitangent }, { M, weights, alph
     const i = p.mul(mix.real.w).add(mix.dual.xyz).add(cross(mix.real.xyz, p)).toVar();
     const shift = mix.dual.xyz.mul(mix.real.w).sub(mix.real.xyz.mul(mix.dual.w));
     const delta = shift.add(cross(mix.real.xyz, i)).mul(k).toVar();
+    const turn = (n) => cross(mix.real.xyz, n.mul(mix.real.w).add(cross(mix.real.xyz, n))).toVar();
     const along = (t, slopes) => {
         const differences = near.slice(1).map((one) => ({
             real: one.real.sub(near[0].real),
@@ -478,14 +515,12 @@ function dualQuaternions({ position: p, tangent, bitangent }, { M, weights, alph
             .sub(mix.real.xyz.mul(dual.w))
             .sub(real.xyz.mul(mix.dual.w))
             .sub(delta.mul(dot(mix.real, real)));
-        return forth(t.add(dh.mul(k)).toVar());
+        if (!cap) return forth(t.add(dh.mul(k)).toVar());
+        const own = turn(t);
+        return forth(capped(t.add(own.mul(k)).toVar(), dh.sub(own).mul(k).toVar(), cap));
     };
-    const moved = forth(p.add(delta).toVar()).add(origin);
-    const carried = (n) => {
-        const turn = cross(mix.real.xyz, n.mul(mix.real.w).add(cross(mix.real.xyz, n)));
-        return forth(n.add(turn.mul(k)).toVar());
-    };
-    return { position: moved, tangent: along(tangent, alpha), bitangent: along(bitangent, beta), carried };
+    const carried = (n) => forth(n.add(turn(n).mul(k)).toVar());
+    return { position: forth(p.add(delta).toVar()).add(origin), along, carried };
 }
 
 // Of the rotation with columns a, b, c, then the shift t.

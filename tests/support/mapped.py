@@ -125,24 +125,39 @@ def relief_seen(
     """Return normals (P, 3) of the pixels that a page has drawn, in the world, and what they should be.
 
     drawn (H, W, 4) are normals in view space, row by row from the top, and 1 where there is any. The third
-    result interpolates vectors of vertices (V, 3) in these pixels. Beside edges of triangles, a pixel may be
-    that of either: they are left out.
+    result interpolates vectors of vertices (V, 3) in these pixels.
     """
-    (projection, view), (height, width) = camera, drawn.shape[:2]
-    points = np.insert(character.positions(placement, algorithm), 3, 1, axis=1) @ (projection @ view).T
-    places = (points[:, :3] * [1, -1, 1] * 0.5 + 0.5) * [width, height, 1]
-    mirrors = bool(np.linalg.det(placement.world[:3, :3]) < 0)
-    covered, corners, shares = covering(
-        places, points[:, 3], character.triangles, (width, height), clockwise=mirrors
-    )
-    both = eroded(covered & (drawn[..., 3] == 1), 1) & (shares.min(axis=-1) > 0.01)
-    assert both.mean() > 0.1
+    view = camera[1]
+    both, corners, shares = covered_by(character, algorithm, placement, camera, drawn[..., 3] == 1)
     expected = pixels(columns(character, algorithm, placement), texel, corners, shares)
 
     def between(vectors: Array) -> Array:
         return np.asarray(np.einsum("pk,pki->pi", shares[both], vectors[corners[both]]))
 
     return np.asarray(drawn[both][:, :3] @ view[:3, :3], np.float64), expected[both], between
+
+
+def covered_by(
+    character: Character,
+    algorithm: Algorithm,
+    placement: Placement,
+    camera: tuple[Array, Array],
+    seen: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, Array]:
+    """Return which of the seen pixels (H, W) are of one triangle, its corners, and their shares (H, W, 3).
+
+    Beside edges of triangles, a pixel may be that of either: they are left out.
+    """
+    (projection, view), (height, width) = camera, seen.shape
+    points = np.insert(character.positions(placement, algorithm), 3, 1, axis=1) @ (projection @ view).T
+    places = (points[:, :3] * [1, -1, 1] * 0.5 + 0.5) * [width, height, 1]
+    mirrors = bool(np.linalg.det(placement.world[:3, :3]) < 0)
+    covered, corners, shares = covering(
+        places, points[:, 3], character.triangles, (width, height), clockwise=mirrors
+    )
+    both = eroded(covered & seen, 1) & (shares.min(axis=-1) > 0.01)
+    assert both.mean() > 0.1
+    return both, corners, shares
 
 
 def with_relief(folder: Path, texel: tuple[int, ...]) -> Path:

@@ -25,10 +25,10 @@ const camera = new THREE.PerspectiveCamera(); // At the origin: view space is th
 
 const draco = new DRACOLoader().setDecoderPath('/three/examples/jsm/libs/draco/gltf/');
 
-async function load({ url, pose = {}, plugin = true, vrm = false, method, morphs }) {
+async function load({ url, pose = {}, plugin = true, vrm = false, method, cap, morphs }) {
     const loader = new GLTFLoader().setDRACOLoader(draco).setMeshoptDecoder(MeshoptDecoder);
     if (vrm) loader.register((parser) => new VRMLoaderPlugin(parser));
-    if (plugin) loader.register((parser) => new skinbake.SkinbakePlugin(parser, { method }));
+    if (plugin) loader.register((parser) => new skinbake.SkinbakePlugin(parser, { method, cap }));
     const gltf = await loader.loadAsync(url);
     for (const mesh of posed(gltf, pose, morphs)) mesh.frustumCulled = false;
     return gltf;
@@ -595,6 +595,8 @@ const api = {
             batched,
             instanced: new THREE.InstancedMesh(geometry, material, 1),
             still: new THREE.Mesh(geometry, material),
+            // As InstancedMesh2 of a library, which skins by chunks: nothing is told of it.
+            skinning: Object.assign(new THREE.Mesh(geometry, material), { skeleton: mesh.skeleton }),
         };
         for (const [name, object] of Object.entries(added)) scene.add(Object.assign(object, { name }));
         skinbake.applySkinbake(scene);

@@ -1,7 +1,7 @@
 // What the tests of WebGPURenderer call in the browser: characters drawn as a page draws them, by either backend.
 
 import * as THREE from 'three/webgpu';
-import { normalView, positionLocal, vec3, vec4 } from 'three/tsl';
+import { mrt, normalView, output, positionLocal, vec3, vec4, velocity } from 'three/tsl';
 import { WebGLRenderer } from 'three';
 import { GLTFLoader } from 'three/addons/loaders/GLTFLoader.js';
 import { CSMShadowNode } from 'three/addons/csm/CSMShadowNode.js';
@@ -32,9 +32,9 @@ async function rendererOf(backend) {
     return renderers[backend];
 }
 
-async function load({ url, pose = {}, plugin = true, method, morphs }) {
+async function load({ url, pose = {}, plugin = true, method, cap, morphs }) {
     const loader = new GLTFLoader();
-    if (plugin) loader.register((parser) => new skinbake.SkinbakePlugin(parser, { method }));
+    if (plugin) loader.register((parser) => new skinbake.SkinbakePlugin(parser, { method, cap }));
     const gltf = await loader.loadAsync(url);
     for (const mesh of posed(gltf, pose, morphs)) mesh.frustumCulled = false;
     return gltf;
@@ -119,6 +119,27 @@ const MATERIALS = {
     positioned: () => new THREE.MeshStandardNodeMaterial({ positionNode: positionLocal.add(vec3(1, 0, 0)) }),
 };
 
+function cameraOf(half, view) {
+    const camera = new THREE.OrthographicCamera(-half, half, half, -half, -half, half);
+    camera.matrixAutoUpdate = camera.matrixWorldAutoUpdate = false;
+    camera.matrixWorldInverse.fromArray(view);
+    camera.matrixWorld.copy(camera.matrixWorldInverse).invert();
+    camera.matrix.copy(camera.matrixWorld);
+    return camera;
+}
+
+// Let a renderer take uniform buffers for small, if bytes are given. Return what undoes it.
+function limitUniforms({ backend }, bytes) {
+    const { createNodeBuilder } = backend;
+    if (bytes) {
+        backend.createNodeBuilder = function (...parameters) {
+            const getUniformBufferLimit = () => bytes;
+            return Object.assign(createNodeBuilder.apply(this, parameters), { getUniformBufferLimit });
+        };
+    }
+    return () => (backend.createNodeBuilder = createNodeBuilder);
+}
+
 const api = {
     // The normal of the fragment shader at every pixel, with one texel as normal map. camera: { half, view }; roots: where
     // the model is, and where others of the same geometry and material are, at rest, before it and after it.
@@ -138,11 +159,7 @@ const api = {
             const other = parented(scene, another, { root });
             Object.assign(other, { geometry: mesh.geometry, material: mesh.material, renderOrder: 2 * number - 1 });
         }
-        const camera = new THREE.OrthographicCamera(-half, half, half, -half, -half, half);
-        camera.matrixAutoUpdate = camera.matrixWorldAutoUpdate = false;
-        camera.matrixWorldInverse.fromArray(view);
-        camera.matrixWorld.copy(camera.matrixWorldInverse).invert();
-        camera.matrix.copy(camera.matrixWorld);
+        const camera = cameraOf(half, view);
         const target = new THREE.RenderTarget(size, size, { type: THREE.FloatType });
         renderer.setRenderTarget(target);
         renderer.setClearColor(0x000000, 0);
@@ -162,6 +179,39 @@ const api = {
         };
     },
 
+    // The velocity at every pixel, which temporal passes read, in the last of two frames with a pose each. Another
+    // character of the file has other joints beside it. camera: { half, view }.
+    async velocities({ backend, poses, camera: { half, view }, size, uniformBytes, lighting, ...options }) {
+        const renderer = await rendererOf(backend);
+        const restore = limitUniforms(renderer, uniformBytes);
+        const gltf = await load(options);
+        const scene = new THREE.Scene();
+        const other = SkeletonUtils.clone(gltf.scene);
+        other.position.x = 1000;
+        skinnedMeshes(other).forEach((mesh) => (mesh.frustumCulled = false));
+        scene.add(other, gltf.scene);
+        if (lighting) skinbake.lighting(scene, lighting);
+        const target = new THREE.RenderTarget(size, size, { count: 2, type: THREE.FloatType });
+        ['output', 'velocity'].forEach((name, index) => (target.textures[index].name = name));
+        renderer.setRenderTarget(target);
+        renderer.setMRT(mrt({ output, velocity }));
+        renderer.setClearColor(0x000000, 0);
+        const camera = cameraOf(half, view);
+        for (const pose of [poses[0], poses[0], ...poses]) {
+            posed(gltf, pose);
+            renderer.render(scene, camera);
+            await new Promise(requestAnimationFrame); // Joints are moved once for each of them.
+        }
+        const [colour, image] = await Promise.all(
+            [0, 1].map((texture) => renderer.readRenderTargetPixelsAsync(target, 0, 0, size, size, texture)),
+        );
+        renderer.setMRT(null);
+        renderer.setRenderTarget(null);
+        restore();
+        skinbake.dispose(scene);
+        return { colour: base64(colour), image: base64(image), isFromTop: renderer.backend.isWebGPUBackend === true };
+    },
+
     changes: () => Object.keys(CHANGES),
 
     // The backend that a renderer really has.
@@ -173,13 +223,7 @@ const api = {
     // The normals of a character as its vertex stage hands them on.
     async normals({ material = 'own', lighting, backend = 'webgl', change, uniformBytes, ...options }) {
         const renderer = await rendererOf(backend);
-        const { createNodeBuilder } = renderer.backend;
-        if (uniformBytes) {
-            renderer.backend.createNodeBuilder = function (...parameters) {
-                const getUniformBufferLimit = () => uniformBytes;
-                return Object.assign(createNodeBuilder.apply(this, parameters), { getUniformBufferLimit });
-            };
-        }
+        const restore = limitUniforms(renderer, uniformBytes);
         const { scene: model } = await load(options);
         const scene = new THREE.Scene();
         scene.add(model, new THREE.DirectionalLight());
@@ -193,7 +237,7 @@ const api = {
             CHANGES[change]({ scene, model, mesh, renderer });
         }
         const draws = (await draw(renderer, scene, camera)).map(({ values }) => base64(values));
-        renderer.backend.createNodeBuilder = createNodeBuilder;
+        restore();
         renderer.shadowMap.enabled = false;
         const world = mesh.matrixWorld.toArray();
         const report = skinbake.applySkinbake(scene).map((one) => [one.lighting, one.reason]);

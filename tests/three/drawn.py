@@ -102,10 +102,13 @@ def vectors(text: str) -> Array:
 
 
 def expected(
-    character: Character, world: list[float], algorithm: Algorithm = Algorithm.LBS_ACCURATE
+    character: Character,
+    world: list[float],
+    algorithm: Algorithm = Algorithm.LBS_ACCURATE,
+    cap: float | None = None,
 ) -> Array:
     placement = dataclasses.replace(Placement(), world=np.array(world).reshape(4, 4).T)
-    return character.expected(algorithm, placement).normals
+    return character.expected(algorithm, placement, cap=cap).normals
 
 
 def in_clip_space(character: Character, found: dict[str, Any], algorithm: Algorithm) -> Array:
@@ -185,6 +188,31 @@ def placed_by(root: Array, other: Array | None, *, detached: bool) -> dict[str, 
     """Return what the pages' ``parented`` needs."""
     told = {"method": "dqs", "root": column_by_column(root), "detached": detached}
     return told if other is None else told | {"other": column_by_column(other)}
+
+
+CAP = 0.3
+
+
+def check_cap(stage: Stage, method: str, frame: str, **options: object) -> None:
+    """Draw a character whose tangents are corrected by at most ``CAP`` times their length."""
+    character = stage.character(MIRRORED, RANDOM, frame)
+    found = stage.normals(character, method=method, cap=CAP, **options)
+    algorithm = Algorithm.LBS_ACCURATE if method == "lbs" else Algorithm.DQS_EXACT
+    free, wanted = (expected(character, found["world"], algorithm, cap) for cap in (None, CAP))
+    assert angles(free, wanted).max() > 100 * DEGREES
+    assert largest(found["draws"][-1], wanted) < DEGREES
+
+
+def check_caps_apart(stage: Stage, **options: object) -> None:
+    """Draw characters that share a material, each with a cap of its own, or with none."""
+    character = stage.character(MIRRORED, RANDOM, "normal")
+    caps = (CAP, None, 2 * CAP)
+    told = [{**character.told(Placement()), **({"cap": cap} if cap else {})} for cap in caps]
+    draws = stage.call("together", {"characters": told, **options})
+    wanted = [expected(character, np.eye(4).ravel().tolist(), cap=cap) for cap in caps]
+    assert [largest(drawn, normals) < DEGREES for drawn, normals in zip(draws, wanted, strict=True)] == [
+        True
+    ] * 3
 
 
 def largest(found: str, wanted: Array) -> float:

@@ -50,11 +50,10 @@ export function stretch(root, isStretched) {
     bones.at(-2).scale.set(1, isStretched ? 1.3 : 1, 1);
 }
 
-let later = 0;
-const now = performance.now.bind(performance);
-performance.now = () => now() + later;
+let moment = performance.now();
+performance.now = () => moment;
 
-// Let so many milliseconds pass at once for all that asks performance.now().
+// Let so many milliseconds pass for all that asks performance.now(). Else none pass, however slow the machine is.
 export function pass(milliseconds) {
-    later += milliseconds;
+    moment += milliseconds;
 }

@@ -44,6 +44,8 @@ from tests.three.drawn import (
     STRETCHED,
     TUBE,
     ThreeStage,
+    check_cap,
+    check_caps_apart,
     deviations_below,
     expected,
     largest,
@@ -236,6 +238,26 @@ def test_characters_that_share_a_material_have_their_own_numbers(stage: ThreeSta
         wanted = expected(character, np.eye(4).ravel().tolist())
         found = vectors(drawn)
         assert angles(found, wanted[: len(found)])[clear[: len(found)]].max() < DEGREES
+
+
+@pytest.mark.parametrize("change", ["nothing", "toJSON()"])
+@pytest.mark.parametrize("frame", ["normal", "tangent"])
+@pytest.mark.parametrize("method", ["lbs", "dqs"])
+def test_a_cap_limits_how_tangents_are_corrected(
+    stage: ThreeStage, method: str, frame: str, change: str
+) -> None:
+    check_cap(stage, method, frame, change=change)
+
+
+def test_characters_that_share_a_material_have_caps_of_their_own(stage: ThreeStage) -> None:
+    check_caps_apart(stage)
+
+
+@pytest.mark.parametrize("cap", [0, -1, 10000000, "much"])
+def test_a_cap_that_limits_nothing_or_is_no_number_is_refused(stage: ThreeStage, cap: object) -> None:
+    told = stage.character(TUBE, BENT).told(Placement())
+    with pytest.raises(RuntimeError, match=f"skinbake: cap {cap} is not a number from 0.000001 to 1000000"):
+        stage.call("normals", {**told, "cap": cap})
 
 
 @pytest.mark.parametrize("frame", ["normal", "tangent"])

@@ -28,7 +28,7 @@ from tests.support.characters import (
     by_numbers,
     column_by_column,
 )
-from tests.support.mapped import TEXELS, look_at, relief_seen
+from tests.support.mapped import TEXELS, covered_by, look_at, relief_seen
 from tests.support.node import package_folder, require_node
 from tests.support.stage import opened_page, page_of, require_backend
 from tests.three.drawn import (
@@ -44,6 +44,8 @@ from tests.three.drawn import (
     STRETCHED,
     TUBE,
     ThreeStage,
+    check_cap,
+    check_caps_apart,
     deviations_below,
     expected,
     largest,
@@ -174,6 +176,22 @@ def test_characters_that_share_a_material_have_their_own_numbers(stage: ThreeSta
         wanted = expected(character, np.eye(4).ravel().tolist())
         found = vectors(drawn)
         assert angles(found, wanted[: len(found)])[clear[: len(found)]].max() < DEGREES
+
+
+@pytest.mark.parametrize("frame", ["normal", "tangent"])
+@pytest.mark.parametrize("method", ["lbs", "dqs"])
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_cap_limits_how_tangents_are_corrected(
+    stage: ThreeStage, method: str, frame: str, backend: str
+) -> None:
+    require_backend(stage, backend)
+    check_cap(stage, method, frame, backend=backend)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_characters_that_share_a_material_have_caps_of_their_own(stage: ThreeStage, backend: str) -> None:
+    require_backend(stage, backend)
+    check_caps_apart(stage, backend=backend)
 
 
 @pytest.mark.parametrize("frame", ["normal", "tangent"])
@@ -499,6 +517,56 @@ def test_a_relief_at_rest_is_three_s_own(stage: ThreeStage, frame: str) -> None:
     assert angles(own, wanted).max() < RELIEF_DEGREES
 
 
+MOVES = [Pose(0, 0.2), Pose(0, 0.45)]
+
+
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [
+        ("lbs", {}),
+        ("dqs", {}),
+        ("dqs", {"uniformBytes": 64}),
+        ("dqs", {"lighting": "standard"}),
+    ],
+    ids=["lbs", "dqs", "joints from a texture", "switched"],
+)
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_velocities_are_from_where_the_same_skinning_had_the_vertices(
+    stage: ThreeStage, backend: str, method: str, options: dict[str, object]
+) -> None:
+    """In clip space from y up, as three.js has them for TRAA and motion blur."""
+    require_backend(stage, backend)
+    before, now = (stage.character(TUBE, pose) for pose in MOVES)
+    projection, view = look_at(now, Placement(), (0.4, 0.5, 1.0))
+    told = [character.told(Placement()) for character in (before, now)]
+    camera = {"half": 1 / projection[0, 0], "view": view.T.ravel().tolist()}
+    given = {"url": told[1]["url"], "poses": [one["pose"] for one in told], "camera": camera}
+    found = stage.call(
+        "velocities", {**given, "size": RELIEF, "backend": backend, "method": method, **options}
+    )
+    drawn, colours = (
+        np.frombuffer(base64.b64decode(found[name]), "<f4").reshape(RELIEF, RELIEF, 4)
+        for name in ("image", "colour")
+    )
+    if not found["isFromTop"]:
+        drawn, colours = drawn[::-1], colours[::-1]
+    dual = method == "dqs" and "lighting" not in options
+    own, other = Algorithm.LBS_ACCURATE, Algorithm.DQS_EXACT
+    own, other = (other, own) if dual else (own, other)
+    seen, corners, shares = covered_by(now, own, Placement(), (projection, view), colours[..., 3] == 1)
+
+    def moved(to: Algorithm, origin: Algorithm) -> Array:
+        moves = now.positions(Placement(), to) - before.positions(Placement(), origin)
+        planar = moves @ (projection @ view)[:2, :3].T
+        return np.asarray(np.einsum("pk,pki->pi", shares[seen], planar[corners[seen]]))
+
+    velocities = drawn[seen][:, :2]
+    assert np.abs(velocities - moved(own, own)).max() < VELOCITY
+    assert np.abs(moved(own, other) - moved(own, own)).max() > 5 * VELOCITY
+
+
+VELOCITY = 1e-3
+"""Of clip coordinates. They change from pixel to pixel, and SwiftShader rounds the vertices."""
 RELIEF_DEGREES = 0.2
 RELIEF = 160
 

@@ -7,10 +7,10 @@ import { applySkinbake as applyToNodes } from 'skinbake-three/webgpu';
 
 export async function show(scene: Scene): Promise<string[]> {
     const loader = new GLTFLoader();
-    loader.register((parser) => new SkinbakePlugin(parser, { method: 'dqs' }));
+    loader.register((parser) => new SkinbakePlugin(parser, { method: 'dqs', cap: 0.9 }));
     const gltf = await loader.loadAsync('hero.glb');
     scene.add(gltf.scene);
-    const found: MeshReport[] = [...applySkinbake(scene, { method: 'lbs' }), ...report(scene)];
+    const found: MeshReport[] = [...applySkinbake(scene, { method: 'lbs', cap: 0.9 }), ...report(scene)];
     applyToNodes(scene);
     lighting(scene, 'standard');
     dispose(scene);

@@ -117,12 +117,16 @@ def shader_made(choices: ShaderChoices, *, package: bool = False) -> tuple[str, 
     made = choices
 
     def text_for(
-        reads: Sequence[str] = (), morphs: str | None = None, also: Sequence[str] = (), **changes: Any
+        reads: Sequence[str] = (),
+        morphs: str | None = None,
+        also: Sequence[str] = (),
+        cap_as: str = "",
+        **changes: Any,
     ) -> dict[str, Any]:
         nonlocal made
         made = choices if morphs is None else replace(choices, morphs=Morphs(morphs))
         kinds = {name: ENUMERATIONS[name](word) for name, word in changes.items() if name in ENUMERATIONS}
-        return _text_for(replace(made, **{**changes, **kinds}), reads, also)
+        return _text_for(replace(made, **{**changes, **kinds}), reads, also, cap_as)
 
     languages = targets().get(choices.target, ())
     if choices.language not in languages:
@@ -139,12 +143,14 @@ def shader_made(choices: ShaderChoices, *, package: bool = False) -> tuple[str, 
     return text, made
 
 
-def _text_for(choices: ShaderChoices, reads: Sequence[str], also: Sequence[str] = ()) -> dict[str, Any]:
+def _text_for(
+    choices: ShaderChoices, reads: Sequence[str], also: Sequence[str], cap_as: str
+) -> dict[str, Any]:
     """Return the parts of a target's file: header, inputs, usage, snippet, and its parts by template.
 
     reads are the encodings and layouts that the code of the target can read, by the functions in the snippet.
     All targets read attributes of floats, of any names. Raises ChoiceError for other storage. ``also`` are
-    further templates of the snippet.
+    further templates of the snippet. ``cap_as`` is an expression of the cap when the shader runs, if any.
     """
     needed = [str(choices.encoding)] if choices.decodes else []
     needed += [str(choices.layout)] if choices.assembles else []
@@ -152,7 +158,7 @@ def _text_for(choices: ShaderChoices, reads: Sequence[str], also: Sequence[str] 
         why = f"it reads alpha and beta as floats in their own attributes, not {choices.storage_words[2:]}"
         reason = (f": {why}; use ", Chosen("target", "plain"), ", or bake with the defaults")
         raise ChoiceError("target", choices.target, reason=reason, also=("encoding", "layout"))
-    context = _context(choices)
+    context = _context(choices, cap_as)
     language = choices.language
     wanted = [(name, context) for name in ("vertex", f"frame_{choices.frame}", *also)]
     usage = f"{language}/usage.txt"
@@ -231,7 +237,7 @@ def _broken(line: str) -> str:
     return "\n".join([*lines, line])
 
 
-def _context(choices: ShaderChoices) -> dict[str, Any]:
+def _context(choices: ShaderChoices, cap_as: str = "") -> dict[str, Any]:
     """Return all values for the templates."""
     slots = []
     for index in range(choices.influences):
@@ -260,13 +266,14 @@ def _context(choices: ShaderChoices) -> dict[str, Any]:
     blend = ["blend" if choices.is_corrected else "blend.x"] if choices.method is Method.BLEND else []
     arguments = ["position", "frame", *motions, *(name for _, name in weights), *given, *blend]
     stored = storage_context(choices)
+    cap = cap_as if cap_as or choices.cap is None else _number(choices.cap)
 
     def corrected(base: str, correction: str) -> str:
         if not others:
             return base
         if choices.cap is None:
             return f"{base} + {correction}"
-        return f"skinbake_capped({base}, {correction}, {_number(choices.cap)})"
+        return f"skinbake_capped({base}, {correction}, {cap})"
 
     def dual(gradient: str) -> str:
         if choices.morphs.moves_frame:
@@ -288,6 +295,7 @@ def _context(choices: ShaderChoices) -> dict[str, Any]:
         "influences": choices.influences,
         "frame": choices.frame,
         "cap": choices.cap,
+        "cap_text": cap,
         "mirrored_joints": choices.mirrored_joints,
         "scaled_joints": choices.scaled_joints,
         "dual_stem": choices.both[1].stem if choices.method is Method.BLEND else "",

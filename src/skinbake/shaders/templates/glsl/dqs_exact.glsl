@@ -16,8 +16,8 @@ skinbake_Vertex skinbake_dqs_exact(vec3 p, skinbake_Frame frame, mat2x4 Q[@{ inf
 //% endfor
     mat2x4 db_t = @{ sum("alpha", "D%d", others) }; // 5
     mat2x4 db_b = @{ sum("beta", "D%d", others) }; // 6
-    v.tangent = skinbake_derivative(b, k, p, i, delta, frame.tangent, db_t@{ ", " ~ number(cap) if cap is not none }); // 7
-    v.bitangent = skinbake_derivative(b, k, p, i, delta, frame.bitangent, db_b@{ ", " ~ number(cap) if cap is not none }); // 8
+    v.tangent = skinbake_derivative(b, k, p, i, delta, frame.tangent, db_t@{ ", " ~ cap_text if cap is not none }); // 7
+    v.bitangent = skinbake_derivative(b, k, p, i, delta, frame.bitangent, db_b@{ ", " ~ cap_text if cap is not none }); // 8
 //% else
     v.tangent = frame.tangent + k * cross(b[0].xyz, b[0].w * frame.tangent + cross(b[0].xyz, frame.tangent)); // 7
     v.bitangent = frame.bitangent + k * cross(b[0].xyz, b[0].w * frame.bitangent + cross(b[0].xyz, frame.bitangent)); // 8

@@ -39,7 +39,7 @@ skinbake_Vertex skinbake_dqs_scaled(vec3 p, skinbake_Frame frame, skinbake_Scale
 //%   elif cap is none
     v.@{ member } = skinbake_over(@{ base } + @{ sum(slopes, "m%d", others) } - skinbake_product(ratio, @{ sum(slopes, "r%d", others) }), divisor);@{ " // 6" if loop.first else " // 7" }
 //%   else
-    v.@{ member } = skinbake_capped(skinbake_over(@{ base }, divisor), skinbake_over(@{ sum(slopes, "m%d", others) } - skinbake_product(ratio, @{ sum(slopes, "r%d", others) }), divisor), @{ number(cap) });@{ " // 6" if loop.first else " // 7" }
+    v.@{ member } = skinbake_capped(skinbake_over(@{ base }, divisor), skinbake_over(@{ sum(slopes, "m%d", others) } - skinbake_product(ratio, @{ sum(slopes, "r%d", others) }), divisor), @{ cap_text });@{ " // 6" if loop.first else " // 7" }
 //%   endif
 //% endfor
     v.normal = @{ handed("cross(v.tangent, v.bitangent)") }; // 8

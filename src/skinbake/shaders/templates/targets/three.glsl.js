@@ -10,8 +10,10 @@
 //%   set _ = refuse("influences", "three.js always reads four influences per vertex; use --influences 4")
 //% endif
 //% set blended = lighting if method == "lbs" else "accurate"
-//% set lbs = text_for(reads=["packed8"], morphs="normal", frame="tangent", encoding="packed8", layout="attributes", attributes=None, method="lbs", lighting=blended, also=["frame_normal", "moved_frame", "moved_frame_by_normal"])
-//% set dqs = text_for(reads=["packed8"], morphs="normal", frame="tangent", encoding="packed8", layout="attributes", attributes=None, method="dqs", lighting="exact", mirrored_joints=False, normal_map=True)
+//% set stored = {"reads": ["packed8"], "morphs": "normal", "frame": "tangent", "encoding": "packed8", "layout": "attributes", "attributes": None, "cap_as": "morphSkinbakeStorage.z"}
+//% set lbs = text_for(method="lbs", lighting=blended, also=["frame_normal", "moved_frame", "moved_frame_by_normal"], cap=1 if blended == "accurate" else None, **stored)
+//% set dqs = text_for(method="dqs", lighting="exact", mirrored_joints=False, normal_map=True, cap=1, **stored)
+//% set free = text_for(method="dqs", lighting="exact", mirrored_joints=False, cap=None, **stored)
 // Shader text, written by skinbake @{ version }:
 //     @{ command }
 //
@@ -21,6 +23,7 @@
 // Basis, Revisited", JCGT 6(1), 2017.
 
 export const METHOD = '@{ method }';
+export const CAP = @{ number(cap) if cap is not none else "undefined" };
 
 export const DECLARATIONS = /* glsl */ `
 #if defined(USE_SKINNING) && !defined(SKINBAKE_STANDARD)
@@ -29,7 +32,7 @@ export const DECLARATIONS = /* glsl */ `
 attribute vec4 morphSkinbakeAlpha;
 attribute vec4 morphSkinbakeBeta;
 attribute vec4 morphSkinbakeTangent;
-attribute vec4 morphSkinbakeStorage; // scale; frame: 2 normal, 3 tangent; 1 for dual quaternions; row of the sheet
+attribute vec4 morphSkinbakeStorage; // scale; frame: 2 normal, 3 tangent, and 2 more for dual quaternions; cap; row of the sheet
 #ifdef SKINBAKE_SHEET
 uniform highp sampler2D skinbakeSheet; // of the numbers of morph targets, for all meshes
 
@@ -47,13 +50,26 @@ bool skinbake_isBaked()
 
 bool skinbake_hasTangentFrame()
 {
-    return morphSkinbakeStorage.y > 2.5;
+    return (int(morphSkinbakeStorage.y) & 1) == 1;
 }
 
 bool skinbake_hasDualQuaternions()
 {
-    return morphSkinbakeStorage.z > 0.5;
+    return morphSkinbakeStorage.y > 3.5;
 }
+
+@{ free.parts["derivative"] }
+
+#ifndef SKINBAKE_CAP // then no mesh of the material has a cap, and none costs anything
+#define SKINBAKE_CAPPED
+#define SKINBAKE_DERIVATIVE_CAPPED
+#define skinbake_capped(base, correction, cap) ((base) + (correction))
+
+vec3 skinbake_derivative(mat2x4 b, float k, vec3 p, vec3 i, vec3 delta, vec3 t, mat2x4 db, float cap)
+{
+    return skinbake_derivative(b, k, p, i, delta, t, db);
+}
+#endif
 
 //# First the vertex that has cotangents.
 //% for name, part in dqs.parts.items() if name != "normal_map"

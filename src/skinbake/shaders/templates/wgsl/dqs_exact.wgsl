@@ -15,8 +15,8 @@ fn skinbake_dqs_exact(p: vec3<f32>, frame: skinbake_Frame, Q: array<mat2x4<f32>,
 //% endfor
     let db_t = @{ sum("alpha", "D%d", others) }; // 5
     let db_b = @{ sum("beta", "D%d", others) }; // 6
-    let tangent = skinbake_derivative(b, k, p, i, delta, frame.tangent, db_t@{ ", " ~ number(cap) if cap is not none }); // 7
-    let bitangent = skinbake_derivative(b, k, p, i, delta, frame.bitangent, db_b@{ ", " ~ number(cap) if cap is not none }); // 8
+    let tangent = skinbake_derivative(b, k, p, i, delta, frame.tangent, db_t@{ ", " ~ cap_text if cap is not none }); // 7
+    let bitangent = skinbake_derivative(b, k, p, i, delta, frame.bitangent, db_b@{ ", " ~ cap_text if cap is not none }); // 8
 //% else
     let tangent = frame.tangent + k * cross(b[0].xyz, b[0].w * frame.tangent + cross(b[0].xyz, frame.tangent)); // 7
     let bitangent = frame.bitangent + k * cross(b[0].xyz, b[0].w * frame.bitangent + cross(b[0].xyz, frame.bitangent)); // 8

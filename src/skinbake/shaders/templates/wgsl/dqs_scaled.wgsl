@@ -37,7 +37,7 @@ fn skinbake_dqs_scaled(p: vec3<f32>, frame: skinbake_Frame, given: array<skinbak
 //%   elif cap is none
     let @{ member } = skinbake_over(@{ base } + @{ sum(slopes, "m%d", others) } - skinbake_product(ratio, @{ sum(slopes, "r%d", others) }), divisor);@{ " // 6" if loop.first else " // 7" }
 //%   else
-    let @{ member } = skinbake_capped(skinbake_over(@{ base }, divisor), skinbake_over(@{ sum(slopes, "m%d", others) } - skinbake_product(ratio, @{ sum(slopes, "r%d", others) }), divisor), @{ number(cap) });@{ " // 6" if loop.first else " // 7" }
+    let @{ member } = skinbake_capped(skinbake_over(@{ base }, divisor), skinbake_over(@{ sum(slopes, "m%d", others) } - skinbake_product(ratio, @{ sum(slopes, "r%d", others) }), divisor), @{ cap_text });@{ " // 6" if loop.first else " // 7" }
 //%   endif
 //% endfor
 //% if mirrored_joints
