@@ -5,6 +5,7 @@ import { AbstractEngine } from '@babylonjs/core/Engines/abstractEngine.js';
 import { Material } from '@babylonjs/core/Materials/material.js';
 import { MaterialPluginBase } from '@babylonjs/core/Materials/materialPluginBase.js';
 import { PushMaterial } from '@babylonjs/core/Materials/pushMaterial.js';
+import { Mesh } from '@babylonjs/core/Meshes/mesh.js';
 import { isLike } from './bake.js';
 import { ATTRIBUTES, kindsOf, printIn, state, tell, watchBuffer } from './loading.js';
 import { GLSL, GLSL_FRAGMENT, WGSL, WGSL_FRAGMENT } from './shaders.js';
@@ -134,9 +135,33 @@ export function watch(scene) {
     if (known) return known;
     const watched = { geometries: new Set(), meshes: new Set() };
     state.scenes.set(scene, watched);
+    watchMerges();
     scene.onBeforeRenderObservable.add(() => prepare(watched));
     scene.onAfterRenderObservable.add(() => watched.meshes.forEach(tellOf));
     return watched;
+}
+
+const MERGED = 'MergeMeshes() keeps no alpha and beta: merge its parts in a tool before the bake';
+
+// A merged mesh has the attributes that Babylon.js knows.
+function watchMerges() {
+    if (state.isMerging) return;
+    state.isMerging = true;
+    for (const name of ['MergeMeshes', 'MergeMeshesAsync']) {
+        const usual = Mesh[name];
+        Mesh[name] = function (meshes, ...others) {
+            const isLit = meshes.some((mesh) => mesh?.geometry && bakeOf(mesh)?.problem === '');
+            const found = usual.call(this, meshes, ...others);
+            const act = (merged) => {
+                if (!isLit || !merged) return merged;
+                state.geometries.set(merged.geometry, { problem: MERGED, changed: '' });
+                watch(merged.getScene()).geometries.add(merged.geometry);
+                tell(merged, MERGED);
+                return merged;
+            };
+            return found instanceof Promise ? found.then(act) : act(found);
+        };
+    }
 }
 
 function prepare({ geometries, meshes }) {

@@ -3,7 +3,7 @@
 import { Buffer, VertexBuffer } from '@babylonjs/core/Buffers/buffer.js';
 import { RawTexture2DArray } from '@babylonjs/core/Materials/Textures/rawTexture2DArray.js';
 import { DracoDecoder } from '@babylonjs/core/Meshes/Compression/dracoDecoder.js';
-import { accessorsIn, FLOAT, FRAMES, isLeft, metadataOf, namesOf, NOT_BAKED, printOf, problemOf, staleOf } from './bake.js';
+import { accessorsIn, FLOAT, FRAMES, isLeft, metadataOf, movesOf, namesOf, NOT_BAKED, printOf, problemOf, staleOf } from './bake.js';
 
 export const NAME = 'SKINBAKE';
 export const kindsOf = (set) => [`skinbakeAlpha${set}`, `skinbakeBeta${set}`];
@@ -69,6 +69,7 @@ export class Loading {
         const ordered = metadata.layout === 'texcoord' ? assembled(columns, baked.sets, count) : columns;
         for (const buffer of interleaved(scene.getEngine(), ordered, count)) {
             geometry.setVerticesBuffer(buffer, count);
+            watchExport(geometry, buffer);
         }
         baked.loaded = loadedOf(geometry, baked);
         baked.morphs = await this.#morphs(primitive, count, mesh);
@@ -90,14 +91,17 @@ export class Loading {
     // Return the numbers by which morph targets move the frame, as a texture with a layer for each target; null
     // without any. Of six numbers a vertex has two texels, of four one.
     async #morphs(primitive, count, mesh) {
-        const { numbers, targets } = morphsOf(this.loader.gltf, primitive);
-        if (!numbers) return null;
-        const texels = numbers === 6 ? 2 : 1;
+        const { gltf } = this.loader;
+        const owner = gltf.meshes.find(({ primitives }) => primitives.includes(primitive));
+        const names = movesOf(gltf, owner, owner?.primitives.indexOf(primitive));
+        if (!names.length) return null;
+        const { targets } = primitive;
+        const texels = names.length;
         const height = Math.ceil((texels * count) / WIDTH);
         const values = new Float32Array(4 * WIDTH * height * targets.length);
         for (const [layer, target] of targets.entries()) {
             for (let part = 0; part < texels; part++) {
-                const accessor = this.loader.gltf.accessors[target[NUMBERS[part]]];
+                const accessor = gltf.accessors[target[names[part]]];
                 const read = await this.#floats(accessor);
                 const size = part ? 2 : 4;
                 for (let vertex = 0; vertex < count; vertex++) {
@@ -109,7 +113,7 @@ export class Loading {
         const texture = RawTexture2DArray.CreateRGBATexture(
             values, WIDTH, height, targets.length, mesh.getScene(), false, false, 1, 1, // nearest, floats
         );
-        return { numbers, texture, targets: targets.map((_, index) => mesh.morphTargetManager.getTarget(index)) };
+        return { numbers: texels === 2 ? 6 : 4, texture, targets: targets.map((_, index) => mesh.morphTargetManager.getTarget(index)) };
     }
 
     // Return the values of attributes row by row: as they are stored, or as floats.
@@ -195,19 +199,6 @@ function interleaved(engine, columns, count) {
 }
 
 const WIDTH = 1024; // texels
-const NUMBERS = ['_SKINBAKE_MORPH', '_SKINBAKE_MORPH_UP'];
-
-// What bake has noted in the extras of the mesh, where all targets have what it says.
-function morphsOf({ meshes, accessors }, primitive) {
-    const mesh = meshes.find(({ primitives }) => primitives.includes(primitive));
-    const noted = mesh?.extras?.skinbake?.morphTargets?.[mesh.primitives.indexOf(primitive)];
-    const targets = primitive.targets ?? [];
-    const names = { 4: NUMBERS.slice(0, 1), 6: NUMBERS }[noted?.frames] ?? [];
-    const isSound = (target) => names.every((name) => accessors[target[name]]?.componentType === FLOAT);
-    const isThere = names.length > 0 && noted.targets === targets.length && targets.every(isSound);
-    return { numbers: isThere ? noted.frames : 0, targets };
-}
-
 function bakedOf({ frame, encoding, scale, influences }, method) {
     const sets = Math.ceil(influences / 4);
     return { problem: '', changed: '', frame: FRAMES[frame], scale: encoding ? scale : 1, sets, method };
@@ -249,6 +240,16 @@ export function watchBuffer(buffer) {
             return usual.apply(this, parameters);
         };
     }
+}
+
+// Once a geometry has a buffer, only an exporter asks for its kind. GLTF2Export passes over those that it does not know.
+function watchExport(geometry, buffer) {
+    const { getKind } = buffer;
+    buffer.getKind = function () {
+        const reason = 'GLTF2Export leaves them out. Keep the baked file, or bake the exported one';
+        for (const mesh of geometry.meshes) tell(mesh, reason, 'no alpha and beta where it is exported');
+        return getKind.call(this);
+    };
 }
 
 // Babylon.js need not hand on the texture coordinates that hold alpha and beta.

@@ -2,7 +2,7 @@
 // the shader text has for them.
 
 import { GLTFMeshParser, GLTFUtils } from '@galacean/engine';
-import { accessorsIn, FRAMES, isLeft, metadataOf, namesOf, NOT_BAKED, problemOf, staleOf } from './bake.js';
+import { accessorsIn, FRAMES, isLeft, metadataOf, namesOf, NOT_BAKED, problemOf, staleOf, tellOfUnreadMoves } from './bake.js';
 
 export const bakes = new WeakMap(); // ModelMesh -> { problem, frame, scale, isPaired, names, method, places }
 export const loading = { method: 'lbs' };
@@ -14,6 +14,7 @@ export class SkinbakeMeshParser extends GLTFMeshParser {
         const { glTF, glTFResource } = context;
         if (!files.has(glTF)) {
             tellOfFile(glTF, glTFResource.url);
+            tellOfUnreadMoves(glTF, 'Galacean');
             files.set(glTF, staleIn(context));
         }
         watchDevice(glTFResource.engine);

@@ -2,7 +2,7 @@
 // when the file is loaded, decoded, and put into a texture.
 
 import { SEMANTIC_BLENDWEIGHT, SEMANTIC_NORMAL, SEMANTIC_POSITION } from 'playcanvas';
-import { accessorsIn, FRAMES, isLike, metadataOf, namesOf, NOT_BAKED, printOf, problemOf, staleOf } from './bake.js';
+import { accessorsIn, FRAMES, isLike, metadataOf, namesOf, NOT_BAKED, printOf, problemOf, staleOf, tellOfUnreadMoves } from './bake.js';
 
 export const bakes = new WeakMap(); // Mesh -> { problem, values, stride, method, arrays, texture, kept }
 
@@ -18,6 +18,7 @@ const SIZES = { SCALAR: 1, VEC2: 2, VEC3: 3, VEC4: 4 };
 
 export function takeBakes(gltf, { renders }, views, method) {
     const read = (number) => elements(gltf, number, views);
+    tellOfUnreadMoves(gltf, 'PlayCanvas');
     const stale = staleOf(gltf, new Map(accessorsIn(gltf).map((number) => [number, read(number)])));
     for (const [number, { primitives }] of (gltf.meshes ?? []).entries()) {
         const meshes = renders[number]?.meshes; // none with the option skipMeshes

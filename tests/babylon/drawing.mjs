@@ -22,6 +22,7 @@ import { SphericalPolynomial } from '@babylonjs/core/Maths/sphericalPolynomial.j
 import { Color4 } from '@babylonjs/core/Maths/math.color.js';
 import { Matrix, Quaternion, Vector3 } from '@babylonjs/core/Maths/math.vector.js';
 import { DracoDecoder } from '@babylonjs/core/Meshes/Compression/dracoDecoder.js';
+import { Mesh } from '@babylonjs/core/Meshes/mesh.js';
 import { MeshoptCompression } from '@babylonjs/core/Meshes/Compression/meshoptCompression.js';
 import '@babylonjs/core/Meshes/instancedMesh.js';
 import '@babylonjs/core/Meshes/thinInstanceMesh.js';
@@ -578,6 +579,20 @@ const api = {
         const report = told(scene);
         scene.disableGeometryBufferRenderer();
         return report;
+    },
+
+    // What is reported of a merged mesh, drawn by the joints of its source.
+    async merged({ isAsync, ...options }) {
+        const { scene, mesh } = await load(options);
+        const parts = [mesh.clone('part'), mesh.clone('another part')];
+        const { skeleton } = mesh;
+        const merged = isAsync ? await Mesh.MergeMeshesAsync(parts) : Mesh.MergeMeshes(parts);
+        merged.name = 'merged';
+        Object.assign(merged, { skeleton, material: mesh.material, alwaysSelectAsActiveMesh: true });
+        await ready(scene);
+        frame(scene);
+        frame(scene);
+        return told([merged]);
     },
 
     async loaded({ urls }) {

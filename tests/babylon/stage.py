@@ -27,16 +27,23 @@ def expected(
 
 
 @contextmanager
-def opened_stage(folder: Path) -> Iterator[Stage]:
-    """Bundle the page, open it, and yield it. ``folder`` is empty."""
-    require_node("vite", "@babylonjs/core", "@babylonjs/loaders", "draco3dgltf", "meshoptimizer")
+def opened_stage(folder: Path, further: str = "", *needed: str) -> Iterator[Stage]:
+    """Bundle the page, open it, and yield it. ``folder`` is empty.
+
+    further is a file whose lines follow those of the page, and needed are the packages that it imports.
+    """
+    engine = ("@babylonjs/core", "@babylonjs/loaders", *needed)
+    require_node("vite", *engine, "draco3dgltf", "meshoptimizer")
     project = folder / "project"
     project.mkdir()
     # Babylon.js's modules are too many to be fetched one by one.
-    packages = {name: str(package_folder(name)) for name in ("@babylonjs/core", "@babylonjs/loaders")}
+    packages = {name: str(package_folder(name)) for name in engine}
+    entry = folder / "page.mjs"
+    texts = [(HERE / name).read_text(encoding="utf-8") for name in ("drawing.mjs", further) if name]
+    entry.write_text("".join(texts), encoding="utf-8")
     build_page(
         project,
-        HERE / "drawing.mjs",
+        entry,
         {"skinbake-babylon": str(engines_folder() / "babylon" / "index.js"), **packages},
     )
     folders = {"built": project / "dist", "three": HERE.parent / "three"}

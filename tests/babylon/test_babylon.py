@@ -189,6 +189,34 @@ def test_a_geometry_buffer_has_standard_normals_and_that_is_said(stage: Stage) -
     )
 
 
+@pytest.mark.parametrize("how", [False, True], ids=["MergeMeshes", "MergeMeshesAsync"])
+def test_a_merged_mesh_has_lost_its_bake_and_that_is_said_and_reported(stage: Stage, how: bool) -> None:
+    told = stage.character(TUBE, BENT).told(Placement())
+    report = stage.page.call("merged", {**told, "isAsync": how})
+    reason = "MergeMeshes() keeps no alpha and beta: merge its parts in a tool before the bake"
+    assert report == [["standard", reason]]
+    (said,) = stage.messages()
+    assert said.endswith(f"_merged\" has Babylon.js's standard lighting: {reason}")
+
+
+def test_merging_meshes_without_a_bake_is_not_told_of(stage: Stage) -> None:
+    (stage.models / TUBE.name).write_bytes(TUBE.read_bytes())
+    told = stage.character(TUBE, BENT).told(Placement())
+    assert stage.call("merged", {**told, "url": f"/models/{TUBE.name}"}) == []
+
+
+def test_what_is_exported_without_its_bake_is_told_of_once(tmp_path: Path) -> None:
+    with opened_stage(tmp_path, "exporting.mjs", "@babylonjs/serializers") as stage:
+        told = stage.character(TUBE, BENT).told(Placement())
+        drawn = stage.call("exported", {**told, "times": 0})
+        assert drawn == {"names": [], "report": RIGHT}
+        found = stage.page.call("exported", {**told, "times": 2})
+    assert "WEIGHTS_0" in found["names"]
+    assert [name for name in found["names"] if "SKINBAKE" in name.upper()] == []
+    reason = "GLTF2Export leaves them out. Keep the baked file, or bake the exported one"
+    assert stage.messages() == [f'skinbake: "exported" has no alpha and beta where it is exported: {reason}']
+
+
 def test_eight_influences_under_webgpu(stage: Stage) -> None:
     require_backend(stage, "webgpu")
     character = stage.character(TWO_SETS, RANDOM, storage=PACKED)

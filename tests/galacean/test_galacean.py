@@ -30,6 +30,7 @@ from tests.support.characters import (
     Pose,
     angles,
     baked,
+    by_numbers,
     with_scaled_joints,
 )
 from tests.support.mapped import TEXELS, columns, texel_normal
@@ -178,6 +179,20 @@ def test_morph_targets_come_before_skinning(stage: DrawingStage, frame: str) -> 
     character = Character(path, RANDOM, (0.7, -0.4))
     found = stage.draw(character)
     assert largest(found["values"][0], expected(character, found).normals) < DEGREES
+
+
+@pytest.mark.parametrize("numbers", [4, 6])
+def test_numbers_of_morph_targets_are_said_to_be_unread(stage: DrawingStage, numbers: int) -> None:
+    """Targets with four have NORMAL, which the frame follows. Those with six have none here."""
+    source = with_morphs(stage.models, MIRRORED)
+    _, by_rule, _ = by_numbers(source, stage.models, numbers, "normal")
+    found = stage.page.call("draw", by_rule.told(Placement()))
+    bare = ", and its targets lack NORMAL: bake it with --morph-normals too" if numbers == 6 else ""
+    reason = f"Galacean does not read the numbers of --morph-frames{bare}"
+    (said,) = stage.messages()
+    assert said.endswith(f'" has a frame that follows NORMAL under morph targets: {reason}')
+    if numbers == 4:
+        assert largest(found["values"][0], expected(by_rule, found).normals) < DEGREES
 
 
 def test_sparse_accessors_are_read(stage: DrawingStage) -> None:

@@ -21,7 +21,17 @@ from skinbake.skinning.rest import Algorithm
 from tests.support import after_bake, browser, corpus, gltf_reading
 from tests.support.baked_files import Editable
 from tests.support.baking import bake_file
-from tests.support.characters import AS_USUAL, Array, Character, Normals, Placement, Pose, angles, baked
+from tests.support.characters import (
+    AS_USUAL,
+    Array,
+    Character,
+    Normals,
+    Placement,
+    Pose,
+    angles,
+    baked,
+    by_numbers,
+)
 from tests.support.mapped import TEXELS, Columns, columns, texel_normal
 from tests.support.node import package_folder, require_node
 from tests.support.replay import replay
@@ -183,6 +193,20 @@ def test_morph_targets_come_before_skinning(stage: DrawingStage, frame: str, bac
     character = Character(path, RANDOM, (0.7, -0.4))
     found = stage.draw(character, backend=backend)
     assert largest(found["values"][0], expected(character, found).normals) < DEGREES
+
+
+@pytest.mark.parametrize("numbers", [4, 6])
+def test_numbers_of_morph_targets_are_said_to_be_unread(stage: DrawingStage, numbers: int) -> None:
+    """Targets with four have NORMAL, which the frame follows. Those with six have none here."""
+    source = with_morphs(stage.models, MIRRORED)
+    _, by_rule, _ = by_numbers(source, stage.models, numbers, "normal")
+    found = stage.page.call("draw", by_rule.told(Placement()))
+    bare = ", and its targets lack NORMAL: bake it with --morph-normals too" if numbers == 6 else ""
+    reason = f"PlayCanvas does not read the numbers of --morph-frames{bare}"
+    (said,) = stage.messages()
+    assert said.endswith(f'" has a frame that follows NORMAL under morph targets: {reason}')
+    if numbers == 4:
+        assert largest(found["values"][0], expected(by_rule, found).normals) < DEGREES
 
 
 def test_sparse_accessors_are_read(stage: DrawingStage) -> None:
