@@ -1,7 +1,7 @@
 """Run the commands of docs/pipelines.md for pipx, uvx and a container in an empty Debian, as root.
 
-``python -m release.try_recipes FOLDER`` has debootstrap make the system in a new folder. The wheel comes from
-dist/, the model from fixtures/.
+``python -m release.try_recipes FOLDER`` has debootstrap make the system in the folder, unless it is there.
+The wheel comes from dist/, the model from fixtures/.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ BLOCK = re.compile(r"```(sh|dockerfile)\n(apt-get .*?|FROM .*?)^```", re.DOTALL 
 IN_SHELL = {"RUN": "{}", "COPY": "cp {}", "ENV": "export {}"}
 """What a line of a container's recipe does, as a command of a shell in the system."""
 
-SETTINGS = ("etc/resolv.conf", "etc/ssl/certs", "etc/apt/apt.conf.d")
+SETTINGS = ("etc/resolv.conf", "etc/ssl/certs/ca-certificates.crt")
 """How this system reaches its mirror and the package index."""
 
 USED = ("skinbake bake art --out-dir build", "skinbake verify build")
@@ -40,26 +40,18 @@ def scripts() -> list[str]:
 
 def main(root: Path) -> None:
     """Make the system, and run both scripts there. Ends at the first command that fails."""
-    small = ["--variant=minbase", "--include=ca-certificates"]
-    subprocess.run(["debootstrap", *small, "bookworm", root], check=True)
+    if not root.exists():
+        small = ["--variant=minbase", "--include=ca-certificates"]
+        subprocess.run(["debootstrap", *small, "bookworm", root], check=True)
     for name in SETTINGS:
-        source, target = Path("/", name), root / name
-        if source.is_dir():
-            shutil.copytree(source, target, dirs_exist_ok=True)
-        else:
-            shutil.copyfile(source, target)
+        shutil.copyfile(Path("/", name), root / name)
     [wheel] = TARGET.glob(WHEEL)
     for file, folder in ((wheel, "dist"), (REPOSITORY / "fixtures" / "bent_tube.glb", "art")):
         (root / "srv" / folder).mkdir()
         shutil.copy(file, root / "srv" / folder)
     for script in scripts():
-        inside = [
-            "chroot",
-            str(root),
-            "bash",
-            "-exc",
-            f"mount -t proc proc /proc; cd /srv\n{script}",
-        ]
+        command = f"mount -t proc proc /proc; cd /srv\n{script}"
+        inside = ["chroot", str(root), "bash", "-exc", command]
         # A new space of mounts ends with the command.
         subprocess.run(["unshare", "--mount", *inside], check=True, env=ENVIRONMENT)
 
