@@ -230,7 +230,7 @@ FACES: dict[str, dict[str, Any]] = {
 def verdict_row(path: Path, poses: str = "animation") -> str:
     """Return the cells of one verdict."""
     verdict: FileVerdict = verify_file(str(path), VerifyOptions.of(methods=("lbs",), poses=poses))
-    lbs = verdict.by_truth[Truth.TANGENTS]["lbs"]
+    lbs = verdict.by_truth[Truth.TRIANGLES]["lbs"]
     standard, accurate = lbs["standard"], lbs["accurate"]
     return f"{standard.mean:.2f} | {accurate.mean:.2f} | {standard.mean / accurate.mean:.1f}"
 
