@@ -145,10 +145,10 @@ def cells(path: Path) -> Iterator[str]:
 
 
 def errors(path: Path, weld: Weld) -> str:
-    """Return mean, p99 and maximum of the error of accurate LBS normals by tangents, in degrees."""
+    """Return mean, p99 and maximum of the error of accurate LBS normals by triangles, in degrees."""
     options = BakeOptions(gradients=Gradients.SURFACE, weld=weld, generate_normals=True)
     document = bake_document(read_document(str(path)), options).document
-    normals = verify_document(document, VerifyOptions(methods=(Method.LBS,))).by_truth.get("tangents", {})
+    normals = verify_document(document, VerifyOptions(methods=(Method.LBS,))).by_truth.get("triangles", {})
     found = normals[Method.LBS][Lighting.ACCURATE]
     return f"{found.mean:.3f} / {found.p99:.1f} / {found.max:.0f}"
 

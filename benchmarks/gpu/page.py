@@ -26,6 +26,7 @@ from benchmarks.gpu.records import (
     measured_errors_of,
 )
 from benchmarks.gpu.variants import PACKED8, STANDARD, VARIANTS
+from skinbake.choices import Truth
 from skinbake.skinning.counting import multiply_adds
 from skinbake.skinning.rest import Algorithm
 
@@ -60,9 +61,9 @@ ALT = (
 NO_GPU = "**No GPU has been measured yet.** Bytes and errors hold for any adapter."
 
 ERRORS = """## Error
-Mean angles in degrees to the true normals, by tangents / by triangles ([both](lighting.md#true-normals)),
-over the characters' own clips. A recompute follows the rule of the truth by triangles, so its second figure
-says little.
+Mean angles in degrees to the true normals, by triangles / by tangents ([both](lighting.md#true-normals)),
+over the characters' own clips. A recompute follows the rule of the truth by triangles, so its first figure
+says little, and the bars above show the second.
 """
 
 BYTES = """## Bytes
@@ -170,12 +171,12 @@ def _errors(errors: Sequence[ErrorRecord]) -> Iterator[str]:
     for variant in VARIANTS:
         cells = []
         for character in poses:
-            means = [
-                f"{entry.mean:.2f}°"
+            means = {
+                entry.truth: f"{entry.mean:.2f}°"
                 for entry in errors
                 if (entry.character, entry.variant) == (character, variant.name)
-            ]
-            cells.append(" / ".join(means))
+            }
+            cells.append(" / ".join(means[by] for by in (Truth.TRIANGLES, Truth.TANGENTS) if by in means))
         yield f"| {variant.name} | {' | '.join(cells)} |"
     yield ""
 
