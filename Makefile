@@ -10,6 +10,7 @@ PACKAGE := .venv/package.stamp
 DEV := .venv/dev.stamp
 NODE_MODULES := tests/support/node_modules/.stamp
 BLENDER := build/blender/stamp
+GODOT := build/godot/version
 BUILT_FROM := pyproject.toml setup.py $(wildcard src/skinbake/*.h src/skinbake/*/*.c src/skinbake/*/loops/*.h)
 EXAMPLE := fixtures/bent_tube.glb
 
@@ -18,7 +19,7 @@ unexport PYTHONHOME PYTHONPATH PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help bake setup setup-blender test test-all check lint fixtures golden picture table scores bench speeds man
+.PHONY: help bake setup setup-blender setup-godot test test-all check lint fixtures golden picture table scores bench speeds man
 .PHONY: docs dist release-check try-dist fuzz fuzz-native fuzz-coverage faults clean
 
 help: ## List the targets
@@ -32,6 +33,8 @@ bake: $(PACKAGE) ## Set up .venv, bake a fixture into build/, and print what it 
 setup: $(DEV) $(NODE_MODULES) ## Set up .venv and tests/support
 
 setup-blender: $(BLENDER) ## Set up build/blender for the tests of the add-on: Blender as a Python module (1 GB), and the zip
+
+setup-godot: $(GODOT) ## Set up build/godot for the tests of that add-on: Debian unstable's Godot and its libraries (170 MB to load, 670 on disk)
 
 test: setup ## Set up, and run the tests without the slow ones: under two minutes
 	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m "not slow"
@@ -142,6 +145,10 @@ $(BLENDER): tests/blender/requirements.txt $(DEV)
 	build/blender/venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --requirement $<
 	$(BIN)/python -m engines.blender.build --wheels build/blender/wheels
 	@touch $@
+
+# tests/godot/test_native.py needs it, and is skipped without it (SKINBAKE_STRICT=1: fails). No rights are needed.
+$(GODOT): tests/godot/install.py
+	$(PYTHON) -m tests.godot.install build/godot
 
 # Independent glTF tools; the tests that need them are skipped where npm is absent (SKINBAKE_STRICT=1: fail).
 $(NODE_MODULES): tests/support/package-lock.json tests/support/other_versions/package-lock.json

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import pytest
 
+from tests.godot import native
 from tests.support.corpus import NOT_HERE
 from tests.support.corpus_folder import find_corpus
 from tests.support.strictness import is_strict
@@ -28,6 +29,7 @@ def pytest_report_header() -> list[str]:
     """Say which models are used, and what a missing tool does."""
     return [
         f"corpus: {find_corpus() or NOT_HERE}",
+        f"Godot: {native.version() or 'the web build alone, without make setup-godot'}",
         f"a missing tool: its tests {'fail (SKINBAKE_STRICT=1)' if is_strict() else 'are skipped'}",
     ]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import configparser
 import json
 import re
+import struct
 import subprocess
 from pathlib import Path
 
@@ -47,6 +48,17 @@ def test_the_add_on_has_the_version_of_skinbake_and_names_its_script() -> None:
     plugin.read(addon / "plugin.cfg", encoding="utf-8")
     assert plugin["plugin"]["version"].strip('"') == __version__
     assert (addon / plugin["plugin"]["script"].strip('"')).is_file()
+
+
+def test_the_add_on_has_what_the_asset_store_of_godot_asks_for() -> None:
+    folder = engines_folder() / "godot"
+    licence = (folder / "addons" / "skinbake" / "LICENSE").read_text(encoding="utf-8")
+    assert licence == (folder.parents[1] / "LICENSE").read_text(encoding="utf-8")
+    assert re.search(r"^Copyright \(c\) \d{4} \w", licence, re.MULTILINE)
+    assert (folder / "addons" / "skinbake" / "README.md").is_file()
+    assert (folder / ".gitattributes").is_file()
+    width, height = struct.unpack(">II", (folder / "icon.png").read_bytes()[16:24])
+    assert width == height >= 128
 
 
 @pytest.mark.parametrize("engine", PACKAGES)
