@@ -143,3 +143,15 @@ def test_light_falls_on_the_normals_of_the_replay(project: Project, renderer: st
         right = Algorithm.DQS_EXACT
     assert errors(shown, character, right).max() < DEGREES
     assert np.percentile(errors(shown, character, other), 90) > 20 * DEGREES
+
+
+def test_motion_vectors_of_forward_plus_are_those_of_godot_s_own_skinning(project: Project) -> None:
+    """While a joint turns, and when it has stopped."""
+    project.drawn("forward_plus")
+    folder = project.folder / "forward_plus"
+    for frame, moves in ((6, True), (8, False)):
+        own, ours = (
+            np.fromfile(folder / f"{lighting}.{frame}", "<f4") for lighting in ("standard", "accurate")
+        )
+        assert (np.abs(own).max() > 0.01) == moves
+        assert np.abs(own - ours).max() < 1e-3

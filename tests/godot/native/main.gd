@@ -4,6 +4,7 @@ extends Node3D
 ## Light shows normals: one lamp along each axis, each of its own colour, and then the same from the other sides. White
 ## and matte, a surface sends back the cosines alone.
 
+const Motions := preload("motions.gd")
 const AXES := [Vector3.RIGHT, Vector3.UP, Vector3.BACK]
 const COLOURS := [Color.RED, Color.GREEN, Color.BLUE]
 
@@ -20,6 +21,8 @@ func _ready() -> void:
 	var told := []
 	for number in requests.size():
 		told.append(await _drawn(requests[number], arguments[1].path_join(str(number))))
+	if RenderingServer.get_current_rendering_method() == "forward_plus":
+		await _move(requests[0].file, arguments[1])
 	var file := FileAccess.open(arguments[1].path_join("told.json"), FileAccess.WRITE)
 	var renderer := RenderingServer.get_current_rendering_method()
 	file.store_string(JSON.stringify({"renderer": renderer, "drawn": told}))
@@ -91,6 +94,30 @@ func _drawn(asked: Dictionary, path: String) -> Dictionary:
 	}
 	_scene.free()
 	return told
+
+
+## Turn a joint from frame to frame, with Godot's own skinning and then with the add-on's, and write the motion that the
+## last frame shows at each pixel.
+func _move(file: String, folder: String) -> void:
+	var motions := Motions.new()
+	_camera.compositor = Compositor.new()
+	_camera.compositor.compositor_effects = [motions]
+	for lighting: String in ["standard", "accurate"]:
+		_scene = load("res://" + file).instantiate()
+		_view.add_child(_scene)
+		if lighting == "standard":
+			_scene.get_node("Skinbake").dispose()
+		var skeleton: Skeleton3D = _scene.find_children("*", "Skeleton3D", true, false)[0]
+		for frame in 9:
+			# It rests in the last two.
+			skeleton.set_bone_pose_rotation(1, Quaternion(Vector3.BACK, 0.1 * mini(frame, 6)))
+			await RenderingServer.frame_post_draw
+			if frame in [6, 8]:
+				var path := folder.path_join("%s.%d" % [lighting, frame])
+				FileAccess.open(path, FileAccess.WRITE).store_buffer(motions.motions.to_byte_array())
+		_scene.free()
+	_camera.compositor = null
+	motions.free_rids()
 
 
 static func _matte() -> StandardMaterial3D:

@@ -10,6 +10,7 @@ const BEFORE := &"skinbake_before"
 ## How many former copies serve again if a game comes back to their materials: they may have parameters of the game.
 const KEPT_COPIES := 8
 const Materials := preload("skinbake_material.gd")
+const Clock := preload("skinbake_clock.gd")
 
 ## What the import knows of the baked meshes, by their resource names: a dictionary for each surface.
 @export var records: Dictionary = {}
@@ -87,6 +88,8 @@ func _stop() -> void:
 
 ## Light those meshes anew that were given other materials, another mesh or another skeleton.
 func _look() -> void:
+	for pose in _poses:
+		pose.pass_frame()
 	var is_changed := false
 	for mesh in _seen.keys():
 		if not is_instance_valid(mesh):
@@ -262,6 +265,8 @@ func _skin(
 	for surface in surfaces.size():
 		for link: Dictionary in links[surface]:
 			_set_parameters(link.copy, surfaces[surface], pose.texture)
+			if pose.has_last:
+				link.copy.set_shader_parameter(&"skinbake_clock", Clock.of(mesh.get_viewport()))
 			link.copy.set_shader_parameter(
 				&"skinbake_has_double_shadow", mesh.cast_shadow == mesh.SHADOW_CASTING_SETTING_DOUBLE_SIDED
 			)
@@ -352,12 +357,18 @@ class Pose:
 	var skeleton: Skeleton3D
 	var skin: Skin
 	var texture: ImageTexture
+	## Whether the texture has the pose of the last frame, too: for motion vectors, which only Forward+ has.
+	var has_last := RenderingServer.get_current_rendering_method() == "forward_plus"
 
 	# Keeps Godot's own joint matrices up to date, for the frame in which a mesh is given its skin back.
 	var _reference: SkinReference
 	var _bones := PackedInt32Array()
 	var _is_dual: bool
 	var _values := PackedFloat32Array()
+	# What the last frame has drawn.
+	var _last := PackedFloat32Array()
+	var _is_new := false
+	var _was_new := false
 	var _matrices: Array[Transform3D] = []
 	var _meshes: Dictionary = {}
 
@@ -369,10 +380,13 @@ class Pose:
 			var name := skin.get_bind_name(bind)
 			_bones.append(skin.get_bind_bone(bind) if name.is_empty() else skeleton.find_bone(name))
 		_values.resize(4 * _width() * _bones.size())
+		_last = _values.duplicate()
 		texture = ImageTexture.create_from_image(_image())
 		_reference = skeleton.register_skin(skin)
 		skeleton.skeleton_updated.connect(update)
 		update()
+		_last = _values.duplicate()
+		texture.update(_image())
 
 	func add(mesh: MeshInstance3D, boxes: Array[AABB]) -> void:
 		_meshes[mesh] = boxes
@@ -399,9 +413,21 @@ class Pose:
 				for part in 4:
 					_values[4 * (texels.size() * bind + texel) + part] = texels[texel][part]
 		texture.update(_image())
+		_is_new = true
 		for mesh in _meshes:
 			if is_instance_valid(mesh):
 				mesh.custom_aabb = _bounds(_meshes[mesh])
+
+	## Before a frame is drawn: what it draws is the last pose of the next frame.
+	func pass_frame() -> void:
+		if not has_last:
+			return
+		if _was_new and not _is_new:
+			texture.update(_image())
+		elif _is_new:
+			_last = _values.duplicate()
+		_was_new = _is_new
+		_is_new = false
 
 	func _width() -> int:
 		return 5 if _is_dual else 3
@@ -452,7 +478,9 @@ class Pose:
 		return Basis(basis.x / divisor, basis.y / divisor, basis.z / divisor)
 
 	func _image() -> Image:
-		return Image.create_from_data(_width(), _bones.size(), false, Image.FORMAT_RGBAF, _values.to_byte_array())
+		var values := _values + _last if has_last else _values
+		var rows := values.size() / (4 * _width())
+		return Image.create_from_data(_width(), rows, false, Image.FORMAT_RGBAF, values.to_byte_array())
 
 	func _bounds(boxes: Array[AABB]) -> AABB:
 		var found := AABB()
