@@ -391,6 +391,9 @@ BAKE = (
         Option("clips", str, (), By.ALL, "NAMES", is_many=True, help=
             "The clips that play correctives, by name or number, with commas between; by default all. May be "
             "given several times."),
+        Option("one_character", bool, False, help=
+            "The files hold one character, each with its own clips: all get the same correctives, so that a "
+            "clip of one file plays those of another. A file without the mesh cannot play any."),
         Option("clips_own_weights", bool, False, By.ALL, help=
             "Correct meshes too whose morph targets no clip and no node moves. Clips then play zeros over "
             "what a page or a script sets."),

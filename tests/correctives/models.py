@@ -6,6 +6,7 @@ import base64
 import copy
 import json
 import struct
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from fixtures.make_fixtures import FOLDER
 from skinbake.gltf.document import read_document
 from skinbake.gltf.reading.meshes import read_primitive, skinned_sources
 from tests.support import gltf_reading
+from tests.support.baked_files import Editable
 from tests.support.characters import Array, angles, unit
 from tests.support.played import drawn
 from tests.support.triangle_truth import true_normals
@@ -57,6 +59,57 @@ def parted(target: Path) -> Path:
         content["scenes"][0]["nodes"].append(len(content["nodes"]) - 1)
 
     return rewritten(TUBE, target, change)
+
+
+def turned(model: Editable, accessor: int, degrees: float, axis: int, keys: slice) -> int:
+    """Add a copy of an accessor of rotations, in some of which the joint is turned further. Return it."""
+    values = np.array(model.stored(accessor))
+    half = np.radians(degrees) / 2
+    turn = np.zeros(4)
+    turn[axis], turn[3] = np.sin(half), np.cos(half)
+    x, y, z, w = values[keys].T
+    a, b, c, d = turn
+    values[keys] = np.stack(
+        [
+            *(w * a + x * d + y * c - z * b, w * b - x * c + y * d + z * a),
+            *(w * c + x * b - y * a + z * d, w * d - x * a - y * b - z * c),
+        ],
+        axis=1,
+    )
+    return model.add(values.astype(np.float32))
+
+
+def with_clips(target: Path, names: Sequence[str | None]) -> Path:
+    """Write the tube with a clip of each name, None for none. Each bends it about another axis."""
+    model = Editable(TUBE)
+    [bend] = model.content["animations"]
+    clips = []
+    for number, name in enumerate(names):
+        clip = copy.deepcopy(bend)
+        del clip["name"]
+        if number:
+            output = turned(model, bend["samplers"][0]["output"], 40.0 * number, number % 3, slice(None))
+            clip["samplers"][0]["output"] = output
+        clips.append(clip if name is None else {**clip, "name": name})
+    model.content["animations"] = clips
+    return model.write(target)
+
+
+def clip_files(source: Path, folder: Path) -> list[Path]:
+    """Write the model without clips as hero.glb, and once with each clip alone."""
+    count = len(gltf_reading.read(source).content["animations"])
+
+    def only(number: int | None) -> Any:
+        def change(content: Any) -> None:
+            content["animations"] = [] if number is None else [content["animations"][number]]
+            if number is None:
+                del content["animations"]
+
+        return change
+
+    folder.mkdir(exist_ok=True)
+    clips = [rewritten(source, folder / f"clip{number}.glb", only(number)) for number in range(count)]
+    return [rewritten(source, folder / "hero.glb", only(None)), *clips]
 
 
 REFERENCES = {

@@ -4,54 +4,20 @@ from __future__ import annotations
 
 import copy
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.correctives.models import TUBE, rewritten
+from tests.correctives.models import TUBE, rewritten, turned, with_clips
 from tests.support import corpus, gltf_reading
 from tests.support.baked_files import Answer, Editable, verify
 from tests.support.command_line import invoke
 
 Change = Callable[[Any], None]
 MIXAMO = "mixamo.com"
-
-
-def turned(model: Editable, accessor: int, degrees: float, axis: int, keys: slice) -> int:
-    """Add a copy of an accessor of rotations, in some of which the joint is turned further. Return it."""
-    values = np.array(model.stored(accessor))
-    half = np.radians(degrees) / 2
-    turn = np.zeros(4)
-    turn[axis], turn[3] = np.sin(half), np.cos(half)
-    x, y, z, w = values[keys].T
-    a, b, c, d = turn
-    values[keys] = np.stack(
-        [
-            *(w * a + x * d + y * c - z * b, w * b - x * c + y * d + z * a),
-            *(w * c + x * b - y * a + z * d, w * d - x * a - y * b - z * c),
-        ],
-        axis=1,
-    )
-    return model.add(values.astype(np.float32))
-
-
-def with_clips(target: Path, names: Sequence[str | None]) -> Path:
-    """Write the tube with a clip of each name, None for none. Each bends it about another axis."""
-    model = Editable(TUBE)
-    [bend] = model.content["animations"]
-    clips = []
-    for number, name in enumerate(names):
-        clip = copy.deepcopy(bend)
-        del clip["name"]
-        if number:
-            output = turned(model, bend["samplers"][0]["output"], 40.0 * number, number % 3, slice(None))
-            clip["samplers"][0]["output"] = output
-        clips.append(clip if name is None else {**clip, "name": name})
-    model.content["animations"] = clips
-    return model.write(target)
 
 
 def baked(source: Path, *options: str) -> Path:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.correctives.models import SHEET, TUBE, joined, parted, rewritten
+from tests.correctives.models import SHEET, TUBE, clip_files, joined, parted, rewritten
 from tests.support import corpus
 from tests.support.characters import Array, angles
 from tests.support.command_line import invoke
@@ -130,6 +130,27 @@ def assert_the_page_drives_its_face(played: Callable[[dict[str, Any]], list[str]
             for pair in zip(*([one.normals for one in draws] for draws in (unset, driven)), strict=True)
         ]
         assert (max(moved) > 100 * DEGREES) == (not options)
+
+
+def assert_a_clip_of_another_file_is_corrected(
+    played: Callable[[dict[str, Any]], list[str]], folder: Path
+) -> None:
+    """The clip of one file plays on the character of another: both were baked as one.
+
+    A viewer must draw what the clip draws in its own file.
+    """
+    hero, clip = (folder / f"clip{number}.glb" for number in range(2))
+    if not clip.exists():
+        whole = corpus.model("RobotMantis/animated_robot_mantis.glb")
+        plain = rewritten(whole, folder.parent / "mantis.glb", in_plain_material)
+        _, *files = clip_files(plain, folder.parent)
+        result = invoke("bake", *files[:2], "--out-dir", folder, "--correctives", "auto", "--one-character")
+        assert result.exit_code == 0, result.output
+    time, store = 19 / 30, "direction" if "godot" in str(folder) else "difference"
+    asked = {"url": f"/models/{hero.name}", "clipsOf": f"/models/{clip.name}", "clip": 0, "time": time}
+    found = played(asked)
+    assert largest(found, clip, time, store=store) < DEGREES
+    assert turned(found, clip, time) > 10 * DEGREES
 
 
 def code_of(engine: str) -> str:
@@ -250,6 +271,10 @@ def test_three_leaves_morph_targets_to_the_page(three: ViewerStage) -> None:
         assert_the_page_drives_its_face(played, three.models)
 
 
+def test_three_plays_a_clip_of_another_file_of_the_character(three: ViewerStage) -> None:
+    assert_a_clip_of_another_file_is_corrected(lambda asked: three.call("played", asked), three.models)
+
+
 def test_three_ends_a_correction_as_the_clip_stops(three: ViewerStage) -> None:
     path, time = corrected("character", three.models, "float32")
     asked = {"url": f"/models/{path.name}", "clip": 0, "time": time, "isStopped": True}
@@ -281,6 +306,10 @@ def test_babylon_draws_what_the_replay_says(babylon: ViewerStage, case: str, enc
 
 def test_babylon_leaves_morph_targets_to_the_page(babylon: ViewerStage) -> None:
     assert_the_page_drives_its_face(lambda asked: babylon.call("played", asked), babylon.models)
+
+
+def test_babylon_plays_a_clip_of_another_file_of_the_character(babylon: ViewerStage) -> None:
+    assert_a_clip_of_another_file_is_corrected(lambda asked: babylon.call("played", asked), babylon.models)
 
 
 def test_babylon_ends_a_correction_by_the_documented_code(babylon: ViewerStage) -> None:
@@ -334,6 +363,12 @@ def test_playcanvas_leaves_morph_targets_to_the_page(playcanvas: ViewerStage) ->
     assert_the_page_drives_its_face(lambda asked: playcanvas.call("played", asked), playcanvas.models)
 
 
+def test_playcanvas_plays_a_clip_of_another_file_of_the_character(playcanvas: ViewerStage) -> None:
+    assert_a_clip_of_another_file_is_corrected(
+        lambda asked: playcanvas.call("played", asked), playcanvas.models
+    )
+
+
 def test_playcanvas_ends_a_correction_by_the_documented_code(playcanvas: ViewerStage) -> None:
     without, after = ended(playcanvas, "PlayCanvas", playcanvas.models)
     assert without > 10 * DEGREES and after < DEGREES
@@ -366,6 +401,10 @@ def test_godot_draws_what_a_replay_of_its_storage_says(godot: ViewerStage, case:
 
 def test_godot_leaves_morph_targets_to_the_page(godot: ViewerStage) -> None:
     assert_the_page_drives_its_face(lambda asked: godot.page.call("played", asked), godot.models)
+
+
+def test_godot_plays_a_clip_of_another_file_of_the_character(godot: ViewerStage) -> None:
+    assert_a_clip_of_another_file_is_corrected(lambda asked: godot.page.call("played", asked), godot.models)
 
 
 def test_godot_ends_a_correction_by_the_documented_code(godot: ViewerStage) -> None:

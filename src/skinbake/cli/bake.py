@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,7 @@ from skinbake.cli.help import Helpful
 from skinbake.cli.many import Reporting, work_through
 from skinbake.cli.plan import Plan, planned
 from skinbake.cli.targets import check_read, check_reports
-from skinbake.errors import OutputError, Place, SkinbakeError
+from skinbake.errors import ChoiceError, Chosen, OutputError, Place, SkinbakeError
 from skinbake.files.urls import STDIO, is_url, named_file
 from skinbake.options import BAKE, By, defaults
 
@@ -52,7 +53,7 @@ def options_of(given: Mapping[str, Any]) -> BakeOptions:
 )
 @click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")
 @planned(options_of, for_many=True)
-def command(plan: Plan[BakeOptions], *, require_tracked: bool) -> None:
+def command(plan: Plan[BakeOptions], *, require_tracked: bool, one_character: bool) -> None:
     """Add α and β, the skin-weight gradients along tangent and bitangent, to every skinned primitive.
 
     INPUT is a .glb, .gltf or .vrm file, or - for a GLB on stdin; a folder, for all such files below it; or a
@@ -60,6 +61,8 @@ def command(plan: Plan[BakeOptions], *, require_tracked: bool) -> None:
     stays as it is. A file in which nothing can be baked passes through unchanged, with a warning. Bake last:
     after tools that reorder influences or quantise positions, α and β are wrong.
     """
+    if one_character:
+        plan = _with_character(plan)
     clip_files = [named_file(one.path) for one in plan.options[0].fit_poses if not isinstance(one, str)]
     check_reports(
         {"--summary": plan.summary, "--state": plan.notes_at, OPTION: plan.depfile},
@@ -68,7 +71,9 @@ def command(plan: Plan[BakeOptions], *, require_tracked: bool) -> None:
     )
     check_read("--fit-poses", clip_files, plan.targets)
     with ended_by_errors(plan.say):
-        also_read = clip_files_read(file.given for file in clip_files) if plan.depfile else []
+        together = plan.names if one_character else []
+        read = [*(file.given for file in clip_files), *together]
+        also_read = clip_files_read(read) if plan.depfile else []
     check_depfile(plan, also_read)
     from skinbake.jobs.bake import Bake, BakeRecipe
     from skinbake.report.bake import (
@@ -115,6 +120,21 @@ def command(plan: Plan[BakeOptions], *, require_tracked: bool) -> None:
     commands = [Bake(one, plan.writing) for one in plan.options]
     noted = [BakeRecipe(one, pack=plan.pack) for one in plan.options]
     sys.exit(work_through(plan, commands, reporting, noted))
+
+
+def _with_character(plan: Plan[BakeOptions]) -> Plan[BakeOptions]:
+    """Return the plan with the clips of all its files. Raises click.UsageError and ChoiceError."""
+    if plan.options[0].correctives is None:
+        raise ChoiceError("one_character", reason=(" needs ", Chosen("correctives", "auto")))
+    if any(options != plan.options[0] for options in plan.options):
+        raise click.UsageError("--one-character needs the same options for all files")
+    if any(name == STDIO or is_url(name) for name in plan.names):
+        raise click.UsageError("--one-character needs files, not - and no URLs")
+    from skinbake.format.character import Character
+
+    with ended_by_errors(plan.say):
+        character = Character((entry.source, plan.bounds(entry.searched)) for entry, _ in plan.targets)
+    return replace(plan, options=[replace(one, character=character) for one in plan.options])
 
 
 def _untracked_code(results: Sequence[FileResult], say: Console) -> int:

@@ -16,7 +16,7 @@ from skinbake.files.temporary import Ahead
 from skinbake.files.urls import STDIO
 from skinbake.files.versions import digests_of, version_of
 from skinbake.format.note import Left as LeftNote
-from skinbake.format.note import refuse_other_kind, with_left, with_left_primitives
+from skinbake.format.note import corrective_notes, refuse_other_kind, with_left, with_left_primitives
 from skinbake.format.strip import stripped
 from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.document import Document, read_document
@@ -113,6 +113,13 @@ def rebaked(
     baked, the result is the document as it came, with any earlier bake. Raises InputError.
     """
     refuse_other_kind(document, correctives=options.correctives is not None)
+    if options.correctives is not None and options.character is None:
+        for number, note in corrective_notes(document).items():
+            if note.character:
+                others = ", ".join(note.character)
+                message = f"its correctives were those of {others}: baked alone, it does not fit their clips"
+                place = document.asset.meshes[number].place
+                document.notices.tell(Notice("character-apart", message, place))
     with document.notices.withheld() as before:
         # A bake is made of the file as it was before an earlier one: two bakes give what one gives.
         with stage("strip"):
@@ -128,6 +135,11 @@ def rebaked(
         return made
     # Nothing was baked, and so nothing is undone.
     reason = "none of its skinned primitives can be baked" if made.skipped else why_nothing(document)
+    if options.character is not None and document.asset.animations:
+        reason += (
+            ". Only a node with the mesh has a channel of weights, so its clips play no correctives: export "
+            "it with the mesh, put its clips into the character's file before the bake, or bake α and β"
+        )
     if options.correctives is not None and told:
         last = [*told][-1]
         reason = last.reason if isinstance(last, Skipped) else last.message

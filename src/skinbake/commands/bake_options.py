@@ -26,6 +26,7 @@ from skinbake.gradients.baker import BakeSettings
 from skinbake.options import BAKE, By, checked, defaults
 
 if TYPE_CHECKING:
+    from skinbake.format.character import Character
     from skinbake.truth.fit_poses import PoseSource
 
 USUAL = defaults(BAKE, By.OVERRIDE)
@@ -61,7 +62,8 @@ class BakeOptions:
     """The options of ``skinbake bake``, under the same names. They are checked when they are given.
 
     crease_angle is in degrees. Enumerations may be given by their values. fit_poses are ``animations``,
-    ``random:N`` and files, which are read at once. Raises ChoiceError for a value that does not exist and for
+    ``random:N`` and files, which are read at once. character is that of ``--one-character``, whose files have
+    been read. Raises ChoiceError for a value that does not exist and for
     options that contradict each other, and InputError for a file that cannot be read.
     """
 
@@ -93,6 +95,7 @@ class BakeOptions:
     leave_under: float | None = USUAL["leave_under"]
     require_baked: bool = USUAL["require_baked"]
     warnings_as_errors: bool = USUAL["warnings_as_errors"]
+    character: Character | None = None
 
     def __post_init__(self) -> None:
         # The sources of poses may have been read already.

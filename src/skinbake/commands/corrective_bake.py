@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -108,48 +108,20 @@ def bake_correctives(
                 (item.source.place, count._replace(added_bytes=length))
                 for (item, count), length in zip(made, lengths, strict=True)
             ]
-    clips = read_clips(document)
-    chosen = _chosen(document, clips, options.clips)
-    # Meshes that one skin draws are fitted as one surface, so that no seam shows. A mesh with morph targets
-    # is by itself: each node has its own weights for them.
-    asset = document.asset.meshes
-    plain = [mesh for mesh in dict.fromkeys(one.mesh for one in sources) if not asset[mesh].target_count]
-    morphing = [mesh for mesh in dict.fromkeys(one.mesh for one in sources) if mesh not in plain]
-    if clips and not options.clips_own_weights:
-        morphing = _own_weights(document, morphing, clips)
-    found: list[tuple[Place, Correctives, MeshCorrectives | None]] = []
-    for group in [*meshes_of_one_skin(document, plain), *([mesh] for mesh in morphing)]:
-        of_group = [one for mesh in group for one in sources if one.mesh == mesh]
-        found += _fitted(document, of_group, clips, chosen, options)
-    # What makes a primitive worse is left out, and the rest is measured again.
-    while items := [item for _, _, item in found if item is not None]:
-        with stage("store"):
-            written, lengths = with_mesh_correctives(document, items, options.encoding)
-            # What its clips play is noted: verify knows them again by it.
-            plays, played = {}, PlayedClips(written)
-            for item in items:
-                of_mesh = played.of_mesh(item.mesh, item.count)
-                plays[item.mesh] = [(*one.poses, *one.weights) for one in of_mesh if one.plays]
-            written = with_plays(written, plays)
-        with stage("gain"):
-            # As if the written file were read: a bake writes nothing that verify refuses.
-            fresh = document.budget.afresh(sum(lengths))
-            verdict = lighting_with_correctives(written.edited(budget=fresh))
-        if verdict.unplayed is not None:
-            raise verdict.unplayed
-        worse = {(place.mesh, place.primitive) for place in worse_primitives(verdict)}
-        if not worse:
-            break
-        for number, (place, one, own) in enumerate(found):
-            if own is not None:
-                kept = [
-                    np.zeros_like(targets) if (source.mesh, source.primitive) in worse else targets
-                    for source, targets in zip(own.sources, own.targets, strict=True)
-                ]
-                some = any(targets.any() for targets in kept)
-                found[number] = place, one, replace(own, targets=kept) if some else None
+    if options.character is None:
+        found, verdict, written, lengths = _helpful(document, sources, options)
+    else:
+        # Fitted and measured with the clips of all files that hold the character. Own ones go into this one.
+        for source in sources:
+            check_targets(document, source.mesh, source.place)
+        whole, own_clips = options.character.together(document)
+        there = [whole.asset.counterpart(source) for source in sources]
+        found, verdict, _, _ = _helpful(whole, there, options)
+        found = [_of_file(document, one, own_clips, options.character.files) for one in found]
+        if verdict is not None:
+            written, lengths = _written(document, [item for *_, item in found if item], options.encoding)
     idle = [_nothing(place, one) for place, one, item in found if item is None]
-    if not items:
+    if verdict is None:
         document.notices.tell(*idle)
         return BakedDocument(document, morphs=morphs)
     # What others have makes plain what the rest does not need.
@@ -159,6 +131,93 @@ def bake_correctives(
         (place, _counts(one, item, verdict, next(sizes))) for place, one, item in found if item is not None
     ]
     return BakedDocument(written, morphs=morphs, correctives=counts, verdict=verdict)
+
+
+Found: TypeAlias = "tuple[Place, Correctives, MeshCorrectives | None]"
+"""The correctives of a mesh, and what is to be written of them."""
+
+
+def _helpful(
+    document: Document, sources: Sequence[PrimitiveSource], options: BakeOptions
+) -> tuple[list[Found], FileVerdict | None, Document, list[int]]:
+    """Return the correctives of each mesh, their lighting, the document with them and the added bytes.
+
+    There is no verdict if there are none.
+    """
+    clips = read_clips(document)
+    chosen = _chosen(document, clips, options.clips)
+    # Meshes that one skin draws are fitted as one surface, so that no seam shows. A mesh with morph targets
+    # is by itself: each node has its own weights for them.
+    asset = document.asset.meshes
+    plain = [mesh for mesh in dict.fromkeys(one.mesh for one in sources) if not asset[mesh].target_count]
+    morphing = [mesh for mesh in dict.fromkeys(one.mesh for one in sources) if mesh not in plain]
+    if clips and not options.clips_own_weights:
+        morphing = _own_weights(document, morphing, clips)
+    found: list[Found] = []
+    for group in [*meshes_of_one_skin(document, plain), *([mesh] for mesh in morphing)]:
+        of_group = [one for mesh in group for one in sources if one.mesh == mesh]
+        found += _fitted(document, of_group, clips, chosen, options)
+    # What makes a primitive worse is left out, and the rest is measured again.
+    while items := [item for _, _, item in found if item is not None]:
+        written, lengths = _written(document, items, options.encoding)
+        with stage("gain"):
+            # As if the written file were read: a bake writes nothing that verify refuses.
+            fresh = document.budget.afresh(sum(lengths))
+            verdict = lighting_with_correctives(written.edited(budget=fresh))
+        if verdict.unplayed is not None:
+            raise verdict.unplayed
+        worse = {(place.mesh, place.primitive) for place in worse_primitives(verdict)}
+        if not worse:
+            return found, verdict, written, lengths
+        for number, (place, one, own) in enumerate(found):
+            if own is not None:
+                kept = [
+                    np.zeros_like(targets) if (source.mesh, source.primitive) in worse else targets
+                    for source, targets in zip(own.sources, own.targets, strict=True)
+                ]
+                some = any(targets.any() for targets in kept)
+                found[number] = place, one, replace(own, targets=kept) if some else None
+    return found, None, document, []
+
+
+def _written(
+    document: Document, items: Sequence[MeshCorrectives], encoding: Encoding
+) -> tuple[Document, list[int]]:
+    """Return the document with correctives and the added bytes by mesh.
+
+    What its clips play is noted: verify knows them again by it.
+    """
+    with stage("store"):
+        written, lengths = with_mesh_correctives(document, items, encoding)
+        plays, played = {}, PlayedClips(written)
+        for item in items:
+            of_mesh = played.of_mesh(item.mesh, item.count)
+            plays[item.mesh] = [(*one.poses, *one.weights) for one in of_mesh if one.plays]
+        return with_plays(written, plays), lengths
+
+
+def _of_file(
+    document: Document, found: Found, own_clips: Mapping[int, int], character: Sequence[str]
+) -> Found:
+    """Return correctives with the clips of one file alone, whose numbers ``own_clips`` has."""
+    place, one, item = found
+    if item is not None:
+        tracks = (track for track in one.tracks if track.motion.clip.number in own_clips)
+        one = replace(one, tracks=tuple(tracks))
+        clips = [clip for clip in item.clips if clip.animation in own_clips]
+        item = replace(
+            item,
+            sources=[document.asset.counterpart(source) for source in item.sources],
+            clips=[replace(clip, animation=own_clips[clip.animation]) for clip in clips],
+            playing=_playing(one),
+            character=character,
+        )
+    return place, one, item
+
+
+def _playing(made: Correctives) -> list[str]:
+    """Return the names of the clips that play correctives, each once."""
+    return list(dict.fromkeys(track.motion.clip.name for track in made.tracks if track.plays))
 
 
 def _own_weights(document: Document, meshes: Sequence[int], clips: Sequence[Clip]) -> list[int]:
@@ -235,8 +294,8 @@ def _fitted(
     clips: Sequence[Clip],
     chosen: set[int],
     options: BakeOptions,
-) -> list[tuple[Place, Correctives, MeshCorrectives | None]]:
-    """Return the correctives of the meshes of one surface, and what is to be written of each."""
+) -> list[Found]:
+    """Return the correctives of the meshes of one surface."""
     meshes = list(dict.fromkeys(source.mesh for source in sources))
     places = [next(s for s in sources if s.mesh == mesh).place._replace(primitive=None) for mesh in meshes]
     for mesh, place in zip(meshes, places, strict=True):
@@ -318,7 +377,7 @@ def _fitted(
                 targets=[own * size for own, size in zip(one.targets, lengths[part], strict=True)],
                 clips=_weights(nodes[mesh], one, idle),
                 aim=options.corrective_aim,
-                playing=list(dict.fromkeys(track.motion.clip.name for track in one.tracks if track.plays)),
+                playing=_playing(one),
             )
         found.append((here, one, item))
     return found
@@ -407,7 +466,6 @@ def _counts(
     made: Correctives, item: MeshCorrectives, verdict: FileVerdict, added_bytes: int
 ) -> CorrectiveCounts:
     """Return the numbers of the report for one mesh, whose errors a verdict has by primitive."""
-    playing = [track.motion.clip.name for track in made.tracks if track.plays]
     still = [track.motion.clip.name for track in made.tracks if not track.plays]
     fitted, corrected = (
         sum(int(np.count_nonzero(one.any(axis=(0, 2)))) for one in targets)
@@ -427,7 +485,7 @@ def _counts(
         corrected=corrected,
         given_up=made.given_up + fitted - corrected,
         keys=sum(len(track.times) for track in made.tracks if track.plays),
-        clips=tuple(dict.fromkeys(playing)),
+        clips=tuple(_playing(made)),
         idle_clips=tuple(dict.fromkeys(still)),
         left=made.left,
         standard=means["standard"],

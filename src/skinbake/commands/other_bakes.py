@@ -77,6 +77,8 @@ def _measured(
         ("--morph-frames", {"morph_frames": True}, not corrects and morphs and not lacking),
         ("--neighbours extend", {"neighbours": "extend"}, not corrects),
     ]
+    # One file of a character alone would get targets that clips of the others do not fit.
+    plays = plays and not any(note.character for note in corrective_notes(document).values())
     corrects = corrects and plays and options.methods == ("lbs",)  # which correctives are for
     auto = {"correctives": "auto"}
     ways.append(("--correctives auto", auto, corrects))

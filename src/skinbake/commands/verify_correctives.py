@@ -9,6 +9,7 @@ from skinbake.choices import PoseKind
 from skinbake.commands.bake_options import DEFAULTS, OF_SURFACE
 from skinbake.commands.gradient_bake import bake_gradients
 from skinbake.errors import Notice
+from skinbake.format.note import corrective_notes
 from skinbake.format.strip import uncorrected
 from skinbake.freshness.baked_views import left_on_purpose
 from skinbake.freshness.corrective_freshness import (
@@ -43,6 +44,11 @@ def corrected_verdict(document: Document, options: VerifyOptions) -> FileVerdict
     with stage("freshness"):
         fresh = corrective_freshness(document, sources)
         fresh, begun = replace(fresh, seconds=perf_counter() - begun), perf_counter()
+    notes = corrective_notes(document).values()
+    if all(note.character and note.plays == () for note in notes):
+        of_others = "clips of other files play its correctives (bake --one-character)"
+        elsewhere = Check("lighting", "skipped", (), of_others)
+        return FileVerdict(document.name, (Check("structure", "passed"), fresh, elsewhere))
     with document.notices.withheld(), stage("α and β"):
         plain, _ = uncorrected(document)
         gradients = bake_gradients(plain, bakeable(plain), DEFAULTS).document

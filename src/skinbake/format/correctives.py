@@ -81,7 +81,8 @@ class MeshCorrectives:
     """The correctives of one mesh: targets (K, V, 3) of the normals of each of its sources, and clips.
 
     primitives are the arrays of the sources, for their digests. aim is what they were fitted to, playing are
-    the names of the clips that play them: people read both in the note.
+    the names of the clips that play them, and character those of the files that have the same targets: people
+    read them in the note.
     """
 
     mesh: int
@@ -91,6 +92,7 @@ class MeshCorrectives:
     clips: Sequence[ClipWeights]
     aim: CorrectiveAim
     playing: Sequence[str]
+    character: Sequence[str] = ()
 
     @property
     def count(self) -> int:
@@ -239,6 +241,7 @@ def _corrected(
         targets=item.count,
         aim=item.aim,
         clips=tuple(item.playing),
+        character=tuple(item.character),
         channels=channels,
         samplers=samplers,
         primitives=tuple(noted),

@@ -411,7 +411,8 @@ class CorrectedPrimitive(_Note):
 class CorrectiveNote(_Note):
     """What a bake notes of a mesh with correctives.
 
-    targets is their number. clips are the names of the clips that play them, for people. channels are
+    targets is their number. clips are the names of the clips that play them, for people. character are those
+    of the files that have the same targets for their own clips (``--one-character``). channels are
     animation, channel and its former sampler, or None for a new channel; samplers the former number of
     samplers by animation. former are the members that the mesh had, names tells whether it had targetNames,
     former_names are others than for these targets. required are the lists that KHR_mesh_quantization was
@@ -423,6 +424,7 @@ class CorrectiveNote(_Note):
     targets: int = _member(reference, 0)
     aim: str = _member(_word, "")
     clips: tuple[str, ...] = _member(_texts, (), always=True)
+    character: tuple[str, ...] = _member(_texts, ())
     channels: tuple[tuple[int, int, int | None], ...] = _member(_each(_numbered(3)), (), always=True)
     samplers: tuple[tuple[int, int], ...] = _member(_each(_numbered(2)), (), always=True)
     primitives: tuple[CorrectedPrimitive, ...] = _member(

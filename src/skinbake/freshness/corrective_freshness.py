@@ -272,7 +272,7 @@ def _stale_clips(document: Document, found: Sequence[PlayedClip], note: Correcti
     width = 2 * NUMBERS
     rows = [one for one in note.plays or () if len(one) == width]
     noted = np.array(rows, dtype=np.float64).reshape(-1, width)
-    if not any(one.plays for one in found):
+    if not any(one.plays for one in found) and not (note.character and note.plays == ()):
         yield "no clip plays its correctives any more"
     steps = 1 + noted.size // 1000
     document.budget.claim(Work(steps=steps * len(found)), "comparing what its clips play", document.place)

@@ -310,11 +310,12 @@ def _corrected(result: FileResult) -> str:
     targets = " or ".join(str(number) for number in sorted({count.targets for count in counts}))
     clips = len({clip for count in counts for clip in count.clips})
     changes = [f"{before:.2f}° -> {after:.2f}° by {truth}" for truth, before, after in result.lighting]
+    where = f"in {counted(clips, 'clip')}" if clips else "for clips of other files"
     size = sum(count.added_bytes for count in counts)
     meshes = f" on each of {counted(len(counts), 'mesh', 'meshes')}" if len(counts) > 1 else ""
     plural = "" if targets == "1" else "s"
     return (
-        f"{targets} corrective normal{plural}{meshes} in {counted(clips, 'clip')}, {', '.join(changes)}, "
+        f"{targets} corrective normal{plural}{meshes} {where}, {', '.join(changes)}, "
         f"{counted(size, 'byte')} added ({size / vertices:.1f} a vertex)"
     )
 

@@ -545,8 +545,11 @@ def conclusion(verdict: FileVerdict) -> Conclusion | None:
         if "random" in verdict.poses
         else f"skinbake verify {name} --poses random"
     )
+    sentence = "No light was measured in these poses."
     step = "do what the warning says" if verdict.notices else again
-    return Conclusion("No light was measured in these poses.", step)
+    if verdict.passed and any(check.name == "lighting" for check in verdict.checks):
+        sentence, step = "Clips of other files play its correctives.", "verify these files"
+    return Conclusion(sentence, step)
 
 
 def _on_gain(figures: Mapping[str, ErrorFigures], look: str, *, advised: bool) -> Conclusion:

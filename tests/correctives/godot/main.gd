@@ -27,13 +27,9 @@ func _on_show(arguments: Array) -> void:
 	if _scene != null:
 		remove_child(_scene)
 		_scene.queue_free()
-	var document := GLTFDocument.new()
-	var state := GLTFState.new()
-	var error := document.append_from_buffer(FileAccess.get_file_as_bytes(asked.path), "/", state)
-	if error != OK:
-		_window.answer = error_string(error)
+	_scene = _loaded(asked.path)
+	if _scene == null:
 		return
-	_scene = document.generate_scene(state)
 	for mesh: MeshInstance3D in _scene.find_children("*", "MeshInstance3D", true, false):
 		mesh.custom_aabb = AABB(Vector3.ONE * -1000.0, Vector3.ONE * 2000.0)
 		for surface in mesh.mesh.get_surface_count():
@@ -42,7 +38,13 @@ func _on_show(arguments: Array) -> void:
 			for target: int in asked.weights.size():
 				mesh.set_blend_shape_value(target, asked.weights[target])
 	add_child(_scene)
-	var player: AnimationPlayer = _scene.find_children("*", "AnimationPlayer", true, false)[0]
+	var player := _player(_scene)
+	if asked.get("clips", asked.path) != asked.path:
+		var other := _loaded(asked.clips)
+		var clips := _player(other).get_animation_library("")
+		player.remove_animation_library("")
+		player.add_animation_library("", clips)
+		other.free()
 	player.play(player.get_animation_list()[asked.clip])
 	player.seek(asked.time, true)
 	player.pause()
@@ -52,3 +54,17 @@ func _on_show(arguments: Array) -> void:
 		script.reload()
 		script.run(_scene)
 	_window.answer = ""
+
+
+func _loaded(path: String) -> Node3D:
+	var document := GLTFDocument.new()
+	var state := GLTFState.new()
+	var error := document.append_from_buffer(FileAccess.get_file_as_bytes(path), "/", state)
+	if error != OK:
+		_window.answer = error_string(error)
+		return null
+	return document.generate_scene(state)
+
+
+func _player(scene: Node) -> AnimationPlayer:
+	return scene.find_children("*", "AnimationPlayer", true, false)[0]

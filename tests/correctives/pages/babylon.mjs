@@ -5,7 +5,7 @@ import { FreeCamera } from '@babylonjs/core/Cameras/freeCamera.js';
 import { Engine } from '@babylonjs/core/Engines/engine.js';
 import '@babylonjs/core/Engines/Extensions/index.js';
 import { DirectionalLight } from '@babylonjs/core/Lights/directionalLight.js';
-import { ImportMeshAsync } from '@babylonjs/core/Loading/sceneLoader.js';
+import { ImportMeshAsync, LoadAssetContainerAsync } from '@babylonjs/core/Loading/sceneLoader.js';
 import { Vector3 } from '@babylonjs/core/Maths/math.vector.js';
 import '@babylonjs/core/Meshes/instancedMesh.js';
 import { Scene } from '@babylonjs/core/scene.js';
@@ -19,6 +19,8 @@ canvas.width = canvas.height = 16;
 document.body.append(canvas);
 const engine = new Engine(canvas, false);
 
+const targetsOf = (manager) => Array.from({ length: manager.numTargets }, (_, target) => manager.getTarget(target));
+
 function frame(scene) {
     engine.beginFrame();
     scene.render();
@@ -26,14 +28,23 @@ function frame(scene) {
 }
 
 // The normals that each draw hands on, in the scene. The page sets weights of the morph targets of a node first,
-// and runs code of documentation last.
-window.played = async ({ url, clip, time, node, weights = [], code = '' }) => {
+// and runs code of documentation last. The clip may be from another file, clipsOf.
+window.played = async ({ url, clip, time, clipsOf, node, weights = [], code = '' }) => {
     const scene = new Scene(engine);
     scene.useRightHandedSystem = true;
     new DirectionalLight('sun', new Vector3(-1, -2, -3), scene);
     scene.activeCamera = new FreeCamera('camera', new Vector3(0, 0, -3), scene);
-    const { animationGroups } = await ImportMeshAsync(url, scene, { pluginExtension: '.glb' });
+    let { animationGroups } = await ImportMeshAsync(url, scene, { pluginExtension: '.glb' });
     for (const group of animationGroups) group.stop();
+    if (clipsOf) {
+        const other = await LoadAssetContainerAsync(clipsOf, scene, { pluginExtension: '.glb' });
+        const morphs = (meshes) => meshes.flatMap(({ morphTargetManager: found }) => (found ? targetsOf(found) : []));
+        const targets = morphs(other.meshes);
+        const ours = morphs(scene.meshes);
+        animationGroups = other.animationGroups.map((group) =>
+            group.clone(group.name, (target) => ours[targets.indexOf(target)] ?? scene.getNodeByName(target.name)),
+        );
+    }
     const morphed = scene.getMeshByName(node)?.morphTargetManager;
     weights.forEach((weight, target) => (morphed.getTarget(target).influence = weight));
     animationGroups[clip].start(false);

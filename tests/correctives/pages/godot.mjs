@@ -12,10 +12,11 @@ for (const start = performance.now(); !window.isStarted; await frame()) {
 }
 
 // The normals that each draw hands on, in the scene. The page sets weights of the morph targets of a node first,
-// and runs code of documentation last.
-window.played = async ({ url, clip, time, node = '', weights = [], code = '' }) => {
+// and runs code of documentation last. The clip may be from another file, clipsOf.
+window.played = async ({ url, clipsOf = url, clip, time, node = '', weights = [], code = '' }) => {
     engine.copyToFS('/model.glb', await (await fetch(url)).arrayBuffer());
-    window.show(JSON.stringify({ path: '/model.glb', clip, time, node, weights, code }));
+    engine.copyToFS('/clips.glb', await (await fetch(clipsOf)).arrayBuffer());
+    window.show(JSON.stringify({ path: '/model.glb', clips: '/clips.glb', clip, time, node, weights, code }));
     if (window.answer) throw new Error(window.answer);
     // Godot fills the joint texture at the end of a frame, and uses its copy in the next.
     for (let i = 0; i < 3; i++) await frame();

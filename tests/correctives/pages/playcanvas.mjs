@@ -28,11 +28,7 @@ camera.setPosition(0, 0, 10);
 app.root.addChild(sun);
 app.root.addChild(camera);
 
-// The normals that each draw hands on, in the scene. isPrecise: morph targets in floats, not in half floats. The page sets
-// weights of the morph targets of a node first, and runs code of documentation last.
-window.played = async ({ url, clip, time, isPrecise = false, node, weights = [], code = '' }) => {
-    const others = { morphPreferHighPrecision: isPrecise };
-    const options = window.optionsFor?.(app, {}, others) ?? others;
+async function loaded(url, options) {
     const asset = new pc.Asset(url, 'container', { url, filename: url.split('/').pop() }, null, options);
     app.assets.add(asset);
     await new Promise((resolve, reject) => {
@@ -40,12 +36,23 @@ window.played = async ({ url, clip, time, isPrecise = false, node, weights = [],
         asset.once('error', (error) => reject(new Error(error)));
         app.assets.load(asset);
     });
+    return asset;
+}
+
+// The normals that each draw hands on, in the scene. isPrecise: morph targets in floats, not in half floats. The page sets
+// weights of the morph targets of a node first, and runs code of documentation last. The clip may be from another file,
+// clipsOf.
+window.played = async ({ url, clip, time, clipsOf, isPrecise = false, node, weights = [], code = '' }) => {
+    const others = { morphPreferHighPrecision: isPrecise };
+    const options = window.optionsFor?.(app, {}, others) ?? others;
+    const asset = await loaded(url, options);
+    const other = clipsOf ? await loaded(clipsOf, options) : asset;
     const entity = asset.resource.instantiateRenderEntity();
     app.root.addChild(entity);
     const morphed = entity.findByName(node)?.render.meshInstances[0].morphInstance;
     weights.forEach((weight, target) => morphed.setWeight(target, weight));
     entity.addComponent('anim', { activate: true });
-    entity.anim.assignAnimation('clip', asset.resource.animations[clip].resource, undefined, 1, false);
+    entity.anim.assignAnimation('clip', other.resource.animations[clip].resource, undefined, 1, false);
     entity.anim.baseLayer.play('clip');
     entity.anim.baseLayer.activeStateCurrentTime = time;
     for (const { meshInstances } of entity.findComponents('render')) {
@@ -60,7 +67,9 @@ window.played = async ({ url, clip, time, isPrecise = false, node, weights = [],
     CAPTURE.on = false;
     const draws = CAPTURE.draws.map(({ values }) => base64(values));
     entity.destroy();
-    app.assets.remove(asset);
-    asset.unload();
+    for (const one of new Set([asset, other])) {
+        app.assets.remove(one);
+        one.unload();
+    }
     return draws;
 };

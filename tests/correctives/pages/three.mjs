@@ -22,12 +22,13 @@ async function rendererOf(backend) {
 window.backend = async (name) => ((await rendererOf(name)).backend?.isWebGPUBackend ? 'webgpu' : 'webgl');
 
 // The normals that each draw hands on, in the scene: the camera stands at the origin. The page sets weights of the morph
-// targets of a node first, and stops the clip if it is asked to.
-window.played = async ({ url, clip, time, backend = 'webgl', node, weights = [], isStopped = false }) => {
+// targets of a node first, and stops the clip if it is asked to. The clip may be from another file, clipsOf.
+window.played = async ({ url, clip, time, clipsOf, backend = 'webgl', node, weights = [], isStopped = false }) => {
     const renderer = await rendererOf(backend);
     const loader = new GLTFLoader();
     if (window.plugin) loader.register(window.plugin);
-    const { scene: model, animations } = await loader.loadAsync(url);
+    const { scene: model, animations: own } = await loader.loadAsync(url);
+    const animations = clipsOf ? (await loader.loadAsync(clipsOf)).animations : own;
     model.traverse((object) => (object.frustumCulled = false));
     const morphed = model.getObjectByName(node);
     weights.forEach((weight, target) => (morphed.morphTargetInfluences[target] = weight));
