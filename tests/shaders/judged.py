@@ -91,7 +91,7 @@ def irregular_work(every: Mapping[str, ShaderChoices]) -> Work:
         scene = irregular(choices.influences, stretches=motion_kind(choices) != "dqs")
         if choices.method is Method.BLEND and not choices.scaled_joints:
             scene = replace(scene, matrices=scene.matrices[:2])  # the third pose has another scale
-        if choices.scaled_joints and not choices.normal_map:  # a pixel on a point has no mapped normal
+        if choices.scaled_joints or (choices.method is Method.LBS and choices.normal_map):
             scene = with_hidden_joint(scene)
         found[name] = choices, scene
     return found

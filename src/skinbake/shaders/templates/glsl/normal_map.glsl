@@ -8,19 +8,18 @@ struct skinbake_NormalMap {
     vec4 cobitangent;
 };
 
-// A direction at length 1, and its length times k.
-vec4 skinbake_with_length(vec3 direction, float k)
+// A vector at length 1. Zero stays zero: joints of scale 0 leave nothing else.
+vec3 skinbake_direction(vec3 v)
 {
-    float size = length(direction);
-    return vec4(size > 0.0 ? direction / size : direction, k * size);
+    return dot(v, v) > 0.0 ? normalize(v) : v;
 }
 
 // The mapped normal at a pixel, of any length: the texel, 2 * texture - 1, on the surface as it is now. At rest it is
 // t, b and n, each of length 1, times the texel, as in three.js.
 vec3 skinbake_mapped_normal(vec3 texel, vec3 normal, vec4 cotangent, vec4 cobitangent)
 {
-    return texel.x * cotangent.w * normalize(cotangent.xyz) + texel.y * cobitangent.w * normalize(cobitangent.xyz)
-        + texel.z * normalize(normal);
+    return texel.x * cotangent.w * skinbake_direction(cotangent.xyz)
+        + texel.y * cobitangent.w * skinbake_direction(cobitangent.xyz) + texel.z * skinbake_direction(normal);
 }
 #endif
 
@@ -42,7 +41,7 @@ skinbake_NormalMap skinbake_normal_map(skinbake_Vertex v, skinbake_Frame frame)
 {
     vec3 cotangent = v.cotangent;
     vec3 cobitangent = v.cobitangent;
-    float k = length(frame.tangent) / length(v.normal);
+    float k = length(frame.tangent);
 //% else
 skinbake_NormalMap skinbake_normal_map(skinbake_Vertex v, skinbake_Frame rest, vec4 tangent)
 {
@@ -52,9 +51,11 @@ skinbake_NormalMap skinbake_normal_map(skinbake_Vertex v, skinbake_Frame rest, v
     vec3 cotangent = dot(t, rest.tangent) * v.cotangent + dot(t, rest.bitangent) * v.cobitangent
         + dot(t, rest.normal) * v.normal;
     vec3 cobitangent = dot(b, rest.tangent) * v.cotangent + dot(b, rest.bitangent) * v.cobitangent;
-    float k = 1.0 / length(v.normal);
+    float k = 1.0;
 //% endif
-    return skinbake_NormalMap(
-        normalize(v.normal), skinbake_with_length(cotangent, k), skinbake_with_length(cobitangent, k));
+    float size = length(v.normal);
+    k = size > 0.0 ? k / size : 0.0;
+    return skinbake_NormalMap(skinbake_direction(v.normal), vec4(skinbake_direction(cotangent), k * length(cotangent)),
+        vec4(skinbake_direction(cobitangent), k * length(cobitangent)));
 }
 #endif
