@@ -37,6 +37,8 @@ def said(*arguments: str | Path) -> tuple[int, str]:
         (["bake", "x.glb", "--encoding", "snorm6"], "Did you mean 'snorm16'?"),
         (["bake", "x.glb", "--color", "allways"], "Did you mean 'always'?"),
         (["shader", "--target", "threee"], "Did you mean 'three'?"),
+        (["shader", "--target", "unrael"], "Bake with --correctives: docs/unreal.md"),
+        (["shader", "--target", "Unity"], "Bake with --correctives: docs/unity.md"),
         (["render", "x.glb", "-o", "x.png", "--mode", "shade"], "Did you mean 'shaded'?"),
         (["bake", "x.glb", "--gardients", "fitted"], "Did you mean '--gradients'?"),
         (["--versoin"], "Did you mean '--version'?"),

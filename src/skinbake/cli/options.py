@@ -15,7 +15,7 @@ ELSEWHERE = {
     "unity": "Unity takes no such shader. Bake with --correctives: docs/unity.md",
     "unreal": "Unreal takes no such shader. Bake with --correctives: docs/unreal.md",
 }
-"""Words for which skinbake has another way, and the page that shows it."""
+"""Engines that are no target of shaders, and the page that shows what they take."""
 
 
 class Words(click.Choice[str]):
@@ -23,12 +23,14 @@ class Words(click.Choice[str]):
 
     def get_invalid_choice_message(self, value: Any, ctx: click.Context | None) -> str:
         """Return the message for a value that is none of the words."""
-        from skinbake.wording import did_you_mean
+        from skinbake.wording import did_you_mean, nearest
 
-        message = super().get_invalid_choice_message(value, ctx)
-        if other := ELSEWHERE.get(str(value).lower()):
-            return f"{message} {other}"
-        meant = did_you_mean(str(value), map(str, self.choices))
+        message, known = super().get_invalid_choice_message(value, ctx), list(map(str, self.choices))
+        engines = ELSEWHERE if "godot" in known else {}
+        likeliest = nearest(str(value), [*known, *engines])[:1]
+        if likeliest and likeliest[0] in engines:
+            return f"{message} {engines[likeliest[0]]}"
+        meant = did_you_mean(str(value), known)
         return f"{message} {meant[0].upper()}{meant[1:]}" if meant else message
 
 
