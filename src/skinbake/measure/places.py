@@ -7,7 +7,7 @@ sum. Cells are cubes of the mesh, parted by the side that the surface faces: two
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -59,6 +59,7 @@ class _Candidate:
 
     value: float
     draw: Draw
+    cells: _Cells
     pose: int
     seed: int
     members: BoolArray
@@ -145,7 +146,7 @@ class Places:
                 / np.maximum(areas[:, row, members].sum(axis=1), 1e-300)[:, None]
             )
             standard, baked = min(of_place.tolist(), key=lambda one: abs(one[0] - one[1]))
-            return _Candidate(value, draw, int(self._poses[row]), seed, members, (standard, baked))
+            return _Candidate(value, draw, cells, int(self._poses[row]), seed, members, (standard, baked))
 
         for seed in np.argsort(-seen.max(axis=0), kind="stable")[:SEEDS].tolist():
             members = cells.around(seed)
@@ -244,12 +245,10 @@ class _Cells:
 def _apart(candidates: Sequence[_Candidate]) -> list[_Candidate]:
     """Return the first candidates, each farther than two radii from the ones before in the same mesh."""
     kept = list[tuple[_Candidate, Float64Array, float]]()
-    cells = dict[int, _Cells]()
     for one in candidates:
         if len(kept) == LISTED:
             break
-        own = cells.setdefault(id(one.draw.surface), _Cells(one.draw))
-        middle, far = own.middles[one.seed], 2 * RADIUS * own.size
+        middle, far = one.cells.middles[one.seed], 2 * RADIUS * one.cells.size
         if all(np.linalg.norm(middle - other) > max(far, of_other) for _, other, of_other in kept):
             kept.append((one, middle, far))
     return [one for one, _, _ in kept]
@@ -257,7 +256,7 @@ def _apart(candidates: Sequence[_Candidate]) -> list[_Candidate]:
 
 def _spot(one: _Candidate) -> Spot:
     """Return a candidate as a place: where its middle is drawn, and the joint that moves it most."""
-    draw, poses, cells = one.draw, one.draw.poses, _Cells(one.draw)
+    draw, poses, cells = one.draw, one.draw.poses, one.cells
     weights = None if poses.morph_weights is None else poses.morph_weights[one.pose : one.pose + 1]
     then = replace(
         draw,
@@ -318,24 +317,31 @@ def _seen_from(
     first, second, third = (corners[:, corner] for corner in range(3))
     start = positions[vertex] + NEAR * np.linalg.norm(wide) * outward
     one, other, away = second - first, third - first, start - first
+    # Möller and Trumbore 1997, where rays meet the planes of triangles: here the factors that no ray changes.
+    facing, aside, turned = np.cross(other, one), np.cross(other, away), np.cross(away, one)
+    height = (other * turned).sum(axis=1)
     best, score = ((0.0, 0.0, 1.0), True), -1.0
+    for most, ray in sorted(_views(wide, outward), key=lambda one: -one[0]):
+        if most <= score:  # no better one follows
+            break
+        volume = facing @ ray
+        u, v, far = (aside @ ray) / volume, (turned @ ray) / volume, height / volume
+        is_hidden = bool(((u > 0) & (v > 0) & (u + v < 1) & (far > 0)).any())
+        found = most * (0.01 if is_hidden else 1.0)
+        if found > score:
+            best, score = ((float(ray[0]), float(ray[1]), float(ray[2])), is_hidden), found
+    return best
+
+
+def _views(wide: Float64Array, outward: Float64Array) -> Iterator[tuple[float, Float64Array]]:
+    """Yield directions (3,) to cameras, each after what it is worth if nothing hides the place."""
     yaw = np.arctan2(outward[0], outward[2])
     for turn in TURNS:
         for pitch in PITCHES:
             x, y, z = np.cos(pitch) * np.sin(yaw + turn), np.sin(pitch), np.cos(pitch) * np.cos(yaw + turn)
             ray = np.array([x, y, z])
-            # Möller and Trumbore 1997: where the ray meets the plane of a triangle.
-            across = np.cross(ray, other)
-            volume = (one * across).sum(axis=1)
-            u = (away * across).sum(axis=1) / volume
-            turned = np.cross(away, one)
-            v, far = (turned @ ray) / volume, (other * turned).sum(axis=1) / volume
-            is_hidden = bool(((u > 0) & (v > 0) & (u + v < 1) & (far > 0)).any())
             spread = abs(z) * wide[0] + abs(x) * wide[2] + wide[1]
-            found = spread * max(float(ray @ outward), 0.05) * (0.01 if is_hidden else 1.0)
-            if found > score:
-                best, score = ((float(x), float(y), float(z)), is_hidden), found
-    return best
+            yield float(spread * max(float(ray @ outward), 0.05)), ray
 
 
 def _called(draw: Draw, joint: int) -> str:
