@@ -86,7 +86,7 @@ man: $(PACKAGE) ## Write the man page build/skinbake.1 from the declarations of 
 	@mkdir -p build
 	$(BIN)/python -m skinbake.cli.help > build/skinbake.1
 
-docs: $(DEV) ## Build the documentation's site and the page that bakes into build/site/html: warnings and broken links are errors
+docs: $(DEV) $(NODE_MODULES) ## Build the documentation's site and the page that bakes into build/site/html: warnings and broken links are errors
 	$(BIN)/python -m website.build
 
 dist: .venv/dist.stamp ## Build the sdist, the wheels of seven systems and of browsers, and the wheel without compiled loops into dist/; the zips for Blender into build/

@@ -8,6 +8,7 @@ each command, from its declaration. A warning is an error, and so is a link to n
 from __future__ import annotations
 
 import importlib.metadata
+import json
 import os
 import re
 import shutil
@@ -43,6 +44,20 @@ SITE = REPOSITORY / "build" / "site"
 LINK = re.compile(r"\]\(([^)\s#:]+)(#[^)\s]*)?\)")
 """A relative link in Markdown: its path, and its anchor."""
 
+
+PYODIDE = REPOSITORY / "tests" / "support" / "node_modules" / "pyodide"
+"""The Pyodide of the page, as npm brings it for the tests."""
+
+COMPILE = """
+import { loadPyodide } from %s;
+const python = await loadPyodide();
+python.mountNodeFS('/here', %s);
+python.runPython(`
+    import compileall, py_compile
+    mode = py_compile.PycInvalidationMode.UNCHECKED_HASH
+    assert compileall.compile_dir('/here', quiet=1, legacy=True, stripdir='/here', invalidation_mode=mode)
+`);
+"""
 
 ITEM = re.compile(r"^- \[(.*)\]\((.*)\)$", re.MULTILINE)
 """A page in docs/README.md: its name there, and its path."""
@@ -131,14 +146,15 @@ def commands() -> str:
 
 
 def put_trial(target: Path) -> None:
-    """Put the page that bakes in the browser into a folder, and skinbake with what it imports as a zip."""
+    """Put the page that bakes in the browser into a folder, and skinbake with what it imports as a zip.
+
+    Modules are compiled if npm has brought Pyodide. Else the page does it, a second longer.
+    """
     shutil.copytree(Path(__file__).with_name("try"), target, dirs_exist_ok=True)
     contents = {"in_browser.py": Path(__file__).with_name("in_browser.py").read_bytes()}
     for path in PACKAGE.rglob("*"):
         if path.is_file() and path.suffix not in {".c", ".h", ".pyc", ".pyd", ".so"}:
             contents[path.relative_to(PACKAGE.parent).as_posix()] = path.read_bytes()
-    for path in REPOSITORY.glob("engines/*/*.js"):
-        contents[f"skinbake/{path.relative_to(REPOSITORY).as_posix()}"] = path.read_bytes()
     with tempfile.TemporaryDirectory() as temporary:
         for module in LOOPS:
             name, compiled = compile_loops(module, REPOSITORY, BROWSER, Path(temporary))
@@ -147,7 +163,21 @@ def put_trial(target: Path) -> None:
         for one in importlib.metadata.files(needed) or ():
             if one.suffix == ".py" or "licenses" in one.parts:
                 contents[one.as_posix()] = Path(str(one.locate())).read_bytes()
+    if shutil.which("node") and PYODIDE.is_dir():
+        contents = _compiled(contents)
     (target / "skinbake.zip").write_bytes(zipped(contents, zipfile.ZIP_DEFLATED))
+
+
+def _compiled(contents: Mapping[str, bytes]) -> dict[str, bytes]:
+    """Return files with the bytecode of the page's own Python in place of each module's source."""
+    with tempfile.TemporaryDirectory() as temporary:
+        for name, data in contents.items():
+            _put(Path(temporary, name), data)
+        script = COMPILE % (json.dumps((PYODIDE / "pyodide.mjs").as_uri()), json.dumps(temporary))
+        subprocess.run(["node", "--input-type=module", "-e", script], check=True)
+        made = {name: Path(temporary, f"{name}c") for name in contents if name.endswith(".py")}
+        rest = {name: data for name, data in contents.items() if name not in made}
+        return {**rest, **{f"{name}c": path.read_bytes() for name, path in made.items()}}
 
 
 def build(site: Path = SITE) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,12 +14,23 @@ import numpy as np
 import page_codecs
 from pyodide.ffi import JsException, to_js
 
-import skinbake.commands.bake
-import skinbake.commands.verify
-import skinbake.commands.view  # noqa: F401  # so that the first file need not wait for them
+import skinbake.cli.bake
+import skinbake.commands.bake  # noqa: F401  # so that the first file need not wait for them
 from skinbake.cli.main import entry_point
 
 FOLDER = Path("/files")
+LATER = ["cli.view", "commands.view", "cli.verify", "cli.example"]
+
+
+def prepare() -> bool:
+    """Do a part of what the first picture needs, while there is no file. Return whether any is left."""
+    if LATER:
+        import_module(f"skinbake.{LATER.pop(0)}")
+        return True
+    from skinbake.view.texts import packed_texts
+
+    packed_texts()  # it is kept
+    return False
 
 
 def put(files: Any) -> None:

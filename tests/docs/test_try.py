@@ -325,6 +325,36 @@ def test_axe_finds_nothing_on_the_page(size: tuple[int, int], scheme: str, trial
 
 
 @pytest.mark.slow
+def test_keys_alone_choose_bake_and_save(trial: Trial) -> None:
+    """Each control is reached by Tab, in the order of the page, and answers its key."""
+    watch = """(() => {
+        window.answered = [];
+        for (const id of ['choose', 'save'])
+            document.getElementById(id).onclick = (event) => { answered.push(id); event.preventDefault(); };
+        const top = document.querySelector('h1');
+        top.tabIndex = -1;
+        top.focus();
+    })"""
+    ended = """(async () => {
+        while (!/^(Done|It ended|Python ended)/.test(document.getElementById('state').textContent))
+            await new Promise((next) => setTimeout(next, 30));
+        return document.getElementById('command').textContent;
+    })"""
+    trial.bake(TUBE)
+    trial.page.call(watch)
+    reached = []
+    for key in ("Enter", "Enter", "ArrowDown", None, "Enter"):
+        trial.page.press("Tab")
+        reached.append(trial.page.call("(() => document.activeElement.id)"))
+        if key is not None:
+            trial.page.press(key)
+        command = trial.page.call(ended)
+    assert reached == ["choose", "example", "lighting", "encoding", "save"]
+    assert command == "skinbake bake arm.glb -o arm-baked.glb --correctives auto"
+    assert trial.page.call("(() => answered)") == ["choose", "save"]
+
+
+@pytest.mark.slow
 def test_the_newest_pyodide_runs_the_loops(tmp_path: Path) -> None:
     require_node()
     if not (NEWEST / "package.json").is_file():

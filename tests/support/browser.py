@@ -43,6 +43,9 @@ ARGUMENTS = (
 )
 PRESENTING = ("--enable-features=Vulkan", "--use-vulkan=swiftshader", "--disable-vulkan-surface")
 """Further arguments for a page that shows WebGPU on a canvas, and does not only draw into textures."""
+CODES = {"Tab": (9, ""), "Enter": (13, "\r"), "ArrowDown": (40, "")}
+"""The number of a key by which the browser itself acts on it, and the text that it types."""
+
 SECONDS = 120
 """The longest that one call may take."""
 
@@ -117,8 +120,9 @@ class Page:
 
     def press(self, key: str) -> None:
         """Press a key, by its name, and let it go."""
+        code, text = CODES.get(key, (0, ""))
         for kind in ("keyDown", "keyUp"):
-            self._send("Input.dispatchKeyEvent", type=kind, key=key)
+            self._send("Input.dispatchKeyEvent", type=kind, key=key, windowsVirtualKeyCode=code, text=text)
 
     def show_as(self, width: int, height: int, scheme: str) -> None:
         """Give the page a size, and say whether its reader likes it light or dark."""

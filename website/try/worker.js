@@ -70,7 +70,12 @@ onmessage = ({ data }) => {
   if (data.runtime) {
     runtime = data.runtime;
     before = python = started();
-    python.then(() => { say('Ready: give it a file.'); postMessage({ kind: 'ready' }); });
+    python.then(async (skinbake) => {
+      say('Ready: give it a file.');
+      postMessage({ kind: 'ready' });
+      do await new Promise((next) => setTimeout(next)); // a file goes first
+      while (skinbake.prepare());
+    });
   } else {
     before = before.then(() => work(data)).catch((error) => say(`Python ended: ${error.message}`));
   }
