@@ -19,7 +19,7 @@ from skinbake.choices import Encoding, Layout, Scheme
 from skinbake.format.encodings import GradientFormat
 from skinbake.skinning.rest import Algorithm
 from tests.babylon.stage import DEGREES, expected, opened_stage
-from tests.support import after_bake, corpus, gltf_reading
+from tests.support import corpus, gltf_reading
 from tests.support.baked_files import Editable
 from tests.support.baking import bake_file
 from tests.support.characters import (
@@ -36,6 +36,7 @@ from tests.support.characters import (
 from tests.support.mapped import TEXELS, columns, texel_normal
 from tests.support.replay import replay
 from tests.support.stage import Stage, require_backend
+from tests.support.told_of_files import Drawn, FilesToldOf
 from tests.three.drawn import BENT, MIRRORED, RANDOM, TUBE, largest, turn_rest, vectors, with_morphs
 
 pytestmark = pytest.mark.slow
@@ -129,55 +130,6 @@ def test_a_compressed_bake(stage: Stage, storage: GradientFormat, scheme: Scheme
     found = stage.call("normals", {**character.told(Placement()), **url, "material": "standard"})
     assert worst(found["draws"][0], expected(character)) < DEGREES
     assert found["report"] == RIGHT
-
-
-@after_bake.each
-def test_a_file_that_a_tool_has_changed_since_its_bake_is_lit_standard(stage: Stage, kind: str) -> None:
-    """But for a tool that only merges equal vertices."""
-    character = Character(after_bake.changed(TUBE, stage.models, kind), BENT)
-    found = stage.page.call("normals", character.told(Placement()))
-    said = [line for line in stage.messages() if line.startswith("skinbake")]
-    ((lighting, reason),) = found["report"]
-    assert after_bake.REASONS[kind] in reason
-    assert lighting == ("standard" if after_bake.REASONS[kind] else "accurate")
-    assert [line.partition("lighting: ")[2] for line in said] == ([reason] if reason else [])
-    lit = Algorithm.LBS_STANDARD if reason else Algorithm.LBS_ACCURATE
-    assert worst(found["draws"][0], expected(character, lit)) < DEGREES
-
-
-def test_all_parts_of_a_skin_are_lit_as_the_one_that_does_not_fit_its_bake(stage: Stage) -> None:
-    path = after_bake.simplified_in_part(FOLDER / "two_primitives.glb", stage.models)
-    report = stage.page.call("reports", {"url": f"/models/{path.name}"})
-    changed = "a tool has changed its triangles since its bake: bake last"
-    alike = 'a part of "cut", of the same skin, does not fit its bake: bake last'
-    assert report == [["standard", alike], ["standard", changed]]
-    assert sorted(line.partition("lighting: ")[2] for line in stage.messages()) == [alike, changed]
-
-
-@after_bake.each_damage
-def test_damaged_metadata_are_told_of(stage: Stage, kind: str) -> None:
-    path = after_bake.damaged(TUBE, stage.models, kind)
-    ((lighting, reason),) = stage.page.call("reports", {"url": f"/models/{path.name}"})
-    assert lighting == "standard"
-    assert after_bake.DAMAGES[kind][1] in reason
-    assert [line.partition("lighting: ")[2] for line in stage.messages()] == [reason]
-
-
-def test_a_file_without_a_bake_is_told_of_once(stage: Stage) -> None:
-    (stage.models / TUBE.name).write_bytes(TUBE.read_bytes())
-    (said,) = stage.call("information", {"url": f"/models/{TUBE.name}"})
-    words = "has no bake, and Babylon.js's standard lighting: run skinbake bake on it"
-    assert said.endswith(f'{TUBE.name}" {words}')
-    assert stage.call("information", stage.character(TUBE, BENT).told(Placement())) == []
-
-
-@pytest.mark.parametrize("options", [{"correctives": 1}, {"leave_under": 999.0}])
-def test_a_file_with_correctives_or_left_unbaked_is_not_told_to_be_baked(
-    stage: Stage, options: dict[str, Any]
-) -> None:
-    path = stage.models / f"{next(iter(options))}.glb"
-    bake_file(TUBE, path, **options)
-    assert stage.call("information", {"url": f"/models/{path.name}"}) == []
 
 
 def test_a_geometry_buffer_has_standard_normals_and_that_is_said(stage: Stage) -> None:
@@ -712,14 +664,8 @@ def test_sparse_accessors_and_metadata_of_an_accessor_are_read(stage: Stage) -> 
     assert largest(found["draws"][0], expected(character)) < DEGREES
 
 
-def test_a_file_that_lost_its_metadata_has_standard_normals(stage: Stage) -> None:
-    character = stage.character(TUBE, BENT)
-    file = Editable(character.path)
-    del file.primitive()["extras"]
-    file.write(stage.models / "lost.glb")
-    told = {**character.told(Placement()), "url": "/models/lost.glb"}
-    found = stage.page.call("normals", told)
-    reason = "it has lost the metadata of its bake: keep the extras of primitives, or bake last"
-    assert found["report"] == [["standard", reason]]
-    assert len(stage.messages()) == 1
-    assert largest(found["draws"][0], expected(character, Algorithm.LBS_STANDARD)) < DEGREES
+class TestFiles(FilesToldOf):
+    engine = "Babylon.js"
+
+    def check(self, drawn: Drawn) -> None:
+        assert worst(drawn.found["draws"][0], expected(drawn.character, drawn.lit)) < DEGREES

@@ -18,7 +18,7 @@ from skinbake.choices import Baseline, Encoding, Layout, Scheme
 from skinbake.format.encodings import GradientFormat
 from skinbake.shaders.engines import engines_folder
 from skinbake.skinning.rest import Algorithm
-from tests.support import after_bake, corpus, gltf_reading
+from tests.support import corpus, gltf_reading
 from tests.support.baked_files import Editable
 from tests.support.baking import bake_file
 from tests.support.characters import (
@@ -36,6 +36,7 @@ from tests.support.characters import (
 from tests.support.mapped import TEXELS, columns, texel_normal
 from tests.support.node import build_page, package_folder, require_node
 from tests.support.stage import Stage, opened_page, page_of
+from tests.support.told_of_files import Drawn, FilesToldOf
 from tests.three.drawn import vectors, with_morphs
 
 PAGE = page_of("/built/app.js", scripts=["/support/capture.js"])
@@ -371,65 +372,23 @@ class TestMessages:
         path = baked(TUBE, stage.models)
         assert stage.told(path, change="a shader of its own") == ([["standard", reason]], [reason])
 
-    @after_bake.each
-    def test_a_file_that_a_tool_has_changed_since_its_bake(self, stage: DrawingStage, kind: str) -> None:
-        """It is right where the tool only merges equal vertices."""
-        character = Character(after_bake.changed(TUBE, stage.models, kind), RANDOM)
-        told = character.told(Placement())
-        found = stage.page.call("draw", told)
-        said = [line for line in stage.messages() if line.startswith("skinbake")]
-        ((lighting, reason),) = found["report"]
-        assert after_bake.REASONS[kind] in reason
-        assert lighting == ("standard" if after_bake.REASONS[kind] else "accurate")
-        assert [line.partition("lighting: ")[2] for line in said] == ([reason] if reason else [])
-        if reason:
-            assert found["values"] == stage.call("draw", {**told, "plugin": False})["values"]
-        else:
-            assert largest(found["values"][0], expected(character, found).normals) < DEGREES
-
-    def test_a_part_of_a_skin_that_does_not_fit_its_bake(self, stage: DrawingStage) -> None:
-        path = after_bake.simplified_in_part(FIXTURES / "two_primitives.glb", stage.models)
-        changed = "a tool has changed its triangles since its bake: bake last"
-        alike = 'a part of "cut", of the same skin, does not fit its bake: bake last'
-        report, said = stage.told(path)
-        assert report == [["standard", alike], ["standard", changed]]
-        assert sorted(said) == sorted([alike, changed])
-
-    @after_bake.each_damage
-    def test_damaged_metadata(self, stage: DrawingStage, kind: str) -> None:
-        (((lighting, reason),), said) = stage.told(after_bake.damaged(TUBE, stage.models, kind))
-        assert lighting == "standard"
-        assert after_bake.DAMAGES[kind][1] in reason
-        assert said == [reason]
-
-    def test_a_file_without_a_bake_once(self, stage: DrawingStage) -> None:
-        """As information, not as a warning."""
-        path = stage.models / "plain.glb"
-        path.write_bytes(TUBE.read_bytes())
-        (said,) = stage.call("information", {"url": f"/models/{path.name}"})
-        words = "has no bake, and Galacean's standard lighting: run skinbake bake on it"
-        assert said.startswith('skinbake: "/models/plain.glb?')
-        assert said.endswith(words)
-        url = {"url": stage.character(TUBE, RANDOM).told(Placement())["url"]}
-        assert stage.call("information", url) == []
-
-    @pytest.mark.parametrize("options", [{"correctives": 1}, {"leave_under": 999.0}])
-    def test_no_file_with_correctives_or_left_unbaked_is_told_to_be_baked(
-        self, stage: DrawingStage, options: dict[str, Any]
-    ) -> None:
-        path = stage.models / f"{next(iter(options))}.glb"
-        bake_file(TUBE, path, **options)
-        assert stage.call("information", {"url": f"/models/{path.name}"}) == []
-
-    def test_lost_metadata(self, stage: DrawingStage) -> None:
-        file = Editable(baked(TUBE, stage.models))
-        file.primitive().pop("extras")
-        reason = "it has lost the metadata of its bake: keep the extras of primitives, or bake last"
-        report = stage.told(file.write(stage.models / "lost.glb"))
-        assert report == ([["standard", reason]], [reason])
-
     def test_a_damaged_attribute(self, stage: DrawingStage) -> None:
         file = Editable(baked(TUBE, stage.models))
         file.primitive()["attributes"]["_SKINBAKE_BETA_0"] = file.primitive()["attributes"]["WEIGHTS_0"]
         _, (reason,) = stage.told(file.write(stage.models / "damaged.glb"))
         assert reason.startswith("its attribute _SKINBAKE_BETA_0 is VEC4, not VEC3")
+
+
+class TestFiles(FilesToldOf):
+    engine = "Galacean"
+    function = "draw"
+    drawing = "draw"
+    pose = RANDOM
+
+    def check(self, drawn: Drawn) -> None:
+        if drawn.lit is Algorithm.LBS_STANDARD:
+            assert (
+                drawn.found["values"] == drawn.stage.call("draw", {**drawn.told, "plugin": False})["values"]
+            )
+        else:
+            assert largest(drawn.found["values"][0], expected(drawn.character, drawn.found).normals) < DEGREES

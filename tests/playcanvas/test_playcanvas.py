@@ -18,7 +18,7 @@ from skinbake.choices import Encoding, Layout, Scheme
 from skinbake.format.encodings import GradientFormat
 from skinbake.shaders.engines import engines_folder
 from skinbake.skinning.rest import Algorithm
-from tests.support import after_bake, browser, corpus, gltf_reading
+from tests.support import browser, corpus, gltf_reading
 from tests.support.baked_files import Editable
 from tests.support.baking import bake_file
 from tests.support.characters import (
@@ -36,6 +36,7 @@ from tests.support.mapped import TEXELS, Columns, columns, texel_normal
 from tests.support.node import package_folder, require_node
 from tests.support.replay import replay
 from tests.support.stage import Stage, opened_page, page_of, require_backend
+from tests.support.told_of_files import Drawn, FilesToldOf
 from tests.three.drawn import turn_rest, vectors, with_morphs
 
 PAGE = page_of(
@@ -568,59 +569,6 @@ class TestMessages:
         assert report == [["standard", "it is not baked, or its asset was loaded without skinbakeOptions()"]]
         assert "was loaded without skinbakeOptions()" in message
 
-    @after_bake.each
-    def test_a_file_that_a_tool_has_changed_since_its_bake(self, stage: DrawingStage, kind: str) -> None:
-        """It is right where the tool only merges equal vertices."""
-        character = Character(after_bake.changed(TUBE, stage.models, kind), RANDOM)
-        found = stage.page.call("draw", character.told(Placement()))
-        said = [line for line in stage.messages() if line.startswith("skinbake")]
-        ((lighting, reason),) = found["report"]
-        assert after_bake.REASONS[kind] in reason
-        assert lighting == ("standard" if after_bake.REASONS[kind] else "accurate")
-        assert [line.partition("lighting: ")[2] for line in said] == ([reason] if reason else [])
-        lit = Algorithm.LBS_STANDARD if reason else Algorithm.LBS_ACCURATE
-        assert largest(found["values"][0], expected(character, found, lit).normals) < DEGREES
-
-    def test_a_part_of_a_skin_that_does_not_fit_its_bake(self, stage: DrawingStage) -> None:
-        path = after_bake.simplified_in_part(FIXTURES / "two_primitives.glb", stage.models)
-        report, messages = stage.told(path)
-        changed = "a tool has changed its triangles since its bake: bake last"
-        alike = 'a part of "cut", of the same skin, does not fit its bake: bake last'
-        assert report == [["standard", alike], ["standard", changed]]
-        assert [line.partition("lighting: ")[2] for line in messages] == [alike, changed]
-
-    @after_bake.each_damage
-    def test_damaged_metadata(self, stage: DrawingStage, kind: str) -> None:
-        (((lighting, reason),), messages) = stage.told(after_bake.damaged(TUBE, stage.models, kind))
-        assert lighting == "standard"
-        assert after_bake.DAMAGES[kind][1] in reason
-        assert [line.partition("lighting: ")[2] for line in messages] == [reason]
-
-    def test_a_file_without_a_bake_once(self, stage: DrawingStage) -> None:
-        """As information, not as a warning."""
-        path = stage.models / "unbaked.glb"
-        path.write_bytes(TUBE.read_bytes())
-        (said,) = stage.call("information", {"url": f"/models/{path.name}"})
-        words = "has no bake, and PlayCanvas's standard lighting: run skinbake bake on its file"
-        assert said == f'skinbake: "/models/unbaked.glb" {words}'
-        url = {"url": stage.character(TUBE, RANDOM).told(Placement())["url"]}
-        assert stage.call("information", url) == []
-
-    @pytest.mark.parametrize("options", [{"correctives": 1}, {"leave_under": 999.0}])
-    def test_no_file_with_correctives_or_left_unbaked_is_told_to_be_baked(
-        self, stage: DrawingStage, options: dict[str, Any]
-    ) -> None:
-        path = stage.models / f"{next(iter(options))}.glb"
-        bake_file(TUBE, path, **options)
-        assert stage.call("information", {"url": f"/models/{path.name}"}) == []
-
-    def test_lost_metadata(self, stage: DrawingStage) -> None:
-        file = Editable(baked(TUBE, stage.models))
-        file.primitive().pop("extras")
-        report, (message,) = stage.told(file.write(stage.models / "lost.glb"))
-        assert report[0][1].startswith("it has lost the metadata of its bake")
-        assert "it has lost the metadata" in message
-
     def test_draco(self, stage: DrawingStage) -> None:
         path = stage.models / "draco.glb"
         bake_file(TUBE, path, compress=Scheme.DRACO)
@@ -652,3 +600,16 @@ class TestMessages:
         report, messages = stage.told(path)
         assert report[0][0] == "standard"
         assert messages == []
+
+
+class TestFiles(FilesToldOf):
+    engine = "PlayCanvas"
+    function = "told"
+    drawing = "draw"
+    pose = RANDOM
+
+    def check(self, drawn: Drawn) -> None:
+        assert (
+            largest(drawn.found["values"][0], expected(drawn.character, drawn.found, drawn.lit).normals)
+            < DEGREES
+        )

@@ -7,17 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from fixtures.make_fixtures import FOLDER
 from skinbake.choices import Encoding, Scheme
 from skinbake.format.encodings import GradientFormat
 from skinbake.shaders.engines import engines_folder
 from skinbake.skinning.rest import Algorithm
-from tests.support import after_bake, corpus, gltf_reading, gltf_transform
+from tests.support import corpus, gltf_reading, gltf_transform
 from tests.support.baked_files import Editable
 from tests.support.baking import bake_file
 from tests.support.characters import (
@@ -32,6 +30,7 @@ from tests.support.characters import (
 )
 from tests.support.node import package_folder, require_node
 from tests.support.stage import opened_page, page_of
+from tests.support.told_of_files import Drawn, FilesToldOf
 from tests.three.drawn import (
     BENT,
     CHARACTERS,
@@ -466,55 +465,6 @@ def test_materials_that_draw_nothing_have_no_part_in_the_report(stage: ThreeStag
     }
 
 
-@after_bake.each
-def test_a_file_that_a_tool_has_changed_since_its_bake_is_lit_standard(stage: ThreeStage, kind: str) -> None:
-    """But for a tool that only merges equal vertices."""
-    character = Character(after_bake.changed(TUBE, stage.models, kind), BENT)
-    found = stage.page.call("normals", character.told(Placement()))
-    said = [line for line in stage.messages() if line.startswith("skinbake")]
-    ((lighting, reason),) = found["report"]
-    assert after_bake.REASONS[kind] in reason
-    assert bool(reason) == bool(after_bake.REASONS[kind])
-    assert [line.partition("lighting: ")[2] for line in said] == ([reason] if reason else [])
-    assert lighting == ("standard" if reason else "accurate")
-    lit = Algorithm.LBS_STANDARD if reason else Algorithm.LBS_ACCURATE
-    assert largest(found["draws"][0], expected(character, found["world"], lit)) < DEGREES
-
-
-def test_all_parts_of_a_skin_are_lit_as_the_one_that_does_not_fit_its_bake(stage: ThreeStage) -> None:
-    path = after_bake.simplified_in_part(FOLDER / "two_primitives.glb", stage.models)
-    report = stage.page.call("reports", {"url": f"/models/{path.name}"})
-    changed = "a tool has changed its triangles since its bake: bake last"
-    alike = '"cut_2", of the same skin, does not fit its bake: bake last'
-    assert report == [["standard", alike], ["standard", changed]]
-    assert [line.partition("lighting: ")[2] for line in stage.messages()] == [alike, changed]
-
-
-@after_bake.each_damage
-def test_damaged_metadata_are_told_of(stage: ThreeStage, kind: str) -> None:
-    path = after_bake.damaged(TUBE, stage.models, kind)
-    ((lighting, reason),) = stage.page.call("reports", {"url": f"/models/{path.name}"})
-    assert lighting == "standard"
-    assert after_bake.DAMAGES[kind][1] in reason
-    assert [line.partition("lighting: ")[2] for line in stage.messages()] == [reason]
-
-
-def test_a_file_without_a_bake_is_told_of_once(stage: ThreeStage) -> None:
-    (stage.models / TUBE.name).write_bytes(TUBE.read_bytes())
-    (said,) = stage.call("information", {"url": f"/models/{TUBE.name}"})
-    assert said.endswith("has no bake, and three.js's standard lighting: run skinbake bake on its file")
-    assert stage.call("information", stage.character(TUBE, BENT).told(Placement())) == []
-
-
-@pytest.mark.parametrize("options", [{"correctives": 1}, {"leave_under": 999.0}])
-def test_a_file_with_correctives_or_left_unbaked_is_not_told_to_be_baked(
-    stage: ThreeStage, options: dict[str, Any]
-) -> None:
-    path = stage.models / f"{next(iter(options))}.glb"
-    bake_file(TUBE, path, **options)
-    assert stage.call("information", {"url": f"/models/{path.name}"}) == []
-
-
 def test_geometries_that_a_page_gives_up_no_longer_count(stage: ThreeStage) -> None:
     """Those that are drawn again after ``dispose()`` do."""
     assert stage.call("counted", stage.character(TUBE, BENT).told(Placement())) == [2, 1, 2, 0, 2, 0]
@@ -753,3 +703,15 @@ def test_an_exporter_writes_the_file_s_own_attributes(stage: ThreeStage) -> None
     told = stage.character(TUBE, BENT).told(Placement())
     names = stage.call("exported", told)
     assert [name for name in names if "SKINBAKE" in name] == ["_SKINBAKE_ALPHA_0", "_SKINBAKE_BETA_0"]
+
+
+class TestFiles(FilesToldOf):
+    engine = "three.js"
+    part = '"cut_2"'
+    names_files = False
+
+    def check(self, drawn: Drawn) -> None:
+        assert (
+            largest(drawn.found["draws"][0], expected(drawn.character, drawn.found["world"], drawn.lit))
+            < DEGREES
+        )
