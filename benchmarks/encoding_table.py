@@ -46,8 +46,8 @@ HEAD = """# The cost of smaller α and β
 cannot be told from floats. `packed8`, the smallest, turns normals by under 0.1° on average.
 
 Degrees over the model's own clips (random poses if it has none), weighted by rest area. *Error*: of accurate
-normals by `float32`, as `verify` measures it. *Turned*: by the encoding, mean / 99th percentile, as `bake`
-prints it. *Added*: the growth of the mean error.
+normals by `float32`, as `verify` measures it by triangles. *Turned*: by the encoding, mean / 99th percentile,
+as `bake` prints it. *Added*: the growth of the mean error.
 """
 
 
@@ -127,7 +127,7 @@ def mean_error(target: str) -> float | None:
         verdict = verify_file(target, VerifyOptions(methods=("lbs",)))
     except SkinbakeError:
         return None
-    figures = verdict.by_truth.get(Truth.TANGENTS, {}).get("lbs", {}).get("accurate")
+    figures = verdict.by_truth.get(Truth.TRIANGLES, {}).get("lbs", {}).get("accurate")
     return figures.mean if figures and verdict.passed else None
 
 
