@@ -10,13 +10,18 @@ import pytest
 
 import skinbake
 from fixtures.make_fixtures import FOLDER
+from skinbake.commands.shown import baked_in_memory, followed, spots_in_clips
 from skinbake.commands.verify import verify_document
 from skinbake.freshness.baked_views import sound_views
 from skinbake.gltf.document import Document, read_document
+from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.reading.clips import read_clips
+from skinbake.gltf.reading.scenes import shown_by
 from skinbake.measure.options import VerifyOptions
 from skinbake.measure.places import WORSE, spots_of
 from skinbake.measure.scene import Scene
+from skinbake.truth.poses import PoseRequest
+from tests.support.models import edited
 
 
 @pytest.fixture(scope="module")
@@ -73,9 +78,43 @@ def test_a_bake_with_the_wrong_sign_has_places_where_it_gets_worse(tube: Path) -
         wrong = [replace(one, alpha=-one.alpha, beta=-one.beta) for one in draw.surface.rest]
         draw.surface.__dict__["rest"] = wrong
     times = np.linspace(0.0, 0.5, 5)
-    found = spots_of(document, [draw.at(clip, times) for draw in draws])
+    found = spots_of([draw.at(clip, times) for draw in draws])
     assert found.worse
     assert all(one.baked - one.standard > WORSE for one in found.worse)
+
+
+def test_meshes_of_equal_skins_are_shown_together(tmp_path: Path) -> None:
+    """Some exporters write a skin for each mesh."""
+
+    def draw_twice(content: JsonObject) -> None:
+        (mesh,) = content["meshes"]
+        content["meshes"].append(mesh)
+        content["skins"] += content["skins"]
+        content["nodes"].append({"mesh": 1, "skin": 1})
+        content["scenes"][0]["nodes"].append(len(content["nodes"]) - 1)
+
+    document = baked_in_memory(read(edited("bent_tube.glb", tmp_path, draw_twice)))
+    scene = Scene(document, sound_views(document))
+    (draw,) = scene.shown()  # equal skins are one
+    assert [view.source.place.mesh for view in draw.surface.views] == [0, 1]
+    spots = spots_in_clips(scene).shows
+    assert np.isfinite([next(followed(spot, [draw])) for spot in spots]).all()
+    assert shown_by(document, 0, [0, 1]) == {0: 0, 1: 1}
+
+
+def test_a_mesh_of_another_scene_has_no_place(tmp_path: Path) -> None:
+    def add_scene(content: JsonObject) -> None:
+        (mesh,) = content["meshes"]
+        content["meshes"].append(mesh)
+        content["nodes"].append({"mesh": 1, "skin": 0})
+        content["scenes"].append({"nodes": [len(content["nodes"]) - 1]})
+
+    document = baked_in_memory(read(edited("bent_tube.glb", tmp_path, add_scene)))
+    scene = Scene(document, sound_views(document))
+    (draw,) = scene.measured(read_clips(document), PoseRequest())
+    assert len(draw.surface.views) == 2
+    spots = spots_in_clips(scene).shows
+    assert {spot.place.mesh for spot in spots} == {0}
 
 
 def test_a_clip_that_stands_still_has_no_place(tube: Path) -> None:
@@ -83,5 +122,5 @@ def test_a_clip_that_stands_still_has_no_place(tube: Path) -> None:
     scene = Scene(document, sound_views(document))
     [clip] = read_clips(document)
     for times, count in ((np.full(5, 0.5), 0), (np.linspace(0.0, 0.5, 5), 1)):
-        found = spots_of(document, [draw.at(clip, times) for draw in scene.shown()])
+        found = spots_of([draw.at(clip, times) for draw in scene.shown()])
         assert bool(found.shows) == bool(count)

@@ -35,6 +35,7 @@ from skinbake.truth.operator import GradientOperator
 from tests.support.baked_files import Editable
 from tests.support.characters import Array, Character, Pose, baked, by_numbers
 from tests.support.command_line import invoke
+from tests.support.corpus import model
 from tests.support.cutting import cut_into_meshes, halved
 from tests.support.gltf_reading import read
 from tests.support.mapped import TEXELS, relief_angles, unfolded, with_relief
@@ -197,6 +198,16 @@ def test_a_close_up_that_moves_follows_its_place(tmp_path: Path) -> None:
             image.seek(number)
             middle = np.asarray(image.convert("RGB"), np.float64)[44:52, 44:52]
             assert np.abs(middle - empty).max(axis=2).min() > 8, number
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("device")
+def test_a_close_up_shows_a_place_of_meshes_that_equal_skins_draw(tmp_path: Path) -> None:
+    """Two skins of the same joints draw a prism each: both prisms are measured under both."""
+    source = model("asset-generator/Animation_Skin/Animation_Skin_07.gltf")
+    result = invoke("render", source, "-o", tmp_path / "a.png", "--size", "64x48", "--closeup")
+    assert result.exit_code == 0, result.output
+    assert "close up on joint0" in result.stdout
 
 
 @pytest.mark.usefixtures("device")

@@ -15,7 +15,7 @@ import pytest
 import skinbake
 from fixtures.make_fixtures import FOLDER
 from skinbake.commands.view import view_file
-from tests.support import browser
+from tests.support import browser, corpus
 from tests.support.models import edited
 from tests.view.pages import normals, picture, shown, take
 
@@ -196,6 +196,18 @@ def test_a_file_without_clips_opens_on_a_place_in_random_poses(tmp_path: Path) -
     assert posed.clip is None
     assert np.abs(drawn - posed.normals["standard"]).max() < 2e-4  # 0.01°
     assert posed.time == skinbake.normals(path)[0].time
+
+
+def test_a_place_is_found_where_equal_skins_draw_a_mesh_each() -> None:
+    path = corpus.model("asset-generator/Animation_Skin/Animation_Skin_07.gltf")
+    with shown(path) as page:
+        assert page.call(SHOWN)["rings"] == 2
+        skins = page.call("(() => application.scene.parts.map(({ skin }) => skin))")
+        assert page.messages() == []
+    assert skins == [0, 1]
+    found = {(place["mesh"], place["skin"]) for place in places(path)}
+    assert (1, 1) in found
+    assert found <= {(0, 0), (1, 1)}
 
 
 def places(path: Path) -> list[dict[str, Any]]:

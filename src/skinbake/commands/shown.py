@@ -109,7 +109,7 @@ def spots_in_clips(scene: Scene, known: Spots | None = None, asked: Sequence[Cli
     with document.notices.withheld():
         clips = read_clips(document) if asked is None else asked
         if known is None:
-            known = spots_of(document, scene.measured(clips, PoseRequest()))
+            known = spots_of(scene.measured(clips, PoseRequest()))
         if asked is None and not any(spot.number is not None for spot in known.shows):
             random = random_clip(document)
             return spots_at(scene, random, np.linspace(random.start, random.duration, RANDOM_MOMENTS))
@@ -120,7 +120,7 @@ def spots_at(scene: Scene, clip: Clip, times: Float64Array) -> Spots:
     """Return where a bake shows at times (P,) of a clip. Raises InputError as ``spots_in_clips``."""
     draws = scene.shown()
     claim_draws(scene.document, draws, [clip], len(times))
-    return spots_of(scene.document, (draw.at(clip, times, turned=False) for draw in draws))
+    return spots_of(draw.at(clip, times, turned=False) for draw in draws)
 
 
 def telling_pose(

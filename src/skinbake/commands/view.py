@@ -29,6 +29,7 @@ from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.glb import STDIN
 from skinbake.gltf.reading.materials import tell_images_missing
+from skinbake.gltf.reading.scenes import shown_by
 from skinbake.gltf.writing.container import for_target
 from skinbake.gltf.writing.output import plan_output, refuse_own_input
 from skinbake.gltf.writing.packing import bytes_of_images, with_images_inside
@@ -243,15 +244,15 @@ def _places(
                 "time": spot.time,
                 "where": spot.where,
                 "words": spot.words,
-                "mesh": spot.place.mesh,
+                "mesh": mesh,
                 "primitive": spot.place.primitive,
-                "skin": spot.skin,
+                "skin": shown_by(document, spot.skin, [mesh]).get(mesh, spot.skin),
                 "vertex": spot.vertex,
                 "towards": spot.towards,
                 "radius": spot.radius,
             }
             for spot in spots
-            if spot.number is not None
+            if spot.number is not None and (mesh := spot.place.mesh) is not None
         ]
 
     return {"places": listed(found.shows), "worse": listed(found.worse)}

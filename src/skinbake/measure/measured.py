@@ -74,7 +74,7 @@ class Measurement:
         if options.finds_places:
             from skinbake.measure.places import Places  # only reports for people have them
 
-            self._places = Places(scene.document)
+            self._places = Places()
 
     def verdict(self) -> FileVerdict:
         """Return a verdict with the checks of the lighting and its figures; tell what spoils them.

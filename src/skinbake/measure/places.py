@@ -14,8 +14,7 @@ from typing import TypeAlias
 import numpy as np
 
 from skinbake.geometry.skinned import BoolArray, Float64Array, IntArray
-from skinbake.gltf.document import Document
-from skinbake.gltf.reading.scenes import shown_nodes
+from skinbake.gltf.reading.scenes import shown_by
 from skinbake.measure.angles import MeasuredBlock
 from skinbake.measure.draws import Draw
 from skinbake.measure.scene import measure
@@ -69,9 +68,7 @@ class _Candidate:
 class Places:
     """Sums of errors over the cells of one draw after the other, and the best places of all."""
 
-    def __init__(self, document: Document) -> None:
-        nodes = [document.asset.nodes[number] for number in shown_nodes(document)]
-        self._shown = {(node.mesh, node.skin) for node in nodes}
+    def __init__(self) -> None:
         self._shows: list[list[_Candidate]] = []
         self._worse: list[_Candidate] = []
         self._moments: dict[Moment, float] = {}
@@ -80,7 +77,7 @@ class Places:
     def begin(self, draw: Draw) -> None:
         """Begin to sum the errors of a draw, which ``end`` ends. What no node of the scene draws is left."""
         self._draw = None
-        if not any((view.source.mesh, draw.skin) in self._shown for view in draw.surface.views):
+        if not any(_drawn(draw)):
             return
         self._draw, self._cells = draw, _Cells(draw)
         self._every = max(1, -(-len(draw.matrices) * self._cells.count // SUMS))
@@ -180,6 +177,13 @@ class Places:
         return Spots(tuple(seen_first), tuple(map(_spot, worse)))
 
 
+def _drawn(draw: Draw) -> list[bool]:
+    """Tell of each primitive of a draw whether a node of the shown scene draws it by this skin."""
+    meshes = [view.source.mesh for view in draw.surface.views]
+    shown = shown_by(draw.surface.document, draw.skin, meshes)
+    return [mesh in shown for mesh in meshes]
+
+
 def _stands_still(draw: Draw) -> BoolArray:
     """Tell of each pose (P,) whether its clip turns no joint and moves no target: nothing would be played."""
     numbers, weights = np.array(draw.poses.numbers), draw.poses.morph_weights
@@ -199,12 +203,16 @@ def _moment(one: _Candidate) -> Moment:
 
 
 class _Cells:
-    """The cells of a draw: their number of each vertex (V,), and by cell (C, 3) their middles and sides."""
+    """The cells of a draw: their number of each vertex (V,), and by cell (C, 3) their middles and sides.
+
+    What is not drawn has no area.
+    """
 
     def __init__(self, draw: Draw) -> None:
         rest = draw.surface.rest
         self.starts = np.cumsum([0, *(len(one.positions) for one in rest)])
-        self.areas = np.nan_to_num(np.concatenate(draw.areas), posinf=0.0)
+        areas = zip(draw.areas, _drawn(draw), strict=True)
+        self.areas = np.nan_to_num(np.concatenate([own * shown for own, shown in areas]), posinf=0.0)
         points = np.nan_to_num(np.concatenate([one.positions for one in rest]).astype(np.float64))
         normals = np.nan_to_num(np.concatenate([one.normals for one in rest]).astype(np.float64))
         drawn = points[self.areas > 0] if (self.areas > 0).any() else points
@@ -352,9 +360,9 @@ def _called(draw: Draw, joint: int) -> str:
     return plain or f"joint {joint}"
 
 
-def spots_of(document: Document, draws: Iterable[Draw]) -> Spots:
+def spots_of(draws: Iterable[Draw]) -> Spots:
     """Return the places of posed draws. Raises InputError if they cannot be measured."""
-    places = Places(document)
+    places = Places()
     for draw in draws:
         places.begin(draw)
         measure(draw, lambda block: places.add(block, places.counted(block)))

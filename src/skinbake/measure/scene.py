@@ -27,7 +27,7 @@ from skinbake.gltf.budget import SAMPLES, Cost, Work
 from skinbake.gltf.document import Document
 from skinbake.gltf.reading.clips import Clip, clip_poses, read_clips
 from skinbake.gltf.reading.meshes import has_surface, plain_sources, read_primitive
-from skinbake.gltf.reading.scenes import faces_backward, shown_nodes
+from skinbake.gltf.reading.scenes import faces_backward, first_equal, shown_nodes, shown_skins
 from skinbake.gltf.reading.skins import Skeleton, read_node, rest_pose
 from skinbake.measure.angles import MeasuredBlock, lighting_errors
 from skinbake.measure.draws import HALF_TURN, Draw, Surface
@@ -260,17 +260,26 @@ class Scene:
         document, clips = self.document, read_clips(self.document)
         what = f"showing {counted(len(clips), 'clip')}"
         document.budget.claim(Cost.SHOWN_CLIP * len(clips), what, document.place)
-        nodes = [document.asset.nodes[number] for number in shown_nodes(document)]
-        shown = {(node.mesh, node.skin) for node in nodes}
-        meshes = {mesh for mesh, _ in shown}
-        found = []
-        for group in whole_surfaces(document, [view for view in self.views if view.source.mesh in meshes]):
-            for skin, node in draws_of(document, group[0].source.mesh, clips):
+        shown, found = shown_skins(document), list[Draw]()
+        for group in whole_surfaces(document, [view for view in self.views if view.source.mesh in shown]):
+            meshes = dict.fromkeys(view.source.mesh for view in group)
+            drawn: list[tuple[int, int | None, set[int]]] = []
+            for skin, node in dict.fromkeys(
+                key for mesh in meshes for key in draws_of(document, mesh, clips)
+            ):
                 # Skins may draw meshes crosswise: each mesh by one of them here, by the other in another
-                # scene.
-                views = [view for view in group if (view.source.mesh, skin) in shown]
-                if views:
-                    found.append(Draw.at_rest(self._surface(views), skin, node))
+                # scene. Some exporters write a skin for each mesh: equal ones are one.
+                own = {mesh for mesh in meshes if skin in shown[mesh]}
+                kind = first_equal(document, skin)
+                alike = (one for one in drawn if first_equal(document, one[0]) == kind and not one[2] & own)
+                same = next(alike, None)
+                if same is not None and node is None:
+                    same[2].update(own)
+                elif own:
+                    drawn.append((skin, node, own))
+            for skin, node, own in drawn:
+                views = [view for view in group if view.source.mesh in own]
+                found.append(Draw.at_rest(self._surface(views), skin, node))
         return found
 
 

@@ -8,11 +8,12 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterable
 
 from skinbake.errors import Chosen, Message, Notice
-from skinbake.gltf.document import Document
+from skinbake.gltf.document import Document, once_a_document
 from skinbake.gltf.json_access import entries_of, object_of, reference
 from skinbake.gltf.reading.skins import read_skeleton
 
 
+@once_a_document
 def shown_nodes(document: Document) -> set[int]:
     """Return the nodes of the default scene, or, if it draws nothing skinned, of the first scene that does.
 
@@ -63,22 +64,47 @@ def meshes_of_one_skin(document: Document, meshes: Iterable[int]) -> list[list[i
     return list(_groups(document, meshes).values())
 
 
+def shown_by(document: Document, skin: int, meshes: Iterable[int]) -> dict[int, int]:
+    """Return those of some meshes that the shown scene draws by a skin or an equal one, and by which.
+
+    Raises InputError if a skin of theirs cannot be read.
+    """
+    skins, kind = shown_skins(document), first_equal(document, skin)
+    return {mesh: own for mesh in meshes for own in skins.get(mesh, ()) if first_equal(document, own) == kind}
+
+
+@once_a_document
+def shown_skins(document: Document) -> dict[int, dict[int, None]]:
+    """Return the skins by which the shown scene draws each mesh."""
+    found: dict[int, dict[int, None]] = {}
+    for node, mesh, skin in document.asset.drawn:
+        if node in shown_nodes(document):
+            found.setdefault(mesh, {})[skin] = None
+    return found
+
+
+@once_a_document
+def first_equal(document: Document, skin: int) -> int:
+    """Return the first skin that was asked for of those that equal a skin.
+
+    Skins are equal by their joints, in order, and their inverse bind matrices.
+    """
+    matrices = read_skeleton(document, skin).inverse_bind + 0.0  # −0 = +0
+    return _known_skins(document).setdefault((document.asset.skins[skin].joints, matrices.tobytes()), skin)
+
+
+@once_a_document
+def _known_skins(document: Document) -> dict[Hashable, int]:
+    """Return the first skin of each kind."""
+    return {}
+
+
 def _groups(document: Document, meshes: Iterable[int]) -> dict[Skins, list[int]]:
-    """Return meshes by the skins that draw them; the first of equal skins stands for all of them."""
+    """Return meshes by the skins that draw them; one of equal skins stands for all of them."""
     groups: dict[Skins, list[int]] = {}
-    wanted = dict.fromkeys(meshes)
-    pairs = [(mesh, skin) for _, mesh, skin in document.asset.drawn if mesh in wanted]
-    # Skins are equal by their joints, in order, and their inverse bind matrices.
-    first: dict[Hashable, int] = {}
-    number = {}
-    for skin in sorted({skin for _, skin in pairs}):
-        matrices = read_skeleton(document, skin).inverse_bind + 0.0  # −0 = +0
-        number[skin] = first.setdefault((document.asset.skins[skin].joints, matrices.tobytes()), skin)
-    drawn_by: dict[int, set[int]] = {}
-    for mesh, skin in pairs:
-        drawn_by.setdefault(mesh, set()).add(number[skin])
-    for mesh in wanted:
-        groups.setdefault(frozenset(drawn_by[mesh]), []).append(mesh)
+    for mesh in dict.fromkeys(meshes):
+        skins = frozenset(first_equal(document, skin) for skin in document.asset.skins_of(mesh))
+        groups.setdefault(skins, []).append(mesh)
     return groups
 
 
