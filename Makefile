@@ -57,10 +57,11 @@ fixtures: $(DEV) ## Write fixtures/ anew
 golden: $(DEV) ## Write tests/shaders/golden and the shader text in engines/ anew, after a change of templates: review the diff
 	$(BIN)/python -m tests.shaders.write_golden
 
-picture: $(DEV) $(NODE_MODULES) ## Draw bend.png, shaders.png, view.webp (need a Vulkan driver, the last the corpus) and three-*.png (Chromium) of docs/ anew
+picture: $(DEV) $(NODE_MODULES) ## Draw bend.png, shaders.png, view.webp (need a Vulkan driver, the last the corpus), sheet.webp, three-*.png (Chromium) of docs/ anew
 	$(BIN)/python -m benchmarks.bend_picture docs/bend.png
 	$(BIN)/python -m benchmarks.bend_render docs/shaders.png
 	$(BIN)/python -m benchmarks.character_picture
+	$(BIN)/python -m benchmarks.sheet_picture
 	$(BIN)/python -m benchmarks.three_picture
 	$(BIN)/python -m benchmarks.skinned_normals_scores --pictures fixtures/SkinnedNormalsTest/screenshot
 

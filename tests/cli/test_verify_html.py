@@ -201,6 +201,20 @@ def test_files_that_are_not_baked_say_so(tmp_path: Path) -> None:
         assert [told for _, told, _ in rows(page)] == [outcome, outcome]
         assert summary in page.read_text(encoding="utf-8")
         assert given(tmp_path / str(rows(page)[0][2]))["outcome"] == outcome
+        assert "—" not in numbers(page)[0], "the figures of a bake are shown even so"
+        assert page.read_text(encoding="utf-8").count("data:image/png") == 8
+
+
+def test_a_file_that_a_bake_has_left_has_figures_and_pictures(tmp_path: Path) -> None:
+    left, baked_too = tmp_path / "left" / TUBE.name, tmp_path / "baked" / TUBE.name
+    bake(TUBE, baked_too)
+    result = invoke("bake", TUBE, "-o", left, "--leave-under", "10000")
+    assert (result.exit_code, "left" in result.output) == (exit_codes.OK, True), result.output
+    invoke("verify", left, baked_too, "--html", tmp_path / "all.html")
+    assert sorted(told for _, told, _ in rows(tmp_path / "all.html")) == ["left unbaked", "passed"]
+    first, second = numbers(tmp_path / "all.html")
+    assert first == second
+    assert (tmp_path / "all.html").read_text(encoding="utf-8").count("data:image/png") == 8
 
 
 def test_a_sheet_has_the_figures_that_a_bake_would_give(tmp_path: Path) -> None:

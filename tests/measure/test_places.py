@@ -18,7 +18,7 @@ from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.reading.clips import read_clips
 from skinbake.gltf.reading.scenes import shown_by
 from skinbake.measure.options import VerifyOptions
-from skinbake.measure.places import WORSE, spots_of
+from skinbake.measure.places import WORSE, readable, spots_of
 from skinbake.measure.scene import Scene
 from skinbake.truth.poses import PoseRequest
 from tests.support.models import edited
@@ -64,9 +64,30 @@ def test_places_are_apart_and_named_by_a_joint_and_a_moment(tube: Path) -> None:
     size = np.linalg.norm(np.ptp(view.now.positions, axis=0))
     apart = [np.linalg.norm(a - b) for i, a in enumerate(middles) for b in middles[:i]]
     assert min(apart) > 0.05 * size
-    names = {(node.name or "").replace("_", " ") for node in rest.asset.nodes}
-    assert all(one.joint in names or one.joint.startswith("joint ") for one in spots.shows)
+    names = {readable(node.name or "") for node in rest.asset.nodes}
+    assert all(one.joint in names for one in spots.shows)
     assert spots.shows[0].where.endswith(f"bend {spots.shows[0].time:.2f} s")
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("mixamorig:LeftArm_012", "left arm"),
+        ("mixamorig_RightUpLeg", "right up leg"),
+        ("DEF-upper_arm.L", "left upper arm"),
+        ("Bip01 R Forearm_07", "right forearm"),
+        ("Bone_01", "bone 01"),
+        ("Skeleton_torso_joint_1", "torso 1"),
+        ("b_Tail02_013", "tail02"),
+        ("joint0", "joint0"),
+        ("spine.003", "spine 003"),
+        ("_12", "12"),
+        ("左腕", "左腕"),
+        ("", ""),
+    ],
+)
+def test_a_joint_is_named_as_people_read_it(name: str, shown: str) -> None:
+    assert readable(name) == shown
 
 
 def test_a_bake_with_the_wrong_sign_has_places_where_it_gets_worse(tube: Path) -> None:

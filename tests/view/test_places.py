@@ -174,6 +174,26 @@ def test_playing_moves_both_panes(browsing: browser.Page) -> None:
         assert (one != other).any(axis=2).mean() > 0.01
 
 
+def test_the_figure_fits_the_pane_after_a_resize_until_the_camera_is_moved(browsing: browser.Page) -> None:
+    widen = """(async (size) => {
+        while (innerWidth !== size) await new Promise(requestAnimationFrame);
+        application.resize();
+        const { camera } = application;
+        return [camera.distance, camera.shown && camera.fitting(camera.shown)];
+    })"""
+    found = []
+    for size in ((1280, 800), (600, 1000)):
+        browsing.show_as(*size, "light")
+        found.append(browsing.call(widen, size[0]))
+    assert found[0][0] == pytest.approx(found[0][1])
+    assert found[1][0] == pytest.approx(found[1][1])
+    assert found[1][0] > 1.05 * found[0][0]
+    browsing.call("(() => canvas.focus())")
+    browsing.press("ArrowLeft")
+    browsing.show_as(1280, 800, "light")
+    assert browsing.call(widen, 1280) == [found[1][0], None]
+
+
 def test_a_dropped_file_has_no_places(browsing: browser.Page) -> None:
     take(browsing, FOLDER / "seam.glb")
     found = browsing.call(SHOWN)

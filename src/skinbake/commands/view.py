@@ -297,7 +297,8 @@ def _page(
     A file without a bake is baked in memory, and its verdict has the figures of that bake.
     """
     document, notes = read_document(source, bounds), list[str]()
-    if verdict.found_no_bake:
+    failed = {check.name for check in verdict.checks if check.outcome == "failed"}
+    if not verdict.by_truth and failed <= {"limits"} and not holds_bake(document):
         try:
             with document.notices.withheld():
                 document = baked_in_memory(document)
@@ -305,8 +306,11 @@ def _page(
             pass  # nothing in it can be baked: its page shows it as it is
         else:
             measured = verify_document(document, VerifyOptions(finds_places=True))
-            kept = {name: getattr(verdict, name) for name in ("input", "checks", "command", "notices")}
-            verdict, notes = replace(measured, **kept), [f"The file was not baked. {IN_MEMORY}"]
+            kept = {
+                name: getattr(verdict, name) for name in ("input", "checks", "command", "notices", "left")
+            }
+            before = "A bake has left the file as it is." if verdict.left else "The file was not baked."
+            verdict, notes = replace(measured, **kept), [f"{before} {IN_MEMORY}"]
     corrected = None
     if corrective_notes(document):
         corrected = document if PlayedCorrectives.sound(document) else None

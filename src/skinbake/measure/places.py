@@ -7,6 +7,7 @@ sum. Cells are cubes of the mesh, parted by the side that the surface faces: two
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
@@ -46,6 +47,26 @@ LEAST = 0.02
 
 SUMS = 1 << 20
 """The most poses × cells of a draw that are summed. Of more poses, some are passed by."""
+
+
+NUMBERED = re.compile(r"(?<=[^\W_])_\d{2,}$")
+SEPARATORS = re.compile(r"[\s_.\-]+|(?<=[a-z])(?=[A-Z])")
+SIDES = {"l": "left", "r": "right"}
+OF_RIGS = {
+    "mixamorig",
+    "bip01",
+    "bip001",
+    "def",
+    "org",
+    "jnt",
+    "bind",
+    "b",
+    "bone",
+    "joint",
+    "skeleton",
+    "armature",
+}
+"""How names end that an exporter has numbered, where their words part, and words that say little."""
 
 
 Moment: TypeAlias = tuple[int | None, str, float | None]
@@ -353,11 +374,21 @@ def _views(wide: Float64Array, outward: Float64Array) -> Iterator[tuple[float, F
 
 
 def _called(draw: Draw, joint: int) -> str:
-    """Return the name of a joint as people read it: without the prefix of its rig."""
+    """Return the name of a joint as people read it."""
     skeleton = draw.skeleton
     name = draw.surface.document.asset.nodes[skeleton.nodes[skeleton.joints[joint]]].name
-    plain = (name or "").rpartition(":")[2].replace("_", " ").strip()
-    return plain or f"joint {joint}"
+    return readable(name or "") or f"joint {joint}"
+
+
+def readable(name: str) -> str:
+    """Return a joint's name as people read it: of "mixamorig:LeftArm_012", "left arm"; empty if none is left.
+
+    The names of rigs and the numbers of exporters go, the side comes first, and words are apart.
+    """
+    every = SEPARATORS.sub(" ", name.rpartition(":")[2]).casefold().split()
+    plain = SEPARATORS.sub(" ", NUMBERED.sub("", name.rpartition(":")[2])).casefold().split()
+    words = [SIDES.get(word, word) for word in plain if word not in OF_RIGS] or every
+    return " ".join(sorted(words, key=lambda word: word not in {"left", "right"}))
 
 
 def spots_of(draws: Iterable[Draw]) -> Spots:

@@ -4,7 +4,7 @@ import { Camera, CLOSE } from './camera.js';
 import { Chart, isKnown } from './chart.js';
 import { degrees, showFigures, showNotes } from './figures.js';
 import { fromBase64, gradientsOf, ReadError, readModel } from './reader.js';
-import { plus } from './matrices.js';
+import { movedBy, plus } from './matrices.js';
 import { LIGHTINGS, pause, Renderer } from './renderer.js';
 import { Scene } from './scene.js';
 
@@ -58,6 +58,7 @@ class Application {
         byId.right.addEventListener('change', () => this.chooseSides());
         byId.home.addEventListener('click', () => this.goHome());
         byId.divided.addEventListener('change', () => this.arrange());
+        byId.divider.addEventListener('input', () => this.setSplit(byId.divider.value / 100));
         byId.flip.addEventListener('pointerdown', () => this.hold(true));
         for (const kind of ['pointerup', 'pointercancel', 'blur']) addEventListener(kind, () => this.hold(false));
         byId.open.addEventListener('change', () => {
@@ -68,7 +69,6 @@ class Application {
         for (const radio of document.querySelectorAll('input[name=mode]')) {
             radio.addEventListener('change', () => this.setMode(radio.value));
         }
-        this.listenToDivider();
         this.listenToFiles();
         this.listenToContext();
         document.addEventListener('keydown', (event) => {
@@ -81,35 +81,14 @@ class Application {
         document.addEventListener('keyup', () => this.hold(false));
     }
 
-    listenToDivider() {
-        const { divider } = byId;
-        const follow = (event) => {
-            const { left, width } = byId.canvas.getBoundingClientRect();
-            this.setSplit((event.clientX - left) / width);
-        };
-        divider.addEventListener('pointerdown', (event) => {
-            divider.setPointerCapture(event.pointerId);
-            divider.focus({ focusVisible: false });
-            event.preventDefault();
-        });
-        divider.addEventListener('pointermove', (event) => divider.hasPointerCapture(event.pointerId) && follow(event));
-        divider.addEventListener('keydown', (event) => {
-            const steps = { ArrowLeft: -0.02, ArrowRight: 0.02, ArrowDown: -0.02, ArrowUp: 0.02, PageDown: -0.1, PageUp: 0.1, Home: -1, End: 1 };
-            if (!(event.key in steps)) return;
-            event.preventDefault();
-            this.setSplit(this.split + steps[event.key]);
-        });
-    }
-
     listenToFiles() {
-        let depth = 0;
-        const show = (step) => (byId.drop.hidden = (depth = Math.max(0, depth + step)) === 0);
-        addEventListener('dragenter', () => show(1));
-        addEventListener('dragleave', () => show(-1));
+        const show = (isShown) => (byId.drop.hidden = !isShown);
+        addEventListener('dragenter', () => show(true));
+        addEventListener('dragleave', ({ relatedTarget }) => show(relatedTarget !== null)); // It has left the page.
         addEventListener('dragover', (event) => event.preventDefault());
         addEventListener('drop', (event) => {
             event.preventDefault();
-            show(-depth);
+            show(false);
             this.take([...event.dataTransfer.files]);
         });
     }
@@ -241,11 +220,11 @@ class Application {
     arrange() {
         const { clientWidth: width, clientHeight: height } = byId.canvas;
         this.isDivided = byId.divided.checked;
-        byId.divider.hidden = !this.isDivided;
         document.body.dataset.panes = this.isDivided ? 'divided' : height > width ? 'stacked' : 'beside';
         this.hasLens = Boolean(this.place && !this.isClose && !this.isDivided);
         document.body.dataset.lens = this.hasLens && height <= width ? 'below' : '';
         [[, , ...this.camera.size]] = this.boxes(width, height);
+        this.camera.fit();
         byId.here.hidden = !this.place;
         byId.here.textContent = this.place ? `${this.place.where}: ${this.place.words}` : '';
         this.changed();
@@ -297,9 +276,8 @@ class Application {
     }
 
     setSplit(share) {
-        this.split = Math.max(0, Math.min(1, share));
-        byId.divider.style.left = `${100 * this.split}%`;
-        byId.divider.setAttribute('aria-valuenow', String(Math.round(100 * this.split)));
+        this.split = share;
+        byId.line.style.left = `${100 * share}%`;
         this.changed();
     }
 
@@ -376,7 +354,8 @@ class Application {
             const times = Array.from({ length: SAMPLES }, (_, i) => clip.start + (i / (SAMPLES - 1)) * (clip.end - clip.start));
             const lightings = Object.keys(NAMES).filter((name) => name !== 'truth' && !this.scene.reasonWithout(name));
             const lines = Object.fromEntries(lightings.map((name) => [name, new Array(SAMPLES)]));
-            this.measures.set(clip, { times, lines, next: 0 });
+            const tasks = ORDER.flatMap((number) => lightings.map((lighting) => ({ number, lighting })));
+            this.measures.set(clip, { times, lines, tasks, next: 0 });
         }
         return this.measures.get(clip);
     }
@@ -404,27 +383,23 @@ class Application {
     // Measure a part of a sample: its true normals, or the errors of one lighting. Return whether there is more.
     measureNext(clip) {
         const found = this.measures.get(clip);
-        if (found.next === SAMPLES || this.renderer.isLost) return false;
-        const number = spread(found.next);
+        if (found.next === found.tasks.length || this.renderer.isLost) return false;
+        const { number, lighting } = found.tasks[found.next];
         this.isPosed = false;
         this.scene.pose(clip, found.times[number]);
-        found.left ??= Object.keys(found.lines);
-        found.truths ??= {};
-        const [lighting] = found.left;
-        const { method } = LIGHTINGS[lighting];
-        if (!found.truths[method]) {
-            found.truths[method] = this.scene.truths(method);
+        const key = `${number} ${LIGHTINGS[lighting].method}`;
+        if (found.key !== key) {
+            Object.assign(found, { key, truths: this.scene.truths(LIGHTINGS[lighting].method) });
             return true;
         }
-        const { mean, isPartial } = this.scene.errors(lighting, found.truths[method]);
+        const { mean, isPartial } = this.scene.errors(lighting, found.truths);
         if (this.renderer.isLost) return false;
         found.lines[lighting][number] = mean;
         if (lighting === 'standard') found.isPartial ||= isPartial;
-        found.left.shift();
-        if (found.left.length) return true;
-        Object.assign(found, { left: null, truths: null, next: found.next + 1 });
-        if (found.next === 1 || found.next % 8 === 0 || found.next === SAMPLES) this.showMeasures(found);
-        return found.next < SAMPLES;
+        found.next += 1;
+        const samples = (found.next * SAMPLES) / found.tasks.length;
+        if (samples === 1 || samples % 8 === 0 || samples === SAMPLES) this.showMeasures(found);
+        return samples < SAMPLES;
     }
 
     showMeasures(found) {
@@ -525,7 +500,7 @@ class Application {
             const { projected: m, box: [left, bottom, width, height] } = views[i];
             ring.hidden = !this.hasLens || !middle;
             if (ring.hidden) return;
-            const [x, y, , w] = [0, 1, 2, 3].map((row) => m[row] * middle[0] + m[4 + row] * middle[1] + m[8 + row] * middle[2] + m[12 + row]);
+            const [x, y, , w] = movedBy(m, middle);
             const size = Math.max(28, (m[5] * this.place.radius * height) / w / ratio);
             const place = [left + (0.5 + x / w / 2) * width, byId.canvas.height - bottom - (0.5 + y / w / 2) * height].map((one) => one / ratio - size / 2);
             Object.assign(ring.style, { transform: `translate(${place[0]}px, ${place[1]}px)`, width: `${size}px`, height: `${size}px` });
@@ -535,7 +510,7 @@ class Application {
     showReadings() {
         this.sides.forEach((side, i) => {
             const mean = this.chart.at(side, this.time);
-            const text = LIGHTINGS[side].isTrue ? 'by triangles' : isKnown(mean) ? `${degrees(mean)} mean error` : mean === null ? 'no true normals' : 'measuring the mean error';
+            const text = LIGHTINGS[side].isTrue ? 'of the deformed triangles' : isKnown(mean) ? `${degrees(mean)} mean error` : mean === null ? 'no true normals' : 'measuring the mean error';
             const output = byId[i ? 'right-error' : 'left-error'];
             if (output.textContent !== text) output.textContent = text;
         });
@@ -561,17 +536,11 @@ function damaged(error) {
 }
 
 // The order in which samples are measured: coarse at first, so that the chart soon has its shape.
-function spread(next) {
-    const order = [];
-    for (let step = 16; step >= 1; step /= 2) {
-        for (let i = 0; i < SAMPLES; i += step) if (!order.includes(i)) order.push(i);
-    }
-    return order[next];
-}
+const ORDER = [...new Set([16, 8, 4, 2, 1].flatMap((step) => Array.from({ length: Math.ceil(SAMPLES / step) }, (_, i) => step * i)))];
 
 function factsOf(model) {
     const primitives = [...model.primitives.values()].filter(Boolean);
-    const [count, skinned] = [primitives, primitives.filter(({ joints }) => joints.length)].map((some) =>
+    const [count, skinned] = [primitives, primitives.filter(({ slots }) => slots)].map((some) =>
         some.reduce((sum, { count }) => sum + count, 0)
     );
     const baked = primitives.find(({ metadata }) => metadata)?.metadata;
@@ -581,27 +550,19 @@ function factsOf(model) {
     return `${all}${skinned < count ? `, ${skinned.toLocaleString('en')} of them skinned` : ''}, ${how}`;
 }
 
-// Put the other kind of α and β beside the one that the file holds.
+// Put the other kind of α and β beside the one that the file holds. A bake may have adopted other joints for it.
 function addOther(model, other) {
     for (const one of other?.primitives ?? []) {
         const primitive = model.primitives.get(`${one.mesh}/${one.primitive}/true`);
         if (primitive && one.frame) primitive.metadata ??= { frame: one.frame }; // Of a file with correctives.
         if (!primitive?.metadata) continue;
-        const [alpha, beta] = [one.alpha, one.beta].map((text) => new Float32Array(fromBase64(text).buffer));
+        const floats = (text) => new Float32Array(fromBase64(text).buffer);
+        const [alpha, beta] = [one.alpha, one.beta].map(floats);
         const others = alpha.length / primitive.count;
         const own = gradientsOf(primitive, (vertex, slot) => [alpha[others * vertex + slot], beta[others * vertex + slot]]);
-        if (one.joints) Object.assign(own, influencesOfSets(one, others + 1));
+        if (one.joints) Object.assign(own, { joints: Uint16Array.from(floats(one.joints)), weights: floats(one.weights) });
         primitive.gradients[one.kind] = own;
     }
-}
-
-// Joints and weights of another kind, by set of four. A bake may have adopted other joints for it.
-function influencesOfSets({ joints, weights }, slots) {
-    const inSets = (text, Type) => {
-        const row = new Float32Array(fromBase64(text).buffer);
-        return Array.from({ length: slots / 4 }, (_, set) => Type.from(row.filter((_, i) => (i % slots) >> 2 === set)));
-    };
-    return { joints: inSets(joints, Uint16Array), weights: inSets(weights, Float32Array) };
 }
 
 async function start() {

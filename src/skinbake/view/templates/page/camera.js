@@ -1,6 +1,6 @@
 // A camera that turns around a point: by pointer, touch, wheel and keys.
 
-import { cross, lookAt, minus, normalised, perspective, plus, product } from './matrices.js';
+import { cross, perspective, plus, product, viewFrom } from './matrices.js';
 
 const ANGLE = (32 * Math.PI) / 180;
 const STEEPEST = 1.5;
@@ -34,8 +34,14 @@ export class Camera {
     }
 
     show(target, radius, [x, y, z] = [Math.sin(0.45 + this.facing), 0.16, Math.cos(0.45 + this.facing)]) {
-        Object.assign(this, { target, yaw: Math.atan2(x, z), pitch: Math.asin(y), distance: this.fitting(radius) });
+        Object.assign(this, { target, yaw: Math.atan2(x, z), pitch: Math.asin(y), shown: radius });
+        this.fit();
         this.changed();
+    }
+
+    // Show as much as before, in a pane of another size.
+    fit() {
+        if (this.shown) this.distance = this.fitting(this.shown);
     }
 
     // size is that of the pane in which it draws.
@@ -50,21 +56,20 @@ export class Camera {
     }
 
     get eye() {
-        const flat = Math.cos(this.pitch);
-        const away = [flat * Math.sin(this.yaw), Math.sin(this.pitch), flat * Math.cos(this.yaw)];
-        return plus(this.target, away, this.distance);
+        return plus(this.target, this.axes[2], this.distance);
     }
 
     // Its right, up and back, as columns.
     get axes() {
-        const back = normalised(minus(this.eye, this.target));
-        const right = normalised(cross([0, 1, 0], back));
+        const flat = Math.cos(this.pitch);
+        const back = [flat * Math.sin(this.yaw), Math.sin(this.pitch), flat * Math.cos(this.yaw)];
+        const right = [Math.cos(this.yaw), 0, -Math.sin(this.yaw)];
         return [right, cross(back, right), back];
     }
 
     projected(aspect) {
         const near = Math.max(this.distance - 4 * this.radius, this.distance / 200);
-        const view = lookAt(this.eye, this.target, [0, 1, 0]);
+        const view = viewFrom(this.eye, this.axes);
         return product(perspective(ANGLE, aspect, near, this.distance + 6 * this.radius), view);
     }
 
@@ -90,6 +95,7 @@ export class Camera {
     }
 
     turn(yaw, pitch) {
+        this.shown = null; // From now on it stays where its user puts it.
         this.yaw += yaw;
         this.pitch = Math.max(-STEEPEST, Math.min(STEEPEST, this.pitch + pitch));
     }
@@ -97,10 +103,12 @@ export class Camera {
     pan(dx, dy) {
         const [side, up] = this.axes;
         const step = (2 * this.distance * Math.tan(ANGLE / 2)) / this.size[1];
+        this.shown = null;
         this.target = plus(plus(this.target, side, -dx * step), up, dy * step);
     }
 
     zoom(factor) {
+        this.shown = null;
         this.distance = Math.max(0.02 * this.closest, Math.min(12 * this.radius, this.distance * factor));
     }
 

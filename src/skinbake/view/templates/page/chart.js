@@ -42,15 +42,9 @@ export class Chart {
         this.now = make('line', { class: 'now', y1: TOP, y2: height - BOTTOM });
         svg.append(this.now);
         element.replaceChildren(svg);
-        this.key.replaceChildren(...shown.map((lighting) => this.keyOf(lighting)));
+        const keyOf = (lighting) => Object.assign(document.createElement('span'), { className: `is-${lighting}`, textContent: this.names[lighting] });
+        this.key.replaceChildren(...shown.map(keyOf));
         this.setTime(this.time ?? clip.start);
-    }
-
-    keyOf(lighting) {
-        const span = document.createElement('span');
-        span.className = `is-${lighting}`;
-        span.textContent = this.names[lighting];
-        return span;
     }
 
     setTime(time) {
@@ -64,12 +58,8 @@ export class Chart {
         const { times, lines } = this;
         const means = lines[lighting];
         if (!times || !means) return undefined;
-        let [low, high] = [-1, -1];
-        times.forEach((one, i) => {
-            if (means[i] === undefined) return;
-            if (one <= time) low = i;
-            else if (high < 0) high = i;
-        });
+        const low = times.findLastIndex((one, i) => means[i] !== undefined && one <= time);
+        const high = times.findIndex((one, i) => means[i] !== undefined && one > time);
         if (low === means.length - 1) return means[low];
         if (low < 0 || high < 0) return undefined;
         if (!isKnown(means[low]) || !isKnown(means[high])) return means[low] ?? means[high];

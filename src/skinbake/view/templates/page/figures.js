@@ -17,20 +17,22 @@ export function showFigures(byId, given) {
     byId.headline.hidden = !verdict && !first;
     byId.gain.textContent = verdict?.words ?? '';
     byId.gain.classList.toggle('is-good', Boolean(verdict?.isGood));
-    byId['gain-words'].textContent = verdict?.remark ?? '';
     const measured = { ...triangles, ...tangents };
     const isMeasured = Object.keys(measured).length > 0;
     byId.table.parentElement.hidden = !isMeasured;
+    const how = measured.lbs ? '' : measured.dqs ? ', with dual quaternions' : ', blended with dual quaternions';
+    const gains = first && `${first.corrected ? 'Corrected' : 'Accurate'} lighting is off by ${degrees(bakedOf(first).mean)} in the mean, standard ` +
+        `lighting by ${degrees(first.standard.mean)}${how}: a gain of ${times(first.gain)} ${first.truth}${other ? `, of ${times(other.gain)} ${other.truth}` : ''}.`;
+    const explained = 'By triangles: true normals are those of the deformed triangles. By tangents: they stand on the deformed tangents.';
+    byId['gain-words'].textContent = `${gains ?? verdict?.remark ?? ''} ${isMeasured ? explained : ''}`;
     if (!isMeasured) return;
-    if (first) {
-        const name = first.corrected ? 'Corrected' : 'Accurate';
-        const how = measured.lbs ? '' : measured.dqs ? ', with dual quaternions' : ', blended with dual quaternions';
-        byId['gain-words'].textContent =
-            `${name} lighting is off by ${degrees(bakedOf(first).mean)} in the mean, standard lighting by ${degrees(first.standard.mean)}${how}: ` +
-            `a gain of ${times(first.gain)} ${first.truth}${other ? `, of ${times(other.gain)} ${other.truth}` : ''}. ` +
-            'By triangles: true normals are those of the deformed triangles. By tangents: they stand on the deformed tangents.';
-    }
-    byId.table.replaceChildren(tableOf(triangles, tangents));
+    const lines = ROWS.flatMap(([method, lighting, name]) => {
+        const [one, other] = [triangles, tangents].map((truth) => truth?.[method]?.[lighting]);
+        const cells = [one?.mean, one?.p95, other?.mean, other?.p95].map((value) => (value === undefined ? '—' : value.toFixed(2)));
+        return one || other ? [[name, ...cells]] : [];
+    });
+    const heads = [[[''], ['by triangles', 2], ['by tangents', 2]], [[''], ['mean'], ['p95'], ['mean'], ['p95']]];
+    byId.table.replaceChildren(tableOf(heads, lines));
     byId['table-words'].textContent = `By skinbake verify, over ${poses}. Two truths, found in two ways.`;
 }
 
@@ -45,30 +47,17 @@ function byTruth(triangles, tangents) {
     ].filter(({ standard }) => standard);
 }
 
-function tableOf(triangles, tangents) {
-    const table = element('table');
-    const head = element('thead');
-    head.append(row('th', ['', 'mean', 'p95', 'mean', 'p95']));
-    const above = element('tr');
-    for (const [text, span] of [['', 1], ['by triangles', 2], ['by tangents', 2]]) {
-        const cell = element(text ? 'th' : 'td', text);
-        cell.colSpan = span;
-        if (text) cell.scope = 'colgroup';
-        above.append(cell);
-    }
-    head.prepend(above);
-    const body = element('tbody');
-    for (const [method, lighting, name] of ROWS) {
-        const one = triangles?.[method]?.[lighting];
-        const other = tangents?.[method]?.[lighting];
-        if (!one && !other) continue;
-        const cells = [one?.mean, one?.p95, other?.mean, other?.p95].map((value) => (value === undefined ? '—' : value.toFixed(2)));
-        const line = row('td', cells);
-        const title = element('th', name);
-        title.scope = 'row';
-        line.prepend(title);
-        body.append(line);
-    }
+// A table. Heads are rows of texts, some with the number of columns that they span. Lines begin with their title.
+function tableOf(heads, lines) {
+    const [table, head, body] = ['table', 'thead', 'tbody'].map((name) => element(name));
+    const cell = (text, scope, colSpan = 1) => Object.assign(element(text && scope ? 'th' : 'td', text), text && scope ? { scope, colSpan } : {});
+    const rowOf = (cells) => {
+        const row = element('tr');
+        row.append(...cells);
+        return row;
+    };
+    head.append(...heads.map((texts) => rowOf(texts.map(([text, span]) => cell(text, span ? 'colgroup' : 'col', span)))));
+    body.append(...lines.map(([title, ...texts]) => rowOf([cell(title, 'row'), ...texts.map((text) => cell(text))])));
     table.append(head, body);
     return table;
 }
@@ -101,23 +90,14 @@ function showPrimitives(byId, primitives) {
     const figuresOf = (one) => byTruth(one.normals_by_triangles, one.normals_by_tangents)[0];
     const rows = primitives.filter(figuresOf);
     byId.primitives.hidden = rows.length < 2;
-    const table = element('table');
-    const head = element('thead');
-    const isCorrected = rows.some((one) => figuresOf(one).corrected);
-    head.append(row('th', ['', 'standard', isCorrected ? 'corrected' : 'accurate', 'gain']));
-    const body = element('tbody');
-    for (const given of rows) {
+    const baked = rows.some((one) => figuresOf(one).corrected) ? 'corrected' : 'accurate';
+    const lines = rows.map((given) => {
         const { mesh, mesh_name: name, primitive } = given;
         const one = figuresOf(given);
-        const { standard, gain } = one;
-        const line = row('td', [standard.mean.toFixed(2), bakedOf(one).mean.toFixed(2), gain ? times(gain) : '—']);
-        const title = element('th', `${isolated(name ?? `mesh ${mesh}`)}, ${primitive}`);
-        title.scope = 'row';
-        line.prepend(title);
-        body.append(line);
-    }
-    table.append(head, body);
-    byId['primitives-table'].replaceChildren(table);
+        const title = `${isolated(name ?? `mesh ${mesh}`)}, ${primitive}`;
+        return [title, one.standard.mean.toFixed(2), bakedOf(one).mean.toFixed(2), one.gain ? times(one.gain) : '—'];
+    });
+    byId['primitives-table'].replaceChildren(tableOf([[[''], ['standard'], [baked], ['gain']]], lines));
 }
 
 // A name in a sentence. Its letters may run from right to left, and do not turn the words after it around.
@@ -133,16 +113,6 @@ function times(gain) {
 }
 
 export const degrees = (value) => (value < 10 ? `${value.toFixed(2)}°` : `${value.toFixed(1)}°`);
-
-function row(kind, texts) {
-    const made = element('tr');
-    for (const text of texts) {
-        const cell = element(text ? kind : 'td', text);
-        if (text && kind === 'th') cell.scope = 'col';
-        made.append(cell);
-    }
-    return made;
-}
 
 function element(name, text = '') {
     const made = document.createElement(name);

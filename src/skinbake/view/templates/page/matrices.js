@@ -26,13 +26,18 @@ export function composed([tx, ty, tz], [x, y, z, w], [sx, sy, sz]) {
     ];
 }
 
+// A point (x, y, z, 1) moved: four numbers.
+export function movedBy(m, [x, y, z]) {
+    return [0, 1, 2, 3].map((row) => m[row] * x + m[4 + row] * y + m[8 + row] * z + m[12 + row]);
+}
+
+// The columns of the upper 3 × 3 part.
+export const columnsOf = (m) => [0, 4, 8].map((start) => [m[start], m[start + 1], m[start + 2]]);
+
 // The determinant of the upper 3 × 3 part.
 export function determinant(m) {
-    return (
-        m[0] * (m[5] * m[10] - m[6] * m[9]) -
-        m[4] * (m[1] * m[10] - m[2] * m[9]) +
-        m[8] * (m[1] * m[6] - m[2] * m[5])
-    );
+    const [a, b, c] = columnsOf(m);
+    return dot(a, cross(b, c));
 }
 
 export function perspective(angle, aspect, near, far) {
@@ -41,17 +46,14 @@ export function perspective(angle, aspect, near, far) {
     return [f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, (near + far) * depth, -1, 0, 0, 2 * near * far * depth, 0];
 }
 
-export function lookAt(eye, centre, up) {
-    const z = normalised(minus(eye, centre));
-    const x = normalised(cross(up, z));
-    const y = cross(z, x);
+export function viewFrom(eye, [x, y, z]) {
     return [
         x[0], y[0], z[0], 0, x[1], y[1], z[1], 0, x[2], y[2], z[2], 0,
         -dot(x, eye), -dot(y, eye), -dot(z, eye), 1,
     ];
 }
 
-const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 export const minus = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
 export const plus = (a, b, factor = 1) => [a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]];
 export const cross = (a, b) => [
@@ -109,8 +111,7 @@ export function polarQuaternion(m) {
     const over = (columns, divisor) => mixed(columns, 1 / divisor, columns, 0);
     const cofactorsOf = ([a, b, c]) => [cross(b, c), cross(c, a), cross(a, b)];
     const lengthOf = (columns) => Math.hypot(...columns.flat());
-    let turn = [0, 4, 8].map((start) => [m[start], m[start + 1], m[start + 2]]);
-    turn = over(turn, lengthOf(turn) || 1);
+    let turn = over(columnsOf(m), lengthOf(columnsOf(m)) || 1);
     let cofactors = cofactorsOf(turn);
     const area = lengthOf(cofactors);
     if (!(area > FLATTENED)) return [0, 0, 0, 0];

@@ -1,6 +1,6 @@
 // Poses of a model: joint matrices and morph weights, from a clip at a time, or turned at random.
 
-import { composed, determinant, dualQuaternion, polarQuaternion, product, slerp } from './matrices.js';
+import { columnsOf, composed, determinant, dot, dualQuaternion, polarQuaternion, product, slerp } from './matrices.js';
 
 const RIGID = 1e-3; // As skinbake has it: a larger deviation of a joint matrix is not a rotation.
 const RANDOM = -1; // A number that no animation of the file has.
@@ -19,13 +19,15 @@ export function poseAt(model, clip, time) {
         if (!['weights', 'turn'].includes(channel.path)) touched.add(channel.node);
     }
     const matrices = new Array(model.nodes.length);
-    for (const number of model.order) {
+    const placed = (number) => {
+        if (matrices[number]) return matrices[number];
         const { matrix, parent } = model.nodes[number];
         const { translation, rotation, scale, turn } = moved[number];
         const own = matrix && !touched.has(number) ? matrix : composed(translation, rotation, scale);
         const local = turn ? product(own, composed([0, 0, 0], turn, [1, 1, 1])) : own;
-        matrices[number] = parent < 0 ? local : product(matrices[parent], local);
-    }
+        return (matrices[number] = parent < 0 ? local : product(placed(parent), local));
+    };
+    moved.forEach((_, number) => placed(number));
     const skins = model.skins.map(({ joints, inverseBind }) => joints.map((joint, i) => product(matrices[joint], inverseBind[i])));
     return { nodes: matrices, skins, weights: moved.map(({ weights }) => weights) };
 }
@@ -114,13 +116,7 @@ export function motionsOf(matrices, used) {
 }
 
 function isRigid(m, scale) {
-    if (!(determinant(m) > 0)) return false;
-    for (let i = 0; i < 3; i++) {
-        for (let j = 0; j <= i; j++) {
-            let product = 0;
-            for (let row = 0; row < 3; row++) product += m[4 * i + row] * m[4 * j + row];
-            if (!(Math.abs(product / (scale * scale) - Number(i === j)) <= RIGID)) return false;
-        }
-    }
-    return true;
+    const columns = columnsOf(m);
+    const isRight = (a, i) => columns.every((b, j) => Math.abs(dot(a, b) / (scale * scale) - Number(i === j)) <= RIGID);
+    return determinant(m) > 0 && columns.every(isRight);
 }

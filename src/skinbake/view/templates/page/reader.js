@@ -1,6 +1,6 @@
 // Read glTF 2.0: a GLB, or a .gltf with its files. Everything of a file stays data: names are never markup.
 
-import { IDENTITY } from './matrices.js';
+import { cross, IDENTITY, minus } from './matrices.js';
 
 // Tables without a prototype: a file may call anything "__proto__" or "constructor".
 const COMPONENTS = {
@@ -31,13 +31,14 @@ export async function readModel(bytes, name, files = new Map()) {
     const skins = list(json.skins).map((skin) => readSkin(source, skin));
     // Characters of VRM 0 look along −Z, all others along +Z.
     const facesBackward = Boolean(json.extensions?.VRM && !json.extensions.VRMC_vrm);
-    const model = { name, json, source, nodes, skins, order: parentsFirst(nodes), facesBackward };
-    model.primitives = new Map();
-    model.draws = [];
+    const model = { name, json, source, nodes, skins, facesBackward, primitives: new Map(), draws: [] };
     nodes.forEach((node, number) => {
         if (node.mesh === undefined || !node.isShown) return;
         list(json.meshes[node.mesh]?.primitives).forEach((_, index) => {
-            const primitive = onePrimitive(model, node.mesh, index, node.skin !== undefined);
+            const [isSkinned, { primitives }] = [node.skin !== undefined, model];
+            const key = `${node.mesh}/${index}/${isSkinned}`;
+            if (!primitives.has(key)) primitives.set(key, readPrimitive(model, node.mesh, index, isSkinned));
+            const primitive = primitives.get(key);
             if (primitive) model.draws.push({ node: number, skin: node.skin, primitive });
         });
     });
@@ -77,10 +78,7 @@ function split(bytes) {
 
 export function fromBase64(text) {
     if (Uint8Array.fromBase64) return Uint8Array.fromBase64(text);
-    const letters = atob(text);
-    const bytes = new Uint8Array(letters.length);
-    for (let i = 0; i < letters.length; i++) bytes[i] = letters.charCodeAt(i);
-    return bytes;
+    return Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
 }
 
 // The buffers and accessors of a document.
@@ -203,31 +201,12 @@ function shownNodes(json, nodes) {
     return every.find((shown) => wanted.some((number) => shown.has(number))) ?? new Set(nodes.keys());
 }
 
-function parentsFirst(nodes) {
-    const order = [];
-    const done = new Set([-1]);
-    const add = (number) => {
-        if (done.has(number)) return;
-        done.add(number);
-        add(nodes[number].parent);
-        order.push(number);
-    };
-    nodes.forEach((_, number) => add(number));
-    return order;
-}
-
 function readSkin(source, skin) {
     const joints = list(skin.joints);
     const given = skin.inverseBindMatrices;
     const values = given === undefined ? null : source.floats(given).array;
     const inverseBind = joints.map((_, i) => (values ? Array.from(values.subarray(16 * i, 16 * i + 16)) : IDENTITY));
     return { joints, inverseBind };
-}
-
-function onePrimitive(model, mesh, index, isSkinned) {
-    const key = `${mesh}/${index}/${isSkinned}`;
-    if (!model.primitives.has(key)) model.primitives.set(key, readPrimitive(model, mesh, index, isSkinned));
-    return model.primitives.get(key);
 }
 
 function readPrimitive({ source, json, skins, nodes }, mesh, index, isSkinned) {
@@ -242,6 +221,7 @@ function readPrimitive({ source, json, skins, nodes }, mesh, index, isSkinned) {
     const triangles = readTriangles(source, one.indices, mode, count);
     const optional = (name) => (attributes[name] === undefined ? null : source.floats(attributes[name]));
     const given = optional('NORMAL')?.array;
+    const tangents = optional('TANGENT')?.array ?? null;
     const targets = list(one.targets).map((target) => readTarget(source, target));
     const own = targets.length - correctiveCount(json.meshes[mesh], targets.length);
     const primitive = {
@@ -251,10 +231,12 @@ function readPrimitive({ source, json, skins, nodes }, mesh, index, isSkinned) {
         count,
         positions,
         normals: given ? unitNormals(given) : smoothNormals(positions, triangles),
-        tangents: optional('TANGENT')?.array ?? null,
+        tangents,
+        directions: tangents && tangents.filter((_, i) => i % 4 < 3),
         colors: optional('COLOR_0'),
         triangles,
         material: one.material,
+        slots: 0,
         joints: [],
         weights: [],
         gradients: {},
@@ -312,12 +294,13 @@ function readTriangles(source, indices, mode, count) {
     return found;
 }
 
-function unitNormals(given) {
+// Unit vectors. Where one has no length, that of others, or (0, 0, 1).
+export function unitNormals(given, others) {
     const found = new Float32Array(given.length);
     for (let i = 0; i < given.length; i += 3) {
         const length = Math.hypot(given[i], given[i + 1], given[i + 2]);
         const isSound = Number.isFinite(length) && length > 0;
-        for (let axis = 0; axis < 3; axis++) found[i + axis] = isSound ? given[i + axis] / length : Number(axis === 2);
+        for (let axis = 0; axis < 3; axis++) found[i + axis] = isSound ? given[i + axis] / length : others?.[i + axis] ?? Number(axis === 2);
     }
     return found;
 }
@@ -325,43 +308,39 @@ function unitNormals(given) {
 function smoothNormals(positions, triangles) {
     const sums = new Float32Array(positions.length);
     for (let i = 0; i < triangles.length; i += 3) {
-        const [a, b, c] = [3 * triangles[i], 3 * triangles[i + 1], 3 * triangles[i + 2]];
-        const e = [0, 1, 2].map((axis) => positions[b + axis] - positions[a + axis]);
-        const f = [0, 1, 2].map((axis) => positions[c + axis] - positions[a + axis]);
-        const normal = [e[1] * f[2] - e[2] * f[1], e[2] * f[0] - e[0] * f[2], e[0] * f[1] - e[1] * f[0]];
-        for (const corner of [a, b, c]) normal.forEach((value, axis) => (sums[corner + axis] += value));
+        const corners = [3 * triangles[i], 3 * triangles[i + 1], 3 * triangles[i + 2]];
+        const [a, b, c] = corners.map((corner) => positions.subarray(corner, corner + 3));
+        const normal = cross(minus(b, a), minus(c, a));
+        for (const corner of corners) normal.forEach((value, axis) => (sums[corner + axis] += value));
     }
     return unitNormals(sums);
 }
 
-// Joints and weights by set of four; weights as the bake reads them: none is negative, and they sum to 1.
+// Joints and weights, all slots of a vertex beside each other. Weights are as the bake reads them: none is negative,
+// and they sum to 1.
 function readInfluences(source, attributes, primitive, jointCount) {
-    for (let set = 0; attributes[`JOINTS_${set}`] !== undefined; set++) {
-        const joints = new Uint16Array(source.accessor(attributes[`JOINTS_${set}`]).array);
-        primitive.joints.push(joints.map((joint) => (joint < jointCount ? joint : 0)));
-        primitive.weights.push(source.floats(attributes[`WEIGHTS_${set}`]).array.slice());
+    let sets = 0;
+    while (attributes[`JOINTS_${sets}`] !== undefined) sets++;
+    const [slots, { count }] = [4 * sets, primitive];
+    if (sets > MOST_SETS) {
+        throw new ReadError(`it has ${slots} influences for a vertex, and this page draws 8: bake it with --limit-influences 8`);
     }
-    if (primitive.joints.length > MOST_SETS) {
-        const count = 4 * primitive.joints.length;
-        throw new ReadError(`it has ${count} influences for a vertex, and this page draws 8: bake it with --limit-influences 8`);
-    }
-    normaliseWeights(primitive);
-}
-
-function normaliseWeights({ weights, count }) {
-    for (let vertex = 0; vertex < count; vertex++) {
-        let sum = 0;
-        for (const set of weights) {
-            for (let i = 4 * vertex; i < 4 * vertex + 4; i++) {
-                if (!(set[i] > 0)) set[i] = 0;
-                sum += set[i];
-            }
-        }
-        if (sum === 0) weights[0][4 * vertex] = sum = 1;
-        for (const set of weights) {
-            for (let i = 4 * vertex; i < 4 * vertex + 4; i++) set[i] /= sum;
+    const [joints, weights] = [new Uint16Array(slots * count), new Float32Array(slots * count)];
+    for (let set = 0; set < sets; set++) {
+        const [own, shares] = [source.accessor(attributes[`JOINTS_${set}`]).array, source.floats(attributes[`WEIGHTS_${set}`]).array];
+        for (let i = 0; i < 4 * count; i++) {
+            const at = slots * (i >> 2) + 4 * set + (i & 3);
+            joints[at] = own[i] < jointCount ? own[i] : 0;
+            weights[at] = shares[i] > 0 ? shares[i] : 0;
         }
     }
+    for (let start = 0; start < weights.length; start += slots) {
+        const own = weights.subarray(start, start + slots);
+        const sum = own.reduce((one, other) => one + other, 0);
+        if (sum === 0) own[0] = 1;
+        else own.forEach((weight, slot) => (own[slot] = weight / sum));
+    }
+    Object.assign(primitive, { slots, joints, weights });
 }
 
 // α and β as they are stored: the shader decodes them.
@@ -377,7 +356,7 @@ function readGradients(source, json, one, primitive) {
     const kind = metadata.gradients === 'fitted' ? 'fitted' : 'surface';
     if (metadata.layout === 'texcoord') {
         const names = [...new Set([...metadata.alpha, ...metadata.beta])];
-        const others = 4 * primitive.joints.length - 1;
+        const others = primitive.slots - 1;
         const row = names.map((name) => source.floats(number(name)).array);
         const value = (vertex, place) => row[place >> 1][2 * vertex + (place & 1)];
         primitive.gradients[kind] = gradientsOf(primitive, (vertex, slot) => [value(vertex, slot), value(vertex, others + slot)]);
@@ -439,14 +418,13 @@ function metadataOfAccessor(json, one) {
 
 // Attributes of floats from the values of slots 1 …: value gives α and β of a vertex and a slot, from 0.
 export function gradientsOf(primitive, value) {
-    const others = 4 * primitive.joints.length - 1;
-    const make = () => primitive.joints.map((_, set) => {
+    const make = () => Array.from({ length: primitive.slots / 4 }, (_, set) => {
         const size = set ? 4 : 3;
         return { array: new Float32Array(size * primitive.count), size, count: primitive.count, normalized: false, type: 5126 };
     });
     const found = { storage: 'float32', scale: 1, alpha: make(), beta: make() };
     for (let vertex = 0; vertex < primitive.count; vertex++) {
-        for (let slot = 0; slot < others; slot++) {
+        for (let slot = 0; slot + 1 < primitive.slots; slot++) {
             const set = (slot + 1) >> 2;
             const place = set ? 4 * vertex + ((slot + 1) & 3) : 3 * vertex + slot;
             [found.alpha[set].array[place], found.beta[set].array[place]] = value(vertex, slot);
@@ -477,13 +455,12 @@ function readClip(source, animation, number, name, nodes) {
         const size = values.length / times.length / (method === 'CUBICSPLINE' ? 3 : 1);
         if (times.length && Number.isInteger(size)) channels.push({ node, path, weight, times, values, method, size });
     }
-    const ends = channels.map(({ times }) => times[times.length - 1]);
     return {
         number,
         name,
         channels,
         start: Math.min(...channels.map(({ times }) => times[0])),
-        end: Math.max(...ends),
+        end: Math.max(...channels.map(({ times }) => times[times.length - 1])),
     };
 }
 

@@ -1,5 +1,6 @@
 // Draw a model in WebGL 2: each pane of the canvas with its own lighting, and read normals back.
 
+import { determinant } from './matrices.js';
 import { isUnlit, readImage, samplingOf, shownTextures } from './reader.js';
 import {
     fragmentText, GROUND_FRAGMENT_TEXT, GROUND_VERTEX_TEXT, LOCATIONS, RIGID_TEXT, TEXCOORDS, textName, vertexText,
@@ -34,9 +35,8 @@ export class Renderer {
     begin() {
         Object.assign(this, { programs: new Map(), buffers: [], arrays: [], textures: [] });
         this.parallel = this.gl.getExtension('KHR_parallel_shader_compile');
-        this.square = this.squareArray();
         this.sheets = [];
-        this.startGround();
+        this.started('ground', () => [GROUND_VERTEX_TEXT, GROUND_FRAGMENT_TEXT], []);
     }
 
     // Take a model. texts must hold what skinbake shader has written. isMirrored: some of its joints mirror the surface.
@@ -112,7 +112,7 @@ export class Renderer {
             ['color', primitive.colors && this.buffer(primitive.colors.array), primitive.colors?.size],
         ];
         const normal = ['morphed_normal', isMorphed ? this.buffer(primitive.normals.slice()) : null, 3];
-        const tangent = ['morphed_tangent', isMorphed && primitive.tangents ? this.buffer(withoutHandedness(primitive.tangents)) : null, 3];
+        const tangent = ['morphed_tangent', isMorphed && primitive.directions && this.buffer(primitive.directions), 3];
         const six = () => [['morph', zeros(4), 4], ['morph_up', zeros(2), 2]];
         const moved = numbers === 6 ? six() : [normal, numbers === 4 ? ['morph_by_normal', zeros(4), 4] : tangent];
         const arrays = { '': this.array(indices, [...shared, normal, tangent], primitive, null) };
@@ -136,27 +136,29 @@ export class Renderer {
         gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, indices);
         for (const [name, buffer, size] of shared) if (buffer) this.attribute(name, buffer, size);
         const { joints, weights } = gradients?.joints ? gradients : primitive;
-        if (joints.length) {
-            gl.bindBuffer(gl.ARRAY_BUFFER, this.buffer(joints.length > 1 ? pairedJoints(joints) : joints[0]));
+        const { slots } = primitive;
+        if (slots) { // Two joints are one integer: WebGL 2 has no attributes for more.
+            gl.bindBuffer(gl.ARRAY_BUFFER, this.buffer(joints));
             gl.enableVertexAttribArray(LOCATIONS.joints);
-            gl.vertexAttribIPointer(LOCATIONS.joints, 4, joints.length > 1 ? gl.UNSIGNED_INT : gl.UNSIGNED_SHORT, 0, 0);
+            gl.vertexAttribIPointer(LOCATIONS.joints, slots / 2, gl.UNSIGNED_INT, 0, 0);
         }
-        weights.forEach((set, number) => {
-            this.attribute(`weights_${number}`, this.buffer(set), 4);
+        const shares = slots && this.buffer(weights);
+        for (let set = 0; set < slots / 4; set++) {
+            this.attribute(`weights_${set}`, shares, 4, gl.FLOAT, false, 4 * slots, 16 * set);
             for (const kind of gradients ? ['alpha', 'beta'] : []) {
-                const { array: values, size, type, normalized } = gradients[kind][number];
-                this.attribute(`${kind}_${number}`, this.buffer(values), size, type, normalized);
+                const { array: values, size, type, normalized } = gradients[kind][set];
+                this.attribute(`${kind}_${set}`, this.buffer(values), size, type, normalized);
             }
-        });
+        }
         gl.bindVertexArray(null);
         return array;
     }
 
-    attribute(name, buffer, size, type = this.gl.FLOAT, normalized = false) {
+    attribute(name, buffer, size, type = this.gl.FLOAT, normalized = false, stride = 0, offset = 0) {
         const { gl } = this;
         gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
         gl.enableVertexAttribArray(LOCATIONS[name]);
-        gl.vertexAttribPointer(LOCATIONS[name], size, type, normalized, 0, 0);
+        gl.vertexAttribPointer(LOCATIONS[name], size, type, normalized, stride, offset);
     }
 
     buffer(values, target = this.gl.ARRAY_BUFFER) {
@@ -222,17 +224,6 @@ export class Renderer {
         return texture;
     }
 
-    squareArray() {
-        const { gl } = this;
-        const array = gl.createVertexArray();
-        const buffer = gl.createBuffer();
-        gl.bindVertexArray(array);
-        gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
-        gl.bufferData(gl.ARRAY_BUFFER, Float32Array.of(-1, -1, 0, 1, -1, 0, -1, 1, 0, 1, 1, 0), gl.STATIC_DRAW);
-        this.attribute('position', buffer, 3);
-        return array;
-    }
-
     // Begin to compile a program. The driver goes on with it beside the page.
     started(name, texts, captured = CAPTURED) {
         if (this.programs.has(name)) return this.programs.get(name);
@@ -281,7 +272,7 @@ export class Renderer {
         const { primitive } = part;
         const shading = [mode, ...has].join(' ');
         const fragment = () => fragmentText(mode, has);
-        if (part.skin === undefined || !primitive.joints.length) {
+        if (part.skin === undefined || !primitive.slots) {
             return { name: `rigid ${shading}`, texts: () => [RIGID_TEXT, fragment()], array: part.arrays[''], gradients: null };
         }
         const { stem, gradients: wanted, isCorrected } = LIGHTINGS[lighting];
@@ -294,7 +285,7 @@ export class Renderer {
         const isDual = isLit && stem === 'dqs_exact';
         const choices = {
             stem: isDual && this.motions[part.skin].turns ? 'dqs_scaled' : isLit ? stem : 'lbs_standard',
-            sets: primitive.joints.length,
+            sets: primitive.slots / 4,
             frame,
             storage: gradients?.storage ?? 'float32',
             morphs: plays ? (frame === 'tangent' && primitive.tangents ? 'tangent' : 'normal') : morphsOf(primitive, frame, isLit),
@@ -329,26 +320,26 @@ export class Renderer {
 
     // Upload the attributes of a part under its morph targets, and its normals under its correctives.
     setMorphed(part, { positions, normals, tangents, inPlane, upward, corrected }) {
-        const { gl } = this;
-        gl.bindVertexArray(null);
         const arrays = {
             position: positions, morphed_normal: normals, morphed_tangent: tangents,
             morph: inPlane, morph_by_normal: inPlane, morph_up: upward, corrected,
         };
         for (const [name, values] of Object.entries(arrays)) {
-            if (!values || !part.shared[name]) continue;
-            gl.bindBuffer(gl.ARRAY_BUFFER, part.shared[name]);
-            gl.bufferSubData(gl.ARRAY_BUFFER, 0, values);
+            if (values && part.shared[name]) this.update(part.shared[name], values);
         }
+    }
+
+    update(buffer, values) {
+        const { gl } = this;
+        gl.bindVertexArray(null);
+        gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+        gl.bufferSubData(gl.ARRAY_BUFFER, 0, values);
     }
 
     // Upload the true normals of a part, under linear blending (lbs) or dual quaternions (dqs).
     setTruth(part, method, values) {
-        const { gl } = this;
-        gl.bindVertexArray(null);
         part.truth[method] ??= this.buffer(values);
-        gl.bindBuffer(gl.ARRAY_BUFFER, part.truth[method]);
-        gl.bufferSubData(gl.ARRAY_BUFFER, 0, values);
+        this.update(part.truth[method], values);
     }
 
     bound(part, lighting, projected, mode, has) {
@@ -466,15 +457,11 @@ export class Renderer {
         gl.bindVertexArray(null);
     }
 
-    startGround() {
-        this.started('ground', () => [GROUND_VERTEX_TEXT, GROUND_FRAGMENT_TEXT], []);
-    }
-
     drawGround(projected, ground, ink) {
         const { gl } = this;
         const { program, places } = this.program('ground');
         gl.useProgram(program);
-        gl.bindVertexArray(this.square);
+        gl.bindVertexArray(null);
         gl.uniformMatrix4fv(places.projected, false, projected);
         gl.uniform4fv(places.ground, ground);
         gl.uniform3fv(places.ink, ink);
@@ -520,7 +507,7 @@ export class Renderer {
         gl.uniform3fv(places.emissive_factor, isLost('emissive') ? [0, 0, 0] : own.emissive);
         gl.uniform1f(places.roughness, isPlain ? 0.42 : own.roughness);
         gl.uniform1f(places.normal_scale, own?.normalScale ?? 1);
-        const isTurned = part.skin === undefined && isMirroring(this.pose.nodes[part.node]);
+        const isTurned = part.skin === undefined && determinant(this.pose.nodes[part.node]) < 0;
         gl.frontFace(isTurned || (part.skin !== undefined && this.isMirrored) ? gl.CW : gl.CCW);
     }
 
@@ -582,19 +569,3 @@ function pairedVectors(first, second) {
     return found;
 }
 
-// Joints of two sets in one array: WebGL 2 has no attributes for more.
-function pairedJoints([first, second]) {
-    return Uint32Array.from(first, (joint, i) => joint | (second[i] << 16));
-}
-
-function withoutHandedness(tangents) {
-    const found = new Float32Array((tangents.length / 4) * 3);
-    for (let i = 0; i < found.length / 3; i++) found.set(tangents.subarray(4 * i, 4 * i + 3), 3 * i);
-    return found;
-}
-
-function isMirroring(m) {
-    return (
-        m[0] * (m[5] * m[10] - m[6] * m[9]) - m[4] * (m[1] * m[10] - m[2] * m[9]) + m[8] * (m[1] * m[6] - m[2] * m[5]) < 0
-    );
-}

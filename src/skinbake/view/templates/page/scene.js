@@ -1,7 +1,8 @@
 // A model in a pose: its matrices, its morphed vertices, its true normals, and the errors of each lighting.
 
-import { determinant, plus } from './matrices.js';
+import { determinant, movedBy, plus } from './matrices.js';
 import { motionsOf, poseAt, randomClip } from './poses.js';
+import { unitNormals } from './reader.js';
 import { LIGHTINGS } from './renderer.js';
 import { joined, skinned, Surface } from './truth.js';
 
@@ -70,7 +71,7 @@ export class Scene {
         if (this.surfaces) return this.surfaces;
         const groups = new Map();
         this.parts.forEach((part, number) => {
-            if (part.skin === undefined || !part.primitive.joints.length) return;
+            if (part.skin === undefined || !part.primitive.slots) return;
             const key = part.primitive.targets.length ? `${part.node}` : `skin ${part.skin}`;
             if (!groups.has(key)) groups.set(key, []);
             groups.get(key).push(part);
@@ -96,7 +97,7 @@ export class Scene {
         surface.moved ??= new Float64Array(3 * surface.count);
         parts.forEach((part, i) => {
             const { positions } = this.morphed.get(part) ?? part.primitive;
-            skinned(part.primitive, positions, this.posed.skins[skin], motions, surface.moved, surface.starts[i]);
+            skinned(part.primitive, positions, this.posed.skins[skin], motions, surface.moved, { start: surface.starts[i] });
         });
         return surface.trueNormals(surface.moved, this.posed.skins[skin]).slice();
     }
@@ -139,11 +140,11 @@ export class Scene {
 
     // The positions of every so many vertices of a part in this pose, without the GPU.
     positions(part, step) {
-        const { skin, node } = part;
-        const primitive = thinned(part.primitive, this.morphed.get(part)?.positions ?? part.primitive.positions, step);
-        const found = new Float64Array(3 * primitive.count);
-        if (skin !== undefined && primitive.joints.length) skinned(primitive, primitive.positions, this.posed.skins[skin], null, found, 0);
-        else moved(primitive.positions, this.posed.nodes[node], found);
+        const { primitive, skin, node } = part;
+        const { positions } = this.morphed.get(part) ?? primitive;
+        const found = new Float64Array(3 * Math.ceil(primitive.count / step));
+        if (skin !== undefined && primitive.slots) skinned(primitive, positions, this.posed.skins[skin], null, found, { step });
+        else for (let i = 0; i < found.length; i += 3) found.set(movedBy(this.posed.nodes[node], positions.subarray(step * i)).slice(0, 3), i);
         return found;
     }
 
@@ -152,73 +153,50 @@ export class Scene {
         const wanted = this.model.primitives.get(`${mesh}/${primitive}/true`);
         const part = this.parts.find((one) => one.primitive === wanted && one.skin === skin);
         if (!part) return null;
-        const cut = (row, size) => row.subarray(size * vertex, size * (vertex + 1));
-        const [joints, weights] = [wanted.joints, wanted.weights].map((rows) => rows.map((row) => cut(row, 4)));
         const found = [0, 0, 0];
-        skinned({ joints, weights, count: 1 }, cut((this.morphed.get(part) ?? wanted).positions, 3), this.posed.skins[skin], null, found, 0);
+        const { positions } = this.morphed.get(part) ?? wanted;
+        skinned(wanted, positions, this.posed.skins[skin], null, found, { first: vertex, step: wanted.count });
         return found;
     }
 
     // The depth of the middle of a part in this pose.
     depth(part, projected) {
-        const found = this.positions(part, Math.ceil(part.primitive.count / OF_MIDDLE));
-        const middle = [0, 1, 2].map((axis) => {
-            const row = found.filter((_, i) => i % 3 === axis);
-            return (Math.min(...row) + Math.max(...row)) / 2;
-        });
-        return projected[3] * middle[0] + projected[7] * middle[1] + projected[11] * middle[2] + projected[15];
+        const { middle } = boxOf([this.positions(part, Math.ceil(part.primitive.count / OF_MIDDLE))]);
+        return movedBy(projected, middle)[3];
     }
 
-    // The box around some parts over some poses of their clip: its middle, half its diagonal, its lowest point.
+    // The box around some parts over some poses of their clip.
     bounds(parts = this.parts, times = [0, 0.25, 0.5, 0.75, 1].map((share) => this.clip.start + share * (this.clip.end - this.clip.start))) {
         const { clip, time } = this;
-        const low = [Infinity, Infinity, Infinity];
-        const high = low.map((value) => -value);
         const step = Math.ceil(parts.reduce((sum, { primitive }) => sum + primitive.count, 0) / BOUNDING);
-        for (const one of times) {
+        const seen = times.flatMap((one) => {
             this.pose(clip, one);
-            for (const part of parts) {
-                const positions = this.positions(part, step);
-                for (let i = 0; i < positions.length; i++) {
-                    const axis = i % 3;
-                    if (positions[i] < low[axis]) low[axis] = positions[i];
-                    if (positions[i] > high[axis]) high[axis] = positions[i];
-                }
-            }
-        }
+            return parts.map((part) => this.positions(part, step));
+        });
         this.pose(clip, time);
-        const middle = plus(low, high).map((value) => value / 2);
-        return { middle, radius: Math.hypot(...plus(high, low, -1)) / 2, low: low[1] };
+        return boxOf(seen);
     }
 }
 
-function thinned({ joints, weights, count }, positions, step) {
-    if (step === 1) return { joints, weights, count, positions };
-    const kept = Math.ceil(count / step);
-    const every = (row, size) => {
-        const found = new row.constructor(size * kept);
-        for (let i = 0; i < kept; i++) for (let k = 0; k < size; k++) found[size * i + k] = row[size * step * i + k];
-        return found;
-    };
-    const ofFour = (row) => every(row, 4);
-    return { joints: joints.map(ofFour), weights: weights.map(ofFour), count: kept, positions: every(positions, 3) };
-}
-
-function moved(positions, m, found) {
-    for (let i = 0; i < positions.length; i += 3) {
-        const [x, y, z] = [positions[i], positions[i + 1], positions[i + 2]];
-        for (let row = 0; row < 3; row++) found[i + row] = m[row] * x + m[4 + row] * y + m[8 + row] * z + m[12 + row];
+// The box around rows of positions: its middle, half its diagonal, its lowest point.
+function boxOf(rows) {
+    const low = [Infinity, Infinity, Infinity];
+    const high = low.map((value) => -value);
+    for (const positions of rows) {
+        positions.forEach((value, i) => {
+            if (value < low[i % 3]) low[i % 3] = value;
+            if (value > high[i % 3]) high[i % 3] = value;
+        });
     }
+    const middle = plus(low, high).map((value) => value / 2);
+    return { middle, radius: Math.hypot(...plus(high, low, -1)) / 2, low: low[1] };
 }
 
 // The nodes that move joints: joints, and all above them.
 function movingNodes({ skins, nodes }) {
     const found = new Set();
-    for (let node of skins.flatMap((skin) => skin.joints)) {
-        while (node >= 0 && !found.has(node)) {
-            found.add(node);
-            node = nodes[node].parent;
-        }
+    for (const joint of skins.flatMap((skin) => skin.joints)) {
+        for (let node = joint; node >= 0 && !found.has(node); node = nodes[node].parent) found.add(node);
     }
     return found;
 }
@@ -226,9 +204,7 @@ function movingNodes({ skins, nodes }) {
 function usedJoints(parts) {
     const used = new Set();
     for (const { primitive } of parts) {
-        primitive.joints.forEach((set, number) => {
-            for (let i = 0; i < set.length; i++) if (primitive.weights[number][i] > 0) used.add(set[i]);
-        });
+        primitive.joints.forEach((joint, i) => primitive.weights[i] > 0 && used.add(joint));
     }
     return [...used].sort((a, b) => a - b);
 }
@@ -244,32 +220,24 @@ function angle(a, i, b, j) {
 // What a viewer without our code makes of NORMAL: the sum of the stored normals and all targets.
 function correctedNormals({ stored, targets, correctives }, weights) {
     const found = stored.slice();
-    [...targets, ...correctives].forEach(({ normals }, number) => {
-        const weight = weights[number] ?? 0;
-        if (weight && normals) for (let i = 0; i < normals.length; i++) found[i] += weight * normals[i];
-    });
+    [...targets, ...correctives].forEach(({ normals }, number) => addTo(found, normals, weights[number]));
     return found;
 }
 
-function morphedArrays({ positions, normals, tangents, targets, numbers, count }, weights) {
+function addTo(found, moved, weight = 0) {
+    if (found && moved && weight) for (let i = 0; i < moved.length; i++) found[i] += weight * moved[i];
+}
+
+function morphedArrays({ positions, normals, directions, targets, numbers, count }, weights) {
     const found = {
         positions: positions.slice(),
         normals: normals.slice(),
         inPlane: numbers ? new Float32Array(4 * count) : null,
         upward: numbers === 6 ? new Float32Array(2 * count) : null,
-        tangents: tangents && Float32Array.from({ length: 3 * count }, (_, i) => tangents[4 * Math.floor(i / 3) + (i % 3)]),
+        tangents: directions && directions.slice(),
     };
     targets.forEach((target, number) => {
-        const weight = weights[number] ?? 0;
-        if (!weight) return;
-        for (const name of ['positions', 'normals', 'tangents', 'inPlane', 'upward']) {
-            const moved = target[name];
-            if (moved && found[name]) for (let i = 0; i < moved.length; i++) found[name][i] += weight * moved[i];
-        }
+        for (const name of Object.keys(found)) addTo(found[name], target[name], weights[number]);
     });
-    for (let i = 0; i < found.normals.length; i += 3) {
-        const length = Math.hypot(found.normals[i], found.normals[i + 1], found.normals[i + 2]);
-        for (let axis = 0; axis < 3; axis++) found.normals[i + axis] = length ? found.normals[i + axis] / length : normals[i + axis];
-    }
-    return found;
+    return { ...found, normals: unitNormals(found.normals, normals) };
 }

@@ -23,6 +23,21 @@ const VARYINGS = [
 ];
 const varyings = (direction) => VARYINGS.map((one) => `${direction} ${one};`).join('\n');
 
+// How each vertex shader of the model begins and ends.
+const VERTEX_HEAD = `#version 300 es
+precision highp float;
+in vec3 position;
+in vec3 normal;
+in vec4 texcoord;
+in vec2 further_texcoord;
+in vec4 color;
+uniform mat4 projected;
+${varyings('out')}`;
+const PASSED = `v_texcoord = texcoord;
+    v_further_texcoord = further_texcoord;
+    v_color = color;
+    gl_Position = projected * vec4(v_position, 1.0);`;
+
 // What each algorithm makes of the texels of a joint: its type, its name, and how.
 const MOTIONS = {
     linear: ['mat4', 'M', 'return mat4(texel(joint, 0), texel(joint, 1), texel(joint, 2), texel(joint, 3));'],
@@ -39,8 +54,8 @@ export function vertexText(text, choices) {
     const numbers = Array.from({ length: sets }, (_, set) => set);
     const reads = stem !== 'lbs_standard';
     const [type, name, made] = MOTIONS[stem] ?? MOTIONS.linear;
-    // An attribute holds the joints of both sets: the second one's in the upper halves of its integers.
-    const slots = numbers.flatMap((set) => ['x', 'y', 'z', 'w'].map((c) => `motion(int(joints.${c} >> ${16 * set}u & 65535u))`));
+    // Each integer of the attribute holds two joints.
+    const slots = Array.from({ length: 4 * sets }, (_, slot) => `motion(int(joints.${'xyzw'[slot >> 1]} >> ${16 * (slot & 1)}u & 65535u))`);
     const lists = (kind) => numbers.map((set) => `${kind}_${set}`);
     const inputs = lists('in vec4 weights').concat(reads ? lists('in vec4 stored_alpha').concat(lists('in vec4 stored_beta')) : []);
     const decoded = (kind, set) => {
@@ -57,41 +72,26 @@ export function vertexText(text, choices) {
     const columns = frame === 'tangent' ? ['v.tangent', 'v.bitangent'] :
         ['tangent.xyz', 'tangent.w * cross(rest.normal, tangent.xyz)'].map(along);
     const relief = reads ? ['map.cotangent', 'map.cobitangent'] : columns.map((one) => `vec4(normalize(${one}), 1.0)`);
-    const followed = {
-        none: '',
-        normal: 'frame = skinbake_morphed_frame(frame, morphed_normal);',
-        tangent: 'frame = skinbake_morphed_tangent_frame(frame, morphed_normal, morphed_tangent);',
-        frames: 'frame = skinbake_moved_frame(frame, morph, morph_up);',
-        'frames-normal': 'frame = skinbake_moved_frame_by_normal(frame, morphed_normal, morph_by_normal);',
+    const [followed, ...morphed] = {
+        none: [''],
+        normal: ['frame = skinbake_morphed_frame(frame, morphed_normal);', 'vec3 morphed_normal'],
+        tangent: ['frame = skinbake_morphed_tangent_frame(frame, morphed_normal, morphed_tangent);', 'vec3 morphed_normal', 'vec3 morphed_tangent'],
+        frames: ['frame = skinbake_moved_frame(frame, morph, morph_up);', 'vec4 morph', 'vec2 morph_up'],
+        'frames-normal': ['frame = skinbake_moved_frame_by_normal(frame, morphed_normal, morph_by_normal);', 'vec3 morphed_normal', 'vec4 morph_by_normal'],
     }[morphs];
-    const morphed = {
-        none: [],
-        normal: ['vec3 morphed_normal'],
-        tangent: ['vec3 morphed_normal', 'vec3 morphed_tangent'],
-        frames: ['vec4 morph', 'vec2 morph_up'],
-        'frames-normal': ['vec3 morphed_normal', 'vec4 morph_by_normal'],
-    }[morphs];
-    return `#version 300 es
-precision highp float;
+    return `${VERTEX_HEAD}
 precision highp int;
 precision highp sampler2D;
 ${text}
-in vec3 position;
-in vec3 normal;
 in vec4 tangent;
-in vec4 texcoord;
-in vec2 further_texcoord;
 in uvec4 joints;
-in vec4 color;
 in vec4 truth;
 ${morphed.map((one) => `in ${one};`).join('\n')}
 ${inputs.map((one) => `${one};`).join('\n')}
 uniform sampler2D motions;
-uniform mat4 projected;
 uniform float scale;
 uniform float storage_scale;
 uniform float is_true;
-${varyings('out')}
 
 vec4 texel(int joint, int place) { return texelFetch(motions, ivec2(place, joint), 0); }
 
@@ -117,26 +117,15 @@ void main()
     ${reads ? `skinbake_NormalMap map = skinbake_normal_map(v, ${given});` : ''}
     v_cotangent = ${relief[0]};
     v_cobitangent = ${relief[1]};
-    v_texcoord = texcoord;
-    v_further_texcoord = further_texcoord;
-    v_color = color;
+    ${PASSED}
     v_error = vec2(degrees(atan(length(cross(v_normal, truth.xyz)), dot(v_normal, truth.xyz))) * truth.w, truth.w);
-    gl_Position = projected * vec4(v_position, 1.0);
 }
 `;
 }
 
 // What no joint moves: the same on both sides.
-export const RIGID_TEXT = `#version 300 es
-precision highp float;
-in vec3 position;
-in vec3 normal;
-in vec4 texcoord;
-in vec2 further_texcoord;
-in vec4 color;
-uniform mat4 projected;
+export const RIGID_TEXT = `${VERTEX_HEAD}
 uniform mat4 placed;
-${varyings('out')}
 
 void main()
 {
@@ -144,11 +133,8 @@ void main()
     v_position = (placed * vec4(position, 1.0)).xyz;
     v_normal = normalize(transpose(inverse(linear)) * normal);
     v_cotangent = v_cobitangent = vec4(0.0);
-    v_texcoord = texcoord;
-    v_further_texcoord = further_texcoord;
-    v_color = color;
     v_error = vec2(0.0);
-    gl_Position = projected * vec4(v_position, 1.0);
+    ${PASSED}
 }
 `;
 
@@ -287,14 +273,13 @@ void main()
 // The ground: rings around what stands on it, and its contact shadow.
 export const GROUND_VERTEX_TEXT = `#version 300 es
 precision highp float;
-in vec3 position;
 uniform mat4 projected;
 uniform vec4 ground; // centre and radius
 out vec2 v_place;
 void main()
 {
-    v_place = position.xy;
-    gl_Position = projected * vec4(ground.xyz + ground.w * vec3(position.x, 0.0, position.y), 1.0);
+    v_place = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0;
+    gl_Position = projected * vec4(ground.xyz + ground.w * vec3(v_place.x, 0.0, v_place.y), 1.0);
 }
 `;
 

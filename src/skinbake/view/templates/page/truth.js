@@ -4,7 +4,7 @@
 // 1998). The authored normal leans from it. It is carried by the cofactor of the map that two tangents show, which
 // are measured on the triangles with the weights of Max 1999. Nothing here reads α or β, or runs on the GPU.
 
-import { determinant } from './matrices.js';
+import { cross, determinant, normalised } from './matrices.js';
 
 const CREASE = (15 * Math.PI) / 180;
 const DEGENERATE = 1e-10;
@@ -182,26 +182,24 @@ export class Surface {
     }
 }
 
-// The positions of a primitive, moved by linear blending or by dual quaternions; written from a place on.
-export function skinned(primitive, positions, matrices, motions, found, start) {
-    const { joints, weights, count } = primitive;
-    for (let vertex = 0; vertex < count; vertex++) {
+// The positions of a primitive, or of every so many of its vertices from the first one on, moved by linear blending or
+// by dual quaternions; written from a place on.
+export function skinned(primitive, positions, matrices, motions, found, { start = 0, first = 0, step = 1 } = {}) {
+    const { joints, weights, slots, count } = primitive;
+    for (let vertex = first, at = 3 * start; vertex < count; vertex += step, at += 3) {
         const x = positions[3 * vertex], y = positions[3 * vertex + 1], z = positions[3 * vertex + 2];
-        const at = 3 * (start + vertex);
-        if (motions?.turns) byTurns(joints, weights, vertex, x, y, z, matrices, motions.turns, found, at);
-        else if (motions) byQuaternions(joints, weights, vertex, x, y, z, motions, found, at);
+        if (motions?.turns) byTurns(primitive, vertex, x, y, z, matrices, motions.turns, found, at);
+        else if (motions) byQuaternions(primitive, vertex, x, y, z, motions, found, at);
         else {
             let px = 0, py = 0, pz = 0, sum = 0;
-            for (let set = 0; set < joints.length; set++) {
-                for (let i = 4 * vertex; i < 4 * vertex + 4; i++) {
-                    const w = weights[set][i];
-                    if (w === 0) continue;
-                    const m = matrices[joints[set][i]];
-                    px += w * (m[0] * x + m[4] * y + m[8] * z + m[12]);
-                    py += w * (m[1] * x + m[5] * y + m[9] * z + m[13]);
-                    pz += w * (m[2] * x + m[6] * y + m[10] * z + m[14]);
-                    sum += w;
-                }
+            for (let i = slots * vertex; i < slots * (vertex + 1); i++) {
+                const w = weights[i];
+                if (w === 0) continue;
+                const m = matrices[joints[i]];
+                px += w * (m[0] * x + m[4] * y + m[8] * z + m[12]);
+                py += w * (m[1] * x + m[5] * y + m[9] * z + m[13]);
+                pz += w * (m[2] * x + m[6] * y + m[10] * z + m[14]);
+                sum += w;
             }
             // The sum of float32 weights is nearly 1, and a model may be far from the origin.
             found[at] = px / sum; found[at + 1] = py / sum; found[at + 2] = pz / sum;
@@ -210,29 +208,25 @@ export function skinned(primitive, positions, matrices, motions, found, start) {
 }
 
 // Where joints scale: the quotient of Σ w (M p) r and Σ w r, both of one hemisphere.
-function byTurns(joints, weights, vertex, x, y, z, matrices, turns, found, at) {
+function byTurns({ joints, weights, slots }, vertex, x, y, z, matrices, turns, found, at) {
     // A joint without a rotation takes that of the first slot that has one.
     const hasTurn = (joint) => turns[joint].some((value) => value !== 0);
-    const sets = joints.map((of) => of.subarray(4 * vertex, 4 * vertex + 4));
-    const turning = hasTurn(sets[0][0]) ? sets[0][0] : sets.flatMap((of) => [...of]).find(hasTurn);
-    const pivot = turns[turning] ?? [0, 0, 0, 1];
+    const pivot = turns[joints.subarray(slots * vertex, slots * (vertex + 1)).find(hasTurn)] ?? [0, 0, 0, 1];
     let gx = 0, gy = 0, gz = 0, g = 0, bx = 0, by = 0, bz = 0, b = 0;
-    for (let set = 0; set < joints.length; set++) {
-        for (let i = 4 * vertex; i < 4 * vertex + 4; i++) {
-            const w = weights[set][i];
-            if (w === 0) continue;
-            const m = matrices[joints[set][i]];
-            const [rx, ry, rz, r] = hasTurn(joints[set][i]) ? turns[joints[set][i]] : pivot;
-            const side = rx * pivot[0] + ry * pivot[1] + rz * pivot[2] + r * pivot[3] < 0 ? -w : w;
-            const px = m[0] * x + m[4] * y + m[8] * z + m[12];
-            const py = m[1] * x + m[5] * y + m[9] * z + m[13];
-            const pz = m[2] * x + m[6] * y + m[10] * z + m[14];
-            gx += side * (r * px + py * rz - pz * ry);
-            gy += side * (r * py + pz * rx - px * rz);
-            gz += side * (r * pz + px * ry - py * rx);
-            g -= side * (px * rx + py * ry + pz * rz);
-            bx += side * rx; by += side * ry; bz += side * rz; b += side * r;
-        }
+    for (let i = slots * vertex; i < slots * (vertex + 1); i++) {
+        const w = weights[i];
+        if (w === 0) continue;
+        const m = matrices[joints[i]];
+        const [rx, ry, rz, r] = hasTurn(joints[i]) ? turns[joints[i]] : pivot;
+        const side = rx * pivot[0] + ry * pivot[1] + rz * pivot[2] + r * pivot[3] < 0 ? -w : w;
+        const px = m[0] * x + m[4] * y + m[8] * z + m[12];
+        const py = m[1] * x + m[5] * y + m[9] * z + m[13];
+        const pz = m[2] * x + m[6] * y + m[10] * z + m[14];
+        gx += side * (r * px + py * rz - pz * ry);
+        gy += side * (r * py + pz * rx - px * rz);
+        gz += side * (r * pz + px * ry - py * rx);
+        g -= side * (px * rx + py * ry + pz * rz);
+        bx += side * rx; by += side * ry; bz += side * rz; b += side * r;
     }
     const square = bx * bx + by * by + bz * bz + b * b;
     found[at] = (b * gx - g * bx + by * gz - bz * gy) / square;
@@ -240,17 +234,15 @@ function byTurns(joints, weights, vertex, x, y, z, matrices, turns, found, at) {
     found[at + 2] = (b * gz - g * bz + bx * gy - by * gx) / square;
 }
 
-function byQuaternions(joints, weights, vertex, x, y, z, { scale, quaternions }, found, at) {
-    const pivot = quaternions[joints[0][4 * vertex]];
+function byQuaternions({ joints, weights, slots }, vertex, x, y, z, { scale, quaternions }, found, at) {
+    const pivot = quaternions[joints[slots * vertex]];
     const b = [0, 0, 0, 0, 0, 0, 0, 0];
-    for (let set = 0; set < joints.length; set++) {
-        for (let i = 4 * vertex; i < 4 * vertex + 4; i++) {
-            const w = weights[set][i];
-            if (w === 0) continue;
-            const q = quaternions[joints[set][i]];
-            const side = q[0] * pivot[0] + q[1] * pivot[1] + q[2] * pivot[2] + q[3] * pivot[3] < 0 ? -w : w;
-            for (let k = 0; k < 8; k++) b[k] += side * q[k];
-        }
+    for (let i = slots * vertex; i < slots * (vertex + 1); i++) {
+        const w = weights[i];
+        if (w === 0) continue;
+        const q = quaternions[joints[i]];
+        const side = q[0] * pivot[0] + q[1] * pivot[1] + q[2] * pivot[2] + q[3] * pivot[3] < 0 ? -w : w;
+        for (let k = 0; k < 8; k++) b[k] += side * q[k];
     }
     const [rx, ry, rz, r, dx, dy, dz, d] = b;
     const k = 2 / (rx * rx + ry * ry + rz * rz + r * r);
@@ -273,10 +265,7 @@ export function joined(primitives, name) {
 }
 
 function offsetTriangles(primitives, starts) {
-    const found = new Int32Array(primitives.reduce((sum, { triangles }) => sum + triangles.length, 0));
-    let at = 0;
-    primitives.forEach(({ triangles }, number) => triangles.forEach((vertex) => (found[at++] = vertex + starts[number])));
-    return found;
+    return Int32Array.from(primitives.flatMap(({ triangles }, number) => Array.from(triangles, (vertex) => vertex + starts[number])));
 }
 
 // The triangles that are no line and no point.
@@ -336,23 +325,16 @@ function measuredTriangles(positions, triangles) {
 function perpendicular(normals, at) {
     const [x, y, z] = [normals[at], normals[at + 1], normals[at + 2]];
     const [ax, ay, az] = [Math.abs(x), Math.abs(y), Math.abs(z)];
-    const t = unit(ax <= ay && ax <= az ? [0, -z, y] : ay <= az ? [z, 0, -x] : [-y, x, 0]);
-    return [t, unit([y * t[2] - z * t[1], z * t[0] - x * t[2], x * t[1] - y * t[0]])];
-}
-
-function unit(vector) {
-    const length = Math.hypot(...vector);
-    return vector.map((value) => value / length);
+    const t = normalised(ax <= ay && ax <= az ? [0, -z, y] : ay <= az ? [z, 0, -x] : [-y, x, 0]);
+    return [t, normalised(cross([x, y, z], t))];
 }
 
 function restAreas(positions, triangles, count) {
     const areas = new Float64Array(count);
     for (let t = 0; t < triangles.length; t += 3) {
-        const [a, b, c] = [triangles[t], triangles[t + 1], triangles[t + 2]];
-        const third = doubledArea(positions, 3 * a, 3 * b, 3 * c) / 6;
-        areas[a] += third;
-        areas[b] += third;
-        areas[c] += third;
+        const corners = triangles.subarray(t, t + 3);
+        const third = doubledArea(positions, ...corners.map((corner) => 3 * corner)) / 6;
+        for (const corner of corners) areas[corner] += third;
     }
     return areas;
 }
@@ -360,16 +342,11 @@ function restAreas(positions, triangles, count) {
 // The joint of the largest weight of each vertex.
 function dominantJoints(primitives, starts, count) {
     const dominant = new Uint16Array(count);
-    primitives.forEach(({ joints, weights, count: own }, number) => {
+    primitives.forEach(({ joints, weights, slots, count: own }, number) => {
         for (let vertex = 0; vertex < own; vertex++) {
-            let most = -1;
-            for (let set = 0; set < joints.length; set++) {
-                for (let i = 4 * vertex; i < 4 * vertex + 4; i++) {
-                    if (!(weights[set][i] > most)) continue;
-                    most = weights[set][i];
-                    dominant[starts[number] + vertex] = joints[set][i];
-                }
-            }
+            let most = slots * vertex;
+            for (let i = most + 1; i < slots * (vertex + 1); i++) if (weights[i] > weights[most]) most = i;
+            dominant[starts[number] + vertex] = joints[most];
         }
     });
     return dominant;
@@ -403,25 +380,19 @@ function weldClasses(primitives, starts, positions, normals) {
             }
         });
     }
-    const numbers = new Int32Array(count).fill(-1);
-    const classes = new Int32Array(count);
-    let next = 0;
-    for (let vertex = 0; vertex < count; vertex++) {
+    const numbers = new Map();
+    return Int32Array.from({ length: count }, (_, vertex) => {
         const own = root(vertex);
-        if (numbers[own] < 0) numbers[own] = next++;
-        classes[vertex] = numbers[own];
-    }
-    return classes;
+        if (!numbers.has(own)) numbers.set(own, numbers.size);
+        return numbers.get(own);
+    });
 }
 
-function influencesOf({ joints, weights }, vertex) {
+function influencesOf({ joints, weights, slots }, vertex) {
     const sums = new Map();
-    joints.forEach((set, number) => {
-        for (let i = 4 * vertex; i < 4 * vertex + 4; i++) {
-            const weight = weights[number][i];
-            if (weight >= TINY_WEIGHT) sums.set(set[i], (sums.get(set[i]) ?? 0) + weight);
-        }
-    });
+    for (let i = slots * vertex; i < slots * (vertex + 1); i++) {
+        if (weights[i] >= TINY_WEIGHT) sums.set(joints[i], (sums.get(joints[i]) ?? 0) + weights[i]);
+    }
     return [...sums].sort((a, b) => a[0] - b[0]).map(([joint, weight]) => `${joint}:${Math.fround(weight)}`).join();
 }
 
@@ -431,27 +402,12 @@ function isClose(normals, a, b) {
     return Math.sqrt(apart) <= 2 * Math.sin(CREASE / 2) + 1e-12;
 }
 
-// The vertices at each place that has more than one, found by a table of places.
+// The vertices at each place that has more than one: neighbours once they are in order.
 function samePlaces(positions) {
-    const count = positions.length / 3;
-    const bits = 32 - Math.clz32(2 * count);
-    const table = new Int32Array(1 << bits).fill(-1);
-    const words = new Uint32Array(new Float32Array(positions).map((value) => value + 0).buffer); // −0 is +0.
-    const groups = new Map();
-    for (let vertex = 0; vertex < count; vertex++) {
-        const [x, y, z] = [words[3 * vertex], words[3 * vertex + 1], words[3 * vertex + 2]];
-        let place = (Math.imul(x, 0x9e3779b1) ^ Math.imul(y, 0x85ebca77) ^ Math.imul(z, 0xc2b2ae3d)) >>> (32 - bits);
-        while (table[place] >= 0) {
-            const first = 3 * table[place];
-            if (words[first] === x && words[first + 1] === y && words[first + 2] === z) break;
-            place = (place + 1) & ((1 << bits) - 1);
-        }
-        if (table[place] < 0) table[place] = vertex;
-        else {
-            const first = table[place];
-            if (!groups.has(first)) groups.set(first, [first]);
-            groups.get(first).push(vertex);
-        }
-    }
-    return groups.values();
+    const compare = (a, b) =>
+        positions[3 * a] - positions[3 * b] || positions[3 * a + 1] - positions[3 * b + 1] || positions[3 * a + 2] - positions[3 * b + 2];
+    const order = Uint32Array.from({ length: positions.length / 3 }, (_, vertex) => vertex).sort(compare);
+    const groups = [];
+    order.forEach((vertex, i) => (i && compare(order[i - 1], vertex) === 0 ? groups.at(-1).push(vertex) : groups.push([vertex])));
+    return groups.filter(({ length }) => length > 1);
 }
