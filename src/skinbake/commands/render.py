@@ -16,12 +16,13 @@ from skinbake.files.writing import write_file
 from skinbake.freshness.baked_views import BakedView, sound_views
 from skinbake.freshness.corrective_freshness import PlayedCorrectives
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray, IntArray
+from skinbake.geometry.triangles import smooth_normals
 from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import LAYERS, Cost
 from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.reading.accessors import read_accessor
 from skinbake.gltf.reading.clips import RANDOM, Clip
-from skinbake.gltf.reading.meshes import reason_to_skip, skinned_sources
+from skinbake.gltf.reading.meshes import read_primitive, reason_to_skip, skinned_sources
 from skinbake.gltf.reading.skins import Skeleton, rest_pose
 from skinbake.gltf.writing.output import refuse_own_input
 from skinbake.measure.draws import Draw
@@ -104,13 +105,16 @@ def render_file(
     sides = [side or own for side in options.sides]
     if "corrected" in sides and not correctives:
         raise ChoiceError("lighting", "corrected", reason=(": the file has no correctives",))
-    was_baked = bool(views) or correctives is not None
-    if not views:
+    reasons = [reason_to_skip(document, one, generate_normals=True) for one in skinned_sources(document)]
+    is_unlit = None not in reasons and any(one is not None and one.code == "unlit" for one in reasons)
+    was_baked = bool(views) or correctives is not None or is_unlit
+    if not views and not is_unlit:
         document = baked_in_memory(document)
         views = sound_views(document)
-    if not views:
-        raise InputError("nothing in it is baked soundly: run skinbake verify", document.place)
-    for view in views:
+        if not views:
+            raise InputError("nothing in it is baked soundly: run skinbake verify", document.place)
+    unlit = _unlit_views(document)
+    for view in (*views, *unlit):
         count = view.now.joints.shape[1]
         if count > MOST_INFLUENCES:  # a shader would be compiled for long
             raise InputError(
@@ -123,21 +127,40 @@ def render_file(
     # What is too large is refused, and what is not a number is not drawn.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         scene = Scene(document, views, correctives)
-        pictures, pose = _pictures(scene, sides, own, options, moves=suffix in MOVING)
+        pictures, pose = _pictures(scene, unlit, sides, own, options, moves=suffix in MOVING)
     data = encoded(pictures, suffix)
     write_file([data], target, sync=sync)
-    for primitive in skinned_sources(document):
-        reason = reason_to_skip(document, primitive, generate_normals=True)
-        if reason is not None and reason.code == "unlit":  # no picture has it
-            document.notices.tell(reason)
     return RenderResult(data, len(pictures), pose, was_baked, tuple(document.notices))
 
 
+def _unlit_views(document: Document) -> list[BakedView]:
+    """Return the skinned primitives that no light reaches, which look alike by any lighting."""
+    found = []
+    for source in skinned_sources(document):
+        reason = reason_to_skip(document, source, generate_normals=True)
+        if reason is None or reason.code != "unlit":
+            continue
+        now = read_primitive(document, source)
+        count = len(now.positions)
+        document.budget.claim(Cost.DRAWN_VERTEX * count, "a mesh without light", source.place)
+        if not len(now.normals):
+            now = replace(now, normals=smooth_normals(now.positions, now.triangles, np.arange(count)))
+        found.append(BakedView.unbaked(source, now))
+    return found
+
+
 def _pictures(
-    scene: Scene, sides: Sequence[str], own: str, options: RenderOptions, *, moves: bool
+    scene: Scene,
+    unlit: Sequence[BakedView],
+    sides: Sequence[str],
+    own: str,
+    options: RenderOptions,
+    *,
+    moves: bool,
 ) -> tuple[list[Picture], str]:
     """Return the pictures, and the first pose in words; tell what is missing in them."""
-    document, draws = scene.document, scene.shown()
+    document = scene.document
+    draws = [*scene.shown(), *Scene(document, unlit).shown()]
     clip, moment, spot = telling_pose(scene, options.clip, options.time, is_close=options.is_close)
     times, pose = _times(clip, moment, options, moves=moves)
     if spot is not None:
@@ -248,6 +271,7 @@ def small_pictures(
         scene = Scene(document, sound_views(document), correctives)
         if not (draws := scene.shown()):
             return []
+        draws += Scene(document, _unlit_views(document)).shown()
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # only numbers are drawn
             try:
                 clip, moment, spot = telling_pose(scene, None, None, is_close=True, known=known)
