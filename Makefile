@@ -11,6 +11,7 @@ DEV := .venv/dev.stamp
 NODE_MODULES := tests/support/node_modules/.stamp
 BLENDER := build/blender/stamp
 GODOT := build/godot/version
+CARGO ?= $(or $(shell command -v cargo),$(HOME)/.cargo/bin/cargo)
 BUILT_FROM := pyproject.toml setup.py $(wildcard src/skinbake/*.h src/skinbake/*/*.c src/skinbake/*/loops/*.h)
 EXAMPLE := fixtures/bent_tube.glb
 
@@ -19,7 +20,7 @@ unexport PYTHONHOME PYTHONPATH PYTHONDONTWRITEBYTECODE VIRTUAL_ENV
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help bake setup setup-blender setup-godot test test-all check lint fixtures golden picture table scores bench speeds man
+.PHONY: help bake setup setup-blender setup-godot setup-bevy test test-all check lint fixtures golden picture table scores bench speeds man
 .PHONY: docs dist release-check try-dist fuzz fuzz-native fuzz-coverage faults clean
 
 help: ## List the targets
@@ -35,6 +36,10 @@ setup: $(DEV) $(NODE_MODULES) ## Set up .venv and tests/support
 setup-blender: $(BLENDER) ## Set up build/blender for the tests of the add-on: Blender as a Python module (1 GB), and the zip
 
 setup-godot: $(GODOT) ## Set up build/godot for the tests of that add-on: Debian unstable's Godot and its libraries (170 MB to load, 670 on disk)
+
+setup-bevy: ## Build Bevy for the tests of its crate, once a machine, in ~/.cache/skinbake-bevy (Rust 1.95, a long time)
+	CARGO_TARGET_DIR="$${XDG_CACHE_HOME:-$$HOME/.cache}/skinbake-bevy" \
+	  $(CARGO) build --manifest-path tests/bevy/draw/Cargo.toml
 
 test: setup ## Set up, and run the tests without the slow ones: under two minutes
 	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m "not slow"

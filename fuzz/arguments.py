@@ -72,7 +72,7 @@ SHADER: Group = (
         [
             ["--target", target]
             for target in (
-                *("plain", "bevy", "bevy-wesl", "godot"),
+                *("plain", "bevy", "godot"),
                 *("three", "babylon", "playcanvas", "galacean"),
             )
         ],

@@ -1,7 +1,7 @@
 """Set the version everywhere: ``python -m release.bump 0.2.0``.
 
-The Python package, the packages of npm and the add-ons have one version. The shader text in engines/ names it
-too, and is written anew.
+The Python package, the packages of npm, the crate and the add-ons have one version. The shader text in
+engines/ names it too, and is written anew.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ PLACES = {
     "src/skinbake/version.py": r'^__version__ = "(.+)"$',
     "CITATION.cff": r"^version: (.+)$",
     "engines/*/package.json": r'^  "version": "(.+)",$',
+    "engines/bevy/Cargo.toml": r'^version = "(.+)"$',
     "engines/godot/addons/skinbake/plugin.cfg": r'^version="(.+)"$',
     "engines/three/README.md": r"skinbake-three@([^/]+)/",
     "engines/blender/README.md": r"skinbake-blender-([^-]+)-",

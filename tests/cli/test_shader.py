@@ -302,7 +302,7 @@ class TestForFile:
         assert result.exit_code == 3
         assert result.stderr == f"error: {file}: nothing in it {message}\n"
 
-    @pytest.mark.parametrize("target", ["three", "bevy", "bevy-wesl", "godot"])
+    @pytest.mark.parametrize("target", ["three", "bevy", "godot"])
     def test_an_engine_s_limit_is_the_file_s_fault_with_the_way_out(
         self, target: str, tmp_path: Path
     ) -> None:

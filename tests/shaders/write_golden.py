@@ -10,7 +10,7 @@ from pathlib import Path
 from skinbake.choices import Frame, Language, Lighting, Method, Morphs, Stage
 from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
 from skinbake.shaders.engines import engines_folder
-from skinbake.shaders.text import shader_made
+from skinbake.shaders.text import shader_made, targets
 from tests.shaders.combinations import label
 from tests.support.whole_fields import shader_text
 
@@ -21,6 +21,7 @@ IN_ENGINES = {
     "playcanvas": "playcanvas/shaders.js",
     "galacean": "galacean/shaders.js",
     "godot": "godot/addons/skinbake/skinbake.gdshaderinc",
+    "bevy": "bevy/src/skinbake.wgsl",
 }
 """The generated shader text of each target that has a package in engines/.
 
@@ -54,7 +55,7 @@ def golden_files() -> dict[Path, str]:
     """Return every file and the text that it should hold."""
     files = {FOLDER / f"{label(one)}.{one.language}": shader_text(one) for one in golden_choices()}
     for target, name in IN_ENGINES.items():
-        choices = ShaderChoices(Language.GLSL, target=target)
+        choices = ShaderChoices(targets()[target][0], target=target)
         files[engines_folder() / name] = shader_made(choices, package=True)[0]
         if name.endswith(".js"):
             shared = engines_folder() / "bake.js"

@@ -17,8 +17,8 @@ CUSTOM_SETS = 2
 CAPS = (1e-6, 1e6)
 """The smallest and the largest cap: the shaders square it in float32."""
 
-AT_RUN_TIME = {"three", "babylon", "godot", "playcanvas", "galacean"}
-"""The targets whose code reads all but the lighting from the file when it runs, and divides its weights."""
+AT_RUN_TIME = {"three", "babylon", "godot", "playcanvas", "galacean", "bevy"}
+"""The targets whose code reads all but the lighting from the file when it runs."""
 
 ALGORITHMS = {
     (Method.LBS, Lighting.STANDARD): 1,

@@ -325,7 +325,6 @@ def _context(choices: ShaderChoices, cap_as: str = "") -> dict[str, Any]:
         "handed": handed,
         "number": _number,
         "ascii_name": ascii_name,
-        "rust_string": _rust_string,
         "count": lambda n, noun: f"{n} {noun}{'' if n == 1 else 's'}",
         "refuse": partial(_refuse, choices),
         **stored,
@@ -455,13 +454,6 @@ def _number(value: float) -> str:
     """Return a float literal of all languages."""
     text = repr(float(value))
     return text if "." in text or "e" in text else f"{text}.0"
-
-
-def _rust_string(text: str) -> str:
-    """Return a string literal of Rust, in ASCII."""
-    escaped = {'"': '\\"', "\\": "\\\\"}
-    plain = [escaped.get(c, c if c.isascii() and c.isprintable() else f"\\u{{{ord(c):x}}}") for c in text]
-    return f'"{"".join(plain)}"'
 
 
 def _refuse(choices: ShaderChoices, option: str, why: str) -> NoReturn:

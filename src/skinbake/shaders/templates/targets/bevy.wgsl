@@ -1,8 +1,32 @@
-//% set target, dialect, bevy, first, asset = "bevy", "WGSL", "0.19", 8, "skinbake.wgsl"
-//% from "bevy/choices.txt" import text, vertex_format, stored, joints with context
-//% include "bevy/rust.txt"
+//% if method == "dqs"
+//%   set _ = refuse("method", "Bevy blends joint matrices; use --method lbs")
+//% elif lighting == "standard"
+//%   set _ = refuse("lighting", "standard lighting is Bevy's own; use --lighting accurate")
+//% elif lighting == "direct"
+//%   set _ = refuse("lighting", "use --lighting accurate")
+//% elif influences > 4
+//%   set _ = refuse("influences", "Bevy reads four influences per vertex, not " ~ influences ~ "; bake with --limit-influences 4")
+//% elif influences < 4
+//%   set _ = refuse("influences", "a shader of Bevy always reads four influences per vertex; use --influences 4")
+//% elif moves_frame
+//%   set _ = refuse("morphs", "Bevy has no place for the numbers of --morph-frames; use --morphs normal")
+//% endif
+//# Joint matrices lead to the world in Bevy: they mirror wherever an entity above them does.
+//% set text = text_for(reads=["packed8"], morphs="normal", frame="tangent", encoding="packed8", layout="attributes", attributes=None, also=["frame_normal"], mirrored_joints=True)
+// Accurate lighting in Bevy 0.19 for skinned meshes that skinbake has baked: the vertex stage of the forward pass and of
+// the prepass, which shadows, screen-space effects and deferred rendering use.
+//
+// Written by skinbake @{ version }:
+//     @{ command }
+//
+// One shader serves all characters: the crate skinbake-bevy, which embeds it, reads frame, encoding and scale from the
+// file. Meshes without a bake, and shadows, are as Bevy's own shaders draw them.
+//
+// Algorithm 3 of M. Tarini, D. Panozzo, O. Sorkine-Hornung, "Accurate and Efficient Lighting for Skinned
+// Models", Computer Graphics Forum 33(2), 2014, doi:10.1111/cgf.12330. The numbers beside the lines
+// come from its supplement. Frame: T. Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1), 2017.
+
 #import bevy_pbr::{
-    forward_io::VertexOutput,
     mesh_bindings::mesh,
     mesh_functions,
     skinning,
@@ -11,42 +35,80 @@
 #ifdef MORPH_TARGETS
 #import bevy_pbr::morph
 #endif
+#ifdef PREPASS_PIPELINE
+#import bevy_pbr::prepass_io::{Vertex, VertexOutput}
+#else
+#import bevy_pbr::forward_io::{Vertex, VertexOutput}
+#endif
 
-@{ text.snippet }
-
-// The vertex as Bevy's forward pass has it, and the baked attributes at locations that it leaves free.
-struct Vertex {
-    @builtin(instance_index) instance_index: u32,
-#ifdef VERTEX_POSITIONS
-    @location(0) position: vec3<f32>,
-#endif
-#ifdef VERTEX_NORMALS
-    @location(1) normal: vec3<f32>,
-#endif
-#ifdef VERTEX_UVS_A
-    @location(2) uv: vec2<f32>,
-#endif
-#ifdef VERTEX_UVS_B
-    @location(3) uv_b: vec2<f32>,
-#endif
-#ifdef VERTEX_TANGENTS
-    @location(4) tangent: vec4<f32>,
-#endif
-#ifdef VERTEX_COLORS
-    @location(5) color: vec4<f32>,
-#endif
-#ifdef SKINNED
-    @location(6) joint_indices: vec4<u32>,
-    @location(7) joint_weights: vec4<f32>,
-#endif
 #ifdef SKINBAKE
-    @location(8) skinbake_alpha: @{ stored },
-    @location(9) skinbake_beta: @{ stored },
-#endif
-#ifdef MORPH_TARGETS
-    @builtin(vertex_index) index: u32,
+struct skinbake_Bake {
+    // The scale of the encoding, 1.0 for floats.
+    scale: f32,
+    // 1: t0 and b0 come from TANGENT, 0: from NORMAL alone.
+    has_tangent_frame: u32,
+    // WebGL 2 takes multiples of 16 bytes.
+    padding: vec2<f32>,
+}
+@group(#{MATERIAL_BIND_GROUP}) @binding(100) var<uniform> skinbake_bake: skinbake_Bake;
+
+//% for name, part in text.parts.items()
+@{ part | replace("fn skinbake_frame(n: vec3<f32>)", "fn skinbake_normal_frame(n: vec3<f32>)") }
+
+//% endfor
+// A joint matrix: in Bevy it leads from mesh space to the world.
+fn skinbake_joint(joint: u32, instance_index: u32) -> mat4x4<f32> {
+#ifdef SKINS_USE_UNIFORM_BUFFERS
+    return skinning::joint_matrices.data[joint];
+#else
+    return skinning::joint_matrices[mesh[instance_index].current_skin_index + joint];
 #endif
 }
+
+// The frame before skinning. If NORMAL has no direction, bake takes (0, 0, 1).
+fn skinbake_unskinned_frame(rest: Vertex, morphed: Vertex) -> skinbake_Frame {
+    let normal = select(vec3<f32>(0.0, 0.0, 1.0), normalize(rest.normal), dot(rest.normal, rest.normal) > 0.0);
+    var frame = skinbake_normal_frame(normal);
+#ifdef VERTEX_TANGENTS
+    if (skinbake_bake.has_tangent_frame != 0u) {
+        frame = skinbake_frame(normal, rest.tangent);
+    }
+#endif
+#ifdef MORPH_TARGETS
+    frame = skinbake_morphed_frame(frame, morphed.normal);
+#endif
+    return frame;
+}
+
+// The skinned vertex in the world. alpha and beta have w = 1 if they are floats.
+fn skinbake_lit(
+    vertex: Vertex,
+    frame: skinbake_Frame,
+    alpha: vec4<f32>,
+    beta: vec4<f32>,
+    instance_index: u32,
+) -> skinbake_Vertex {
+    let M = array<mat4x4<f32>, 4>(
+        skinbake_joint(vertex.joint_indices.x, instance_index),
+        skinbake_joint(vertex.joint_indices.y, instance_index),
+        skinbake_joint(vertex.joint_indices.z, instance_index),
+        skinbake_joint(vertex.joint_indices.w, instance_index),
+    );
+    let along_tangent = skinbake_decoded(alpha, skinbake_bake.scale);
+    let along_bitangent = skinbake_decoded(beta, skinbake_bake.scale);
+    return skinbake_lbs_accurate(vertex.position, frame, M, vertex.joint_weights, along_tangent, along_bitangent);
+}
+
+#ifdef VERTEX_TANGENTS
+// The mesh's tangent in the world. It moves with t0 and b0, which span it.
+fn skinbake_world_tangent(tangent: vec4<f32>, frame: skinbake_Frame, lit: skinbake_Vertex) -> vec4<f32> {
+    let along = dot(tangent.xyz, frame.tangent) * lit.tangent + dot(tangent.xyz, frame.bitangent) * lit.bitangent;
+    // A mirror turns the handedness round.
+    let side = dot(cross(lit.tangent, lit.bitangent), lit.normal) * frame.handedness;
+    return vec4<f32>(normalize(along), select(tangent.w, -tangent.w, side < 0.0));
+}
+#endif
+#endif
 
 #ifdef MORPH_TARGETS
 // The vertex with the weighted deltas of the morph targets added.
@@ -59,9 +121,7 @@ fn skinbake_morphed_vertex(rest: Vertex, instance_index: u32) -> Vertex {
         if (weight == 0.0) {
             continue;
         }
-#ifdef VERTEX_POSITIONS
         morphed.position += weight * morph::morph_position(index, layer, instance_index);
-#endif
 #ifdef VERTEX_NORMALS
         morphed.normal += weight * morph::morph_normal(index, layer, instance_index);
 #endif
@@ -73,109 +133,94 @@ fn skinbake_morphed_vertex(rest: Vertex, instance_index: u32) -> Vertex {
 }
 #endif
 
-#ifdef SKINBAKE
-// A joint matrix: in Bevy it leads from mesh space to the world.
-fn skinbake_joint(joint: u32, instance_index: u32) -> mat4x4<f32> {
-#ifdef SKINS_USE_UNIFORM_BUFFERS
-    return skinning::joint_matrices.data[joint];
-#else
-    return skinning::joint_matrices[mesh[instance_index].current_skin_index + joint];
-#endif
-}
-
-//% include "bevy/unit.wgsl"
-// The frame before skinning.
-fn skinbake_unskinned_frame(rest: Vertex, morphed: Vertex) -> skinbake_Frame {
-//% if frame == "tangent"
-    let frame = skinbake_frame(skinbake_unit(rest.normal), rest.tangent);
-//% else
-    let frame = skinbake_frame(skinbake_unit(rest.normal));
-//% endif
+#ifdef MOTION_VECTOR_PREPASS
+// Where the vertex was in the last frame.
+fn skinbake_previous_position(rest: Vertex, instance_index: u32) -> vec4<f32> {
+    var position = rest.position;
 #ifdef MORPH_TARGETS
-//% if text.morphs == "tangent"
-    return skinbake_morphed_tangent_frame(frame, morphed.normal, morphed.tangent.xyz);
-//% else
-    return skinbake_morphed_frame(frame, morphed.normal);
-//% endif
-#else
-    return frame;
+#ifdef HAS_PREVIOUS_MORPH
+    let index = rest.index - mesh[instance_index].first_vertex_index;
+    let layers = morph::layer_count(instance_index);
+    for (var layer = 0u; layer < layers; layer++) {
+        let weight = morph::prev_weight_at(layer, instance_index);
+        if (weight != 0.0) {
+            position += weight * morph::morph_position(index, layer, instance_index);
+        }
+    }
 #endif
+#endif
+    var world_from_local = mesh_functions::get_previous_world_from_local(instance_index);
+#ifdef SKINNED
+#ifdef HAS_PREVIOUS_SKIN
+    world_from_local = skinning::skin_prev_model(rest.joint_indices, rest.joint_weights, instance_index);
+#endif
+#endif
+    return mesh_functions::mesh_position_local_to_world(world_from_local, vec4<f32>(position, 1.0));
 }
-
-// The skinned vertex in the world.
-fn skinbake_lit(vertex: Vertex, frame: skinbake_Frame, instance_index: u32) -> skinbake_Vertex {
-    let M = array<mat4x4<f32>, @{ influences }>(
-//% for component in joints
-        skinbake_joint(vertex.joint_indices.@{ component }, instance_index)@{ "," if not loop.last }
-//% endfor
-    );
-    let position = vertex.position;
-    let weights_0 = vertex.joint_weights;
-//% for kind in ["alpha", "beta"]
-    let @{ kind }_0 = @{ "skinbake_decoded(vertex.skinbake_%s, %s)" | format(kind, scale) if decodes else "vertex.skinbake_" ~ kind };
-//% endfor
-    return skinbake_@{ stem }(@{ arguments | join(", ") });
-}
-
-#ifdef VERTEX_TANGENTS
-//% include "bevy/world_tangent.wgsl"
-#endif
 #endif
 
+// Bevy's own vertex, and the baked attributes at locations that its passes leave free.
 @vertex
-fn vertex(rest: Vertex) -> VertexOutput {
+fn vertex(
+    rest: Vertex,
+#ifdef SKINBAKE
+    @location(8) alpha: vec4<f32>,
+    @location(9) beta: vec4<f32>,
+#endif
+) -> VertexOutput {
     var out: VertexOutput;
     let instance_index = rest.instance_index;
 #ifdef MORPH_TARGETS
-    let vertex = skinbake_morphed_vertex(rest, instance_index);
+    let moved = skinbake_morphed_vertex(rest, instance_index);
 #else
-    let vertex = rest;
+    let moved = rest;
 #endif
     let node_world_from_local = mesh_functions::get_world_from_local(instance_index);
 #ifdef SKINNED
-    let world_from_local = skinning::skin_model(vertex.joint_indices, vertex.joint_weights, instance_index);
+    let world_from_local = skinning::skin_model(moved.joint_indices, moved.joint_weights, instance_index);
 #else
     let world_from_local = node_world_from_local;
 #endif
-#ifdef SKINBAKE
-    let frame = skinbake_unskinned_frame(rest, vertex);
-    let lit = skinbake_lit(vertex, frame, instance_index);
-#endif
 
-#ifdef VERTEX_POSITIONS
-    // Bevy's own functions compute it, so that it agrees with prepasses and shadows.
-    out.world_position = mesh_functions::mesh_position_local_to_world(world_from_local, vec4<f32>(vertex.position, 1.0));
+    // Bevy's own functions compute positions, so that all passes agree.
+    out.world_position = mesh_functions::mesh_position_local_to_world(world_from_local, vec4<f32>(moved.position, 1.0));
     out.position = position_world_to_clip(out.world_position.xyz);
+#ifdef UNCLIPPED_DEPTH_ORTHO_EMULATION
+    out.unclipped_depth = out.position.z;
+    out.position.z = min(out.position.z, 1.0);
+#endif
+#ifdef MOTION_VECTOR_PREPASS
+    out.previous_world_position = skinbake_previous_position(rest, instance_index);
 #endif
 
-#ifdef VERTEX_NORMALS
 #ifdef SKINBAKE
+    let frame = skinbake_unskinned_frame(rest, moved);
+    let lit = skinbake_lit(moved, frame, alpha, beta, instance_index);
     out.world_normal = normalize(lit.normal);
-#else
-#ifdef SKINNED
-    out.world_normal = skinning::skin_normals(world_from_local, vertex.normal);
-#else
-    out.world_normal = mesh_functions::mesh_normal_local_to_world(vertex.normal, instance_index);
-#endif
-#endif
-#endif
-
 #ifdef VERTEX_TANGENTS
-#ifdef SKINBAKE
-    out.world_tangent = skinbake_world_tangent(vertex.tangent, frame, lit);
+    out.world_tangent = skinbake_world_tangent(moved.tangent, frame, lit);
+#endif
 #else
-    out.world_tangent = mesh_functions::mesh_tangent_local_to_world(world_from_local, vertex.tangent, instance_index);
+#ifdef VERTEX_NORMALS
+#ifdef SKINNED
+    out.world_normal = skinning::skin_normals(world_from_local, moved.normal);
+#else
+    out.world_normal = mesh_functions::mesh_normal_local_to_world(moved.normal, instance_index);
+#endif
+#endif
+#ifdef VERTEX_TANGENTS
+    out.world_tangent = mesh_functions::mesh_tangent_local_to_world(world_from_local, moved.tangent, instance_index);
 #endif
 #endif
 
 #ifdef VERTEX_UVS_A
-    out.uv = vertex.uv;
+    out.uv = moved.uv;
 #endif
 #ifdef VERTEX_UVS_B
-    out.uv_b = vertex.uv_b;
+    out.uv_b = moved.uv_b;
 #endif
 #ifdef VERTEX_COLORS
-    out.color = vertex.color;
+    out.color = moved.color;
 #endif
 #ifdef VERTEX_OUTPUT_INSTANCE_INDEX
     out.instance_index = instance_index;
