@@ -115,12 +115,12 @@ def test_three_sets_fit_beside_all_other_attributes(
     active, sets = browsing.call(
         """(() => {
             const { gl } = application.renderer;
-            const { joints, texcoords } = application.renderer.parts[0].primitive;
+            const { slots, texcoords } = application.renderer.parts[0].primitive;
             const count = gl.getProgramParameter(gl.getParameter(gl.CURRENT_PROGRAM), gl.ACTIVE_ATTRIBUTES);
-            return [count, [joints.length, texcoords.length]];
+            return [count, [slots, texcoords.length]];
         })"""
     )
-    assert sets == [2, 3]
+    assert sets == [8, 3]
     assert active == (16 if lighting == "fitted" else 12)
     wanted = drawn(browsing, placed_by_hand(source, tmp_path / "wanted.glb"), lighting)
     assert np.abs(found - wanted).max() <= LEVELS
