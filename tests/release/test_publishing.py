@@ -34,13 +34,12 @@ def tree(tmp_path: Path) -> Path:
 def test_one_address_reaches_every_file_and_a_second_one_replaces_it(tree: Path) -> None:
     write_address(tree, "https://github.com/other/skinbake")
     paths = [path for path in tree.rglob("*") if path.is_file() and path.suffix != ".pyc"]
-    first = {path: path.read_text("utf-8") for path in paths}
+    first = {path: path.read_bytes() for path in paths}
     write_address(tree, URL)
     assert address(tree) == URL
-    for path, text in first.items():
-        assert path.read_text("utf-8") == text.replace("github.com/other/", "github.com/someone/").replace(
-            "uses: other/", "uses: someone/"
-        )
+    for path, data in first.items():
+        renamed = data.replace(b"github.com/other/", b"github.com/someone/")
+        assert path.read_bytes() == renamed.replace(b"uses: other/", b"uses: someone/")
     for path in [*packages(tree).values(), tree / "engines" / "unity" / "package.json"]:
         package = json.loads(path.read_text("utf-8"))
         assert package["repository"]["url"] == f"git+{URL}.git"
