@@ -105,6 +105,7 @@ def test_a_measurement_tells_the_gain_by_triangles_and_judges_by_the_lower_one(t
     assert f", gain {shown:.2f}x, over 60 poses of 1 clip" in outcome.lines[-1].text
 
 
+@pytest.mark.slow
 def test_correctives_are_measured_by_what_the_file_shows(tmp_path: Path) -> None:
     outcome = baked("bent_tube.glb", tmp_path, measure=True, correctives=1, encoding="snorm16")
     assert outcome.status == "baked"

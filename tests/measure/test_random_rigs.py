@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,12 +44,8 @@ def lit(seed: int, folder: Path) -> str:
     return "worse" if is_worse else "well"
 
 
-@pytest.mark.parametrize(
-    ("seeds", "most"), [((*range(24), 195), 1), pytest.param(range(300), LEFT, marks=pytest.mark.slow)]
-)
-def test_no_random_rig_is_lit_worse_than_standard_and_few_stay_unbaked(
-    seeds: Sequence[int], most: int, tmp_path: Path
-) -> None:
-    found = {seed: lit(seed, tmp_path) for seed in seeds}
-    assert [seed for seed in seeds if found[seed] == "worse"] == []
-    assert 0 < list(found.values()).count("left") <= most
+@pytest.mark.slow
+def test_no_random_rig_is_lit_worse_than_standard_and_few_stay_unbaked(tmp_path: Path) -> None:
+    found = {seed: lit(seed, tmp_path) for seed in range(300)}
+    assert [seed for seed in found if found[seed] == "worse"] == []
+    assert 0 < list(found.values()).count("left") <= LEFT

@@ -76,6 +76,7 @@ def test_nothing_is_missing_of_packages_and_release_once_address_and_date_are_gi
     assert [*of_site(tree)] == [f"{tree} has no front page: make docs"]
 
 
+@pytest.mark.slow
 def test_npm_packs_each_package_with_its_repository(tree: Path) -> None:
     npm = required_program("npm")
     write_address(tree, URL)

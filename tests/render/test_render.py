@@ -332,6 +332,7 @@ def test_a_mesh_without_a_skin_that_is_broken_is_left_out(tmp_path: Path) -> Non
         assert words in result.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scenes", "drawn"),
     [

@@ -30,6 +30,7 @@ def pixels(data: bytes) -> np.ndarray:
         return np.asarray(image)
 
 
+@pytest.mark.slow
 def test_pictures_cover_and_light_what_the_replay_does(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
