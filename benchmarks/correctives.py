@@ -117,7 +117,7 @@ def measured(path: Path) -> Iterator[Row]:
         return
     counts = sorted({count.targets for _, count in result.correctives})
     targets = str(counts[0]) if len(counts) == 1 else f"{counts[0]}–{counts[-1]}"
-    row = Row(path.stem, vertices, targets, sizes, errors, by_bytes)
+    row = Row(f"{path.parent.name}/{path.name}", vertices, targets, sizes, errors, by_bytes)
     print(
         f"{row.name}: {row.ratio('triangles'):.2f} by triangles, {row.ratio('tangents'):.2f} by tangents",
         flush=True,

@@ -510,7 +510,7 @@ class Application {
     showReadings() {
         this.sides.forEach((side, i) => {
             const mean = this.chart.at(side, this.time);
-            const text = LIGHTINGS[side].isTrue ? 'of the deformed triangles' : isKnown(mean) ? `${degrees(mean)} mean error` : mean === null ? 'no true normals' : 'measuring the mean error';
+            const text = LIGHTINGS[side].isTrue ? 'of the deformed triangles' : isKnown(mean) ? `${degrees(mean)} mean error` : mean === null ? 'no true normals' : 'measuring …';
             const output = byId[i ? 'right-error' : 'left-error'];
             if (output.textContent !== text) output.textContent = text;
         });
