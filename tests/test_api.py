@@ -416,7 +416,15 @@ def test_a_failure_writes_nothing_and_has_its_notices(tmp_path: Path) -> None:
 class TestModels:
     """Models of pygltflib's."""
 
-    @pytest.mark.parametrize("name", ["bent_tube.glb", "seam.glb", "two_sets.glb", "mirrored_tangent.glb"])
+    @pytest.mark.parametrize(
+        "name",
+        [
+            "bent_tube.glb",
+            "seam.glb",
+            pytest.param("two_sets.glb", marks=pytest.mark.slow),
+            "mirrored_tangent.glb",
+        ],
+    )
     def test_a_model_is_baked_as_its_file_is(self, name: str, tmp_path: Path) -> None:
         model = pygltflib.GLTF2().load(FOLDER / name)
         before, blob = model.to_json(), model.binary_blob()

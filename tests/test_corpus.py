@@ -128,6 +128,7 @@ class TestRealModels:
         found = Counter(run.result.status for run in runs)
         assert found == {"baked": BAKED, "unchanged": UNCHANGED}
 
+    @pytest.mark.slow
     def test_what_is_skipped_has_its_reason(self, runs: list[Run]) -> None:
         for run in runs:
             codes = [notice.code for notice in run.result.notices]

@@ -50,6 +50,7 @@ def worse(found: list[Measured], kind: str, truths: tuple[str, ...]) -> list[str
     return [one.tube.name for one in found if one.is_worse(kind, truths)]
 
 
+@pytest.mark.slow
 def test_no_tube_is_lit_worse_than_by_standard_lighting_in_its_clip_and_outside() -> None:
     found = lit(range(STEEP, STEEP + 1))
     for kind in POSES:

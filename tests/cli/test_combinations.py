@@ -12,7 +12,7 @@ from tests.support.gltf_reading import read
 from tests.support.models import FOLDER
 
 STORAGES = (
-    (),
+    pytest.param((), marks=pytest.mark.slow),
     pytest.param(("--encoding", "packed8"), marks=pytest.mark.slow),
     ("--encoding", "snorm16", "--layout", "custom"),
     pytest.param(("--layout", "texcoord"), marks=pytest.mark.slow),

@@ -27,7 +27,9 @@ def names(folder: Path) -> set[str]:
         ["shader", "--lang", "glsl", "--frame", "normal", "-o", "new/deep/out.glsl"],
         ["view", str(SEAM), "-o", "new/deep/out.html"],
         ["verify", "{baked}", "--poses", "rest", "--junit", "new/deep/out.xml"],
-        ["verify", "{baked}", "--poses", "rest", "--html", "new/deep/out.html"],
+        pytest.param(
+            ["verify", "{baked}", "--poses", "rest", "--html", "new/deep/out.html"], marks=pytest.mark.slow
+        ),
         ["verify", "{baked}", "--poses", "rest", "--skip-unchanged", "--state", "new/deep/out.jsonl"],
     ],
 )

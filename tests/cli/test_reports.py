@@ -166,6 +166,7 @@ def test_inspect_names_the_kind_of_gradients(tmp_path: Path, kind: str) -> None:
     assert f", gradients {kind}, frame from normal, " in invoke("inspect", target).stdout
 
 
+@pytest.mark.slow
 def test_verify_says_which_reports_it_has_written(model: Path, tmp_path: Path) -> None:
     page, junit, summary = (tmp_path / f"report.{suffix}" for suffix in ("html", "xml", "jsonl"))
     reports: list[str | Path] = ["--html", page, "--junit", junit, "--summary", summary]

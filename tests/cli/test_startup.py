@@ -168,11 +168,15 @@ FULL = pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /d
         "bake {} -o -",
         *(
             pytest.param(command, marks=pytest.mark.slow)
-            for command in ("bake {} --dry-run", "bake {} --dry-run --json", "inspect {}")
+            for command in (
+                "bake {} --dry-run",
+                "bake {} --dry-run --json",
+                "inspect {}",
+                "inspect {} --json",
+                "bake --help",
+            )
         ),
-        "inspect {} --json",
         "--version",
-        "bake --help",
     ],
 )
 def test_a_full_disk_behind_stdout_is_an_output_error(command: str) -> None:

@@ -136,7 +136,7 @@ def test_several_files_give_a_sheet_with_the_largest_gain_first(tmp_path: Path) 
         bake(source, folder / source.name)
     (folder / "broken.glb").write_bytes(b"glTF")
     page = tmp_path / "all.html"
-    result = invoke("verify", folder, "--html", page, "--min-gain", "50")
+    result = invoke("verify", folder, "--method", "lbs", "--html", page, "--min-gain", "50")
     assert result.exit_code == exit_codes.INPUT
     assert rows(page) == [
         ("bent_tube.glb", "failed", "all/0001-bent_tube.html"),
@@ -173,6 +173,7 @@ def test_a_page_that_fails_leaves_the_pages_of_the_others(tmp_path: Path) -> Non
     }
 
 
+@pytest.mark.slow
 def test_the_sheet_has_the_figures_by_triangles(tmp_path: Path) -> None:
     for source in (TUBE, SEAM):
         bake(source, tmp_path / source.name)
@@ -191,6 +192,7 @@ def test_the_sheet_has_the_figures_by_triangles(tmp_path: Path) -> None:
     assert "by tangents" not in text
 
 
+@pytest.mark.slow
 def test_files_that_are_not_baked_say_so(tmp_path: Path) -> None:
     page = tmp_path / "all.html"
     for options, outcome, summary in (
@@ -205,6 +207,7 @@ def test_files_that_are_not_baked_say_so(tmp_path: Path) -> None:
         assert page.read_text(encoding="utf-8").count("data:image/png") == 8
 
 
+@pytest.mark.slow
 def test_a_file_that_a_bake_has_left_has_figures_and_pictures(tmp_path: Path) -> None:
     left, baked_too = tmp_path / "left" / TUBE.name, tmp_path / "baked" / TUBE.name
     bake(TUBE, baked_too)
@@ -217,6 +220,7 @@ def test_a_file_that_a_bake_has_left_has_figures_and_pictures(tmp_path: Path) ->
     assert (tmp_path / "all.html").read_text(encoding="utf-8").count("data:image/png") == 8
 
 
+@pytest.mark.slow
 def test_a_sheet_has_the_figures_that_a_bake_would_give(tmp_path: Path) -> None:
     """Of a file without a bake: as of its bake, with the same pictures, and the command that makes it."""
     bake(TUBE, tmp_path / "baked" / TUBE.name)
@@ -262,6 +266,7 @@ def numbers(page: Path) -> list[list[str]]:
     return [re.findall(r'class="number"[^>]*>([^<]*)<', line) for line in lines]
 
 
+@pytest.mark.slow
 def test_the_sheet_shows_figures_with_two_decimals(tmp_path: Path) -> None:
     bake(TUBE, tmp_path / "tube.glb")
     page = tmp_path / "all.html"
@@ -288,6 +293,7 @@ def verdict(name: str, *checks: Check, error: InputError | None = None) -> FileV
     return FileVerdict(name, checks, error=error)
 
 
+@pytest.mark.slow
 def test_a_folder_is_shown_as_a_sheet_of_pages(tmp_path: Path) -> None:
     folder = tmp_path / "models"
     folder.mkdir()
@@ -348,6 +354,7 @@ def test_the_sheet_says_why_a_file_failed_or_has_no_figures(told: FileVerdict, r
     assert words.partition(" Next: ")[0] == remark
 
 
+@pytest.mark.slow
 def test_the_sheet_tells_of_limits_that_differ(tmp_path: Path) -> None:
     (tmp_path / "skinbake.toml").write_text(
         "[verify]\nmax-mean-error = 90\n"
@@ -407,6 +414,7 @@ def test_html_replaces_earlier_pages_only(tmp_path: Path) -> None:
     assert page.read_text() == "<!doctype html>my own page"
 
 
+@pytest.mark.slow
 def test_html_replaces_earlier_pages_of_its_folder_only(tmp_path: Path) -> None:
     page, own = tmp_path / "all.html", tmp_path / "all" / "0002-seam.html"
     command = ("verify", TUBE, SEAM, "--html", page)

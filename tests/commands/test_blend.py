@@ -203,7 +203,7 @@ def break_note(file: Editable) -> None:
 @pytest.mark.parametrize(
     ("edit", "check", "code"),
     [
-        (edit_weights, "freshness", "stale"),
+        pytest.param(edit_weights, "freshness", "stale", marks=pytest.mark.slow),
         (edit_gradient, "freshness", "stale"),
         (drop_weights, "structure", "attribute-missing"),
         (drop_gradient, "structure", "attribute-missing"),

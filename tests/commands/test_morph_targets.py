@@ -110,7 +110,9 @@ def test_made_normals_are_those_of_the_moved_surface(tmp_path: Path, skinned: bo
 @pytest.mark.parametrize(
     ("suffix", "kind", "options"),
     [
-        (suffix, kind, options)
+        pytest.param(
+            suffix, kind, options, marks=[pytest.mark.slow] if suffix == ".gltf" or len(options) == 1 else []
+        )
         for suffix in (".glb", ".gltf")
         for kind in ("skinned", "plain", "draco", "meshopt")
         for options in (("--morph-normals",), ("--morph-frames",), ("--morph-normals", "--morph-frames"))
@@ -161,7 +163,7 @@ def test_each_target_gets_one_once_another_has_it_and_authored_ones_stay(tmp_pat
 
 
 @pytest.mark.parametrize("kind", ["float", "bytes", "no view"])
-@pytest.mark.parametrize("skinned", [True, False])
+@pytest.mark.parametrize("skinned", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_zeros_in_normal_where_points_move_count_as_no_normal(
     tmp_path: Path, kind: str, skinned: bool
 ) -> None:

@@ -107,7 +107,7 @@ def test_lightings_are_the_lines_of_the_paper_on_the_stored_numbers(tube: Path) 
     "source",
     [
         FOLDER / "bent_tube.glb",
-        FOLDER / "morphed_sheet.glb",
+        pytest.param(FOLDER / "morphed_sheet.glb", marks=pytest.mark.slow),
         pytest.param(corpus.CHARACTERS / "barbarian_walking.glb", marks=pytest.mark.slow),
     ],
     ids=lambda path: path.name,

@@ -46,6 +46,7 @@ def test_poses_without_a_clip_play_nothing(tube: Path) -> None:
     assert figures["corrected"]["mean"] == pytest.approx(figures["standard"]["mean"], rel=1e-5)
 
 
+@pytest.mark.slow
 def test_limits_hold_the_corrected_lighting(tube: Path) -> None:
     assert checks(verify(tube, "--min-gain", "5"))["limits"] == "passed"
     assert checks(verify(tube, "--max-mean-error", "0.01"))["limits"] == "failed"

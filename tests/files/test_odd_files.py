@@ -110,8 +110,7 @@ def test_an_input_is_refused_at_once(command: str, kind: str) -> None:
     "options",
     [
         "-o out/hero.gltf",
-        "-o out/hero.glb --pack",
-        "--in-place",
+        *(pytest.param(one, marks=pytest.mark.slow) for one in ("-o out/hero.glb --pack", "--in-place")),
         "--out-dir out --skip-unchanged --depfile d",
     ],
 )

@@ -162,7 +162,16 @@ class TestCustom:
         assert "choose other names with --layout" in str(raised.value)
 
 
-@pytest.mark.parametrize("storage", [TEXCOORD, CUSTOM, GradientFormat(Encoding.PACKED8, Layout.CUSTOM)])
+@pytest.mark.parametrize(
+    "storage",
+    [
+        TEXCOORD,
+        *(
+            pytest.param(one, marks=pytest.mark.slow)
+            for one in (CUSTOM, GradientFormat(Encoding.PACKED8, Layout.CUSTOM))
+        ),
+    ],
+)
 @pytest.mark.parametrize("name", FIXTURES)
 def test_only_additions_and_the_same_again(name: str, storage: GradientFormat, tmp_path: Path) -> None:
     (tmp_path / "again").mkdir()

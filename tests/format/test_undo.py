@@ -389,6 +389,7 @@ def test_strip_and_a_bake_leave_what_another_user_needs(
         assert {key for key in before if before[key] != after.get(key)} == set()
 
 
+@pytest.mark.slow
 def test_weights_and_names_that_a_user_gives_own_targets_later_stay(
     bakes: dict[str, tuple[Path, Path, list[str]]], tmp_path: Path
 ) -> None:

@@ -47,14 +47,19 @@ def transform(tmp_path_factory: pytest.TempPathFactory) -> Transform:
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command",
     [
         "copy",
-        *(
-            pytest.param(command, marks=pytest.mark.slow)
-            for command in ("prune", "dedup", "resample", "sparse", "unlit", "flatten", "join", "metalrough")
-        ),
+        "prune",
+        "dedup",
+        "resample",
+        "sparse",
+        "unlit",
+        "flatten",
+        "join",
+        "metalrough",
     ],
 )
 def test_what_leaves_the_geometry_alone_leaves_the_bake_fresh(transform: Transform, command: str) -> None:

@@ -462,7 +462,13 @@ def test_an_untouched_copy_is_fresh(bakes: Callable[[str], Path], tmp_path: Path
     assert answer.failed == []
 
 
-@pytest.mark.parametrize("weighting", [Weighting.ANGLE, Weighting.AREA, Weighting.ANGLE_AREA])
+@pytest.mark.parametrize(
+    "weighting",
+    [
+        *(pytest.param(one, marks=pytest.mark.slow) for one in (Weighting.ANGLE, Weighting.AREA)),
+        Weighting.ANGLE_AREA,
+    ],
+)
 @pytest.mark.parametrize("name", MODELS)
 def test_a_weighting_falsely_noted_as_max_is_stale(tmp_path: Path, name: str, weighting: Weighting) -> None:
     path = baked(source(name), tmp_path, bake_settings(weighting=weighting))

@@ -145,6 +145,7 @@ class TestKeep:
         assert json.dumps(result.content) == content_of(source)
         assert result.binary_chunk == read(source).binary_chunk
 
+    @pytest.mark.slow
     def test_twice_is_once_and_the_output_deterministic(self, name: str, kind: str, tmp_path: Path) -> None:
         source = twin(kind, name, tmp_path)
         for target, input_ in (("one", source), ("two", tmp_path / "one.glb"), ("three", source)):

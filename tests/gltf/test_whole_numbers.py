@@ -41,7 +41,10 @@ def spelled(name: str, folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("name", GLBS)
-@pytest.mark.parametrize("scheme", [Scheme.KEEP, Scheme.DRACO, Scheme.MESHOPT])
+@pytest.mark.parametrize(
+    "scheme",
+    [Scheme.KEEP, *(pytest.param(one, marks=pytest.mark.slow) for one in (Scheme.DRACO, Scheme.MESHOPT))],
+)
 def test_the_bake_has_the_values_of_the_usual_spelling(scheme: Scheme, name: str, tmp_path: Path) -> None:
     compression = Compression(scheme)
     expected = baked(FOLDER / name, tmp_path / "whole.glb", compression=compression)

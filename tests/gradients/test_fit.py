@@ -108,7 +108,7 @@ class TestOracle:
     def test_closed_form_is_the_least_squares_over_small_turns(self, case: Case) -> None:
         assert case.difference() < SAME
 
-    @pytest.mark.parametrize("factor", [0.95, 1.05])
+    @pytest.mark.parametrize("factor", [0.95, pytest.param(1.05, marks=pytest.mark.slow)])
     @pytest.mark.parametrize("name", sorted(FITTED))
     def test_a_constant_that_changes_by_five_percent_is_noticed(
         self, name: str, factor: float, monkeypatch: pytest.MonkeyPatch

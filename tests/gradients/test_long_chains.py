@@ -25,7 +25,9 @@ def errors(name: str, folder: Path, gradients: Gradients) -> list[float]:
 @pytest.mark.parametrize(
     ("name", "left"),
     [
-        (TENTACLE, (0.95, 1.0)),  # 2.1 and 1.2 with a fit to single turns alone
+        pytest.param(
+            TENTACLE, (0.95, 1.0), marks=pytest.mark.slow
+        ),  # 2.1 and 1.2 with a fit to single turns alone
         pytest.param(BUTTERFLY, (0.75, 0.75), marks=pytest.mark.slow),  # 0.88 and 0.87
     ],
 )

@@ -80,6 +80,7 @@ def test_ten_bakes_are_the_same_bytes_on_another_processor(options: str, other: 
     assert bakes(options, **other) == usual
 
 
+@pytest.mark.slow
 def test_the_options_of_these_bakes_change_them() -> None:
     changed = [bakes(options, OPENBLAS_CORETYPE="") for options in OPTIONS]
     for name in ("barbarian_walking.glb", "butterfly_wings.glb"):

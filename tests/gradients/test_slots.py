@@ -49,7 +49,7 @@ FILES = [
     PBR_TEST,  # eight slots
 ]
 
-LARGE = (BARBARIAN, MANTIS)
+LARGE = (BARBARIAN, MANTIS, ELF)
 
 NEGLIGIBLE = 1e-4
 """docs/reference/gradients.md: below this share of a vertex's gradient a joint gets no slot."""

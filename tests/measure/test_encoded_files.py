@@ -26,6 +26,7 @@ STORAGES = [
     GradientFormat(layout=Layout.CUSTOM),
 ]
 NAMES = ["packed8", "snorm16", "texcoord", "custom-packed8", "custom"]
+QUICK = "packed8"
 MODELS = [
     *(name for name in FIXTURES if name.endswith(".glb")),
     CESIUM_MAN,
@@ -46,8 +47,19 @@ def after(edit: Edit, path: Path, *options: str) -> Any:
     return verify(model.write(path.with_name("edited.glb")), *FEW, *options)
 
 
-@pytest.mark.parametrize("storage", STORAGES, ids=NAMES)
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize(
+    ("name", "storage"),
+    [
+        pytest.param(
+            name,
+            storage,
+            id=f"{name}-{label}",
+            marks=[] if name == "bent_tube.glb" or label == QUICK else [pytest.mark.slow],
+        )
+        for name in MODELS
+        for storage, label in zip(STORAGES, NAMES, strict=True)
+    ],
+)
 def test_a_fresh_bake_verifies(name: str, storage: GradientFormat, tmp_path: Path) -> None:
     answer = verify(written(name, tmp_path, storage), *FEW)
     assert answer.exit_code == 0, answer.messages

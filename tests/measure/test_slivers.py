@@ -59,7 +59,17 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("options", [{}, {"gradients": "surface"}, {"neighbours": "drop"}], ids=str)
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        *(
+            pytest.param(one, marks=pytest.mark.slow)
+            for one in ({"gradients": "surface"}, {"neighbours": "drop"})
+        ),
+    ],
+    ids=str,
+)
 @pytest.mark.parametrize("parts", CASES.values(), ids=CASES)
 def test_slivers_do_not_spoil_the_other_vertices(
     parts: list[Part], options: dict[str, Any], tmp_path: Path

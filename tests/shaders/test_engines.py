@@ -91,12 +91,16 @@ def test_a_single_module_has_each_line_of_the_modules_once(engine: str) -> None:
     ("engine", "options"),
     [
         ("babylon", ""),
-        ("babylon", "--method dqs"),
-        ("galacean", "--method dqs"),
+        ("three", "--lighting direct"),
         *(
-            (engine, options)
-            for engine in ("three", "playcanvas")
-            for options in ("--method dqs", "--lighting direct")
+            pytest.param(engine, options, marks=pytest.mark.slow)
+            for engine, options in (
+                ("babylon", "--method dqs"),
+                ("galacean", "--method dqs"),
+                ("three", "--method dqs"),
+                ("playcanvas", "--method dqs"),
+                ("playcanvas", "--lighting direct"),
+            )
         ),
     ],
 )

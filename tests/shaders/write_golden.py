@@ -5,6 +5,7 @@ Usage: python -m tests.shaders.write_golden
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 from skinbake.choices import Frame, Language, Lighting, Method, Morphs, Stage
@@ -51,6 +52,7 @@ def golden_choices() -> list[ShaderChoices]:
     ]
 
 
+@cache
 def golden_files() -> dict[Path, str]:
     """Return every file and the text that it should hold."""
     files = {FOLDER / f"{label(one)}.{one.language}": shader_text(one) for one in golden_choices()}

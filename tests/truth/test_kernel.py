@@ -209,7 +209,9 @@ def moved_by_dqs(poses: int, slots: int, *, scaled: str = "", cap: float | None 
 
 @pytest.mark.parametrize("scaled", ["", "alike", "unlike"])
 @pytest.mark.parametrize("slots", [1, 2, 4, 8])
-@pytest.mark.parametrize("poses", [1, 3, 4, 31, 32, 33, 70])
+@pytest.mark.parametrize(
+    "poses", [*(pytest.param(poses, marks=pytest.mark.slow) for poses in (1, 3, 31, 32, 70)), 4, 33]
+)
 def test_dual_quaternions_are_those_of_numpy(poses: int, slots: int, scaled: str) -> None:
     skinning = moved_by_dqs(poses, slots, scaled=scaled)
     assert skinning.has_scaled_joints == (scaled == "unlike")
@@ -418,7 +420,9 @@ def errors_to_count(seed: int) -> tuple[Any, Any, Any]:
     return errors, weights, valid
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize(
+    "seed", [0, 1, 2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(3, 30))]
+)
 def test_counts_of_errors_are_those_of_numpy(seed: int) -> None:
     errors, weights, valid = errors_to_count(seed)
     mask = None if valid is None else valid.T

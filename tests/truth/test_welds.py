@@ -126,7 +126,9 @@ def test_primitives_of_other_types_and_widths_weld() -> None:
     assert partition(narrow, wide) == [0, 1, 1, 0]
 
 
-@pytest.mark.parametrize(("count", "classes"), [(4_096, 1), (4_097, 4_097), (20_000, 20_000)])
+@pytest.mark.parametrize(
+    ("count", "classes"), [pytest.param(4_096, 1, marks=pytest.mark.slow), (4_097, 4_097), (20_000, 20_000)]
+)
 def test_many_vertices_at_one_place_stay_cheap(count: int, classes: int) -> None:
     """A sphere of normals at one point, as collapsed geometry has. Past a limit only equal ones weld."""
     angles = np.random.default_rng(0).random((count, 2)) * [2.0 * math.pi, math.pi]
