@@ -10,7 +10,9 @@ import re
 import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -39,24 +41,31 @@ CASES = {
 }
 
 
-def source_of(case: str, folder: Path) -> tuple[Path, float]:
-    """Return the model of a case, and a time of its clip."""
-    find, name, time = CASES[case]
+def source_of(case: str, folder: Path) -> Path:
+    """Return the model of a case."""
+    find, name, _ = CASES[case]
     if find is not None:
-        return find(name), time
-    return (SHEET if case == "face targets" else parted(folder / "parted.glb")), time
+        return find(name)
+    return SHEET if case == "face targets" else parted(folder / "parted.glb")
 
 
 def corrected(case: str, folder: Path, encoding: str) -> tuple[Path, float]:
     """Bake the model of a case into a folder from which pages load it."""
-    source, time = source_of(case, folder.parent)
     target = folder / f"{case.replace(' ', '-')}-{encoding}.glb"
     if not target.exists():
+        target.write_bytes(corrected_bytes(case, encoding))
+    return target, CASES[case][2]
+
+
+@cache
+def corrected_bytes(case: str, encoding: str) -> bytes:
+    """Return the bake of a case, which all viewers play."""
+    with TemporaryDirectory() as folder:
+        source, target = source_of(case, Path(folder)), Path(folder, "out.glb")
         result = invoke("bake", source, "-o", target, "--correctives", "auto", "--encoding", encoding)
         assert result.exit_code == 0, result.output
         # The corpus has no images beside its models, and viewers refuse a file without them.
-        rewritten(target, target, in_plain_material)
-    return target, time
+        return rewritten(target, target, in_plain_material).read_bytes()
 
 
 def in_plain_material(content: Any) -> None:
@@ -132,6 +141,19 @@ def assert_the_page_drives_its_face(played: Callable[[dict[str, Any]], list[str]
         assert (max(moved) > 100 * DEGREES) == (not options)
 
 
+@cache
+def clips_of_one_character() -> list[bytes]:
+    """Return two files of one character, baked together, which all viewers play."""
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        whole = corpus.model("RobotMantis/animated_robot_mantis.glb")
+        _, *files = clip_files(rewritten(whole, folder / "mantis.glb", in_plain_material), folder)
+        out = folder / "out"
+        result = invoke("bake", *files[:2], "--out-dir", out, "--correctives", "auto", "--one-character")
+        assert result.exit_code == 0, result.output
+        return [(out / f"clip{number}.glb").read_bytes() for number in range(2)]
+
+
 def assert_a_clip_of_another_file_is_corrected(
     played: Callable[[dict[str, Any]], list[str]], folder: Path
 ) -> None:
@@ -140,12 +162,8 @@ def assert_a_clip_of_another_file_is_corrected(
     A viewer must draw what the clip draws in its own file.
     """
     hero, clip = (folder / f"clip{number}.glb" for number in range(2))
-    if not clip.exists():
-        whole = corpus.model("RobotMantis/animated_robot_mantis.glb")
-        plain = rewritten(whole, folder.parent / "mantis.glb", in_plain_material)
-        _, *files = clip_files(plain, folder.parent)
-        result = invoke("bake", *files[:2], "--out-dir", folder, "--correctives", "auto", "--one-character")
-        assert result.exit_code == 0, result.output
+    for path, content in zip((hero, clip), clips_of_one_character(), strict=True):
+        path.write_bytes(content)
     time, store = 19 / 30, "direction" if "godot" in str(folder) else "difference"
     asked = {"url": f"/models/{hero.name}", "clipsOf": f"/models/{clip.name}", "clip": 0, "time": time}
     found = played(asked)

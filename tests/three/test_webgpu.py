@@ -88,9 +88,10 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ThreeStage]:
         yield ThreeStage(page, models)
 
 
-@pytest.mark.parametrize("storage", STORAGES, ids=lambda storage: f"{storage.encoding} {storage.layout}")
+@pytest.mark.parametrize(
+    ("method", "storage"), [*(("lbs", storage) for storage in STORAGES), ("dqs", STORAGES[0])], ids=str
+)
 @pytest.mark.parametrize(("source", "pose", "frame"), SOURCES)
-@pytest.mark.parametrize("method", ["lbs", "dqs"])
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_every_normal_is_that_of_the_replay(
     stage: ThreeStage,
@@ -203,7 +204,7 @@ def test_morph_targets_come_before_skinning(stage: ThreeStage, frame: str) -> No
 
 
 @pytest.mark.parametrize(
-    ("backend", "storage"), [("webgl", STORAGES[0]), *(("webgpu", storage) for storage in STORAGES)], ids=str
+    ("backend", "storage"), [("webgl", STORAGES[0]), ("webgpu", STORAGES[1])], ids=["webgl", "webgpu"]
 )
 @pytest.mark.parametrize(("model", "fixture", "pose"), CHARACTERS[2:])
 def test_real_characters_too(
