@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -126,22 +127,47 @@ FAMILIES: dict[str, Change] = {
     "primitives": with_targets(1, 1500),
 }
 
-COMMANDS: dict[str, Callable[[Path, Path], list[str | Path]]] = {
-    "verify": lambda source, folder: ["verify", folder / "baked.glb", "-q"],
-    "normals": lambda source, folder: [
-        *("verify", folder / "baked.glb", "-q", "--dump-normals", folder / "out.jsonl")
+COMMANDS: dict[str, Callable[[Path, Path, Path], list[str | Path]]] = {
+    "verify": lambda source, baked, folder: ["verify", baked, "-q"],
+    "normals": lambda source, baked, folder: [
+        *("verify", baked, "-q", "--dump-normals", folder / "out.jsonl")
     ],
-    "view": lambda source, folder: ["view", source, "-o", folder / "out.html", "-q"],
-    "render": lambda source, folder: ["render", source, "-o", folder / "out.png", "-q"],
-    "bake": lambda source, folder: ["bake", source, "-o", folder / "out.glb", "-q"],
-    "draco": lambda source, folder: ["bake", source, "-o", folder / "out.glb", "-q", "--compress", "draco"],
-    "strip": lambda source, folder: ["strip", folder / "baked.glb", "-o", folder / "out.glb", "-q"],
-    "correctives": lambda source, folder: [
+    "view": lambda source, baked, folder: ["view", source, "-o", folder / "out.html", "-q"],
+    "render": lambda source, baked, folder: ["render", source, "-o", folder / "out.png", "-q"],
+    "bake": lambda source, baked, folder: ["bake", source, "-o", folder / "out.glb", "-q"],
+    "draco": lambda source, baked, folder: [
+        "bake",
+        source,
+        "-o",
+        folder / "out.glb",
+        "-q",
+        "--compress",
+        "draco",
+    ],
+    "strip": lambda source, baked, folder: ["strip", baked, "-o", folder / "out.glb", "-q"],
+    "correctives": lambda source, baked, folder: [
         *("bake", source, "-o", folder / "out.glb", "-q", "--correctives", "auto")
     ],
-    "poses": lambda source, folder: ["bake", source, "-o", folder / "out.glb", "-q", "--gradients", "fitted"],
-    "shader": lambda source, folder: ["shader", "--lang", "glsl", "--for", folder / "baked.glb", "-q"],
+    "shader": lambda source, baked, folder: ["shader", "--lang", "glsl", "--for", baked, "-q"],
 }
+
+
+@pytest.fixture(scope="module")
+def families(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], tuple[Path, Path]]:
+    """Return the file of a family and its bake, which are made once."""
+
+    @cache
+    def made(family: str) -> tuple[Path, Path]:
+        folder = tmp_path_factory.mktemp("family")
+        source, target = folder / "source.glb", folder / "baked.glb"
+        write_model(source, [sheet()], change=FAMILIES[family])
+        assert source.stat().st_size < 1_300_000
+        with pytest.MonkeyPatch.context() as unbounded:  # bake writes nothing that verify refuses
+            unbounded.setattr("skinbake.measure.measured.claim_verification", lambda document: None)
+            bake(source, target)
+        return source, target
+
+    return made
 
 
 @pytest.mark.slow
@@ -149,16 +175,11 @@ COMMANDS: dict[str, Callable[[Path, Path], list[str | Path]]] = {
 @pytest.mark.parametrize("command", COMMANDS)
 @pytest.mark.parametrize("family", FAMILIES)
 def test_small_files_take_no_long_work(
-    family: str, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    family: str, command: str, families: Callable[[str], tuple[Path, Path]], tmp_path: Path
 ) -> None:
     if command == "render":
         NAGA.require()
-    source = write_model(tmp_path / "source.glb", [sheet()], change=FAMILIES[family])
-    assert source.stat().st_size < 1_300_000
-    with monkeypatch.context() as unbounded:  # bake writes nothing that verify refuses
-        unbounded.setattr("skinbake.measure.measured.claim_verification", lambda document: None)
-        bake(source, tmp_path / "baked.glb")
-    arguments = map(str, COMMANDS[command](source, tmp_path))
+    arguments = map(str, COMMANDS[command](*families(family), tmp_path))
     done = subprocess.run(
         [sys.executable, "-c", LIMITED, *arguments], capture_output=True, text=True, check=False
     )
