@@ -102,6 +102,7 @@ def _calls(kernel: Any, random: np.random.Generator) -> list[Call]:
 USUAL = {
     "negligible": 1e-4, "stiffness": 0.25, "turn": 0.2, "together": 10.0, "collapsed": 0.1, "ray": 1.5,
     "even": 1e-9, "unfelt": 1e-4, "narrow": 0.2, "flat": 1e-6, "flat_tilt": 1e-12, "bounded": 3.0,
+    "small": 0.02,
 }  # fmt: skip
 """The numbers of bake_surface, as bake chooses them."""
 

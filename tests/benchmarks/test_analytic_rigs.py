@@ -30,9 +30,9 @@ STEEP = 3
 
 REGRET = {
     "bend": {CLIP: (0.65, 0.90), TURNED: (0.73, 0.85)},
-    "twist": {CLIP: (2.33, 0.13), TURNED: (2.20, 0.10)},
-    "stretch": {CLIP: (1.81, 0.09), TURNED: (1.27, 0.08)},
-    "all": {CLIP: (1.12, 0.23), TURNED: (0.97, 0.22)},
+    "twist": {CLIP: (1.86, 0.11), TURNED: (1.74, 0.08)},
+    "stretch": {CLIP: (1.61, 0.08), TURNED: (1.16, 0.07)},
+    "all": {CLIP: (1.11, 0.23), TURNED: (0.97, 0.22)},
 }
 """How large the error of the fit may be by formula, over that of ``surface`` and of standard lighting.
 
@@ -78,13 +78,13 @@ def test_the_regret_by_formula_is_bounded(motion: str, kind: str) -> None:
     assert ratio(found, kind, FORMULA, STANDARD) < over_standard
 
 
-def test_skinned_normals_test_is_lit_within_a_third_of_a_degree() -> None:
-    """0.217° in the mean, where the gradients of the surface leave 0.164°."""
+def test_skinned_normals_test_is_lit_within_a_fifth_of_a_degree() -> None:
+    """0.177° in the mean, where the gradients of the surface leave 0.164°."""
     fitted = parts(Gradients.FITTED)
     assert len(fitted) == len(asset.PARTS) - 1
-    for part, most in {"Bend": 0.301, "Twist": 0.214, "Scale": 0.135, "NormalMap": 0.229}.items():
+    for part, most in {"Bend": 0.239, "Twist": 0.205, "Scale": 0.102, "NormalMap": 0.171}.items():
         assert fitted[part] < most
-    assert np.mean(list(fitted.values())) < 0.219
+    assert np.mean(list(fitted.values())) < 0.179
 
 
 @pytest.mark.parametrize("shape", ["bumps", "ellipse"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from tests.support.kernels import use_numpy
 TURN = 1e-5
 """The angle of a sampled turn, in radians."""
 
-STIFFNESS, ANGLE, TOGETHER, COLLAPSED, RAY, NARROW = 0.25, 0.2, 10.0, 0.1, 1.5, 0.2
+STIFFNESS, ANGLE, TOGETHER, COLLAPSED, RAY, NARROW, SMALL = 0.25, 0.2, 10.0, 0.1, 1.5, 0.2, 0.02
 """The numbers of docs/reference/gradients.md, typed in: a constant of the fit that changes is noticed."""
 
 Maps = Callable[..., Float64Array]
@@ -78,7 +79,7 @@ CASES = [
 SAME = 4e-6
 """The difference that the sampled turns leave, and the pull that decides where nothing else does."""
 
-FITTED = {"STIFFNESS", "TURN", "TOGETHER", "COLLAPSED"}
+FITTED = {"STIFFNESS", "TURN", "TOGETHER", "COLLAPSED", "SMALL"}
 
 
 @cache
@@ -357,15 +358,28 @@ def sampled_fit(primitive: SkinnedPrimitive, rig: Rig) -> tuple[Float64Array, Fl
     for each in own:  # what no slot holds goes to the first one, as in the shader
         each[:, 0] = -each[:, 1:].sum(axis=1)
     in_poses = [rows_of_pose(primitive, rig, pose, maps, (t0, b0), own, true_normals) for pose in rig.poses]
-    found, rays = [], np.zeros((4, len(positions)))
+    fits, systems = [], []
     for tangent, name in enumerate(("alpha", "beta")):
         slopes, columns = (ANGLE * np.stack(parts, axis=1) for parts in zip(*rows[name], strict=True))
         poses = [each[tangent] for each in in_poses]
-        fit, ray = solved(primitive, rig, carried, own[tangent], slopes, columns, poses)
-        found.append(fit)
-        rays += ray
+        fit, rows_of_tilts = solved(primitive, rig, carried, own[tangent], slopes, columns, poses)
+        fits.append(fit)
+        systems.append(rows_of_tilts)
+    found = without_small_changes(fits, own)
+    rays = np.add(*map(rays_along, found, systems))
     share = np.clip(np.minimum(RAY * rays[0] / rays[1], 2.0 * RAY * rays[2] / rays[3]), 0.0, 1.0)[:, None]
     return share * found[0], share * found[1]
+
+
+class Tilts(NamedTuple):
+    """How far α (K − 1,) of a vertex tilts its tangents, and should: matrix α and right, N times.
+
+    The first ones, as many as turns, are by turns.
+    """
+
+    matrix: Float64Array
+    right: Float64Array
+    turns: int
 
 
 @dataclass(frozen=True)
@@ -448,14 +462,13 @@ def solved(
     slopes: Float64Array,
     columns: Float64Array,
     poses: Sequence[InPose],
-) -> tuple[Float64Array, Float64Array]:
+) -> tuple[Float64Array, list[Tilts]]:
     """Solve each vertex by numpy's lstsq, with rows for all pulls, for all slots but the first.
 
     The first slot takes minus the sum, so a row for all slots loses the first one's number from each other.
-    Return A and B (4, V) too, by which the summed squared tilt of s α is E0 − 2 s A + s² B: those of poses
-    and turns, and those of turns alone.
+    Return the tilts of each vertex too.
     """
-    result, rays = np.zeros((len(base), base.shape[1] - 1)), np.zeros((4, len(base)))
+    result, systems = np.zeros((len(base), base.shape[1] - 1)), []
     # The chain of the test's rig has all its joints, one after the other.
     chains = [range(len(CHAIN))] if rig.parents.tolist() == list(CHAIN) else []
     for vertex, joints in enumerate(primitive.joints):
@@ -482,10 +495,38 @@ def solved(
         result[vertex] = np.linalg.lstsq(
             np.concatenate([matrix, pulled]), np.concatenate([right_side, wanted]), rcond=None
         )[0]
-        along = matrix @ result[vertex]
-        for number, part in enumerate((slice(None), slice(count))):
-            rays[2 * number :][:2, vertex] = along[part] @ right_side[part], along[part] @ along[part]
-    return result, rays
+        systems.append(Tilts(matrix, right_side, count))
+    return result, systems
+
+
+def without_small_changes(fits: Sequence[Float64Array], own: Sequence[Float64Array]) -> list[Float64Array]:
+    """Return α and β of which changes far below the gradient are dropped, vertex by vertex.
+
+    fits have all slots but the first, and own, the gradients of the surface, all.
+    """
+    found = [np.zeros_like(fit) for fit in fits]
+    for vertex in range(len(own[0])):
+        changes = [fit[vertex] - base[vertex, 1:] for fit, base in zip(fits, own, strict=True)]
+        last = [-each.sum() for each in changes]
+        change = max(np.hypot(*pair) for pair in [last, *zip(*changes, strict=True)])
+        gradient = max(np.hypot(*pair) for pair in zip(*(base[vertex] for base in own), strict=True))
+        kept = 1.0 / (1.0 + (SMALL * gradient / change) ** 2) if change else 0.0
+        for one, base, moved in zip(found, own, changes, strict=True):
+            one[vertex] = base[vertex, 1:] + kept * moved
+    return found
+
+
+def rays_along(fit: Float64Array, systems: Sequence[Tilts]) -> Float64Array:
+    """Return A and B (4, V), by which the summed squared tilt of s α is E0 − 2 s A + s² B.
+
+    Those of poses and turns are first, and then those of turns alone.
+    """
+    rays = np.zeros((4, len(fit)))
+    for vertex, (matrix, right, turns) in enumerate(systems):
+        along = matrix @ fit[vertex]
+        for number, part in enumerate((slice(None), slice(turns))):
+            rays[2 * number :][:2, vertex] = along[part] @ right[part], along[part] @ along[part]
+    return rays
 
 
 def carries(rig: Rig) -> Float64Array:

@@ -361,6 +361,7 @@ class TestArguments:
             "flat": 1e-6,
             "flat_tilt": 1e-12,
             "bounded": 3.0,
+            "small": 0.02,
             "grouped": None,
             "first": 0,
             "last": 0,
@@ -557,7 +558,7 @@ for turn in range(16):
             class_count=V // 2,
             weighting=_kernel.BY_ANGLE, adopts=True, negligible=1e-4, stiffness=0.1,
             turn=0.2, together=10.0, collapsed=0.1, ray=1.5, even=1e-9, unfelt=1e-6, flat_tilt=1e-12,
-            narrow=0.2, flat=1e-6, bounded=3.0,
+            narrow=0.2, flat=1e-6, bounded=3.0, small=0.02,
             grouped=grouped if spoil is anything and turn % 2 else None, first=0, last=V // 2)
     except (IndexError, ValueError):
         pass

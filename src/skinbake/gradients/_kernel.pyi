@@ -106,6 +106,7 @@ def bake_surface(
     flat: float,
     flat_tilt: float,
     bounded: float,
+    small: float,
     grouped: Grouped | None,
     first: int,
     last: int,

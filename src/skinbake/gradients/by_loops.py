@@ -146,6 +146,7 @@ def bake_surface(surface: Surface, *, weighting: str, adopt: bool) -> SurfaceSlo
         flat=fit_rules.FLAT,
         flat_tilt=fit_rules.FLAT_TILT,
         bounded=fit_rules.BOUNDED,
+        small=fit_rules.SMALL,
     )
     if count <= PART:
         sums = np.zeros((len(surface.ends), 4))

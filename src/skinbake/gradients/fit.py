@@ -23,6 +23,7 @@ from skinbake.gradients.fit_rules import (
     FLAT,
     FLAT_TILT,
     RAY,
+    SMALL,
     STIFFNESS,
     TOGETHER,
     TURN,
@@ -112,8 +113,8 @@ def fitted(
         fits = np.isfinite(values).all(axis=(1, 2))
         own[here[fits], slots[fits]] = values[fits]
         own[rows[fits], pairs.last[rows[fits]]] = -values[fits].sum(axis=1)
-    steepest = np.maximum(turns.slopes[vertices.classes], np.linalg.norm(given, axis=2).max(axis=1))
-    change = bounded(own - given, steepest)
+    change = own - given
+    change *= shares_of_changes(change, given, turns.slopes[vertices.classes])[:, None, None]
     # The rays to standard lighting.
     own = np.where(unknowns[:, :, None], given + change, 0.0)
     share = np.minimum(
@@ -143,14 +144,18 @@ def _kept(
     return np.where(np.isnan(shares), 1.0, shares.clip(0.0, 1.0))[classes, None]
 
 
-def bounded(change: Float64Array, steepest: Float64Array) -> Float64Array:
-    """Return changes of gradients (V, K, 2), of which none is longer than BOUNDED × steepest (V,).
+def shares_of_changes(changes: Float64Array, given: Float64Array, slopes: Float64Array) -> Float64Array:
+    """Return the shares (V,) that are kept of the changes (V, K, 2) of gradients, given (V, K, 2).
 
-    All those of a vertex are shortened alike, so that they still sum to 0.
+    It is c² / (c² + (SMALL g)²) for the longest change c and gradient g of a vertex. No change stays longer
+    than BOUNDED times g or slopes (V,). All of a vertex are shortened alike, so that they still sum to 0.
     """
-    lengths, most = np.linalg.norm(change, axis=2).max(axis=1, initial=0.0), BOUNDED * steepest
-    shares = np.divide(most, lengths, out=np.ones_like(most), where=lengths > most)
-    return np.asarray(change * shares[:, None, None])
+    change, gradient = (np.square(each).sum(axis=2).max(axis=1, initial=0.0) for each in (changes, given))
+    whole = change + SMALL * SMALL * gradient
+    kept = np.divide(change, whole, out=np.zeros_like(change), where=change > 0.0)
+    lengths, most = np.sqrt(change), BOUNDED * np.maximum(np.sqrt(gradient), slopes)
+    bound = np.divide(most, lengths, out=np.ones_like(most), where=lengths > most)
+    return np.asarray(np.minimum(kept, bound))
 
 
 def _solved(matrix: Float64Array, right: Float64Array) -> Float64Array:

@@ -75,6 +75,14 @@ times the gradient. On a GPU they are noise. Of 75,000 vertices of the corpus 44
 worse by it; with 2 a model loses 0.2 %, with 1 it would lose 2 %.
 """
 
+SMALL = 0.02
+"""The change of a vertex's gradients of which half is dropped, over its largest gradient there.
+
+A change far below the gradient is noise of the least squares: the triangles of a fine mesh stand for a smooth
+surface, which the gradient knows better. Without it 176 tubes have 21 % more error by formula in their clips
+than with ``surface``, with it 6 %; coarse characters lose 0.2 % by triangles. 0.03 gains little more.
+"""
+
 FLAT = 1e-6
 """A share that counts as 0.
 

@@ -25,9 +25,11 @@ from skinbake.wording import counted
 
 ANIMATIONS, RANDOM = "animations", "random"
 
-CLIP_POSES = 11
-"""The poses of all clips together: with the stored pose, three times four. With 5, the error is the same
-within 1 %, and so it is with 24.
+CLIP_POSES = 3
+"""The poses of all clips together: with the stored pose four, which are fitted at a time.
+
+With 11, the error of seventeen characters in their clips is 0.4 % less in the mean, and by random poses of
+±30° it is 0.2 % more. With 24 it is the same as with 11.
 """
 
 BETWEEN = 0.382

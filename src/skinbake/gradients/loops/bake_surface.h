@@ -242,20 +242,20 @@ static int read_surface(PyObject *args, PyObject *keywords, Array *a, Surface *s
                             "bitangents", "alpha", "beta", "adopted", "ends", "sums", "parents", "ranks", "pivots",
                             "chains", "poses", "shares", "class_count", "weighting", "adopts",
                             "negligible", "stiffness", "turn", "together", "collapsed", "ray", "even", "unfelt",
-                            "narrow", "flat", "flat_tilt", "bounded", "grouped", "first", "last", NULL};
+                            "narrow", "flat", "flat_tilt", "bounded", "small", "grouped", "first", "last", NULL};
     PyObject *o[ARRAYS];
     Py_ssize_t class_count;
     int weighting, adopts;
     double negligible;
     FitSettings fit;
-    if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOOOOOOOnipddddddddddddOnn", names,
+    if (!PyArg_ParseTupleAndKeywords(args, keywords, "$OOOOOOOOOOOOOOOOOOOOnipdddddddddddddOnn", names,
                                      &o[POSITIONS], &o[TRIANGLES], &o[JOINTS], &o[WEIGHTS], &o[FREE_SLOTS],
                                      &o[CLASSES], &o[NORMALS], &o[TANGENTS], &o[BITANGENTS], &o[ALPHA], &o[BETA],
                                      &o[ADOPTED], &o[ENDS], &o[SUMS],
                                      &o[PARENTS], &o[RANKS], &o[PIVOTS], &o[CHAINS], &o[POSES], &o[SHARES],
                                      &class_count, &weighting, &adopts, &negligible,
                                      &fit.stiffness, &fit.turn, &fit.together, &fit.collapsed, &fit.ray, &fit.even,
-                                     &fit.unfelt, &fit.narrow, &fit.flat, &fit.flat_tilt, &fit.bounded,
+                                     &fit.unfelt, &fit.narrow, &fit.flat, &fit.flat_tilt, &fit.bounded, &fit.small,
                                      &part->grouped, &part->first, &part->last))
         return -1;
     if (read_arrays(o, surface_arrays, ARRAYS, 2, a) < 0)

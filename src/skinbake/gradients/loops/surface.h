@@ -12,7 +12,7 @@ typedef enum { BY_MAX, BY_ANGLE, BY_AREA, BY_ANGLE_AREA, WEIGHTINGS } Weighting;
 
 /* How gradients are fitted to a rig: the constants of fit_rules.py. */
 typedef struct {
-    double stiffness, turn, together, collapsed, ray, even, unfelt, narrow, flat, flat_tilt, bounded;
+    double stiffness, turn, together, collapsed, ray, even, unfelt, narrow, flat, flat_tilt, bounded, small;
 } FitSettings;
 
 /* The surface to bake: V vertices with K slots each, T triangles, C weld classes. Rows as in the twins. */

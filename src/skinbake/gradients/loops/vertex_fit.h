@@ -442,10 +442,11 @@ static ALWAYS_INLINE void move_gradients(const Surface *s, const Fitted *fitted,
         const double moved = squared_length(e.right[i]), had = squared_length(fitted->given[i]);
         change = moved > change ? moved : change, given = had > given ? had : given;
     }
-    double share = 1.0;
+    /* How far the changes go (twin: fit.shares_of_changes). */
+    double share = change > 0.0 ? change / (change + s->fit.small * s->fit.small * given) : 0.0;
     if (change > s->fit.bounded * s->fit.bounded * given) {
         const double most = s->fit.bounded * fmax(sqrt(given), steepest_slope(s, w));
-        share = fmin(1.0, most / sqrt(change));
+        share = fmin(share, most / sqrt(change));
     }
     for (size_t i = 0; i <= unknowns; i++) {
         /* What is along the normal stays. */
