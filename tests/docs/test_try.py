@@ -187,7 +187,6 @@ def trial(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Trial]:
         (TUBE, {}),
         (TUBE, {"encoding": "packed8"}),
         (ARM, {"correctives": "auto"}),
-        (FOLDER / "characters" / "barbarian_walking.glb", {}),
         (FOLDER / "characters" / "barbarian_walking.glb", {"correctives": "auto", "encoding": "snorm16"}),
     ],
 )

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
-from tests.support.node import SUPPORT, package_folder
+from tests.support.node import Script, package_folder
 from tests.support.node import require_node as _require_node
 
 PACKAGE = "@gltf-transform/cli"
-SCRIPT = Path(__file__).with_name("transform.mjs")
+TRANSFORMER = Script("transform.mjs", PACKAGE)
 TIMEOUT_SECONDS = 600
 
 
@@ -36,24 +35,14 @@ def run(arguments: Sequence[str | Path]) -> subprocess.CompletedProcess[str]:
 
 
 def transform(jobs: Sequence[tuple[Path, Path, str]]) -> list[str]:
-    """Apply functions of glTF-Transform, (source, target, command) each, in one process.
+    """Apply functions of glTF-Transform, (source, target, command) each, in a process that stays.
 
     Returns why each failed, an empty string where it did not. Commands are those of transform.mjs.
     """
-    lines = [
-        json.dumps({"source": str(source), "target": str(target), "command": command})
-        for source, target, command in jobs
-    ]
-    process = subprocess.run(
-        [require_node(), str(SCRIPT)],
-        input="\n".join(lines) + "\n",
-        capture_output=True,
-        text=True,
-        encoding="utf-8",
-        timeout=TIMEOUT_SECONDS,
-        check=False,
-        cwd=SUPPORT,
+    answers = TRANSFORMER.ask(
+        [
+            {"source": str(source), "target": str(target), "command": command}
+            for source, target, command in jobs
+        ]
     )
-    answers = [json.loads(line) for line in process.stdout.splitlines()]
-    assert len(answers) == len(lines), process.stderr
     return [answer.get("failure", "") for answer in answers]

@@ -79,11 +79,15 @@ class Script:
         self._said: IO[str] | None = None
 
     def ask_about(self, paths: Sequence[Path]) -> list[Any]:
-        """Return the answer of the script, any JSON, about each file.
+        """Return the answer of the script, any JSON, about each file; raises as ``ask``."""
+        return self.ask([str(path.resolve()) for path in paths])
+
+    def ask(self, questions: Sequence[object]) -> list[Any]:
+        """Return the answer of the script, any JSON, to each question, any JSON too.
 
         Raises RuntimeError where the script ends before it has answered.
         """
-        if not paths:
+        if not questions:
             return []
         process = self._started()
         assert process.stdin is not None
@@ -92,14 +96,14 @@ class Script:
         watch.start()
         try:
             answers = []
-            for path in paths:
-                process.stdin.write(json.dumps(str(path.resolve())) + "\n")
+            for question in questions:
+                process.stdin.write(json.dumps(question) + "\n")
                 process.stdin.flush()
                 answers.append(json.loads(process.stdout.readline()))
         except (OSError, ValueError) as error:
             said = self.stop()
             raise RuntimeError(
-                f"{self._name} answered for {len(answers)} of {len(paths)} files: {said}"
+                f"{self._name} answered for {len(answers)} of {len(questions)} files: {said}"
             ) from error
         finally:
             watch.cancel()
