@@ -10,7 +10,9 @@ import pytest
 from skinbake.choices import Truth
 from skinbake.cli.terminal import with_colours
 from skinbake.errors import Chosen, InputError, Message, Notice, Place
+from skinbake.report.totals import run_json
 from skinbake.report.verify import (
+    SCHEMA,
     Check,
     ErrorFigures,
     Figures,
@@ -20,12 +22,12 @@ from skinbake.report.verify import (
     OtherBake,
     Worst,
     as_brief,
-    as_json,
     as_junit,
     as_line,
     as_text,
     by_worse_truth,
     conclusion,
+    file_json,
     gain,
 )
 from tests.support.schemas import VERIFY
@@ -87,7 +89,7 @@ UNREADABLE = FileVerdict("no.glb", error=InputError("cannot be read", Place("no.
 
 @pytest.mark.slow
 def test_json_is_as_the_schema_has_it() -> None:
-    document = as_json([PASSED, FAILED, UNREADABLE], exit_code=3)
+    document = run_json(SCHEMA, map(file_json, [PASSED, FAILED, UNREADABLE]), exit_code=3, process=None)
     jsonschema.validate(document, VERIFY)
     assert json.loads(json.dumps(document, allow_nan=False)) == document
     assert [entry["passed"] for entry in document["files"]] == [True, False, False]
@@ -138,7 +140,7 @@ def test_a_loss_never_reads_as_a_gain_of_one(factor: float, shown: str, colour: 
     ],
 )
 def test_the_schema_notices_a_missing_member(member: str) -> None:
-    document = as_json([PASSED], exit_code=0)
+    document = run_json(SCHEMA, map(file_json, [PASSED]), exit_code=0, process=None)
     del document["files"][0][member]
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate(document, VERIFY)
@@ -157,7 +159,7 @@ def test_the_text_says_how_many_morph_targets_move(count: MorphCount, words: str
     moved = replace(PASSED, morphs=count)
     assert f"true ones, over 60 poses of 3 clips (12 s); {words}." in as_text(moved)
     assert "morph" not in as_text(PASSED)
-    document = as_json([moved], exit_code=0)
+    document = run_json(SCHEMA, map(file_json, [moved]), exit_code=0, process=None)
     jsonschema.validate(document, VERIFY)
     assert document["files"][0]["morphs"] == {"targets": count.targets, "moving": count.moving}
 
@@ -321,7 +323,7 @@ def test_bakes_that_are_better_are_named_in_words_and_in_json(accurate: float) -
         assert text_of(found).endswith(f"  Another bake is better: {told} {step}.")
     better = "better with --gradients fitted or --correctives auto"
     assert as_line(found).endswith(f", {better}")
-    document = as_json([found], exit_code=0)
+    document = run_json(SCHEMA, map(file_json, [found]), exit_code=0, process=None)
     jsonschema.validate(document, VERIFY)
     (file,) = document["files"]
     assert file["conclusion"] == better

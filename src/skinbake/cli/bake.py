@@ -6,7 +6,6 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -79,7 +78,6 @@ def command(plan: Plan[BakeOptions], *, require_tracked: bool, one_character: bo
     from skinbake.report.bake import (
         OUTCOMES,
         SCHEMA,
-        as_json,
         closing_line,
         count,
         detail_lines,
@@ -114,7 +112,7 @@ def command(plan: Plan[BakeOptions], *, require_tracked: bool, one_character: bo
         tell=tell,
         count=count,
         file_json=file_json,
-        document=partial(as_json, dry_run=plan.dry_run),
+        chosen={"dry_run": plan.dry_run},
         write=write,
     )
     commands = [Bake(one, plan.writing) for one in plan.options]

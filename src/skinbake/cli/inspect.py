@@ -8,7 +8,7 @@ import click
 
 from skinbake.cli.help import Helpful
 from skinbake.cli.inputs import is_one_file
-from skinbake.cli.many import Reporting, of_one, work_through
+from skinbake.cli.many import Reporting, work_through
 from skinbake.cli.plan import Plan, planned
 from skinbake.cli.targets import check_reports
 
@@ -38,12 +38,11 @@ def command(plan: Plan[None]) -> None:
         FILES_SCHEMA,
         OUTCOMES,
         FileSummary,
+        as_json,
         as_line,
         as_text,
         count,
         file_json,
-        files_json,
-        one_json,
     )
 
     def tell(result: FileSummary) -> None:
@@ -60,6 +59,6 @@ def command(plan: Plan[None]) -> None:
         tell=tell,
         count=count,
         file_json=file_json,
-        document=of_one(one_json) if is_one else files_json,  # a single file has its own schema
+        alone=(lambda one: as_json(one.summary) if one.summary else {}) if is_one else None,
     )
     sys.exit(work_through(plan, [Inspect()], reporting))

@@ -6,10 +6,10 @@ import os
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from skinbake.cli import exit_codes
 from skinbake.cli.console import json_text
@@ -33,7 +33,6 @@ FEW = 5
 """The number of files whose lines tell enough. If there are more, a last line has the totals."""
 
 ResultT = TypeVar("ResultT", bound="Result")
-ResultT_contra = TypeVar("ResultT_contra", bound="Result", contravariant=True)
 
 
 class Clock:
@@ -161,36 +160,6 @@ class Notes:
             self._state.close()
 
 
-class ResultsJson(Protocol[ResultT_contra]):
-    """Make the JSON object of a run."""
-
-    def __call__(
-        self,
-        results: Sequence[ResultT_contra],
-        /,
-        *,
-        exit_code: int,
-        process: Mapping[str, float | None] | None,
-    ) -> Mapping[str, object] | None:
-        """Return the object of all results. ``process`` has the seconds of the process, if requested.
-
-        None if there is nothing to print.
-        """
-
-
-def of_one(
-    one_json: Callable[[ResultT, Mapping[str, float | None] | None], Mapping[str, object] | None],
-) -> ResultsJson[ResultT]:
-    """Return the function for a run on a single file, which has its own schema, without the exit code."""
-
-    def document(
-        results: Sequence[ResultT], /, *, exit_code: int, process: Mapping[str, float | None] | None
-    ) -> Mapping[str, object] | None:
-        return one_json(results[0], process)
-
-    return document
-
-
 def code_of(result: Result) -> int:
     """Return the exit code for the result of a file."""
     return exit_codes.of_error(result.error)
@@ -200,18 +169,32 @@ def code_of(result: Result) -> int:
 class Reporting(Generic[ResultT]):
     """How a command's results are reported, counted and written, and the exit code of each.
 
-    outcomes are the kinds by which files are counted. document makes the JSON of all results. If write is
-    given, it writes another report of all results and returns its exit code.
+    outcomes are the kinds by which files are counted. The JSON of all results has that of each file, and
+    ``chosen``, options of the run. A run on a single file may have the JSON that ``alone`` makes of its
+    result in place of it, of another schema, and nothing if it failed. If write is given, it writes another
+    report of all results and returns its exit code.
     """
 
     schema: str
     outcomes: tuple[str, ...]
     tell: Callable[[ResultT], None]
     count: Callable[[Totals, ResultT], None]
-    file_json: Callable[[ResultT], Mapping[str, object]]
-    document: ResultsJson[ResultT]
+    file_json: Callable[[ResultT], Mapping[str, Any]]
+    alone: Callable[[ResultT], dict[str, Any]] | None = None
+    chosen: Mapping[str, Any] = field(default_factory=dict)
     write: Callable[[Sequence[ResultT]], int] | None = None
     code: Callable[[ResultT], int] = code_of
+
+    def document(
+        self, results: Sequence[ResultT], *, exit_code: int, process: Mapping[str, float | None] | None
+    ) -> Mapping[str, object] | None:
+        """Return the JSON of a run, with the seconds of the process, if requested; None for nothing."""
+        from skinbake.report.totals import run_json, timing_fields
+
+        if self.alone is None:
+            files = map(self.file_json, results)
+            return run_json(self.schema, files, exit_code=exit_code, process=process, **self.chosen)
+        return None if results[0].error else self.alone(results[0]) | timing_fields(process)
 
 
 def work_through(

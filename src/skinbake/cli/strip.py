@@ -8,7 +8,7 @@ import click
 
 from skinbake.cli.depfile import OPTION, check_depfile, write_depfile
 from skinbake.cli.help import Helpful
-from skinbake.cli.many import Reporting, of_one, work_through
+from skinbake.cli.many import Reporting, work_through
 from skinbake.cli.plan import Plan, planned
 from skinbake.cli.targets import check_reports
 
@@ -39,11 +39,10 @@ def command(plan: Plan[None]) -> None:
         FILES_SCHEMA,
         OUTCOMES,
         StripResult,
+        as_json,
         closing_line,
         count,
         file_json,
-        files_json,
-        one_json,
     )
 
     def tell(result: StripResult) -> None:
@@ -59,7 +58,7 @@ def command(plan: Plan[None]) -> None:
         tell=tell,
         count=count,
         file_json=file_json,
-        document=files_json if output is None else of_one(one_json),  # a single file has its own schema
+        alone=None if output is None else as_json,
         write=(lambda results: write_depfile(plan, results)) if plan.depfile else None,
     )
     sys.exit(work_through(plan, [Strip(plan.writing, plan.warnings_as_errors)], reporting))

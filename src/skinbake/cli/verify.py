@@ -133,7 +133,6 @@ def reporting(plan: Plan[VerifyOptions], extra: Extra) -> Reporting[FileVerdict]
         OUTCOMES,
         SCHEMA,
         as_brief,
-        as_json,
         as_junit,
         as_line,
         as_text,
@@ -202,7 +201,6 @@ def reporting(plan: Plan[VerifyOptions], extra: Extra) -> Reporting[FileVerdict]
         tell=tell,
         count=count,
         file_json=file_json,
-        document=as_json,
         write=write if junit or html or dump_normals else None,
         code=code,
     )

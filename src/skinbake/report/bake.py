@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -14,7 +14,6 @@ from skinbake.report.totals import (
     notice_list,
     place_fields,
     reason_of,
-    run_json,
     timing_fields,
 )
 from skinbake.wording import counted, gain_in_words, percent
@@ -394,23 +393,8 @@ def _remedy(counts: Sequence[BakedCounts]) -> str:
     return f"; try --neighbours extend, but {READERS_OF_FOUR} read four influences only"
 
 
-def as_json(
-    results: Sequence[FileResult],
-    *,
-    exit_code: int,
-    dry_run: bool,
-    process: Mapping[str, float | None] | None = None,
-) -> dict[str, Any]:
-    """Return the results as one JSON object; docs/reference/json.md documents its members.
-
-    process holds the seconds of the whole process, None if they were not requested.
-    """
-    files = map(file_json, results)
-    return run_json(SCHEMA, files, exit_code=exit_code, process=process, dry_run=dry_run)
-
-
 def file_json(result: FileResult) -> dict[str, Any]:
-    """Return the result of one file as a JSON object."""
+    """Return the result of one file as a JSON object; docs/reference/json.md documents its members."""
     return {
         "input": result.input,
         "output": result.output,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -13,7 +13,6 @@ from skinbake.report.totals import (
     notice_list,
     place_fields,
     reason_of,
-    run_json,
     timing_fields,
 )
 from skinbake.wording import counted
@@ -257,20 +256,6 @@ def as_json(result: InspectResult) -> dict[str, Any]:
         ],
         "warnings": notice_list(result.notices),
     }
-
-
-def one_json(result: FileSummary, process: Mapping[str, float | None] | None) -> dict[str, Any] | None:
-    """Return the JSON of a single file, or None if it failed. process holds the seconds of the process."""
-    if result.summary is None:
-        return None
-    return as_json(result.summary) | timing_fields(process)
-
-
-def files_json(
-    results: Sequence[FileSummary], *, exit_code: int, process: Mapping[str, float | None] | None
-) -> dict[str, Any]:
-    """Return the summaries as one JSON object; docs/reference/json.md documents its members."""
-    return run_json(FILES_SCHEMA, map(file_json, results), exit_code=exit_code, process=process)
 
 
 def file_json(result: FileSummary) -> dict[str, Any]:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from skinbake.errors import Notice, SkinbakeError, printable
-from skinbake.report.totals import Totals, error_fields, notice_list, reason_of, run_json, timing_fields
+from skinbake.report.totals import Totals, error_fields, notice_list, reason_of, timing_fields
 from skinbake.wording import counted
 
 SCHEMA = "skinbake.strip/1"
@@ -67,22 +66,8 @@ def as_json(result: StripResult) -> dict[str, Any]:
     }
 
 
-def one_json(result: StripResult, process: Mapping[str, float | None] | None) -> dict[str, Any] | None:
-    """Return the JSON of a single file, or None if it failed. process holds the seconds of the process."""
-    if result.error is not None:
-        return None
-    return as_json(result) | timing_fields(process)
-
-
-def files_json(
-    results: Sequence[StripResult], *, exit_code: int, process: Mapping[str, float | None] | None
-) -> dict[str, Any]:
-    """Return the results as one JSON object; docs/reference/json.md documents its members."""
-    return run_json(FILES_SCHEMA, map(file_json, results), exit_code=exit_code, process=process)
-
-
 def file_json(result: StripResult) -> dict[str, Any]:
-    """Return the result of one file as a JSON object."""
+    """Return the result of one file as a JSON object; docs/reference/json.md documents its members."""
     return {
         "input": result.input,
         "output": result.output,

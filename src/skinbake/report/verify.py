@@ -17,7 +17,6 @@ from skinbake.report.totals import (
     notice_list,
     place_fields,
     reason_of,
-    run_json,
     timing_fields,
 )
 from skinbake.wording import counted, gain_in_words
@@ -605,18 +604,8 @@ def _table(by_truth: Mapping[Truth, Figures]) -> Iterator[str]:
             yield f"  {method.upper() + ' gain':<16}  {', '.join(told)}  {ratio}"
 
 
-def as_json(
-    verdicts: Sequence[FileVerdict], *, exit_code: int, process: Mapping[str, float | None] | None = None
-) -> dict[str, Any]:
-    """Return the verdicts as one JSON object; docs/reference/json.md documents its members.
-
-    process holds the seconds of the whole process, None if they were not requested.
-    """
-    return run_json(SCHEMA, map(file_json, verdicts), exit_code=exit_code, process=process)
-
-
 def file_json(verdict: FileVerdict) -> dict[str, Any]:
-    """Return the result of verify for one file as a JSON object."""
+    """Return the result of verify for one file as a JSON object (docs/reference/json.md)."""
     reliefs = verdict.reliefs
     mapped = dict(reliefs.by_normal.primitives) if reliefs else {}
     mapped_by_area = dict(reliefs.by_area.primitives) if reliefs else {}
