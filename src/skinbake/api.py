@@ -430,13 +430,15 @@ def strip(
 
     """
     from skinbake.commands.strip import strip_file
+    from skinbake.files.bounds import Within
+    from skinbake.gltf.writing.output import Writing
     from skinbake.report.strip import as_json
 
     given = {"warnings_as_errors": warnings_as_errors, "sync": sync, "allow_outside": allow_outside}
     checked(STRIP, given)
-    bounds, file = _bounds(allow_outside), _source(source)
+    file, writing, within = _source(source), Writing(sync=sync), Within(_bounds(allow_outside))
     paths = file.given, _target(target, file)
-    return as_json(strip_file(*paths, warnings_as_errors=warnings_as_errors, sync=sync, bounds=bounds))
+    return as_json(strip_file(*paths, writing, within, warnings_as_errors=warnings_as_errors))
 
 
 def _source(path: FilePath) -> File:

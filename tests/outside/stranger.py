@@ -51,7 +51,7 @@ def work(source: Path, target: Path, within: Within) -> None:
         lambda: bake_file(str(source), str(target), within=within),
         lambda: verify_file(str(source), VerifyOptions(), bounds=within.bounds),
         lambda: inspect_file(str(source), within.bounds),
-        lambda: strip_file(str(source), str(target.with_name("stripped.gltf")), bounds=within.bounds),
+        lambda: strip_file(str(source), str(target.with_name("stripped.gltf")), within=within),
     ):
         with suppress(SkinbakeError):  # a refusal opens nothing outside either
             command()

@@ -15,7 +15,7 @@ from skinbake.commands.shown import tell_unplaced
 from skinbake.format.encodings import GradientFormat
 from skinbake.freshness.baked_views import sound_views
 from skinbake.gltf.document import read_document
-from skinbake.render.materials import Materials, Placement, Sampling
+from skinbake.render.materials import Materials, sampling
 from tests.support import corpus, textured
 from tests.support.baked_files import Editable, JsonObject
 from tests.support.baking import bake_file
@@ -178,26 +178,32 @@ def test_a_sampler_that_is_none_is_as_usual(tmp_path: Path, change: JsonObject) 
         content.update(change)
 
     document = read_document(str(write_model(tmp_path / "sheet.glb", [sheet()], change=broken)))
-    assert Materials(document).of(0, False).samplings["base"] == Sampling()
+    assert sampling(Materials(document).of(0, False).textures["base"]) == ("repeat", "repeat", "linear")
 
 
-def placement(folder: Path, info: object) -> Placement:
+def placement(folder: Path, info: object) -> tuple[object, ...]:
     def change(content: JsonObject) -> None:
         content["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": info}}]
         content["images"], content["textures"] = [textured.image([(1, 2, 3)])], [{"source": 0}]
 
     document = read_document(str(write_model(folder / "sheet.glb", [sheet()], change=change)))
-    return Materials(document).of(0, False).placements["base"]
+    found = Materials(document).of(0, False).textures["base"]
+    return found.texcoord, found.offset, found.rotation, found.scale
 
 
 @pytest.mark.parametrize("content", textured.BROKEN, ids=str)
 def test_broken_values_say_nothing(tmp_path: Path, content: object) -> None:
     info = {"index": 0, "texCoord": 3, "extensions": {textured.NAME: content}}
-    assert placement(tmp_path, info) == Placement(texcoord=3)
+    assert placement(tmp_path, info) == (3, (0.0, 0.0), 0.0, (1.0, 1.0))
 
 
 def test_each_value_of_a_texture_transform_is_read_by_itself(tmp_path: Path) -> None:
     told = {"offset": [1, 2], "rotation": "none", "scale": [3, 4], "texCoord": 2.0}
     info = {"index": 0, "texCoord": "first", "extensions": {textured.NAME: told}}
-    assert placement(tmp_path, info) == Placement(2, (1.0, 2.0), 0.0, (3.0, 4.0))
-    assert placement(tmp_path, {"index": 0, "texCoord": -1, "extensions": []}) == Placement()
+    assert placement(tmp_path, info) == (2, (1.0, 2.0), 0.0, (3.0, 4.0))
+    assert placement(tmp_path, {"index": 0, "texCoord": -1, "extensions": []}) == (
+        0,
+        (0.0, 0.0),
+        0.0,
+        (1.0, 1.0),
+    )

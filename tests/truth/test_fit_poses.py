@@ -16,7 +16,7 @@ from skinbake.gltf.document import Document, read_document
 from skinbake.gltf.reading.clips import read_clips
 from skinbake.gltf.reading.meshes import skinned_sources
 from skinbake.truth.fit_poses import ANIMATIONS, BETWEEN, CLIP_POSES, posed_rig
-from skinbake.truth.poses import PoseRequest, joint_clips, pose_set
+from skinbake.truth.poses import PoseRequest, moving_clips, pose_set
 from tests.support.baked_files import Editable
 
 TUBE, TWO_SKINS = FOLDER / "bent_tube.glb", FOLDER / "shared_accessors.gltf"
@@ -40,7 +40,7 @@ def rig(document: Document, *sources: str) -> Rig:
 @pytest.mark.parametrize("count", range(1, 40))
 def test_verify_measures_no_pose_that_the_fit_takes(tmp_path: Path, count: int) -> None:
     document = with_clips(tmp_path, count)
-    clips = joint_clips(document, 0, read_clips(document))
+    clips = moving_clips(document, 0, read_clips(document))
     measured = pose_set(document, 0, clips, PoseRequest()).times
     each = -(-CLIP_POSES // min(count, CLIP_POSES))
     taken = pose_set(document, 0, clips[:1], PoseRequest(samples=each, offset=BETWEEN)).times
@@ -120,7 +120,7 @@ def test_skins_that_differ_in_their_bind_poses_share_what_a_clip_moves(tmp_path:
 
     def posed(document: Document, skin: int) -> tuple[Float64Array, float]:
         """Return the joint matrices of a skin in its clip, and the steps that they took."""
-        before, clips = document.budget.taken.steps, joint_clips(document, skin, read_clips(document))
+        before, clips = document.budget.taken.steps, moving_clips(document, skin, read_clips(document))
         matrices = pose_set(document, skin, clips, PoseRequest(samples=8)).joint_matrices
         return matrices, document.budget.taken.steps - before
 

@@ -53,12 +53,13 @@ def command(plan: Plan[Any], *, source: str | None, **choices: Any) -> None:
     check_text_target(output)
     # The text may be the result on stdout, so everything else goes to stderr.
     say = plan.say._replace(results_on_stderr=True)
-    from skinbake.commands.shader import shader, write_shader
+    from skinbake.commands.shader import shader
+    from skinbake.files.writing import write_result
     from skinbake.gltf.budget import memory_limited
 
     with ended_by_errors(say), memory_limited(plan.max_memory):
         result = shader(_request(choices), source, output, plan.bounds())
-        write_shader(result, output, sync=not plan.no_sync)
+        write_result([result.text.encode("utf-8")], output, sync=not plan.no_sync)
     say.notices(result.notices)
     if output != STDIO:
         say.result(f"{printable(output)}: {result.choices.words}")

@@ -66,7 +66,8 @@ def command(plan: Plan[Any], source: str, *, port: int, no_browser: bool) -> Non
     if Path(source).is_dir():
         sys.exit(_write_sheet(plan, source, output))
     source = path_on_disk(source)
-    from skinbake.commands.view import view_file, write_page
+    from skinbake.commands.view import view_file
+    from skinbake.files.writing import write_result
 
     call = partial(view_file, source, output, plan.bounds())
     with ended_by_errors(say):
@@ -87,7 +88,7 @@ def command(plan: Plan[Any], source: str, *, port: int, no_browser: bool) -> Non
 
             serve(result.page, port, started)
         else:
-            write_page(result, output, sync=not plan.no_sync)
+            write_result([result.page], output, sync=not plan.no_sync)
     if output != STDIO:
         how = "" if result.was_baked else ", baked in memory"
         say.written(

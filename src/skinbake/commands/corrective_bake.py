@@ -17,7 +17,6 @@ from skinbake.correctives.fit import (
     LEAST_KEYS,
     Correctives,
     Figures,
-    Form,
     Motion,
     fitted,
     held_back_times,
@@ -59,18 +58,8 @@ from skinbake.wording import counted
 if TYPE_CHECKING:
     from skinbake.report.verify import FileVerdict
 
-FORMS = {
-    Encoding.FLOAT32: Form(1.0, 2.0**-14),
-    Encoding.SNORM16: Form(1.0, 1.0 / 32767.0),
-    Encoding.PACKED8: Form(1.0, 1.0 / 127.0),
-}
-"""How targets are stored. The longest vector of each is as long as a normal: weights stay below about 3.
-
-Shorter targets with larger weights suit engines that keep the direction of a target's normal, by theory. But
-at length 1 such storage adds 0.013° to CesiumMan's mean, at a sixteenth 0.001°. And large weights do harm:
-Godot's Compatibility renderer turned normals inside out at weights of 30, Blender's weights end at 10, and
-Unreal drops changes of 0.1 or less.
-"""
+STEPS = {Encoding.FLOAT32: 2.0**-14, Encoding.SNORM16: 1.0 / 32767.0, Encoding.PACKED8: 1.0 / 127.0}
+"""The steps of the components of targets as they are stored."""
 
 UNIT_LENGTH = 1e-2
 """How far the length of a stored normal may be from 1 without a difference to its targets: bytes are."""
@@ -352,7 +341,7 @@ def _fitted(
             motions,
             areas,
             None if options.correctives == "auto" else options.correctives,
-            FORMS[options.encoding],
+            STEPS[options.encoding],
             accurate=accurate,
             claim=lambda work: document.budget.claim(work, "fitting its correctives", place),
         )

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import Any, TypeAlias
 
 from skinbake.skinning.counting import Cost, cost_table, multiply_adds, normal_map_cost
 from skinbake.skinning.rest import Algorithm
@@ -43,21 +43,18 @@ WIDTH = 78
 """The longest line of a sentence."""
 
 
-class Costs(NamedTuple):
-    """The costs of a vertex with a number of influences, its data in the most common types of glTF."""
-
-    influences: int
-    costs: dict[Algorithm, Cost]
+Costs: TypeAlias = dict[int, dict[Algorithm, Cost]]
+"""The costs of a vertex by its number of influences, its data in the most common types of glTF."""
 
 
-def costs_of(influences: int | None) -> list[Costs]:
+def costs_of(influences: int | None) -> Costs:
     """Return the costs of a vertex with N ≥ 1 influences; None: of all numbers in the table."""
-    return [Costs(one, cost_table(one)) for one in (TABLE if influences is None else [influences])]
+    return {one: cost_table(one) for one in (TABLE if influences is None else [influences])}
 
 
-def as_text(rows: Sequence[Costs]) -> str:
+def as_text(costs: Costs) -> str:
     """Return the costs as tables for a terminal, with a sentence on operations and one on bytes."""
-    lines = _single_lines(rows[0]) if len(rows) == 1 else _table_lines(rows)
+    lines = _single_lines(*next(iter(costs.items()))) if len(costs) == 1 else _table_lines(costs)
     return "\n".join([*lines, *textwrap.wrap(RULES, WIDTH), *textwrap.wrap(TYPES, WIDTH)])
 
 
@@ -65,34 +62,34 @@ def _label(algorithm: int) -> str:
     return f"{algorithm:d}  {NAMES[algorithm]:<12}"
 
 
-def _single_lines(row: Costs) -> Iterator[str]:
-    yield f"Per vertex with {counted(row.influences, 'influence')}"
+def _single_lines(influences: int, costs: Mapping[Algorithm, Cost]) -> Iterator[str]:
+    yield f"Per vertex with {counted(influences, 'influence')}"
     yield f"  {'':<15}{'multiply-adds':>15}{'bytes':>7}{'added':>7}  multiply-adds by line"
-    for algorithm, cost in row.costs.items():
+    for algorithm, cost in costs.items():
         by_line = "+".join(str(count) for count in cost.lines.values())
         size = cost.vertex_bytes
         yield f"  {_label(algorithm)}{cost.multiply_adds:15,}{size.total:7,}{size.added:7,}  {by_line}"
 
 
-def _table_lines(rows: Sequence[Costs]) -> Iterator[str]:
+def _table_lines(costs: Costs) -> Iterator[str]:
     for title in ("Multiply-adds per vertex", "Bytes per vertex"):
         yield title
-        yield f"  {'N influences':<15}" + "".join(f"{row.influences:6}" for row in rows)
+        yield f"  {'N influences':<15}" + "".join(f"{influences:6}" for influences in costs)
         for algorithm in Algorithm:
-            costs = [row.costs[algorithm] for row in rows]
-            figures = [one.vertex_bytes.total if "Bytes" in title else one.multiply_adds for one in costs]
+            row = [by_algorithm[algorithm] for by_algorithm in costs.values()]
+            figures = [one.vertex_bytes.total if "Bytes" in title else one.multiply_adds for one in row]
             yield f"  {_label(algorithm)}" + "".join(f"{value:6}" for value in figures)
 
 
-def as_json(rows: Sequence[Costs]) -> dict[str, Any]:
+def as_json(costs: Costs) -> dict[str, Any]:
     """Return the costs as one JSON object; docs/reference/json.md documents its members."""
-    found = [_row_as_json(row) for row in rows]
-    return {"schema": SCHEMA, **found[0]} if len(rows) == 1 else {"schema": SCHEMA, "table": found}
+    found = [_row_as_json(*row) for row in costs.items()]
+    return {"schema": SCHEMA, **found[0]} if len(costs) == 1 else {"schema": SCHEMA, "table": found}
 
 
-def _row_as_json(row: Costs) -> dict[str, Any]:
-    found: dict[str, Any] = {"influences": row.influences}
-    for algorithm, cost in row.costs.items():
+def _row_as_json(influences: int, costs: Mapping[Algorithm, Cost]) -> dict[str, Any]:
+    found: dict[str, Any] = {"influences": influences}
+    for algorithm, cost in costs.items():
         figures = {
             "multiply_adds": cost.multiply_adds,
             "bytes": cost.vertex_bytes.total,
@@ -101,7 +98,7 @@ def _row_as_json(row: Costs) -> dict[str, Any]:
             "lines": {str(number): count for number, count in cost.lines.items()},
         }
         if algorithm.uses_dual_quaternions:
-            scaled = multiply_adds(algorithm, row.influences, scaled_joints=True)
+            scaled = multiply_adds(algorithm, influences, scaled_joints=True)
             figures["scaled_joints"] = sum(scaled.values())
             figures["scaled_joints_normal_map"] = normal_map_cost(algorithm, scaled_joints=True)
         for figure, value in figures.items():

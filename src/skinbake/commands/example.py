@@ -8,7 +8,7 @@ from pathlib import Path
 
 from skinbake.errors import OutputError, Place
 from skinbake.files.urls import STDIO
-from skinbake.files.writing import write_file, write_stdout
+from skinbake.files.writing import write_result
 
 MODEL = Path(__file__).resolve().parents[1] / "example" / "arm.glb"
 """A tube of two joints that bends, with one animation: the fixture ``bent_tube.glb``."""
@@ -20,12 +20,9 @@ def write_example(target: str, *, sync: bool = True) -> int:
     Raises OutputError if it cannot be written, or if another file has the name: it may be a user's own model.
     """
     data = MODEL.read_bytes()
-    if target == STDIO:
-        write_stdout([data])
-        return len(data)
     path = Path(target)
-    if not os.path.lexists(path):
-        write_file([data], target, sync=sync)
+    if target == STDIO or not os.path.lexists(path):
+        write_result([data], target, sync=sync)
     elif not _holds(path, data):
         raise OutputError("another file has this name already; give the example a new one", Place(target))
     return len(data)

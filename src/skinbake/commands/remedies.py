@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from skinbake.choices import Gradients
 from skinbake.errors import Chosen, Message, Notice, Place
 from skinbake.freshness.baked_views import BakedView
 from skinbake.gltf.document import Document
 from skinbake.measure.guard import UNSEEN
-from skinbake.report.verify import FileVerdict, Normals, gain
+from skinbake.report.verify import FileVerdict, gain
 from skinbake.wording import gain_in_words
 
 WORSE = 0.995
@@ -19,6 +18,9 @@ WORSE = 0.995
 
 _LightingOf = tuple[str, str]
 """A skinning method and a lighting of it."""
+
+_Gains = dict[_LightingOf, float]
+"""The gains of a primitive, each by the worse truth."""
 
 LBS_ACCURATE: _LightingOf = ("lbs", "accurate")
 DQS_ACCURATE: _LightingOf = ("dqs", "accurate")
@@ -40,56 +42,40 @@ def tell_worse_lighting(
     by_place = {view.source.place: view for view in views}
     better = verdict.others[0].options if verdict.others else None
     for place, gains in _gains(verdict, methods).items():
-        if gains.least < WORSE:
+        if gains[_least(gains)] < WORSE:
             # Whether the bake compared its lighting with standard lighting.
             view = by_place.get(place)
             guarded = view is None or view.kind is Gradients.FITTED
             message = _worse(gains, is_guarded=guarded, better=better)
-        elif gains.by_lighting.get(DQS_ACCURATE, WORSE) < WORSE:
+        elif gains.get(DQS_ACCURATE, WORSE) < WORSE:
             message = _exact_is_better(gains)
         else:
             continue
         document.notices.tell(Notice("lighting-worse", message, place))
 
 
-class _Gains(NamedTuple):
-    """The gains of a primitive, each by the worse truth."""
-
-    by_lighting: dict[_LightingOf, float]
-
-    def add(self, normals: Normals) -> None:
-        """Add the gains by one truth."""
-        for method, figures in normals.items():
-            if gain(figures) is None:
-                continue
-            for lighting in sorted({"accurate", "exact"} & set(figures)):
-                found = gain(figures, lighting)
-                factor = math.inf if found is None else found  # None: but for rounding it is right
-                if figures[lighting].p99 < UNSEEN:
-                    factor = max(factor, 1.0)
-                known = self.by_lighting.get((method, lighting), math.inf)
-                self.by_lighting[method, lighting] = min(factor, known)
-
-    @property
-    def least(self) -> float:
-        """Return the gain of the method that gains less, with its better lighting."""
-        return self.by_lighting[self.least_of]
-
-    @property
-    def least_of(self) -> _LightingOf:
-        """Return the method that gains less, and its better lighting."""
-        ranked = sorted(self.by_lighting, key=self.by_lighting.__getitem__)
-        better = {method: (method, lighting) for method, lighting in ranked}
-        return min(better.values(), key=self.by_lighting.__getitem__)
-
-
 def _gains(verdict: FileVerdict, methods: Sequence[str]) -> dict[Place, _Gains]:
     """Return the gains of the primitives that have any by the methods."""
     found: dict[Place, _Gains] = {}
     for place, normals in verdict.primitives:
-        asked = {method: figures for method, figures in normals.items() if method in methods}
-        found.setdefault(place, _Gains({})).add(asked)
-    return {place: gains for place, gains in found.items() if gains.by_lighting}
+        own = found.setdefault(place, {})
+        for method, figures in normals.items():
+            if method not in methods or gain(figures) is None:
+                continue
+            for lighting in sorted({"accurate", "exact"} & set(figures)):
+                factor = gain(figures, lighting)
+                factor = math.inf if factor is None else factor  # None: but for rounding it is right
+                if figures[lighting].p99 < UNSEEN:
+                    factor = max(factor, 1.0)
+                own[method, lighting] = min(factor, own.get((method, lighting), math.inf))
+    return {place: gains for place, gains in found.items() if gains}
+
+
+def _least(gains: _Gains) -> _LightingOf:
+    """Return the method that gains less, and its better lighting."""
+    ranked = sorted(gains, key=gains.__getitem__)
+    better = {method: (method, lighting) for method, lighting in ranked}
+    return min(better.values(), key=gains.__getitem__)
 
 
 def _worse(own: _Gains, *, is_guarded: bool, better: str | None) -> str:
@@ -97,10 +83,10 @@ def _worse(own: _Gains, *, is_guarded: bool, better: str | None) -> str:
 
     ``better`` are the options of a bake that lights the file better.
     """
-    lbs = own.by_lighting.get(LBS_ACCURATE, 0.0)
+    lbs, least = own.get(LBS_ACCURATE, 0.0), _least(own)
     only_dqs = lbs >= WORSE
-    called = "exact DQS" if own.least_of == DQS_EXACT else own.least_of[0].upper()
-    message = f"α/β make its lighting worse: the {called} gain is {gain_in_words(own.least)}"
+    called = "exact DQS" if least == DQS_EXACT else least[0].upper()
+    message = f"α/β make its lighting worse: the {called} gain is {gain_in_words(own[least])}"
     message += f", and the LBS gain is {gain_in_words(lbs)}. " if only_dqs else ". "
     if better is not None and not only_dqs:
         return f"{message}A bake with {better} lights the file better"
@@ -108,19 +94,19 @@ def _worse(own: _Gains, *, is_guarded: bool, better: str | None) -> str:
         fitted = Chosen("gradients", Gradients.FITTED)
         advice = ", compares itself with standard lighting in the file's own clips: bake so"
         return Message(f"{message}The default, ", fitted, advice)
-    other = "Blended" if own.least_of[0] == "blend" else "With dual quaternions"
+    other = "Blended" if least[0] == "blend" else "With dual quaternions"
     message += f"{other}, light" if only_dqs else "Light"
     return f"{message} it the standard way (in skinbake-three: lighting(mesh, 'standard'))"
 
 
 def _exact_is_better(own: _Gains) -> str:
     """Return what is told of a primitive whose lighting only accurate dual quaternions make worse."""
-    accurate, exact = own.by_lighting[DQS_ACCURATE], own.by_lighting[DQS_EXACT]
+    accurate, exact = own[DQS_ACCURATE], own[DQS_EXACT]
     better = "is right" if math.isinf(exact) else f"gains {gain_in_words(exact)}"
     message = (
         "accurate lighting of dual quaternions makes it worse: the DQS gain is "
         f"{gain_in_words(accurate)}. Exact lighting {better}: take that with dual quaternions, as skinbake "
         "shader --method dqs does"
     )
-    lbs = own.by_lighting.get(LBS_ACCURATE)
+    lbs = own.get(LBS_ACCURATE)
     return message + ("" if lbs is None else f". The LBS gain is {gain_in_words(lbs)}")

@@ -28,6 +28,7 @@ from skinbake.gltf.writing.output import refuse_own_input
 from skinbake.measure.draws import Draw
 from skinbake.measure.scene import LIGHTINGS, Attachment, Scene, attachments, claim_draws, errors_of
 from skinbake.render.materials import CLAY, WHITE, Materials
+from skinbake.render.materials import placed as placed_by
 from skinbake.render.pictures import MILLISECONDS, MOVING, captioned, encoded
 from skinbake.render.studio import Look, Picture, Studio, placed, require_packages
 from skinbake.render.subject import YAW, Camera, Shot, Subject
@@ -360,11 +361,11 @@ def _subjects(
         material = materials.of(source.material, in_clay, is_lit=is_lit)
         # The texture coordinates (V, 2) of each image that lies on a set which the primitive has.
         count, texcoords = len(rest.positions), dict[str, FloatArray]()
-        for use, placement in material.placements.items():
-            name = f"TEXCOORD_{placement.texcoord}"
+        for use, texture in material.textures.items():
+            name = f"TEXCOORD_{texture.texcoord}"
             own = None if name in ours else _attribute(document, source, name, (2,), count)
             if own is not None:
-                texcoords[use] = placement.placed(own)
+                texcoords[use] = placed_by(texture, own)
         material = material.with_images(texcoords)
         colours = None if material.is_plain else _attribute(document, source, "COLOR_0", (3, 4), count)
         if colours is not None and material.base == CLAY:

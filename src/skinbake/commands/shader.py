@@ -11,8 +11,6 @@ import numpy as np
 from skinbake.choices import Encoding, Frame, Layout, Method, Morphs, Stage
 from skinbake.errors import ChoiceError, InputError, Notice, Place
 from skinbake.files.bounds import BESIDE, Bounds
-from skinbake.files.urls import STDIO
-from skinbake.files.writing import write_file, write_stdout
 from skinbake.format.note import IN_PLANE, UPWARD, corrective_notes
 from skinbake.freshness.baked_views import BakedView, baked_views, is_baked, rest_primitive
 from skinbake.freshness.staleness import claim_freshness, refuse_stale
@@ -78,15 +76,6 @@ def shader(
 def check_request(request: ShaderRequest) -> None:
     """Raise ChoiceError if a request is refused for the usual kind of file."""
     shader_made(request.decided(scale=1.0))
-
-
-def write_shader(result: ShaderResult, target: str, *, sync: bool = True) -> None:
-    """Write the text to a file, whole or not at all, or to stdout. Raises OutputError."""
-    pieces = [result.text.encode("utf-8")]
-    if target == STDIO:
-        write_stdout(pieces)
-    else:
-        write_file(pieces, target, sync=sync)
 
 
 def _choices_of_file(document: Document, request: ShaderRequest) -> ShaderChoices:

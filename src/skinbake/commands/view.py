@@ -20,7 +20,7 @@ from skinbake.commands.verify import verify_document
 from skinbake.errors import InputError, Notice, Notices, SkinbakeError
 from skinbake.files.bounds import BESIDE, Bounds
 from skinbake.files.urls import STDIO
-from skinbake.files.writing import write_file, write_files, write_stdout
+from skinbake.files.writing import write_file, write_files
 from skinbake.format.note import corrective_notes
 from skinbake.format.strip import stripped
 from skinbake.freshness.baked_views import BakedView, sound_views
@@ -51,7 +51,7 @@ from skinbake.report.verify import (
 )
 from skinbake.timing import stage
 from skinbake.view.index import Listed, pages, sheet
-from skinbake.view.page import OtherGradients, Shown, page
+from skinbake.view.page import OtherGradients, page
 from skinbake.view.texts import INFLUENCES
 from skinbake.wording import counted
 
@@ -145,7 +145,7 @@ def page_of(
             "limits": limits,
             **_places(document, views, corrected, verdict),
         }
-        made = page(Shown(name=name, glb=glb, others=others, findings=findings))
+        made = page(name, glb, others, findings)
         if len(made) > LARGE_PAGE:
             images = f"{bytes_of_images(packed) / 1e6:.0f} MB are images"
             message = (
@@ -159,14 +159,6 @@ def page_of(
 IN_MEMORY = "This page baked it in memory, with the defaults."
 LEFT_OUT = "The correctives of the file are damaged. The page draws what α and β would give in place of them."
 COMPARED = "The file has correctives. What α and β would give was baked in memory, with the defaults."
-
-
-def write_page(result: ViewResult, target: str, *, sync: bool = True) -> None:
-    """Write the page to a file, whole or not at all, or to stdout. Raises OutputError."""
-    if target == STDIO:
-        write_stdout([result.page])
-    else:
-        write_file([result.page], target, sync=sync)
 
 
 def _other_gradients(
@@ -208,7 +200,7 @@ def _other_gradients(
             continue
         found = _with_influences(other, kind)
         same = is_shown and np.array_equal(other.now.joints, view.now.joints)
-        yield replace(found, joints=None, weights=None) if same else found
+        yield found._replace(joints=None, weights=None) if same else found
 
 
 def _with_influences(view: BakedView, kind: Gradients) -> OtherGradients:
@@ -261,6 +253,16 @@ def _places(
 def _findings(verdict: FileVerdict) -> dict[str, Any]:
     """Return the verdict in the members of verify's JSON, with problems as sentences."""
     told, judged = file_json(verdict), conclusion(verdict)
+    checks = [
+        {
+            **check,
+            "problems": [
+                f"{where}: {problem.message}" if (where := problem.place.within_file) else problem.message
+                for problem in own.problems
+            ],
+        }
+        for check, own in zip(told["checks"], verdict.checks, strict=True)
+    ]
     remark = judged.sentence.removeprefix(f"{judged.headline}: ") if judged else ""
     return {
         "verdict": judged
@@ -274,18 +276,7 @@ def _findings(verdict: FileVerdict) -> dict[str, Any]:
         "primitives": told["primitives"],
         "poses": told["poses"],
         "outcome": verdict.outcome,
-        "checks": [
-            {
-                "name": check.name,
-                "outcome": check.outcome,
-                "remark": check.remark,
-                "problems": [
-                    f"{where}: {problem.message}" if (where := problem.place.within_file) else problem.message
-                    for problem in check.problems
-                ],
-            }
-            for check in verdict.checks
-        ],
+        "checks": checks,
     }
 
 
@@ -417,9 +408,9 @@ def _listed(verdict: FileVerdict, link: str | None, entry: Entry) -> Listed:
 
 def limits_in_words(options: VerifyOptions) -> list[str]:
     """Return the limits that were asked for, in words."""
-    given = (
-        ("mean error at most", options.max_mean_error, "°"),
-        ("95th percentile of the error at most", options.max_p95_error, "°"),
-        ("gain at least", options.min_gain, "×"),
-    )
-    return [f"{words} {limit:g}{unit}" for words, limit, unit in given if limit is not None]
+    words = {
+        "--max-mean-error": "mean error at most {:g}°",
+        "--max-p95-error": "95th percentile of the error at most {:g}°",
+        "--min-gain": "gain at least {:g}×",
+    }
+    return [words[option].format(limit) for option, limit in options.limits.items()]

@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 
 from skinbake.choices import USUAL_TRUTHS
-from skinbake.correctives.principal import gram, leading, refined, scaled_to
+from skinbake.correctives.principal import gram, leading, normalise, refined
 from skinbake.correctives.surface import CorrectedSurface
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray
 from skinbake.gltf.budget import Cost, Work
@@ -58,7 +58,7 @@ UNSEEN = float(np.radians(0.1))
 """A vertex whose targets never turn its normal by more than this angle has none."""
 
 WEIGHT_STEP = 2.0**-14
-"""Weights are rounded to steps that move the longest vector of a target by this length."""
+"""The steps of weights, of which each moves the longest vector of a target by this length."""
 
 WORSE = 1.005
 """A clip or a primitive is given up if its mean error grows over this share by either truth."""
@@ -130,21 +130,13 @@ class Correctives:
         return len(self.targets[0])
 
 
-@dataclass(frozen=True, slots=True)
-class Form:
-    """How targets are stored: the length of the longest vector of each, and the steps of its components."""
-
-    longest: float
-    step: float
-
-
 def fitted(
     surface: CorrectedSurface,
     meshes: Sequence[slice],
     motions: Sequence[Motion],
     areas: FloatArray,
     wanted: int | None,
-    form: Form,
+    step: float,
     *,
     accurate: bool = False,
     claim: Callable[[Work], None] = lambda work: None,
@@ -152,8 +144,8 @@ def fitted(
     """Return the correctives of each mesh of a surface. wanted is the number of targets, None for ``auto``.
 
     meshes are parts of the primitives of the surface. areas (V,) weight the vertices of all primitives.
-    accurate: toward the normals of α and β. ``claim`` is called with the work of the fit before it is
-    done.
+    step is that of the components of targets as they are stored. accurate: toward the normals of α and β.
+    ``claim`` is called with the work of the fit before it is done.
     """
     most = max(LEAST_KEYS, min(MOST_KEYS, SAMPLES // max(surface.count, 1)))
     samples = surface.count * max(most, LEAST_KEYS * len(motions))
@@ -178,14 +170,14 @@ def fitted(
             changes[:, rows], None if normals is None else normals[:, rows], own_areas, shares, wanted
         )
         used = np.asarray(own_areas > 0.0)
-        scaled_to(targets, weights, used, form.longest)
+        normalise(targets, weights, used)
         # No weight is a fraction that two processors could round in two ways.
-        weights = np.rint(weights * (form.longest / WEIGHT_STEP)) * (WEIGHT_STEP / form.longest)
-        targets = np.rint(targets / form.step) * form.step
+        weights = np.rint(weights / WEIGHT_STEP) * WEIGHT_STEP
+        targets = np.rint(targets / step) * step
         turned = (np.abs(weights).max(axis=0)[:, None] * np.sqrt(np.square(targets).sum(axis=2))).sum(axis=0)
         targets[:, ~used | (turned < UNSEEN)] = 0.0
         tried.append((targets, weights, left))
-    return _helpful(surface, meshes, motions, times, tried, areas, form.step)
+    return _helpful(surface, meshes, motions, times, tried, areas, step)
 
 
 def _fit(

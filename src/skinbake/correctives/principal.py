@@ -212,13 +212,17 @@ def _solved(matrix: Float64Array, right: Float64Array) -> Float64Array:
     return found
 
 
-def scaled_to(targets: Float64Array, weights: Float64Array, used: BoolArray, longest: float) -> None:
-    """Scale each target (K, V, 2) so that its longest vector has a length, and its weights (R, K) against it.
+def normalise(targets: Float64Array, weights: Float64Array, used: BoolArray) -> None:
+    """Scale each target (K, V, 2) so that its longest vector has length 1, and its weights (R, K) against it.
 
-    The arrays are changed. used (V,) are the vertices that count.
+    So weights stay below about 3. The arrays are changed. used (V,) are the vertices that count.
     """
+    # Shorter targets with larger weights suit engines that keep the direction of a target's normal, by
+    # theory. But at length 1 such storage adds 0.013° to CesiumMan's mean, at a sixteenth 0.001°. And large
+    # weights do harm: Godot's Compatibility renderer turned normals inside out at weights of 30, Blender's
+    # weights end at 10, and Unreal drops changes of 0.1 or less.
     for number in range(len(targets)):
         length = float(np.sqrt(np.square(targets[number, used]).sum(axis=1).max(initial=0.0)))
         if length > 0.0:
-            targets[number] *= longest / length
-            weights[:, number] *= length / longest
+            targets[number] *= 1.0 / length
+            weights[:, number] *= length

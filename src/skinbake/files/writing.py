@@ -22,6 +22,7 @@ from skinbake.errors import OutputError, Place, ReaderGoneError, not_written
 from skinbake.files import Bytes
 from skinbake.files.folders import BY_DESCRIPTOR, Folder, beneath, flush, open_regular
 from skinbake.files.temporary import NEW_FILE, remove_abandoned, status_of, take_over, temporary_name
+from skinbake.files.urls import STDIO
 from skinbake.files.versions import Signature, Version, signature_of
 from skinbake.signals import interrupts_put_off
 
@@ -79,6 +80,14 @@ def write_stdout(pieces: Iterable[Bytes]) -> None:
     except (AttributeError, OSError) as error:  # AttributeError: stdout is closed
         reason = getattr(error, "strerror", None) or "it is closed"
         raise not_written(reason, Place("<stdout>")) from error
+
+
+def write_result(pieces: Iterable[Bytes], target: str, *, sync: bool = True) -> None:
+    """Write to a file that the user named, or to stdout for ``-``. Raises OutputError."""
+    if target == STDIO:
+        write_stdout(pieces)
+    else:
+        write_file(pieces, target, sync=sync)
 
 
 def write_file(pieces: Iterable[Bytes], target: str, *, sync: bool = True) -> None:

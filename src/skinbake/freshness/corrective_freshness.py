@@ -24,7 +24,7 @@ from skinbake.gltf.reading.clips import MORPH_WEIGHTS, Channel, Clip, clip_poses
 from skinbake.gltf.reading.meshes import read_primitive
 from skinbake.gltf.reading.skins import Skeleton, read_skeleton
 from skinbake.report.verify import Check
-from skinbake.truth.poses import joint_clips, pose_work
+from skinbake.truth.poses import moving_clips, pose_work
 
 BAKE = "run skinbake bake --correctives again"
 
@@ -176,7 +176,7 @@ class PlayedClips:
             if skin is None:
                 continue
             if skin not in self._by_skin:
-                moving = joint_clips(document, skin, read_clips(document))
+                moving = moving_clips(document, skin, read_clips(document))
                 self._by_skin[skin] = {clip.number: self._printed(skin, clip) for clip in moving}
             resting = document.asset.nodes[node].resting_weights()
             for clip in read_clips(document):

@@ -66,12 +66,10 @@ def rigid_motions(
     return RigidMotions(scale, dual_quaternions_from_matrices(motions), not_rigid, deviation)
 
 
-def not_rigid_joints(
-    joint_matrices: FloatArray, in_use: BoolArray, *, tolerance: float = RIGID_TOLERANCE
-) -> IntArray:
+def not_rigid_joints(joint_matrices: FloatArray, in_use: BoolArray) -> IntArray:
     """Return ``rigid_motions(…).not_rigid`` in half the time, because no dual quaternion is made."""
     _, deviation = _scale_and_deviation(np.asarray(joint_matrices, dtype=np.float64), in_use)
-    return np.flatnonzero(in_use & ~(deviation <= tolerance))
+    return np.flatnonzero(in_use & ~(deviation <= RIGID_TOLERANCE))
 
 
 def _scale_and_deviation(matrices: Float64Array, used: BoolArray) -> tuple[Float64Array, Float64Array]:

@@ -27,15 +27,8 @@ class Strip:
         """Strip the file. Raises SkinbakeError; then nothing has been written. Nothing is traced."""
 
         def stripped(source: str, target: str | None, within: Within) -> StripResult:
-            return strip_file(
-                source,
-                str(target),
-                warnings_as_errors=self.warnings_as_errors,
-                sync=self.writing.sync,
-                bounds=within.bounds,
-                root=within.output,
-                lists_read=self.writing.lists_read,
-            )
+            as_errors = self.warnings_as_errors
+            return strip_file(source, str(target), self.writing, within, warnings_as_errors=as_errors)
 
         return on_files(job, stripped)
 

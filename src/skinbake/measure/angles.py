@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
 
-from skinbake.geometry import dual_quaternions
 from skinbake.geometry.skinned import BoolArray, Float32Array, Float64Array, FloatArray, IntArray, blocks
 from skinbake.measure.draws import Corrections
 from skinbake.skinning.blended import BlendedSkinning
 from skinbake.skinning.components import Vector, cross, dot, scaled
 from skinbake.skinning.rest import Algorithm, Options, RestPrimitive
-from skinbake.skinning.run import Skinning, joints_in_use
+from skinbake.skinning.run import Skinning
 from skinbake.threads import Threads, thread_count
 from skinbake.timing import stage
 from skinbake.truth import kernel
@@ -69,12 +68,6 @@ class MeasuredBlock:
     vertex: int
     errors: Float32Array
     valid: BoolArray
-
-
-def not_rigid_joints(primitives: Sequence[RestPrimitive], joint_matrices: Float64Array) -> list[int]:
-    """Return the joints in use that are not rigid, up to one scale, in joint matrices (P, J, 4, 4)."""
-    in_use = joints_in_use(primitives, joint_matrices.shape[1])
-    return [int(joint) for joint in dual_quaternions.not_rigid_joints(joint_matrices, in_use)]
 
 
 def lighting_errors(  # noqa: PLR0913  # five arguments are optional, and by keyword

@@ -13,6 +13,7 @@ from skinbake.choices import PoseKind, Truth
 from skinbake.errors import BudgetError, InputError, Notice, Place
 from skinbake.freshness.baked_views import baked_views
 from skinbake.freshness.staleness import claim_freshness
+from skinbake.geometry.dual_quaternions import not_rigid_joints
 from skinbake.geometry.poses import determinants
 from skinbake.geometry.skinned import BoolArray
 from skinbake.gltf.asset import PrimitiveSource
@@ -23,7 +24,6 @@ from skinbake.measure.angles import (
     IDENTITY_TOLERANCE,
     MeasuredBlock,
     lighting_errors,
-    not_rigid_joints,
 )
 from skinbake.measure.draws import Draw
 from skinbake.measure.float32 import Rounding, rounding_of
@@ -297,7 +297,8 @@ def _rounded(drawn: Sequence[Draw]) -> Iterator[Notice]:
 
 def scaled_joints(rest: Sequence[RestPrimitive], poses: PoseSet) -> list[str]:
     """Return the names of the joints in use that are not rigid in these poses, up to one common scale."""
-    return [poses.joint_names[joint] for joint in not_rigid_joints(rest, poses.joint_matrices)]
+    in_use = joints_in_use(rest, poses.joint_matrices.shape[1])
+    return [poses.joint_names[joint] for joint in not_rigid_joints(poses.joint_matrices, in_use)]
 
 
 def identity_check(angle: float, drawn: Sequence[Draw], place: Place) -> Check:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from skinbake.choices import Frame, Morphs
 from skinbake.format.note import MorphTargets as MadeTargets
@@ -14,9 +13,6 @@ from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.document import Document
 from skinbake.gltf.reading.morphs import read_targets
 
-if TYPE_CHECKING:
-    pass
-
 NUMBERS = {6: Morphs.FRAMES, 4: Morphs.FRAMES_NORMAL}
 """What follows so many numbers of the differential."""
 
@@ -26,20 +22,18 @@ def moving_targets(
     sources: Sequence[PrimitiveSource],
     counts: Sequence[int],
     moving: list[int],
-    frames: Sequence[str] = (),
+    frames: Sequence[str],
 ) -> tuple[tuple[MorphTargets | None, ...], tuple[bool, ...]]:
     """Return some targets of primitives of so many vertices, and whether the file gives NORMAL for them.
 
-    frames are from NORMAL by default. Raises InputError if a target is broken.
+    frames are those of the primitives. Raises InputError if a target is broken.
     """
     made = noted_of(document, sources)
     targets = tuple(
         read_targets(
             document, source, moving, count=count, tangents=frame == Frame.TANGENT, further=noted.names
         )
-        for source, count, frame, noted in zip(
-            sources, counts, frames or [str(Frame.NORMAL)] * len(sources), made, strict=True
-        )
+        for source, count, frame, noted in zip(sources, counts, frames, made, strict=True)
     )
     return targets, tuple(_is_authored(*pair, moving) for pair in zip(targets, made, strict=True))
 

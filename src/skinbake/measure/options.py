@@ -58,14 +58,14 @@ class VerifyOptions:
         return tuple(truth for truth in Truth if truth in {*USUAL_TRUTHS, self.truth})
 
     @property
-    def limits(self) -> list[str]:
-        """Return the options of the limits that are set."""
+    def limits(self) -> dict[str, float]:
+        """Return the limits that are set, by option."""
         given = {
             "--max-mean-error": self.max_mean_error,
             "--max-p95-error": self.max_p95_error,
             "--min-gain": self.min_gain,
         }
-        return [option for option, limit in given.items() if limit is not None]
+        return {option: limit for option, limit in given.items() if limit is not None}
 
 
 def limits_check(by_truth: Mapping[Truth, Normals], options: VerifyOptions, place: Place) -> Check:
@@ -89,8 +89,8 @@ def _exceeded(by_truth: Mapping[Truth, Normals], options: VerifyOptions, place: 
         of_truths = {truth: normals.get(method, {}) for truth, normals in by_truth.items()}
         found = {truth: figures for truth, figures in of_truths.items() if baked_lighting(figures) in figures}
         if found:
-            yield from _errors_over(method, found, options, place)
-            yield from _gain_under(method, found, options, place)
+            messages = *_errors_over(method, found, options), *_gain_under(method, found, options)
+            yield from (Notice("limit", message, place) for message in messages)
         else:
             why = "there is no true normal at any vertex in these poses"
             if options.truth is Truth.RELIEF:
@@ -103,30 +103,25 @@ _OfTruths: TypeAlias = Mapping[Truth, dict[str, ErrorFigures]]
 """The figures of one method by truth, then by lighting. Accurate lighting is among them."""
 
 
-def _errors_over(method: str, found: _OfTruths, options: VerifyOptions, place: Place) -> Iterator[Notice]:
-    """Yield a problem for each figure of the error in degrees that is over its limit."""
+def _errors_over(method: str, found: _OfTruths, options: VerifyOptions) -> Iterator[str]:
+    """Yield what is wrong with each figure of the error in degrees that is over its limit."""
+    baked = {truth: one[baked_lighting(one)] for truth, one in found.items()}
     for name, limit, values in (
-        ("mean", options.max_mean_error, {by: one[baked_lighting(one)].mean for by, one in found.items()}),
-        (
-            "95th percentile",
-            options.max_p95_error,
-            {by: one[baked_lighting(one)].p95 for by, one in found.items()},
-        ),
+        ("mean", options.max_mean_error, {truth: one.mean for truth, one in baked.items()}),
+        ("95th percentile", options.max_p95_error, {truth: one.p95 for truth, one in baked.items()}),
     ):
         worst = max(values, key=lambda truth: values[truth])
         if limit is not None and not values[worst] <= limit:
-            message = (
+            yield (
                 f"{method.upper()} {baked_lighting(found[worst])}: the {name} of the error is "
                 f"{told_apart(values[worst], limit, 3)}° by {worst}, over {limit:.15g}°"
             )
-            yield Notice("limit", message, place)
 
 
-def _gain_under(method: str, found: _OfTruths, options: VerifyOptions, place: Place) -> Iterator[Notice]:
-    """Yield a problem if the gain is under its limit. None is required where there is nothing to correct."""
+def _gain_under(method: str, found: _OfTruths, options: VerifyOptions) -> Iterator[str]:
+    """Yield what is wrong if the gain is under its limit. Where nothing is to be corrected, none is asked."""
     gains = {truth: factor for truth, one in found.items() if (factor := gain(one)) and _gain_counts(one)}
     least = min(gains, key=lambda truth: gains[truth], default=None)
     if options.min_gain is not None and least is not None and gains[least] < options.min_gain:
         found_gain = told_apart(gains[least], options.min_gain, 2)
-        message = f"{method.upper()}: the gain is {found_gain} by {least}, below {options.min_gain:.15g}"
-        yield Notice("limit", message, place)
+        yield f"{method.upper()}: the gain is {found_gain} by {least}, below {options.min_gain:.15g}"

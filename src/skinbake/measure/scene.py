@@ -72,10 +72,10 @@ def measure(draw: Draw, record: Callable[[MeasuredBlock], None], at_rest: Truths
     )
 
 
-def errors_of(draw: Draw, at_rest: Truths | None = None) -> list[dict[str, Float32Array]]:
+def errors_of(draw: Draw) -> list[dict[str, Float32Array]]:
     """Return by primitive and lighting errors in degrees, and where they are known: (2, P, V).
 
-    The truth is the one in at_rest, by triangles without it.
+    The truth is that by triangles.
     """
     count, names = len(draw.matrices), LIGHTINGS if draw.corrections else LIGHTINGS[:2]
     found = [
@@ -91,7 +91,7 @@ def errors_of(draw: Draw, at_rest: Truths | None = None) -> list[dict[str, Float
             own[0, poses, rows] = np.where(block.valid, block.errors, 0.0)
             own[1, poses, rows] = block.valid
 
-    measure(draw, record, at_rest or draw.truths((Truth.TRIANGLES,)))
+    measure(draw, record, draw.truths((Truth.TRIANGLES,)))
     return found
 
 

@@ -58,36 +58,24 @@ COPIES = 3
 BLACK = (0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True)
-class Placement:
-    """Where an image lies on a primitive: the set of texture coordinates, and what moves them.
-
-    offset and scale are in (u, v). rotation is in radians, from v to u.
-    """
-
-    texcoord: int = 0
-    offset: tuple[float, ...] = (0.0, 0.0)
-    rotation: float = 0.0
-    scale: tuple[float, ...] = (1.0, 1.0)
-
-    def placed(self, coordinates: FloatArray) -> FloatArray:
-        """Return texture coordinates (V, 2) scaled, then turned, then moved."""
-        cosine, sine = np.cos(self.rotation), np.sin(self.rotation)
-        turned = np.array([[cosine, sine], [-sine, cosine]])
-        return np.asarray(coordinates * self.scale @ turned.T + self.offset)
-
-
-@dataclass(frozen=True, slots=True)
-class Sampling:
-    """How an image goes on beyond its edges, along u and v, and how it is magnified: in WebGPU's words."""
-
-    wraps: tuple[str, str] = ("repeat", "repeat")
-    magnified: str = "linear"
-
-
 WRAPS = {10497: "repeat", 33071: "clamp-to-edge", 33648: "mirror-repeat"}
 NEAREST = 9728
 """The numbers of a glTF sampler."""
+
+
+def placed(texture: Texture, coordinates: FloatArray) -> FloatArray:
+    """Return texture coordinates (V, 2) scaled, then turned, then moved."""
+    cosine, sine = np.cos(texture.rotation), np.sin(texture.rotation)
+    turned = np.array([[cosine, sine], [-sine, cosine]])
+    return np.asarray(coordinates * texture.scale @ turned.T + texture.offset)
+
+
+def sampling(texture: Texture | None) -> tuple[str, str, str]:
+    """Return how an image goes on beyond its edges, along u and v, and is magnified: in WebGPU's words."""
+    if texture is None:
+        return "repeat", "repeat", "linear"
+    wrap_u, wrap_v = (WRAPS.get(code or 0, "repeat") for code in texture.wraps)
+    return wrap_u, wrap_v, "nearest" if texture.magnified == NEAREST else "linear"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,8 +96,7 @@ class Material:
     is_unlit: bool = False
     is_plain: bool = False
     images: Mapping[str, Levels] = field(default_factory=dict)
-    placements: Mapping[str, Placement] = field(default_factory=dict)
-    samplings: Mapping[str, Sampling] = field(default_factory=dict)
+    textures: Mapping[str, Texture] = field(default_factory=dict)
 
     @property
     def ranges(self) -> tuple[Range, tuple[Range, ...]]:
@@ -170,7 +157,7 @@ class Materials:
             is_unlit=False,
             is_plain=True,
             images=images,
-            placements={use: found.placements[use] for use in images},
+            textures={use: found.textures[use] for use in images},
         )
 
     def tell_missing(self) -> None:
@@ -192,11 +179,7 @@ class Materials:
             is_double=stored.is_double,
             is_unlit=stored.is_unlit,
             images=images,
-            placements={
-                use: Placement(named[use].texcoord, named[use].offset, named[use].rotation, named[use].scale)
-                for use in images
-            },
-            samplings={use: _sampling(named[use]) for use in images},
+            textures={use: named[use] for use in images},
         )
 
     def _image(self, named: Texture) -> Levels | None:
@@ -213,11 +196,6 @@ class Materials:
             except InputError as error:
                 self._lost.append(error.message)
         return self._images[texture]
-
-
-def _sampling(texture: Texture) -> Sampling:
-    wrap_u, wrap_v = (WRAPS.get(code or 0, "repeat") for code in texture.wraps)
-    return Sampling((wrap_u, wrap_v), "nearest" if texture.magnified == NEAREST else "linear")
 
 
 def decoded(data: Bytes, document: Document) -> Levels:

@@ -18,7 +18,8 @@ import numpy.typing as npt
 from skinbake.choices import Frame, Language, Lighting
 from skinbake.errors import Place, UnsupportedFeatureError
 from skinbake.geometry.skinned import Float64Array
-from skinbake.render.materials import EVERY, Levels, Range, Sampling
+from skinbake.gltf.reading.materials import Texture
+from skinbake.render.materials import EVERY, Levels, Range, sampling
 from skinbake.render.subject import YAW, Camera, Shot, Subject
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.shaders.text import shader_made
@@ -77,7 +78,7 @@ class Studio:
             for subject in subjects
         ]
         self._images: dict[tuple[int, bool], Any] = {}
-        self._samplers: dict[Sampling, Any] = {}
+        self._samplers: dict[tuple[str, str, str], Any] = {}
 
     def picture(self, shot: Shot, sides: Sequence[str], look: Look) -> Picture:
         """Return one picture (H, W, 3). With two lightings, the model is drawn twice, side by side."""
@@ -159,7 +160,7 @@ class Studio:
             self._buffer(self._scene(subject, shot, look, alphas), _usage("UNIFORM")),
         )
         material = subject.material
-        samplers = (self._sampler(material.samplings.get(use, Sampling())) for use in IMAGES)
+        samplers = (self._sampler(material.textures.get(use)) for use in IMAGES)
         views = (self._image(material.images.get(use), use).create_view() for use in IMAGES)
         bound = [*({"buffer": buffer} for buffer in buffers), *samplers, *views]
         step.set_index_buffer(self._indices[number], "uint32")
@@ -219,17 +220,18 @@ class Studio:
         others = np.array([look.legend, material.normal_scale, *alphas, 0, 0], np.float32)
         return floats + modes.tobytes() + others.tobytes()
 
-    def _sampler(self, sampling: Sampling) -> Any:
+    def _sampler(self, texture: Texture | None) -> Any:
         """Return the sampler that reads images in one way."""
-        if sampling not in self._samplers:
-            self._samplers[sampling] = self._device.create_sampler(
-                address_mode_u=sampling.wraps[0],
-                address_mode_v=sampling.wraps[1],
-                mag_filter=sampling.magnified,
+        wrap_u, wrap_v, magnified = key = sampling(texture)
+        if key not in self._samplers:
+            self._samplers[key] = self._device.create_sampler(
+                address_mode_u=wrap_u,
+                address_mode_v=wrap_v,
+                mag_filter=magnified,
                 min_filter="linear",
                 mipmap_filter="linear",
             )
-        return self._samplers[sampling]
+        return self._samplers[key]
 
     def _image(self, levels: Levels | None, use: str) -> Any:
         """Return the texture of an image, or of the one pixel that stands for none."""

@@ -9,13 +9,19 @@ from typing import Any
 
 from skinbake.choices import Frame, Language, Method, Morphs
 from skinbake.shaders.choices import ShaderChoices
-from skinbake.shaders.storage import KINDS
+from skinbake.shaders.storage import KINDS, Made
 
-WORDS = {
-    Language.GLSL: {"uint": "uint", "float": "float", "uvec2": "uvec2"},
-    Language.WGSL: {"uint": "u32", "float": "f32", "uvec2": "vec2<u32>"},
-    Language.HLSL: {"uint": "uint", "float": "float", "uvec2": "uint2"},
+IN_GLSL = ("vec2", "vec3", "vec4", "uvec4", "uint", "float", "uvec2")
+TYPES = {
+    language: dict(zip(IN_GLSL, names, strict=True))
+    for language, names in {
+        Language.GLSL: IN_GLSL,
+        Language.WGSL: ("vec2<f32>", "vec3<f32>", "vec4<f32>", "vec4<u32>", "u32", "f32", "vec2<u32>"),
+        Language.HLSL: ("float2", "float3", "float4", "uint4", "uint", "float", "uint2"),
+    }.items()
 }
+"""The types of each language by their names in GLSL."""
+
 MATRICES = {
     Language.GLSL: {Method.LBS: "mat4", Method.DQS: "mat2x4"},
     Language.WGSL: {Method.LBS: "mat4x4<f32>", Method.DQS: "mat2x4<f32>"},
@@ -38,15 +44,6 @@ HEAD = (
 
 ABSENT = "0xffffffff"
 """Stands for an offset where there is nothing."""
-
-
-@dataclass(frozen=True, slots=True)
-class Read:
-    """One attribute that the pass reads: its name, its type, and the call that reads it."""
-
-    name: str
-    type: str
-    call: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +70,7 @@ def compute_context(
     for number in sets:
         name = f"joints_{number}"
         call = f"skinbake_integers(skinbake_draw.{name}, vertex, skinbake_draw.joint_size)"
-        reads.append(Read(name, "uvec4", call))
+        reads.append(Made(name, "uvec4", call))
     reads += [_read(f"weights_{number}", "vec4", "weights") for number in sets]
     if choices.decodes:
         reads += [_read(f"stored_{kind}_{number}", "vec4", "stored") for kind, number in product(KINDS, sets)]
@@ -84,7 +81,7 @@ def compute_context(
         reads += [
             _read(f"{kind}_{number}", "vec4" if number else "vec3") for kind, number in product(KINDS, sets)
         ]
-    words = WORDS[choices.language]
+    words = TYPES[choices.language]
     given = [*arguments]
     if choices.morphs is not Morphs.NONE:
         given[0] = "morphed_position"
@@ -121,5 +118,5 @@ def compute_context(
     }
 
 
-def _read(name: str, kind: str, function: str = "") -> Read:
-    return Read(name, kind, f"skinbake_{function or kind}(skinbake_draw.{name}, vertex)")
+def _read(name: str, kind: str, function: str = "") -> Made:
+    return Made(name, kind, f"skinbake_{function or kind}(skinbake_draw.{name}, vertex)")

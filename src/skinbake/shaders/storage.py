@@ -44,8 +44,8 @@ class Assembled:
 
 
 @dataclass(frozen=True, slots=True)
-class Preparation:
-    """One line before the example call: a call that computes α or β of one influence set."""
+class Made:
+    """One value, as the line that makes it has it: its name, its type, and the call that returns it."""
 
     name: str
     type: str
@@ -66,15 +66,15 @@ def storage_context(choices: ShaderChoices) -> dict[str, Any]:
     assembled = _assembled(choices) if choices.assembles else []
     # The lines before the example call, each of which makes α or β of one influence set.
     preparations = [
-        Preparation(part.name, part.type, f"skinbake_{part.name}({', '.join(part.names).lower()})")
+        Made(part.name, part.type, f"skinbake_{part.name}({', '.join(part.names).lower()})")
         for part in assembled
     ]
     for kind in KINDS if choices.decodes and not choices.assembles else ():
         first = f"stored_{kind}_0"
-        preparations.append(Preparation(f"{kind}_0", "vec3", f"skinbake_decoded({first}, scale)"))
+        preparations.append(Made(f"{kind}_0", "vec3", f"skinbake_decoded({first}, scale)"))
         for number in range(1, choices.influence_sets):
             call = f"skinbake_decoded_further(stored_{kind}_{number}, {first}, scale)"
-            preparations.append(Preparation(f"{kind}_{number}", "vec4", call))
+            preparations.append(Made(f"{kind}_{number}", "vec4", call))
     # What each pair holds, of those that some part reads.
     pairs = []
     if choices.assembles:
@@ -85,11 +85,6 @@ def storage_context(choices: ShaderChoices) -> dict[str, Any]:
             holds = f"{row[2 * at]}, {row[2 * at + 1]}" if f"pair_{at + 1}" in read else ""
             pairs.append(Pair(ascii_name(name), holds))
     return {
-        "encoding": choices.encoding,
-        "layout": choices.layout,
-        "decodes": choices.decodes,
-        "assembles": choices.assembles,
-        "storage_words": choices.storage_words,
         "vertex_format": FORMATS.get(choices.encoding),
         "limit": LIMITS.get(choices.encoding),
         "scale": "" if choices.scale is None else float32_literal(choices.scale),

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from skinbake.choices import SLOTS_PER_SET, Encoding, Frame, Language, Layout, Lighting, Method, Morphs, Stage
 from skinbake.errors import ChoiceError, Chosen
 from skinbake.shaders.choices import ShaderChoices
-from skinbake.shaders.compute import compute_context
+from skinbake.shaders.compute import TYPES, compute_context
 from skinbake.shaders.engines import single_module
 from skinbake.shaders.storage import ascii_name, storage_context, storage_parts
 from skinbake.version import __version__
@@ -30,11 +30,6 @@ if TYPE_CHECKING:
 
 TEMPLATES = Path(__file__).parent / "templates"
 WIDTH = 110
-TYPES = {
-    Language.GLSL: {"vec2": "vec2", "vec3": "vec3", "vec4": "vec4", "uvec4": "uvec4"},
-    Language.WGSL: {"vec2": "vec2<f32>", "vec3": "vec3<f32>", "vec4": "vec4<f32>", "uvec4": "vec4<u32>"},
-    Language.HLSL: {"vec2": "float2", "vec3": "float3", "vec4": "float4", "uvec4": "uint4"},
-}
 HLSL = (
     (r'"glsl/(\w+)\.glsl"', r'"hlsl/\1.hlsl"'),
     (r"return (skinbake_(?:Frame|NormalMap))\(\s*(.*?)\);", r"\1 made = { \2 };\n    return made;"),
@@ -57,6 +52,12 @@ HLSL = (
 Structures have no constructors, but lists. A matrix times a vector is a call. A mat4x3 has four columns, as a
 float3x4. The joints of ``dqs_scaled`` are stored as rows, so its products are the other way round.
 """
+OWN = (
+    *("language", "method", "lighting", "algorithm", "stem", "influences", "frame", "cap", "normal_map"),
+    *("mirrored_joints", "scaled_joints", "morphs", "stage", "reads_gradients"),
+    *("encoding", "layout", "decodes", "assembles", "storage_words"),
+)
+"""What templates know of the choices by the same names."""
 ENUMERATIONS = {
     "language": Language,
     "method": Method,
@@ -284,28 +285,16 @@ def _context(choices: ShaderChoices, cap_as: str = "") -> dict[str, Any]:
         return f"frame.handedness * {normal}" if choices.frame == "tangent" else normal
 
     return {
+        **{name: getattr(choices, name) for name in OWN},
         "version": __version__,
         "command": command_line(choices),
         "file": ascii_name(choices.attributes.file) if choices.attributes else "",
-        "language": str(choices.language),
-        "method": str(choices.method),
         "method_name": METHOD_NAMES[choices.method],
-        "lighting": str(choices.lighting),
-        "algorithm": choices.algorithm,
-        "influences": choices.influences,
-        "frame": choices.frame,
-        "cap": choices.cap,
         "cap_text": cap,
-        "mirrored_joints": choices.mirrored_joints,
-        "scaled_joints": choices.scaled_joints,
         "dual_stem": choices.both[1].stem if choices.method is Method.BLEND else "",
         "blend_name": (choices.attributes and choices.attributes.blend) or "b",
-        "morphs": str(choices.morphs),
         "moves_frame": choices.morphs.moves_frame,
         "morph_call": MORPH_CALLS.get(choices.morphs, ""),
-        "normal_map": choices.normal_map,
-        "reads_gradients": choices.reads_gradients,
-        "stem": choices.stem,
         "guard": _guard(choices),
         "slot_words": _slot_words(0, choices.influences - 1),
         "slots": slots,
@@ -316,7 +305,6 @@ def _context(choices: ShaderChoices, cap_as: str = "") -> dict[str, Any]:
         "weight_params": weights,
         "gradient_params": gradients,
         "arguments": arguments,
-        "stage": choices.stage,
         "params": lambda pairs: _params(choices.language, pairs),
         "sum": _sum,
         "joined": _joined,
@@ -334,30 +322,15 @@ def _context(choices: ShaderChoices, cap_as: str = "") -> dict[str, Any]:
 
 def command_line(choices: ShaderChoices) -> str:
     """Return the command that writes the same text again, with every choice and the file."""
-    words = ["skinbake shader", f"--lang {choices.language}", f"--method {choices.method}"]
-    words += [
-        f"--lighting {choices.lighting}",
-        f"--influences {choices.influences}",
-        f"--frame {choices.frame}",
-    ]
-    if choices.cap is not None:
-        words.append(f"--cap {choices.cap!r}")
-    if choices.scaled_joints:
-        words.append("--scaled-joints")
-    if choices.mirrored_joints:
-        words.append("--mirrored-joints")
-    if choices.normal_map:
-        words.append("--normal-map")
-    if choices.encoding != "float32":
-        words.append(f"--encoding {choices.encoding}")
-    if choices.layout != "attributes":
-        words.append(f"--layout {choices.layout}")
-    if choices.morphs is not Morphs.NONE:
-        words.append(f"--morphs {choices.morphs}")
-    if choices.stage is not Stage.VERTEX:
-        words.append(f"--stage {choices.stage}")
-    if choices.target != "plain":
-        words.append(f"--target {choices.target}")
+    words = ["skinbake shader", f"--lang {choices.language}"]
+    words += [f"--{name} {getattr(choices, name)}" for name in ("method", "lighting", "influences", "frame")]
+    words += [] if choices.cap is None else [f"--cap {choices.cap!r}"]
+    flags = "scaled_joints", "mirrored_joints", "normal_map"
+    words += [f"--{name.replace('_', '-')}" for name in flags if getattr(choices, name)]
+    usual = ShaderChoices(choices.language)
+    for name in ("encoding", "layout", "morphs", "stage", "target"):
+        chosen = getattr(choices, name)
+        words += [] if chosen == getattr(usual, name) else [f"--{name} {chosen}"]
     if choices.attributes is not None:
         words.append(f"--for {shlex.quote(ascii_name(choices.attributes.file))}")
     return " ".join(words)

@@ -55,12 +55,6 @@ def standard(
     return PosedVertex(position, normal, tangent, bitangent)
 
 
-def position(vertex: RestVertex, quaternions: Sequence[Vector]) -> Vector:
-    """Return the position p' alone: lines 1 to 3 of algorithm 4."""
-    mixed = weighted_sum(signed(vertex.weights, hemispheres(quaternions)), quaternions)
-    return plus_scaled(vertex.position, 2.0, _half_displacement(_normalised(mixed), vertex.position))
-
-
 def accurate(
     vertex: RestVertex, quaternions: Sequence[Vector], options: Options, line: LineMark
 ) -> PosedVertex:

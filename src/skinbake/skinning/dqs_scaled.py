@@ -73,12 +73,6 @@ def standard(vertex: RestVertex, motions: Sequence[Rows], options: Options, line
     return PosedVertex(position, normal, tangent, bitangent)
 
 
-def position(vertex: RestVertex, motions: Sequence[Rows]) -> Vector:
-    """Return the position p' alone: lines 1 to 3 of algorithm 4."""
-    mixed = _mixed(vertex.weights, motions, hemispheres(list(map(_rotation, motions))))
-    return _over(affine(mixed, vertex.position), _divisor(_rotation(mixed)))
-
-
 def accurate(vertex: RestVertex, motions: Sequence[Rows], options: Options, line: LineMark) -> PosedVertex:
     """Run algorithm 5: t' of algorithm 4 plus Σ α (M[s] p − M[s₀] p), as if skinning blended positions."""
     line(1)  # the mix: Σ w σ of all columns, B the last one

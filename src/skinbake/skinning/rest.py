@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from typing import Any, NamedTuple, TypeVar
 
@@ -86,21 +86,9 @@ class RestPrimitive:
 
     def rows(self, part: slice | IntArray) -> RestPrimitive:
         """Return some of the vertices."""
-        return RestPrimitive(
-            positions=self.positions[part],
-            normals=self.normals[part],
-            tangents=self.tangents[part],
-            bitangents=self.bitangents[part],
-            joints=self.joints[part],
-            weights=self.weights[part],
-            alpha=self.alpha[part],
-            beta=self.beta[part],
-            gradients=None if self.gradients is None else self.gradients[part],
-            sides=None if self.sides is None else self.sides[part],
-            lengths=None if self.lengths is None else self.lengths[part],
-            blend=None if self.blend is None else self.blend[part],
-            sums=None if self.sums is None else self.sums[part],
-        )
+        arrays: dict[str, Any] = {one.name: getattr(self, one.name) for one in fields(self)}
+        some = {name: own[part] for name, own in arrays.items() if own is not None}
+        return replace(self, **some)
 
     def summed_normals(self, part: slice) -> FloatArray:
         """Return the normals (B, 3) of some vertices as morph targets add them up, not of length 1."""

@@ -87,20 +87,20 @@ class Skinning:
 
     def run(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[PosedVertex]:
         """Return the result of an algorithm for a block of poses and vertices, as components (P, V)."""
-        vertex = self._block(pose, part, gradients=Algorithm.LBS_DIRECT in algorithms)
-        per_slot = self._per_slot(pose, part)
+        scale = self.motions.scale
+        of_poses = None if scale is None else scale[pose]
+        vertex = self.vertices.block(part, of_poses, gradients=Algorithm.LBS_DIRECT in algorithms)
+        per_slot: Sequence[Any] = [
+            self.motions.of_slot(joints, pose) for joints in self.vertices.joints(part)
+        ]
+        if self.has_scaled_joints:
+            per_slot = dqs_scaled.with_rotations(per_slot)
         steps = SCALED_STEPS if self.has_scaled_joints else STEPS
         return [
             # Only counting needs the marks of lines.
             steps[algorithm](vertex, per_slot, self.options, lambda number: None)
             for algorithm in algorithms
         ]
-
-    def positions(self, pose: slice, part: slice) -> Vector:
-        """Return the positions that dual quaternions give a block: components (P, V)."""
-        per_slot = self._per_slot(pose, part)
-        position = dqs_scaled.position if self.has_scaled_joints else dqs.position
-        return position(self._block(pose, part, gradients=False), per_slot)
 
     @property
     def has_scaled_joints(self) -> bool:
@@ -112,14 +112,6 @@ class Skinning:
         """Tell whether a joint, in use or not, has no rotation in a pose."""
         turns = self.motions.table[4::5]
         return self.has_scaled_joints and not bool(turns.any(axis=0).all())
-
-    def _per_slot(self, pose: slice, part: slice) -> Sequence[Any]:
-        found = [self.motions.of_slot(joints, pose) for joints in self.vertices.joints(part)]
-        return dqs_scaled.with_rotations(found) if self.has_scaled_joints else found
-
-    def _block(self, pose: slice, part: slice, *, gradients: bool) -> RestVertex:
-        scale = self.motions.scale
-        return self.vertices.block(part, None if scale is None else scale[pose], gradients=gradients)
 
 
 def joints_in_use(primitives: Sequence[RestPrimitive], count: int) -> BoolArray:

@@ -169,7 +169,7 @@ def true_normals(
         np.ascontiguousarray(rest.coefficients[:, part]),
         rest.areas[part],
         rest.valid[part],
-        None if by_triangles is None else np.ascontiguousarray(by_triangles.carried.coefficients[:, part]),
+        None if by_triangles is None else np.ascontiguousarray(by_triangles.carried[:, part]),
         None if by_triangles is None else by_triangles.classes[part],
         None if by_triangles is None else by_triangles.sums,
         None if sides is None else np.ascontiguousarray(sides.T, dtype=np.float64),

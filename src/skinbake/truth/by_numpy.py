@@ -88,7 +88,8 @@ def dqs_positions(
 ) -> None:
     """Write p' by dual quaternions for some vertices to the rows of out (3, V, P) from ``first_row`` on."""
     rows = slice(first_row, first_row + part.stop - part.start)
-    for component, moved in zip(out, skinning.positions(pose, part), strict=True):
+    (posed,) = skinning.run((Algorithm.DQS_STANDARD,), pose, part)
+    for component, moved in zip(out, posed.position, strict=True):
         component[rows] = moved.T
 
 

@@ -20,7 +20,7 @@ from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document, once_a_document, read_document
 from skinbake.gltf.reading.clips import MORPH_WEIGHTS, Clip, read_clips
 from skinbake.gltf.reading.skins import fitting_rig, read_skeleton
-from skinbake.truth.poses import PosePlan, PoseRequest, joint_clips, planned_poses, pose_set
+from skinbake.truth.poses import PosePlan, PoseRequest, moving_clips, planned_poses, pose_set
 from skinbake.wording import counted
 
 ANIMATIONS, RANDOM = "animations", "random"
@@ -197,7 +197,7 @@ def _poses_of_skins(
     for one in sources:
         clips += read_clips(document) if one == ANIMATIONS else ()
         clips += one.clips_for(document)[0] if isinstance(one, ClipFile) else ()
-    pairs = [(skin, clip) for skin in skins for clip in joint_clips(document, skin, clips)]
+    pairs = [(skin, clip) for skin in skins for clip in moving_clips(document, skin, clips)]
     # Of many clips some have a pose, evenly spread. Few clips have the same number, and some of these poses
     # go.
     some = pairs if len(pairs) <= CLIP_POSES else [pairs[n] for n in _spread(len(pairs), CLIP_POSES)]

@@ -45,16 +45,6 @@ class RestFrames(NamedTuple):
     valid: BoolArray
 
 
-def morphed_frames(rest: RestFrames, positions: FloatArray, normals: FloatArray) -> RestFrames:
-    """Measure the mesh under morph targets, before skinning, like ``rest_frames`` without targets.
-
-    positions, normals (V, 3) are the results of the targets. The frame is measured along the same curves on
-    the surface as t0 and b0 at rest. So it is their image under the differential of the morph. If skinning is
-    the identity, this truth returns these normals exactly.
-    """
-    return measured_frames(rest.parts, rest.derivatives, positions, normals)
-
-
 def measured_frames(
     parts: tuple[slice, ...],
     along: tuple[tuple[SparseRows, SparseRows], ...],
@@ -211,24 +201,16 @@ def _corner_normals(mesh: WeldedMesh, positions: Float64Array, corners: IntArray
         return tuple(np.where(sound, angle / area * component, 0.0) for component in normal)
 
 
-class CarriedNormals(NamedTuple):
-    """The coordinates (3, V) of unit n0 at rest, NaN if a vertex has no frame.
-
-    n̂ is the normal by triangles, a and b are the two tangents of the operator, laid into the plane at right
-    angles to n̂, and A is the signed area of a and b about n̂. The coordinates are a · n0 / √|A|, b · n0 / √|A|
-    and n̂ · n0, all with the sign of A.
-    """
-
-    coefficients: Float64Array
-
-
 class ClassSums(NamedTuple):
     """The sums (3, C, P) of the weld classes of a deformed mesh, float32, and what carries normals there.
 
-    classes (V,) are int32.
+    carried (3, V) are the coordinates of unit n0 at rest, NaN if a vertex has no frame: a · n0 / √|A|,
+    b · n0 / √|A| and n̂ · n0, all with the sign of A. n̂ is the normal by triangles, a and b are the two
+    tangents of the operator, laid into the plane at right angles to n̂, and A is the signed area of a and b
+    about n̂. classes (V,) are int32.
     """
 
-    carried: CarriedNormals
+    carried: Float64Array
     classes: Int32Array
     sums: Float32Array
 
@@ -239,7 +221,7 @@ def block_sums(classes: IntArray, sums: FloatArray, part: slice) -> Vector:
 
 
 def triangle_normals(
-    carried: CarriedNormals,
+    carried: Float64Array,
     part: slice,
     tangents: tuple[Vector, Vector],
     sums: Vector,
@@ -251,7 +233,7 @@ def triangle_normals(
     ``block_sums``. sides (P, B) is −1 if the joints mirror a vertex, because the triangles' normals point
     inside there.
     """
-    by_a, by_b, by_n = carried.coefficients[:, part]
+    by_a, by_b, by_n = carried[:, part]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what is not finite is not sound
         a, b = tangents
         n, area, flat = triangle_frame(a, b, sums)

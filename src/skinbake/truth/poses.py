@@ -96,18 +96,16 @@ def draws_of(document: Document, mesh: int, clips: Sequence[Clip]) -> list[tuple
     return list(draws.values())
 
 
-def joint_clips(document: Document, skin: int, clips: Sequence[Clip]) -> list[Clip]:
-    """Return the clips that move the joints of a skin or their ancestors, with the channels that do."""
-    return moving_clips(document, skin, clips, None)
-
-
 def steps_of_looking(clips: Sequence[Clip]) -> int:
     """Return the steps of looking for the clips that move one skin."""
     return sum(3 + 2 * len(clip.channels) for clip in clips)
 
 
-def moving_clips(document: Document, skin: int, clips: Sequence[Clip], node: int | None) -> list[Clip]:
-    """Return the clips that move a skin, or the morph weights of a node, with the channels that do."""
+def moving_clips(document: Document, skin: int, clips: Sequence[Clip], node: int | None = None) -> list[Clip]:
+    """Return the clips that move the joints of a skin, or their ancestors, with the channels that do.
+
+    Channels of the morph weights of a node count too.
+    """
     skeleton = read_skeleton(document, skin)
     what = f"looking for the clips of skin {skin}"
     document.budget.claim(Work(steps=steps_of_looking(clips)), what, document.place)

@@ -22,14 +22,12 @@ from skinbake.truth import kernel
 from skinbake.truth.blending import chunks, sample_blocks
 from skinbake.truth.mesh import WeldedMesh
 from skinbake.truth.normals import (
-    CarriedNormals,
     ClassBlock,
     ClassSums,
     RestFrames,
     block_sums,
     class_blocks,
     measured_frames,
-    morphed_frames,
     posed_tangents,
     tangent_normals,
     triangle_frame,
@@ -53,7 +51,7 @@ class Truths(NamedTuple):
     vertex_blocks: Sequence[VertexBlock]
     class_blocks: Sequence[ClassBlock]
     frames: RestFrames
-    carried: CarriedNormals | None
+    carried: Float64Array | None
 
     @classmethod
     def of(
@@ -98,12 +96,17 @@ class Truths(NamedTuple):
         return [found[part] for part in self.operator.slices]
 
     def moved(self, primitives: Sequence[RestPrimitive]) -> Truths:
-        """Measure the mesh under morph targets, before skinning."""
+        """Measure the mesh under morph targets, before skinning.
+
+        Frames are measured along the same curves on the surface as t0 and b0 at rest. So they are their
+        images under the differential of the morph. If skinning is the identity, the truth by tangents returns
+        the morphed normals exactly.
+        """
         positions, normals = (_joined(primitives, name) for name in ("positions", "normals"))
-        frames = morphed_frames(self.frames, positions, normals)
-        carried = self.carried and carried_normals(
-            self.operator, frames, positions, normals, self.class_blocks, SUMS
-        )
+        frames = measured_frames(self.frames.parts, self.frames.derivatives, positions, normals)
+        if self.carried is None:
+            return self._replace(frames=frames)
+        carried = carried_normals(self.operator, frames, positions, normals, self.class_blocks, SUMS)
         return self._replace(frames=frames, carried=carried)
 
     def sums(
@@ -270,7 +273,7 @@ def carried_normals(
     normals: FloatArray,
     classes: Sequence[ClassBlock] | None = None,
     dtype: DTypeLike = np.float64,
-) -> CarriedNormals:
+) -> Float64Array:
     """Return the coordinates of the normals n0 (V, 3) on the mesh before skinning, with positions (V, 3).
 
     A vertex whose triangles cancel out has none. classes are as in ``vertex_normals``. dtype is that of the
@@ -293,4 +296,4 @@ def carried_normals(
             up, root = dot(n, n0), np.sqrt(np.abs(area))
             lean = [(dot(tangent, n0) - dot(tangent, n) * up) / root for tangent in (a, b)]
             coefficients[:, part] = np.where(flat, np.nan, np.sign(area) * np.concatenate([*lean, up]))
-    return CarriedNormals(coefficients)
+    return coefficients

@@ -5,9 +5,8 @@ from __future__ import annotations
 import base64
 import html
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,8 +17,7 @@ from skinbake.view.sources import filled_page
 from skinbake.view.texts import packed_texts
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class OtherGradients:
+class OtherGradients(NamedTuple):
     """α and β (V, K − 1) of a kind that the file does not hold for a primitive: ``surface`` or ``fitted``.
 
     joints (V, K) and weights (V, K) are the influences that they belong to, None if they are the file's own.
@@ -36,27 +34,20 @@ class OtherGradients:
     weights: FloatArray | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Shown:
-    """A model to show: its name, a GLB that needs no other file, and the findings about it.
+def page(
+    name: str, glb: Sequence[Bytes], others: Sequence[OtherGradients], findings: Mapping[str, Any]
+) -> bytes:
+    """Return the page of a model as UTF-8. Names of the model are text in it, whatever they hold.
 
-    others are the α and β of the other kind. findings are the members of the page's object ``given``: JSON.
+    ``glb`` needs no other file. others are the α and β of the other kind. findings are the members of the
+    page's object ``given``: JSON.
     """
-
-    name: str
-    glb: Sequence[Bytes]
-    others: Sequence[OtherGradients] = ()
-    findings: dict[str, Any] = field(default_factory=dict)
-
-
-def page(shown: Shown) -> bytes:
-    """Return the page as UTF-8. Names of the model are text in it, whatever they hold."""
-    given = {"name": shown.name, "other": _others(shown.others), **shown.findings}
+    given = {"name": name, "other": {"primitives": list(map(_other, others))}, **findings}
     filled = filled_page(
         {
             "version": html.escape(__version__),
-            "title": html.escape(shown.name),
-            "model": base64.b64encode(b"".join(shown.glb)).decode(),
+            "title": html.escape(name),
+            "model": base64.b64encode(b"".join(glb)).decode(),
             "texts": as_data(packed_texts()),
             "given": as_data(given),
         }
@@ -70,23 +61,9 @@ def as_data(content: Any) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def _others(others: Sequence[OtherGradients]) -> dict[str, Any]:
-    return {
-        "primitives": [
-            {
-                "kind": other.kind,
-                "mesh": other.mesh,
-                "primitive": other.primitive,
-                "frame": other.frame,
-                "alpha": _numbers(other.alpha),
-                "beta": _numbers(other.beta),
-                "joints": None if other.joints is None else _numbers(other.joints),
-                "weights": None if other.weights is None else _numbers(other.weights),
-            }
-            for other in others
-        ]
-    }
-
-
-def _numbers(values: FloatArray | IntArray) -> str:
-    return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode()
+def _other(other: OtherGradients) -> dict[str, Any]:
+    """Return α and β as JSON, with arrays as the bytes of floats in base64."""
+    arrays = {name: value for name, value in other._asdict().items() if isinstance(value, np.ndarray)}
+    floats = (np.ascontiguousarray(values, dtype="<f4").tobytes() for values in arrays.values())
+    coded = (base64.b64encode(data).decode() for data in floats)
+    return other._asdict() | dict(zip(arrays, coded, strict=True))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cache
+from itertools import product
 from typing import Any
 
 from skinbake.choices import Encoding, Frame, Language, Lighting, Method, Morphs
@@ -32,49 +33,37 @@ def packed_texts() -> dict[str, Any]:
     return {"lines": list(lines), "paragraphs": list(paragraphs), "texts": texts}
 
 
+ALGORITHMS: tuple[tuple[Method, Lighting, dict[str, Any]], ...] = (
+    (Method.LBS, Lighting.ACCURATE, {}),
+    (Method.LBS, Lighting.ACCURATE, {"mirrored_joints": True}),
+    (Method.DQS, Lighting.EXACT, {}),
+    # It turns normals only where joints do mirror, so that one text serves all.
+    (Method.DQS, Lighting.EXACT, {"mirrored_joints": True, "scaled_joints": True}),
+)
+"""What the page draws by α and β of each encoding."""
+
+
 def shown_choices() -> Iterator[tuple[str, ShaderChoices]]:
     """Yield each choice that the page can make, under the name that its ``textName`` gives.
 
     Layouts are not a choice here: the page has put texture coordinates together before it draws.
     """
     for frame, morphs in MORPHS.items():
-        for influences in INFLUENCES:
-            for morph in morphs:
-                usual = ShaderChoices(Language.GLSL, influences=influences, frame=frame, morphs=morph)
-                yield from _algorithms(usual)
-
-
-def _algorithms(usual: ShaderChoices) -> Iterator[tuple[str, ShaderChoices]]:
-    if not usual.morphs.moves_frame:  # engines know nothing of the numbers
-        yield _named(usual, Method.LBS, Lighting.STANDARD, Encoding.FLOAT32)
-    for encoding in Encoding:
-        yield _named(usual, Method.LBS, Lighting.ACCURATE, encoding)
-        yield _named(usual, Method.LBS, Lighting.ACCURATE, encoding, mirrored=True)
-        yield _named(usual, Method.DQS, Lighting.EXACT, encoding)
-        # It turns normals only where joints do mirror, so that one text serves all.
-        yield _named(usual, Method.DQS, Lighting.EXACT, encoding, mirrored=True, scaled=True)
-
-
-def _named(
-    usual: ShaderChoices,
-    method: Method,
-    lighting: Lighting,
-    encoding: Encoding,
-    *,
-    mirrored: bool = False,
-    scaled: bool = False,
-) -> tuple[str, ShaderChoices]:
-    choices = ShaderChoices(
-        Language.GLSL,
-        method,
-        lighting,
-        usual.influences,
-        usual.frame,
-        mirrored_joints=mirrored,
-        scaled_joints=scaled,
-        encoding=encoding,
-        morphs=usual.morphs,
-        normal_map=lighting is not Lighting.STANDARD,
-    )
-    parts = (choices.stem, usual.influences, usual.frame, encoding, usual.morphs)
-    return "/".join([*map(str, parts), "mirrored" if mirrored else "plain"]), choices
+        for influences, morph in product(INFLUENCES, morphs):
+            drawn = [(encoding, *one) for encoding, one in product(Encoding, ALGORITHMS)]
+            if not morph.moves_frame:  # engines know nothing of the numbers
+                drawn.insert(0, (Encoding.FLOAT32, Method.LBS, Lighting.STANDARD, {}))
+            for encoding, method, lighting, joints in drawn:
+                choices = ShaderChoices(
+                    Language.GLSL,
+                    method,
+                    lighting,
+                    influences,
+                    frame,
+                    encoding=encoding,
+                    morphs=morph,
+                    normal_map=lighting is not Lighting.STANDARD,
+                    **joints,
+                )
+                sides = "mirrored" if joints else "plain"
+                yield "/".join(map(str, (choices.stem, influences, frame, encoding, morph, sides))), choices
