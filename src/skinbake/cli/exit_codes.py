@@ -12,14 +12,8 @@ VERIFICATION = 1
 USAGE = 2
 INPUT = 3
 OUTPUT = 4
-HUNG_UP = 129
-"""The code after SIGHUP, as in shells."""
-
-INTERRUPTED = 130
+INTERRUPTED = 128 + signal.SIGINT
 """The code after Ctrl-C, as in shells."""
-
-TERMINATED = 143
-"""The code after SIGTERM, as in shells."""
 
 READER_GONE = 141
 """The code of a command that SIGPIPE ends, as in shells."""
@@ -37,6 +31,5 @@ def of_error(error: SkinbakeError | None) -> int:
 
 
 def of_signal(received: Sequence[int]) -> int:
-    """Return the exit code of a command that these signals have ended. The first signal counts."""
-    name = signal.Signals(received[0]).name if received else ""
-    return {"SIGTERM": TERMINATED, "SIGHUP": HUNG_UP}.get(name, INTERRUPTED)
+    """Return the exit code of a command that these signals have ended, as in shells. The first counts."""
+    return 128 + received[0] if received else INTERRUPTED

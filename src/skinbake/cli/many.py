@@ -65,13 +65,12 @@ class Clock:
 class Summary:
     """Write JSON lines, one a file, and the totals at the end. Report once if writing fails."""
 
-    def __init__(self, plan: Plan[Any], schema: str) -> None:
+    def __init__(self, plan: Plan[Any]) -> None:
         """Begin the file, in folders that are made. Raises OutputError.
 
         Unless --no-sync is given, closing it waits until it is on the disk.
         """
-        self._plan, self._schema = plan, schema
-        self.failed = False
+        self._plan, self.failed = plan, False
         self._file = None
         if plan.summary is not None:
             path = Path(plan.summary)
@@ -82,10 +81,6 @@ class Summary:
             except (OSError, ValueError) as error:
                 reason = getattr(error, "strerror", None) or error
                 raise not_written(reason, Place(plan.summary)) from error
-
-    def file(self, content: Mapping[str, object]) -> None:
-        """Add a file's line."""
-        self.line({"schema": self._schema, "kind": "file", **content})
 
     def line(self, content: Mapping[str, object]) -> None:
         """Add a line."""
@@ -251,13 +246,14 @@ def work_through(
                 yield number, result
 
     # After the last result, or an interrupt, the work ends, the bar is removed, and the files are closed.
-    with closing(Summary(plan, reporting.schema)) as summary, closing(notes):
+    with closing(Summary(plan)) as summary, closing(notes):
         try:
             with progress, heard(progress.hear), closing(in_order(done())) as found:
                 for _, result in zip(jobs, found, strict=True):
                     progress.print(partial(reporting.tell, result))
                     notes.add(result.record)
-                    summary.file(reporting.file_json(result))
+                    content = reporting.file_json(result)
+                    summary.line({"schema": reporting.schema, "kind": "file", **content})
                     reporting.count(totals, result)
                     code = max(code, reporting.code(result))
                     if plan.as_json or reporting.write:
@@ -282,8 +278,8 @@ def work_through(
     spent = clock.process() if plan.timings else None
     if spent is not None:  # at any verbosity, because it was asked for
         say.listing(timing_lines(totals, spent))
-    if plan.as_json and (content := reporting.document(results, exit_code=code, process=spent)) is not None:
-        say.document(content)
+    if plan.as_json and (document := reporting.document(results, exit_code=code, process=spent)) is not None:
+        say.document(document)
     return code
 
 

@@ -190,12 +190,12 @@ def _encoding_cost(
 
     ``written`` has α and β in this encoding, ``stored`` gives the document with another one.
     """
-    from skinbake.measure.costs import added_by_encoding  # it replays
+    from skinbake.measure.costs import added_error, encoded_primitives  # it replays
 
     encoding = str(storage.encoding)
     chosen = Chosen("encoding", storage.encoding)
     try:
-        added = added_by_encoding(document, [bake.to_store for bake in bakes], storage)
+        added = added_error(encoded_primitives(document, [bake.to_store for bake in bakes], storage))
         if added is not None and added.mean > SUSPECT * added.effect:
             from skinbake.measure.measured import lighting_of  # few encodings lose so much
 

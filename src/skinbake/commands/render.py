@@ -161,7 +161,7 @@ def _pictures(
 ) -> tuple[list[Picture], str]:
     """Return the pictures, and the first pose in words; tell what is missing in them."""
     document = scene.document
-    draws = [*scene.shown(), *Scene(document, unlit).shown()]
+    draws = [*scene.shown(), *(Scene(document, unlit).shown() if unlit else ())]
     clip, moment, spot = telling_pose(scene, options.clip, options.time, is_close=options.is_close)
     times, pose = _times(clip, moment, options, moves=moves)
     if spot is not None:
@@ -272,7 +272,8 @@ def small_pictures(
         scene = Scene(document, sound_views(document), correctives)
         if not (draws := scene.shown()):
             return []
-        draws += Scene(document, _unlit_views(document)).shown()
+        unlit = _unlit_views(document)
+        draws += Scene(document, unlit).shown() if unlit else []
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # only numbers are drawn
             try:
                 clip, moment, spot = telling_pose(scene, None, None, is_close=True, known=known)

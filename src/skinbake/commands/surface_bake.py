@@ -26,7 +26,7 @@ from skinbake.gltf.document import Document
 from skinbake.gltf.reading.meshes import has_float_tangents, read_influences, read_primitive
 from skinbake.gradients import kernel
 from skinbake.gradients.assumptions import assumptions, check_finite
-from skinbake.gradients.baker import EIGHTHS, BakeFindings, BakeSettings, bake_primitives, kept_slots
+from skinbake.gradients.baker import EIGHTHS, BakeFindings, bake_primitives, kept_slots
 from skinbake.gradients.tangents import frame_vectors, with_straight_tangents
 from skinbake.report.bake import BakedCounts, ExtensionCost, LimitCost
 from skinbake.threads import Threads, thread_count
@@ -61,7 +61,7 @@ def bake_surfaces(
         SurfaceBake.of(document, [source for mesh in group for source in by_mesh[mesh]], options)
         for group in groups
     ]
-    made = [surface.baked(options) for surface in surfaces]
+    made = [surface.baked() for surface in surfaces]
     if any(surface.rig for surface in surfaces):
         # A primitive that would be lit worse keeps only a part of its α and β.
         with stage("guard"):
@@ -100,9 +100,8 @@ class SurfaceBake(NamedTuple):
     document: Document
     sources: Sequence[PrimitiveSource]
     primitives: Sequence[SkinnedPrimitive]
-    settings: BakeSettings
+    options: BakeOptions
     digests: Sequence[Digests]
-    asked: Gradients
     rig: Rig | None
     note: GradientNote
 
@@ -147,20 +146,11 @@ class SurfaceBake(NamedTuple):
                 ]
         frame = Frame.NORMAL if options.frame is FrameChoice.NORMAL else Frame.TANGENT
         of_arrays = [partial(digests, primitive, frame) for primitive in primitives]
-        return cls(
-            document,
-            sources,
-            primitives,
-            options.settings,
-            of_arrays,
-            options.gradients,
-            rig,
-            note,
-        )
+        return cls(document, sources, primitives, options, of_arrays, rig, note)
 
-    def baked(self, options: BakeOptions) -> list[PrimitiveBake]:
+    def baked(self) -> list[PrimitiveBake]:
         """Bake with the influences of the file, with fewer, or with a set more where free slots are few."""
-        limit = options.limit_influences
+        limit = self.options.limit_influences
         # Welding and grouping leave a core idle.
         is_large = sum(len(one.positions) for one in self.primitives) >= LARGE
         with Threads(thread_count() if is_large else 1) as threads:
@@ -173,10 +163,10 @@ class SurfaceBake(NamedTuple):
                     fewer = [limited(self.document, *pair, limit) for pair in pairs]
                 bakes = begun.plain(_changed(self.primitives, fewer))
                 return [replace(bake, limited=part) for bake, part in zip(bakes, fewer, strict=True)]
-            if options.neighbours is Neighbours.EXTEND:
+            if self.options.neighbours is Neighbours.EXTEND:
                 from skinbake.format.influences import extended  # few bakes ask for it
 
-                tried = bake_primitives(self.primitives, self.settings)
+                tried = bake_primitives(self.primitives, self.options.settings)
                 more = [
                     extended(one, read_influences(self.document, source, len(one.positions)), lacking)
                     # A set more would close the gap before sets that are not read.
@@ -190,9 +180,9 @@ class SurfaceBake(NamedTuple):
 
     def plain(self, primitives: Sequence[SkinnedPrimitive]) -> list[PrimitiveBake]:
         """Bake its primitives with these influences. Raises InputError if α or β are not finite."""
-        outcomes = bake_primitives(primitives, self.settings, self.rig)
+        outcomes = bake_primitives(primitives, self.options.settings, self.rig)
         bakes = [
-            PrimitiveBake(source, primitive, *outcome, found, self.note, asked=self.asked)
+            PrimitiveBake(source, primitive, *outcome, found, self.note, asked=self.options.gradients)
             for source, primitive, outcome, found in zip(
                 self.sources, primitives, outcomes, self.digests, strict=True
             )
@@ -240,7 +230,7 @@ class SurfaceBake(NamedTuple):
                 np.concatenate(found),
                 np.concatenate([bake.result.classes for bake in bakes]),
                 (np.concatenate([t for t, _ in frames]), np.concatenate([b for _, b in frames])),
-                weighting=self.settings.weighting,
+                weighting=self.options.weighting,
             ).astype(np.float32)
         return [
             replace(bake, blend=BlendGradient(attribute, own))

@@ -102,7 +102,7 @@ def lighting_errors(  # noqa: PLR0913  # five arguments are optional, and by key
     mesh = _PosedMesh(primitives, joint_matrices, method, options or Options(), truths, played, direct)
     identity, memory = Identity(), ChunkMemory()
     with Threads(thread_count()) as threads:
-        for chunk in mesh.in_chunks() if morphing is None else mesh.pose_by_pose(morphing):
+        for chunk in mesh.chunks(morphing):
             with stage("positions"):
                 deformed = chunk.positions(threads, memory)
             with stage("truths"):
@@ -135,41 +135,28 @@ class _PosedMesh:
         every = METHODS[self.method]
         return {lighting: every[lighting] for lighting in every if lighting != "direct" or direct}
 
-    def in_chunks(self) -> Iterator[_Chunk]:
-        """Yield many poses at a time. All poses start from the same primitives.
+    def chunks(self, morphing: Morphing | None) -> Iterator[_Chunk]:
+        """Yield the poses that are measured together: many at a time, if all start from the same primitives.
 
-        Algorithm 2 is only compared with algorithm 3. In millions of vertices × poses, a sample is enough.
-        Then most chunks go without algorithm 2.
+        Morph targets give each pose its own primitives to start from. Algorithm 2 is only compared with
+        algorithm 3. In millions of vertices × poses, a sample is enough: most chunks go without algorithm 2.
         """
         vertices, poses = len(self.truths.operator.positions), len(self.joint_matrices)
         # Every stride-th chunk compares algorithms 2 and 3.
-        stride = max(1, -(-vertices * poses // IDENTITY_SAMPLES))
-        sides = sides_of(self.primitives, self.joint_matrices)
-        skinned = self._skinned(self.primitives, self.joint_matrices)
-        for number, pose in enumerate(chunks(vertices, poses)):
+        stride = max(1, -(-vertices * poses // IDENTITY_SAMPLES)) if morphing is None else 1
+        sides, truths = sides_of(self.primitives, self.joint_matrices), self.truths
+        skinned = self._skinned(self.primitives, self.joint_matrices) if morphing is None else ()
+        for number, pose in enumerate(chunks(vertices, poses) if morphing is None else blocks(poses, 1)):
+            if morphing is not None:
+                primitives, truths = morphing.posed(self.primitives, self.truths, pose.start)
+                skinned = self._skinned(primitives, self.joint_matrices[pose])
             yield _Chunk(
-                truths=self.truths,
+                truths=truths,
                 skinned=skinned,
-                at=pose,
+                at=pose if morphing is None else slice(0, 1),
                 first_pose=pose.start,
                 algorithms=self._algorithms(direct=self.direct and number % stride == 0),
                 sides=None if sides is None else sides[pose],
-                compares=self.options.cap is None,
-                corrections=self.corrections,
-            )
-
-    def pose_by_pose(self, morphing: Morphing) -> Iterator[_Chunk]:
-        """Yield one pose at a time. Morph targets give each pose its own primitives to start from."""
-        sides = sides_of(self.primitives, self.joint_matrices)
-        for pose in range(len(self.joint_matrices)):
-            primitives, truths = morphing.posed(self.primitives, self.truths, pose)
-            yield _Chunk(
-                truths=truths,
-                skinned=self._skinned(primitives, self.joint_matrices[pose : pose + 1]),
-                at=slice(0, 1),
-                first_pose=pose,
-                algorithms=self._algorithms(direct=self.direct),
-                sides=None if sides is None else sides[pose : pose + 1],
                 compares=self.options.cap is None,
                 corrections=self.corrections,
             )

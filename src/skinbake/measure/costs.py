@@ -72,20 +72,13 @@ def added_error(primitives: Iterable[EncodedPrimitive]) -> AddedError | None:
     return AddedError(found[0].mean, found[0].p99, found[1].mean)
 
 
-def added_by_encoding(
-    document: Document, bakes: Sequence[Baked], storage: GradientFormat
-) -> AddedError | None:
-    """Return the angle between accurate normals with α and β as ``storage`` rounds them, and as float32.
-
-    The document has the poses. None if no pose has a normal. Raises InputError if the animations or
-    skins of the document cannot be read.
-    """
-    return added_error(_primitives(document, bakes, storage))
-
-
-def _primitives(
+def encoded_primitives(
     document: Document, bakes: Sequence[Baked], storage: GradientFormat
 ) -> Iterator[EncodedPrimitive]:
+    """Yield primitives with α and β as ``storage`` rounds them, in the poses of a document.
+
+    Raises InputError if the animations or skins of the document cannot be read.
+    """
     clips, sets = read_clips(document), dict[int, PoseSet]()
     for bake in bakes:
         exact = rest_primitive(BakedView.unwritten(bake))

@@ -94,6 +94,7 @@ class Places:
         self._worse: list[_Candidate] = []
         self._moments: dict[Moment, float] = {}
         self._draw: Draw | None = None
+        self._sums: dict[tuple[str, str], Float64Array] = {}
 
     def begin(self, draw: Draw) -> None:
         """Begin to sum the errors of a draw, which ``end`` ends. What no node of the scene draws is left."""
@@ -104,7 +105,7 @@ class Places:
         self._every = max(1, -(-len(draw.matrices) * self._cells.count // SUMS))
         self._poses = np.arange(0, len(draw.matrices), self._every)
         self._baked = "corrected" if draw.corrections else "accurate"
-        self._sums: dict[tuple[str, str], Float64Array] = {}
+        self._sums = {}
 
     def counted(self, block: MeasuredBlock) -> tuple[IntArray, Float64Array] | None:
         """Return the cells (U,) of a block, and their sums (2, P, U) of area × degrees, and of area.
@@ -137,10 +138,11 @@ class Places:
 
     def end(self) -> None:
         """Find the candidates of the draw that was begun."""
-        draw, cells = self._draw, getattr(self, "_cells", None)
-        truths = sorted({truth for truth, _ in getattr(self, "_sums", {})})
-        if draw is None or cells is None or not truths:
+        draw = self._draw
+        truths = sorted({truth for truth, _ in self._sums})
+        if draw is None or not truths:
             return
+        cells = self._cells
         sums = np.stack(
             [[self._sums[truth, name][0] for name in ("standard", self._baked)] for truth in truths]
         )
@@ -148,15 +150,9 @@ class Places:
         gains = (sums[:, 0] - sums[:, 1]).min(axis=0)
         gains[_stands_still(draw)[self._poses]] = 0.0
         seen = gains * cells.seen(draw.matrices[self._poses])
-        poses = draw.poses
-        keys = [
-            (number, clip, time)
-            for number, clip, time in zip(
-                poses.numbers or (None,) * len(poses.clips), poses.clips, poses.times, strict=True
-            )
-        ]
         for pose, total in zip(self._poses.tolist(), np.maximum(seen, 0.0).sum(axis=1), strict=True):
-            self._moments[keys[pose]] = self._moments.get(keys[pose], 0.0) + float(total)
+            moment = _moment(draw, pose)
+            self._moments[moment] = self._moments.get(moment, 0.0) + float(total)
 
         def candidate(value: float, row: int, seed: int, members: BoolArray) -> _Candidate:
             of_place = (
@@ -188,7 +184,9 @@ class Places:
         best = [max(of_seed, key=lambda one: one.value) for of_seed in self._shows if of_seed]
         if self._moments:
             moment = max(self._moments, key=lambda key: self._moments[key])
-            then = [one for of_seed in self._shows for one in of_seed if _moment(one) == moment]
+            then = [
+                one for of_seed in self._shows for one in of_seed if _moment(one.draw, one.pose) == moment
+            ]
             best = [*sorted(then, key=lambda one: -one.value)[:1], *sorted(best, key=lambda one: -one.value)]
         shows = [one for one in _apart(best) if one.figures[0] >= NEGLIGIBLE]
         shows = [one for one in shows if one.value >= LEAST * max(other.value for other in shows)]
@@ -217,10 +215,9 @@ def _stands_still(draw: Draw) -> BoolArray:
     return found
 
 
-def _moment(one: _Candidate) -> Moment:
-    poses = one.draw.poses
-    number = poses.numbers[one.pose] if poses.numbers else None
-    return number, poses.clips[one.pose], poses.times[one.pose]
+def _moment(draw: Draw, pose: int) -> Moment:
+    poses = draw.poses
+    return poses.numbers[pose] if poses.numbers else None, poses.clips[pose], poses.times[pose]
 
 
 class _Cells:
@@ -314,7 +311,7 @@ def _spot(one: _Candidate) -> Spot:
         outward = np.nan_to_num(towards / np.linalg.norm(towards))
         towards, is_hidden = _seen_from(positions, positions[triangles], vertex, outward)
     primitive = int(np.searchsorted(cells.starts, vertex, side="right")) - 1
-    number, clip, time = _moment(one)
+    number, clip, time = _moment(draw, one.pose)
     return Spot(
         clip=clip,
         number=number,

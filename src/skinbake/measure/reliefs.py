@@ -37,7 +37,7 @@ from skinbake.truth import kernel
 from skinbake.truth.blending import BlendedPrimitive, sides_of
 from skinbake.truth.kernel import dqs_positions
 from skinbake.truth.normals import FLAT_FRAME
-from skinbake.truth.truths import Truths, VertexBlock
+from skinbake.truth.truths import Truths, VertexBlock, joined
 from skinbake.truth.values import SparseRows
 
 if TYPE_CHECKING:
@@ -266,7 +266,8 @@ class _PosedRelief:
             _unit(vectors) for vectors in (rest.tangents, rest.bitangents, rest.normals)
         ]
         along = truths.frames.derivatives[block.number]
-        states = [_joined(primitives, "positions").T[:, :, None] for primitives in (rests.still, rests.moved)]
+        both = (joined(primitives, "positions") for primitives in (rests.still, rests.moved))
+        states = [positions.astype(np.float64).T[:, :, None] for positions in both]
         before, moved, after = (
             [_derivative(rows, positions) for rows in along] for positions in (*states, self.positions)
         )
@@ -350,7 +351,3 @@ def _unit(vectors: FloatArray) -> Float64Array:
     with np.errstate(invalid="ignore", divide="ignore"):  # what is not finite is not valid
         found: Float64Array = vectors / np.linalg.norm(vectors.astype(np.float64), axis=1, keepdims=True)
     return found
-
-
-def _joined(primitives: Sequence[RestPrimitive], name: str) -> Float64Array:
-    return np.concatenate([getattr(one, name) for one in primitives]).astype(np.float64)

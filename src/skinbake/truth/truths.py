@@ -62,7 +62,7 @@ class Truths(NamedTuple):
         of_mesh: Sequence[str] = USUAL_TRUTHS,
     ) -> Truths:
         """Measure a mesh at rest, for chunks of so many poses."""
-        positions, normals = (_joined(primitives, name) for name in ("positions", "normals"))
+        positions, normals = (joined(primitives, name) for name in ("positions", "normals"))
         # Cut the vertices of all primitives, each at its slice of the mesh, for chunks of so many poses.
         pieces = [
             (primitive, here.start, part)
@@ -87,7 +87,7 @@ class Truths(NamedTuple):
 
         They are the images of those at rest, by tangents. A vertex where the surface has none keeps its own.
         """
-        positions, normals = (_joined(primitives, name) for name in ("positions", "normals"))
+        positions, normals = (joined(primitives, name) for name in ("positions", "normals"))
         components = np.ascontiguousarray(np.asarray(positions, dtype=np.float64).T)[:, :, None]
         found = np.array(normals, dtype=np.float64)
         for part, derivatives in zip(self.frames.parts, self.frames.derivatives, strict=True):
@@ -102,7 +102,7 @@ class Truths(NamedTuple):
         images under the differential of the morph. If skinning is the identity, the truth by tangents returns
         the morphed normals exactly.
         """
-        positions, normals = (_joined(primitives, name) for name in ("positions", "normals"))
+        positions, normals = (joined(primitives, name) for name in ("positions", "normals"))
         frames = measured_frames(self.frames.parts, self.frames.derivatives, positions, normals)
         if self.carried is None:
             return self._replace(frames=frames)
@@ -175,7 +175,7 @@ class VertexBlock(NamedTuple):
     part: slice
 
 
-def _joined(primitives: Sequence[RestPrimitive], name: str) -> FloatArray:
+def joined(primitives: Sequence[RestPrimitive], name: str) -> FloatArray:
     """Return one array of all primitives, their vertices concatenated. A single one is not copied."""
     if len(primitives) == 1:
         only: FloatArray = getattr(primitives[0], name)

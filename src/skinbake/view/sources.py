@@ -34,11 +34,8 @@ MARK = re.compile(r"@\{(\w+)\}")
 @cache
 def script() -> str:
     """Return all modules as one. Browsers import no module of a page that was opened as a file."""
-    return "\n".join(_unlinked(_text(name)) for name in MODULES)
-
-
-def _unlinked(text: str) -> str:
-    return EXPORT.sub("", IMPORT.sub("", text)).strip("\n") + "\n"
+    modules = (EXPORT.sub("", IMPORT.sub("", _text(name))) for name in MODULES)
+    return "\n".join(text.strip("\n") + "\n" for text in modules)
 
 
 @cache
