@@ -16,7 +16,6 @@ from skinbake.correctives.fit import (
     LEAST_HELD_BACK,
     LEAST_KEYS,
     Correctives,
-    Figures,
     Motion,
     fitted,
     held_back_times,
@@ -60,6 +59,9 @@ if TYPE_CHECKING:
 
 STEPS = {Encoding.FLOAT32: 2.0**-14, Encoding.SNORM16: 1.0 / 32767.0, Encoding.PACKED8: 1.0 / 127.0}
 """The steps of the components of targets as they are stored."""
+
+AS_USUAL = VerifyOptions()
+"""How verify measures the lighting without options."""
 
 UNIT_LENGTH = 1e-2
 """How far the length of a stored normal may be from 1 without a difference to its targets: bytes are."""
@@ -231,16 +233,18 @@ def _own_weights(document: Document, meshes: Sequence[int], clips: Sequence[Clip
     return found
 
 
-def lighting_with_correctives(document: Document) -> FileVerdict:
-    """Measure the lighting of a document with correctives, beside that of α and β of the surface.
+def lighting_with_correctives(
+    document: Document, asked: VerifyOptions = AS_USUAL, by: BakeOptions = OF_SURFACE
+) -> FileVerdict:
+    """Measure the lighting of a document with correctives, beside that of α and β that a bake would give.
 
     Nothing is told of it.
     """
     with document.notices.withheld():
         with stage("α and β"):
             plain, _ = uncorrected(document)
-            gradients = bake_gradients(plain, bakeable(plain), OF_SURFACE).document
-        return corrected_lighting(PlayedCorrectives(document), gradients, VerifyOptions())[0]
+            gradients = bake_gradients(plain, bakeable(plain), by).document
+        return corrected_lighting(PlayedCorrectives(document), gradients, asked)[0]
 
 
 def _nothing(place: Place, correctives: Correctives) -> Notice:
@@ -248,7 +252,7 @@ def _nothing(place: Place, correctives: Correctives) -> Notice:
     if not correctives.tracks:
         message = "no correctives: no chosen clip moves its joints, and only clips play correctives"
         return Notice("no-clips", message, place)
-    mean = max(correctives.figures.standard, default=0.0)
+    mean = max(correctives.standard, default=0.0)
     if mean < NEGLIGIBLE:
         message = f"no correctives: nothing to correct, its lighting is wrong by {mean:.2g}° in its clips"
         return Notice("nothing-to-correct", message, place)
@@ -319,7 +323,7 @@ def _fitted(
     ]
     if not motions:
         none = tuple(np.zeros((0, len(one.positions), 3)) for one in primitives)
-        nothing = Correctives(none, (), Figures((), ()), 1.0, 0)
+        nothing = Correctives(none, (), (), 1.0, 0)
         return [(place, nothing, None) for place in places]
     _claim_fit(surface, motions, len(moving))
     areas = np.concatenate(motions[0].draw.areas)

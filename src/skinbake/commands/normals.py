@@ -109,9 +109,7 @@ def _of_draw(draw: Draw, clip: Clip, moment: float, method: Method, options: Opt
     skinned: Sequence[Skinning | BlendedSkinning] = (
         BlendedSkinning.of_mesh(rest, draw.matrices, options)
         if method is Method.BLEND
-        else Skinning.of_mesh(rest, draw.matrices, options)
-        if method is Method.DQS
-        else [Skinning.of(one, draw.matrices, dual_quaternions=False, options=options) for one in rest]
+        else Skinning.of_mesh(rest, draw.matrices, options, dual_quaternions=method is Method.DQS)
     )
     algorithms = {name: one for name, one in METHODS[method].items() if name != "direct"}
     # The positions, and the normals of each lighting, outside where joints mirror.

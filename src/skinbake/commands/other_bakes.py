@@ -9,17 +9,15 @@ from typing import Any
 from skinbake.choices import Encoding, Gradients
 from skinbake.commands.bake import bake_document
 from skinbake.commands.bake_options import DEFAULTS, BakeOptions
-from skinbake.commands.gradient_bake import bake_gradients
+from skinbake.commands.corrective_bake import lighting_with_correctives
 from skinbake.errors import Notices, SkinbakeError
 from skinbake.format.note import corrective_notes, gradient_note
-from skinbake.format.strip import stripped, uncorrected
-from skinbake.freshness.corrective_freshness import PlayedCorrectives
+from skinbake.format.strip import stripped
 from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.document import Document
 from skinbake.gltf.reading.meshes import skinned_sources
 from skinbake.gltf.reading.morphs import targets_without_normal
-from skinbake.measure.corrected import corrected_lighting
-from skinbake.measure.measured import bakeable, lighting_of
+from skinbake.measure.measured import lighting_of
 from skinbake.measure.options import VerifyOptions
 from skinbake.report.verify import (
     CLEAR,
@@ -93,11 +91,7 @@ def _measured(
                 if not made.is_baked:
                     figures = {}
                 elif corrects:
-                    uncovered, _ = uncorrected(made.document)
-                    gradients = bake_gradients(uncovered, bakeable(uncovered), DEFAULTS).document
-                    figures = by_worse_truth(
-                        corrected_lighting(PlayedCorrectives(made.document), gradients, options)[0]
-                    )
+                    figures = by_worse_truth(lighting_with_correctives(made.document, options, DEFAULTS))
                 else:
                     figures = by_worse_truth(lighting_of(made.document, options))
         except SkinbakeError:

@@ -80,9 +80,7 @@ def verify_document(
         views = baked_views(document, wanted)
     problems += damaged
     if problems:
-        structure = Check("structure", "failed", tuple(problems))
-        rest = [Check(name, "skipped", (), "structure failed") for name in ("freshness", "lighting")]
-        return FileVerdict(document.name, (structure, *rest))
+        return FileVerdict.damaged(document.name, problems)
     vertices = counted(sum(len(view.now.positions) for view in views), "vertex", "vertices")
     found = [f"{counted(len(views), 'baked primitive')}, {vertices}", *left.values()]
     structure, begun = (

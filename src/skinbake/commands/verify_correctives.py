@@ -38,9 +38,7 @@ def corrected_verdict(document: Document, options: VerifyOptions) -> FileVerdict
         tell_half_skinned(document)
         problems = list(damaged_correctives(document))
     if problems:
-        structure = Check("structure", "failed", tuple(problems))
-        skipped = [Check(name, "skipped", (), "structure failed") for name in ("freshness", "lighting")]
-        return FileVerdict(document.name, (structure, *skipped))
+        return FileVerdict.damaged(document.name, problems)
     with stage("freshness"):
         fresh = corrective_freshness(document, sources)
         fresh, begun = replace(fresh, seconds=perf_counter() - begun), perf_counter()

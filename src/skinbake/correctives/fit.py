@@ -102,25 +102,18 @@ class Track:
 
 
 @dataclass(frozen=True, slots=True)
-class Figures:
-    """The mean angles in degrees between drawn and true normals by each of ``USUAL_TRUTHS``, by area."""
-
-    standard: tuple[float, ...]
-    corrected: tuple[float, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class Correctives:
     """The correctives of one mesh.
 
     targets are changes of unit normals by primitive: (K, V, 3) float64, 0 where a vertex has none. K is 0 if
-    nothing helps. left is the share of the squared changes that K targets leave. given_up are the vertices
+    nothing helps. standard are the mean errors of standard lighting in degrees by each of ``USUAL_TRUTHS``,
+    weighted by area. left is the share of the squared changes that K targets leave. given_up are the vertices
     whose targets were taken out because they did not help.
     """
 
     targets: tuple[Float64Array, ...]
     tracks: tuple[Track, ...]
-    figures: Figures
+    standard: tuple[float, ...]
     left: float
     given_up: int
 
@@ -348,11 +341,8 @@ def _helpful(
         has_targets = np.concatenate([one.any(axis=(0, 2)) for one in targets[mesh]])
         kept, plays = _kept(*errors, areas[rows], ends_of, has_targets)
         # The mean is that of all clips, also of those that play nothing.
-        after = np.where(plays[:, None, None] & kept, errors[1], errors[0])
         area = max(float(np.sum(areas[rows])) * len(own), 1e-300)
-        figures = Figures(
-            *(tuple(((one * areas[rows]).sum(axis=(0, 2)) / area).tolist()) for one in (errors[0], after))
-        )
+        before = ((errors[0] * areas[rows]).sum(axis=(0, 2)) / area).tolist()
         count = len(targets[mesh.start]) if kept.any() else 0
         used = [
             replace(one, weights=one.weights[:, :count]) if playing else one.at_rest(count)
@@ -363,7 +353,7 @@ def _helpful(
             for one, start, stop in zip(targets[mesh], ends_of[:-1], ends_of[1:], strict=True)
         )
         given_up = int(np.count_nonzero(has_targets & ~kept))
-        result.append(Correctives(of_parts, tuple(used), figures, left, given_up))
+        result.append(Correctives(of_parts, tuple(used), tuple(before), left, given_up))
     return result
 
 

@@ -26,6 +26,7 @@ from skinbake.geometry.morphs import carried_by_normal
 from skinbake.geometry.skinned import BoolArray, Float64Array, FloatArray
 from skinbake.gltf.document import Document
 from skinbake.gltf.reading.materials import material_of
+from skinbake.measure.angles import INSIDE_OUT, METHODS
 from skinbake.measure.draws import Draw
 from skinbake.measure.tally import Tallies
 from skinbake.report.verify import Reliefs
@@ -55,11 +56,6 @@ RELIEF_SAMPLES = 1 << 17
 CHUNK_POSES, CHUNK_SAMPLES = 16, 1 << 20
 """The poses in work at a time, and the vertices × poses, each at most."""
 
-ALGORITHMS = {
-    "lbs": {"accurate": Algorithm.LBS_ACCURATE},
-    "dqs": {"accurate": Algorithm.DQS_ACCURATE, "exact": Algorithm.DQS_EXACT},
-}
-STANDARD = {"lbs": Algorithm.LBS_STANDARD, "dqs": Algorithm.DQS_STANDARD}
 THIRDS = ("carried", "area")
 """The two kinds of the third column: T n0, and F n0."""
 
@@ -210,11 +206,7 @@ class _PosedRelief:
         is_dual = method == "dqs"
 
         def skinned(primitives: Sequence[RestPrimitive], by: Options) -> list[Skinning]:
-            if is_dual:
-                return Skinning.of_mesh(primitives, joint_matrices, by)
-            return [
-                Skinning.of(rest, joint_matrices, dual_quaternions=False, options=by) for rest in primitives
-            ]
+            return Skinning.of_mesh(primitives, joint_matrices, by, dual_quaternions=is_dual)
 
         plain = skinned(rests.moved, mapped)
         whole, count = slice(0, len(joint_matrices)), sum(len(rest.positions) for rest in rests.moved)
@@ -245,8 +237,8 @@ class _PosedRelief:
         """Yield kind of third column, lighting, errors (P, B) in degrees, and where they are valid."""
         rests, number, whole = self.rests, block.primitive, slice(0, self.positions.shape[2])
         skinning = self.plain[number]
-        standard = STANDARD[self.method]
-        algorithms = ALGORITHMS[self.method]
+        every = METHODS[self.method]
+        standard, algorithms = every["standard"], {name: every[name] for name in every if name in INSIDE_OUT}
         accurate = skinning.run([*algorithms.values()], whole, block.rows)
         scale = skinning.motions.scale
         times = 1.0 if scale is None else scale[:, None]

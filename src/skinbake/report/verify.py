@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 
@@ -261,6 +261,13 @@ class FileVerdict:
     unplayed: InputError | None = None
     spots: Spots | None = None
     entry: Entry | None = None
+
+    @classmethod
+    def damaged(cls, name: str, problems: Iterable[Notice]) -> FileVerdict:
+        """Return the verdict on a file whose bake is damaged, so that nothing else of it was checked."""
+        structure = Check("structure", "failed", tuple(problems))
+        rest = [Check(one, "skipped", (), "structure failed") for one in ("freshness", "lighting")]
+        return cls(name, (structure, *rest))
 
     @property
     def by_truth(self) -> dict[str, Normals]:

@@ -87,16 +87,16 @@ def storage_context(choices: ShaderChoices) -> dict[str, Any]:
     return {
         "vertex_format": FORMATS.get(choices.encoding),
         "limit": LIMITS.get(choices.encoding),
-        "scale": "" if choices.scale is None else float32_literal(choices.scale),
+        # Nine digits are enough for any two float32.
+        "scale": "" if choices.scale is None else literal(f"{choices.scale:.9g}"),
         "pairs": pairs,
         "assembled": assembled,
         "preparations": preparations,
     }
 
 
-def float32_literal(value: float) -> str:
-    """Return a literal of all languages for a float32 value; nine digits are enough for any two."""
-    text = f"{value:.9g}"
+def literal(text: str) -> str:
+    """Return the text of a number as a float literal of all languages."""
     return text if "." in text or "e" in text else f"{text}.0"
 
 

@@ -22,7 +22,7 @@ from skinbake.errors import ChoiceError, Chosen
 from skinbake.shaders.choices import ShaderChoices
 from skinbake.shaders.compute import TYPES, compute_context
 from skinbake.shaders.engines import single_module
-from skinbake.shaders.storage import ascii_name, storage_context, storage_parts
+from skinbake.shaders.storage import ascii_name, literal, storage_context, storage_parts
 from skinbake.version import __version__
 
 if TYPE_CHECKING:
@@ -267,7 +267,7 @@ def _context(choices: ShaderChoices, cap_as: str = "") -> dict[str, Any]:
     blend = ["blend" if choices.is_corrected else "blend.x"] if choices.method is Method.BLEND else []
     arguments = ["position", "frame", *motions, *(name for _, name in weights), *given, *blend]
     stored = storage_context(choices)
-    cap = cap_as if cap_as or choices.cap is None else _number(choices.cap)
+    cap = cap_as if cap_as or choices.cap is None else literal(repr(float(choices.cap)))
 
     def corrected(base: str, correction: str) -> str:
         if not others:
@@ -311,7 +311,7 @@ def _context(choices: ShaderChoices, cap_as: str = "") -> dict[str, Any]:
         "corrected": corrected,
         "dual": dual,
         "handed": handed,
-        "number": _number,
+        "number": lambda value: literal(repr(float(value))),
         "ascii_name": ascii_name,
         "count": lambda n, noun: f"{n} {noun}{'' if n == 1 else 's'}",
         "refuse": partial(_refuse, choices),
@@ -421,12 +421,6 @@ def _sum(kind: str, pattern: str, slots: Sequence[Slot]) -> str:
 
 def _joined(separator: str, pattern: str, slots: Sequence[Slot]) -> str:
     return separator.join(pattern.replace("%d", str(slot.index)) for slot in slots)
-
-
-def _number(value: float) -> str:
-    """Return a float literal of all languages."""
-    text = repr(float(value))
-    return text if "." in text or "e" in text else f"{text}.0"
 
 
 def _refuse(choices: ShaderChoices, option: str, why: str) -> NoReturn:

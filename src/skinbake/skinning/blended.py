@@ -81,11 +81,11 @@ class BlendedSkinning:
         cls, primitives: Sequence[RestPrimitive], joint_matrices: FloatArray, options: Options
     ) -> list[BlendedSkinning]:
         """Prepare the primitives of one mesh, for joint matrices (P, J, 4, 4)."""
-        dual = Skinning.of_mesh(primitives, joint_matrices, options)
-        return [
-            cls(rest, Skinning.of(rest, joint_matrices, dual_quaternions=False, options=options), own)
-            for rest, own in zip(primitives, dual, strict=True)
-        ]
+        linear, dual = (
+            Skinning.of_mesh(primitives, joint_matrices, options, dual_quaternions=is_dual)
+            for is_dual in (False, True)
+        )
+        return list(map(cls, primitives, linear, dual))
 
     def run(self, algorithms: Sequence[Algorithm], pose: slice, part: slice) -> list[PosedVertex]:
         """Return the results for a block of poses and vertices, as components (P, V).

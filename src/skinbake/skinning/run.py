@@ -79,9 +79,18 @@ class Skinning:
 
     @classmethod
     def of_mesh(
-        cls, primitives: Sequence[RestPrimitive], joint_matrices: FloatArray, options: Options
+        cls,
+        primitives: Sequence[RestPrimitive],
+        joint_matrices: FloatArray,
+        options: Options,
+        *,
+        dual_quaternions: bool = True,
     ) -> list[Skinning]:
-        """Prepare the primitives of one mesh for algorithms 4–6. They share their motions."""
+        """Prepare the primitives of one mesh. For algorithms 4–6 they share their motions."""
+        if not dual_quaternions:
+            return [
+                cls.of(rest, joint_matrices, dual_quaternions=False, options=options) for rest in primitives
+            ]
         motions = _dual_motions(primitives, joint_matrices, RIGID_TOLERANCE, np.float64)
         return [cls(_Vertices(rest, np.float64), motions, options) for rest in primitives]
 
