@@ -41,7 +41,6 @@ def command(plan: Plan[None]) -> None:
         as_json,
         as_line,
         as_text,
-        count,
         file_json,
     )
 
@@ -57,7 +56,6 @@ def command(plan: Plan[None]) -> None:
         schema=FILES_SCHEMA,
         outcomes=OUTCOMES,
         tell=tell,
-        count=count,
         file_json=file_json,
         alone=(lambda one: as_json(one.summary) if one.summary else {}) if is_one else None,
     )

@@ -164,20 +164,20 @@ def code_of(result: Result) -> int:
 class Reporting(Generic[ResultT]):
     """How a command's results are reported, counted and written, and the exit code of each.
 
-    outcomes are the kinds by which files are counted. The JSON of all results has that of each file, and
-    ``chosen``, options of the run. A run on a single file may have the JSON that ``alone`` makes of its
-    result in place of it, of another schema, and nothing if it failed. If write is given, it writes another
-    report of all results and returns its exit code.
+    outcomes are the kinds by which files are counted, by their status unless ``count`` does it. The JSON of
+    all results has that of each file, and ``chosen``, options of the run. A run on a single file may have the
+    JSON that ``alone`` makes of its result in place of it, of another schema, and nothing if it failed. If
+    write is given, it writes another report of all results and returns its exit code.
     """
 
     schema: str
     outcomes: tuple[str, ...]
     tell: Callable[[ResultT], None]
-    count: Callable[[Totals, ResultT], None]
     file_json: Callable[[ResultT], Mapping[str, Any]]
     alone: Callable[[ResultT], dict[str, Any]] | None = None
     chosen: Mapping[str, Any] = field(default_factory=dict)
     write: Callable[[Sequence[ResultT]], int] | None = None
+    count: Callable[[Totals, ResultT], None] | None = None
     code: Callable[[ResultT], int] = code_of
 
     def document(
@@ -209,6 +209,7 @@ def work_through(
     from skinbake.report.totals import (
         Totals,
         closing_line,
+        count,
         failure_lines,
         lowest_lines,
         timing_lines,
@@ -254,7 +255,7 @@ def work_through(
                     notes.add(result.record)
                     content = reporting.file_json(result)
                     summary.line({"schema": reporting.schema, "kind": "file", **content})
-                    reporting.count(totals, result)
+                    (reporting.count or count)(totals, result)
                     code = max(code, reporting.code(result))
                     if plan.as_json or reporting.write:
                         results.append(result)

@@ -41,7 +41,6 @@ def command(plan: Plan[None]) -> None:
         StripResult,
         as_json,
         closing_line,
-        count,
         file_json,
     )
 
@@ -56,7 +55,6 @@ def command(plan: Plan[None]) -> None:
         schema=FILES_SCHEMA,
         outcomes=OUTCOMES,
         tell=tell,
-        count=count,
         file_json=file_json,
         alone=None if output is None else as_json,
         write=(lambda results: write_depfile(plan, results)) if plan.depfile else None,

@@ -33,11 +33,11 @@ if TYPE_CHECKING:
 class Extra(NamedTuple):
     """The reports that only verify writes, and the pose of --dump-normals."""
 
-    junit: str | None
-    html: str | None
-    dump_normals: str | None
-    clip: str | None
-    time: float | None
+    junit: str | None = None
+    html: str | None = None
+    dump_normals: str | None = None
+    clip: str | None = None
+    time: float | None = None
 
 
 def options_of(given: Mapping[str, Any]) -> VerifyOptions:

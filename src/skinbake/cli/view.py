@@ -123,7 +123,7 @@ def _write_sheet(plan: Plan[Any], folder: str, target: str | None) -> int:
         check_earlier(str(page), is_page)
     command = Verify(VerifyOptions(), pages=made, sync=not plan.no_sync)
     # Nothing is asked of the files: one that fails a check is shown like the others.
-    usual = reporting(whole, Extra(None, target, None, None, None))
+    usual = reporting(whole, Extra(html=target))
 
     def tell(verdict: FileVerdict) -> None:
         usual.tell(replace(verdict, notices=()))  # its page tells them

@@ -9,11 +9,9 @@ from typing import Any, Literal, NamedTuple
 from skinbake.choices import READERS_OF_FOUR
 from skinbake.errors import Notice, Place, SkinbakeError, printable, warnings_in
 from skinbake.report.totals import (
-    Totals,
     error_fields,
     notice_list,
     place_fields,
-    reason_of,
     timing_fields,
 )
 from skinbake.wording import counted, gain_in_words, percent
@@ -184,11 +182,6 @@ class FileResult:
     timings: dict[str, float] | None = None
     read: tuple[str, ...] = ()
     left: Left | None = None
-
-
-def count(totals: Totals, result: FileResult) -> None:
-    """Count a file."""
-    totals.add(result.status, reason_of(result.input, result.error), result.timings)
 
 
 def short_line(result: FileResult, *, dry_run: bool) -> str:

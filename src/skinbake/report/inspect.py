@@ -8,11 +8,9 @@ from typing import Any
 
 from skinbake.errors import Notice, Place, SkinbakeError, printable
 from skinbake.report.totals import (
-    Totals,
     error_fields,
     notice_list,
     place_fields,
-    reason_of,
     timing_fields,
 )
 from skinbake.wording import counted
@@ -138,17 +136,16 @@ class FileSummary:
     timings: dict[str, float] | None = None
 
     @property
+    def status(self) -> str:
+        """The outcome of the file."""
+        return "failed" if self.error else "inspected"
+
+    @property
     def notices(self) -> tuple[Notice, ...]:
         """Return the notices of the summary, or those from before the error."""
         if self.summary is not None:
             return self.summary.notices
         return () if self.error is None else self.error.notices
-
-
-def count(totals: Totals, result: FileSummary) -> None:
-    """Count a file."""
-    reason = reason_of(result.input, result.error)
-    totals.add("failed" if result.error else "inspected", reason, result.timings)
 
 
 def as_line(result: InspectResult) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from skinbake.errors import Notice, SkinbakeError, printable
-from skinbake.report.totals import Totals, error_fields, notice_list, reason_of, timing_fields
+from skinbake.report.totals import error_fields, notice_list, timing_fields
 from skinbake.wording import counted
 
 SCHEMA = "skinbake.strip/1"
@@ -40,11 +40,6 @@ class StripResult:
         if self.error is not None:
             return "failed"
         return "stripped" if self.primitives else "unchanged"
-
-
-def count(totals: Totals, result: StripResult) -> None:
-    """Count a file."""
-    totals.add(result.status, reason_of(result.input, result.error), result.timings)
 
 
 def closing_line(result: StripResult) -> str:

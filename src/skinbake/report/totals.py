@@ -61,6 +61,11 @@ def reason_of(source: str, error: SkinbakeError | None) -> str:
     return text if text.startswith(printable(source)) else f"{source}: {text}"
 
 
+def count(totals: Totals, result: Any) -> None:
+    """Count the result of a file by its status."""
+    totals.add(result.status, reason_of(result.input, result.error), result.timings)
+
+
 def failure_lines(totals: Totals) -> Iterator[str]:
     """Yield the failures again, if there are several and their own lines may be out of sight."""
     count = len(totals.failures)
