@@ -185,10 +185,7 @@ def normals_of_frames(
     """
     tangents, bitangents = frame
     c: FloatArray = np.cross(tangents, bitangents) * handedness[:, None]
-    square = dot(c, c)
-    sound = (square > 0) & np.isfinite(square) & moved
-    root = np.sqrt(np.where(sound, square, square.dtype.type(1)))
-    return np.where(sound[:, None], c / root[:, None], normals)
+    return _units(c, normals, moved)[0]
 
 
 def _in_plane(vectors: Sequence[FloatArray], in_plane: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -203,9 +200,12 @@ def morphed_normals(normals: FloatArray, differences: FloatArray) -> tuple[Float
 
     If nothing is added or the sum is 0, they are n0 and 1.
     """
-    total = normals + differences
-    square = dot(total, total)
-    # A sum without a length, or a vertex that no target moves, keeps n0.
-    sound = (square > 0) & np.isfinite(square) & differences.any(axis=1)
+    return _units(normals + differences, normals, np.asarray(differences.any(axis=1)))
+
+
+def _units(vectors: FloatArray, normals: FloatArray, moved: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Return vectors (V, 3) at length 1, and their lengths (V,); n0 and 1 where they have none, or stay."""
+    square = dot(vectors, vectors)
+    sound = (square > 0) & np.isfinite(square) & moved
     root = np.sqrt(np.where(sound, square, square.dtype.type(1)))
-    return np.where(sound[:, None], total / root[:, None], normals), root
+    return np.where(sound[:, None], vectors / root[:, None], normals), root

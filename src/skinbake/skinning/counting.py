@@ -21,39 +21,24 @@ from skinbake.skinning.components import RestVertex, Rows, Vector
 from skinbake.skinning.rest import Algorithm, Options
 from skinbake.skinning.run import SCALED_STEPS, STEPS
 
+SURCHARGES = {
+    # T p is charged 12, the homogeneous 1 included, where q = M p of the same size is charged 9.
+    (Algorithm.LBS_STANDARD, 2): 3,
+    (Algorithm.LBS_DIRECT, 5): 3,
+    # Mixing is charged 12 an influence, 8 to add and 4 for the hemisphere, also of slot 0, its pivot.
+    (Algorithm.DQS_STANDARD, 1): 4,
+    (Algorithm.DQS_ACCURATE, 1): 4,
+    (Algorithm.DQS_EXACT, 1): 4,
+    # A position is charged 27, one for differences 24: adding p to its displacement is charged apart.
+    (Algorithm.DQS_STANDARD, 3): 3,
+    (Algorithm.DQS_ACCURATE, 3): 3,
+    (Algorithm.DQS_EXACT, 3): 3,
+}
+"""What the paper counts beyond the needs of a line: all assumptions about its figures, by algorithm and line.
 
-@dataclass(frozen=True, slots=True)
-class Surcharge:
-    """The operations that the paper counts beyond the needs of a line, and their place."""
-
-    lines: frozenset[tuple[Algorithm, int]]
-    multiply_adds: int
-    reason: str
-    with_scaled_joints: bool = False
-
-
-SURCHARGES = (
-    Surcharge(
-        frozenset({(Algorithm.LBS_STANDARD, 2), (Algorithm.LBS_DIRECT, 5)}),
-        3,
-        "T p is charged 12, the homogeneous 1 included, where q = M p of the same size is charged 9",
-    ),
-    Surcharge(
-        frozenset({(Algorithm.DQS_STANDARD, 1), (Algorithm.DQS_ACCURATE, 1), (Algorithm.DQS_EXACT, 1)}),
-        4,
-        "mixing is charged 12 an influence, 8 to add and 4 for the hemisphere, also of slot 0, its pivot",
-        with_scaled_joints=True,
-    ),
-    Surcharge(
-        frozenset({(Algorithm.DQS_STANDARD, 3), (Algorithm.DQS_ACCURATE, 3), (Algorithm.DQS_EXACT, 3)}),
-        3,
-        "a position is charged 27, one for differences 24: adding p to its displacement is charged apart",
-    ),
-)
-"""All assumptions about the paper's figures; algorithm 6 is counted like 4 and 5.
-
-``dqs_scaled`` is counted by the same rules. It mixes 20 numbers of a joint (16 in algorithm 6) in place of 8,
-and they are charged one by one.
+Algorithm 6 is counted like 4 and 5. ``dqs_scaled`` is counted by the same rules, but adds no p to a
+displacement. It mixes 20 numbers of a joint (16 in algorithm 6) in place of 8, and they are charged one by
+one.
 """
 
 
@@ -158,10 +143,9 @@ def multiply_adds(
         Options(normal_map=normal_map),
         tally.mark,
     )
-    for surcharge in SURCHARGES:
-        for charged, number in surcharge.lines:
-            if charged is algorithm and is_scaled <= surcharge.with_scaled_joints:
-                tally.lines[number] += surcharge.multiply_adds
+    for (charged, number), more in SURCHARGES.items():
+        if charged is algorithm and (number == 1 or not is_scaled):
+            tally.lines[number] += more
     return tally.lines
 
 
