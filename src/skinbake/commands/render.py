@@ -299,21 +299,17 @@ def small_pictures(
 
 def _in_clay(draw: Draw) -> Iterator[Posed]:
     """Yield each primitive of a draw in its first pose, by standard lighting and by the bake's."""
-    morphing, standard, accurate = draw.morphing, draw.surface.rest, draw.surface.rest
-    if morphing is not None:
-        standard, accurate = morphing.standard(standard, 0), morphing.accurate(accurate, 0)
-    how = Algorithm.LBS_ACCURATE
+    own, how = "accurate", Algorithm.LBS_ACCURATE
     if draw.corrections is not None:
-        played = zip(standard, draw.corrections.targets, draw.corrections.weights, strict=True)
-        changed = [(one, np.einsum("k,kvi->vi", weights[0], targets)) for one, targets, weights in played]
-        accurate = [replace(one, normals=one.normals + change) for one, change in changed]
-        how = Algorithm.LBS_STANDARD
+        own, how = "corrected", Algorithm.LBS_STANDARD
+    found, rest = draw.by_lighting(0), draw.surface.rest
+    both = [found.get(name, rest) for name in ("standard", own)]
     turned = (np.linalg.det(rest_pose(draw.skeleton)[0, :, :3, :3]) < 0).any()
-    for view, *both in zip(draw.surface.views, standard, accurate, strict=True):
+    for view, *pair in zip(draw.surface.views, *both, strict=True):
         lit = []
-        for rest, algorithm in zip(both, (Algorithm.LBS_STANDARD, how), strict=True):
-            skinning = Skinning.of(rest, draw.matrices, dual_quaternions=False, options=Options())
-            lit += skinning.run((algorithm,), slice(0, 1), slice(0, len(rest.positions)))
+        for one, algorithm in zip(pair, (Algorithm.LBS_STANDARD, how), strict=True):
+            skinning = Skinning.of(one, draw.matrices, dual_quaternions=False, options=Options())
+            lit += skinning.run((algorithm,), slice(0, 1), slice(0, len(one.positions)))
         positions, *normals = (
             np.stack([np.asarray(axis, np.float64)[0] for axis in vector], axis=-1)
             for vector in (lit[0].position, *(one.normal for one in lit))
@@ -415,7 +411,6 @@ def _shots(
             nothing = np.zeros((2, count, len(one.rest.positions)), np.float32)
             errors.append(dict.fromkeys(LIGHTINGS, nothing))
     starts = np.cumsum([0, *(len(draw.surface.rest) for draw in draws)]).tolist()
-    morphings = [draw.morphing for draw in draws]
     for pose in range(count):
         told = {
             name: tuple((own[name][0, pose], own[name][1, pose]) for own in errors)
@@ -423,18 +418,9 @@ def _shots(
         }
         # What targets move in the pose, by lighting and by the number of the primitive among all.
         moved: dict[str, dict[int, RestPrimitive]] = {name: {} for name in LIGHTINGS}
-        for draw, morphing, first in zip(draws, morphings, starts, strict=False):
-            standard: Sequence[RestPrimitive] = draw.surface.rest
-            if morphing is not None:
-                standard = morphing.standard(draw.surface.rest, pose)
-                for lighting in ("standard", "corrected"):
-                    moved[lighting].update(enumerate(standard, first))
-                moved["accurate"].update(enumerate(morphing.accurate(draw.surface.rest, pose), first))
-            if draw.corrections is not None:
-                played = zip(standard, draw.corrections.targets, draw.corrections.weights, strict=True)
-                for number, (primitive, targets, weights) in enumerate(played, first):
-                    change = np.einsum("k,kvi->vi", weights[pose], targets)
-                    moved["corrected"][number] = replace(primitive, normals=primitive.normals + change)
+        for draw, first in zip(draws, starts, strict=False):
+            for lighting, primitives in draw.by_lighting(pose).items():
+                moved[lighting].update(enumerate(primitives, first))
         matrices = *(one.matrices[pose] for one in draws), *(one.matrices[pose] for one in rigid)
         turned = 2 * np.pi * pose / count if options.turntable else 0.0
         yield Shot(matrices, yaw + turned, told, moved)

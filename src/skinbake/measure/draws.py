@@ -221,6 +221,22 @@ class Draw:
         """The morph targets that move it; None if none does. Raises InputError if one is broken."""
         return self.surface.morphing(self.poses.morph_weights)
 
+    def by_lighting(self, pose: int) -> dict[str, Sequence[RestPrimitive]]:
+        """Return the primitives of a pose before skinning, of the lightings for which targets move them."""
+        rest, morphing = self.surface.rest, self.morphing
+        found: dict[str, Sequence[RestPrimitive]] = {}
+        if morphing is not None:
+            standard = morphing.standard(rest, pose)
+            found = {"standard": standard, "corrected": standard, "accurate": morphing.accurate(rest, pose)}
+        if self.corrections is not None:
+            changed = found.get("standard", rest)
+            played = zip(changed, self.corrections.targets, self.corrections.weights, strict=True)
+            found["corrected"] = [
+                replace(one, normals=one.normals + np.einsum("k,kvi->vi", weights[pose], targets))
+                for one, targets, weights in played
+            ]
+        return found
+
     @cached_property
     def areas(self) -> list[Float64Array]:
         """The areas (V,) around the vertices of each primitive at rest, in the squared unit of the scene."""
