@@ -243,22 +243,18 @@ class Draw:
         space = RestAreas(self.surface.document, self.skin)
         return [space.of(view.now) for view in self.surface.views]
 
-    def primitives(self, every: int = 1) -> Iterator[tuple[RestPrimitive, Float64Array]]:
-        """Yield each primitive before skinning, with the matrices of the poses in which it is that.
+    def positions(self, every: int = 1) -> Iterator[Float64Array]:
+        """Yield positions (P, V, 3) of each primitive: all poses, or one at a time if targets move it.
 
         With ``every``, only every so many poses count.
         """
-        morphing = self.morphing
-        if morphing is None:
-            yield from ((rest, self.matrices[::every]) for rest in self.surface.rest)
-            return
-        for pose in range(0, len(self.matrices), every):
-            for rest in morphing.primitives(self.surface.rest, pose):
-                yield rest, self.matrices[pose : pose + 1]
-
-    def positions(self, every: int = 1) -> Iterator[Float64Array]:
-        """Yield positions (P, V, 3) of each primitive: all poses, or one at a time if targets move it."""
-        for rest, matrices in self.primitives(every):
+        morphing, rests = self.morphing, self.surface.rest
+        posed = ((rest, slice(None, None, every)) for rest in rests)
+        if morphing is not None:
+            poses = range(0, len(self.matrices), every)
+            posed = ((one, slice(n, n + 1)) for n in poses for one in morphing.primitives(rests, n))
+        for rest, some in posed:
+            matrices = self.matrices[some]
             whole = slice(0, len(matrices)), slice(0, len(rest.positions))
             yield BlendedPrimitive(rest, matrices, Options()).positions(*whole).transpose(2, 1, 0)
 
