@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Sequence
 
 from skinbake.errors import ChoiceError, OutputError, ReaderGoneError, SkinbakeError
@@ -12,11 +11,8 @@ VERIFICATION = 1
 USAGE = 2
 INPUT = 3
 OUTPUT = 4
-INTERRUPTED = 128 + signal.SIGINT
-"""The code after Ctrl-C, as in shells."""
-
-READER_GONE = 141
-"""The code of a command that SIGPIPE ends, as in shells."""
+HUNG_UP, INTERRUPTED, READER_GONE, TERMINATED = 129, 130, 141, 143
+"""The codes after SIGHUP, Ctrl-C, SIGPIPE and SIGTERM, as in shells: 128 and the number of the signal."""
 
 
 def of_error(error: SkinbakeError | None) -> int:
