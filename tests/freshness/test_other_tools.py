@@ -139,26 +139,38 @@ def test_a_rigid_part_may_follow_another_joint(tmp_path: Path) -> None:
     assert largest_angle(accurate_normals(changed), accurate_normals(again)) < 0.01
 
 
-def after_tools(path: Path) -> dict[str, Path]:
-    """Run each tool of docs/order.md that does not drop the metadata on a file. Return what each wrote."""
-    jobs = [(path, path.with_name(f"{tool}.glb"), tool) for tool in (*PASSING, *FAILING)]
-    assert not any(gltf_transform.transform(jobs))
-    optimised, saved = path.with_name("optimize.glb"), path.with_name("pygltflib.glb")
-    process = gltf_transform.run(["optimize", path, optimised, *OPTIMIZE])
-    assert process.returncode == 0, process.stderr
-    pygltflib_copy(path, saved)
-    return {target.stem: target for target in (*(target for _, target, _ in jobs), optimised, saved)}
+def after_tools(path: Path, number: int) -> dict[str, Path]:
+    """Run tools of docs/order.md that do not drop the metadata on a file. Return what each wrote.
+
+    Those that make a bake stale run on each character, and of the others every third, from number on: three
+    characters in turn meet them all.
+    """
+    others = (*PASSING, "optimize", "pygltflib")[number % 3 :: 3]
+    found = {tool: path.with_name(f"{tool}.glb") for tool in (*others, *FAILING)}
+    assert not any(
+        gltf_transform.transform(
+            [(path, target, tool) for tool, target in found.items() if tool in (*PASSING, *FAILING)]
+        )
+    )
+    if "optimize" in found:
+        process = gltf_transform.run(["optimize", path, found["optimize"], *OPTIMIZE])
+        assert process.returncode == 0, process.stderr
+    if "pygltflib" in found:
+        pygltflib_copy(path, found["pygltflib"])
+    return found
 
 
 @pytest.mark.slow
 @corpus.needed
-@pytest.mark.parametrize("name", TEN)
-def test_characters_stay_fresh_after_tools_that_only_move_data(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("number", "name"), list(enumerate(TEN)))
+def test_characters_stay_fresh_after_tools_that_only_move_data(
+    number: int, name: str, tmp_path: Path
+) -> None:
     """docs/order.md lists these tools. A shader is made for what each of those that pass writes."""
     path = tmp_path / "baked.glb"
     assert bake(corpus.model(name), path, frame=FrameChoice.NORMAL).status == "baked"
     assert verify(path, *REST).exit_code == 0
-    for tool, target in after_tools(path).items():
+    for tool, target in after_tools(path, number).items():
         answer = verify(target, *REST)
         is_stale = tool in FAILING and (name, tool) not in UNCHANGED
         assert answer.exit_code == is_stale, (tool, answer.messages)
@@ -172,14 +184,14 @@ def test_characters_stay_fresh_after_tools_that_only_move_data(name: str, tmp_pa
 
 @pytest.mark.slow
 @corpus.needed
-@pytest.mark.parametrize("name", MOVING)
+@pytest.mark.parametrize(("number", "name"), list(enumerate(MOVING)))
 def test_correctives_of_characters_stay_fresh_after_tools_that_only_move_data(
-    name: str, tmp_path: Path
+    number: int, name: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "baked.glb"
     result = invoke("bake", corpus.model(name), "-o", path, "--correctives", "auto")
     assert result.exit_code == 0 and "corrective normal" in result.output, result.output
-    for tool, target in after_tools(path).items():
+    for tool, target in after_tools(path, number).items():
         answer = verify(target, *REST)
         is_stale = tool in FAILING and (name, tool) not in UNCHANGED
         assert answer.exit_code == is_stale, (tool, answer.messages)
