@@ -58,14 +58,8 @@ __all__ = [
     "weight_gradients",
 ]
 
-_ERRORS = "skinbake.errors"
 _HOMES = {
     "PosedNormals": "skinbake.report.normals",
-    "ChoiceError": _ERRORS,
-    "InputError": _ERRORS,
-    "OutputError": _ERRORS,
-    "SkinbakeError": _ERRORS,
-    "UnsupportedFeatureError": _ERRORS,
     "joint_dual_quaternions": "skinbake.geometry.dual_quaternions",
     "joint_scaled_motions": "skinbake.geometry.dual_quaternions",
 }
@@ -75,7 +69,8 @@ def __getattr__(name: str) -> Any:
     """Import a function when it is asked for: numpy would double the time of the command line's --help."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES.get(name, "skinbake.api")), name)
+    home = "skinbake.errors" if name.endswith("Error") else _HOMES.get(name, "skinbake.api")
+    return getattr(import_module(home), name)
 
 
 def __dir__() -> list[str]:

@@ -215,23 +215,16 @@ def _under(heading: str, *options: Option) -> tuple[Option, ...]:
     return tuple(one._replace(heading=heading) for one in options)
 
 
-def _jobs(text: str) -> int:
-    """Return a number of processes, 0 for one on each core. Raises ValueError."""
-    if text == "auto":
-        return 0
-    if not (text.isdecimal() and len(text) < 9 and int(text) <= MOST_PROCESSES):
-        raise ValueError
-    return int(text)
+def _number_or_auto(least: int, most: int, auto: Any) -> Callable[[str], Any]:
+    """Return what reads a whole number, or ``auto`` as what it means. It raises ValueError."""
 
+    def read(value: str | int) -> Any:
+        text = str(value)
+        if text != "auto" and not (text.isdecimal() and len(text) < 9 and least <= int(text) <= most):
+            raise ValueError
+        return auto if text == "auto" else int(text)
 
-def _threads(value: str | int) -> int | None:
-    """Return a number of threads, None for ``auto``. Raises ValueError."""
-    if value == "auto":
-        return None
-    text = str(value)
-    if not (text.isdecimal() and len(text) < 9 and 1 <= int(text) <= LARGEST):
-        raise ValueError
-    return int(text)
+    return read
 
 
 def _memory(text: str) -> int:
@@ -241,16 +234,6 @@ def _memory(text: str) -> int:
     if not 1 <= size < math.inf:
         raise ValueError
     return int(size)
-
-
-def _targets(value: str | int) -> int | str:
-    """Return a number of morph targets, or ``auto``. Raises ValueError."""
-    text = str(value)
-    if text == "auto":
-        return text
-    if not (text.isdecimal() and 1 <= int(text) <= MOST_CORRECTIVES):
-        raise ValueError
-    return int(text)
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -268,9 +251,14 @@ def _poses(value: str) -> str:
     return value
 
 
-PROCESSES = Text(f"a number of processes up to {MOST_PROCESSES}, or auto", _jobs, is_number=True)
-THREADS = Text(f"a number of threads from 1 to {LARGEST}, or auto", _threads, is_number=True)
-TARGETS = Text(f"a number of targets from 1 to {MOST_CORRECTIVES}, or auto", _targets, is_number=True)
+PROCESSES, THREADS, TARGETS = (
+    Text(f"a number of {what} {of}, or auto", _number_or_auto(least, most, auto), is_number=True)
+    for what, of, least, most, auto in (
+        ("processes", f"up to {MOST_PROCESSES}", 0, MOST_PROCESSES, 0),
+        ("threads", f"from 1 to {LARGEST}", 1, LARGEST, None),
+        ("targets", f"from 1 to {MOST_CORRECTIVES}", 1, MOST_CORRECTIVES, "auto"),
+    )
+)
 BYTES = Text("a size in bytes, or like 512M or 2G", _memory)
 PIXELS = Text(f"a size like 960x600, each side from {SMALLEST_SIDE} to {LARGEST_SIDE}", _size)
 POSES = Text(POSES_EXPECTED, _poses)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+from operator import add, attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -36,25 +37,14 @@ class Work:
 
     def __mul__(self, count: int) -> Work:
         """Return the work on so many of what this is the work on one of."""
-        return Work(
-            self.steps * count,
-            self.bytes * count,
-            self.zeros * count,
-            self.packed * count,
-            self.unpacked * count,
-            self.welded * count,
-        )
+        return Work(*(part * count for part in PARTS(self)))
 
     def __add__(self, other: Work) -> Work:
         """Return the work on both."""
-        return Work(
-            self.steps + other.steps,
-            self.bytes + other.bytes,
-            self.zeros + other.zeros,
-            self.packed + other.packed,
-            self.unpacked + other.unpacked,
-            self.welded + other.welded,
-        )
+        return Work(*map(add, PARTS(self), PARTS(other)))
+
+
+PARTS = attrgetter(*Work.__dataclass_fields__)
 
 
 class Cost:
