@@ -34,7 +34,7 @@ from skinbake.timing import stage
 from skinbake.version import FIT
 
 if TYPE_CHECKING:
-    from skinbake.format.influences import Extended, Limited
+    from skinbake.format.influences import Changed
 
 LARGE = 1 << 17
 """The vertices of a surface from which on the digests of its arrays are made beside the bake."""
@@ -265,9 +265,9 @@ class PrimitiveBake:
     findings: BakeFindings
     digests: Digests
     note: GradientNote
-    limited: Limited | None = None
+    limited: Changed | None = None
     asked: Gradients = Gradients.SURFACE
-    extended: Extended | None = None
+    extended: Changed | None = None
     eighths: int = EIGHTHS
     blend: BlendGradient | None = None
 
@@ -333,7 +333,7 @@ class PrimitiveBake:
 
 
 def _changed(
-    primitives: Sequence[SkinnedPrimitive], parts: Sequence[Limited | None] | Sequence[Extended | None]
+    primitives: Sequence[SkinnedPrimitive], parts: Sequence[Changed | None]
 ) -> list[SkinnedPrimitive]:
     """Return the primitives with other influences, where a part has such."""
     return [part.primitive if part else one for part, one in zip(parts, primitives, strict=True)]

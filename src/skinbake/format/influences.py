@@ -7,7 +7,6 @@ Adopted joints get weights too small to see, so that no tool takes their slots f
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -126,15 +125,20 @@ def common_unit(sets: Sequence[StoredInfluences]) -> int | None:
     return int(np.iinfo(dtypes.pop().str).max)
 
 
-class Extended(NamedTuple):
-    """A primitive with one influence set more, the sets to store, and the number of vertices that need it."""
+class Changed(NamedTuple):
+    """A primitive with fewer influences, or with one set more, and the sets to store.
+
+    vertices is the number of vertices that lost influences, or that need the set. left_out is the average
+    share of weight that the former lost.
+    """
 
     primitive: SkinnedPrimitive
-    stored: tuple[StoredInfluences, ...]
+    stored: Sequence[StoredInfluences]
     vertices: int
+    left_out: float = 0.0
 
 
-def extended(primitive: SkinnedPrimitive, sets: Sequence[StoredInfluences], vertices: int) -> Extended:
+def extended(primitive: SkinnedPrimitive, sets: Sequence[StoredInfluences], vertices: int) -> Changed:
     """Return a primitive with a further set of weights 0, of the types of its last one."""
     last, count = sets[-1], len(primitive.positions)
 
@@ -146,26 +150,12 @@ def extended(primitive: SkinnedPrimitive, sets: Sequence[StoredInfluences], vert
         np.pad(primitive.joints, ((0, 0), (0, SLOTS_PER_SET))),
         np.pad(primitive.weights, ((0, 0), (0, SLOTS_PER_SET))),
     )
-    return Extended(wide, (*sets, added), vertices)
-
-
-@dataclass(frozen=True, slots=True)
-class Limited:
-    """A primitive with only its largest influences.
-
-    stored are its new influence sets. vertices is the number of vertices that lost influences. left_out is
-    the average share of weight that these vertices lost.
-    """
-
-    primitive: SkinnedPrimitive
-    stored: tuple[StoredInfluences, ...]
-    vertices: int
-    left_out: float
+    return Changed(wide, (*sets, added), vertices)
 
 
 def limited(
     document: Document, source: PrimitiveSource, primitive: SkinnedPrimitive, count: int | None
-) -> Limited | None:
+) -> Changed | None:
     """Return the primitive with ``count`` influences a vertex, or None if it stores no more than that."""
     if count is None or primitive.joints.shape[1] <= count:
         return None
@@ -175,9 +165,9 @@ def limited(
     joints = np.concatenate([entry.joints.values.astype(np.int64) for entry in stored], axis=1)
     weights = np.concatenate([entry.weights.decoded() for entry in stored], axis=1)
     losing = kept.dropped > 0
-    return Limited(
+    return Changed(
         primitive.with_influences(joints_of_skin(joints, weights, source), weights),
-        tuple(stored),
+        stored,
         int(np.count_nonzero(losing)),
         float(kept.dropped[losing].mean()) if losing.any() else 0.0,
     )

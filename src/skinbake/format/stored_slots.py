@@ -18,10 +18,9 @@ from skinbake.format.encodings import DTYPES, decoded, noted_format
 from skinbake.format.note import BAKE, BLEND_GRADIENT, GradientNote
 from skinbake.geometry.skinned import Float32Array, Float64Array, FloatArray
 from skinbake.gltf.asset import PrimitiveSource
-from skinbake.gltf.budget import Work
 from skinbake.gltf.document import Document
-from skinbake.gltf.reading.accessors import read_accessor, read_attribute
-from skinbake.gltf.reading.meshes import FLOAT, Formats, check_format, refuse_not_finite
+from skinbake.gltf.reading.accessors import read_accessor
+from skinbake.gltf.reading.meshes import FRACTIONS, read_decoded, refuse_not_finite
 from skinbake.wording import counted
 
 COMPONENT_TYPES = {Encoding.FLOAT32: "FLOAT", Encoding.SNORM16: "SHORT", Encoding.PACKED8: "BYTE"}
@@ -108,8 +107,7 @@ SLACK = 1e-4
 """By so much a weight may lie outside 0 to 1: what rounding and interpolation leave."""
 
 # An attribute whose name begins with an underscore has the family "".
-_FORMATS: Formats = {"": (FLOAT, ("u1", True), ("u2", True))}
-_EXPECTED = {"": "blend weights must be floats, or normalised unsigned bytes or shorts"}
+_FORMATS = {"": ("blend weights must be floats, or normalised unsigned bytes or shorts", FRACTIONS)}
 
 
 class BlendGradient(NamedTuple):
@@ -129,12 +127,7 @@ def read_blend_weights(
     place = source.place.at(name)
     if name not in source.attributes:
         return None
-    stored = read_attribute(document, source.attributes, name, place)
-    if len(stored.values) != count:
-        raise InputError(f"it has {counted(len(stored.values), 'element')}, POSITION has {count:,}", place)
-    check_format(stored, name, 1, place, formats=_FORMATS, expected=_EXPECTED)
-    document.budget.claim(Work(bytes=stored.decoded_size), "its decoded values", place)
-    weights = stored.decoded()
+    weights = read_decoded(document, source, name, 1, count, _FORMATS)
     refuse_not_finite(weights, "blend weights", place)
     outside = np.flatnonzero((weights[:, 0] < -SLACK) | (weights[:, 0] > 1.0 + SLACK))
     if len(outside):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Collection, Container, Iterator, Mapping, Sequence
+from itertools import product
 from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
@@ -26,28 +27,25 @@ from skinbake.gltf.reading.materials import UNLIT, material_of
 from skinbake.wording import counted, one_or_many
 
 FLOAT = ("f4", False)
-NORMALISED_SIGNED = (("i1", True), ("i2", True))
-Formats: TypeAlias = Mapping[str, tuple[tuple[str, bool], ...]]
+UNIT_VECTORS = (FLOAT, ("i1", True), ("i2", True))
+FRACTIONS = (FLOAT, ("u1", True), ("u2", True))
+Formats: TypeAlias = Mapping[str, tuple[str, Collection[tuple[str, bool]]]]
+"""By attribute, what is expected, in words, and the component types, with their normalisation."""
 
 FORMATS: Formats = {
-    "POSITION": (FLOAT, *((kind, flag) for kind in ("i1", "u1", "i2", "u2") for flag in (False, True))),
-    "NORMAL": (FLOAT, *NORMALISED_SIGNED),
-    "TANGENT": (FLOAT, *NORMALISED_SIGNED),
-    "WEIGHTS": (FLOAT, ("u1", True), ("u2", True)),
-    "JOINTS": (("u1", False), ("u2", False), ("u1", True), ("u2", True)),
+    "POSITION": (
+        "positions must be floats, or signed or unsigned bytes or shorts",
+        (FLOAT, *product(("i1", "u1", "i2", "u2"), (False, True))),
+    ),
+    "NORMAL": ("normals must be floats, or normalised signed bytes or shorts", UNIT_VECTORS),
+    "TANGENT": ("tangents must be floats, or normalised signed bytes or shorts", UNIT_VECTORS),
+    "WEIGHTS": ("weights must be floats, or normalised unsigned bytes or shorts", FRACTIONS),
+    "JOINTS": ("joints must be unsigned bytes or shorts", [*product(("u1", "u2"), (False, True))]),
 }
-"""Component types, and their normalisation (glTF 2.0 §3.7.2.1 and KHR_mesh_quantization).
+"""The formats of glTF 2.0, §3.7.2.1, and of KHR_mesh_quantization.
 
 "normalized" on JOINTS has no meaning and is ignored, because an index is an index.
 """
-
-EXPECTED = {
-    "POSITION": "positions must be floats, or signed or unsigned bytes or shorts",
-    "NORMAL": "normals must be floats, or normalised signed bytes or shorts",
-    "TANGENT": "tangents must be floats, or normalised signed bytes or shorts",
-    "WEIGHTS": "weights must be floats, or normalised unsigned bytes or shorts",
-    "JOINTS": "joints must be unsigned bytes or shorts",
-}
 
 
 MOST_SETS = 64
@@ -241,14 +239,16 @@ def read_primitive(document: Document, source: PrimitiveSource) -> SkinnedPrimit
     or another count than POSITION, if positions or weights are not finite, and for a joint index outside the
     skin at a weight other than zero. Normals and tangents that are not finite stay for the caller.
     """
-    positions = _decoded(document, source, "POSITION", 3)
+    positions = read_decoded(document, source, "POSITION", 3)
     refuse_not_finite(positions, "values", source.place.at("POSITION"))
     count = len(positions)
     normals = (
-        _decoded(document, source, "NORMAL", 3, count) if "NORMAL" in source.attributes else np.zeros((0, 3))
+        read_decoded(document, source, "NORMAL", 3, count)
+        if "NORMAL" in source.attributes
+        else np.zeros((0, 3))
     )
     has_tangent = "TANGENT" in source.attributes and "NORMAL" in source.attributes
-    tangents = _decoded(document, source, "TANGENT", 4, count) if has_tangent else None
+    tangents = read_decoded(document, source, "TANGENT", 4, count) if has_tangent else None
     influences = read_influences(document, source, count)
     sizes = [entry.joints.values.nbytes * (len(influences) > 1) for entry in influences]
     sizes += [entry.weights.decoded_size or entry.weights.values.nbytes for entry in influences]
@@ -340,7 +340,12 @@ def _accessor(document: Document, source: PrimitiveSource, attribute: str) -> Ac
 
 
 def _stored(
-    document: Document, source: PrimitiveSource, attribute: str, components: int, count: int | None = None
+    document: Document,
+    source: PrimitiveSource,
+    attribute: str,
+    components: int,
+    count: int | None,
+    formats: Formats = FORMATS,
 ) -> StoredArray:
     place = source.place.at(attribute)
     accessor = _accessor(document, source, attribute)
@@ -348,7 +353,7 @@ def _stored(
     if count is not None and declared != count:
         raise InputError(f"it has {counted(declared, 'element')}, POSITION has {count:,}", place)
     stored = read_accessor(document, accessor.number, place)
-    check_format(stored, attribute, components, place)
+    check_format(stored, attribute, components, place, formats)
     return stored
 
 
@@ -357,9 +362,7 @@ def check_format(
     attribute: str,
     components: int,
     place: Place,
-    *,
     formats: Formats = FORMATS,
-    expected: Mapping[str, str] = EXPECTED,
 ) -> None:
     """Raise InputError if glTF does not allow these components or this type for an attribute."""
     if stored.values.shape[1] != components:
@@ -367,19 +370,26 @@ def check_format(
         raise InputError(f"it has {found}, {components} are needed", place)
     family = attribute.split("_", maxsplit=1)[0]
     kind = stored.values.dtype.str[1:]
-    if (kind, stored.normalized) in formats[family]:
+    expected, allowed = formats[family]
+    if (kind, stored.normalized) in allowed:
         return
     remedy = f"export the mesh again with {'unsigned shorts' if family == 'JOINTS' else 'floats'}"
-    if not stored.normalized and (kind, True) in formats[family]:
+    if not stored.normalized and (kind, True) in allowed:
         remedy = f'set "normalized": true in its accessor if {np.iinfo(kind).max} stands for 1, or {remedy}'
     found = f"{'normalised ' if stored.normalized else ''}{stored.values.dtype.name}"
-    raise InputError(f"{expected[family]}, found {found}: {remedy}", place)
+    raise InputError(f"{expected}, found {found}: {remedy}", place)
 
 
-def _decoded(
-    document: Document, source: PrimitiveSource, attribute: str, components: int, count: int | None = None
+def read_decoded(
+    document: Document,
+    source: PrimitiveSource,
+    attribute: str,
+    components: int,
+    count: int | None = None,
+    formats: Formats = FORMATS,
 ) -> FloatArray:
-    stored = _stored(document, source, attribute, components, count)
+    """Return an attribute (V, components), with as many elements as ``count``. Raises InputError."""
+    stored = _stored(document, source, attribute, components, count, formats)
     document.budget.claim(Work(bytes=stored.decoded_size), "its decoded values", source.place.at(attribute))
     return stored.decoded()
 

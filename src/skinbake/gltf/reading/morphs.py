@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 from skinbake.errors import InputError
 from skinbake.geometry.morphs import (
@@ -18,23 +19,20 @@ from skinbake.gltf.budget import Work
 from skinbake.gltf.document import Document, once_a_document
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.reading.accessors import read_accessor
-from skinbake.gltf.reading.meshes import FLOAT, NORMALISED_SIGNED, Formats, check_format, refuse_not_finite
+from skinbake.gltf.reading.meshes import FLOAT, UNIT_VECTORS, Formats, check_format, refuse_not_finite
 from skinbake.wording import counted
 
+UNIT_DIFFERENCES = "differences must be floats, or normalised signed bytes or shorts", UNIT_VECTORS
 FORMATS: Formats = {
-    "POSITION": (FLOAT, *((kind, flag) for kind in ("i1", "i2") for flag in (False, True))),
-    "NORMAL": (FLOAT, *NORMALISED_SIGNED),
-    "TANGENT": (FLOAT, *NORMALISED_SIGNED),
-    "": (FLOAT,),
+    "POSITION": (
+        "differences must be floats, or signed bytes or shorts",
+        (FLOAT, *product(("i1", "i2"), (False, True))),
+    ),
+    "NORMAL": UNIT_DIFFERENCES,
+    "TANGENT": UNIT_DIFFERENCES,
+    "": ("differences must be floats", (FLOAT,)),
 }
-"""Component types, and their normalisation (glTF 2.0 §3.7.2.2 and KHR_mesh_quantization)."""
-
-EXPECTED = {
-    "POSITION": "differences must be floats, or signed bytes or shorts",
-    "NORMAL": "differences must be floats, or normalised signed bytes or shorts",
-    "TANGENT": "differences must be floats, or normalised signed bytes or shorts",
-    "": "differences must be floats",
-}
+"""The formats of glTF 2.0, §3.7.2.2, and of KHR_mesh_quantization."""
 
 
 def skinned_target_count(document: Document, node: int) -> int:
@@ -137,7 +135,7 @@ def _differences(
             raise InputError(f"it has {counted(declared, 'element')}, POSITION has {count:,}", place)
         with document.budget.passing():
             stored = read_accessor(document, accessor.number, place)
-            check_format(stored, name, components, place, formats=FORMATS, expected=EXPECTED)
+            check_format(stored, name, components, place, FORMATS)
             document.budget.claim(Work(bytes=stored.decoded_size), "its decoded values", place)
             values = stored.decoded()
             if name == "POSITION":
