@@ -106,7 +106,7 @@ def executions(seed: int) -> int:
             if random.random() < 0.1:
                 declared = tuple(max(number + random.choice((-3, -1, 1, 3)), 1) for number in declared)
             counts = draco_stream.check_counts(data, declared[0], declared[1], place)
-            draco_stream.decode(data, counts, declared[0], declared[1], declared[2], place)
+            draco_stream.decode(data, counts.method, declared[2], place)
         else:
             meshopt.check_length(data, declared, "fuzz", place)
             meshopt.decoded(data, declared, "fuzz", place)

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import copyreg
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
@@ -227,6 +227,17 @@ class BudgetError(InputError):
 
     Users meet it as an ``InputError``.
     """
+
+
+class BrokenPassedOver(suppress):
+    """A block that a broken part of a file ends without an error. Too much work is no such part."""
+
+    def __init__(self) -> None:
+        super().__init__(InputError)
+
+    def __exit__(self, kind: type[BaseException] | None, error: object, trace: object) -> bool:
+        """Tell whether the block goes on behind what ended it."""
+        return kind is not None and issubclass(kind, InputError) and not issubclass(kind, BudgetError)
 
 
 class OutputError(SkinbakeError):

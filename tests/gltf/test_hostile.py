@@ -83,7 +83,7 @@ class TestFilesThatChange:
         path.write_bytes(b"smaller")
         monkeypatch.setattr(os, "fstat", lambda descriptor: states[0])
         with path.open("rb") as file, pytest.raises(OSError, match="it changed while it was read"):
-            resources.read_open_file(file.fileno(), _uncounted)
+            resources.read_open_file(os.dup(file.fileno()), _uncounted)
 
 
 class TestEncoders:

@@ -15,6 +15,7 @@ import pytest
 
 import skinbake
 from skinbake.commands.bake import bake_file
+from skinbake.files.versions import YOUNG
 from skinbake.jobs import state
 from skinbake.jobs.state import HEADER, State
 from tests.support.command_line import LINUX, document, invoke, run
@@ -327,7 +328,7 @@ class TestWhileItRuns:
         assert baking()[TEXTURED] == "baked"
 
     @pytest.mark.slow
-    @pytest.mark.parametrize("young", [0, state.YOUNG])
+    @pytest.mark.parametrize("young", [0, YOUNG])
     def test_an_input_that_changes_meanwhile_is_not_the_one_that_was_read(
         self,
         young: int,

@@ -106,13 +106,6 @@ class Character:
             raise InputError("its clips have changed since the run began", document.place)
         numbers = {name: number for number, name in names.items()}
         additions, animations, known = Additions(document), list[JsonObject](), dict[int, int]()
-
-        def added(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]], kind: str) -> int:
-            view = additions.add_stream(np.ascontiguousarray(values, "<f4").tobytes())
-            size = values.size // {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[kind]
-            described = {"bufferView": view, "componentType": 5126, "count": size, "type": kind}
-            return additions.add_described(described)
-
         for member, clip in ((one, clip) for one in self._members for clip in one.clips):
             samplers, channels = list[JsonObject](), list[JsonObject]()
             for channel in clip.channels:
@@ -127,8 +120,8 @@ class Character:
                     channels.append({"sampler": len(samplers), "target": target})
                 samplers.append(
                     {
-                        "input": added(channel.times, "SCALAR"),
-                        "output": added(values, kind),
+                        "input": additions.add_floats(channel.times),
+                        "output": additions.add_floats(values, kind),
                         "interpolation": channel.method,
                     }
                 )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skinbake.errors import BudgetError, InputError, Notice, Place
+from skinbake.errors import BrokenPassedOver, Notice, Place
 from skinbake.format.correctives import QUANTIZATION, TARGET_NAMES, nodes_with
 from skinbake.format.note import KEY, CorrectiveNote, MorphNote, corrective_notes, refuse_later
 from skinbake.geometry import poses
@@ -215,16 +215,13 @@ def _is_zeros(document: Document, value: object) -> bool:
 
 def _read(document: Document, number: int) -> FloatArray | None:
     """Return the values of an accessor, None if they cannot be read, and count the work."""
-    try:
+    with BrokenPassedOver():
         count = document.asset.accessors[number].count(document.place)
         document.budget.claim(Cost.UNDONE_NUMBER * count, "undoing its bake", document.place)
         with document.budget.passing():
             # As correctives are made and stored, also where the weights of a file are integers.
             return read_accessor(document, number, document.place).decoded().astype(np.float32)
-    except BudgetError:
-        raise
-    except InputError:
-        return None
+    return None
 
 
 def _still_plays(document: Document, now: JsonObject, before: Sequence[JsonObject], targets: int) -> bool:
@@ -291,15 +288,7 @@ def narrowed(document: Document, channels: Sequence[Narrowed]) -> Document:
         keys = document.asset.accessors[int(sampler["input"])].count(document.place)
         each = 3 if sampler.get("interpolation") == poses.CUBICSPLINE else 1
         values = read_accessor(document, int(sampler["output"]), document.place).decoded()
-        few = np.ascontiguousarray(values.reshape(keys * each, -1)[:, : one.targets], dtype="<f4")
-        output = additions.add_described(
-            {
-                "bufferView": additions.add_stream(few.tobytes()),
-                "componentType": 5126,
-                "count": few.size,
-                "type": "SCALAR",
-            }
-        )
+        output = additions.add_floats(values.reshape(keys * each, -1)[:, : one.targets])
         moving[one.channel] = {**moving[one.channel], "sampler": len(samplers)}
         animation |= {"channels": moving, "samplers": [*samplers, {**sampler, "output": output}]}
     message = (

@@ -380,8 +380,10 @@ def _add_clips(
                 sampler = len(samplers)
                 samplers.append(
                     {
-                        "input": _add_numbers(additions, keys.times, bounded=True),
-                        "output": _add_numbers(additions, keys.values, bounded=False),
+                        "input": additions.add_floats(
+                            keys.times, min=[float(keys.times.min())], max=[float(keys.times.max())]
+                        ),
+                        "output": additions.add_floats(keys.values),
                         "interpolation": keys.method,
                     }
                 )
@@ -439,14 +441,6 @@ def _keys(
         ends = times[[0, -1]] if len(times) > 1 else times[:1]
         return with_correctives(own, ends, np.zeros((len(ends), added), dtype=np.float32))
     return with_correctives(own, clip.times, clip.weights)
-
-
-def _add_numbers(additions: Additions, values: Float32Array, *, bounded: bool) -> int:
-    """Add the times or the values of a sampler, and return the accessor."""
-    bounds = {"min": [float(values.min())], "max": [float(values.max())]} if bounded else {}
-    view = additions.add_stream(np.ascontiguousarray(values, dtype="<f4").tobytes())
-    described = {"bufferView": view, "componentType": 5126, "count": values.size, "type": "SCALAR"}
-    return additions.add_described({**described, **bounds})
 
 
 @dataclass(frozen=True, slots=True)

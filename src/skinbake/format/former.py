@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from skinbake.errors import BudgetError, InputError, Place
+from skinbake.errors import BrokenPassedOver, InputError, Place
 from skinbake.format.digests import INFLUENCE_TYPES, array_digest, influence_digests
 from skinbake.format.note import GradientNote, stream_note
 from skinbake.gltf.budget import ELEMENTS, Cost
@@ -44,18 +44,15 @@ def former_attributes(
     """
     if note.adopted is None:
         return {} if note.former_attributes is None else None
-    try:
+    now: dict[str, str] | None = None
+    with BrokenPassedOver():
         draco.add_former_streams(document, with_former_stream)
         now, _ = _influence_digests(document, attributes, place)
-    except BudgetError:
-        raise
-    except InputError:
-        return None
-    if now != {name: note.digest.get(name) for name in now}:
+    if now is None or now != {name: note.digest.get(name) for name in now}:
         return None
     count = len(document.objects("accessors"))
     for by_digest in (False, True):
-        try:
+        with BrokenPassedOver():
             found = {name: number for name, number in note.adopted.items() if 0 <= number < count}
             if by_digest:
                 # The accessors of any numbers that hold the former JOINTS_0 and WEIGHTS_0. The digests of
@@ -68,12 +65,8 @@ def former_attributes(
                 found = {name: number for name, number in again.items() if number is not None}
             restored = former_sets({**attributes, **found}, note)
             before, covered = _influence_digests(document, restored, place)
-        except BudgetError:
-            raise
-        except InputError:
-            continue
-        if before == note.former_digest and found.keys() <= covered:
-            return found
+            if before == note.former_digest and found.keys() <= covered:
+                return found
     return None
 
 
@@ -121,16 +114,13 @@ def _fours_of(document: Document) -> _Fours:
 
 def _digest(document: Document, number: int, place: Place) -> str | None:
     """Return the digest of an accessor in the form of the metadata, None if it cannot be read."""
-    try:
+    with BrokenPassedOver():
         stored = _read(document, number, place)
-    except BudgetError:
-        raise
-    except InputError:
-        return None
-    kind = stored.values.dtype
-    is_joints = kind.kind == "u" and kind.itemsize <= 2 and not stored.normalized
-    values, name = (stored.values, "JOINTS") if is_joints else (stored.decoded(), "WEIGHTS")
-    return array_digest(values, INFLUENCE_TYPES[name])
+        kind = stored.values.dtype
+        is_joints = kind.kind == "u" and kind.itemsize <= 2 and not stored.normalized
+        values, name = (stored.values, "JOINTS") if is_joints else (stored.decoded(), "WEIGHTS")
+        return array_digest(values, INFLUENCE_TYPES[name])
+    return None
 
 
 def _read(document: Document, number: int, place: Place) -> StoredArray:
@@ -153,7 +143,7 @@ def former_tangent(
     if before is None or after is None:  # so is the digest of an accessor that cannot be read
         return None
     where = place.at("TANGENT")
-    try:
+    with BrokenPassedOver():
         draco.add_former_streams(document, with_former_stream)
         count = len(document.objects("accessors"))
         now = document.asset.accessor(attributes, "TANGENT", where)
@@ -163,11 +153,8 @@ def former_tangent(
         if former is not None and 0 <= former < count and _digest(document, former, where) == before:
             return {"TANGENT": former}
         again = _with_digest(document, attributes, "TANGENT", before, where)
-    except BudgetError:
-        raise
-    except InputError:
-        return None
-    return None if again is None else {"TANGENT": again}
+        return None if again is None else {"TANGENT": again}
+    return None
 
 
 def former_sets(attributes: JsonObject, note: GradientNote) -> JsonObject:

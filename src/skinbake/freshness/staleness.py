@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from skinbake.choices import Gradients, Weighting, Weld
-from skinbake.errors import BudgetError, InputError, Notice
+from skinbake.errors import BrokenPassedOver, InputError, Notice
 from skinbake.format.digests import slots_digest
 from skinbake.format.morph_targets import morph_digest
 from skinbake.format.note import MorphTargets, made_targets
@@ -413,16 +413,13 @@ def _digest_of_targets(document: Document, source: PrimitiveSource, noted: Morph
     if any(name not in target for target in targets for name in noted.names):
         return None
     made = list(range(len(targets))) if noted.frames else list(noted.normals)
-    try:
+    with BrokenPassedOver():
         primitive = read_primitive(document, source)
         read = read_targets(document, source, made, count=len(primitive.positions), tangents=False)
-    except BudgetError:
-        raise
-    except InputError:
-        return None
-    assert read is not None
-    moves = dict(zip(made, (target.positions for target in read.targets), strict=True))
-    return morph_digest(primitive, moves)
+        assert read is not None
+        moves = dict(zip(made, (target.positions for target in read.targets), strict=True))
+        return morph_digest(primitive, moves)
+    return None
 
 
 def has_poses(document: Document, view: BakedView) -> bool:

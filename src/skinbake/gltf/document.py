@@ -22,7 +22,6 @@ from skinbake.files.bounds import (
     BESIDE,
     NOWHERE,
     Bounds,
-    OutsideError,
     RefusedError,
     bounded_path,
     bounded_paths,
@@ -238,10 +237,8 @@ def refuse_buffers_outside(document: Document) -> None:
             continue
         try:
             bounded_paths(uri, os.fspath(document.folder), document.bounds)
-        except OutsideError as error:
-            raise resources.outside(uri, str(error), document.place) from error
         except RefusedError as error:
-            raise resources.refused(uri, str(error), document.place) from error
+            raise resources.refused(uri, error, document.place) from error
 
 
 def read_named(path: str, root: str | None, budget: Budget) -> Bytes:
@@ -256,11 +253,7 @@ def read_named(path: str, root: str | None, budget: Budget) -> Bytes:
     try:
         if root is None:
             return resources.read_file(Path(path), claim)
-        descriptor = open_beneath(bounded_path(path, root))
-        try:
-            return resources.read_open_file(descriptor, claim)
-        finally:
-            os.close(descriptor)
+        return resources.read_open_file(open_beneath(bounded_path(path, root)), claim)
     except RefusedError as error:
         raise InputError(f"cannot be read: {error}", Place(path)) from error
     except OSError as error:

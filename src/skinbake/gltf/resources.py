@@ -56,11 +56,7 @@ def encode_data_uri(data: bytes) -> str:
 
 def read_file(path: Path, claim: Claim) -> Bytes:
     """Return the bytes of a regular file that the user named; raises OSError."""
-    descriptor = open_regular(os.fspath(path))
-    try:
-        return read_open_file(descriptor, claim)
-    finally:
-        os.close(descriptor)
+    return read_open_file(open_regular(os.fspath(path)), claim)
 
 
 PAGES_FROM = 1 << 20
@@ -68,15 +64,15 @@ PAGES_FROM = 1 << 20
 
 
 def read_open_file(descriptor: int, claim: Claim) -> Bytes:
-    """Return the bytes of an open regular file, as a copy in memory. Its size is claimed first.
+    """Return the bytes of an open regular file, as a copy in memory, and close it. Its size is claimed first.
 
     The file is read, not mapped. Another process may rewrite a mapped file between a check and its use, and
     if it truncates the file, this process dies. Raises OSError, also for a file that changes its length while
     it is read.
     """
-    size = os.fstat(descriptor).st_size
-    claim(size)
-    with open(descriptor, "rb", buffering=0, closefd=False) as file:
+    with open(descriptor, "rb", buffering=0) as file:
+        size = os.fstat(descriptor).st_size
+        claim(size)
         if size < PAGES_FROM:
             data: Bytes = file.readall()
         else:
@@ -94,8 +90,8 @@ def read_open_file(descriptor: int, claim: Claim) -> Bytes:
             while got < size and (count := file.readinto(data[got:])):
                 got += count
             data = data[:got].toreadonly()
-    if not len(data) == size == os.fstat(descriptor).st_size:  # pragma: no cover: races
-        raise OSError(errno.EBUSY, "it changed while it was read; try again")
+        if not len(data) == size == os.fstat(descriptor).st_size:  # pragma: no cover: races
+            raise OSError(errno.EBUSY, "it changed while it was read; try again")
     return data
 
 
@@ -154,40 +150,29 @@ def read_resource(
     may not read the URI: a model must not read arbitrary files or the network.
     """
     try:
-        descriptor = find(uri, folder, bounds)[1]
-        try:
-            return read_open_file(descriptor, claim)
-        finally:
-            os.close(descriptor)
-    except OutsideError as error:
-        raise outside(uri, str(error), place, of=of) from error
+        return read_open_file(find(uri, folder, bounds)[1], claim)
     except RefusedError as error:
-        raise refused(uri, str(error), place, of=of) from error
+        raise refused(uri, error, place, of=of) from error
     except OSError as error:
         if error.errno == errno.EXDEV:
-            raise outside(uri, "a link on the way leads out of its folder", place, of=of) from error
+            raise refused(uri, OutsideError(LINKED_OUT), place, of=of) from error
         remedy = "; copy it there too, or export a .glb, which is one file" if of == "buffer" else ""
         advice = remedy if error.errno == errno.ENOENT else ""
         message = f'cannot read "{shortened(uri)}" beside it: {error.strerror}{advice}'
         raise InputError(message, place) from error
 
 
-def outside(uri: str, why: str, place: Place, *, of: str = "buffer") -> InputError:
-    """Return the error for a buffer, or another file, outside the folders that a document may read."""
-    return InputError(
-        f'its {of} "{shortened(uri)}" is not read: {why}. To read the file, give its folder '
-        "with --allow-outside DIR",
-        place,
-    )
+LINKED_OUT = "a link on the way leads out of its folder"
 
 
-def refused(uri: str, why: str, place: Place, *, of: str = "buffer") -> InputError:
-    """Return the error of a buffer, or another file, whose URI is never opened, even if a file is there."""
-    return InputError(
-        f'its {of} "{shortened(uri)}" is not read: {why}. No option changes that: in the document, name the '
-        "file by a relative path with forward slashes",
-        place,
+def refused(uri: str, why: RefusedError, place: Place, *, of: str = "buffer") -> InputError:
+    """Return the error for a buffer, or another file, that a document may not read, or that nobody may."""
+    remedy = (
+        "To read the file, give its folder with --allow-outside DIR"
+        if isinstance(why, OutsideError)
+        else "No option changes that: in the document, name the file by a relative path with forward slashes"
     )
+    return InputError(f'its {of} "{shortened(uri)}" is not read: {why}. {remedy}', place)
 
 
 def shortened(uri: str) -> str:

@@ -32,7 +32,7 @@ from skinbake.files.bounds import (
     bounded_paths,
 )
 from skinbake.files.folders import flush, open_beneath, open_regular
-from skinbake.files.versions import DIGITS, digest_of
+from skinbake.files.versions import DIGITS, YOUNG, Signature, digest_of, signature_of
 from skinbake.files.writing import write_file
 from skinbake.gltf.budget import fits_memory
 from skinbake.gltf.document import read_document
@@ -54,9 +54,6 @@ LONGEST = 1 << 22
 
 SPARE = 1000
 """A state file is rewritten if it holds more superseded records than live ones, plus this number."""
-
-YOUNG = 1_000_000_000
-"""Nanoseconds: a file changed this recently may change again and keep the same time."""
 
 ABSENT = (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG)
 """The system's error codes for a file that is not there. The last one means that no such file can exist."""
@@ -85,7 +82,7 @@ class Seen:
     """
 
     digests: Digests
-    signatures: dict[str, tuple[int, ...]]
+    signatures: dict[str, Signature]
     young: frozenset[str]
     named: Mapping[str, BoundedPath]
 
@@ -96,8 +93,8 @@ class Seen:
             self._digest(path) == self.digests[path] for path in self.young
         )
 
-    def _signature(self, path: str) -> tuple[int, ...]:
-        return _signature_at(self.named[path]) if path in self.named else _signature(path)
+    def _signature(self, path: str) -> Signature:
+        return _signature_at(self.named[path]) if path in self.named else signature_of(path)
 
     def _digest(self, path: str) -> str | None:
         return _digest_at(self.named[path]) if path in self.named else _digest(path)
@@ -227,7 +224,7 @@ def seen(source: str, bounds: Bounds = BESIDE) -> Seen | None:
     start = time.time_ns()
     path = absolute(source)
     try:
-        signatures = {path: _signature(path)}
+        signatures = {path: signature_of(path)}
         document = read_document(source, bounds)
         digests: Digests = {path: digest_of([document.raw or b""])}
         # The places to which the document's URIs may lead in its bounds, each once.
@@ -377,14 +374,14 @@ class State:
         return descriptor
 
 
-def _signature_at(file: BoundedPath) -> tuple[int, ...]:
+def _signature_at(file: BoundedPath) -> Signature:
     """Return the signature of a file that a document names: empty if it cannot be read."""
     try:
         descriptor = open_beneath(file)
     except (OSError, ValueError):
         return ()
     try:
-        return _signature_of(os.fstat(descriptor))
+        return signature_of(descriptor)
     finally:
         os.close(descriptor)
 
@@ -413,21 +410,6 @@ def absolute(path: str) -> str:
     """Return a path whose folder has no links, so that ``..`` in a relative path leads where it says."""
     folder, name = os.path.split(path)
     return os.path.join(os.path.realpath(folder), name)
-
-
-def _signature(path: str) -> tuple[int, ...]:
-    """Return the values that change with a file, its times last: empty if there is no file."""
-    try:
-        found = os.stat(path)
-    except OSError as error:
-        if error.errno in ABSENT:
-            return ()
-        raise
-    return _signature_of(found)
-
-
-def _signature_of(found: os.stat_result) -> tuple[int, ...]:
-    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
 
 
 def _digest(path: str) -> str | None:

@@ -11,17 +11,15 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.files import Bytes
+from skinbake.files.versions import digest_of
 from skinbake.gltf import resources
-from skinbake.gltf.asset import COMPONENT_CODES, TYPES
+from skinbake.gltf.asset import COMPONENT_CODES, COMPONENTS, TYPES
 from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, integer
 from skinbake.gltf.writing.references import check_views, refuse_dangling
 
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
-
-SAMPLED = 64
-"""The elements by which arrays are told apart, at least. Where they agree, digests tell arrays apart."""
 
 BUFFER_LENGTH = "bufferByteLength"
 BUFFER_ADDED = "bufferAdded"
@@ -38,31 +36,6 @@ class Packed(NamedTuple):
     name: str
     level: int
     beside: bool
-
-
-class _Alike:
-    """The accessors of arrays that agree in the sampled elements.
-
-    A single array has no digest: most samples belong to one array only. From the second array on, the digests
-    of all bytes tell the arrays apart, so that no two arrays are compared.
-    """
-
-    def __init__(self) -> None:
-        self._single: npt.NDArray[Any] | None = None
-        self._accessors: dict[bytes, list[int]] = {}
-
-    def equal_to(self, data: npt.NDArray[Any]) -> list[int]:
-        """Return the accessors of the arrays that are equal to a contiguous array, bit for bit.
-
-        The caller appends to the list the accessor that it adds.
-        """
-        if not self._accessors:
-            self._single = data
-            return self._accessors.setdefault(b"", [])
-        if self._single is not None:
-            self._accessors = {_digest(self._single): self._accessors[b""]}
-            self._single = None
-        return self._accessors.setdefault(_digest(data), [])
 
 
 class Additions:
@@ -84,7 +57,7 @@ class Additions:
         self._length = 0
         self._fallback_length = 0
         self._fallback_name = ""
-        self._shared: dict[tuple[Any, ...], _Alike] = {}
+        self._shared: dict[tuple[Any, ...], list[int]] = {}
         self._streams: dict[bytes, int] = {}
         self._described: dict[str, int] = {}
         buffers = document.objects("buffers")
@@ -114,10 +87,8 @@ class Additions:
         loaders (panda3d-gltf 1.3) read no primitive with two attributes in one accessor, or in one view.
         """
         data = np.ascontiguousarray(values)
-        # The bytes of a few elements, evenly apart. Arrays that are equal have the same.
-        some = data[:: max(1, len(data) // SAMPLED)].tobytes()
-        key = data.dtype.str, data.shape, normalized, packed, some
-        equal = [] if extras is not None else self._shared.setdefault(key, _Alike()).equal_to(data)
+        key = data.dtype.str, data.shape, normalized, packed, hashlib.sha256(data.data).digest()
+        equal = [] if extras is not None else self._shared.setdefault(key, [])
         for number in equal:
             if number not in apart_from:
                 return number
@@ -168,6 +139,16 @@ class Additions:
             self._accessors.append(accessor)
             self._described[key] = len(self._document.objects("accessors")) + len(self._accessors) - 1
         return self._described[key]
+
+    def add_floats(self, values: npt.NDArray[Any], kind: str = "SCALAR", **members: Any) -> int:
+        """Add the accessor of the times or the values of a clip's sampler, and return its index.
+
+        values are numbers in the order of the file, as many as elements of the type ``kind`` take.
+        """
+        view = self.add_stream(np.ascontiguousarray(values, dtype="<f4").tobytes())
+        count = values.size // COMPONENTS[kind]
+        described = {"bufferView": view, "componentType": 5126, "count": count, "type": kind}
+        return self.add_described({**described, **members})
 
     def add_data(self, data: Bytes) -> JsonObject:
         """Add bytes, and return the members of a buffer view that say where they are."""
@@ -279,14 +260,6 @@ class Additions:
         return self._document.edited(json=root, new_files={**self._document.new_files, **new_files})
 
 
-def _digest(data: npt.NDArray[Any]) -> bytes:
-    """Return the digest of all bytes of a contiguous array."""
-    return hashlib.sha256(data.data).digest()
-
-
 def content_digest(pieces: Iterable[Bytes]) -> str:
     """Return 16 hexadecimal digits that name bytes by their content."""
-    digest = hashlib.sha256()
-    for piece in pieces:
-        digest.update(piece)
-    return digest.hexdigest()[:16]
+    return digest_of(pieces)[:16]

@@ -27,7 +27,7 @@ from skinbake.files.versions import Signature, signature_of
 from skinbake.files.writing import has_content
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject
-from skinbake.gltf.resources import FileContent, find, is_data_uri, listed, outside, shortened
+from skinbake.gltf.resources import LINKED_OUT, FileContent, find, is_data_uri, listed, refused, shortened
 from skinbake.gltf.writing.additions import content_digest
 from skinbake.gltf.writing.copies import GRADIENTS, Copies, gradients_name
 from skinbake.wording import one_or_many
@@ -39,10 +39,6 @@ class NamedFile(NamedTuple):
     array: str
     number: int
     uri: str
-
-
-class _LinkedOutError(Exception):
-    """A link on the way to a file leads out of the folders that may be read."""
 
 
 class Beside:
@@ -117,8 +113,8 @@ class Beside:
             return self._planned_name(gradients_name(self._target, made[1]), pieces, is_noted=False)
         try:
             file = None if self._home == self._folder else self._found(uri)
-        except (OutsideError, _LinkedOutError) as error:
-            return self._left(uri, str(error), is_buffer=is_buffer)
+        except OutsideError as error:
+            return self._left(uri, error, is_buffer=is_buffer)
         if file is None:
             return uri
         name = Path(os.path.relpath(file.path, self._home)).as_posix()
@@ -137,7 +133,7 @@ class Beside:
             return None
         except OSError as error:
             if error.errno == errno.EXDEV:
-                raise _LinkedOutError("a link on the way leads out of its folder") from error
+                raise OutsideError(LINKED_OUT) from error
             if error.errno == errno.EACCES:  # pragma: no cover: not as root
                 place = Place(str(self._document.folder / uri))
                 raise OutputError(f"cannot be copied: {error.strerror}", place) from error
@@ -150,10 +146,10 @@ class Beside:
         """Return the path of a relative one, seen from the target's folder."""
         return os.path.normpath(self._folder / name)
 
-    def _left(self, uri: str, why: str, *, is_buffer: bool) -> str:
+    def _left(self, uri: str, why: OutsideError, *, is_buffer: bool) -> str:
         """Return the URI of a file that is not read, relative to the target's folder."""
         if is_buffer:
-            raise outside(uri, why, self._document.place)
+            raise refused(uri, why, self._document.place)
         try:
             moved = moved_uri(uri, os.fspath(self._document.folder), os.fspath(self._folder))
         except RefusedError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple, TypeGuard
 
@@ -243,11 +242,7 @@ def _bytes_at(uri: str, document: Document) -> Bytes:
         # The bytes of an image's file, within the bounds of the document.
         claim = document.budget.claiming(f'image "{shortened(uri)}"', document.place)
         try:
-            descriptor = find(uri, document.folder, document.bounds)[1]
-            try:
-                return read_open_file(descriptor, claim)
-            finally:
-                os.close(descriptor)
+            return read_open_file(find(uri, document.folder, document.bounds)[1], claim)
         except OutsideError as error:
             why = f"is not read: {error}. --allow-outside DIR names further folders"
             raise _StaysError("outside", why) from error
