@@ -8,8 +8,8 @@ from __future__ import annotations
 import os
 import sys
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from itertools import chain, islice
 from math import ceil
@@ -24,10 +24,12 @@ GROUPS, GROUP_ROOT = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
 """The paths where Linux lists the control groups of a process, and their limits."""
 
 
-def group_folders(controller: str, groups: Path = GROUPS, root: Path = GROUP_ROOT) -> Iterator[Path]:
-    """Yield the folders that limit this process for a controller: its own groups and those around them.
+def group_limits(
+    controller: str, files: Iterable[Sequence[str]], groups: Path = GROUPS, root: Path = GROUP_ROOT
+) -> Iterator[str]:
+    """Yield the limits of a controller for this process, as text: of its own groups and of those around them.
 
-    The folders of version 2 and of version 1 have files of different names.
+    ``files`` are the names of the files with a limit: version 2 and version 1 have other ones.
     """
     try:
         lines = groups.read_text(encoding="utf-8", errors="replace").splitlines()
@@ -42,7 +44,9 @@ def group_folders(controller: str, groups: Path = GROUPS, root: Path = GROUP_ROO
         for folder in dict.fromkeys((own, *own.parents)):
             if folder != base and base not in folder.parents:
                 break
-            yield folder
+            for names in files:
+                with suppress(OSError, ValueError):
+                    yield " ".join((folder / name).read_text(encoding="ascii") for name in names)
 
 
 Item = TypeVar("Item")
@@ -94,13 +98,10 @@ def usable_cores() -> int:
 
 def cpu_quotas(groups: Path = GROUPS, root: Path = GROUP_ROOT) -> Iterator[float]:
     """Yield the cores that control groups leave to this process: their quota divided by its period."""
-    for folder in group_folders("cpu", groups, root):
-        for names in (("cpu.max",), ("cpu.cfs_quota_us", "cpu.cfs_period_us")):
-            try:
-                text = " ".join((folder / name).read_text(encoding="ascii") for name in names)
-                quota, period = map(int, text.split())
-            except (OSError, ValueError):  # also "max 100000", which means no limit
-                continue
+    files = ("cpu.max",), ("cpu.cfs_quota_us", "cpu.cfs_period_us")
+    for text in group_limits("cpu", files, groups, root):
+        with suppress(ValueError):  # "max 100000" means no limit
+            quota, period = map(int, text.split())
             if quota > 0 and period > 0:  # -1 means no limit
                 yield quota / period
 

@@ -25,7 +25,7 @@ from skinbake.gltf.document import Document, parse_glb, parse_gltf, read_documen
 from skinbake.gltf.json_access import JsonObject
 from skinbake.gltf.reading.clips import read_clips
 from skinbake.gltf.reading.meshes import MOST_SETS, read_indices, read_primitive, skinned_sources
-from skinbake.gltf.writing.compaction import _Shifts
+from skinbake.gltf.writing.compaction import shift_of
 from skinbake.report.totals import error_fields
 from tests.support.corpus import require_corpus
 from tests.support.models import FOLDER, baked, crowd, edited, sheet, write_model
@@ -104,10 +104,10 @@ def test_the_default_is_a_share_of_what_the_control_group_allows(tmp_path: Path)
     (root / "a" / "b" / "memory.max").write_text("max\n")
     (root / "memory").mkdir()
     (root / "memory" / "memory.limit_in_bytes").write_text("12345")
-    assert list(budgets.group_limits(groups, root)) == [4096]
+    assert list(budgets.memory_limits(groups, root)) == [4096]
     groups.write_text("3:cpu,memory:/gone\n1:cpu:/a\n")
-    assert list(budgets.group_limits(groups, root)) == [12345]
-    assert list(budgets.group_limits(tmp_path / "none", root)) == []
+    assert list(budgets.memory_limits(groups, root)) == [12345]
+    assert list(budgets.memory_limits(tmp_path / "none", root)) == []
     assert budgets.default_limit() == budgets.machine_memory() // 4
     assert budgets.default_limit(16) == budgets.machine_memory() // 16
 
@@ -456,9 +456,9 @@ def test_channels_of_one_sampler_share_its_values(tmp_path: Path) -> None:
 
 def test_holes_shift_what_lies_behind_them() -> None:
     holes = [(4, 8), (20, 32), (40, 44)]
-    shifts = _Shifts.of(holes)
+    shift = shift_of(holes)
     for position in range(60):
-        assert shifts.at(position) == sum(end - begin for begin, end in holes if begin < position)
+        assert shift(position) == sum(end - begin for begin, end in holes if begin < position)
 
 
 def test_streams_that_share_accessors_are_compared_once_each(

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from fixtures.builder import pack_glb
+from skinbake.files.folders import open_regular
 from skinbake.gltf import resources
 from tests.support import corpus
 from tests.support.command_line import document, invoke
@@ -49,11 +50,11 @@ class TestFilesThatChange:
         return path
 
     def test_a_large_file_is_read_whole(self, large: Path) -> None:
-        assert bytes(resources.read_file(large, _uncounted)) == large.read_bytes()
+        assert bytes(resources.read_open_file(open_regular(str(large)), _uncounted)) == large.read_bytes()
 
     def test_what_was_read_of_a_large_file_stays(self, large: Path) -> None:
         before = large.read_bytes()
-        data = resources.read_file(large, _uncounted)
+        data = resources.read_open_file(open_regular(str(large)), _uncounted)
         with large.open("r+b") as file:
             file.write(b"\xff" * len(before))
         assert bytes(data) == before
@@ -62,7 +63,7 @@ class TestFilesThatChange:
         assert bytes(data) == before
 
     def test_what_was_read_of_a_large_file_is_read_only(self, large: Path) -> None:
-        assert memoryview(resources.read_file(large, _uncounted)).readonly
+        assert memoryview(resources.read_open_file(open_regular(str(large)), _uncounted)).readonly
 
     @pytest.mark.parametrize("length", [0, 5000, 3 * resources.PAGES_FROM])
     def test_a_large_file_that_changes_its_length_is_refused(self, large: Path, length: int) -> None:
@@ -72,7 +73,7 @@ class TestFilesThatChange:
                 file.truncate(length)
 
         with pytest.raises(OSError, match="it changed while it was read"):
-            resources.read_file(large, cut)
+            resources.read_open_file(open_regular(str(large)), cut)
 
     def test_a_small_file_that_changes_its_length_is_refused(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -15,6 +15,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import lru_cache
+from typing import NamedTuple
 
 from skinbake.files.bounds import BoundedPath, below
 
@@ -68,20 +69,15 @@ def _regular(opens: Callable[[], int]) -> int:
             raise OSError(errno.EINVAL, NOT_REGULAR) from error
         raise
     try:
-        check_regular(descriptor)
+        found = os.fstat(descriptor)
+        if stat.S_ISDIR(found.st_mode):  # pragma: no cover: tests/files/test_containment.py
+            raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
+        if not stat.S_ISREG(found.st_mode) or found.st_dev in _made_up():
+            raise OSError(errno.EINVAL, NOT_REGULAR)  # pragma: no cover: tests/files
     except BaseException:
         os.close(descriptor)
         raise
     return descriptor
-
-
-def check_regular(descriptor: int) -> None:
-    """Raise OSError unless the descriptor is a regular file on a disk."""
-    found = os.fstat(descriptor)
-    if stat.S_ISDIR(found.st_mode):  # pragma: no cover: tests/files/test_containment.py
-        raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
-    if not stat.S_ISREG(found.st_mode) or found.st_dev in _made_up():
-        raise OSError(errno.EINVAL, NOT_REGULAR)  # pragma: no cover: tests/files
 
 
 @lru_cache(maxsize=1)
@@ -96,30 +92,24 @@ def _made_up() -> frozenset[int]:
     return frozenset(devices)
 
 
-class Folder:
-    """An open folder below a root. Names in it are used without following links.
+class Folder(NamedTuple):
+    """An open folder below a root, which ``beneath`` opens. Names in it are used without following links.
 
-    ``path`` is its name in messages. If the system opens names relative to descriptors, the folder stays the
-    opened one, even if it is renamed or replaced by a link meanwhile.
+    ``path`` is its name in messages. ``descriptor`` is the value for ``dir_fd``, None on systems without it.
+    With it, the folder stays the opened one, even if it is renamed or replaced by a link meanwhile.
     """
 
-    def __init__(self, path: str, descriptor: int | None) -> None:
-        """Hold an open folder. ``beneath`` makes one."""
-        self.path, self._descriptor = path, descriptor
-
-    @property
-    def descriptor(self) -> int | None:
-        """The value for ``dir_fd``, or None on systems without it."""
-        return self._descriptor
+    path: str
+    descriptor: int | None
 
     def name(self, name: str) -> str:
         """Return the name of a file of the folder in calls that have ``dir_fd=folder.descriptor``."""
-        return name if self._descriptor is not None else os.path.join(self.path, name)
+        return name if self.descriptor is not None else os.path.join(self.path, name)
 
     def sync(self) -> None:
         """Wait until the names in the folder are on the disk. Systems that cannot do it are ignored."""
-        if self._descriptor is not None:  # pragma: no branch: Windows
-            flush(self._descriptor)
+        if self.descriptor is not None:  # pragma: no branch: Windows
+            flush(self.descriptor)
 
 
 def flush(descriptor: int) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,23 +21,6 @@ from skinbake.gltf.writing.additions import Additions, Packed
 Values = npt.NDArray[Any]
 
 
-class AttributeStore(Protocol):
-    """Take the new attributes of one primitive, and make the other changes of its JSON at the end."""
-
-    def add(
-        self,
-        name: str,
-        values: Values,
-        *,
-        normalized: bool = False,
-        extras: JsonObject | None = None,
-    ) -> int:
-        """Store an attribute (V, components) of a glTF type and return the index of its accessor."""
-
-    def finished(self, primitive: JsonObject) -> JsonObject:
-        """Return the JSON of the primitive with all its new attributes, and the changes of their storage."""
-
-
 def store_for(
     document: Document, additions: Additions, source: PrimitiveSource, level: int | None
 ) -> AttributeStore:
@@ -47,7 +30,7 @@ def store_for(
     """
     if draco.extension_of(source.json) is not None:
         return _DracoStore(document, additions, source, draco.USUAL_LEVEL if level is None else level)
-    return _PlainStore(additions, meshopt_packing(document, source, level))
+    return AttributeStore(additions, meshopt_packing(document, source, level))
 
 
 def meshopt_packing(document: Document, source: PrimitiveSource, level: int | None) -> Packed | None:
@@ -129,10 +112,13 @@ def meshopt_of(document: Document, source: PrimitiveSource) -> str | None:
     return None
 
 
-class _PlainStore:
-    """Accessors with their own buffer views, which meshopt compresses if ``packed`` says so."""
+class AttributeStore:
+    """Take the new attributes of one primitive, and make the other changes of its JSON at the end.
 
-    def __init__(self, additions: Additions, packed: Packed | None) -> None:
+    They get accessors with their own buffer views, which meshopt compresses if ``packed`` says so.
+    """
+
+    def __init__(self, additions: Additions, packed: Packed | None = None) -> None:
         self._additions, self._packed = additions, packed
         self._taken: set[int] = set()
 
@@ -144,6 +130,7 @@ class _PlainStore:
         normalized: bool = False,
         extras: JsonObject | None = None,
     ) -> int:
+        """Store an attribute (V, components) of a glTF type and return the index of its accessor."""
         number = self._additions.add(
             values, normalized=normalized, extras=extras, packed=self._packed, apart_from=self._taken
         )
@@ -151,10 +138,11 @@ class _PlainStore:
         return number
 
     def finished(self, primitive: JsonObject) -> JsonObject:
+        """Return the JSON of the primitive with all its new attributes, and the changes of their storage."""
         return primitive
 
 
-class _DracoStore:
+class _DracoStore(AttributeStore):
     """New attributes beside a Draco stream, in the order of its decoder, so that the stream stays as it is.
 
     Babylon.js and PlayCanvas read nothing beside a stream. So attributes that they need for skinning and
@@ -169,13 +157,13 @@ class _DracoStore:
     def __init__(self, document: Document, additions: Additions, source: PrimitiveSource, level: int) -> None:
         from skinbake.gltf.writing.recode import reason_against_new_stream
 
-        self._document, self._additions, self._source, self._level = document, additions, source, level
+        super().__init__(additions)
+        self._document, self._source, self._level = document, source, level
         self._before = draco.extension_of(source.json) or {}
         self._inside = member(self._before, "attributes", source.place)
         self._is_writable = reason_against_new_stream(document, source) is None
         numbers = [int(source.attributes[name]) for name in self._inside]
         self._has_plain_data = any("bufferView" in document.objects("accessors")[one] for one in numbers)
-        self._plain = _PlainStore(additions, None)
         self._new: dict[str, Values] = {}
 
     def add(
@@ -189,8 +177,8 @@ class _DracoStore:
         is_read = name in self._inside or name == "NORMAL" or self._has_plain_data
         if self._is_writable and is_read and values.dtype.kind != "i":
             self._new[name] = values
-            return self._additions.add_inside(values, normalized=normalized, extras=extras)
-        return self._plain.add(name, values, normalized=normalized, extras=extras)
+            return self._additions.add_accessor({}, values, normalized, extras)
+        return super().add(name, values, normalized=normalized, extras=extras)
 
     def finished(self, primitive: JsonObject) -> JsonObject:
         now, former = member(primitive, "attributes", self._source.place), self._source.attributes

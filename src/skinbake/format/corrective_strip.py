@@ -15,7 +15,7 @@ from skinbake.geometry import poses
 from skinbake.geometry.skinned import FloatArray
 from skinbake.gltf.budget import Cost
 from skinbake.gltf.document import Document, once_a_document
-from skinbake.gltf.json_access import JsonObject, entries_of, listed, object_of, reference, text
+from skinbake.gltf.json_access import JsonObject, entries_of, listed, object_of, put_back, reference, text
 from skinbake.gltf.reading.accessors import read_accessor
 from skinbake.gltf.reading.clips import MORPH_WEIGHTS, POINTER_EXTENSION
 from skinbake.gltf.writing.additions import Additions
@@ -66,30 +66,25 @@ def without_correctives(document: Document) -> tuple[JsonObject, list[Narrowed]]
     for key in () if _needs_quantisation(document, meshes) else ("extensionsUsed", "extensionsRequired"):
         named = root.get(key)
         if key in added_to and isinstance(named, list) and QUANTIZATION in named:
-            root[key] = [name for name in named if name != QUANTIZATION]
-            if not root[key]:
-                del root[key]
+            put_back(root, key, [name for name in named if name != QUANTIZATION])
     if "nodes" in root:
         root["nodes"] = nodes
     animations, narrowed = _former_animations(document, notes, kept)
     if "animations" in root:
-        root["animations"] = animations
-        if not animations:
-            del root["animations"]
+        put_back(root, "animations", animations)
     return root, narrowed
 
 
 def _needs_quantisation(document: Document, meshes: Sequence[JsonObject]) -> bool:
     """Tell whether attributes or targets have types that only KHR_mesh_quantization allows."""
-    accessors = document.objects("accessors")
     for primitive in (one for mesh in meshes for one in entries_of(mesh.get("primitives"))):
         for attributes in (object_of(primitive.get("attributes")), *entries_of(primitive.get("targets"))):
             for name, value in attributes.items():
-                number = reference(value)
-                if number is None or not 0 <= number < len(accessors):
+                accessor = document.asset.accessor_at(value)
+                if accessor is None:
                     continue
-                kind, is_normalized = (accessors[number].get(key) for key in ("componentType", "normalized"))
-                is_plain = name.startswith("TEXCOORD_") and is_normalized is True and kind in UNSIGNED
+                kind = accessor.json.get("componentType")
+                is_plain = name.startswith("TEXCOORD_") and accessor.is_normalized and kind in UNSIGNED
                 if kind != FLOAT and not is_plain and name.startswith(QUANTISED):
                     return True
     return False
@@ -109,10 +104,7 @@ def _former_mesh(document: Document, mesh: JsonObject, note: CorrectiveNote, kep
             for position, target in enumerate(entries_of(primitive.get("targets"))[:kept])
         ]
         changed = dict(primitive)
-        if any(targets):
-            changed["targets"] = targets
-        else:
-            changed.pop("targets", None)
+        put_back(changed, "targets", targets if any(targets) else [])
         primitives.append(changed)
     found = {**mesh, "primitives": primitives}
     weights = mesh.get("weights")
@@ -129,13 +121,7 @@ def _former_mesh(document: Document, mesh: JsonObject, note: CorrectiveNote, kep
     elif isinstance(names, list) and len(names) == kept + note.targets:
         extras[TARGET_NAMES] = names[:kept]
     if note.morph_targets:  # what was made for the file's own targets stays
-        morphs = MorphNote(
-            version=note.version,
-            generator=note.generator,
-            keep_extras=note.keep_extras,
-            morph_targets=note.morph_targets,
-        )
-        extras[KEY] = morphs.as_json()
+        extras[KEY] = MorphNote.read(note.json)._replace(correctives=0).as_json()
     found["extras"] = extras
     if not extras and "extras" not in note.former:
         del found["extras"]
@@ -204,23 +190,24 @@ def _moved_weights(channel: JsonObject, of_node: Mapping[int, int]) -> tuple[int
 
 def _is_zeros(document: Document, value: object) -> bool:
     """Tell whether an accessor holds nothing but zeros: another tool may have put data there."""
-    number, accessors = reference(value), document.objects("accessors")
-    if number is None or not 0 <= number < len(accessors):
-        return False
-    if accessors[number].keys().isdisjoint({"bufferView", "sparse"}):
+    accessor = document.asset.accessor_at(value)
+    if accessor is not None and accessor.json.keys().isdisjoint({"bufferView", "sparse"}):
         return True
-    values = _read(document, number)
+    values = _read(document, value)
     return values is not None and not values.any()
 
 
-def _read(document: Document, number: int) -> FloatArray | None:
+def _read(document: Document, value: object) -> FloatArray | None:
     """Return the values of an accessor, None if they cannot be read, and count the work."""
+    accessor = document.asset.accessor_at(value)
+    if accessor is None:
+        return None
     with BrokenPassedOver():
-        count = document.asset.accessors[number].count(document.place)
+        count = accessor.count(document.place)
         document.budget.claim(Cost.UNDONE_NUMBER * count, "undoing its bake", document.place)
         with document.budget.passing():
             # As correctives are made and stored, also where the weights of a file are integers.
-            return read_accessor(document, number, document.place).decoded().astype(np.float32)
+            return read_accessor(document, accessor.number, document.place).decoded().astype(np.float32)
     return None
 
 
@@ -232,21 +219,14 @@ def _still_plays(document: Document, now: JsonObject, before: Sequence[JsonObjec
     both = [now, *before]
     methods = [sampler.get("interpolation") == poses.CUBICSPLINE for sampler in both]
     numbers = [reference(sampler.get(key)) for sampler in both for key in ("input", "output")]
-    accessors = document.objects("accessors")
     if not before or methods[0] != methods[1]:
         return False
-    if any(one is None or not 0 <= one < len(accessors) for one in numbers):
-        return False
-    return _agree(document, tuple(one or 0 for one in numbers), 3 if methods[0] else 1, targets)
+    return _agree(document, tuple(numbers), 3 if methods[0] else 1, targets)
 
 
 def _moves(document: Document, sampler: JsonObject, targets: int) -> bool:
     """Tell whether a sampler moves any of the first targets."""
-    numbers = [reference(sampler.get(key)) for key in ("input", "output")]
-    count = len(document.objects("accessors"))
-    if any(one is None or not 0 <= one < count for one in numbers):
-        return False
-    times, values = (_read(document, int(one or 0)) for one in numbers)
+    times, values = (_read(document, sampler.get(key)) for key in ("input", "output"))
     each = 3 if sampler.get("interpolation") == poses.CUBICSPLINE else 1
     if times is None or values is None or values.size % (len(times) * each):
         return False
@@ -255,7 +235,7 @@ def _moves(document: Document, sampler: JsonObject, targets: int) -> bool:
 
 
 @once_a_document
-def _agree(document: Document, numbers: tuple[int, ...], each: int, targets: int) -> bool:
+def _agree(document: Document, numbers: tuple[int | None, ...], each: int, targets: int) -> bool:
     """Tell whether keys and values of a sampler hold those of a former one, ``each`` values a key.
 
     numbers are the accessors of both, of the sampler first.

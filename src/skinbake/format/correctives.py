@@ -47,7 +47,7 @@ from skinbake.gltf.json_access import (
     objects,
     reference,
 )
-from skinbake.gltf.reading.accessors import read_accessor
+from skinbake.gltf.reading.accessors import StoredArray, read_accessor
 from skinbake.gltf.reading.clips import (
     MESH_POINTER,
     MORPH_WEIGHTS,
@@ -224,7 +224,7 @@ def _corrected(
         entry = CorrectedPrimitive(filled=filled)
         if number is not None and own is not None:
             stored = item.primitives[number]
-            decoded = decoded_targets(own, encoding)
+            decoded = StoredArray(stored_targets(own, encoding), encoding.is_scaled).decoded()
             targets = corrective_digest(stored, decoded)
             entry = entry._replace(digest=digests(stored, Frame.NORMAL), targets=targets)
         primitives.append(changed)
@@ -266,12 +266,6 @@ def with_plays(document: Document, plays: Mapping[int, Sequence[tuple[float, ...
         extras = {**mesh["extras"], KEY: note._replace(plays=tuple(rows)).as_json()}
         meshes[number] = {**mesh, "extras": extras}
     return document.edited(json={**document.json, "meshes": meshes})
-
-
-def decoded_targets(targets: Float64Array, encoding: Encoding) -> FloatArray:
-    """Return targets (K, V, 3) as renderers read them from an encoding."""
-    stored = stored_targets(targets, encoding)
-    return stored if stored.dtype.kind == "f" else np.maximum(stored / np.iinfo(stored.dtype).max, -1.0)
 
 
 def corrective_digest(primitive: SkinnedPrimitive, targets: FloatArray) -> str:

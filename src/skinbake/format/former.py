@@ -50,10 +50,13 @@ def former_attributes(
         now, _ = _influence_digests(document, attributes, place)
     if now is None or now != {name: note.digest.get(name) for name in now}:
         return None
-    count = len(document.objects("accessors"))
     for by_digest in (False, True):
         with BrokenPassedOver():
-            found = {name: number for name, number in note.adopted.items() if 0 <= number < count}
+            found = {
+                name: number
+                for name, number in note.adopted.items()
+                if document.asset.accessor_at(number) is not None
+            }
             if by_digest:
                 # The accessors of any numbers that hold the former JOINTS_0 and WEIGHTS_0. The digests of
                 # several sets are of all sets together, and find none of them.
@@ -145,13 +148,12 @@ def former_tangent(
     where = place.at("TANGENT")
     with BrokenPassedOver():
         draco.add_former_streams(document, with_former_stream)
-        count = len(document.objects("accessors"))
         now = document.asset.accessor(attributes, "TANGENT", where)
         if now is None or _digest(document, now.number, where) != after:
             return None
-        former = note.straightened.tangent
-        if former is not None and 0 <= former < count and _digest(document, former, where) == before:
-            return {"TANGENT": former}
+        former = document.asset.accessor_at(note.straightened.tangent)
+        if former is not None and _digest(document, former.number, where) == before:
+            return {"TANGENT": former.number}
         again = _with_digest(document, attributes, "TANGENT", before, where)
         return None if again is None else {"TANGENT": again}
     return None
@@ -175,9 +177,7 @@ def _influence_digests(
     sets: dict[str, list[npt.NDArray[Any]]] = {"JOINTS": [], "WEIGHTS": []}
     while f"JOINTS_{len(sets['JOINTS'])}" in attributes:
         for kind, arrays in sets.items():
-            accessor = document.asset.accessor(attributes, f"{kind}_{len(arrays)}", place)
-            if accessor is None:
-                raise InputError(f"it has no {kind}_{len(arrays)}", place)
+            accessor = document.asset.needed(attributes, f"{kind}_{len(arrays)}", place)
             stored = _read(document, accessor.number, place)
             arrays.append(stored.values if kind == "JOINTS" else stored.decoded())
     for kind, arrays in sets.items():

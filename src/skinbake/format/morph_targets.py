@@ -34,7 +34,7 @@ from skinbake.geometry.morphs import COMPONENTS, Differences
 from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive
 from skinbake.gltf.asset import COMPONENT_CODES, TYPES, PrimitiveSource
 from skinbake.gltf.document import Document
-from skinbake.gltf.json_access import JsonObject, entries_of, object_of, reference
+from skinbake.gltf.json_access import JsonObject, entries_of, object_of
 from skinbake.gltf.reading.accessors import read_accessor
 from skinbake.gltf.writing.additions import Additions, Packed
 
@@ -211,11 +211,11 @@ def former_targets(document: Document, mesh: JsonObject) -> JsonObject:
 
 def _is_zeros(document: Document, accessor: int, primitive: JsonObject) -> bool:
     """Tell whether an accessor holds zeros, as many and as wide as NORMAL of a primitive."""
-    accessors, normals = document.objects("accessors"), object_of(primitive.get("attributes")).get("NORMAL")
-    alike = reference(normals)
-    if alike is None or not (0 <= alike < len(accessors) and 0 <= accessor < len(accessors)):
+    asset, normals = document.asset, object_of(primitive.get("attributes")).get("NORMAL")
+    found, alike = asset.accessor_at(accessor), asset.accessor_at(normals)
+    if found is None or alike is None:
         return False
-    if any(accessors[accessor].get(name) != accessors[alike].get(name) for name in ("count", "type")):
+    if any(found.json.get(name) != alike.json.get(name) for name in ("count", "type")):
         return False
     with BrokenPassedOver(), document.budget.passing():
         return not read_accessor(document, accessor, Place(document.name)).values.any()

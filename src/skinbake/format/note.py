@@ -30,6 +30,7 @@ from skinbake.gltf.json_access import (
     object_of,
     reference,
     shown,
+    values_of,
     with_integers,
 )
 from skinbake.gltf.writing.additions import BUFFER_ADDED, BUFFER_LENGTH, FALLBACK_ADDED
@@ -494,13 +495,11 @@ def gradient_note_in(document: Document, primitive: JsonObject) -> GradientNote 
     found = _stored(primitive)
     if found is not None:
         return None if isinstance(found.get("left"), dict) else GradientNote.read(found)
-    attributes, accessors = primitive.get("attributes"), document.objects("accessors")
-    for value in attributes.values() if isinstance(attributes, dict) else ():
-        number = reference(value)
-        if number is not None and 0 <= number < len(accessors):
-            note, entries = _note_of_accessor(document, number)
+    for accessor in map(document.asset.accessor_at, values_of(primitive.get("attributes"))):
+        if accessor is not None:
+            note, entries = _note_of_accessor(document, accessor.number)
             if note is not None:
-                what = f"reading the metadata of accessor {number}"
+                what = f"reading the metadata of accessor {accessor.number}"
                 document.budget.claim(Cost.NOTE_ENTRY * entries, what, document.place, passing=True)
                 return note
     return None
@@ -650,16 +649,9 @@ def with_left(document: Document, left: Left) -> Document | None:
     asset = object_of(document.json.get("asset"))
     if not has_place(asset):
         return None
-
-    def rounded(value: float | None) -> float | None:
-        return None if value is None else float(f"{value:.4g}")
-
-    left = left._replace(
-        gain=rounded(left.gain),
-        standard_error=rounded(left.standard_error),
-        under=rounded(left.under),
-    )
-    asset = with_note(asset, LeftNote(version=VERSION, left=left))
+    numbers = {name: getattr(left, name) for name in ("gain", "standard_error", "under")}
+    rounded = {name: None if one is None else float(f"{one:.4g}") for name, one in numbers.items()}
+    asset = with_note(asset, LeftNote(version=VERSION, left=left._replace(**rounded)))
     return document.edited(json={**document.json, "asset": asset})
 
 

@@ -30,6 +30,7 @@ from skinbake.gltf.json_access import (
     integer,
     object_of,
     objects,
+    put_back,
     text,
 )
 from skinbake.gltf.writing.references import buffers_in_use, uses_of_accessors, views_in_use
@@ -228,14 +229,14 @@ def _without(
         document.notices.tell(Notice("bytes-left", message, document.place))
         return document.edited(json=_with_own_views(document, root, back))
     first, undo, start = tail
-    _put_back(root, "accessors", accessors[: len(accessors) - len(removed)])
-    _put_back(root, "bufferViews", views[:first])
+    put_back(root, "accessors", accessors[: len(accessors) - len(removed)])
+    put_back(root, "bufferViews", views[:first])
     # The document with the buffers as they were before the bake.
     buffers = list(document.objects("buffers"))
     buffers = buffers[: len(buffers) - undo.fallback_added]
     if undo.added:
         uri = buffers.pop().get("uri")
-        _put_back(root, "buffers", buffers)
+        put_back(root, "buffers", buffers)
         new_files = {name: pieces for name, pieces in document.new_files.items() if name != uri}
         return document.edited(json=root, new_files=new_files)
     root["buffers"] = [{**buffers[0], "byteLength": undo.byte_length}, *buffers[1:]]
@@ -315,11 +316,3 @@ def _stored_ranges(view: JsonObject, place: Place) -> Iterator[tuple[int, int, i
     for holder in meshopt.ranges_of(view, place):
         start = integer(holder, "byteOffset", place, default=0)
         yield integer(holder, "buffer", place), start, start + integer(holder, "byteLength", place)
-
-
-def _put_back(root: JsonObject, key: str, entries: list[JsonObject]) -> None:
-    """Set a top-level array, or remove it if it is empty: glTF allows no empty array."""
-    if entries:
-        root[key] = entries
-    else:
-        root.pop(key, None)

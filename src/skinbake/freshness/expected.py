@@ -121,12 +121,6 @@ def _limited_weights(document: Document, view: BakedView, before: Mapping[str, A
     return np.concatenate([entry.weights.decoded() for entry in after], axis=1)
 
 
-def _without_given_weights(document: Document, view: BakedView) -> SkinnedPrimitive:
-    """Return the primitive without the weights that bake gave to adopted slots (``given_weights``)."""
-    weights = np.asarray(view.now.weights, dtype=np.float64) - given_weights(document, view)
-    return view.now.with_influences(view.now.joints, weights)
-
-
 def surface_slots(views: Sequence[BakedView], operator: GradientOperator) -> Expected:
     """Return the gradients of the surface of each view, (V, K − 1)."""
     expected = expected_alpha_beta(
@@ -135,6 +129,11 @@ def surface_slots(views: Sequence[BakedView], operator: GradientOperator) -> Exp
         [(view.tangents, view.bitangents) for view in views],
     )
     return [(alpha[:, 1:], beta[:, 1:]) for alpha, beta in expected]
+
+
+def frames_of(views: Sequence[BakedView]) -> list[FloatArray]:
+    """Return the tangents and the bitangents (V, 3) of all vertices of a surface."""
+    return [np.concatenate([getattr(one, name) for one in views]) for name in ("tangents", "bitangents")]
 
 
 def prepared_rig_fit(document: Document, views: Sequence[BakedView], weighting: Weighting) -> Fit | None:
@@ -147,9 +146,13 @@ def prepared_rig_fit(document: Document, views: Sequence[BakedView], weighting: 
     if rig is None:
         return None
     crease_angle = float(np.radians(views[0].note.crease_angle))
-    primitives = [_without_given_weights(document, view) for view in views]
-    tangents = np.concatenate([np.asarray(view.tangents, dtype=np.float64) for view in views])
-    bitangents = np.concatenate([np.asarray(view.bitangents, dtype=np.float64) for view in views])
+    # Without the weights that bake gave to adopted slots.
+    given = [given_weights(document, view) for view in views]
+    primitives = [
+        view.now.with_influences(view.now.joints, np.asarray(view.now.weights, dtype=np.float64) - own)
+        for view, own in zip(views, given, strict=True)
+    ]
+    tangents, bitangents = (frame.astype(np.float64, copy=False) for frame in frames_of(views))
     # Bakes that keep all of α and β note nothing.
     kept = [round(EIGHTHS * (1.0 if view.note.kept is None else view.note.kept)) for view in views]
 

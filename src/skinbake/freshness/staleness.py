@@ -23,6 +23,7 @@ from skinbake.freshness.expected import (
     Fit,
     expected_slots,
     former_weights,
+    frames_of,
     given_weights,
     noted_rig,
     paid_share,
@@ -146,7 +147,7 @@ def _stale_blends(
 ) -> Iterator[Notice]:
     """Yield a problem for each view of a surface whose stored gradient is not that of its blend weights."""
     fields = [np.zeros((len(view.now.positions), 3)) if view.blend is None else view.blend for view in views]
-    frames = [np.concatenate([getattr(one, name) for one in views]) for name in ("tangents", "bitangents")]
+    frames = frames_of(views)
 
     def compared(by: GradientOperator) -> list[Comparison]:
         expected = np.empty((len(by.positions), 2))
@@ -276,11 +277,7 @@ def _roundings(
     paid = np.concatenate([paid_share(view, given_weights(document, view)) for view in views])
     if paid.max(initial=0.0) < NO_PAYMENT:
         return [view.rounding for view in views]
-    frames = [
-        np.concatenate([view.tangents for view in views]),
-        np.concatenate([view.bitangents for view in views]),
-    ]
-    forgiven = operator.reach_along(frames, paid).T.copy()
+    forgiven = operator.reach_along(frames_of(views), paid).T.copy()
     return [view.rounding + forgiven[rows] for view, rows in zip(views, operator.slices, strict=True)]
 
 

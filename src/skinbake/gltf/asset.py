@@ -47,18 +47,6 @@ REST = {
 """The transform of a node that stores none. glTF has x of a rotation first, and matrices by columns."""
 
 
-COMPONENT_TYPES: dict[int, np.dtype[np.generic]] = {
-    5120: np.dtype("<i1"),
-    5121: np.dtype("<u1"),
-    5122: np.dtype("<i2"),
-    5123: np.dtype("<u2"),
-    5125: np.dtype("<u4"),
-    5126: np.dtype("<f4"),
-}
-COMPONENT_CODES = {dtype: code for code, dtype in COMPONENT_TYPES.items()}
-COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-TYPES = {count: name for name, count in COMPONENTS.items()}
-
 COMPONENT_NAMES = {
     5120: "BYTE",
     5121: "UNSIGNED_BYTE",
@@ -67,6 +55,13 @@ COMPONENT_NAMES = {
     5125: "UNSIGNED_INT",
     5126: "FLOAT",
 }
+COMPONENT_TYPES: dict[int, np.dtype[np.generic]] = {
+    code: np.dtype(kind)
+    for code, kind in zip(COMPONENT_NAMES, ("<i1", "<u1", "<i2", "<u2", "<u4", "<f4"), strict=True)
+}
+COMPONENT_CODES = {dtype: code for code, dtype in COMPONENT_TYPES.items()}
+COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+TYPES = {count: name for name, count in COMPONENTS.items()}
 MATRIX_ROWS = {"MAT2": 2, "MAT3": 3, "MAT4": 4}
 
 
@@ -403,6 +398,13 @@ class Asset:
         number = index(holder, key, len(self.objects("accessors")), place)
         return None if number is None else self.accessors[number]
 
+    def needed(self, holder: Mapping[str, Any], key: str, place: Place) -> Accessor:
+        """Return the accessor that an object names by a key; InputError without such a key or accessor."""
+        found = self.accessor(holder, key, place)
+        if found is None:
+            raise InputError(f"it has no {key}", place)
+        return found
+
     @cached_property
     def nodes(self) -> tuple[Node, ...]:
         """All nodes."""
@@ -425,8 +427,13 @@ class Asset:
 
     def accessor_of(self, source: PrimitiveSource, attribute: str) -> int | None:
         """Return the accessor of an attribute, None if it has none or the file has no such accessor."""
-        number = reference(source.attributes.get(attribute))
-        return number if number is not None and 0 <= number < len(self.objects("accessors")) else None
+        found = self.accessor_at(source.attributes.get(attribute))
+        return None if found is None else found.number
+
+    def accessor_at(self, value: object) -> Accessor | None:
+        """Return the accessor to which a value of the JSON refers, None if there is none."""
+        number = reference(value)
+        return self.accessors[number] if number is not None and 0 <= number < len(self.accessors) else None
 
     def counterpart(self, source: PrimitiveSource) -> PrimitiveSource:
         """Return the same primitive as in an earlier version of this document: it has other accessors."""

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from skinbake.errors import BudgetError, Place
-from skinbake.threads import GROUP_ROOT, GROUPS, group_folders
+from skinbake.threads import GROUP_ROOT, GROUPS, group_limits
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,19 +234,13 @@ def machine_memory() -> int:
         found = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
     except (AttributeError, ValueError, OSError):
         found = [8 << 30]  # Windows has no such call
-    return min([*found, *group_limits()])
+    return min([*found, *memory_limits()])
 
 
-def group_limits(groups: Path = GROUPS, root: Path = GROUP_ROOT) -> Iterator[int]:
-    """Yield the limits of the control groups of this process, version 2 or 1."""
-    for folder in group_folders("memory", groups, root):
-        for name in ("memory.max", "memory.limit_in_bytes"):
-            try:
-                text = (folder / name).read_text(encoding="ascii").strip()
-            except (OSError, ValueError):
-                continue
-            if text.isdecimal():  # pragma: no branch: control groups
-                yield int(text)
+def memory_limits(groups: Path = GROUPS, root: Path = GROUP_ROOT) -> list[int]:
+    """Return the limits of the control groups of this process, version 2 or 1."""
+    found = group_limits("memory", [["memory.max"], ["memory.limit_in_bytes"]], groups, root)
+    return [int(text) for text in found if text.strip().isdecimal()]
 
 
 def shown(size: int) -> str:

@@ -27,12 +27,12 @@ from skinbake.files.bounds import (
     bounded_paths,
     relative_names,
 )
-from skinbake.files.folders import open_beneath
+from skinbake.files.folders import open_beneath, open_regular
 from skinbake.files.urls import STDIO
 from skinbake.gltf import json_access, json_text, resources
 from skinbake.gltf.asset import Asset
 from skinbake.gltf.budget import Budget, Work
-from skinbake.gltf.glb import STDIN, GlbChunks, split_glb
+from skinbake.gltf.glb import STDIN, other_kind, refuse_other_kind, split_glb
 from skinbake.wording import counted, meant_file, not_gltf, one_or_many
 
 GLB_SUFFIXES = (".glb", ".vrm")
@@ -138,8 +138,6 @@ class Document:
                     f"buffer {index} has no URI and there is no BIN chunk that holds it", self.place
                 )
             if len(data) < length:
-                from skinbake.gltf.glb import other_kind  # most buffers are whole
-
                 kind = other_kind(data)
                 if kind is not None and uri is not None and not resources.is_data_uri(uri):
                     message = f'buffer {index}, "{resources.shortened(uri)}", is {kind}'
@@ -252,7 +250,7 @@ def read_named(path: str, root: str | None, budget: Budget) -> Bytes:
 
     try:
         if root is None:
-            return resources.read_file(Path(path), claim)
+            return resources.read_open_file(open_regular(os.fspath(Path(path))), claim)
         return resources.read_open_file(open_beneath(bounded_path(path, root)), claim)
     except RefusedError as error:
         raise InputError(f"cannot be read: {error}", Place(path)) from error
@@ -274,30 +272,18 @@ def parse_glb(
 
     ``budget`` has counted the bytes. None: they count now.
     """
-    chunks: GlbChunks = split_glb(data, Place(name))
-    budget = budget or _budget_of(data, name)
-    text = bytes(chunks.json)
-    root = _parse_json(text, budget, Place(name))
+    chunks = split_glb(data, Place(name))
+    parsed = _parsed(chunks.json, data, Place(name), budget)
     return Document(
         name=name,
         folder=folder,
         bounds=bounds,
-        json=root,
         is_glb=True,
-        budget=budget,
-        escaped=_is_escaped(text),
-        former=(chunks.json, root),
         binary=None if chunks.binary is None else (chunks.binary,),
         other_chunks=chunks.others,
         trailing=chunks.trailing,
-        raw=data,
+        **parsed,
     )
-
-
-def _budget_of(data: Bytes, name: str) -> Budget:
-    budget = Budget()
-    budget.back(len(data), name, "reading it", Place(name))
-    return budget
 
 
 def parse_gltf(
@@ -309,28 +295,25 @@ def parse_gltf(
     """
     if data[:4] == b"glTF":
         raise InputError("this is a GLB container; name it .glb instead", Place(name))
-    from skinbake.gltf.glb import refuse_other_kind  # most files are GLBs
-
     refuse_other_kind(data, Place(name))
-    budget = budget or _budget_of(data, name)
-    text = bytes(data)
-    root = _parse_json(text, budget, Place(name))
+    parsed = _parsed(data, data, Place(name), budget)
     # The white space before the first key, None for text on one line.
-    _, newline, rest = text[:256].partition(b"\n")
+    _, newline, rest = bytes(data[:256]).partition(b"\n")
     line = rest.split(b"\n")[0]
     indent = line[: len(line) - len(line.lstrip())].decode("ascii", "replace") if newline else None
-    return Document(
-        name=name,
-        folder=folder,
-        bounds=bounds,
-        json=root,
-        is_glb=False,
-        budget=budget,
-        indent=indent,
-        escaped=_is_escaped(text),
-        former=(data, root),
-        raw=data,
-    )
+    return Document(name=name, folder=folder, bounds=bounds, is_glb=False, indent=indent, **parsed)
+
+
+def _parsed(json: Bytes, whole: Bytes, place: Place, budget: Budget | None) -> dict[str, Any]:
+    """Return the fields of a document that follow from its JSON text, and from all its bytes."""
+    if budget is None:
+        budget = Budget()
+        budget.back(len(whole), place.file, "reading it", place)
+    text = bytes(json)
+    root = _parse_json(text, budget, place)
+    # A JSON text is ASCII because it escapes what is not, as Blender writes it.
+    escaped = b"\\u" in text and text.isascii()
+    return {"json": root, "budget": budget, "escaped": escaped, "former": (json, root), "raw": whole}
 
 
 def _parse_json(data: bytes, budget: Budget, place: Place) -> json_access.JsonObject:
@@ -369,8 +352,3 @@ def _fault(error: ValueError) -> str:
         return "it ends too early; the file may be cut short"
     found = JSON_FAULTS.get(error.msg) or error.msg.replace("Expecting", "expected")
     return f"line {error.lineno}, column {error.colno}: {found}"
-
-
-def _is_escaped(text: bytes) -> bool:
-    """Tell whether a JSON text is ASCII because it escapes what is not, as Blender writes it."""
-    return b"\\u" in text and text.isascii()

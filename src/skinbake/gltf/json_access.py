@@ -23,11 +23,15 @@ def objects(parent: Mapping[str, Any], key: str, place: Place) -> list[JsonObjec
 
     Raises InputError if it is not an array, or has an entry that is not an object.
     """
+    return _array(parent, key, place, dict, "objects")
+
+
+def _array(parent: Mapping[str, Any], key: str, place: Place, kind: type, entries: str) -> list[Any]:
     value = parent.get(key)
     if value is None:
         return []
-    if not isinstance(value, list) or not set(map(type, value)) <= {dict}:
-        raise InputError(f'"{key}" must be an array of objects, found {shown(value)}', place)
+    if not isinstance(value, list) or not set(map(type, value)) <= {kind}:
+        raise InputError(f'"{key}" must be an array of {entries}, found {shown(value)}', place)
     return value
 
 
@@ -93,12 +97,7 @@ def index(
 
 def names(parent: Mapping[str, Any], key: str, place: Place) -> list[str]:
     """Return the array of strings under ``key``, empty if there is none; InputError for another value."""
-    value = parent.get(key)
-    if value is None:
-        return []
-    if not isinstance(value, list) or not set(map(type, value)) <= {str}:
-        raise InputError(f'"{key}" must be an array of strings, found {shown(value)}', place)
-    return value
+    return _array(parent, key, place, str, "strings")
 
 
 def every_object(root: object) -> Iterator[JsonObject]:
@@ -185,6 +184,13 @@ def entries_of(value: object) -> list[JsonObject]:
 def values_of(value: object) -> list[Any]:
     """Return the values of an object, none if it is something else."""
     return list(value.values()) if isinstance(value, dict) else []
+
+
+def put_back(parent: JsonObject, key: str, entries: list[Any] | JsonObject) -> None:
+    """Set an array or object, or remove it if it is empty: glTF allows no empty array."""
+    parent[key] = entries
+    if not entries:
+        del parent[key]
 
 
 def text(parent: Mapping[str, Any], key: str, place: Place) -> str | None:

@@ -15,7 +15,7 @@ from urllib.parse import unquote, unquote_to_bytes
 from skinbake.errors import InputError, Place
 from skinbake.files import Bytes
 from skinbake.files.bounds import BoundedPath, Bounds, OutsideError, RefusedError, bounded_paths
-from skinbake.files.folders import open_beneath, open_regular
+from skinbake.files.folders import open_beneath
 from skinbake.gltf.budget import fits_memory
 
 Claim = Callable[[int], None]
@@ -52,11 +52,6 @@ def decode_data_uri(uri: str, place: Place) -> bytes:
 def encode_data_uri(data: bytes) -> str:
     """Return the bytes as the ``data:`` URI of a glTF buffer."""
     return "data:application/octet-stream;base64," + base64.b64encode(data).decode("ascii")
-
-
-def read_file(path: Path, claim: Claim) -> Bytes:
-    """Return the bytes of a regular file that the user named; raises OSError."""
-    return read_open_file(open_regular(os.fspath(path)), claim)
 
 
 PAGES_FROM = 1 << 20

@@ -114,12 +114,11 @@ class FileWork(Generic[ResultT]):
         if job.missing is not None:
             raise InputError(job.missing, Place(job.source))
         command = self.commands[job.variant]
-        recipe = self.recipes[job.variant] if self.recipes else None
-        if recipe is None or STDIO in {job.source, job.target} or not isinstance(command, NotedCommand):
+        is_kept = self.recipes and STDIO not in {job.source, job.target}
+        recipe = self.recipes[job.variant] if is_kept else None
+        if recipe is None or not isinstance(command, NotedCommand) or not command.is_noted(job):
             return command.result_of(job, traced=False)
         noted: NotedCommand[ResultT] = command
-        if not noted.is_noted(job):
-            return noted.result_of(job, traced=False)
         from skinbake.jobs import state  # only --skip-unchanged needs it
 
         with stage("state"):

@@ -149,10 +149,8 @@ class _Pool(Generic[JobT, ReturnT]):
         self._size = min(runner.workers, len(jobs))
         self._context = context_for(runner.modules)
         self._workers: list[_Worker] = []
-        self._next = 0
-        self._early = deque(runner.early(jobs) if runner.early else ())
-        self._begun_early = set(self._early)
-        self._back: deque[int] = deque()
+        self._back = deque[int](runner.early(jobs) if runner.early else ())
+        self._waiting: deque[int] = deque(sorted({*range(len(jobs))} - {*self._back}))
         self._suspects: deque[int] = deque()
         self._deaths: dict[int, int] = {}
         self._unfinished = len(jobs)
@@ -278,14 +276,9 @@ class _Pool(Generic[JobT, ReturnT]):
     def _next_number(self) -> int | None:
         if self._back:
             return self._back.popleft()
-        if self._early:
-            return self._early.popleft()
-        while self._next in self._begun_early:
-            self._next += 1
-        if self._next == len(self._jobs) or self._next >= self._oldest + WINDOW:
+        if not self._waiting or self._waiting[0] >= self._oldest + WINDOW:
             return None
-        self._next += 1
-        return self._next - 1
+        return self._waiting.popleft()
 
     def _packed(self, number: int) -> bytes:
         """Return a job as it goes to a worker."""

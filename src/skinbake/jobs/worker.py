@@ -13,7 +13,7 @@ from pathlib import Path
 
 from skinbake.jobs.work import JobT, ReturnT, Work, log_to_stderr, survived
 from skinbake.signals import ENDING
-from skinbake.timing import WRITTEN, Told, heard
+from skinbake.timing import WRITTEN, Listener, Told, heard
 
 TOLD_AFTER, TOLD_EVERY = 0.5, 0.25
 """The seconds after which a worker first tells of a file, and between two words of it."""
@@ -30,21 +30,21 @@ class Limits:
     memory: int | None = None
 
 
-class _Relay:
-    """As a worker, tell of outputs that are written, and a few times a second of files that take long."""
+def _relay(connection: Connection) -> Listener:
+    """Return what sends word of written outputs, and a few times a second of files that take long."""
+    of, due = "", 0.0
 
-    def __init__(self, connection: Connection) -> None:
-        self._connection, self._source, self._due = connection, "", 0.0
-
-    def __call__(self, told: Told) -> None:
-        """Send the word to the process that shows it."""
+    def relayed(told: Told) -> None:
+        nonlocal of, due
         now = time.monotonic()
-        if told.source != self._source:
-            self._source, self._due = told.source, now + TOLD_AFTER
-        elif now >= self._due or told.stage == WRITTEN:
-            self._due = now + TOLD_EVERY
+        if told.source != of:
+            of, due = told.source, now + TOLD_AFTER
+        elif now >= due or told.stage == WRITTEN:
+            due = now + TOLD_EVERY
             with suppress(OSError):  # the other end has closed: the worker sees that next
-                self._connection.send(told)
+                connection.send(told)
+
+    return relayed
 
 
 def serve(
@@ -64,7 +64,7 @@ def serve(
         if limits.memory is not None:
             _limit_memory(limits.memory)
         connection.send(None)
-        with heard(_Relay(connection)) if listens else nullcontext():
+        with heard(_relay(connection)) if listens else nullcontext():
             while not stopped.is_set():
                 number, job = connection.recv()
                 message = _message(work, number, job)

@@ -87,10 +87,7 @@ def read_wide(document: Document, number: int, place: Place) -> Float64Array:
 
 def read_attribute(document: Document, attributes: Mapping[str, Any], name: str, place: Place) -> StoredArray:
     """Return the elements of the accessor to which an object maps an attribute; InputError without one."""
-    accessor = document.asset.accessor(attributes, name, place)
-    if accessor is None:
-        raise InputError(f"it has no {name}", place)
-    return read_accessor(document, accessor.number, place)
+    return read_accessor(document, document.asset.needed(attributes, name, place).number, place)
 
 
 def _view_array(

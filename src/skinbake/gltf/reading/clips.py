@@ -228,8 +228,7 @@ def _channel(
         raise _refused(document, clip, node, "its sampler lacks its input or output")
     if source not in known:
         stored = read_wide(document, source, place)
-        fault = _time_fault(stored)
-        if fault is not None:
+        if (fault := _time_fault(stored)) is not None:
             raise _refused(document, clip, node, fault)
         # Many exporters store the same times for each channel. Channels of one array are evaluated together.
         known[source] = known.setdefault(stored.tobytes(), stored[:, 0])
@@ -241,8 +240,7 @@ def _channel(
     use = (output, path, each * len(times), components)
     if use not in outputs:
         values = read_wide(document, output, place)
-        fault = _fault(values, each * len(times), components, path)
-        if fault is not None:
+        if (fault := _fault(values, each * len(times), components, path)) is not None:
             raise _refused(document, clip, node, fault)
         by_key = values[:, [3, 0, 1, 2]] if path == "rotation" else values
         shape = (-1, 3, components) if each == 3 else (-1, components)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from skinbake.errors import InputError, Notice, Place, Skipped, UnsupportedFeatureError, skipped
 from skinbake.geometry.skinned import FloatArray, IntArray, SkinnedPrimitive, not_finite
 from skinbake.geometry.triangles import TRIANGLE_FAN, TRIANGLES, unrolled
-from skinbake.gltf.asset import Accessor, PrimitiveSource
+from skinbake.gltf.asset import PrimitiveSource
 from skinbake.gltf.budget import Work
 from skinbake.gltf.codecs import draco, meshopt
 from skinbake.gltf.document import Document
@@ -316,7 +316,8 @@ def read_triangles(document: Document, source: PrimitiveSource) -> npt.NDArray[n
 def read_indices(document: Document, source: PrimitiveSource) -> IntArray:
     """Return the indices (N,) of the primitive, 0 … V − 1 without any; InputError for an index ≥ V."""
     place = source.place.at("indices")
-    count = _accessor(document, source, "POSITION").count(source.place.at("POSITION"))
+    of_positions = source.place.at("POSITION")
+    count = document.asset.needed(source.attributes, "POSITION", of_positions).count(of_positions)
     corners = document.asset.accessor(source.json, "indices", place)
     if corners is None:
         document.budget.claim(Work(bytes=4 * count), "its indices", place)
@@ -332,13 +333,6 @@ def read_indices(document: Document, source: PrimitiveSource) -> IntArray:
     return indices
 
 
-def _accessor(document: Document, source: PrimitiveSource, attribute: str) -> Accessor:
-    accessor = document.asset.accessor(source.attributes, attribute, source.place.at(attribute))
-    if accessor is None:  # pragma: no cover: refused before
-        raise InputError(f"it has no {attribute}", source.place)
-    return accessor
-
-
 def _stored(
     document: Document,
     source: PrimitiveSource,
@@ -348,7 +342,7 @@ def _stored(
     formats: Formats = FORMATS,
 ) -> StoredArray:
     place = source.place.at(attribute)
-    accessor = _accessor(document, source, attribute)
+    accessor = document.asset.needed(source.attributes, attribute, place)
     declared = accessor.count(place)
     if count is not None and declared != count:
         raise InputError(f"it has {counted(declared, 'element')}, POSITION has {count:,}", place)

@@ -98,14 +98,8 @@ class Additions:
             view = self._add_view({key: value for key, value in same.items() if key != "extras"})
         else:
             view = self._add_attribute(data, packed)
-        equal.append(self._add_accessor({"bufferView": view}, data, normalized, extras))
+        equal.append(self.add_accessor({"bufferView": view}, data, normalized, extras))
         return equal[-1]
-
-    def add_inside(
-        self, values: npt.NDArray[Any], *, normalized: bool = False, extras: JsonObject | None = None
-    ) -> int:
-        """Add the accessor of an attribute (V, components) that is in a Draco stream; return its index."""
-        return self._add_accessor({}, values, normalized, extras)
 
     def add_stream(self, data: bytes) -> int:
         """Add bytes that are not a vertex attribute, such as a Draco stream or the keys of a clip.
@@ -117,9 +111,13 @@ class Additions:
             self._streams[key] = self._add_view({"buffer": self._buffer, **self._add_piece(data)})
         return self._streams[key]
 
-    def _add_accessor(
+    def add_accessor(
         self, where: JsonObject, values: npt.NDArray[Any], normalized: bool, extras: JsonObject | None
     ) -> int:
+        """Add the accessor of an attribute (V, components) and return its index.
+
+        ``where`` are the members that tell where its data is: none if it is in a Draco stream.
+        """
         self._accessors.append(
             {
                 **where,

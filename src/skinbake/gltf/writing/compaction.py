@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import accumulate
-from typing import Any, NamedTuple
+from typing import Any
 
 from skinbake.errors import InputError, Place
 from skinbake.gltf import resources
@@ -17,6 +17,7 @@ from skinbake.gltf.writing.additions import content_digest
 from skinbake.gltf.writing.references import views_in_use
 
 Range = tuple[int, int]
+Shift = Callable[[int], int]
 
 VIEW = "bufferView"
 
@@ -67,7 +68,7 @@ def compacted(before: Document, after: Document) -> Document:
                 number = reference(value) if key == VIEW else None
                 copy[key] = value if number is None else numbers.get(number, value)
     root = result
-    shifts = {buffer: _Shifts.of(ranges) for buffer, ranges in holes.items()}
+    shifts = {buffer: shift_of(ranges) for buffer, ranges in holes.items()}
     lower = sorted(gone)
     root["bufferViews"] = [_moved(views[number], shifts, lower, after.place) for number in kept]
     return _cut(after, root, holes, gone)
@@ -111,27 +112,19 @@ def _difference(ranges: list[Range], needed: list[Range]) -> list[Range]:
     return [(start, end) for start, end in aligned if start < end]
 
 
-class _Shifts(NamedTuple):
-    """The distances by which bytes move back: ``lengths[n]`` for bytes behind the starts of ``n`` holes."""
-
-    starts: list[int]
-    lengths: list[int]
-
-    @classmethod
-    def of(cls, holes: list[Range]) -> _Shifts:
-        sizes = (end - begin for begin, end in holes)
-        return cls([begin for begin, _ in holes], list(accumulate(sizes, initial=0)))
-
-    def at(self, position: int) -> int:
-        return self.lengths[bisect_left(self.starts, position)]
+def shift_of(holes: list[Range]) -> Shift:
+    """Return what tells by which distance the byte at a position moves back, if there are these holes."""
+    starts = [begin for begin, _ in holes]
+    lengths = list(accumulate((end - begin for begin, end in holes), initial=0))
+    return lambda position: lengths[bisect_left(starts, position)]
 
 
-def _moved(view: JsonObject, shifts: dict[int, _Shifts], gone: list[int], place: Place) -> JsonObject:
+def _moved(view: JsonObject, shifts: dict[int, Shift], gone: list[int], place: Place) -> JsonObject:
     """Return a buffer view at its new place; ``gone`` are the numbers of removed buffers, ascending."""
 
     def placed(holder: JsonObject) -> JsonObject:
         buffer, start = integer(holder, "buffer", place), integer(holder, "byteOffset", place, default=0)
-        shift = shifts[buffer].at(start) if buffer in shifts else 0
+        shift = shifts[buffer](start) if buffer in shifts else 0
         moved = {**holder, "buffer": buffer - bisect_left(gone, buffer)}
         return {**moved, "byteOffset": start - shift} if shift else moved
 

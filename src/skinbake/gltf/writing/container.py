@@ -35,7 +35,7 @@ def for_target(document: Document, target: str, *, pack: bool = False) -> Docume
     """
     moves = target != STDIO and is_elsewhere(document, target)
     converted = document
-    if is_glb_name(target):
+    if target == STDIO or Path(target).suffix.lower() in GLB_SUFFIXES:
         unpacked: Collection[Notice] = ()
         if pack or not document.is_glb:
             from skinbake.gltf.writing.packing import (  # most files are GLBs, and stay so
@@ -87,11 +87,6 @@ def for_target(document: Document, target: str, *, pack: bool = False) -> Docume
         message = f"{files} {what}, and {stay}: {resources.listed(uris)}"
         document.notices.tell(Notice("uri-not-copied", message, document.place, len(uris)))
     return converted
-
-
-def is_glb_name(target: str) -> bool:
-    """Tell whether a target is a GLB by its name; ``-`` is."""
-    return target == STDIO or Path(target).suffix.lower() in GLB_SUFFIXES
 
 
 def _as_glb(document: Document) -> Document:

@@ -31,6 +31,7 @@ from skinbake.gltf.json_access import (
     member,
     names,
     objects,
+    put_back,
     reference,
     text,
 )
@@ -141,10 +142,7 @@ class _Recoder:
         for key in ("extensionsUsed", "extensionsRequired"):
             kept = [name for name in names(root, key, result.place) if name not in ours or name in present]
             kept += [name for name in self._required if name not in kept]
-            if kept:
-                root[key] = kept
-            else:
-                root.pop(key, None)
+            put_back(root, key, kept)
         return result.edited(json=root)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
@@ -24,6 +25,7 @@ OBJECT_STORES = frozenset({"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az"})
 WILDCARDS = re.compile(r"[*?\[]")
 
 
+@dataclass(frozen=True)
 class Storage:
     """The files that one fsspec filesystem reaches, by names relative to its root. Paths begin with ``root``.
 
@@ -32,20 +34,9 @@ class Storage:
     ``writing`` turn these into messages.
     """
 
-    def __init__(
-        self, filesystem: AbstractFileSystem, root: str, spelled: Mapping[str, str] | None = None
-    ) -> None:
-        self._filesystem = filesystem
-        self._root = root
-        self._spelled = spelled or {}
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Storage):
-            return NotImplemented
-        return bool(self._filesystem == other._filesystem) and self._root == other._root
-
-    def __hash__(self) -> int:
-        return hash(self._root)
+    _filesystem: AbstractFileSystem
+    _root: str
+    _spelled: Mapping[str, str] = field(compare=False)
 
     def _path(self, name: str) -> str:
         """Return the driver's path of a file."""
