@@ -43,7 +43,7 @@ from skinbake.threads import LARGEST
 from skinbake.wording import did_you_mean
 
 STATE_NAME = ".skinbake-state.jsonl"
-"""The state file in the folder of the outputs."""
+"""The state file in the folder of the outputs. A file of this name belongs to skinbake."""
 
 MOST_PROCESSES = 256
 """The largest number for --jobs. A configuration file of a stranger may ask for any number."""

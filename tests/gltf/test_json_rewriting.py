@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from difflib import SequenceMatcher
 from pathlib import Path
 from random import Random
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 from hypothesis import given
@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from skinbake import strip
 from skinbake.gltf import json_text
 from skinbake.gltf.glb import join_glb
-from skinbake.gltf.writing.rewriting import FormerText, rewritten
+from skinbake.gltf.writing.rewriting import rewritten
 from tests.support.gltf_reading import read
 from tests.support.models import FOLDER, SHARED, bake, copied
 
@@ -58,6 +58,11 @@ def holders(value: Any) -> Iterator[Any]:
         yield value
         for entry in value.values() if isinstance(value, dict) else value:
             yield from holders(entry)
+
+
+class FormerText(NamedTuple):
+    text: str
+    value: Any
 
 
 def former_text(value: Any, random: Random) -> FormerText:
@@ -101,13 +106,13 @@ def test_additions_leave_the_text_and_can_be_undone(
 ) -> None:
     random = Random(seed)
     former = former_text({"a": entry, "b": 0.1}, random)
-    assert rewritten(former, former.value, indent=indent, ascii_only=ascii_only) == former.text
+    assert rewritten(*former, former.value, indent=indent, ascii_only=ascii_only) == former.text
     value = with_additions(former.value, random)
-    text = rewritten(former, value, indent=indent, ascii_only=ascii_only)
+    text = rewritten(*former, value, indent=indent, ascii_only=ascii_only)
     assert exact(json_text.parsed(text)) == exact(value)
     baked = FormerText(text, json_text.parsed(text))
     left = without(baked.value, former.value)
-    undone = rewritten(baked, left, indent=indent, ascii_only=ascii_only)
+    undone = rewritten(*baked, left, indent=indent, ascii_only=ascii_only)
     assert exact(json_text.parsed(undone)) == exact(former.value)
     if all(holders(former.value)):  # white space in an empty object goes when something comes into it
         assert undone == former.text
@@ -132,7 +137,7 @@ def test_any_change_is_written(entry: Any, indent: str | None, seed: int) -> Non
             members = {"first": entry, **holder}
             holder.clear()
             holder.update(members)
-    text = rewritten(former, value, indent=indent, ascii_only=False)
+    text = rewritten(*former, value, indent=indent, ascii_only=False)
     assert exact(json_text.parsed(text)) == exact(value)
 
 
@@ -182,13 +187,13 @@ def test_any_change_is_written(entry: Any, indent: str | None, seed: int) -> Non
 def test_new_text_looks_like_the_text_around_it(text: str, change: dict[str, Any], expected: str) -> None:
     value = json.loads(text.removeprefix("\ufeff"))
     indent = "  " if "\n" in expected else None
-    found = rewritten(FormerText(text, value), {**value, **change}, indent=indent, ascii_only=False)
+    found = rewritten(*FormerText(text, value), {**value, **change}, indent=indent, ascii_only=False)
     assert found == expected
 
 
 def test_new_text_may_be_ascii_alone() -> None:
     value = {"a": "é"}
-    found = rewritten(FormerText('{"a":"é"}', value), {**value, "ä": "ü"}, indent=None, ascii_only=True)
+    found = rewritten(*FormerText('{"a":"é"}', value), {**value, "ä": "ü"}, indent=None, ascii_only=True)
     assert found == '{"a":"é","\\u00e4":"\\u00fc"}'
 
 
@@ -201,7 +206,7 @@ def test_members_in_another_order_keep_their_text() -> None:
         ("nc", '"n" : 5,\t"c" : 3.50'),
     ):
         ordered = {key: {**value, "n": 5}[key] for key in order}
-        found = rewritten(FormerText(text, value), ordered, indent=None, ascii_only=False)
+        found = rewritten(*FormerText(text, value), ordered, indent=None, ascii_only=False)
         assert found == f"{{{expected}}}"
 
 
@@ -210,7 +215,7 @@ def test_additions_do_not_repeat_a_long_gap() -> None:
     for text in (f'{{"a":1,{gap}"b":2}}', f'{{{gap}"a":1}}', f'{{"a":{gap}1}}'):
         value = json.loads(text)
         more = {f"n{number}": number for number in range(50)}
-        found = rewritten(FormerText(text, value), {**value, **more}, indent=None, ascii_only=False)
+        found = rewritten(*FormerText(text, value), {**value, **more}, indent=None, ascii_only=False)
         assert found.startswith(text.removesuffix("}") + ",")
         assert json.loads(found) == {**value, **more}
         assert len(found) < 2 * len(text)
@@ -226,7 +231,7 @@ def test_additions_repeat_a_gap_up_to_256_characters(length: int, repeats: bool)
     ):
         value = json.loads(text + "}}")
         changed = {"o": {**value["o"], "n": 3}}
-        found = rewritten(FormerText(text + "}}", value), changed, indent="  ", ascii_only=False)
+        found = rewritten(*FormerText(text + "}}", value), changed, indent="  ", ascii_only=False)
         assert found == text + short + "}}"
 
 
@@ -240,7 +245,7 @@ def test_a_moved_object_keeps_its_text() -> None:
         ([first, {"n": 5}, third], '{"n":1.0e0}, {"n":5}, {"n":3.00}'),
         ([third, second], '{"n":3.00}, {"n":2.0}'),
     ):
-        found = rewritten(FormerText(text, value), {"a": order}, indent=None, ascii_only=False)
+        found = rewritten(*FormerText(text, value), {"a": order}, indent=None, ascii_only=False)
         assert found == f'{{"a":[{expected}]}}'
 
 

@@ -14,7 +14,7 @@ import pytest
 
 from skinbake.jobs import state
 from skinbake.jobs.file_work import FileWork
-from skinbake.jobs.state import HEADER, NAME, Recipe, State, recipe
+from skinbake.jobs.state import HEADER, Recipe, State, recipe
 from skinbake.jobs.work import Job
 from skinbake.options import STATE_NAME
 from tests.support.baking import bake_work, options_of
@@ -67,11 +67,10 @@ def test_a_head_that_was_cut_begins_anew(content: bytes, tmp_path: Path) -> None
 def test_the_name_that_is_ours_may_hold_anything_and_another_name_is_another_s(
     content: bytes, tmp_path: Path
 ) -> None:
-    assert STATE_NAME == NAME
-    (tmp_path / NAME).write_bytes(content)
+    (tmp_path / STATE_NAME).write_bytes(content)
     (tmp_path / "s.jsonl").write_bytes(content)
     for name, code, after in (
-        (NAME, "state-damaged", HEADER + b'{"key": "a"}\n'),
+        (STATE_NAME, "state-damaged", HEADER + b'{"key": "a"}\n'),
         ("s.jsonl", "state-foreign", content),
     ):
         found = State(str(tmp_path / name))
@@ -79,7 +78,7 @@ def test_the_name_that_is_ours_may_hold_anything_and_another_name_is_another_s(
             (code, str(tmp_path / name))
         ]
         found.add(b'{"key": "a"}\n')
-        assert (found.known("a") is None) == (name != NAME)
+        assert (found.known("a") is None) == (name != STATE_NAME)
         found.close()
         assert (tmp_path / name).read_bytes() == after
 
@@ -87,8 +86,8 @@ def test_the_name_that_is_ours_may_hold_anything_and_another_name_is_another_s(
 def test_a_state_file_that_is_whole_needs_no_words(tmp_path: Path) -> None:
     for content in (None, b"", HEADER, HEADER + b"\xff\n"):
         if content is not None:
-            (tmp_path / NAME).write_bytes(content)
-        assert State(str(tmp_path / NAME)).notices == ()
+            (tmp_path / STATE_NAME).write_bytes(content)
+        assert State(str(tmp_path / STATE_NAME)).notices == ()
 
 
 class Forge:
@@ -98,7 +97,7 @@ class Forge:
         self.source = str(copied("seam.glb", folder / "in"))
         self.target = str(folder / "out" / "seam.glb")
         work = bake_work()
-        self.recipe: Recipe = recipe("bake", work.options, str(folder / "out" / NAME))
+        self.recipe: Recipe = recipe("bake", work.options, str(folder / "out" / STATE_NAME))
         result = FileWork((work,), (self.recipe,))(Job(self.source, self.target))
         assert result.record is not None
         self.note: Any = json.loads(result.record)
@@ -182,7 +181,7 @@ def test_files_below_the_folder_that_was_searched_are_the_run_s(forge: Forge, tm
     digest = state._digest(str(tmp_path / "tex" / "a.png"))
     more = {**forge.note["read"], "../tex/a.png": digest}
     assert not forge.holds(read=more)
-    forge.recipe = recipe("bake", options_of(), str(tmp_path / "out" / NAME), [str(tmp_path)])
+    forge.recipe = recipe("bake", options_of(), str(tmp_path / "out" / STATE_NAME), [str(tmp_path)])
     assert forge.holds(read=more)
 
 
@@ -212,7 +211,7 @@ def test_random_records_neither_fail_nor_hold(forge: Forge, tmp_path: Path) -> N
             continue
         record = json.dumps(note).encode()
         assert not forge.recipe.still_holds(record, forge.source, forge.target), note
-    path = tmp_path / NAME
+    path = tmp_path / STATE_NAME
     for _ in range(300):
         data = bytearray(HEADER + json.dumps(true).encode() + b"\n")
         for _ in range(chance.randrange(1, 8)):

@@ -39,15 +39,13 @@ from skinbake.gltf.document import read_document
 from skinbake.gltf.resources import FileContent
 from skinbake.gltf.writing.beside import named_files
 from skinbake.gradients import kernel
+from skinbake.options import STATE_NAME
 from skinbake.version import __version__
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 HEADER = b'{"skinbake": "state/1"}\n'
-
-NAME = ".skinbake-state.jsonl"
-"""The name of a state file that the user has not named. A file of this name belongs to skinbake."""
 
 LONGEST = 1 << 22
 """The largest record in bytes: that of a document that names ten thousand files. Longer lines are skipped."""
@@ -89,15 +87,13 @@ class Seen:
     @property
     def still_there(self) -> bool:
         """Tell whether no file has changed since."""
-        return all(self._signature(path) == found for path, found in self.signatures.items()) and all(
-            self._digest(path) == self.digests[path] for path in self.young
+        return all(
+            (_signature_at(self.named[path]) if path in self.named else signature_of(path)) == found
+            for path, found in self.signatures.items()
+        ) and all(
+            (_digest_at(self.named[path]) if path in self.named else _digest(path)) == self.digests[path]
+            for path in self.young
         )
-
-    def _signature(self, path: str) -> Signature:
-        return _signature_at(self.named[path]) if path in self.named else signature_of(path)
-
-    def _digest(self, path: str) -> str | None:
-        return _digest_at(self.named[path]) if path in self.named else _digest(path)
 
 
 @dataclass(frozen=True, slots=True)
@@ -345,7 +341,7 @@ class State:
                 reason = getattr(error, "strerror", None) or error
                 raise InputError(f"cannot be read: {reason}", place) from error
         # A power cut can leave any bytes. A file with another name may belong to another program.
-        if head is None or (not HEADER.startswith(head) and self._path.name != NAME):
+        if head is None or (not HEADER.startswith(head) and self._path.name != STATE_NAME):
             self.is_ours = False
             self.notices = (Notice("state-foreign", FOREIGN, place),)
         elif head not in {HEADER, b""}:

@@ -210,9 +210,9 @@ def _channel(
         return None
     components = PATHS.get(path)
     if path == MORPH_WEIGHTS:
-        from skinbake.gltf.reading.morphs import skinned_target_count  # a bake reads skeletons without it
-
-        components = skinned_target_count(document, node)
+        drawing = document.asset.nodes[node]
+        mesh, skin = drawing.mesh, drawing.skin
+        components = 0 if mesh is None or skin is None else document.asset.meshes[mesh].target_count
         if components and one is not None:
             index({"weight": one}, "weight", components, place, owner=owner, kind="morph target")
             components = 1

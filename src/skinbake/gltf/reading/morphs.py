@@ -35,13 +35,6 @@ FORMATS: Formats = {
 """The formats of glTF 2.0, §3.7.2.2, and of KHR_mesh_quantization."""
 
 
-def skinned_target_count(document: Document, node: int) -> int:
-    """Return the number of morph targets of the mesh that a node draws with a skin; 0 without one."""
-    drawing = document.asset.nodes[node]
-    mesh = drawing.mesh
-    return 0 if mesh is None or drawing.skin is None else document.asset.meshes[mesh].target_count
-
-
 def targets_without_normal(document: Document, source: PrimitiveSource) -> list[int]:
     """Return the numbers of the targets of a primitive without NORMAL, or with zeros where POSITION moves.
 

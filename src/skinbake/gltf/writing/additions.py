@@ -108,7 +108,7 @@ class Additions:
         """
         key = hashlib.sha256(data).digest()
         if key not in self._streams:
-            self._streams[key] = self._add_view({"buffer": self._buffer, **self._add_piece(data)})
+            self._streams[key] = self._add_view(self.add_data(data))
         return self._streams[key]
 
     def add_accessor(
@@ -149,8 +149,12 @@ class Additions:
         return self.add_described({**described, **members})
 
     def add_data(self, data: Bytes) -> JsonObject:
-        """Add bytes, and return the members of a buffer view that say where they are."""
-        return {"buffer": self._buffer, **self._add_piece(data)}
+        """Add bytes, padded for the next ones, and return the members of a buffer view of them."""
+        offset = self._base + self._length
+        padding = bytes(-len(data) % 4)
+        self._pieces += [data, padding] if padding else [data]
+        self._length += len(data) + len(padding)
+        return {"buffer": self._buffer, "byteOffset": offset, "byteLength": len(data)}
 
     def add_values(self, values: npt.NDArray[Any], packed: Packed | None, *, indices: bool = False) -> int:
         """Add the buffer view of a whole accessor (count, components) and return its index.
@@ -198,14 +202,6 @@ class Additions:
             "count": len(values),
         }
         return self._add_view({**place, **members, "extensions": {packed.name: stored}})
-
-    def _add_piece(self, data: Bytes) -> JsonObject:
-        """Append bytes with padding for the next ones, and return their place in the buffer."""
-        offset = self._base + self._length
-        padding = bytes(-len(data) % 4)
-        self._pieces += [data, padding] if padding else [data]
-        self._length += len(data) + len(padding)
-        return {"byteOffset": offset, "byteLength": len(data)}
 
     def _add_view(self, view: JsonObject) -> int:
         if not self._views and self._note_key is not None:

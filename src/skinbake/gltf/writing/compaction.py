@@ -14,12 +14,10 @@ from skinbake.gltf.codecs import meshopt
 from skinbake.gltf.document import Document
 from skinbake.gltf.json_access import JsonObject, index, integer, names, reference
 from skinbake.gltf.writing.additions import content_digest
-from skinbake.gltf.writing.references import views_in_use
+from skinbake.gltf.writing.references import VIEW, views_in_use
 
 Range = tuple[int, int]
 Shift = Callable[[int], int]
-
-VIEW = "bufferView"
 
 ALIGNMENT = 4
 """Removed ranges are multiples of this many bytes, so that all later bytes stay aligned."""

@@ -22,7 +22,7 @@ from skinbake.gltf.glb import binary_offset, join_glb
 from skinbake.gltf.resources import find
 from skinbake.gltf.writing.beside import Beside, named_files, named_paths
 from skinbake.gltf.writing.copies import Copies
-from skinbake.gltf.writing.rewriting import FormerText, rewritten
+from skinbake.gltf.writing.rewriting import rewritten
 from skinbake.threads import thread_count
 from skinbake.timing import tell_written
 from skinbake.wording import one_or_many
@@ -266,6 +266,6 @@ def _json_text(document: Document, *, ascii_only: bool) -> str:
         text = json_text.written(document.json, indent=document.indent, ascii_only=ascii_only)
         return f"{text}\n" if "\n" in text else text
     data, value = document.former
-    former = FormerText(str(data, "utf-8"), value)
-    text = rewritten(former, document.json, indent=document.indent, ascii_only=ascii_only)
+    former = str(data, "utf-8")
+    text = rewritten(former, value, document.json, indent=document.indent, ascii_only=ascii_only)
     return text.rstrip(" ") if document.is_glb else text  # a GLB has spaces behind it, to fill its chunk

@@ -91,7 +91,7 @@ class _Recoder:
             for mesh in document.objects("meshes")
         ]
         self._uses = uses_of_accessors(document.json)
-        self._required: list[str] = []
+        self.required: dict[str, None] = {}
         self._changed = False
 
     def set_primitive(self, place: Place, primitive: JsonObject) -> None:
@@ -121,10 +121,6 @@ class _Recoder:
         self.accessors.append(self.accessors[number])
         return len(self.accessors) - 1
 
-    def require(self, extension: str) -> None:
-        if extension not in self._required:
-            self._required.append(extension)
-
     def finished(self) -> Document:
         """Return the document with all changes, or as it was if there are none."""
         if not self._changed:
@@ -141,7 +137,7 @@ class _Recoder:
         root = dict(root)
         for key in ("extensionsUsed", "extensionsRequired"):
             kept = [name for name in names(root, key, result.place) if name not in ours or name in present]
-            kept += [name for name in self._required if name not in kept]
+            kept += [name for name in self.required if name not in kept]
             put_back(root, key, kept)
         return result.edited(json=root)
 
@@ -213,7 +209,7 @@ def _into_meshopt(recoder: _Recoder, sources: list[PrimitiveSource], compression
     done: set[int] = set()
     for source in sources:
         if draco.extension_of(source.json) is not None:
-            recoder.require(name)
+            recoder.required[name] = None
             _leave_draco(recoder, source.place, source.json, packed, done)
         # The accessors of its attributes, then that of its indices.
         holders = [*((source.attributes, name) for name in source.attributes), (source.json, "indices")]
@@ -226,7 +222,7 @@ def _into_meshopt(recoder: _Recoder, sources: list[PrimitiveSource], compression
             is_packed = view is not None and meshopt.extension_of(views[view], source.place) is not None
             stays = is_packed or (accessor.is_small_matrix and not is_index)
             if number not in done and not stays:
-                recoder.require(name)
+                recoder.required[name] = None
                 members: JsonObject = {}
                 if is_index:
                     values, members = _for_index_codec(read_indices(recoder.document, source)[:, None])
@@ -278,7 +274,7 @@ def _into_draco(recoder: _Recoder, sources: list[PrimitiveSource], compression: 
         for source in group:
             extensions = {**member(source.json, "extensions", source.place), **changes["extensions"]}
             recoder.set_primitive(source.place, {**source.json, **changes, "extensions": extensions})
-        recoder.require(draco.EXTENSION)
+        recoder.required[draco.EXTENSION] = None
 
 
 def reason_against_new_stream(document: Document, source: PrimitiveSource) -> str | None:

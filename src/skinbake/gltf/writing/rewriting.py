@@ -21,29 +21,22 @@ LONGEST_GAP = 256
 """The most characters of white space that additions repeat: many times a long one would fill the memory."""
 
 
-class FormerText(NamedTuple):
-    """A JSON text, and its value."""
-
-    text: str
-    value: Any
-
-
-def rewritten(former: FormerText, value: Any, *, indent: str | None, ascii_only: bool) -> str:
-    """Return a text of a value, with parts of the former text.
+def rewritten(former: str, before: Any, value: Any, *, indent: str | None, ascii_only: bool) -> str:
+    """Return a text of a value, with parts of the former text, of the value ``before``.
 
     A part of the value has its former text if it is the same object as in the former value, or an equal
     scalar. All else is written as ``json_text.written`` writes it with these options; ValueError for numbers
     that are not finite, or values nested too deep. A text that has a changed member twice is all written anew
     between the white space at its ends.
     """
-    start = _end_of(_START, former.text, 0)
-    writer = _Rewriting(former.text, indent, ascii_only)
+    start = _end_of(_START, former, 0)
+    writer = _Rewriting(former, indent, ascii_only)
     try:
         with collector_off():
-            text, end = writer.entry(start, former.value, value, 0)
+            text, end = writer.entry(start, before, value, 0)
     except (RecursionError, _OtherTextError, json.JSONDecodeError):
-        text, end = written(value, indent=indent, ascii_only=ascii_only), len(former.text.rstrip())
-    return former.text[:start] + text + former.text[end:]
+        text, end = written(value, indent=indent, ascii_only=ascii_only), len(former.rstrip())
+    return former[:start] + text + former[end:]
 
 
 class _OtherTextError(Exception):
