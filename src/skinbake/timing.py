@@ -93,11 +93,6 @@ def tell(told: Told) -> None:
         hearing.listener(told)
 
 
-def tell_file(source: str) -> None:
-    """Tell that work on a file begins. Stages and steps belong to it from now on."""
-    tell(Told(source))
-
-
 def tell_steps(done: int, total: int) -> None:
     """Tell how many steps of the present stage are done."""
     hearing = _hearing.get()

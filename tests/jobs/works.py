@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from skinbake.errors import SkinbakeError
-from skinbake.timing import tell_file, tell_written
+from skinbake.timing import Told, tell, tell_written
 
 
 @dataclass(frozen=True)
@@ -218,7 +218,7 @@ class WritingFirst(Work):
     """Tells that it has written the output of job 1, and takes a minute more. Then it is done at once."""
 
     def __call__(self, job: Any) -> Any:
-        tell_file(str(job))
+        tell(Told(str(job)))
         if job == 1:
             tell_written()
         if job in {1, 2}:

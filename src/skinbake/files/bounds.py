@@ -126,11 +126,6 @@ def is_relative(uri: str) -> bool:
         return False
 
 
-def leads_up(name: str) -> bool:
-    """Tell whether a normal relative path begins above its folder."""
-    return name.startswith("../")
-
-
 def path_uri(path: str) -> str:
     """Return the relative URI of a path with forward slashes."""
     return quote(os.fsencode(path), safe="/!$&'()*+,;=@~-._")

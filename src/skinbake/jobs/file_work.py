@@ -11,7 +11,7 @@ from skinbake.files.urls import STDIO, is_url
 from skinbake.gltf.budget import memory_limited
 from skinbake.jobs.work import Job, ResultT, changed, survived
 from skinbake.threads import threads_limited
-from skinbake.timing import stage, tell_file, timed
+from skinbake.timing import Told, stage, tell, timed
 
 if TYPE_CHECKING:
     from skinbake.jobs import state
@@ -88,7 +88,7 @@ class FileWork(Generic[ResultT]):
 
     def __call__(self, job: Job) -> ResultT:
         """Return the result of the file."""
-        tell_file(job.source)
+        tell(Told(job.source))  # stages and steps belong to it from now on
         with memory_limited(self.max_memory), threads_limited(self.threads):
             if not self.is_timed:
                 return self._survived(job)

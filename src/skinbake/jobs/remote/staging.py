@@ -25,7 +25,6 @@ from skinbake.files.bounds import (
     Within,
     bounded_paths,
     is_relative,
-    leads_up,
     relative_names,
 )
 from skinbake.files.urls import STDIO, is_url, on_disk
@@ -243,7 +242,7 @@ def _place(
         return
     names = relative_names(uri) if is_relative(uri) else ()
     becomes_chunk = (resource.array, resource.number) == ("buffers", 0) and is_glb
-    if names and leads_up(names[0]) and (there or not found) and not becomes_chunk:
+    if names and names[0].startswith("../") and (there or not found) and not becomes_chunk:
         raise OutputError(
             f'"{uri}" is outside the folder of {start.given}, and no relative URI leads there from another '
             "storage",
