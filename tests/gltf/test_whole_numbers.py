@@ -75,7 +75,7 @@ def test_verify_tells_what_changed(tmp_path: Path) -> None:
     path = tmp_path / "moved.glb"
     baked(FOLDER / "bent_tube.glb", path)
     file = Editable(path)
-    file.array("POSITION")[7] += np.float32(0.01)
+    file.array("POSITION")[7] += np.float32(0.05)
     answer = verify(respelled(file.write(path)))
     assert answer.failed == ["freshness"]
     assert "POSITION" in answer.messages
