@@ -126,7 +126,7 @@ window.round = async (number) => {
 window.lightings = () => {
     const found = {};
     for (const [kind, { report }] of Object.entries(window.prepared.kinds)) {
-        if (report) found[kind] = [...new Set(report.meshes.map(({ lighting }) => lighting))];
+        if (report) found[kind] = [...new Set(report.map(({ lighting }) => lighting))];
     }
     return found;
 };

@@ -57,6 +57,5 @@ window.pictures = async ({ url, clip, time, backend, size: [width, height], from
         }
         found[lighting] = btoa(text);
     }
-    const { meshes } = module.applySkinbake(model);
-    return { ...found, lightings: meshes.map(({ lighting }) => lighting) };
+    return { ...found, lightings: module.applySkinbake(model).map(({ lighting }) => lighting) };
 };

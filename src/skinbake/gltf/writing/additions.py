@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from skinbake.files import Bytes
-from skinbake.files.versions import digest_of
 from skinbake.gltf import resources
 from skinbake.gltf.asset import COMPONENT_CODES, COMPONENTS, TYPES
 from skinbake.gltf.codecs import meshopt
@@ -256,4 +255,6 @@ class Additions:
 
 def content_digest(pieces: Iterable[Bytes]) -> str:
     """Return 16 hexadecimal digits that name bytes by their content."""
+    from skinbake.files.versions import digest_of  # verify reads notes, and writes nothing
+
     return digest_of(pieces)[:16]
