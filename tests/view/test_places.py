@@ -58,7 +58,7 @@ def test_the_page_opens_on_the_whole_figure_with_a_ring_where_the_bake_shows_mos
     words = WORDS.fullmatch(found["places"][0])
     assert words is not None, found["places"]
     assert found["here"] == found["places"][0]
-    assert float(words["standard"]) > 10 * float(words["baked"])
+    assert float(words["standard"]) > 8 * float(words["baked"])
     standard, accurate = (
         normals(browsing, lighting, clip=0, time=found["time"]) for lighting in ("standard", "fitted")
     )
