@@ -68,6 +68,7 @@ def test_at_most_five_of_176_tubes_are_lit_worse_than_by_standard_lighting_outsi
     assert worse(found, CLIP, TRUTHS[1:]) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", POSES)
 @pytest.mark.parametrize("motion", REGRET)
 def test_the_regret_by_formula_is_bounded(motion: str, kind: str) -> None:

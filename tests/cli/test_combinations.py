@@ -31,6 +31,7 @@ def sources() -> list[Path]:
     return [*(FOLDER / name for name in FILES), *map(corpus.model, COMPRESSED)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gathering", GATHERINGS)
 @pytest.mark.parametrize("storage", STORAGES)
 @pytest.mark.parametrize(

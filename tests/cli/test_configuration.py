@@ -303,6 +303,7 @@ class TestValues:
         found = refused(f"[bake]\ncrease-angle = {10**400}")
         assert found == "skinbake.toml:2: bake.crease-angle: the number is too large"
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("is_wrong", [False, True])
     def test_hundreds_of_overrides_and_mentions_are_parsed_a_few_times(
         self, is_wrong: bool, project: Path, monkeypatch: pytest.MonkeyPatch

@@ -126,6 +126,7 @@ def test_a_defect_is_a_sentence_and_a_traceback_only_where_it_is_asked_for() -> 
         assert b"Traceback" in process.stderr, flags
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", [pytest.param("latin-1", marks=pytest.mark.slow), "cp1252"])
 @pytest.mark.parametrize("arguments", [["--help"], ["bake", "--help"], ["inspect", str(SEAM)]])
 def test_any_encoding_of_the_terminal_will_do(encoding: str, arguments: list[str]) -> None:

@@ -316,6 +316,7 @@ def asked(port: int, path: str, host: str | None = None) -> tuple[int, bytes]:
     return answer.status, answer.read()
 
 
+@pytest.mark.slow
 def test_a_page_that_takes_longer_than_its_timeout_is_given_up(tmp_path: Path) -> None:
     target = tmp_path / "page.html"
     result = invoke("view", TUBE, "-o", target, "--timeout", "0.001")

@@ -200,6 +200,7 @@ def break_note(file: Editable) -> None:
     file.metadata()["blend"] = {"weights": NAME}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("edit", "check", "code"),
     [

@@ -295,6 +295,7 @@ class Counted(list[Any]):
         return super().__iter__()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noted", [False, True])
 def test_primitives_of_a_mesh_are_not_read_once_for_each_of_them(noted: bool, tmp_path: Path) -> None:
     """20,000 primitives in 1.6 MB took 11 s to strip."""

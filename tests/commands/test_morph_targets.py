@@ -162,6 +162,7 @@ def test_each_target_gets_one_once_another_has_it_and_authored_ones_stay(tmp_pat
     assert gltf_reading.read(tmp_path / "plain.glb").primitive(0)["targets"] == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["float", "bytes", "no view"])
 @pytest.mark.parametrize("skinned", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_zeros_in_normal_where_points_move_count_as_no_normal(

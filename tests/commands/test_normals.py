@@ -102,6 +102,7 @@ def test_lightings_are_the_lines_of_the_paper_on_the_stored_numbers(tube: Path) 
         assert degrees_between(posed.normals[name], unit(vectors)).max() < 1e-3, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"correctives": "auto"}], ids=["shader", "correctives"])
 @pytest.mark.parametrize(
     "source",

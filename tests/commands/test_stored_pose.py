@@ -91,6 +91,7 @@ def test_a_pose_that_changes_later_is_told_and_passes_by_the_digest(_model: Path
     assert "the poses of the fit are not in the file" in invoke("verify", path, "-v").stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("factor", "failed"), [(1.0, []), (1.01, ["freshness"])])
 def test_a_character_that_is_placed_elsewhere_keeps_its_pose(
     _model: Path, tmp_path: Path, factor: float, failed: list[str]

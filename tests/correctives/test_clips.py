@@ -134,6 +134,7 @@ def _moved_as_a_whole(content: Any) -> None:
     scene["nodes"] = [len(nodes) - 1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [_renamed, _reordered, _fewer, _one_more, _moved_as_a_whole])
 def test_names_numbers_and_places_of_clips_do_not_count(three: Path, tmp_path: Path, change: Change) -> None:
     answer = verify(rewritten(three, tmp_path / "other.glb", change))

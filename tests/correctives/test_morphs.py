@@ -281,6 +281,7 @@ def test_normals_of_targets_stay_where_correctives_do_not_help(tmp_path: Path) -
     assert all("NORMAL" in target for target in gltf_reading.read(made).primitive(0)["targets"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weights", [None, [0.0, 0.0], pytest.param([0.0, 0.25], marks=pytest.mark.slow)])
 def test_morph_targets_that_only_a_page_moves_get_no_channel(
     weights: list[float] | None, tmp_path: Path

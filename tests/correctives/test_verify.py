@@ -41,6 +41,7 @@ def test_corrected_lighting_is_measured_beside_the_others(tube: Path) -> None:
         assert figures["gain"] == pytest.approx(figures["standard"]["mean"] / figures["corrected"]["mean"])
 
 
+@pytest.mark.slow
 def test_poses_without_a_clip_play_nothing(tube: Path) -> None:
     figures = verify(tube, "--poses", "random:3").file["normals_by_tangents"]["lbs"]
     assert figures["corrected"]["mean"] == pytest.approx(figures["standard"]["mean"], rel=1e-5)

@@ -87,6 +87,7 @@ def left() -> set[str]:
     return {path.name for path in Path().iterdir()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("command", READ)
 def test_an_input_is_refused_at_once(command: str, kind: str) -> None:
@@ -104,6 +105,7 @@ def test_an_input_is_refused_at_once(command: str, kind: str) -> None:
         Path("there").unlink(missing_ok=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("which", ["buffers", "images"])
 @pytest.mark.parametrize(

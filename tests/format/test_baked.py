@@ -142,6 +142,7 @@ class TestEveryFixture:
         bake(first, first)
         assert contents(once) == contents(twice)
 
+    @pytest.mark.slow
     def test_an_earlier_bake_leaves_no_trace(self, name: str, tmp_path: Path) -> None:
         other = bake_settings(
             weighting=Weighting.AREA, crease_angle=0.0, neighbours=Neighbours.DROP, frame=FrameChoice.NORMAL

@@ -167,6 +167,7 @@ def test_an_accessor_that_cannot_be_read_is_not_restored(tmp_path: Path) -> None
     assert now == kept
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["tangents", "influences"])
 @pytest.mark.parametrize("twin", [None, draco_twin])
 @pytest.mark.parametrize("renumbered", [False, True])
@@ -308,6 +309,7 @@ def test_a_handedness_that_is_none_is_told_as_that(w: float, tmp_path: Path) -> 
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("value", "word"), [(np.nan, "NaN"), (np.inf, "infinite"), (-np.inf, "infinite")])
 @pytest.mark.parametrize("component", range(4))
 def test_the_component_of_a_tangent_that_is_not_finite_is_named(

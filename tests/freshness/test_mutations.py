@@ -479,6 +479,7 @@ def test_a_weighting_falsely_noted_as_max_is_stale(tmp_path: Path, name: str, we
     check_failure(model.write(tmp_path / HERE), case, "freshness")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noted", ["fitted", "surface"])
 @pytest.mark.parametrize("name", MODELS)
 def test_gradients_of_another_kind_than_noted_are_stale(

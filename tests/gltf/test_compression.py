@@ -153,6 +153,7 @@ class TestKeep:
         files = {(tmp_path / f"{target}.glb").read_bytes() for target in ("one", "two", "three")}
         assert len(files) == 1
 
+    @pytest.mark.slow
     def test_the_other_commands_read_it(self, name: str, kind: str, tmp_path: Path) -> None:
         bake(twin(kind, name, tmp_path), tmp_path / "baked.glb")
         path = str(tmp_path / "baked.glb")

@@ -150,6 +150,7 @@ class TestFailures:
             write(source, target)
         assert tree(target.parent.parent) == before
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         ("function", "call"),
         [*NAMING, ("open", 1), ("open", 2), ("mkdir", 1), ("mkdir", 2), *(("fsync", n) for n in range(1, 5))],

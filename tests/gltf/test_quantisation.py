@@ -85,6 +85,7 @@ def gradients(model: GltfFile, mesh: int = 0) -> Floats:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("dtype", "normalized"),
     [

@@ -40,6 +40,7 @@ def spelled(name: str, folder: Path) -> Path:
     return source
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", GLBS)
 @pytest.mark.parametrize(
     "scheme",

@@ -80,6 +80,7 @@ def _kernel(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
         use_numpy(monkeypatch)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_kernel")
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_a_fit_stays_within_three_times_the_steepest_slope_or_gradient(case: Case) -> None:

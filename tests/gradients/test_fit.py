@@ -241,6 +241,7 @@ def test_rings_whose_normal_lies_in_their_triangles_keep_the_gradient(corners: i
     assert (times <= 10.0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_kernel")
 @pytest.mark.parametrize("factor", [0.95, 1.05])
 def test_rings_notice_a_narrower_or_wider_limit(factor: float, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,6 +30,7 @@ def joined(parts: Sequence[SkinnedPrimitive], name: str) -> Float64Array:
     return np.concatenate([getattr(part, name) for part in parts])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("crease", [0.0, 15.0, 60.0, 180.0])
 def test_verify_welds_what_bake_welds(crease: float) -> None:
     for seed in SEEDS:

@@ -171,6 +171,7 @@ def assert_slots_hold_their_joints(
     assert np.abs(found - expected).max() <= 5e-7 * np.abs(expected).max(initial=0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("neighbours", [Neighbours.ADOPT, Neighbours.DROP])
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.slow] if name in LARGE else []) for name in FILES]

@@ -92,6 +92,7 @@ def classes(*primitives: SkinnedPrimitive, crease: float = 15.0) -> list[int]:
     return as_met(labels)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*FIXTURES, *MODELS])
 def test_the_classes_are_those_of_another_implementation(name: str) -> None:
     for primitives in meshes_of(path_of(name)).values():

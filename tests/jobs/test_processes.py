@@ -251,6 +251,7 @@ def test_a_worker_that_does_not_stop_is_killed(monkeypatch: pytest.MonkeyPatch) 
     assert [found[number][0] for number in (0, 2, 3, 4, 5)] == [0, 4, 6, 8, 10]
 
 
+@pytest.mark.slow
 @POSIX
 def test_a_job_done_in_time_is_not_given_up_while_the_caller_is_away() -> None:
     """A caller that prints to a slow reader takes longer than the limit, and finds late what was done."""
@@ -264,6 +265,7 @@ def test_a_job_done_in_time_is_not_given_up_while_the_caller_is_away() -> None:
     assert len({pid for _, pid in found.values()}) == 2, "no worker was told to stop"
 
 
+@pytest.mark.slow
 @POSIX
 def test_a_worker_that_was_told_to_stop_gets_no_other_job() -> None:
     found = limited(ToldTooLate(), range(12), Limits(seconds=1.0), workers=1)
@@ -447,6 +449,7 @@ def test_limits_beyond_what_the_system_counts_are_none(limits: Limits) -> None:
     assert {number: result[0] for number, result in found.items()} == {0: 0, 1: 2, 2: 4}
 
 
+@pytest.mark.slow
 @POSIX
 def test_with_a_limit_of_memory_each_job_has_a_process_of_its_own() -> None:
     found = limited(Work(), range(6), Limits(memory=1 << 30))
@@ -457,6 +460,7 @@ def test_with_a_limit_of_memory_each_job_has_a_process_of_its_own() -> None:
     assert "SIGSEGV" in crashed[3][2]
 
 
+@pytest.mark.slow
 def test_large_jobs_and_results_do_not_wait_for_each_other() -> None:
     """The parent sent a quick worker more than a pipe holds, while the worker sent back as much."""
     jobs = [b"a", b"b", *(bytes(500_000) for _ in range(3)), b"c"]

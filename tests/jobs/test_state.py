@@ -116,6 +116,7 @@ def test_a_true_record_holds(forge: Forge) -> None:
     assert forge.holds()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("there", [True, False])
 @pytest.mark.parametrize(
     "changes",

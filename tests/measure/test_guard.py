@@ -127,6 +127,7 @@ def held(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", ["removed", "renamed", "resampled", "another"])
 def test_no_bake_is_stale_for_a_clip_that_changes(change: str, held: Path, tmp_path: Path) -> None:
     file = Editable(held)

@@ -359,6 +359,7 @@ def test_limits_that_are_kept_pass(tmp_path: Path) -> None:
     assert not measured(path, max_mean_error=0.15, methods=("lbs", "dqs")).passed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings",
     [

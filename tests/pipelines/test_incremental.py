@@ -355,6 +355,7 @@ class TestForeignFiles:
             bake(f"{folder}/hero.gltf")
         assert files(here / "build") == files(here / "clean")
 
+    @pytest.mark.slow
     @pytest.mark.skipif(sys.platform == "win32", reason="no FIFOs")
     @pytest.mark.parametrize("target", ["hero.gltf", "hero.glb"])
     def test_models_beside_the_target_are_not_opened(self, target: str, here: Path) -> None:
@@ -405,6 +406,7 @@ class TestForeignFiles:
         bake("build/hero.gltf")
         assert (here / "build" / named).read_bytes() == b"mine"
 
+    @pytest.mark.slow
     @pytest.mark.parametrize(
         "text",
         [

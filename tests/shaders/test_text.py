@@ -66,6 +66,7 @@ class TestEveryText:
         assert set(blended.values()) == {3}
         assert len({text for _, text in texts(language).values()}) == len(texts(language))
 
+    @pytest.mark.slow
     def test_is_ascii_and_ends_in_one_newline(self, language: Language) -> None:
         for name, (_, text) in texts(language).items():
             assert text.isascii(), name

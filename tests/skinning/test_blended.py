@@ -21,6 +21,7 @@ from tests.support.stretched_joints import STRETCHES
 EXACT_DEGREES = 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stretch", [RIGID, *STRETCHES])
 @pytest.mark.parametrize("bend", analytic.BENDS)
 def test_accurate_lighting_of_a_blend_is_that_of_the_blended_surface(bend: str, stretch: str) -> None:

@@ -84,6 +84,7 @@ def points() -> analytic.Sample:
     return analytic.sample(*analytic.grid(24, 16, jitter=0.3, seed=3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("names", PAIRS)
 @pytest.mark.parametrize("bend", ["medium", "screw"])
 @pytest.mark.parametrize("mirrored", [False, True])

@@ -190,6 +190,7 @@ def test_float32_is_never_widened_on_the_way(algorithm: Algorithm, cap: float | 
     assert {component.dtype for vector in vectors for component in vector} == {np.dtype(np.float32)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [8, 64, 8 * 1000, 1 << 20])
 @pytest.mark.parametrize("algorithm", [Algorithm.LBS_ACCURATE, Algorithm.DQS_EXACT])
 def test_the_size_of_a_block_changes_nothing(

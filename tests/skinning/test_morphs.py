@@ -72,6 +72,7 @@ SHARES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_tangents", [False, True])
 @pytest.mark.parametrize("name", morphing.DISPLACEMENTS)
 def test_a_carried_frame_keeps_most_of_the_gain(name: str, with_tangents: bool) -> None:

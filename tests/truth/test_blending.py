@@ -49,6 +49,7 @@ def joint_matrices(poses: int) -> Float64Array:
     return matrices
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("poses", [1, 2, pytest.param(40, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("slots", [1, 4, 8])
 @pytest.mark.parametrize("baseline", list(Baseline))

@@ -482,6 +482,7 @@ def figures_of(path: Path) -> list[float]:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["bent_tube.glb", "two_primitives.glb", "morphed_sheet.glb"])
 def test_figures_of_verify_are_those_of_numpy(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
