@@ -192,6 +192,7 @@ def test_a_clip_whose_joint_turns_otherwise_is_stale(three: Path, tmp_path: Path
     assert message.startswith('clip "c" or its rig changed since the bake')
 
 
+@pytest.mark.slow
 def test_vertices_in_another_order_keep_correctives_fresh(three: Path, tmp_path: Path) -> None:
     """As after ``gltf-transform reorder``; a target in another order than its vertices is stale."""
     model = Editable(three)

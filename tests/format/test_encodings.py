@@ -70,6 +70,7 @@ def slots_as_float(model: GltfFile, mesh: int, primitive: int, key: str) -> Any:
     return np.concatenate([model.stored(attributes[name]) for name in found[key]], axis=1).astype(float)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", SCALED)
 @pytest.mark.parametrize("name", FIXTURES)
 def test_every_value_is_within_half_a_step(name: str, encoding: Encoding, tmp_path: Path) -> None:

@@ -139,6 +139,7 @@ class TestEncoders:
         assert found in refused(path, "--compress", "draco", "--position-bits", "11")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "compression",
     ["keep", *(pytest.param(name, marks=pytest.mark.slow) for name in ("none", "meshopt")), "draco"],

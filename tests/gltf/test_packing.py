@@ -118,6 +118,7 @@ def test_an_image_outside_stays_outside_unless_it_is_allowed(tmp_path: Path) -> 
     assert (image_data(allowed[0], 0), allowed[1]) == (ONE_PIXEL, [])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("uri", "files", "why"),
     [

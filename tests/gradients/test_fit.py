@@ -105,6 +105,7 @@ def _kernel(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 class TestOracle:
     """A generic solver, over turns of each joint about each axis, measured on the deformed mesh."""
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("case", CASES, ids=str)
     def test_closed_form_is_the_least_squares_over_small_turns(self, case: Case) -> None:
         assert case.difference() < SAME

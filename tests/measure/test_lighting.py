@@ -114,6 +114,7 @@ def test_the_axes_of_a_model_do_not_change_its_figures(name: str, axes: str, tmp
             assert after[lighting_name]["mean"] == pytest.approx(before[lighting_name]["mean"], rel=2e-3)
 
 
+@pytest.mark.slow
 def test_clips_of_one_name_are_as_many_clips(tmp_path: Path) -> None:
     """One more has the name by which a second one is told apart."""
 

@@ -96,6 +96,7 @@ def test_normals_that_lean_away_are_not_turned_to_the_light() -> None:
     assert turned[SIZE[1] // 2, SIZE[0] // 2, 0] == lit
 
 
+@pytest.mark.slow
 def test_the_nearer_surface_hides_the_other() -> None:
     corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     triangles = np.array([[0, 1, 2], [0, 2, 3]])

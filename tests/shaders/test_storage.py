@@ -180,6 +180,7 @@ def test_a_shader_assembles_what_the_texture_coordinates_hold(
     assert (result == np.concatenate(stored, axis=1)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("influences", [1, 2, 4, 5, 8, 12])
 @pytest.mark.parametrize("storage", [{"encoding": "packed8"}, {"layout": "texcoord"}])
 @pytest.mark.parametrize("light", [(Method.LBS, Lighting.DIRECT), (Method.DQS, Lighting.EXACT)])

@@ -83,6 +83,7 @@ def test_an_affine_map_acts_by_its_cofactors() -> None:
     assert angular_errors(normals[0], n0 @ np.linalg.inv(matrix)).max() < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("triangulation", "order"), [pytest.param("irregular", 1.4, marks=pytest.mark.slow), ("jittered", 1.8)]
 )
