@@ -113,6 +113,8 @@ def test_two_panes_show_the_same_pixels_where_both_lightings_are_the_same(
     browsing: browser.Page, size: tuple[int, int]
 ) -> None:
     browsing.show_as(*size, "light")
+    # The page must have its new size before it draws.
+    browsing.call("(async () => { for (let i = 0; i < 3; i++) await new Promise(requestAnimationFrame); })")
     for mode in ("shaded", "reflections", "normals", "error"):
         differ = []
         for lighting in ("standard", "fitted"):
