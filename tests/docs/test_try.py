@@ -10,6 +10,7 @@ import importlib.util
 import re
 import subprocess
 import threading
+import time
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
@@ -218,16 +219,19 @@ def test_the_example_is_baked_and_its_picture_shown(trial: Trial) -> None:
     assert found["command"] == "skinbake bake arm.glb -o arm-baked.glb"
     # The frame has another origin and cannot be asked: what it draws is looked at.
     box = trial.page.call(
-        "(() => { const { x, y, width, height } = document.getElementById('view').getBoundingClientRect();"
+        "(() => { const frame = document.getElementById('view'); frame.scrollIntoView();"
+        " const { x, y, width, height } = frame.getBoundingClientRect();"
         " return [x, y + scrollY, x + width, y + scrollY + height]; })"
     )
     colours: set[bytes] = set()
-    for _ in range(100):  # the frame draws when it likes
+    for _ in range(240):  # the frame draws when it likes, in a process of its own
+        time.sleep(0.5)
         shot = Image.open(BytesIO(trial.page.screenshot())).convert("RGB").crop(box)
         colours = {bytes(colour) for colour in np.asarray(shot).reshape(-1, 3)}
         if len(colours) > 500:
             break
-    assert len(colours) > 500  # a shaded surface, and not a blank frame or words alone
+    # A shaded surface, and not a blank frame or words alone.
+    assert len(colours) > 500, trial.page.messages()
 
 
 @pytest.mark.slow
