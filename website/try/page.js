@@ -1,7 +1,7 @@
 /* Takes files, hands them to the worker that runs skinbake, and shows what comes back. */
 
-const [form, drop, choose, example, lighting, encoding, save, state, same, command, said, view] = [
-  ...['form', 'drop', 'choose', 'example', 'lighting', 'encoding', 'save', 'state', 'same', 'command', 'said', 'view'],
+const [form, drop, choose, example, lighting, encoding, save, state, same, command, said] = [
+  ...['form', 'drop', 'choose', 'example', 'lighting', 'encoding', 'save', 'state', 'same', 'command', 'said'],
 ].map((id) => document.getElementById(id));
 const runtime = new URL(document.querySelector('meta[name=runtime]').content, location.href).href;
 
@@ -10,7 +10,8 @@ const start = new Blob([`import ${JSON.stringify(new URL('worker.js', location.h
 const worker = new Worker(URL.createObjectURL(start), { type: 'module' });
 worker.postMessage({ runtime });
 let last = null; // the files that were taken last
-let shown = ''; // the page of `skinbake view`, which the frame asks for: its load event may still be of the page before
+let view = document.getElementById('view'); // a frame for each picture: one that is hidden and shown again may stay blank
+let shown = ''; // the page of `skinbake view`, which the frame asks for
 addEventListener('message', ({ source }) => { if (source === view.contentWindow) source.postMessage(shown, '*'); });
 
 const hear = {
@@ -22,9 +23,8 @@ const hear = {
     Object.assign(save, { hidden: false, download: name, textContent: `Save ${name} (${(bytes.length / 1e6).toFixed(2)} MB)` });
   },
   picture: ({ page }) => {
-    view.hidden = false;
     shown = page;
-    view.src = 'frame.html';
+    view.replaceWith(view = Object.assign(view.cloneNode(), { hidden: false, src: 'frame.html' }));
   },
 };
 window.ready = new Promise((resolve, reject) => {
