@@ -235,7 +235,7 @@ def verify(
     baseline, cap
         As ``--baseline`` and ``--cap``.
     max_mean_error, max_p95_error, min_gain
-        Limits of the accurate lighting, in degrees and as a factor: the lower gain of both truths. None sets
+        Limits of the accurate lighting, in degrees and as a factor: the lower of two measurements. None sets
         no limit. A skinned file that is not baked meets none.
     truth
         ``triangles``, ``tangents`` or ``relief``: the true normals for the limits (docs/lighting.md). None:

@@ -280,8 +280,8 @@ LAYOUT = Option("layout", Layout, Layout.ATTRIBUTES, By.ALL, help=
 REQUIRE_BAKED = Option("require_baked", bool, False, By.ALL, help=
     "Fail (exit 3) if nothing in a file can be baked.")
 LEAVE_UNDER = Option("leave_under", Range(0), None, By.ALL, "X", help=
-    "Leave a file unbaked, and note it, if the lower gain of both truths is under X, or standard lighting is "
-    "off by under 0.3°.")
+    "Leave a file unbaked, and note it, if its gain is under X by one of two measurements, or standard "
+    "lighting is off by under 0.3°.")
 REQUIRE_TRACKED = Option("require_tracked", bool, False, help=
     "Fail (exit 4) if an output names a file that git does not track, such as a new buffer.")
 WARNINGS_AS_ERRORS = Option("warnings_as_errors", bool, False, By.ALL, help=
@@ -374,8 +374,8 @@ BAKE = (
     *_under("Correctives",
         Option("correctives", TARGETS, None, By.ALL, "auto|K", help=
             "Instead of α and β, add K morph targets of normals that the clips play, for engines without the "
-            "shader; auto adds up to 4. What is no clip of the file, like a ragdoll, keeps the last weights: "
-            "docs/correctives.md has the line that ends them."),
+            "shader; auto adds up to 4. A ragdoll, or a clip from elsewhere, keeps the last "
+            "correction: docs/correctives.md shows how to end it."),
         Option("clips", str, (), By.ALL, "NAMES", is_many=True, help=
             "The clips that play correctives, by name or number, with commas between; by default all. May be "
             "given several times."),
@@ -426,7 +426,7 @@ VERIFY = (
         Option("seed", Range(0, is_whole=True), 0, By.ALL, "N", help="Seed of random poses."),
         CLIP._replace(by=By.NOBODY, help="Name or number of the clip of --dump-normals."),
         TIME._replace(by=By.NOBODY, help=
-            "Time in it. Without these two, the pose in which the bake shows most.")),
+            "The time in that clip. By default, the clip and time at which the bake shows most.")),
     *_under("Measurement",
         Option("methods", Method, (), By.ALL, flags=("--method",), is_many=True, help=
             "Skinning to measure; by default every one that the file has data for."),
@@ -435,14 +435,14 @@ VERIFY = (
         Option("cap", Range(0, is_open=True), None, By.ALL, "X", help=
             "Limit a tangent's correction to X times its length (0.9 in the authors' demo); off by default."),
         Option("truth", Truth, None, By.ALL, help=
-            "True normals that limits are held by: measured on triangles or along tangents, by default "
-            "both, or those of a normal map (relief).")),
+            "The true normals that limits use: on triangles or along tangents (by default both), or those "
+            "of a normal map (relief).")),
     *_under("Conditions",
         Option("max_mean_error", Range(0), None, By.ALL, "DEG", help="Fail if the mean error is larger."),
         Option("max_p95_error", Range(0), None, By.ALL, "DEG", help=
             "Fail if the 95th percentile of the error is larger."),
         Option("min_gain", Range(0), None, By.ALL, "X", help=
-            "Fail if the lower gain of both truths over standard lighting is smaller."),
+            "Fail if the gain over standard lighting is smaller, by one of two measurements."),
         REQUIRE_BAKED._replace(help="Fail if a file holds no bake."),
         Option("sources", str, None, By.NOBODY, "DIR", help=
             "Fail if an output is not of its source as it is now, or a source in DIR has no output, by the "
@@ -550,11 +550,11 @@ SHADER = (
             "Functions for a vertex stage, or a whole compute pass over buffers."),
         INFLUENCES,
         Option("morphs", Morphs, None, help=
-            "What t0 and b0 follow under morph targets: the morphed normal, the morphed TANGENT, or numbers "
-            "of the differential, six or four with the normal. By default it fits the targets of --for, else "
-            "none."),
+            "How t0 and b0 follow morph targets: by the morphed normal, by the morphed TANGENT, or by six "
+            "(frames) or four (frames-normal) numbers of the bake. By default as the targets of --for need, "
+            "else none."),
         Option("mirrored_joints", bool, False, help=
-            "Keep normals outside if joints mirror the surface; --for sets it if they do."),
+            "Keep normals outside where joints mirror the surface; --for sets it if they do."),
         Option("scaled_joints", bool, False, help=
             "Dual quaternions of joints that scale, shear or mirror; --for sets it if they do."),
         Option("normal_map", bool, False, help=

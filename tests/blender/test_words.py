@@ -275,7 +275,7 @@ def test_a_small_gain_says_to_turn_the_bake_off(
     monkeypatch.setattr(skinbake, "verify", measured)
     outcome = baked("bent_tube.glb", tmp_path, measure=True)
     assert outcome.gain == gain
-    text = "little to win: the lower gain is under 1.2. Turn off the bake for this file"
+    text = "little to win: the gain is under 1.2. Turn off the bake for this file"
     assert (baking.Line("INFO", text) in outcome.lines) == is_said
 
 

@@ -193,7 +193,7 @@ class TestUsage:
         ("arguments", "message"),
         [
             ([], "Missing argument"),
-            (["{seam}"], "give one of -o/--output, --out-dir and --in-place"),
+            (["{seam}"], "give one of -o/--output, --out-dir, --in-place"),
             (["{seam}", "-o", "{dir}/a.glb", "--in-place"], "give only one of"),
             (["{seam}", "-o", "{dir}/a.glb", "--out-dir", "{dir}"], "give only one of"),
             (["{seam}", "--in-place", "--out-dir", "{dir}"], "give only one of"),
@@ -269,7 +269,7 @@ class TestUsage:
     @pytest.mark.parametrize(
         ("arguments", "message"),
         [
-            (["strip", SEAM], "give one of -o/--output, --out-dir and --in-place"),
+            (["strip", SEAM], "give one of -o/--output, --out-dir, --in-place"),
             (["strip", SEAM, "-o", "a.glb", "--in-place"], "give only one of"),
             (["strip", SEAM, "-o", SEAM], "is the input; use --in-place to replace it"),
             (["strip", SEAM, "-o", "-", "--json"], "--json prints to stdout, and so does -o -"),

@@ -189,7 +189,7 @@ def test_a_folder_for_one_file_says_so(command: list[str], name: str, tmp_path: 
 @pytest.mark.parametrize("command", ["bake", "strip"])
 def test_an_output_without_its_option_is_seen(command: str, tmp_path: Path) -> None:
     own = shutil.copyfile(SEAM, tmp_path / "hero.glb")
-    missing = "give one of -o/--output, --out-dir and --in-place"
+    missing = "give one of -o/--output, --out-dir, --in-place"
     for name, option in (("out.glb", "-o"), ("build", "--out-dir")):
         path = tmp_path / name
         advice = f"{missing}; {path} was taken for a second input: write {option} {path}"

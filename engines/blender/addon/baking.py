@@ -169,7 +169,7 @@ def _measured(path: str) -> tuple[tuple[Line, ...], float | None]:
     lines, gain = _figures(verdict)
     is_advised = any(notice["code"] == "lighting-worse" for notice in verdict["warnings"])
     if gain is not None and round(gain, 2) < LITTLE and not problems and not is_advised:
-        text = f"little to win: the lower gain is under {LITTLE}. Turn off the bake for this file"
+        text = f"little to win: the gain is under {LITTLE}. Turn off the bake for this file"
         lines = (*lines, Line("INFO", text))
     return (*problems, *lines, *_warnings(verdict["warnings"])), gain
 

@@ -160,9 +160,9 @@ def _targets(plan: Plan[Any]) -> list[tuple[Input, File | None]]:
     inputs, output, out_dir = list(plan.inputs), plan.output, plan.out_dir
     ways = sum(map(bool, (output, out_dir, plan.in_place)))
     if ways > 1:
-        raise click.UsageError("give only one of -o/--output, --out-dir and --in-place")
+        raise click.UsageError("give only one of -o/--output, --out-dir, --in-place")
     if not ways and not plan.dry_run:
-        raise click.UsageError("give one of -o/--output, --out-dir and --in-place" + meant_output(inputs))
+        raise click.UsageError("give one of -o/--output, --out-dir, --in-place" + meant_output(inputs))
     targets: list[tuple[Input, File | None]] = [(entry, None) for entry in inputs]
     if output:
         if len(inputs) > 1:

@@ -115,14 +115,16 @@ def render_file(
         if not views:
             raise InputError("nothing in it is baked soundly: run skinbake verify", document.place)
     unlit = _unlit_views(document)
-    for view in (*views, *unlit):
-        count = view.now.joints.shape[1]
-        if count > MOST_INFLUENCES:  # a shader would be compiled for long
-            raise InputError(
-                f"it has up to {count} influences for a vertex, and a picture draws {MOST_INFLUENCES}: "
-                "bake it with --limit-influences 8",
-                view.source.place,
-            )
+    skipped = "limit them in the source, because bake skips what is unlit"
+    for some, remedy in ((views, "bake it with --limit-influences 8"), (unlit, skipped)):
+        for view in some:
+            count = view.now.joints.shape[1]
+            if count > MOST_INFLUENCES:  # a shader would be compiled for long
+                raise InputError(
+                    f"it has up to {count} influences for a vertex, and a picture draws {MOST_INFLUENCES}: "
+                    f"{remedy}",
+                    view.source.place,
+                )
     suffix = Path(target).suffix.lower()
     require_packages()
     # What is too large is refused, and what is not a number is not drawn.

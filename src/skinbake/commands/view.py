@@ -131,7 +131,7 @@ def page_of(
         if most > max(INFLUENCES):
             message = (
                 f"it has up to {most} influences for a vertex, and a page draws {max(INFLUENCES)}: the page "
-                "has its figures only. Bake it with --limit-influences 8, or draw it by skinbake render"
+                "has its figures only. Bake it with --limit-influences 8"
             )
             document.notices.tell(Notice("influences-not-drawn", message, document.place))
         told = [*notes, *remarks(verdict)]

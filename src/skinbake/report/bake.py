@@ -233,7 +233,7 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
     parts = [f"{result.status}: {_baked(counts)}" if counts else result.status]
     if result.correctives:
         parts = [f"{result.status}: {_corrected(result)}"]
-        parts.append("which clips play: poses by IK or physics keep the correction of their clip")
+        parts.append("played by clips alone: poses by IK or physics keep the last correction")
     parts += _encoding_text(result.encoding, counts)
     parts += _morphs([count for _, count in result.morphs])
     if result.skipped:

@@ -568,7 +568,7 @@ def _on_gain(figures: Mapping[str, ErrorFigures], look: str, *, advised: bool) -
     nearer = "" if factor is None else f"{factor:.1f}" if clear and factor < 100 else gain_in_words(factor)
     told = "exact but for rounding"
     if nearer:
-        told = f"{nearer} times nearer to the true normals, by the lower gain of both truths"
+        told = f"{nearer} times nearer to the true normals, by the lower of two measurements"
     if standard < NEGLIGIBLE:
         sentence = f"Nothing to correct: standard lighting errs by {standard:.2f}° in the mean."
         return Conclusion(sentence, "leave the file unbaked", "nothing to correct", leave=True)

@@ -250,7 +250,7 @@ function readPrimitive({ source, json, skins, nodes }, mesh, index, isSkinned) {
         const fewest = Math.min(
             ...nodes.filter((node) => node.mesh === mesh && node.skin !== undefined).map((node) => skins[node.skin].joints.length)
         );
-        readInfluences(source, attributes, primitive, fewest);
+        readInfluences(source, attributes, primitive, fewest, isUnlit(json, list(json.materials)[one.material] ?? {}));
         readGradients(source, json, one, primitive);
     }
     readTexcoords(source, attributes, list(json.materials)[one.material], primitive);
@@ -318,12 +318,13 @@ function smoothNormals(positions, triangles) {
 
 // Joints and weights, all slots of a vertex beside each other. Weights are as the bake reads them: none is negative,
 // and they sum to 1.
-function readInfluences(source, attributes, primitive, jointCount) {
+function readInfluences(source, attributes, primitive, jointCount, isSkipped) {
     let sets = 0;
     while (attributes[`JOINTS_${sets}`] !== undefined) sets++;
     const [slots, { count }] = [4 * sets, primitive];
     if (sets > MOST_SETS) {
-        throw new ReadError(`it has ${slots} influences for a vertex, and this page draws 8: bake it with --limit-influences 8`);
+        const remedy = isSkipped ? 'limit them in the source, because bake skips what is unlit' : 'bake it with --limit-influences 8';
+        throw new ReadError(`it has ${slots} influences for a vertex, and this page draws 8: ${remedy}`);
     }
     const [joints, weights] = [new Uint16Array(slots * count), new Float32Array(slots * count)];
     for (let set = 0; set < sets; set++) {
