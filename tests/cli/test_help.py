@@ -58,6 +58,7 @@ def test_help_shows_the_usual_options_and_an_example_and_names_the_rest(name: st
 
 def test_help_before_a_command_is_its_help() -> None:
     assert invoke("help", "bake").stdout == invoke("bake", "--help").stdout
+    assert invoke("help", "bake", "--help-all").stdout == invoke("bake", "--help-all").stdout
     assert invoke("help").stdout == invoke("--help").stdout
     unknown = invoke("help", "bkae")
     assert (unknown.exit_code, "Did you mean 'bake'?" in unknown.stderr) == (2, True)
@@ -118,6 +119,7 @@ def completions(line: str, word: str) -> list[str]:
 
 def test_commands_values_and_paths_are_completed() -> None:
     assert completions("skinbake", "b") == ["plain,bake"]
+    assert completions("skinbake help", "b") == ["plain,bake"]
     assert completions("skinbake bake --gradients", "f") == ["plain,fitted"]
     assert "plain,--encoding" in completions("skinbake bake", "--e")
     assert completions("skinbake bake", "he") == ["file,he"]

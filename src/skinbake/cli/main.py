@@ -63,9 +63,11 @@ class LazyGroup(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Find the command; ``help bake`` is ``bake --help``. For an unknown name, ask about the nearest."""
-        if args[0] == "help" and len(args) < 3:
+        if args[0] == "help":
             if args[1:]:
-                args = [args[1], "--help"]
+                args = [args[1], "--help-all" if "--help-all" in args else "--help"]
+            elif ctx.resilient_parsing:  # a shell completes the name of a command
+                return None, None, []
             else:
                 click.echo(ctx.get_help(), color=ctx.color)
                 ctx.exit()
