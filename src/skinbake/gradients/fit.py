@@ -1,10 +1,54 @@
-"""Weight gradients fitted to poses and to the turns of a rig: the least squares of docs/fitted.md, in numpy.
+"""Weight gradients fitted to poses and to the turns of a rig, by least squares in numpy.
 
-The gradient of a weight moves the tangents of algorithm 3 exactly if the surface and the weights are smooth.
-On a coarse mesh a better number exists: the one with which the tangents follow the deformed triangles. This
-module finds it for some poses (``posed_rings``) and for small turns of all joints, each about its own pivot
-(``ring_turns``), by one least squares. Then α and β shrink as far as standard lighting is better.
-``loops/vertex_fit.h`` does the same in its pass over the vertices; this module is the definition.
+The gradient of a weight moves the tangents of algorithm 3 exactly if the surface and the weights are
+smooth. On a coarse mesh a better number exists: the one with which the tangents follow the deformed
+triangles. This module finds it for some poses (``posed_rings``) and for small turns of all joints, each
+about its own pivot (``ring_turns``), by one least squares. Then α and β shrink as far as standard lighting
+is better. ``loops/vertex_fit.h`` does the same in its pass over the vertices; this module is the
+definition.
+
+A vertex p has weights w_i, joint matrices M_i, and the frame t, b, n at rest. The mesh has the derivative
+Σ_k c_k f_k of any function f along t. For each joint, the tangent of the deformed mesh and that of the
+shader differ by
+
+    Σ_k c_k (w_ki − w_i) (p_k − p)  +  w_i (a − t)        a = Σ_k c_k p_k, the mesh's own tangent
+
+The second term is the authored frame, which the true normals carry along. The first one is as large as the
+rest where a weight changes over one edge. Two kinds of terms tell how far the shader's tangents leave the
+mesh. In a pose with T = Σ w_i M_i:
+
+    t'(α)  = T t + Σ_s α_s (M_s p − M_last p)   the α of the fitted slots sum to 0: the last is left out
+    n'     = F t × F b, of length 1             F: from the ring's derivatives at rest to those in the pose
+    v      = 2 / (|t'(∇)|² + |b'(∇)|²)          ∇ the gradients of the surface; v is bounded in folds
+
+    the mean over the poses of   v ( (n' · t'(α))² + λ |t'(α) − t'(∇)|² )
+
+The derivatives in the pose are sums over the ring that are linear in M_i, so no mesh is posed. F also maps
+the unit vector across the ring to the one in the pose, times the root of how the area grows, and to the
+other side where joints mirror.
+
+Turn joint j, and all joints below it, by a small ω about its pivot. To first order all is linear in ω, so
+the expectation over all turns is a sum over j, without samples.
+
+    i ⪯ j    i is j, or below j        ᾱ_j   Σ_{i⪯j} α_i        x_j = p − pivot of j     e_k = p_k − p
+    ΔS_kj = Σ_{i⪯j} (w_ki − w_i)       ∇̄_j   Σ_{i⪯j} ∇_i
+    a_k   how the true normal tilts along t as neighbour k moves (the arms of ``ring_turns``)
+
+    R_j = x_j × ᾱ_j n − [ x_j × Σ_k ΔS_kj a_k + Σ_k ΔS_kj e_k × a_k ]          the tilt that is left
+
+    θ² ( Σ_j |R_j|² + 10 Σ_C |Σ_{j∈C} R_j|² + λ Σ_j |x_j|² (ᾱ_j − ∇̄_j)² )
+
+with θ = 0.2 radians, λ = 0.25 and the long chains C.
+
+α minimises the sum of both, and so does β along b. A rigid turn has ΔS = 0, and gets exactly no correction.
+A change of the gradients far below their size is noise of the least squares, so the changes of a vertex are
+multiplied by c² / (c² + (0.02 g)²), with its largest change c and its largest gradient g.
+
+Standard lighting is α = β = 0. Along the ray s α, s β the tilts are E(s) = E0 − 2 s A + s² B, over all
+these poses and turns, both tangents and all copies of a point. So α and β are multiplied by s = 1.5 A / B,
+at most 1. At 2 A / B the fit would be as good as standard lighting, at A / B best for these poses, and
+worse for others. A and B of the turns alone allow twice as much, 3 A / B: what harms most turns must not
+stay because it helps a clip.
 """
 
 from __future__ import annotations

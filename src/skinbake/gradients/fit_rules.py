@@ -1,4 +1,4 @@
-"""The constants of the fit, with the letters of docs/fitted.md. The compiled loops get them, too.
+"""The constants of the fit, with the letters of fit.py. The compiled loops get them, too.
 
 They were chosen on real characters, in clips and in random poses of ±30°, by both truths of the drawn mesh
 and, on analytic tubes, by formula. A rule is here if it takes 1 % off a mean, saves a file from harm, or

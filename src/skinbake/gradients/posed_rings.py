@@ -1,4 +1,4 @@
-"""How the neighbourhoods of weld classes lie in a pose, from the sums over their rings (docs/fitted.md).
+"""How the neighbourhoods of weld classes lie in a pose, from the sums over their rings (fit.py).
 
 All that a pose does to the derivatives of a mesh is linear in its joint matrices, so no mesh is posed.
 ``loops/posed_ring.h`` does the same, for several poses at once; this module is the definition.

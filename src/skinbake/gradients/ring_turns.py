@@ -1,4 +1,4 @@
-"""How the tangents of a mesh turn with its joints: the geometry of docs/fitted.md, once for each weld class.
+"""How the tangents of a mesh turn with its joints: the geometry of fit.py, once for each weld class.
 
 The true normal of a deformed mesh tilts against the tangents of algorithm 3. This module finds the tilt r for
 small turns of all joints, to first order, from the rest pose alone. ``rig_fit`` fits α and β to it. The
