@@ -272,6 +272,14 @@ def test_a_brief_verdict_has_the_figures_by_triangles() -> None:
             ["  No light was measured in these poses. Next: skinbake view a.glb shows them."],
         ),
         (
+            FileVerdict("a.glb", (Check("lighting", "skipped"),), poses="60 poses of 1 clip (2 s)"),
+            ["  No light was measured in these poses. Next: skinbake verify a.glb --poses random."],
+        ),
+        (
+            FileVerdict("a.glb", (Check("lighting", "skipped"),)),
+            ["  Clips of other files play its correctives. Next: verify these files."],
+        ),
+        (
             FileVerdict(
                 "a.glb", (Check("structure", "passed"),), notices=(Notice("a", "b", Place("a.glb")),)
             ),

@@ -553,7 +553,7 @@ def conclusion(verdict: FileVerdict) -> Conclusion | None:
     )
     sentence = "No light was measured in these poses."
     step = "do what the warning says" if verdict.notices else again
-    if verdict.passed and any(check.name == "lighting" for check in verdict.checks):
+    if verdict.passed and not verdict.poses and any(check.name == "lighting" for check in verdict.checks):
         sentence, step = "Clips of other files play its correctives.", "verify these files"
     return Conclusion(sentence, step)
 
