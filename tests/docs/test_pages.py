@@ -114,6 +114,17 @@ def test_the_readme_takes_two_minutes() -> None:
     assert len(text(REPOSITORY / "README.md").split()) <= 900
 
 
+def test_pages_quote_errors_of_the_table_of_models() -> None:
+    rows = re.findall(r"^\| \S+ .*\|$", text(REPOSITORY / "docs" / "lighting.md"), flags=re.MULTILINE)
+    measured = {tuple(row.split(" | ")[at : at + 2]) for row in rows for at in (2, 6)}
+    pages = "README.md", "CHANGELOG.md", "docs/why.md"
+    told = [
+        re.findall(r"([\d.]+)°(?: on average.*?is| to) ([\d.]+)°", text(REPOSITORY / one)) for one in pages
+    ]
+    assert [len(pairs) for pairs in told] == [1, 2, 3]
+    assert {pair for pairs in told for pair in pairs} <= measured
+
+
 def test_json_page_names_every_member_of_bake() -> None:
     page = text(REFERENCE / "json.md")
     for schema in (schemas.BAKE, schemas.INSPECT, schemas.STRIP):
