@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import runpy
 import subprocess
 import sys
@@ -302,6 +303,18 @@ def test_weightings_and_defects_have_the_names_of_the_definition() -> None:
     field, _ = weight_field(empty(3))
     found = _kernel.normalise_influences(field.joints, field.weights, field.free, 0.99, 0.0, 1e-3, 2.0**-30)
     assert set(found) == {*WeightDefects._fields}
+
+
+def test_comments_of_the_loops_name_twins_that_exist() -> None:
+    package = Path(kernel.__file__).parents[1]
+    code: dict[str, str] = {}
+    for path in package.rglob("*.py"):  # some modules of two rooms share a name
+        code[path.stem] = code.get(path.stem, "") + path.read_text(encoding="utf-8")
+    loops = "\n".join(path.read_text(encoding="utf-8") for path in package.rglob("*.h"))
+    named = re.findall(r"\b([a-z_]+)\.(_?[a-z_]+)\b", "\n".join(re.findall(r"/\*.*?\*/", loops, re.DOTALL)))
+    assert {module for module, name in named if name == "py"} <= code.keys()
+    twins = {(module, name) for module, name in named if module in code and name not in {"py", "h"}}
+    assert [(module, name) for module, name in twins if name not in code[module]] == []
 
 
 def test_the_environment_can_ask_for_numpy(monkeypatch: pytest.MonkeyPatch) -> None:

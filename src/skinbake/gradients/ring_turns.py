@@ -1,7 +1,7 @@
 """How the tangents of a mesh turn with its joints: the geometry of fit.py, once for each weld class.
 
 The true normal of a deformed mesh tilts against the tangents of algorithm 3. This module finds the tilt r for
-small turns of all joints, to first order, from the rest pose alone. ``rig_fit`` fits α and β to it. The
+small turns of all joints, to first order, from the rest pose alone. ``fit`` fits α and β to it. The
 letters are those of that page. ``loops/ring.h`` does the same; this module is the definition.
 """
 
@@ -73,7 +73,7 @@ def ring_turns(surface: Surface) -> RingTurns:
     """Return the turns of all classes of a surface.
 
     The turn is that of the normal across the two derivatives of the positions. These are means over the
-    triangles, with the weights ROOT of corner.py: between those of both truths of verify.
+    triangles, with the weights ROOT: between those of both truths of verify.
     """
     classes = surface.classes.astype(np.int64)
     count = int(classes.max(initial=-1)) + 1

@@ -115,7 +115,7 @@ class Corners:
 
     origin, first and second (T,) are its vertex and the two others. edges (2, T, 3) lead to these. weight
     (T,) is the corner's weight in the mean, coefficients (2, T, 3) the weight times the gradients of both
-    hats (see corner.py). faces (T, 3) are the normals of the triangles, as long as twice their areas.
+    hats. faces (T, 3) are the normals of the triangles, as long as twice their areas.
     """
 
     origin: IntArray
@@ -134,7 +134,7 @@ class Corners:
 def corners_of(positions: FloatArray, triangles: IntArray, weighting: int) -> Iterator[Corners]:
     """Return all first corners of the triangles, then all second ones, then all third ones.
 
-    weighting is one of those of corner.py.
+    weighting is a value of WEIGHTINGS, or ROOT.
     """
     points = positions.astype(np.float64)
     for turn in range(3):

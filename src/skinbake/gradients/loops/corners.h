@@ -1,5 +1,4 @@
-/* The corners of a weld class: edges, weights in the mean, differences along edges (twins: corner.py and
-   weight_gradients.py). */
+/* The corners of a weld class: edges, weights in the mean, differences along edges (twin: weight_gradients.py). */
 
 #pragma once
 
@@ -44,7 +43,7 @@ static ALWAYS_INLINE Four four_dot(const Four *a, const Four *b)
     return add(add(multiply(a[0], b[0]), multiply(a[1], b[1])), multiply(a[2], b[2]));
 }
 
-/* Work out weights and coefficients from the edges. With n = e1 x e2, corner.py's e2 x n is
+/* Work out weights and coefficients from the edges. With n = e1 x e2, weight_gradients.py's e2 x n is
    e1 |e2|^2 - e2 (e1 . e2), and n x e1 likewise. */
 static ALWAYS_INLINE void weigh_corners(Corners *c, Weighting weighting, Facets *facets)
 {

@@ -14,7 +14,7 @@ static ALWAYS_INLINE void find_leverage(RingFrame *f, const Vector derivatives[2
     f->sound &= area > narrow;
     if (!f->sound)
         return;
-    /* q of ring_turns._leverage, for both tangents at once. */
+    /* q of ring_turns.ring_turns, for both tangents at once. */
     const Vector unit = times(c, 1.0 / area), lean = minus(f->normal, times(unit, 0.5 * dot(unit, f->normal)));
     const Vectors t = f->along, normal = both_vectors(f->normal);
     const Vectors q = times_each(both_vectors(lean), divide_pairs(dots(t, both_vectors(unit)), both(area)));
@@ -135,15 +135,16 @@ static ALWAYS_INLINE void find_neighbours(const Surface *s, Shape shape, size_t 
     w->neighbours = count;
 }
 
-/* Sums over the corners of a class: the weights of both means, that of the bake and ROOT of corner.py, the normals
-   and doubled areas of the triangles, and the lengths of both edges, multiplied. sum_turns holds them, add_corners adds to them, end_frame reads them. */
+/* Sums over the corners of a class: the weights of both means, that of the bake and ROOT, the normals and
+   doubled areas of the triangles, and the lengths of both edges, multiplied. sum_turns holds them, add_corners adds to
+   them, end_frame reads them. */
 typedef struct {
     double weight;
     Four root_weight, normal[3], area, lengths;
 } CornerSums;
 
 /* Add what some corners say to the neighbours at their ends, and to the sums. The derivatives that the fit follows
-   are means with the weights ROOT of corner.py: 1 / (|e1| |e2|)^1.5 times A2. */
+   are means with the weights ROOT of weight_gradients.py: 1 / (|e1| |e2|)^1.5 times A2. */
 static ALWAYS_INLINE void add_corners(const Surface *s, Corners *c, size_t some, const Vector tangents[2],
                                       CornerSums *sums)
 {

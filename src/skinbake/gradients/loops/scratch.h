@@ -40,8 +40,8 @@ typedef struct {
 
 /* Some corners of a class at once, component by component. Edges lead to the two other corners of the triangle,
    the vertices `ends`. The sum multiplies the differences of skin weights along the edges by coefficients. weight is
-   that of the corner in the mean (see corner.py). find_ends writes `ends`, find_neighbours or find_edges the edges, and
-   weigh_corners the rest. */
+   that of the corner in the mean (see weight_gradients.py). find_ends writes `ends`, find_neighbours or
+   find_edges the edges, and weigh_corners the rest. */
 typedef struct {
     uint32_t ends[AT_ONCE][2];
     Neighbour *neighbours[2][AT_ONCE]; /* by end: the ends in the ring, if there is one */
@@ -61,7 +61,7 @@ enum { LOOKED_BACK = 16 };
 enum { PLACES = 64 };
 
 /* Corners of which a class is fitted at most, and joints that turn around one vertex or are fitted there (twins of the
-   same names: ring_turns.py and rig_fit.py). */
+   same names: ring_turns.py and fit.py). */
 enum { MOST_CORNERS = 4096, MOST_TURNS = 128, MOST_FITTED = 64 };
 
 /* The vertex whose normal was normalised last, and whether the normal had a direction. */
@@ -92,7 +92,7 @@ typedef struct {
 typedef struct {
     Vector normal, tangents[2];
     Vectors along;       /* both tangents, component by component */
-    Vectors leverage[2]; /* see ring_turns._leverage: by derivative; only of a sound class */
+    Vectors leverage[2]; /* see ring_turns.ring_turns: by derivative; only of a sound class */
     int sound;           /* find_gradients writes 0, begin_frame whether there is a normal; end_frame may clear it */
 } RingFrame;
 
@@ -120,7 +120,7 @@ typedef struct {
 } Climb;
 
 /* All joints of a long chain that part the slots turn alike. `moved` is how that tilts the tangents for each unit of
-   a slot's gradient, and `wanted` how it should tilt them, as in rig_fit._curls. */
+   a slot's gradient, and `wanted` how it should tilt them, as in fit._add_turns. */
 typedef struct {
     Vector moved[MOST_FITTED];
     Vectors wanted;

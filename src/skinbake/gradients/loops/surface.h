@@ -7,7 +7,7 @@
 #define NO_JOINT (-1)
 #define NO_CHAIN (-1)
 
-/* The weights of corners in the mean (see corner.py). The module has constants of these names. */
+/* The weights of corners in the mean (see weight_gradients.py). The module has constants of these names. */
 typedef enum { BY_MAX, BY_ANGLE, BY_AREA, BY_ANGLE_AREA, WEIGHTINGS } Weighting;
 
 /* How gradients are fitted to a rig: the constants of fit_rules.py. */

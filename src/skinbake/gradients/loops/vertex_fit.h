@@ -292,7 +292,7 @@ static ALWAYS_INLINE void add_lane(double *lane, Four values) { store(lane, add(
 
 static ALWAYS_INLINE double sum_lane(const double *lane) { return sum_of(load(lane)); }
 
-/* Add what the poses of the class say to the forms (twin: fit._forms_of_poses). The sums are kept by pose until the
+/* Add what the poses of the class say to the forms (twin: fit._add_poses). The sums are kept by pose until the
    last one. */
 static ALWAYS_INLINE void add_poses(const Surface *s, int32_t used, const Fitted *fitted, Forms *forms, Scratch *w)
 {
