@@ -1,6 +1,6 @@
 """The arrays that the parts exchange: a skinned primitive before and after baking.
 
-docs/reference/units.md defines axis letters, units and frames.
+docs/reference/units.md defines units and frames, CONTRIBUTING.md the letters of axes.
 """
 
 from __future__ import annotations
