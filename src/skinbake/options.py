@@ -499,9 +499,6 @@ RENDER = (
     *_under("Output",
         OUTPUT._replace(metavar="PICTURE", is_required=True, help=
             "Output file: .png, or .webp or .gif that move.")),
-    *_under("Shader",
-        Option("lighting", (str(Lighting.STANDARD), str(Lighting.ACCURATE), "corrected"), None, help=
-            "Lighting without --split. By default that of the bake: accurate, or corrected by correctives.")),
     *_under("Poses",
         CLIP,
         TIME._replace(help=
@@ -511,6 +508,8 @@ RENDER = (
         Option("mode", ("shaded", "reflections", "error", "normals"), "shaded", help=
             "Shading, stripes mirrored in the surface, angle to the true normals as colour, or normals."),
         Option("split", bool, False, help="Standard lighting on the left, that of the bake on the right."),
+        Option("lighting", (str(Lighting.STANDARD), str(Lighting.ACCURATE), "corrected"), None, help=
+            "Lighting without --split. By default that of the bake: accurate, or corrected by correctives."),
         Option("closeup", bool, False, help="Look at the place where the bake shows most, and follow it."),
         Option("clay", bool, False, help="Without the colours and images of the materials."),
         Option("turntable", bool, False, help="Turn the camera once around the model (.webp, .gif)."),
