@@ -393,7 +393,7 @@ def test_folders_and_patterns_are_expanded(protocol: str, tmp_path: Path) -> Non
     for nothing in ("/gone", "/b/*.png"):
         with pytest.raises(
             InputError,
-            match=r"(matches this pattern that|nothing in this folder) ends in \.glb, \.gltf, \.vrm",
+            match=r"(that matches this pattern|nothing in this folder) ends in \.glb, \.gltf, \.vrm",
         ):
             expand_url(f"{root}{nothing}")
 

@@ -6,6 +6,7 @@ import html
 import os
 import re
 import shutil
+import sys
 from collections.abc import Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -125,7 +126,7 @@ def test_what_cannot_be_had_is_one_sentence_a_file(library: Path) -> None:
         [
             "cannot be read: No such file or directory",
             "nothing in this folder ends in .glb, .gltf, .vrm",
-            "no file matches this pattern that ends in .glb, .gltf, .vrm",
+            "no file that matches this pattern ends in .glb, .gltf, .vrm",
             "fsspec knows no protocol warp://",
             "the driver for gs:// is not installed: Please install gcsfs to access Google Storage",
         ],
@@ -133,6 +134,38 @@ def test_what_cannot_be_had_is_one_sentence_a_file(library: Path) -> None:
     ):
         assert f"error: {name}: {reason}" in lines
     assert stored("memory://out") == {}
+
+
+@pytest.mark.parametrize("url", ["s3://bucket/a.glb", "s3://bucket/"])
+def test_a_url_without_fsspec_tells_what_to_install(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as without:
+        for name in [*sys.modules]:
+            if name.partition(".")[0] == "fsspec":
+                without.setitem(sys.modules, name, None)
+        result = invoke("bake", url, "--out-dir", "out")
+    assert result.exit_code == exit_codes.INPUT
+    assert f"error: {url}: URLs need fsspec, which is not installed: pip install" in result.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["verify", "a.glb", "--junit", "s3://bucket/report.xml"],
+        ["verify", "a.glb", "--html", "file:///report.html"],
+        ["bake", "a.glb", "--dry-run", "--summary", "s3://bucket/lines.jsonl"],
+        ["shader", "--lang", "glsl", "-o", "s3://bucket/shader.glsl"],
+        ["view", "a.glb", "-o", "s3://bucket/page.html"],
+        ["example", "-o", "s3://bucket/a.glb"],
+    ],
+)
+def test_only_models_are_written_to_urls(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = invoke(*arguments)
+    assert result.exit_code == exit_codes.USAGE
+    assert f"{arguments[-1]} is a URL: only models go to URLs" in result.stderr
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

@@ -170,7 +170,7 @@ def _targets(plan: Plan[Any]) -> list[tuple[Input, File | None]]:
         if output == STDIO and plan.as_json:
             why = " prints to stdout, and so does -o -: name the file of the GLB"
             raise ChoiceError("as_json", reason=(why,))
-        check_named(output, f"use --out-dir {output}, or name the file")
+        check_named(output, f"use --out-dir {output}, or name the file", may_be_url=True)
         target = named_file(output)
         check_target(inputs[0].file, target)
         targets = [(inputs[0], target)]

@@ -35,8 +35,10 @@ def check_target(source: File, target: File) -> None:
         raise click.UsageError(f"{name} is the input; use --in-place to replace it")
 
 
-def check_named(target: str, instead: str = "name the file") -> None:
-    """Raise click.UsageError if the name of an output is that of a folder, there or not."""
+def check_named(target: str, instead: str = "name the file", *, may_be_url: bool = False) -> None:
+    """Raise click.UsageError if the name of an output is that of a folder, there or not, or a URL."""
+    if is_url(target) and not may_be_url:
+        raise click.UsageError(f"{target} is a URL: only models go to URLs; name a file on this disk")
     path = on_disk(target) or ""
     is_folder = os.path.isdir(path)  # noqa: PTH112  # pathlib fails for long names
     if target != STDIO and (is_folder or target.endswith(("/", os.sep))):

@@ -102,9 +102,9 @@ def storage_of(url: str) -> tuple[Storage | None, str]:
     Files on this machine's disk are opened as such: a driver would follow links out of their folder. Raises
     InputError if fsspec or the driver of the URL's protocol is missing.
     """
+    filesystem, path = _filesystem(url)
     from fsspec.implementations.local import LocalFileSystem
 
-    filesystem, path = _filesystem(url)
     if isinstance(filesystem, LocalFileSystem):
         return None, path
     scheme = URL.match(path)
@@ -201,7 +201,7 @@ def expand_url(url: str) -> list[tuple[str, str]]:
         and (dots or not any(part.startswith(".") for part in parts))
     ]
     if not relative:
-        what = "no file matches this pattern that" if wildcard else "nothing in this folder"
+        what = "no file that matches this pattern" if wildcard else "nothing in this folder"
         raise InputError(f"{what} ends in {', '.join(SUFFIXES)}", Place(url))
     return [(join_url(base, name), _decoded(url, name)) for name in relative]
 
