@@ -17,6 +17,7 @@ import pytest
 import skinbake
 from fixtures.builder import JsonObject
 from skinbake.cli import bake as bake_command
+from skinbake.cli import exit_codes
 from skinbake.cli.console import without_repeats
 from skinbake.cli.terminal import with_colours
 from skinbake.errors import Notice, Place
@@ -31,6 +32,7 @@ from skinbake.report.bake import (
 )
 from tests.support.command_line import document, invoke, run
 from tests.support.models import FIXTURES, FOLDER, bake, edited, sheet, write_model
+from tests.support.tools import required_program
 
 SEAM = FOLDER / "seam.glb"
 SOURCES = Path(skinbake.__file__).parent
@@ -534,3 +536,11 @@ def test_json_on_stdin_is_told_from_a_file_of_json() -> None:
     assert process.stderr.decode().splitlines()[0] == (
         "error: <stdin>: this is JSON text, not a GLB: - takes a GLB only; give a .gltf file by its name"
     )
+
+
+def test_git_itself_says_why_it_tracks_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    required_program("git")
+    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path))
+    result = invoke("bake", SEAM, "--out-dir", tmp_path / "out", "--require-tracked")
+    assert result.exit_code == exit_codes.OUTPUT
+    assert "git cannot tell which files it tracks: fatal: not a git repository" in result.stderr

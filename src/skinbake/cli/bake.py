@@ -154,7 +154,8 @@ def _untracked_code(results: Sequence[FileResult], say: Console) -> int:
             call = ["git", *safe, "--literal-pathspecs", "ls-files", "-z", "--", *names]
             tracked = subprocess.run(call, cwd=folder, capture_output=True, check=True).stdout
         except (OSError, subprocess.CalledProcessError) as error:
-            say.error(OutputError(f"git cannot tell which files it tracks: {error}", Place(str(output))))
+            told = error if isinstance(error, OSError) else os.fsdecode(error.stderr).strip()
+            say.error(OutputError(f"git cannot tell which files it tracks: {told}", Place(str(output))))
             return exit_codes.OUTPUT
         except SkinbakeError as error:  # a dry run has not written it
             say.error(error)
