@@ -587,7 +587,7 @@ def test_where_rounding_parts_the_algorithms_the_joint_to_mend_is_named(
     assert 'too unlike in size, "joint2" most of all, and rounding takes over' in message
 
 
-def test_the_identity_check_passes_where_joints_hide_most_of_a_mesh(tmp_path: Path) -> None:
+def test_where_joints_hide_most_of_a_mesh_the_rest_is_measured(tmp_path: Path) -> None:
     """Joint 1 is scaled to 0, and joint 2 with it. They move most vertices to one point."""
     part = sheet()
     x = part.attributes["POSITION"][:, 0].astype(np.float64)
@@ -604,6 +604,11 @@ def test_the_identity_check_passes_where_joints_hide_most_of_a_mesh(tmp_path: Pa
     path = baked(original, tmp_path / "baked", neighbours="drop")
     verdict = measured(path, methods=("lbs",), poses=PoseRequest(PoseKind.RANDOM, 6))
     assert list(failing(verdict)) == []
+    # What rounding leaves of the surface at that point does not count; the rest moves as a whole.
+    for found in verdict.figures.values():
+        errors = [one.max for one in found.whole["lbs"].values()]
+        assert max(errors) < 15.0
+        assert errors == pytest.approx([errors[0]] * len(errors))
 
 
 @pytest.mark.slow

@@ -200,15 +200,22 @@ def blended_blocks(
             yield pose, part, blended
 
 
+SHRUNK = 1e-12
+"""The size of a joint, over the largest one, up to which what it leaves of a surface is rounding."""
+
+
 def sides_of(primitives: Sequence[RestPrimitive], joint_matrices: Float64Array) -> Float64Array | None:
-    """Return −1 (P, V) if the joint of the largest weight mirrors, else 1; None if no joint mirrors.
+    """Return −1 (P, V) if the joint of the largest weight mirrors, else 1; None if all are 1.
 
     A joint that mirrors turns t' × b' to the inside. For example, some left hands are right hands under a
     negative scale. In a fold, the surface turns over although its joints do not mirror. A fold is left as it
-    is, because the exact normal does turn inside out there.
+    is, because the exact normal does turn inside out there. It is NaN where all joints of a vertex have the
+    scale 0, which hides parts of a model: what rounding leaves of the surface there has no true normal.
     """
     mirrors = determinants(joint_matrices) < 0
-    if not mirrors.any():
+    sizes = np.abs(joint_matrices[..., :3, :3]).max(axis=(2, 3), initial=0.0)
+    is_point = sizes <= SHRUNK * sizes.max(axis=1, keepdims=True, initial=0.0)
+    if not (mirrors.any() or is_point.any()):
         return None
     dominant = np.concatenate(
         [
@@ -216,4 +223,8 @@ def sides_of(primitives: Sequence[RestPrimitive], joint_matrices: Float64Array) 
             for primitive in primitives
         ]
     )
-    return np.where(mirrors.T[dominant], -1.0, 1.0).T
+    sides = np.where(mirrors.T[dominant], -1.0, 1.0).T
+    for pose in np.flatnonzero(is_point.any(axis=1)):
+        left = [(one.weights * ~is_point[pose][one.joints]).sum(axis=1) for one in primitives]
+        sides[pose, np.concatenate(left) <= SHRUNK] = np.nan
+    return sides
