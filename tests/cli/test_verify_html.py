@@ -444,3 +444,10 @@ def test_a_file_that_is_not_baked_has_a_page_all_the_same(tmp_path: Path) -> Non
     told = given(tmp_path / "report.html")
     assert told["outcome"] == "failed"
     assert told["by_triangles"] is None
+
+
+def test_a_page_has_the_suffix_of_one(tmp_path: Path) -> None:
+    result = invoke("verify", TUBE, "--html", tmp_path / "report.pdf")
+    assert result.exit_code == exit_codes.USAGE
+    assert "report.pdf: expected a name that ends in .html or .htm" in " ".join(result.stderr.split())
+    assert list(tmp_path.iterdir()) == []

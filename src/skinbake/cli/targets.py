@@ -17,6 +17,9 @@ from skinbake.files.folders import open_regular
 from skinbake.files.urls import STDIO, File, is_url, join_url, named_file, on_disk
 from skinbake.wording import SUFFIXES
 
+PAGES = (".html", ".htm")
+"""The suffixes of a page."""
+
 GLB_HEADERS = struct.Struct("<4sIIII")
 """The header of a GLB, and the header of its first chunk, which is its JSON."""
 

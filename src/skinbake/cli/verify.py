@@ -18,7 +18,7 @@ from skinbake.cli.inputs import Input, expanded
 from skinbake.cli.many import Reporting, code_of, tell_of_report, work_through, write_report
 from skinbake.cli.plan import Plan, planned
 from skinbake.cli.runners import within_limits
-from skinbake.cli.targets import check_earlier, check_reports, is_page
+from skinbake.cli.targets import PAGES, check_earlier, check_reports, is_page
 from skinbake.errors import ChoiceError, Chosen, Notices, SkinbakeError, printable
 from skinbake.files.urls import STDIO, is_url
 from skinbake.options import STATE_NAME, VERIFY, By, defaults
@@ -114,6 +114,8 @@ def _check_extra(plan: Plan[VerifyOptions], extra: Extra) -> None:
         "--state": plan.notes_at,
     }
     check_reports(reports, (entry.file for entry in plan.inputs))
+    if extra.html and not extra.html.lower().endswith(PAGES):
+        raise ChoiceError("html", extra.html, f"a name that ends in {' or '.join(PAGES)}")
     for page in pages_of(plan, extra.html).values():
         check_earlier(str(page), is_page, "--html: ")
 

@@ -17,7 +17,7 @@ from skinbake.cli.inputs import expanded, path_on_disk
 from skinbake.cli.many import code_of, work_through
 from skinbake.cli.plan import Plan, planned
 from skinbake.cli.runners import within_limits
-from skinbake.cli.targets import check_earlier, check_named, is_model_name, is_page
+from skinbake.cli.targets import PAGES, check_earlier, check_named, is_model_name, is_page
 from skinbake.cli.verify import Extra, pages_of, reporting
 from skinbake.errors import InputError, Place, printable
 from skinbake.files.urls import STDIO
@@ -25,9 +25,6 @@ from skinbake.wording import counted
 
 if TYPE_CHECKING:
     from skinbake.report.verify import FileVerdict
-
-PAGES = (".html", ".htm")
-"""The suffixes of a page."""
 
 
 @click.command(
