@@ -111,7 +111,7 @@ def bake_correctives(
         found = [_of_file(document, one, own_clips, options.character.files) for one in found]
         if verdict is not None:
             written, lengths = _written(document, [item for *_, item in found if item], options.encoding)
-    idle = [_nothing(place, one) for place, one, item in found if item is None]
+    idle = [_nothing(place, one, options.clips) for place, one, item in found if item is None]
     if verdict is None:
         document.notices.tell(*idle)
         return BakedDocument(document, morphs=morphs)
@@ -247,10 +247,11 @@ def lighting_with_correctives(
         return corrected_lighting(PlayedCorrectives(document), gradients, asked)[0]
 
 
-def _nothing(place: Place, correctives: Correctives) -> Notice:
-    """Return why a mesh gets no correctives."""
+def _nothing(place: Place, correctives: Correctives, asked: Sequence[str]) -> Notice:
+    """Return why a mesh gets no correctives. asked are the clips of ``--clips``."""
     if not correctives.tracks:
-        message = "no correctives: no chosen clip moves its joints, and only clips play correctives"
+        clip = "chosen clip" if asked else "clip"
+        message = f"no correctives: no {clip} moves its joints, and only clips play correctives"
         return Notice("no-clips", message, place)
     mean = max(correctives.standard, default=0.0)
     if mean < NEGLIGIBLE:
