@@ -53,7 +53,7 @@ LayoutName: TypeAlias = Layout | Literal["attributes", "texcoord", "custom"]
 MethodName: TypeAlias = Method | Literal["lbs", "dqs", "blend"]
 NeighboursName: TypeAlias = Neighbours | Literal["adopt", "extend", "drop"]
 SchemeName: TypeAlias = Scheme | Literal["keep", "none", "draco", "meshopt"]
-TruthName: TypeAlias = Truth | Literal["tangents", "triangles", "relief"]
+TruthName: TypeAlias = Truth | Literal["triangles", "tangents", "relief"]
 WeightingName: TypeAlias = Weighting | Literal["max", "angle", "area", "angle-area"]
 WeldName: TypeAlias = Weld | Literal["mesh", "skin"]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import re
 from pathlib import Path
 
 import jsonschema
@@ -58,6 +59,8 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_a_file_that_was_left_differs_by_its_note_alone(folder: Path, tmp_path: Path) -> None:
+    told = invoke("bake", FOLDER / LITTLE, "--leave-under", "1.2", "--dry-run").output
+    assert re.search(r"left unbaked: gain 1\.\d\dx by the lower of two measurements, standard", told)
     [left] = folder.glob("*.gltf")
     before, after = read(FOLDER / LITTLE).content, copy.deepcopy(read(left).content)
     note = after["asset"].pop("extras")["skinbake"]

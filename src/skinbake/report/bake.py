@@ -225,7 +225,8 @@ def closing_line(result: FileResult, *, dry_run: bool) -> str:
         return f"{names}: up to date"
     if result.left is not None:
         left = result.left
-        found = [f"gain {gain_in_words(left.gain)}x"] if left.gain is not None else []
+        lower = "by the lower of two measurements"
+        found = [] if left.gain is None else [f"gain {gain_in_words(left.gain)}x {lower}"]
         if left.standard_error is not None and (found or not left.reason):
             found.append(f"standard lighting {left.standard_error:.2f}° off")
         return f"{names}: left unbaked: {', '.join([*found, *([left.reason] if left.reason else [])])}"

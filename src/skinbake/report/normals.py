@@ -39,7 +39,7 @@ class PosedNormals:
         By lighting: ``standard`` and ``accurate``, for ``dqs`` ``exact`` too. In a file with correctives
         ``corrected`` for ``lbs``, and ``accurate`` is what α and β would give.
     truths : dict of ndarray (V, 3) float64
-        The true normals ``tangents`` and ``triangles`` (docs/lighting.md).
+        The true normals ``triangles`` and ``tangents`` (docs/lighting.md).
     joint_matrices : ndarray (J, 4, 4) float64
         The joint matrices of the pose: global transform × inverse bind matrix.
     morph_weights : ndarray (N,) float64
