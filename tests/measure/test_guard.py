@@ -202,6 +202,20 @@ def test_a_primitive_is_left_to_standard_lighting_where_all_parts_of_the_fit_are
     assert (tmp_path / "back.glb").read_bytes() == source.read_bytes()
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_clip_is_seen_among_many_that_alternate_with_it(order: int, tmp_path: Path) -> None:
+    """A rig whose clip leaves it unbaked. Every other one of its 48 clips stands still."""
+    model = Editable(random_rigs.write(285, tmp_path))
+    [moving] = model.content["animations"]
+    keys = np.zeros((1, 1), dtype=np.float32), np.array([[0, 0, 0, 1]], dtype=np.float32)
+    times, turn = map(model.add, keys)
+    target = {"node": moving["channels"][0]["target"]["node"], "path": "rotation"}
+    still = {"samplers": [{"input": times, "output": turn}], "channels": [{"sampler": 0, "target": target}]}
+    model.content["animations"] = [still, moving][::order] * 24
+    result = invoke("bake", model.write(tmp_path / "many.glb"), "-o", tmp_path / "out.glb", "--json")
+    assert document(result)["files"][0]["status"] == "left"
+
+
 def test_a_file_of_which_nothing_is_lit_better_is_left_with_a_note(tmp_path: Path) -> None:
     source, target = random_rigs.write(195, tmp_path), tmp_path / "out.glb"
     result = document(invoke("bake", source, "-o", target, "--json", "--require-baked"))

@@ -34,7 +34,7 @@ from skinbake.skinning.rest import Algorithm
 from skinbake.threads import Threads
 from skinbake.truth import kernel
 from skinbake.truth.operator import true_operator
-from skinbake.truth.poses import PoseRequest, PoseSet, pose_set
+from skinbake.truth.poses import PoseRequest, PoseSet, moving_clips, pose_set
 from skinbake.truth.truths import Truths
 from skinbake.wording import counted
 
@@ -51,7 +51,8 @@ LEAST_VERTICES, FEWEST_VERTICES = 128, 32
 POSES, OF_EACH, OFFSET = 24, 12, 0.75
 """The poses that all clips share, and those of each skin at least.
 
-OFFSET is where they lie in equal parts of a clip: the fit has others.
+OFFSET is where they lie in equal parts of the first clip: the fit has others. In the next clips they lie
+elsewhere, because many clips stand still at one share of their time.
 """
 
 BYTES_A_PLACE, BYTES_A_SAMPLE, MOST_BYTES = 24, 320, 1 << 28
@@ -60,8 +61,8 @@ BYTES_A_PLACE, BYTES_A_SAMPLE, MOST_BYTES = 24, 320, 1 << 28
 Only vertices at which thousands of triangles meet take more.
 """
 
-GOLDEN = 0.6180339887498949
-"""The golden section. Its multiples, without their whole parts, lie evenly between 0 and 1."""
+GOLDEN, ROOT_OF_2 = 0.6180339887498949, 1.4142135623730951
+"""The golden section and another number. The fractions of their multiples lie evenly between 0 and 1."""
 
 UNSEEN, FEW = 0.1, 0.01
 """An error in degrees that nobody sees, and the share of the area that may have a larger one.
@@ -194,10 +195,20 @@ def _poses(document: Document, skins: tuple[int, ...]) -> list[tuple[int, PoseSe
     for skin in some_skins:
         numbers = animations_of(document, set(read_skeleton(document, skin).nodes))
         some = min(len(numbers), each)
-        clips = read_clips(document, [numbers[place * len(numbers) // some] for place in range(some)])
-        if clips:
-            request = PoseRequest(samples=max(1, each // len(clips)), offset=OFFSET)
-            found.append((skin, pose_set(document, skin, clips, request)))
+        # Of many clips one of each of so many equal parts, at another place in it: variants may alternate.
+        places = ((place + GOLDEN * place % 1.0) * len(numbers) / max(1, some) for place in range(some))
+        chosen = list(dict.fromkeys(numbers[int(place)] for place in places))
+        clips = moving_clips(document, skin, read_clips(document, chosen))
+        requests = (
+            PoseRequest(samples=each // len(clips), offset=(OFFSET + ROOT_OF_2 * place) % 1.0)
+            for place in range(len(clips))
+        )
+        sets = [pose_set(document, skin, [clip], one) for clip, one in zip(clips, requests, strict=True)]
+        if sets:
+            matrices = np.concatenate([one.joint_matrices for one in sets])
+            names = tuple(name for one in sets for name in one.clips)
+            times = tuple(time for one in sets for time in one.times)
+            found.append((skin, PoseSet(sets[0].joint_names, matrices, names, times)))
     return found
 
 
