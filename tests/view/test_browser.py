@@ -21,6 +21,7 @@ from skinbake.skinning.rest import Algorithm
 from skinbake.truth.operator import gradient_operator
 from skinbake.truth.truths import truths_at_rest
 from tests.support import browser, corpus
+from tests.support.baked_files import Editable
 from tests.support.baking import bake_file
 from tests.support.characters import Array, Character, Placement, Pose, angles
 from tests.support.models import edited
@@ -104,6 +105,30 @@ def test_errors_on_the_page_are_those_of_verify(browsing: Browsing) -> None:
     wanted = errors_by_verify(browsing.path, browsing.time)
     for lighting, name in (("standard", "standard"), ("fitted", "accurate")):
         assert found[lighting] == pytest.approx(wanted[name], rel=0.002), lighting
+
+
+def test_parts_that_joints_of_scale_0_hide_do_not_count_on_the_page(tmp_path: Path) -> None:
+    browser.require_browser()
+    model = Editable(TUBE)
+    joints, weights = model.array("JOINTS_0"), model.array("WEIGHTS_0")
+    inner = (joints == 0) & (weights < 0.5)
+    weights[inner] = 0.0
+    weights /= weights.sum(axis=1, keepdims=True)
+    model.content["nodes"][model.content["skins"][0]["joints"][1]]["scale"] = [0.0, 0.0, 0.0]
+    path = tmp_path / "hidden.glb"
+    assert bake_file(model.write(tmp_path / "model.glb"), path).status == "baked"
+    wanted = errors_by_verify(path, 0.3)
+    with shown(path) as page:
+        found = page.call(
+            """(() => {
+                application.stopMeasuring();
+                application.seek(0.3, true);
+                application.applyPose();
+                application.draw();
+                return application.scene.errors('standard').mean;
+            })"""
+        )
+    assert found == pytest.approx(wanted["standard"], rel=0.002)
 
 
 def errors_by_verify(path: Path, time: float) -> dict[str, float]:

@@ -200,8 +200,11 @@ def blended_blocks(
             yield pose, part, blended
 
 
-SHRUNK = 1e-12
-"""The size of a joint, over the largest one, up to which what it leaves of a surface is rounding."""
+SHRUNK, HIDDEN = 1e-12, 1e-6
+"""The size of a joint, over the largest one, up to which what it leaves of a surface is rounding.
+
+And the weight of all other joints up to which a vertex is hidden: adopted ones have less.
+"""
 
 
 def sides_of(primitives: Sequence[RestPrimitive], joint_matrices: Float64Array) -> Float64Array | None:
@@ -226,5 +229,5 @@ def sides_of(primitives: Sequence[RestPrimitive], joint_matrices: Float64Array) 
     sides = np.where(mirrors.T[dominant], -1.0, 1.0).T
     for pose in np.flatnonzero(is_point.any(axis=1)):
         left = [(one.weights * ~is_point[pose][one.joints]).sum(axis=1) for one in primitives]
-        sides[pose, np.concatenate(left) <= SHRUNK] = np.nan
+        sides[pose, np.concatenate(left) <= HIDDEN] = np.nan
     return sides

@@ -11,6 +11,8 @@ const DEGENERATE = 1e-10;
 const FLAT = 1e10;
 const FLAT_FRAME = 1e-6; // The sine between two tangents below which they span no plane.
 const CANCELLED = 1e-9; // Radians. Triangles that sum to less cancel out: each is there twice, once for each side.
+const SHRUNK = 1e-12; // A joint's size, over the largest one, up to which what it leaves of a surface is rounding.
+const HIDDEN = 1e-6; // The weight of all other joints up to which a vertex is hidden: adopted ones have less.
 const CROWDED = 4096; // As in bake: of more different normals at one place, only equal ones are one.
 const TINY_WEIGHT = 1.5 * 2 ** -30; // The weight of an adopted joint does not tell copies of a vertex apart.
 
@@ -157,6 +159,9 @@ export class Surface {
         const { carried, found, count, dominant } = this;
         const mirrors = matrices.map((matrix) => determinant(matrix) < 0);
         const isMirrored = mirrors.some(Boolean);
+        const sizes = matrices.map((m) => Math.max(...[0, 1, 2, 4, 5, 6, 8, 9, 10].map((i) => Math.abs(m[i]))));
+        const points = sizes.map((size) => size <= SHRUNK * Math.max(...sizes));
+        const hidden = points.some(Boolean) ? hiddenVertices(this.primitives, this.starts, count, points) : null;
         const frame = new Float64Array(10);
         for (let vertex = 0; vertex < count; vertex++) {
             this.measureFrame(vertex, frame);
@@ -176,7 +181,7 @@ export class Surface {
             found[at + 1] = y / length;
             found[at + 2] = z / length;
             found[at + 3] = 1;
-            if (!Number.isFinite(found[at])) found.fill(0, at, at + 4);
+            if (hidden?.[vertex] || !Number.isFinite(found[at])) found.fill(0, at, at + 4);
         }
         return found;
     }
@@ -350,6 +355,19 @@ function dominantJoints(primitives, starts, count) {
         }
     });
     return dominant;
+}
+
+// Tell which vertices have no joint but those that leave a point.
+function hiddenVertices(primitives, starts, count, points) {
+    const hidden = new Uint8Array(count);
+    primitives.forEach(({ joints, weights, slots, count: own }, number) => {
+        for (let vertex = 0; vertex < own; vertex++) {
+            let left = 0;
+            for (let i = slots * vertex; i < slots * (vertex + 1); i++) if (!points[joints[i]]) left += weights[i];
+            hidden[starts[number] + vertex] = left <= HIDDEN;
+        }
+    });
+    return hidden;
 }
 
 // Number the vertices that are one point: equal places and influences, normals joined by a chain of small angles.
