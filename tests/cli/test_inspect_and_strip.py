@@ -77,6 +77,19 @@ def test_the_bake_of_a_later_version_stays(command: str, tmp_path: Path) -> None
     assert "up to date" not in told.stdout
 
 
+@pytest.mark.parametrize("gradients", ["rig", "poses"])
+def test_a_bake_of_gradients_that_no_bake_makes_is_damaged(gradients: str, tmp_path: Path) -> None:
+    bake(FOLDER / "seam.glb", tmp_path / "baked.glb")
+    model = read(tmp_path / "baked.glb")
+    model.content["meshes"][0]["primitives"][0]["extras"]["skinbake"]["gradients"] = gradients
+    damaged = rewritten(model, tmp_path / "damaged.glb")
+    why = f"its metadata is damaged: \"gradients\" is '{gradients}'; run skinbake bake"
+    assert why in invoke("verify", damaged).stderr
+    told = invoke("inspect", damaged)
+    assert f"but {why}" in told.stdout and why in told.stderr
+    assert "up to date" not in told.stdout
+
+
 @pytest.mark.parametrize("name", ["bent_tube.glb", "two_primitives.glb"])
 def test_a_bake_is_known_after_a_tool_has_written_1_as_1_0(name: str, tmp_path: Path) -> None:
     """As writers in languages without integers do, with every number of the file."""

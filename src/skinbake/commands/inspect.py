@@ -59,10 +59,11 @@ def inspect_file(source: str, bounds: Bounds = BESIDE) -> InspectResult:
             with document.budget.passing():
                 primitive = read_primitive(document, entry)
                 primitives.append(_summary(document, entry, primitive))
-                bake = primitives[-1].bake
-                if bake is not None and bake.other is not None:
-                    tell(Notice("version", bake.other, entry.place))
-                elif bake is None and is_baked(document, entry):
+                note = gradient_note(document, entry)
+                refusal = None if note is None else note.refusal(entry.influence_sets)
+                if refusal is not None:
+                    tell(Notice(*refusal, entry.place))
+                elif note is None and is_baked(document, entry):
                     tell(Notice("metadata-missing", NO_METADATA, entry.place))
                 if reason is not None and reason.code == "unlit":
                     continue  # no light reaches its normals
@@ -114,7 +115,8 @@ def _summary(document: Document, source: PrimitiveSource, primitive: SkinnedPrim
         words += [f"encoding {note.encoding}"] if note.encoding != Encoding.FLOAT32 else []
         words += [f"layout {note.layout}"] if note.layout != Layout.ATTRIBUTES else []
         words += [f"blend weights {note.blend.weights}"] if note.blend else []
-        bake = BakeSummary(note.json, ", ".join(words), changed, size, note.other_version)
+        _, other = note.refusal(source.influence_sets) or ("", None)
+        bake = BakeSummary(note.json, ", ".join(words), changed, size, other)
     return PrimitiveSummary(
         place=source.place,
         vertices=len(primitive.positions),

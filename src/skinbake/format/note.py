@@ -309,6 +309,13 @@ class GradientNote(_Note):
         found = _shown(self.json.get("fit"))
         return f"its α/β come from version {found} of the fit, this skinbake has {FIT}: {remedy}"
 
+    def refusal(self, influence_sets: int) -> tuple[str, str] | None:
+        """Return the code of what is wrong with the note, and what to do; None if it can be read."""
+        if self.other_version is not None:
+            return "version", self.other_version
+        wrong = next(self.damage(influence_sets), None)
+        return None if wrong is None else ("metadata-broken", f"its metadata is damaged: {wrong}; {BAKE}")
+
     def differences(self, other: GradientNote, where: str) -> Iterator[str]:
         """Yield what differs from another note, ``where``, although one bake has gathered both together."""
         for key in ("weld", "gradients", "poses", "weighting", "crease_angle"):

@@ -167,11 +167,9 @@ def _view(document: Document, source: PrimitiveSource) -> BakedView:
     if note is None:
         message = NO_METADATA if is_baked(document, source) else f"it is not baked: {BAKE}"
         raise DamagedBake("metadata-missing", message, place)
-    if note.other_version is not None:
-        raise DamagedBake("version", note.other_version, place)
-    wrong = next(note.damage(source.influence_sets), None)
-    if wrong is not None:
-        raise DamagedBake("metadata-broken", f"its metadata is damaged: {wrong}; {BAKE}", place)
+    refusal = note.refusal(source.influence_sets)
+    if refusal is not None:
+        raise DamagedBake(*refusal, place)
     now = read_primitive(document, source)
     work = Cost.COMPARED_VERTEX * len(now.positions) + Cost.COMPARED_SLOT * now.joints.size
     work += Cost.COMPARED_TRIANGLE * len(now.triangles)

@@ -44,7 +44,7 @@ LEFT = "left unbaked on purpose"
 class BakeSummary:
     """The note of a bake, also in words, the arrays that changed since, and the size of α and β.
 
-    other tells which version of it this skinbake does not read, and what to do.
+    other tells why this skinbake does not read it, and what to do.
     """
 
     metadata: dict[str, Any]
