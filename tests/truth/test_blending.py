@@ -88,6 +88,18 @@ def test_where_the_jacobian_is_singular_the_cofactors_are_left() -> None:
     assert np.stack(normals, axis=2) == pytest.approx(expected)
 
 
+def test_only_vertices_of_joints_of_scale_0_alone_have_no_side() -> None:
+    rest, matrices = surface(4), joint_matrices(2)
+    rest.joints[0] = 3
+    matrices[1, 3, :3, :3] = 0.0
+    matrices[:, 7, 0, 0] = np.inf  # of a joint that is not in use
+    hidden = ((rest.joints == 3) | (rest.weights == 0.0)).all(axis=1)
+    with np.errstate(invalid="ignore"):
+        sides = blending.sides_of([rest], matrices)
+    assert sides is not None and hidden.any()
+    np.testing.assert_array_equal(np.isnan(sides), [0 * hidden, hidden])
+
+
 def test_algorithm_2_has_to_be_prepared_for() -> None:
     plain = BlendedPrimitive(surface(4), joint_matrices(1), Options())
     with pytest.raises(ValueError, match="algorithm 2"):

@@ -216,8 +216,9 @@ def sides_of(primitives: Sequence[RestPrimitive], joint_matrices: Float64Array) 
     scale 0, which hides parts of a model: what rounding leaves of the surface there has no true normal.
     """
     mirrors = determinants(joint_matrices) < 0
-    sizes = np.abs(joint_matrices[..., :3, :3]).max(axis=(2, 3), initial=0.0)
-    is_point = sizes <= SHRUNK * sizes.max(axis=1, keepdims=True, initial=0.0)
+    sizes = np.abs(joint_matrices[..., :3, :3]).max(axis=(2, 3))
+    largest = np.where(np.isfinite(sizes), sizes, 0.0).max(axis=1, keepdims=True, initial=0.0)
+    is_point = sizes <= SHRUNK * largest
     if not (mirrors.any() or is_point.any()):
         return None
     dominant = np.concatenate(

@@ -160,7 +160,7 @@ export class Surface {
         const mirrors = matrices.map((matrix) => determinant(matrix) < 0);
         const isMirrored = mirrors.some(Boolean);
         const sizes = matrices.map((m) => Math.max(...[0, 1, 2, 4, 5, 6, 8, 9, 10].map((i) => Math.abs(m[i]))));
-        const points = sizes.map((size) => size <= SHRUNK * Math.max(...sizes));
+        const points = sizes.map((size) => size <= SHRUNK * Math.max(...sizes.filter(Number.isFinite)));
         const hidden = points.some(Boolean) ? hiddenVertices(this.primitives, this.starts, count, points) : null;
         const frame = new Float64Array(10);
         for (let vertex = 0; vertex < count; vertex++) {
