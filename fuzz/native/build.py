@@ -13,7 +13,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 BUILD = REPOSITORY / "build" / "asan"
 COMPILER = os.environ.get("CC", "gcc")
 FLAGS = (
-    "-g", "-O1", "-std=c11", "-fPIC", "-shared", "-ffp-contract=off", "-fno-omit-frame-pointer",
+    "-g", "-O1", "-DMOST_BITS=128", "-std=c11", "-fPIC", "-shared", "-ffp-contract=off", "-fno-omit-frame-pointer",
     "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-Wno-psabi",
 )  # fmt: skip
 
@@ -27,7 +27,8 @@ class NoCompilerError(Exception):
 def build() -> Path:
     """Return the folder to import the package from; raises NoCompilerError.
 
-    The loops are compiled where they or the flags are others than last time: it takes ten seconds.
+    The loops are compiled where they or the flags are others than last time, for one width of vectors: wider ones
+    are compiled from the same text, and each would take ten seconds more.
     """
     package = BUILD / "skinbake"
     source = REPOSITORY / "src" / "skinbake"

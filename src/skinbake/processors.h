@@ -23,7 +23,7 @@ static int vector_bits = 128;
    with that mark then take 0.7 to 0.85 of the time. Others gain nothing, or GCC 12 makes them several times slower.
 
    GCC is left out on Windows, where it does not align the stack for vectors. */
-#if defined(__x86_64__) && (defined(__clang__) || (defined(__GNUC__) && !defined(_WIN32)))
+#if defined(__x86_64__) && MOST_BITS > 128 && (defined(__clang__) || (defined(__GNUC__) && !defined(_WIN32)))
 #include <cpuid.h>
 
 #define AVX2 __attribute__((target("avx2"))) static

@@ -193,8 +193,8 @@ SOURCES: dict[str, Callable[[Path], Path]] = {
 @pytest.mark.parametrize(
     ("source", "bakes", "tools"),
     [
-        ("tube", CORRECTIVES, TOOLS),
-        ("morphed", CORRECTIVES, TOOLS[::3]),
+        ("tube", CORRECTIVES, TOOLS[::2]),
+        ("morphed", CORRECTIVES, TOOLS[1::2]),
         *((source, GRADIENTS, TOOLS[number % 4 :: 4]) for number, source in enumerate(SOURCES)),
     ],
     ids=["tube, correctives", "morphed, correctives", *SOURCES],

@@ -17,7 +17,7 @@ import pytest
 from tests.support.tools import required_program
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-COUNT = 20_000
+COUNT = 3_000
 
 OPENS = ("open", "openat", "openat2", "creat")
 CHANGES = (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -124,6 +124,24 @@ def together(language: Language) -> dict[str, list[ShaderChoices]]:
 def every_text(language: Language) -> dict[str, ShaderChoices]:
     """Return all combinations and variants by a name that is a file name too."""
     return _named([*combinations(language), *variants(language)])
+
+
+def fewer(every: Mapping[str, ShaderChoices]) -> dict[str, ShaderChoices]:
+    """Return both frames and all options with four influences; other counts in one frame, without options.
+
+    For what is slow, where another test has all of them.
+    """
+    return {
+        name: choices
+        for name, choices in every.items()
+        if choices.influences == 4
+        or (choices.influences in (1, 8, 9) and choices.frame == Frame.TANGENT and not _has_option(choices))
+    }
+
+
+def _has_option(choices: ShaderChoices) -> bool:
+    """Tell whether a cap or mirrored joints change the text."""
+    return choices.cap is not None or choices.mirrored_joints
 
 
 def every_stored_and_morphed(language: Language) -> dict[str, ShaderChoices]:

@@ -5,7 +5,7 @@ DXC compiles it to DXIL too, which cannot be run here. The tolerances are those 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,7 +15,7 @@ import pytest
 from skinbake.choices import Encoding, Frame, Language, Layout, Lighting, Method
 from skinbake.shaders.choices import BEST, ShaderChoices
 from tests.shaders.awkward_frames import awkward_normals, different, expected
-from tests.shaders.combinations import every_stored_and_morphed, every_text, hlsl, label
+from tests.shaders.combinations import every_stored_and_morphed, every_text, fewer, hlsl, label
 from tests.shaders.judged import assert_like_the_replay, irregular_work
 from tests.shaders.rigid_joints import (
     assert_like_scaled_motions,
@@ -30,21 +30,6 @@ from tests.support.whole_fields import shader_text
 
 HLSL = Language.HLSL
 COMPILERS = pytest.mark.parametrize("compiled", [glslang.spirv_of_hlsl, dxc.spirv], ids=["glslang", "dxc"])
-
-
-def fewer(every: Mapping[str, ShaderChoices]) -> dict[str, ShaderChoices]:
-    """Both frames and all options with four influences; other counts in one frame: the compiler is slow."""
-    return {
-        name: choices
-        for name, choices in every.items()
-        if choices.influences == 4
-        or (choices.influences in (1, 8, 9) and choices.frame == Frame.TANGENT and not has_option(choices))
-    }
-
-
-def has_option(choices: ShaderChoices) -> bool:
-    """Tell whether a cap or mirrored joints change the text."""
-    return choices.cap is not None or choices.mirrored_joints
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ import pytest
 
 from skinbake.choices import Frame, Language, Lighting, Method
 from skinbake.shaders.choices import ALGORITHMS, ShaderChoices
-from tests.shaders.combinations import every_text, label
+from tests.shaders.combinations import every_text, fewer, label
 from tests.shaders.judged import (
     assert_like_the_replay,
     irregular_work,
@@ -82,7 +82,8 @@ class TestWgsl:
 
     @pytest.mark.slow
     def test_every_combination(self, implementation: webgpu.Implementation) -> None:
-        work = irregular_work(every_text(Language.WGSL))
+        every = every_text(Language.WGSL)
+        work = irregular_work(every if implementation is webgpu.NAGA else fewer(every))
         for name, found in run_wgsl(implementation, work).items():
             assert_like_the_replay(*work[name], found)
 
@@ -104,7 +105,8 @@ class TestGlsl:
 
     @pytest.mark.slow
     def test_every_combination(self, kind: str, context: opengl.Context) -> None:
-        for choices, scene in irregular_work(every_text(Language.GLSL)).values():
+        every = every_text(Language.GLSL)
+        for choices, scene in irregular_work(every if kind == "es" else fewer(every)).values():
             for version in versions(kind, choices):
                 assert_like_the_replay(choices, scene, run_glsl(context, version, choices, scene))
 
