@@ -13,8 +13,8 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 BUILD = REPOSITORY / "build" / "asan"
 COMPILER = os.environ.get("CC", "gcc")
 FLAGS = (
-    "-g", "-O1", "-DMOST_BITS=128", "-std=c11", "-fPIC", "-shared", "-ffp-contract=off", "-fno-omit-frame-pointer",
-    "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-Wno-psabi",
+    "-g", "-O1", "-DMOST_BITS=128", "-std=c11", "-fPIC", "-shared", "-ffp-contract=off", "-Wno-psabi",
+    "-fno-omit-frame-pointer", "-fsanitize=address,undefined", "-fno-sanitize-recover=all",
 )  # fmt: skip
 
 LOOPS = (Path("gradients", "_kernel.c"), Path("truth", "_loops.c"))
@@ -27,8 +27,8 @@ class NoCompilerError(Exception):
 def build() -> Path:
     """Return the folder to import the package from; raises NoCompilerError.
 
-    The loops are compiled where they or the flags are others than last time, for one width of vectors: wider ones
-    are compiled from the same text, and each would take ten seconds more.
+    The loops are compiled where they or the flags are others than last time, for one width of vectors: the
+    text of the others is the same.
     """
     package = BUILD / "skinbake"
     source = REPOSITORY / "src" / "skinbake"

@@ -55,7 +55,7 @@ def baked_in_memory(document: Document) -> Document:
         reasons = "; ".join(notice.reason for notice in told if isinstance(notice, Skipped))
         raise InputError(f"nothing in it can be shown: {reasons or why_nothing(document)}", document.place)
     tell, sources = document.notices.tell, skinned_sources(document)
-    message = "its bake is damaged, and one made in memory is shown: skinbake verify says what is wrong"
+    message = "its bake is damaged or old, and one made in memory is shown: skinbake verify says why"
     tell(*(Notice("bake-damaged", message, one.place) for one in sources if is_baked(document, one)))
     for problem in damaged_correctives(document):
         message = f"its correctives are left out here, and α and β shown in place of them: {problem.message}"
