@@ -211,6 +211,14 @@ def test_a_close_up_shows_a_place_of_meshes_that_equal_skins_draw(tmp_path: Path
 
 
 @pytest.mark.usefixtures("device")
+def test_a_close_up_may_be_of_a_moment_that_is_asked_for(tmp_path: Path) -> None:
+    options = ("--size", "64x48", "--closeup", "--time", "0.6")
+    result = invoke("render", TUBE, "-o", tmp_path / "a.png", *options)
+    assert result.exit_code == 0, result.output
+    assert "at 0.60 s, close up on" in result.stdout
+
+
+@pytest.mark.usefixtures("device")
 def test_a_close_up_needs_a_moment_in_which_the_bake_shows(tmp_path: Path) -> None:
     result = invoke("render", TUBE, "-o", tmp_path / "a.png", "--closeup", "--time", "0")
     assert result.exit_code == exit_codes.INPUT

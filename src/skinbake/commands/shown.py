@@ -120,7 +120,7 @@ def spots_at(scene: Scene, clip: Clip, times: Float64Array) -> Spots:
     """Return where a bake shows at times (P,) of a clip. Raises InputError as ``spots_in_clips``."""
     draws = scene.shown()
     claim_draws(scene.document, draws, [clip], len(times))
-    return spots_of(draw.at(clip, times, turned=False) for draw in draws)
+    return spots_of((draw.at(clip, times, turned=False) for draw in draws), skips_still=len(times) > 1)
 
 
 def telling_pose(

@@ -87,9 +87,13 @@ class _Candidate:
 
 
 class Places:
-    """Sums of errors over the cells of one draw after the other, and the best places of all."""
+    """Sums of errors over the cells of one draw after the other, and the best places of all.
 
-    def __init__(self) -> None:
+    Without skips_still, the poses of clips that stand still count, too: of one pose nobody can tell.
+    """
+
+    def __init__(self, *, skips_still: bool = True) -> None:
+        self._skips_still = skips_still
         self._shows: list[list[_Candidate]] = []
         self._worse: list[_Candidate] = []
         self._moments: dict[Moment, float] = {}
@@ -148,7 +152,8 @@ class Places:
         )
         areas = np.stack([self._sums[truth, "standard"][1] for truth in truths])
         gains = (sums[:, 0] - sums[:, 1]).min(axis=0)
-        gains[_stands_still(draw)[self._poses]] = 0.0
+        if self._skips_still:
+            gains[_stands_still(draw)[self._poses]] = 0.0
         seen = gains * cells.seen(draw.matrices[self._poses])
         for pose, total in zip(self._poses.tolist(), np.maximum(seen, 0.0).sum(axis=1), strict=True):
             moment = _moment(draw, pose)
@@ -388,9 +393,9 @@ def readable(name: str) -> str:
     return " ".join(sorted(words, key=lambda word: word not in {"left", "right"}))
 
 
-def spots_of(draws: Iterable[Draw]) -> Spots:
-    """Return the places of posed draws. Raises InputError if they cannot be measured."""
-    places = Places()
+def spots_of(draws: Iterable[Draw], *, skips_still: bool = True) -> Spots:
+    """Return the ``Places`` of posed draws. Raises InputError if they cannot be measured."""
+    places = Places(skips_still=skips_still)
     for draw in draws:
         places.begin(draw)
         measure(draw, lambda block: places.add(block, places.counted(block)))
