@@ -76,7 +76,9 @@ def test_a_summary_below_a_file_is_an_output_error(tmp_path: Path) -> None:
 def test_a_report_below_a_file_is_an_output_error(option: str, tmp_path: Path) -> None:
     bake(SEAM, tmp_path / "baked.glb")
     before = (tmp_path / "baked.glb").read_bytes()
-    result = invoke("verify", tmp_path / "baked.glb", "--poses", "rest", option, tmp_path / "baked.glb/out")
+    result = invoke(
+        "verify", tmp_path / "baked.glb", "--poses", "rest", option, tmp_path / "baked.glb/out.html"
+    )
     assert result.exit_code == 4, result.output
-    assert "baked.glb/out: " in result.stderr
+    assert "baked.glb/out.html: " in result.stderr
     assert (tmp_path / "baked.glb").read_bytes() == before
