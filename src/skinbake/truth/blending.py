@@ -201,7 +201,7 @@ def blended_blocks(
 
 
 SHRUNK, HIDDEN = 1e-12, 1e-6
-"""The size of a joint, over the largest one, up to which what it leaves of a surface is rounding.
+"""The largest entry of a joint's linear part up to which what it leaves of a surface is rounding.
 
 And the weight of all other joints up to which a vertex is hidden: adopted ones have less.
 """
@@ -216,9 +216,7 @@ def sides_of(primitives: Sequence[RestPrimitive], joint_matrices: Float64Array) 
     scale 0, which hides parts of a model: what rounding leaves of the surface there has no true normal.
     """
     mirrors = determinants(joint_matrices) < 0
-    sizes = np.abs(joint_matrices[..., :3, :3]).max(axis=(2, 3))
-    largest = np.where(np.isfinite(sizes), sizes, 0.0).max(axis=1, keepdims=True, initial=0.0)
-    is_point = sizes <= SHRUNK * largest
+    is_point = np.abs(joint_matrices[..., :3, :3]).max(axis=(2, 3)) <= SHRUNK
     if not (mirrors.any() or is_point.any()):
         return None
     dominant = np.concatenate(

@@ -11,7 +11,7 @@ const DEGENERATE = 1e-10;
 const FLAT = 1e10;
 const FLAT_FRAME = 1e-6; // The sine between two tangents below which they span no plane.
 const CANCELLED = 1e-9; // Radians. Triangles that sum to less cancel out: each is there twice, once for each side.
-const SHRUNK = 1e-12; // A joint's size, over the largest one, up to which what it leaves of a surface is rounding.
+const SHRUNK = 1e-12; // The largest entry of a joint's linear part up to which what it leaves of a surface is rounding.
 const HIDDEN = 1e-6; // The weight of all other joints up to which a vertex is hidden: adopted ones have less.
 const CROWDED = 4096; // As in bake: of more different normals at one place, only equal ones are one.
 const TINY_WEIGHT = 1.5 * 2 ** -30; // The weight of an adopted joint does not tell copies of a vertex apart.
@@ -159,8 +159,7 @@ export class Surface {
         const { carried, found, count, dominant } = this;
         const mirrors = matrices.map((matrix) => determinant(matrix) < 0);
         const isMirrored = mirrors.some(Boolean);
-        const sizes = matrices.map((m) => Math.max(...[0, 1, 2, 4, 5, 6, 8, 9, 10].map((i) => Math.abs(m[i]))));
-        const points = sizes.map((size) => size <= SHRUNK * Math.max(...sizes.filter(Number.isFinite)));
+        const points = matrices.map((m) => [0, 1, 2, 4, 5, 6, 8, 9, 10].every((i) => Math.abs(m[i]) <= SHRUNK));
         const hidden = points.some(Boolean) ? hiddenVertices(this.primitives, this.starts, count, points) : null;
         const frame = new Float64Array(10);
         for (let vertex = 0; vertex < count; vertex++) {
