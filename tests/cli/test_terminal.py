@@ -112,7 +112,7 @@ def test_metadata_of_a_bake_forges_no_line(tmp_path: Path) -> None:
     metadata.update({name: f"{name}\nforged: line" for name in names})
     metadata["digest"]["POSITION\nforged: line"] = 32 * "0"
     text = said("inspect", rewritten(model, model.path))
-    assert text.count(b"\\nforged: line") == 8
+    assert text.count(b"\\nforged: line") == 9  # the damage that is told, too
     assert b"\nforged" not in text
     # Such a bake is broken, so its primitive is not counted as none.
     assert b"\n  structure  failed\n" in said("verify", model.path)
