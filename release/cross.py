@@ -35,10 +35,13 @@ BROWSER_FLAGS = [*OTHERS, "-mcpu=mvp+mutable_globals+sign_ext+nontrapping_fptoin
 BROWSER_FLAGS += ["-fno-sanitize=undefined", "-fPIC", "-fvisibility=hidden"]
 
 
-def compile_loops(module: str, tree: Path, platform: str, folder: Path) -> tuple[str, bytes]:
+def compile_loops(
+    module: str, tree: Path, platform: str, folder: Path, *, links: bool = True
+) -> tuple[str, bytes]:
     """Compile a module, such as ``gradients/_kernel``, of an unpacked sdist. Return its file name and bytes.
 
-    platform is BROWSER or a key of SYSTEMS. Temporary files stay in the folder.
+    platform is BROWSER or a key of SYSTEMS. Temporary files stay in the folder. Without links, the bytes are
+    those of the object, for which zig builds none of the system's libraries.
     """
     headers = folder / "include"
     if not headers.exists():
@@ -50,7 +53,9 @@ def compile_loops(module: str, tree: Path, platform: str, folder: Path) -> tuple
     if platform == BROWSER:
         _compile_for_browsers(source, headers, made)
         return f"{module}{suffix}", made.read_bytes()
-    if platform.startswith("win"):
+    if not links:
+        more = ["-c"]
+    elif platform.startswith("win"):
         suffix, more = ".pyd", [str(import_library("python3", stable_names(), folder))]
     elif platform.startswith("macosx"):
         # Else the module would hold the path of the temporary folder.
